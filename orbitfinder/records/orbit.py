@@ -187,7 +187,7 @@ ENTRIES = (
 def orbit_to_document(orbit: Orbit) -> dict[str, Any]:
     """The JSON document of an orbit (the contract of orbit.json); floats round-trip exactly."""
     in_words = {
-        "energy": None if unconserved(orbit) else orbit.energy,
+        "energy": energy_entry(orbit.energy) if unconserved(orbit) else orbit.energy,
         "expected": {k: {"value": v[0], "tolerance": v[1]} for k, v in orbit.expected.items()},
         "certificate": certificate_to_document(orbit.certificate),
     }
@@ -206,6 +206,21 @@ def refuse_controlled(orbit: Any, what: str) -> None:
     if getattr(orbit, "control", None) is not None:
         raise InputError(f"{what}: {orbit.name} is a controlled orbit; give one without control, or state the problem "
                          "again with other pins and limits (of.Control)")  # fmt: skip
+
+
+def energy_entry(energy: float) -> float | None:
+    """What files say of an energy (J): null where none is conserved, which is nan in memory."""
+    return None if np.isnan(energy) else float(energy)
+
+
+def energy_of(entry: float | None) -> float:
+    """The energy (J) of a file's entry, the way back from `energy_entry`."""
+    return float("nan") if entry is None else float(entry)
+
+
+def level(energy: float | None) -> float:
+    """An energy (J), as recorded or in memory, to sort and to measure by: 0 where none is conserved."""
+    return float(np.nan_to_num(energy_of(energy)))
 
 
 def unconserved(orbit: Orbit) -> bool:
@@ -382,7 +397,7 @@ def orbit_from_document(
         n, tolerance = state.size // 2, float(document.get("tolerance", 1e-12))
         described = {"period", "energy", "action", *document["system"], *document["system"].get("arguments", {})}
         described |= {f"{SHIFT}{name}" for name in document.get("shift") or {}}
-        energy = float("nan") if document["energy"] is None else float(document["energy"])
+        energy = energy_of(document["energy"])
         if np.isnan(energy) and len(document.get("winding") or ()) != state.size:
             raise ValueError("energy of a mechanical system is missing")
         if not 0 < tolerance < 1 or not all({name, name.rstrip("0123456789")} & described for name in expected):

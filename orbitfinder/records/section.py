@@ -11,6 +11,7 @@ import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError
+from orbitfinder.records.orbit import energy_of
 from orbitfinder.records.reading import arrays, finite, json_file, read_as, write_json, write_npz
 
 FORMAT, VERSION = "orbitfinder/section", 1
@@ -91,7 +92,5 @@ def load_section(path: str | Path) -> Section:
     found = arrays(source.with_suffix(".npz"), ARRAYS, AGAIN)
     if len(plain.axes) != 2 or not set(plain.axes) <= set(plain.state_names):
         raise InputError(f"{source}: axes: expected two of the components; {AGAIN}")
-    energy = float("nan") if plain.energy is None else plain.energy
-    return Section(
-        plain.name, plain.system, plain.state_names, plain.plane, (plain.axes[0], plain.axes[1]), energy, **found
-    )
+    return Section(plain.name, plain.system, plain.state_names, plain.plane, (plain.axes[0], plain.axes[1]),
+                   energy_of(plain.energy), **found)  # fmt: skip
