@@ -20,6 +20,7 @@ from orbitfinder._runtime.quiet import captured
 from orbitfinder.errors import InputError, closest, plural
 from orbitfinder.mechanics.mechanism import GROUND, mechanism
 from orbitfinder.mechanics.model import Model
+from orbitfinder.records.reading import file_bytes
 
 DOWN = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
 """From a file's axes (z up) to ours (x down)"""
@@ -123,9 +124,9 @@ def robot(
 
 def _file(path: Path) -> bytes:
     try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"file: {path.name} cannot be read ({error.strerror}); give a URDF or MJCF file") from error
+        return file_bytes(path, "URDF or MJCF file")
+    except InputError as error:
+        raise InputError(f"file: {error}") from error
 
 
 def _numbers(path: Path, data: bytes) -> _Read:

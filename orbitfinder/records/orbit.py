@@ -13,6 +13,7 @@ import numpy as np
 from orbitfinder._runtime import notebook as display
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError
+from orbitfinder.records.control import control_entry
 from orbitfinder.records.reading import (
     arrays,
     content_digest,
@@ -417,7 +418,7 @@ def orbit_from_document(
             provenance=dict(document.get("provenance") or {}), title=str(document.get("title", "")),
             source=str(document.get("source", "")), record=document.get("record"),
             shift={str(name): float(by) for name, by in (document.get("shift") or {}).items()},
-            control=dict(document["control"]) if isinstance(document.get("control"), Mapping) else None,
+            control=control_entry(document.get("control"), state.size),
             proof=dict(document["proof"]) if isinstance(document.get("proof"), Mapping) else None,
         )  # fmt: skip
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
