@@ -336,8 +336,8 @@ def dense_samples(path: Path, size: int) -> tuple[np.ndarray, np.ndarray]:
         return np.zeros(0), np.zeros((0, size))
     found = arrays(path, ("times", "samples"), AGAIN)
     times, samples = found["times"].astype(float), found["samples"].astype(float)
-    back = np.any(np.diff(times) < 0) or np.any(times[2:] <= times[:-2])
-    if samples.shape != (*times.shape, size) or times.size == 1 or back:
+    fits = times.ndim == 1 and samples.shape == (times.size, size) and times.size != 1
+    if not fits or np.any(np.diff(times) < 0) or np.any(times[2:] <= times[:-2]):
         raise InputError(f"{path}: damaged (its times and states do not fit together or the orbit); {AGAIN}")
     return times, samples
 
