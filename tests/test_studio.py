@@ -385,8 +385,8 @@ def socket_of(base, origin, frames=()):
     import socket
 
     host = base.removeprefix("http://")
-    lines = ["GET /_nicegui_ws/socket.io/?EIO=4&transport=websocket HTTP/1.1", f"Host: {host}", "Upgrade: websocket",
-             "Connection: Upgrade", "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Version: 13"]  # fmt: skip
+    lines = ["GET /_nicegui_ws/socket.io/?EIO=4&transport=websocket HTTP/1.1", f"Host: {host}", "Upgrade: websocket"]
+    lines += ["Connection: Upgrade", "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Version: 13"]
     lines += [f"Origin: {origin}"] if origin else []
     with socket.create_connection((host.split(":")[0], int(host.split(":")[1])), 10.0) as made:
         made.sendall("\r\n".join([*lines, "", ""]).encode())

@@ -95,9 +95,9 @@ def load_section(path: str | Path) -> Section:
     count, motions, d = found["times"].size, found["growth"].size, len(plain.state_names)
     shapes = {"states": (count, d), "times": (count,), "seeds": (count,), "starts": (motions, d), "growth": (motions,)}
     for name, shape in shapes.items():
-        if found[name].shape != shape or not motions:
+        if found[name].shape != shape:
             raise InputError(f"{source}: {name}: shape {found[name].shape} where {shape} belongs; {AGAIN}")
-    if found["seeds"].dtype.kind != "i" or not np.isin(found["seeds"], np.arange(motions)).all():
+    if not motions or found["seeds"].dtype.kind != "i" or not np.isin(found["seeds"], np.arange(motions)).all():
         raise InputError(f"{source}: seeds: expected numbers of {motions} motions, counted from 0; {AGAIN}")
     return Section(plain.name, plain.system, plain.state_names, plain.plane, (plain.axes[0], plain.axes[1]),
                    energy_of(plain.energy), **found)  # fmt: skip

@@ -38,6 +38,7 @@ from orbitfinder.records.torus import Tori, load_tori
 
 MOST_ITEMS = 500
 """Orbits of an atlas that are shown, evenly chosen in order of energy."""
+EMPTY = "holds no orbit; search into the atlas first, or give another file"
 NAMES = ("orbit.json", "family.json", "section.json")
 Laid = Manifold | Connection | Tori
 LAID: Mapping[str, Callable[[Path], Laid]] = {
@@ -200,6 +201,8 @@ def _orbit(document: Any, where: str) -> OrbitFile:
 
 def _from_export(entries: Sequence[Any], file: Path) -> AtlasFile:
     """The atlas of a JSON list of orbit documents."""
+    if not entries:
+        raise InputError(f"{file}: {EMPTY}")
     orbits = [_orbit(entry, f"{file}[{k}]") for k, entry in enumerate(entries)]
     ordered = sorted(enumerate(orbits), key=lambda one: _order(one[1].document["energy"], one[1].document["period"]))
     return AtlasFile(file.stem, len(orbits), tuple(ordered[k] for k in evenly(len(orbits), MOST_ITEMS)), file.name)
@@ -217,8 +220,9 @@ def _from_database(file: Path, wanted: Filter) -> AtlasFile:
     with Atlas(file) as atlas:
         held = len(atlas)
         rows = sorted(atlas.rows(wanted), key=lambda row: _order(row.energy, row.period))
-        if not rows and wanted != Filter():
-            raise InputError(f"{file}: none of its {plural(held, 'orbit')} is chosen; ask for less")
+        if not rows:
+            none = f"none of its {plural(held, 'orbit')} is chosen; ask for less" if held else EMPTY
+            raise InputError(f"{file}: {none}")
         chosen = [rows[k].id for k in evenly(len(rows), MOST_ITEMS)]
         orbits = tuple((number, _orbit(atlas.document(number), f"{file}: orbit {number}")) for number in chosen)
     return AtlasFile(file.stem, len(rows), orbits, file.name, held)

@@ -82,7 +82,9 @@ def redirect(folder: Path, address: str) -> Path:
     the arguments of the browser's process."""
     target = folder / "open.html"
     with open(os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as stream:
-        stream.write(f'<!doctype html><meta http-equiv="refresh" content="0; url={address}"><a href="{address}">studio</a>')
+        stream.write(
+            f'<!doctype html><meta http-equiv="refresh" content="0; url={address}"><a href="{address}">studio</a>'
+        )
     return target
 
 
@@ -98,8 +100,8 @@ def serve(file: Path | None, out: Path, port: int | None, browser: bool, announc
     origin, chosen, token = opened(file), free_port(port), secrets.token_urlsafe(18)
     try:
         from nicegui import app, ui  # noqa: PLC0415  an extra
-        from starlette.responses import PlainTextResponse  # noqa: PLC0415
         from starlette.middleware.trustedhost import TrustedHostMiddleware  # noqa: PLC0415
+        from starlette.responses import PlainTextResponse  # noqa: PLC0415
     except ImportError as error:
         raise InputError("studio: needs NiceGUI; pip install 'orbitfinder[studio]'") from error
     from orbitfinder.studio.page import ASSETS, SITE, Page  # noqa: PLC0415
@@ -117,8 +119,8 @@ def serve(file: Path | None, out: Path, port: int | None, browser: bool, announc
 
         async def tab() -> None:
             if len(tabs) >= MOST_TABS:
-                ui.label(f"{MOST_TABS} tabs of this studio are open, each with processes of its own; close one, and load "
-                         "this page again a minute later")  # fmt: skip
+                ui.label(f"{MOST_TABS} tabs of this studio are open, each with processes of its own; close one "
+                         "and load this page again a minute later")  # fmt: skip
                 return
             own = Path(tempfile.mkdtemp(dir=folder))
             tabs.add(own)
