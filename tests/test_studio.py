@@ -29,7 +29,7 @@ from orbitfinder.records.family import load_family
 from orbitfinder.records.store import load_orbit
 from orbitfinder.studio.films import draggable, pose, pullable, view
 from orbitfinder.studio.plots import clicked, section_figure
-from orbitfinder.studio.serve import free_port
+from orbitfinder.studio.serve import MOST_TABS, free_port, redirect
 from orbitfinder.studio.session import Session, leaving, opened, parameters
 from orbitfinder.studio.tasks import Return, Tasks
 from orbitfinder.studio.worker import RefusedError, StoppedError, Worker
@@ -210,6 +210,20 @@ def test_a_process_is_stopped_at_once_and_the_next_task_has_another():
     assert asyncio.run(tried()) < 0.5
 
 
+def test_a_process_that_was_killed_while_it_waited_costs_nothing():
+    async def tried():
+        worker = Worker()
+        await worker.start()
+        first = worker.process
+        os.kill(first, signal.SIGKILL)
+        await asyncio.sleep(0.2)
+        found = await worker.do("simulated", dict(chain(1).system), [0.5, 0.0], 1.0)
+        assert worker.process != first and found.film
+        worker.close()
+
+    asyncio.run(tried())
+
+
 def test_a_family_whose_process_was_killed_is_kept_as_far_as_it_came(tasks, session):
     name, _ = session.problem_of(find_orbit(_swing()), set())
     item = session.keep_orbit(tasks.found(session.folder / f"{name}.toml", session.folder).orbit)
@@ -362,6 +376,65 @@ def test_the_page_is_served_to_whoever_knows_the_address_here_only(server, tmp_p
         one.end()
         assert "Traceback" not in one.words()
     other.log.close()
+
+
+def socket_of(base, origin, frames=()):
+    """The first line of the answer to a websocket's handshake, text frames sent after it."""
+    import socket
+
+    host = base.removeprefix("http://")
+    lines = ["GET /_nicegui_ws/socket.io/?EIO=4&transport=websocket HTTP/1.1", f"Host: {host}", "Upgrade: websocket"]
+    lines += ["Connection: Upgrade", "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Version: 13"]
+    lines += [f"Origin: {origin}"] if origin else []
+    with socket.create_connection((host.split(":")[0], int(host.split(":")[1])), 10.0) as made:
+        made.sendall("\r\n".join([*lines, "", ""]).encode())
+        answer = made.recv(400).decode("latin-1").splitlines()[0]
+        for frame in frames:
+            made.sendall(bytes([0x81, 0x80 | len(frame)]) + b"\0\0\0\0" + frame.encode())
+            time.sleep(0.05)
+    return answer
+
+
+@nicegui
+def test_pages_of_elsewhere_what_they_send_and_too_many_tabs_are_refused_in_a_word(server):
+    base = server.address.rpartition("/")[0]
+
+    def answer(path, **headers):
+        try:
+            return urllib.request.urlopen(urllib.request.Request(base + path, headers=headers)).read()
+        except urllib.error.HTTPError as error:
+            return error.code, error.read()
+
+    assert "101" in socket_of(base, base) and "403" in socket_of(base, "http://evil.example")
+    assert answer("/")[0] == answer("/_nicegui/other")[0] == 404 and len(answer("/")[1]) < 100
+    assert answer(server.address.removeprefix(base), Origin="http://evil.example")[0] == 403
+    hostile = ('42["event",{}]', '42["event",3]', '42["handshake",{}]', '42["ack",{"client_id":[]}]', "4zzz", "42{")
+    socket_of(base, base, ("40", *hostile))
+    shown = [b"tabs of this studio are open" in answer(server.address.removeprefix(base)) for _ in range(MOST_TABS + 1)]
+    assert shown == [False] * MOST_TABS + [True]
+    server.end()
+    words = server.words()
+    assert "client_id" in words and "Traceback" not in words and max(map(len, words.splitlines())) < 320
+
+
+def test_only_this_user_can_read_where_a_browser_is_sent(tmp_path):
+    file = redirect(tmp_path, "http://127.0.0.1:1/secret")
+    assert "url=http://127.0.0.1:1/secret" in file.read_text() and file.stat().st_mode & 0o777 == 0o600
+    with pytest.raises(FileExistsError):  # nobody lays a file there before
+        redirect(tmp_path, "http://127.0.0.1:1/secret")
+
+
+@nicegui
+def test_a_tab_that_is_closed_leaves_nothing(session):
+    from types import SimpleNamespace
+
+    from orbitfinder.studio.page import Page
+
+    page = Page(session, set(), "")
+    page.timer, page.background = SimpleNamespace(deactivate=int), SimpleNamespace(close=int)
+    (session.folder / "orbit.json").touch()
+    page.close()
+    assert not session.folder.exists()
 
 
 @pytest.fixture

@@ -139,7 +139,8 @@ def judged(
         return Attempt(start.index, start.strategy, signature)
     orbit, model = found()
     name = f"e{context.target.energy:g}-s{seed}-n{start.index}".replace("+", "")  # unique, and good for a folder
-    orbit = certified(replace(orbit, provenance=origin(seed, start), name=name), model)
+    said = origin(seed, start) | {"invariants": [one.name for one in model.invariants]}
+    orbit = certified(replace(orbit, provenance=said, name=name), model)
     if orbit.certificate is not None and not orbit.certificate.passed:
         failed = ", ".join(orbit.certificate.failures)
         return Attempt(start.index, start.strategy, reason=f"not certified: {failed}")

@@ -22,7 +22,7 @@ from orbitfinder.mechanics.model import Model, wrapped
 from orbitfinder.orbits.closure import between
 from orbitfinder.orbits.course import course, sampled
 from orbitfinder.orbits.measure import dense
-from orbitfinder.records.orbit import Orbit, unconserved
+from orbitfinder.records.orbit import Orbit, level, unconserved
 
 Numbers = tuple[float, float, float]
 """Energy (J), minimal period (s) and |action| (J s) of an orbit: what its images share."""
@@ -118,7 +118,7 @@ def signature_of(orbit: Orbit, model: Model) -> Signature:
     if len(samples) < 2:
         times, samples = dense(build_flow(model, (), model.invariants), orbit.nodes, orbit.period)
     return Signature(
-        energy=0.0 if unconserved(orbit) else orbit.energy,
+        energy=level(orbit.energy) if unconserved(orbit) else orbit.energy,
         period=orbit.period,
         action=abs(orbit.action),
         loop=resampled(times, samples, model.degrees_of_freedom),

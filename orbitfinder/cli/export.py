@@ -126,7 +126,10 @@ SPEAK_EVERY = 2.0
     help="Recompute the certificate of every orbit that gets a page, or say that it is the file's word.",
 )  # fmt: skip
 @filters
-def page(paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int, verify: bool, **options: Any) -> None:
+@trust_option(SYSTEM_TRUST)
+def page(
+    paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int, verify: bool, trust: bool, **options: Any
+) -> None:
     """Make a static site from any mixture of orbits, families and atlases.
 
     PATH is an orbit.json, a family.json, an atlas (database or JSON export), or a folder that holds
@@ -150,7 +153,7 @@ def page(paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int, verif
             shown.show(Progress(f"{out}: {line}"))
 
         check_target(out)
-        site, summary = build_site(gather(paths, chosen(options)), Settings(title, atlas_pages, verify), report)
+        site, summary = build_site(gather(paths, chosen(options), trust), Settings(title, atlas_pages, verify), report)
         write_site(site.files, out)
     counts = {
         "orbit": summary.orbits,

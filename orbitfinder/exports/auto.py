@@ -19,6 +19,7 @@ import numpy as np
 from orbitfinder.errors import InputError
 from orbitfinder.exports.source import FORTRAN, Source, dense_states, fortran_number, straight_line
 from orbitfinder.loops.symmetry import turned
+from orbitfinder.records.orbit import level
 
 UNFOLDING, ENERGY, PERIOD, FIRST = 1, 2, 11, 15
 """Places in PAR: the first unfolding, the energy (for output), the period (AUTO's rule), physical parameters."""
@@ -183,7 +184,7 @@ def _oscillator(c: int, s: int) -> list[str]:
 
 
 def _stpnt(source: Source) -> str:
-    energy = float(np.nan_to_num(source.orbit.energy))
+    energy = level(source.orbit.energy)
     values = dict.fromkeys(unfolding_places(source), 0.0) | {ENERGY: energy, PERIOD: source.orbit.period}
     values |= {FIRST + k: float(value) for k, value in enumerate(source.model.parameter_values)}
     lines = [f"PAR({place}) = {fortran_number(value)}" for place, value in values.items()]

@@ -18,9 +18,8 @@ from orbitfinder._runtime.arguments import check_fields
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.expression import expression
 from orbitfinder.mechanics.model import Model
+from orbitfinder.records.control import DEGREES, MOST, SHAPES
 
-DEGREES = {"zero-order": 0, "linear": 1, "cubic": 3}
-SHAPES = (*DEGREES, "fourier")
 METHODS = ("shooting", "collocation")
 RESERVED = ("pi", "period")
 SAME = 1e-9
@@ -132,10 +131,9 @@ class Control:
         for name, known in (("shape", SHAPES), ("method", METHODS)):
             if (given := getattr(self, name)) not in known:
                 raise InputError(f"control.{name}: unknown {given!r}{closest(given, known)}; use {', '.join(known)}")
-        if not 2 <= self.intervals <= 2000:
-            raise InputError(f"control.intervals: must be from 2 to 2000, got {self.intervals}")
-        if not 0 <= self.harmonics <= 200:
-            raise InputError(f"control.harmonics: must be from 0 to 200, got {self.harmonics}")
+        for name, least in (("intervals", 2), ("harmonics", 0)):
+            if not least <= (given := getattr(self, name)) <= MOST[name]:
+                raise InputError(f"control.{name}: must be from {least} to {MOST[name]}, got {given}")
         if self.shape == "fourier" and self.intervals < self.harmonics:
             raise InputError(
                 f"control.intervals: {self.intervals} are too few for {self.harmonics} harmonics; give more"

@@ -78,6 +78,14 @@ class Arrangement:
         """An expression of cost or tasks. Raises `InputError`."""
         return stated(text, self.model, x, p, where, period, self.numbers(free))
 
+    def task(self, one: Task, x: Any, p: Any, free: Any, period: Any = None) -> Any:
+        """The expression of a task; `InputError` for a constant, which no motion changes."""
+        found = self.stated(one.expression, x, p, "task.expression", free, period)
+        if isinstance(found, float) or found.is_constant():
+            raise InputError(f"task.expression: {one.expression!r} is the same for every motion; name a state or a "
+                             "control in it, or leave the task out")  # fmt: skip
+        return found
+
     @property
     def size(self) -> int:
         """d, the length of a state."""
@@ -155,7 +163,7 @@ class Arrangement:
         unfolded = () if basis.arcs else self.symmetry.unfolded(model)
         rate = vector_field(model, names, unfolded)(0.0, x, s, physical)
         rates = [self.stated(self.control.cost, x, p, "control.cost", free)]
-        rates += [self.stated(one.expression, x, p, "task.expression", free) for one in self.means]
+        rates += [self.task(one, x, p, free) for one in self.means]
         return [moment, x, s, given], rate, p, rates
 
     @property
@@ -215,7 +223,7 @@ class Arrangement:
         """(share, x, s, given, period) -> expressions of tasks (k) at a place of the motion."""
         inputs, _, p, _ = self.driven(arc, ca.SX.sym if self.mode(arc).scalar else ca.MX.sym)
         x, free, period = inputs[1], inputs[3][self.first_free :], type(inputs[1]).sym("period")
-        rows = [self.stated(one.expression, x, p, "task.expression", free, period) for one in tasks]
+        rows = [self.task(one, x, p, free, period) for one in tasks]
         return ca.Function("watched", [*inputs, period], [ca.densify(type(inputs[1])(ca.vertcat(*rows)))])
 
     def final(self) -> ca.Function:

@@ -6,6 +6,7 @@ Text is what files can carry, so that a cost can be recomputed from an orbit.jso
 from __future__ import annotations
 
 import ast
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -39,8 +40,22 @@ def expression(text: str, known: Mapping[str, Any], where: str) -> Any:
 
 
 def _value(node: ast.AST, known: Mapping[str, Any], where: str, depth: int) -> Any:
+    """The value of a part of the text, a real and finite one where it is a number."""
     if depth > DEEPEST:
         raise InputError(f"{where}: nested too deeply; write it in fewer brackets")
+    try:
+        found = _worked_out(node, known, where, depth)
+    except InputError:
+        raise
+    except (ArithmeticError, ValueError):
+        found = math.nan
+    if isinstance(found, complex) or (isinstance(found, float) and not math.isfinite(found)):
+        raise InputError(f"{where}: {ast.unparse(node)[:60]!r} is no finite real number; write a smaller one, no root "
+                         "of a negative one and nothing divided by 0")  # fmt: skip
+    return found
+
+
+def _worked_out(node: ast.AST, known: Mapping[str, Any], where: str, depth: int) -> Any:
     if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)) and not isinstance(node.value, bool):
         return float(node.value)
     if isinstance(node, ast.Name):

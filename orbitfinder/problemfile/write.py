@@ -91,7 +91,7 @@ def orbit_name(document: Mapping[str, Any]) -> str:
 def orbit_text(document: Mapping[str, Any], expected: bool = True) -> str | None:
     """A problem file whose guess is the orbit of a document; None where no file can describe the system.
 
-    The pin is the recorded one; of an orbit without one, the energy where energy is conserved. Its period is
+    The pin is the recorded one; of an orbit without one, the energy where one is conserved. Its period is
     `expected` again, unless the document has a guess only.
     """
     system, period = document["system"], float(document["period"])
@@ -118,8 +118,8 @@ def _find(document: Mapping[str, Any]) -> dict[str, Any]:
     provenance = document.get("provenance") or {}
     pin = provenance.get("pin")
     if not isinstance(pin, Mapping):
-        invariants = provenance.get("invariants", ["energy"])
-        pin = {"energy": float(document["energy"])} if "energy" in invariants else {}
+        kept = document["energy"] is not None and "energy" in provenance.get("invariants", ["energy"])
+        pin = {"energy": float(document["energy"])} if kept else {}
     turns = [int(k) for k in document.get("winding") or ()]
     chosen = ({"pin": pin} if pin else {}) | ({"winding": turns} if any(turns) else {})
     if document.get("shift"):

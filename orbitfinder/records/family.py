@@ -24,7 +24,7 @@ import numpy as np
 from orbitfinder._runtime import notebook as display
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError, plural
-from orbitfinder.records.orbit import Orbit, system_at
+from orbitfinder.records.orbit import Orbit, energy_entry, energy_of, system_at
 from orbitfinder.records.reading import (
     arrays,
     content_digest,
@@ -285,7 +285,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, (FamilyPoint, Event)):
         told = (name for name in ENTRIES[type(value)] if name not in OFTEN_EMPTY or len(getattr(value, name)))
         entries = {name: plain(getattr(value, DENSE.get(name, name))) for name in told}
-        return entries if value.energy == value.energy else entries | {"energy": None}  # where none is conserved
+        return entries | {"energy": energy_entry(value.energy)}
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         entries = {one.name: plain(getattr(value, one.name)) for one in dataclasses.fields(value)}
         return {k: v for k, v in entries.items() if v is not None or not isinstance(value, End)}
@@ -311,7 +311,7 @@ def restored(kind: type[FamilyPoint] | type[Event], document: Mapping[str, Any],
     entries = {DENSE.get(name, name): document[name] for name in ENTRIES[kind] if name in document}
     without = {"energy": 0.0} if entries.get("energy", 0.0) is None else {}
     found = typed(kind, entries | (_untold(entries) if kind is FamilyPoint else {}) | without, where)
-    found = replace(found, energy=float("nan")) if without else found
+    found = replace(found, energy=energy_of(None)) if without else found
     named = [name for name in COMPLEX if hasattr(found, name)]
     one = replace(found, **{name: _as_complex(getattr(found, name), f"{where}.{name}") for name in named})
     size, nodes = one.state.size, one.shooting_nodes

@@ -11,7 +11,7 @@ import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError
-from orbitfinder.records.orbit import Certificate, Check, certificate_to_document
+from orbitfinder.records.orbit import Certificate, Check, certificate_to_document, energy_of
 from orbitfinder.records.reading import (
     arrays,
     finite,
@@ -146,7 +146,7 @@ def load_manifold(path: str | Path) -> Manifold:
     document = _document(source, FORMAT, "a manifold", "`orbitfinder manifold`")
     plain = read_as(_Plain, document, str(source), AGAIN)
     numbers: dict[str, Any] = {**vars(plain), **arrays(source.with_suffix(".npz"), ARRAYS, AGAIN)}
-    return Manifold(**numbers | {"energy": float("nan") if plain.energy is None else plain.energy})
+    return Manifold(**numbers | {"energy": energy_of(plain.energy)})
 
 
 def _document(source: Path, wanted: str, what: str, maker: str) -> Mapping[str, Any]:
@@ -265,7 +265,7 @@ def load_connection(path: str | Path) -> Connection:
     beside = source.with_suffix(".npz")
     dense = arrays(beside, ("times", "samples"), AGAIN) if beside.exists() else {}
     numbers: dict[str, Any] = {**vars(plain), **dense, "certificate": Certificate(found.checks)}
-    numbers["energy"] = float("nan") if plain.energy is None else plain.energy
+    numbers["energy"] = energy_of(plain.energy)
     numbers["error"] = float("inf") if plain.error is None else plain.error
     if plain.states.ndim != 2 or not 0 <= plain.chosen < len(plain.states):
         raise InputError(f"{source}: states: expected rows, the chosen one among them; {AGAIN}")

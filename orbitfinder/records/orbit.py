@@ -13,6 +13,7 @@ import numpy as np
 from orbitfinder._runtime import notebook as display
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError
+from orbitfinder.records.control import control_entry
 from orbitfinder.records.reading import (
     arrays,
     content_digest,
@@ -187,7 +188,7 @@ ENTRIES = (
 def orbit_to_document(orbit: Orbit) -> dict[str, Any]:
     """The JSON document of an orbit (the contract of orbit.json); floats round-trip exactly."""
     in_words = {
-        "energy": None if unconserved(orbit) else orbit.energy,
+        "energy": energy_entry(orbit.energy) if unconserved(orbit) else orbit.energy,
         "expected": {k: {"value": v[0], "tolerance": v[1]} for k, v in orbit.expected.items()},
         "certificate": certificate_to_document(orbit.certificate),
     }
@@ -206,6 +207,21 @@ def refuse_controlled(orbit: Any, what: str) -> None:
     if getattr(orbit, "control", None) is not None:
         raise InputError(f"{what}: {orbit.name} is a controlled orbit; give one without control, or state the problem "
                          "again with other pins and limits (of.Control)")  # fmt: skip
+
+
+def energy_entry(energy: float) -> float | None:
+    """What files say of an energy (J): null where none is conserved, which is nan in memory."""
+    return None if np.isnan(energy) else float(energy)
+
+
+def energy_of(entry: float | None) -> float:
+    """The energy (J) of a file's entry, the way back from `energy_entry`."""
+    return float("nan") if entry is None else float(entry)
+
+
+def level(energy: float | None) -> float:
+    """An energy (J), as recorded or in memory, to sort and to measure by: 0 where none is conserved."""
+    return float(np.nan_to_num(energy_of(energy)))
 
 
 def unconserved(orbit: Orbit) -> bool:
@@ -320,8 +336,8 @@ def dense_samples(path: Path, size: int) -> tuple[np.ndarray, np.ndarray]:
         return np.zeros(0), np.zeros((0, size))
     found = arrays(path, ("times", "samples"), AGAIN)
     times, samples = found["times"].astype(float), found["samples"].astype(float)
-    back = np.any(np.diff(times) < 0) or np.any(times[2:] <= times[:-2])
-    if samples.shape != (*times.shape, size) or times.size == 1 or back:
+    fits = times.ndim == 1 and samples.shape == (times.size, size) and times.size != 1
+    if not fits or np.any(np.diff(times) < 0) or np.any(times[2:] <= times[:-2]):
         raise InputError(f"{path}: damaged (its times and states do not fit together or the orbit); {AGAIN}")
     return times, samples
 
@@ -382,7 +398,7 @@ def orbit_from_document(
         n, tolerance = state.size // 2, float(document.get("tolerance", 1e-12))
         described = {"period", "energy", "action", *document["system"], *document["system"].get("arguments", {})}
         described |= {f"{SHIFT}{name}" for name in document.get("shift") or {}}
-        energy = float("nan") if document["energy"] is None else float(document["energy"])
+        energy = energy_of(document["energy"])
         if np.isnan(energy) and len(document.get("winding") or ()) != state.size:
             raise ValueError("energy of a mechanical system is missing")
         if not 0 < tolerance < 1 or not all({name, name.rstrip("0123456789")} & described for name in expected):
@@ -402,7 +418,7 @@ def orbit_from_document(
             provenance=dict(document.get("provenance") or {}), title=str(document.get("title", "")),
             source=str(document.get("source", "")), record=document.get("record"),
             shift={str(name): float(by) for name, by in (document.get("shift") or {}).items()},
-            control=dict(document["control"]) if isinstance(document.get("control"), Mapping) else None,
+            control=control_entry(document.get("control"), state.size),
             proof=dict(document["proof"]) if isinstance(document.get("proof"), Mapping) else None,
         )  # fmt: skip
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:

@@ -164,8 +164,11 @@ def _fault(value: Any, finite: bool) -> str:
     return ""
 
 
-def arrays(path: Path, names: Sequence[str], remedy: str) -> dict[str, np.ndarray]:
-    """The finite numbers of an npz file by name, their sizes read before anything is expanded. `InputError`."""
+def arrays(path: Path, names: Sequence[str], remedy: str, endless: Sequence[str] = ()) -> dict[str, np.ndarray]:
+    """The numbers of an npz file by name, finite but for those of `endless`, which may be infinite.
+
+    Their sizes are read before anything is expanded. `InputError`.
+    """
     data, found = file_bytes(path, "npz file"), dict[str, np.ndarray]()
     try:
         if data.count(b"PK\x01\x02") > MOST_MEMBERS:
@@ -173,6 +176,8 @@ def arrays(path: Path, names: Sequence[str], remedy: str) -> dict[str, np.ndarra
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             for name in names:
                 found[name] = _array(archive, name, LARGEST_EXPANDED - sum(one.nbytes for one in found.values()))
+                if np.isnan(found[name]).any() or not (name in endless or np.isfinite(found[name]).all()):
+                    raise ValueError(f"{name} holds a number that is not finite")
     except Exception as error:  # zipfile, zlib, struct, tokenize: what they raise has no common base
         raise InputError(f"{path}: damaged ({shortened(error, 120)}); {remedy}") from error
     return found
@@ -191,8 +196,6 @@ def _array(archive: zipfile.ZipFile, name: str, room: int) -> np.ndarray:
             raise ValueError(f"{name} is no array of numbers of its size")
         content = stream.read()
     array = np.frombuffer(content, dtype).reshape(shape, order="F" if fortran else "C")
-    if not np.all(np.isfinite(array)):
-        raise ValueError(f"{name} holds a number that is not finite")
     return array.astype(float if dtype.kind == "f" else int)
 
 

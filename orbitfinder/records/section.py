@@ -11,6 +11,7 @@ import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError
+from orbitfinder.records.orbit import energy_of
 from orbitfinder.records.reading import arrays, finite, json_file, read_as, write_json, write_npz
 
 FORMAT, VERSION = "orbitfinder/section", 1
@@ -91,11 +92,16 @@ def load_section(path: str | Path) -> Section:
     if not isinstance(document, Mapping) or document.get("format") != FORMAT:
         raise InputError(f"{source}: not a section; give the section.json that `orbitfinder section` wrote")
     plain = read_as(_Plain, document, str(source), AGAIN)
-    found = arrays(source.with_suffix(".npz"), ARRAYS, AGAIN)
+    found = arrays(source.with_suffix(".npz"), ARRAYS, AGAIN, endless=("growth",))
     if len(plain.axes) != 2 or not set(plain.axes) <= set(plain.state_names):
         raise InputError(f"{source}: axes: expected two of the components; {AGAIN}")
-    energy = float("nan") if plain.energy is None else plain.energy
     found["growth"] = np.where(found["growth"] < LARGEST, found["growth"], np.inf)
-    return Section(
-        plain.name, plain.system, plain.state_names, plain.plane, (plain.axes[0], plain.axes[1]), energy, **found
-    )
+    count, motions, d = found["times"].size, found["growth"].size, len(plain.state_names)
+    shapes = {"states": (count, d), "times": (count,), "seeds": (count,), "starts": (motions, d), "growth": (motions,)}
+    for name, shape in shapes.items():
+        if found[name].shape != shape:
+            raise InputError(f"{source}: {name}: shape {found[name].shape} where {shape} belongs; {AGAIN}")
+    if not motions or found["seeds"].dtype.kind != "i" or not np.isin(found["seeds"], np.arange(motions)).all():
+        raise InputError(f"{source}: seeds: expected numbers of {motions} motions, counted from 0; {AGAIN}")
+    return Section(plain.name, plain.system, plain.state_names, plain.plane, (plain.axes[0], plain.axes[1]),
+                   energy_of(plain.energy), **found)  # fmt: skip

@@ -12,7 +12,7 @@ import numpy as np
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError
 from orbitfinder.records.family import plain
-from orbitfinder.records.orbit import Certificate, Check, certificate_to_document
+from orbitfinder.records.orbit import Certificate, Check, certificate_to_document, energy_entry, energy_of
 from orbitfinder.records.reading import json_bytes, json_file, write_atomically
 
 FORMAT, VERSION = "orbitfinder/tori", 1
@@ -116,8 +116,7 @@ def save_tori(found: Tori, path: str | Path) -> Path:
 
 def _document(torus: Torus) -> dict[str, Any]:
     numbers = {name: plain(getattr(torus, name)) for name in ("curve", "period", "rotation", "tail", "strip", "free")}
-    energy = None if np.isnan(torus.energy) else torus.energy
-    return numbers | {"energy": energy, "certificate": certificate_to_document(torus.certificate)}
+    return numbers | {"energy": energy_entry(torus.energy), "certificate": certificate_to_document(torus.certificate)}
 
 
 def load_tori(path: str | Path) -> Tori:
@@ -162,7 +161,7 @@ def _torus(document: Mapping[str, Any]) -> Torus:
         for one in document["certificate"]["checks"]
     )
     return Torus(
-        curve, numbers[0], numbers[1], np.nan if document["energy"] is None else float(document["energy"]),
+        curve, numbers[0], numbers[1], energy_of(document["energy"]),
         numbers[2], numbers[3], {str(name): float(one) for name, one in document["free"].items()},
         Certificate(checks) if checks else None,
     )  # fmt: skip

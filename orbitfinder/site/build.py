@@ -17,6 +17,7 @@ from orbitfinder._runtime.caches import Kept
 from orbitfinder.errors import plural
 from orbitfinder.mechanics.scales import units
 from orbitfinder.records.family import Family
+from orbitfinder.records.orbit import level
 from orbitfinder.records.section import Section
 from orbitfinder.site.gather import AtlasFile, Gathered, Verdict, evenly, judged, recorded
 from orbitfinder.site.landscape import landscape
@@ -155,7 +156,7 @@ class Site:
 def build_site(found: Gathered, settings: Settings | None = None, say: Progress | None = None) -> tuple[Site, Summary]:
     """All pages of everything gathered, in memory."""
     settings, tell = settings or Settings(), say or (lambda _: None)
-    site, simulator, slug = Site(settings), Simulator(), slug_maker()
+    site, simulator, slug = Site(settings), Simulator(found.model), slug_maker()
     entries = []
     for file in found.orbits:
         motion = simulator.orbit(file.document, file.dense)
@@ -178,20 +179,19 @@ def build_site(found: Gathered, settings: Settings | None = None, say: Progress 
     for k, section in enumerate(found.sections, 1):
         tell(f"section {k} of {len(found.sections)}, {section.name}")
         links.append(_add_section(site, section, sections(section.name), found, motions))
-    entries = _judged([_complete(entry, simulator, links) for entry in entries], settings.verify, tell)
+    judge = partial(judged, model_of=found.model) if settings.verify else partial(recorded, why=NOT_ASKED)
+    entries = _judged([_complete(entry, simulator, links) for entry in entries], judge, tell)
     for k, entry in enumerate(entries):
         _add_orbit(site, entry, entries[k - 1 : k] + entries[k + 1 : k + 2], k > 0)
     _add_gallery(site, entries, links, motions)
     return site, Summary(len(entries), len(found.families), len(found.atlases), len(found.sections), site.finish())
 
 
-def _judged(entries: Sequence[Entry], verify: bool, tell: Progress) -> list[Entry]:
+def _judged(entries: Sequence[Entry], judge: Callable[..., Verdict], tell: Progress) -> list[Entry]:
     """The entries with their verdicts, those of equal records found once."""
     found, known = list[Entry](), Kept[Verdict](max(1, len(entries)))
     for entry in entries:
-        document = entry.document
-        verdict = known(entry.file.text, partial(judged, document)) if verify else recorded(document, NOT_ASKED)
-        found.append(replace(entry, verdict=verdict))
+        found.append(replace(entry, verdict=known(entry.file.text, partial(judge, entry.document))))
         tell(f"orbit {len(found)} of {len(entries)} judged")
     return found
 
@@ -204,7 +204,7 @@ def same(system: Mapping[str, Any]) -> str:
 def _complete(entry: Entry, simulator: Simulator, links: Sequence[Link]) -> Entry:
     """The entry with its energies, its neighbour, and the families and atlases that it belongs to."""
     document, motion, near = entry.document, entry.motion, list[tuple[str, str]]()
-    here = (float(document["energy"] or 0.0), float(document["period"]), float(document["action"]))
+    here = (level(document["energy"]), float(document["period"]), float(document["action"]))
     for link in (one for one in links if one.system == same(document["system"])):
         found = _closest(here, link) if link.kind == "Family" else ""
         close = " (the curve comes within 0.3 % of this orbit in energy, period and action)" if found else ""

@@ -15,6 +15,7 @@ from orbitfinder.atlas.store import Atlas, Filter, load_orbit
 from orbitfinder.errors import InputError, OrbitfinderError, plural
 from orbitfinder.families.members import whole
 from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certify
 from orbitfinder.records.family import FORMAT as FAMILY
 from orbitfinder.records.family import Family, load_family
@@ -23,6 +24,7 @@ from orbitfinder.records.orbit import (
     AGAIN,
     certificate_to_document,
     dense_samples,
+    level,
     orbit_from_document,
     orbit_in,
     orbit_to_document,
@@ -36,6 +38,7 @@ from orbitfinder.records.torus import Tori, load_tori
 
 MOST_ITEMS = 500
 """Orbits of an atlas that are shown, evenly chosen in order of energy."""
+EMPTY = "holds no orbit; search into the atlas first, or give another file"
 NAMES = ("orbit.json", "family.json", "section.json")
 Laid = Manifold | Connection | Tori
 LAID: Mapping[str, Callable[[Path], Laid]] = {
@@ -80,6 +83,13 @@ class Gathered:
     sections: list[Section] = field(default_factory=list)
     laid: list[Laid] = field(default_factory=list)
     """what is drawn in sections of its system"""
+    trusted: list[Path] = field(default_factory=list)
+    """folders that Python modules may be imported from"""
+
+    def model(self, system: Mapping[str, Any]) -> Model:
+        """The Model of a system, its module imported from the trusted folder that has it. Raises `InputError`."""
+        held = [folder for folder in self.trusted if (folder / f"{system.get('module')}.py").is_file()]
+        return build_model(system, next(iter(held or self.trusted), None))
 
 
 def evenly(count: int, most: int) -> list[int]:
@@ -87,11 +97,12 @@ def evenly(count: int, most: int) -> list[int]:
     return [int(k) for k in np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))] if count else []
 
 
-def gather(paths: Sequence[Path], chosen: Filter | None = None) -> Gathered:
+def gather(paths: Sequence[Path], chosen: Filter | None = None, trust: bool = False) -> Gathered:
     """Read orbit.json, family.json, atlas exports and atlas databases, FILE#K for one orbit, or folders of files.
 
     Of a folder every orbit, family and *.sqlite below it is taken, in alphabetical order; what `run` wrote as
-    rejected.json is left out. Of atlas databases only the orbits that pass `chosen` are taken.
+    rejected.json is left out. Of atlas databases only the orbits that pass `chosen` are taken. With `trust` Python
+    modules that systems were made with are imported from beside their files.
     Raises `InputError`.
     """
     found, seen = Gathered(), set()
@@ -100,7 +111,12 @@ def gather(paths: Sequence[Path], chosen: Filter | None = None) -> Gathered:
         for file in files:
             if (place := file.resolve()) not in seen:
                 seen.add(place)
+                found.trusted += [place.parent] if trust else []
                 _take(file, found, chosen or Filter())
+    for one in found.laid:
+        if all(dict(one.system) != dict(section.system) for section in found.sections):
+            raise InputError(f"{one.name}: is drawn in the page of a section of its system, and none is given; give "
+                             "the section.json that `orbitfinder section` made too")  # fmt: skip
     found.orbits = _distinct(found.orbits)
     return found
 
@@ -136,7 +152,7 @@ def _holds_results(file: Path) -> bool:
 def _take(file: Path, found: Gathered, chosen: Filter) -> None:
     if member(file)[1] is not None:
         one = load_orbit(file)
-        one = whole(one, build_model(one.system))
+        one = whole(one, found.model(one.system))
         found.orbits.append(replace(_orbit(orbit_to_document(one), str(file)), dense=(one.times, one.samples)))
         return
     if file.suffix in DATABASES:
@@ -164,6 +180,7 @@ def _take(file: Path, found: Gathered, chosen: Filter) -> None:
         raise InputError(
             f"{file}: format: {given!r} is not an orbit, a family or an atlas export; give orbit.json, "
             "family.json, the JSON of `orbitfinder atlas export`, or an atlas database"
+            + (f", or one orbit of the file: {file}#0" if kind == "optima" else "")
         )
 
 
@@ -184,16 +201,16 @@ def _orbit(document: Any, where: str) -> OrbitFile:
 
 def _from_export(entries: Sequence[Any], file: Path) -> AtlasFile:
     """The atlas of a JSON list of orbit documents."""
+    if not entries:
+        raise InputError(f"{file}: {EMPTY}")
     orbits = [_orbit(entry, f"{file}[{k}]") for k, entry in enumerate(entries)]
-    ordered = sorted(
-        enumerate(orbits), key=lambda one: _order(one[1].document["energy"] or 0.0, float(one[1].document["period"]))
-    )
+    ordered = sorted(enumerate(orbits), key=lambda one: _order(one[1].document["energy"], one[1].document["period"]))
     return AtlasFile(file.stem, len(orbits), tuple(ordered[k] for k in evenly(len(orbits), MOST_ITEMS)), file.name)
 
 
-def _order(energy: float, period: float) -> tuple[float, float]:
+def _order(energy: float | None, period: float) -> tuple[float, float]:
     """Energy, its last digits (those of a search at one energy) left out, then period."""
-    return float(f"{energy:.9g}"), period
+    return float(f"{level(energy):.9g}"), float(period)
 
 
 def _from_database(file: Path, wanted: Filter) -> AtlasFile:
@@ -203,8 +220,9 @@ def _from_database(file: Path, wanted: Filter) -> AtlasFile:
     with Atlas(file) as atlas:
         held = len(atlas)
         rows = sorted(atlas.rows(wanted), key=lambda row: _order(row.energy, row.period))
-        if not rows and wanted != Filter():
-            raise InputError(f"{file}: none of its {plural(held, 'orbit')} is chosen; ask for less")
+        if not rows:
+            none = f"none of its {plural(held, 'orbit')} is chosen; ask for less" if held else EMPTY
+            raise InputError(f"{file}: {none}")
         chosen = [rows[k].id for k in evenly(len(rows), MOST_ITEMS)]
         orbits = tuple((number, _orbit(atlas.document(number), f"{file}: orbit {number}")) for number in chosen)
     return AtlasFile(file.stem, len(rows), orbits, file.name, held)
@@ -238,11 +256,11 @@ class Verdict:
         return ", ".join(str(check.get("name", "")).replace("_", " ") for check in self.checks if not check["passed"])
 
 
-def judged(document: Mapping[str, Any]) -> Verdict:
-    """The certificate of an orbit, recomputed as `orbitfinder verify` does without --trust."""
+def judged(document: Mapping[str, Any], model_of: Callable[[Mapping[str, Any]], Model] = build_model) -> Verdict:
+    """The certificate of an orbit, recomputed as `orbitfinder verify` does."""
     orbit = orbit_from_document(document)
     try:
-        model = build_model(orbit.system)
+        model = model_of(orbit.system)
     except OrbitfinderError as error:
         return recorded(document, str(error))
     if (orbit.state.shape, len(orbit.winding)) != ((len(model.state_names),), model.degrees_of_freedom):

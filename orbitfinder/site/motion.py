@@ -7,7 +7,7 @@ Both are quantised to 16 bits and interpolated by the page; their number follows
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -104,7 +104,8 @@ def resampled(
 class Simulator:
     """Motions of orbits; models and their equations are built once per system and parameters."""
 
-    def __init__(self) -> None:
+    def __init__(self, model_of: Callable[[Mapping[str, Any]], Model] = build_model) -> None:
+        self._model_of = model_of
         self._known: dict[str, tuple[Model, Any] | None] = {}
 
     def model(self, system: Mapping[str, Any], free: tuple[str, ...] = ()) -> tuple[Model, Any] | None:
@@ -112,7 +113,7 @@ class Simulator:
         key = repr((sorted(system.items()), free))
         if key not in self._known:
             try:
-                built = build_model(system)
+                built = self._model_of(system)
                 self._known[key] = (built, vector_field(built, [one for one in free if one in built.parameter_names]))
             except OrbitfinderError:
                 self._known[key] = None

@@ -16,7 +16,7 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import SI, units
 from orbitfinder.problemfile.write import orbit_name, orbit_text
 from orbitfinder.records.family import Event, Family, FamilyPoint
-from orbitfinder.records.orbit import asked, recorded_proof
+from orbitfinder.records.orbit import asked, level, recorded_proof
 from orbitfinder.site.gather import AtlasFile, OrbitFile, Verdict, evenly
 from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import Motion, Simulator, framed, histories, packed
@@ -291,7 +291,7 @@ def _item(
     motion, point, event = simulator.member(system, one), one is at, one if isinstance(one, Event) else None
     words = "" if event is None else f"{event.kind.replace('_', ' ')} {event.detail}".strip()
     return {
-        "energy": float(np.nan_to_num(one.energy)),
+        "energy": level(one.energy),
         "period": one.period,
         "value": at.value if event is None else event.parameter,
         "arclength": one.arclength,
@@ -404,7 +404,7 @@ def atlas_data(name: str, entries: Sequence[Entry], linked: set[str], model: Mod
             "key": entry.key,
             "command": entry.command,
             "mechanism": entry.mechanism,
-            "energy": document["energy"] or 0.0,
+            "energy": level(document["energy"]),
             "period": document["period"],
             "action": document["action"],
             "closure": document["closure"],
@@ -427,7 +427,7 @@ def atlas_data(name: str, entries: Sequence[Entry], linked: set[str], model: Mod
 
 def atlas_values(entries: Sequence[Entry], atlas: AtlasFile) -> dict[str, Any]:
     """What the template of an atlas page is filled with."""
-    energies, periods = ([float(one.document[key] or 0.0) for one in entries] for key in ("energy", "period"))
+    energies, periods = ([level(one.document[key]) for one in entries] for key in ("energy", "period"))
     kinds = sorted({one.mechanism for one in entries})
     unstable = sum(one.document["stability"] == "unstable" for one in entries)
     part = "" if atlas.total == len(entries) else f" Shown: {len(entries)}, evenly chosen in order of energy."

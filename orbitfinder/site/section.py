@@ -9,7 +9,6 @@ import numpy as np
 
 from orbitfinder.errors import InputError, OrbitfinderError, plural
 from orbitfinder.families.tori import crossed
-from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, positions, wrapped
 from orbitfinder.orbits.section import Surface, named_surface, pierced
 from orbitfinder.records.manifold import Connection, Manifold
@@ -49,7 +48,7 @@ def section_values(section: Section, data: dict[str, Any]) -> dict[str, Any]:
 def section_data(section: Section, found: Gathered) -> dict[str, Any]:
     """What the script of a section page works with: `items` to pick (motions and orbits), `curves` beside them."""
     try:
-        model: Model | None = build_model(section.system)
+        model: Model | None = found.model(section.system)
     except OrbitfinderError:
         model = None
     items, curves = _motions(section, model), list[dict[str, Any]]()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -99,11 +100,12 @@ class Page(Desk):
         await self._first()
 
     def close(self) -> None:
-        """End the processes of a tab that has gone."""
+        """End the processes of a tab that has gone, and take its folder away."""
         self.timer.deactivate()
         self.quick.close()
         self.long.close()
         self.background.close()
+        shutil.rmtree(self.session.folder, ignore_errors=True)
 
     # ------------------------------------------------------------------ what the page is made of
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import os
 import secrets
 import socket
 import tempfile
@@ -10,6 +12,7 @@ import time
 import webbrowser
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from orbitfinder.errors import InputError
 from orbitfinder.studio.session import Session, opened
@@ -22,6 +25,9 @@ PATIENCE = 120.0
 """s in which the server begins to listen, however busy the computer is"""
 RECONNECT = 60.0
 """s that a tab may be away"""
+MOST_TABS = 8
+"""Open at once; each has up to three processes of some 80 MB"""
+MOST_CONNECTIONS = 400
 
 
 def free_port(wanted: int | None = None) -> int:
@@ -54,24 +60,71 @@ def _listens(port: int) -> bool:
     return False
 
 
+class OwnOrigin:
+    """Lets in what a page of ours asks for, and what no page does: another site's page names that as its origin."""
+
+    def __init__(self, app: Any, port: int) -> None:
+        self.app, self.origins = app, [None, *(f"http://{one}:{port}".encode() for one in (HOST, "localhost"))]
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        """Answer a request, or refuse it in a word."""
+        if dict(scope.get("headers", ())).get(b"origin") in self.origins:
+            await self.app(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008})
+        else:
+            await send({"type": "http.response.start", "status": 403, "headers": []})
+            await send({"type": "http.response.body", "body": b"another origin"})
+
+
+def redirect(folder: Path, address: str) -> Path:
+    """A file that only this user can read and that leads a browser to an address, which everybody could read among
+    the arguments of the browser's process."""
+    target = folder / "open.html"
+    with open(os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as stream:
+        stream.write(
+            f'<!doctype html><meta http-equiv="refresh" content="0; url={address}"><a href="{address}">studio</a>'
+        )
+    return target
+
+
+def brief(record: logging.LogRecord) -> logging.LogRecord:
+    """What the server has to say in one printable line without a traceback: pages may send anything."""
+    error = "" if not record.exc_info or record.exc_info[1] is None else f": {record.exc_info[1]!r}"
+    record.msg, record.args, record.exc_info = ascii(f"{record.getMessage()}{error}")[1:-1][:300], (), None
+    return record
+
+
 def serve(file: Path | None, out: Path, port: int | None, browser: bool, announce: Callable[[str], None]) -> None:
     """Serve the studio until Ctrl-C; `announce` gets its address once. Raises `InputError`."""
     origin, chosen, token = opened(file), free_port(port), secrets.token_urlsafe(18)
     try:
         from nicegui import app, ui  # noqa: PLC0415  an extra
         from starlette.middleware.trustedhost import TrustedHostMiddleware  # noqa: PLC0415
+        from starlette.responses import PlainTextResponse  # noqa: PLC0415
     except ImportError as error:
         raise InputError("studio: needs NiceGUI; pip install 'orbitfinder[studio]'") from error
     from orbitfinder.studio.page import ASSETS, SITE, Page  # noqa: PLC0415
 
     taken: set[str] = set()
+    tabs: set[Path] = set()
+    made = logging.getLogRecordFactory()
+    logging.setLogRecordFactory(lambda *given, **named: brief(made(*given, **named)))
+    app.add_exception_handler(404, lambda *_: PlainTextResponse("not found", 404))
+    app.add_middleware(OwnOrigin, port=chosen)
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=[HOST, "localhost"])
     app.add_static_files(f"/{token}/studio", ASSETS)
     app.add_static_files(f"/{token}/site", SITE)
     with tempfile.TemporaryDirectory(prefix="orbitfinder-studio-", ignore_cleanup_errors=True) as folder:
 
         async def tab() -> None:
+            if len(tabs) >= MOST_TABS:
+                ui.label(f"{MOST_TABS} tabs of this studio are open, each with processes of its own; close one "
+                         "and load this page again a minute later")  # fmt: skip
+                return
             own = Path(tempfile.mkdtemp(dir=folder))
+            tabs.add(own)
+            ui.context.client.on_delete(lambda: tabs.discard(own))
             await Page(Session(origin, own, out), taken, f"/{token}").built()
 
         ui.page(f"/{token}")(tab)
@@ -81,10 +134,10 @@ def serve(file: Path | None, out: Path, port: int | None, browser: bool, announc
             if _listens(chosen):
                 announce(address)
                 if browser:
-                    webbrowser.open(address)
+                    webbrowser.open(redirect(Path(folder), address).as_uri())
 
         app.on_startup(lambda: threading.Thread(target=ready, daemon=True).start())
         ui.run(
             host=HOST, port=chosen, show=False, reload=False, show_welcome_message=False, reconnect_timeout=RECONNECT,
-            title="orbitfinder studio", favicon=SITE / "icon.svg", language="en-US",
+            title="orbitfinder studio", favicon=SITE / "icon.svg", language="en-US", limit_concurrency=MOST_CONNECTIONS,
         )  # fmt: skip

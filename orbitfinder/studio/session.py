@@ -69,7 +69,7 @@ def opened(file: Path | None) -> Opened:
         return _hanging(chain(2), "double-pendulum", None)
     if file.suffix == ".py":
         raise InputError(f"{file}: the studio runs no Python files; give a TOML file, an orbit.json or a family.json")
-    if file.suffix == ".json" or kind_of(member(file)[0]) == "atlas":
+    if member(file)[0].suffix == ".json" or kind_of(member(file)[0]) == "atlas":
         return _recorded(file)
     loaded = load_problem_file(file)
     build_model(loaded.model.system)  # as every process of the studio does; it says why where that cannot be
@@ -90,8 +90,9 @@ def _path(file: Path, named: str) -> str:
 def _recorded(file: Path) -> Opened:
     """An orbit, or the first one of a family.json or an atlas."""
     kind, number = kind_of(member(file)[0]), member(file)[1]
-    if kind not in ("orbit", "family", "atlas"):
-        raise InputError(f"{file}: the studio opens a problem file, an orbit.json, a family.json or an atlas")
+    if kind not in (("orbit", "family", "atlas") if number is None else ("family", "atlas", "optima", "export")):
+        one = f", or one orbit of the file: {file}#0" if kind in ("optima", "export") else ""
+        raise InputError(f"{file}: the studio opens a problem file, an orbit.json, a family.json or an atlas{one}")
     if kind == "family" and number is None:
         family = load_family(file)
         orbit: Orbit = family.points[0]

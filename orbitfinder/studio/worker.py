@@ -96,6 +96,8 @@ class Worker:
     async def _ready(self) -> Hand:
         if self._closed:
             raise StoppedError("the page is closed")
+        if self._hand is not None and not self._hand.process.is_alive():  # killed while it waited for a task
+            self._gone(self._hand)
         if self._hand is None:
             self._hand = await self._apart(lambda: hired(work))
         return self._hand
