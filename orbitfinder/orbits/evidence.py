@@ -20,7 +20,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.integrate import trapezoid
+from scipy.integrate import simpson, trapezoid
 
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.dop853 import (
@@ -36,7 +36,7 @@ from orbitfinder.integrate.dop853 import (
 from orbitfinder.integrate.equations import accelerations, hamilton, invariant_gradients
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
 from orbitfinder.loops.scales import alone
-from orbitfinder.loops.symmetry import symplectic
+from orbitfinder.loops.symmetry import Involution, symplectic
 from orbitfinder.mechanics.catalogue import REMADE, with_parameters
 from orbitfinder.mechanics.chain_lagrange import ChainLagrange, chain_lagrange, is_long
 from orbitfinder.mechanics.constrained import tangent_basis
@@ -389,6 +389,81 @@ def _products(pieces: Sequence[np.ndarray]) -> tuple[np.ndarray, float]:
 def _off(found: np.ndarray, wanted: np.ndarray) -> float:
     """How far rows are from what they should be, relative."""
     return float(np.abs(found - wanted).max() / max(np.abs(wanted).max(), 1e-300)) if wanted.size else 0.0
+
+
+@dataclass(frozen=True)
+class Tour:
+    """A loop gone round once: `pieces` (m x m each, in extents) of its linearisation, and what is trivial in it.
+
+    `gradients` and `directions` (k x m) leave `size` multipliers; `half` (m x m) takes what is half a period on back to
+    the start where the orbit repeats itself there, and the map is then that of half a period. `divergence` is by how
+    much the integrated divergence misses the sum of the logarithms of all multipliers, `doubt` how well it is known.
+    """
+
+    closes: Closure
+    pieces: Sequence[np.ndarray]
+    gradients: np.ndarray
+    directions: np.ndarray
+    conservative: bool
+    extents: np.ndarray
+    half: np.ndarray | None = None
+    basis: np.ndarray | None = None
+    divergence: float = 0.0
+    doubt: float = 0.0
+
+    @property
+    def root(self) -> int:
+        """Of which power of the map the monodromy is."""
+        return 1 if self.half is None else 2
+
+    def map(self, noise: np.random.Generator | None = None, share: float = 0.0) -> np.ndarray:
+        """The root map without trivial multipliers (r x r), each piece with an error that is a `share` of its norm."""
+        pieces = self.pieces[: len(self.pieces) // self.root]
+        whole = np.eye(len(pieces[0]))
+        for piece in pieces:
+            error = 0.0 if noise is None else share * np.linalg.norm(piece, 2) * noise.normal(size=piece.shape)
+            whole = (piece + error) @ whole
+        whole = whole if self.half is None else self.half @ whole
+        basis = np.eye(len(whole)) if self.basis is None else self.basis
+        inner = basis.T @ whole @ basis
+        return reduce_monodromy(inner, self.gradients @ basis, self.directions @ basis)
+
+
+def tour(
+    model: Model, state: np.ndarray, period: float, turns: np.ndarray, forward: Involution | None = None
+) -> Tour:
+    """The `Tour` of a state (d) and a period of a smooth Model, of an orbit that is its own image by `forward` after
+    half a period."""
+    moments, long = evenly(period), model.constraint is None and is_long(model)
+    motion = (chain_motion if long else canonical_motion)(model, state, period, turns, moments, TIGHTEST)
+    path = motion.path
+    units = in_momenta(np.ptp(path, axis=0), motion.masses, period, model.angular)
+    sizes = np.maximum(np.abs(path).max(axis=0) / units, 1.0)
+    pieces = [piece * units[None, :] / units[:, None] for piece in motion.transitions]
+    missed = (path[-1] - path[0] - shift(motion.turns, units.size)) / units
+    rate = None if model.forced else motion.rate * period / units
+    half = None
+    if forward is not None:
+        n = motion.turns.size
+        places = forward.places(n) * (units[None, :n] / units[:n, None])
+        half = places if n == units.size else np.kron(np.eye(2), forward.places(n)) * units[None, :] / units[:, None]
+    divergence, doubt = (0.0, 0.0) if long else _divergence(model, motion, pieces)
+    return Tour(
+        closes(missed, pieces, sizes, rate), pieces, motion.gradients * units, motion.directions / units,
+        symplectic(model), extents_of(model, motion.states, period), half,
+        tangent_basis(motion.constraints * units) if motion.constraints.size else None, divergence, doubt,
+    )  # fmt: skip
+
+
+def _divergence(model: Model, motion: Motion, pieces: Sequence[np.ndarray]) -> tuple[float, float]:
+    """By how much the divergence integrated along a motion misses sum log |det| of its pieces, and an error bar."""
+    variational, size = vector_field(hamilton(model).variational), motion.path.shape[1]
+    unit = np.append(np.eye(size).ravel(), 0.0)
+    rows = variational.many(motion.times, np.hstack([motion.path, np.tile(unit, (len(motion.path), 1))]))  # type: ignore[attr-defined]
+    traces = rows[:, size:-1].reshape(-1, size, size).trace(axis1=1, axis2=2)
+    fine, coarse = (simpson(traces[::k], x=motion.times[::k]) for k in (1, 2))
+    logs = sum(float(np.linalg.slogdet(piece)[1]) for piece in pieces)
+    return abs(logs - float(fine)), abs(float(fine - coarse)) + 1e-10 * float(trapezoid(np.abs(traces), motion.times))
 
 
 def second_closure(model: Model, state: np.ndarray, period: float, turns: np.ndarray, units: np.ndarray) -> float:
