@@ -118,10 +118,14 @@ def _known(found: Tour) -> Tour:
 
 @dataclass(frozen=True)
 class Sides:
-    """The orbit of an event with one on each side, so far `apart` along the family, whose steps are `step` long."""
+    """The orbit of an event with one on each side, so far `apart` along the family, whose steps are `step` long.
+
+    `middle` is the event's orbit corrected as those on the sides are, so that its quantities compare with theirs.
+    """
 
     before: Look
     here: Look
+    middle: Look
     after: Look
     apart: float
     step: float
@@ -136,10 +140,13 @@ class Sides:
         sure = low * high < 0 and noise <= (DOUBTFUL * slope if sharp else min(abs(low), abs(high)))
         return Reading(value, noise + SHARP * slope, bool(sure and abs(value) <= noise + SHARP * slope))
 
+    def values(self, name: str) -> tuple[float, float, float]:
+        """A quantity before, at and after the event."""
+        return self.before.value(name), self.middle.value(name), self.after.value(name)
+
     def turning(self, name: str) -> Reading:
         """How far from where a quantity is extremal, in steps."""
-        looks = (self.before, self.here, self.after)
-        low, middle, high = (one.value(name) for one in looks)
+        looks, (low, middle, high) = (self.before, self.here, self.after), self.values(name)
         bent, size = high - 2 * middle + low, max(abs(low), abs(high))
         off = size * (4 * np.finfo(float).eps + max(one.tour.closes.distance for one in looks))
         if not (low - middle) * (high - middle) > 0:
@@ -151,7 +158,7 @@ class Sides:
 
     def turns(self, name: str) -> bool:
         """Whether a quantity is, beyond round-off, on one side of what it is here on both sides."""
-        low, middle, high = (one.value(name) for one in (self.before, self.here, self.after))
+        low, middle, high = self.values(name)
         known = 8 * np.finfo(float).eps * abs(middle)
         return min(low - middle, high - middle) > known or max(low - middle, high - middle) < -known
 
@@ -280,7 +287,7 @@ def _extremal(sides: Sides, event: Event) -> Reading:
         raise ConvergenceError("no curve of folds turns there")
     found = [sides.turning(one) for one in names]
     if event.kind != "cusp":
-        low, middle, high = (one.value(event.detail) for one in (sides.before, sides.here, sides.after))
+        low, middle, high = sides.values(event.detail)
         if is_centre(curve, sides.here.found.place, event.detail, low + high - 2 * middle) != (
             event.kind == "isola_centre"
         ):
@@ -313,12 +320,12 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float) -> Readi
     result = None
     for share in SHARES:
         try:
-            beside = [
+            looks = [
                 Look(curve, correct(curve, advanced(found.place, whole, d), plane(curve, found.place, whole, d),
                                     found.place, 0.5 * step))
-                for d in (-share * step, share * step)
+                for d in (-share * step, 0.0, share * step)
             ]  # fmt: skip
-            result = CHECKS[event.kind](Sides(beside[0], here, beside[1], share * step, step), event)
+            result = CHECKS[event.kind](Sides(looks[0], here, *looks[1:], share * step, step), event)
         except (ConvergenceError, IntegrationError) as error:
             said = ConvergenceError(str(error))
             continue
