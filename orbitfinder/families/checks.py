@@ -33,7 +33,7 @@ from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.orbits.evidence import VARIED, Tour, tour
 from orbitfinder.orbits.floquet import analyse, judged
 from orbitfinder.orbits.hybrid import PATIENCE, cycle_from, hybrid_tour, retraced
-from orbitfinder.records.family import CLOSURE, Batch, Event, FamilyPoint, Reading
+from orbitfinder.records.family import CLOSURE, UNKNOWN, Batch, Event, FamilyPoint, Reading
 
 SHARES = (3e-3, 3e-4)
 """How far the orbits on both sides are, in steps of the family; the nearer ones where two events share a step"""
@@ -41,8 +41,6 @@ SHARP = 1e-5
 """An event is this near to where its definition holds, in steps of the family"""
 DOUBTFUL = 4e-5
 """... and what is read there is known this well"""
-UNKNOWN = 1e10
-"""Where errors grow more than this in a period nothing is said of multipliers"""
 DRAWS, SAFETY = 3, 10.0
 """Errors of the size of the integration's with which the map is read again, and what their largest is multiplied by"""
 ALIKE = 1e-6
@@ -258,7 +256,7 @@ def _margin(sides: Sides, event: Event) -> Reading:
         known = margins(look.curve, retraced(look.curve.equations, look.found))
         return {key: one.value for key, one in known.items() if (one.kind, one.name) == (event.kind, event.detail)}
 
-    here = every(sides.here)
+    here = every(sides.here) if sides.here.curve.equations.links else {}
     if not here:
         raise ConvergenceError(f"{event.detail} is nowhere near")
     key = min(here, key=lambda one: abs(here[one]))
@@ -313,7 +311,7 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float) -> Readi
     """
     if event.kind not in CHECKS or (curve.test is None) != (CHECKS[event.kind] not in (_second, _extremal)):
         raise ConvergenceError(f"a {event.kind} has no check on such a family")
-    found = _settled(curve, event)
+    found = settled_on(curve, event)
     curve = curve.measured(found)
     whole = _heading(curve, found, along)
     here, said = Look(curve, found), ConvergenceError("no orbits beside it")
@@ -336,8 +334,8 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float) -> Readi
     return result
 
 
-def _settled(curve: Curve, event: Event) -> Solution:
-    """The orbit of an event on the mesh that it was found on, or on one that is made for it from its state alone."""
+def settled_on(curve: Curve, event: Event | FamilyPoint) -> Solution:
+    """The orbit of a point or event on the mesh that it was found on, or on one made for it from its state alone."""
     if event.mesh.size:
         return at_place(curve, unknowns_of(curve, event))
     arcs = curve.equations.links.count if curve.equations.links else 1
@@ -349,7 +347,7 @@ def _settled(curve: Curve, event: Event) -> Solution:
     return at_place(curve, place)
 
 
-def _starts(curve: Curve, event: Event, arcs: int) -> np.ndarray:
+def _starts(curve: Curve, event: Event | FamilyPoint, arcs: int) -> np.ndarray:
     """Where the arcs of an event's orbit begin (arcs x d)."""
     if arcs == 1:
         return event.state[None]

@@ -36,7 +36,11 @@ ASIDE = 1e-3
 
 def find_special(interval: Interval, settings: FamilySettings) -> list[Event]:
     """The points of codimension two between two points of a curve, in order, their arclength the distance into it."""
-    found = [(sample, test) for test in tests(_critical(interval), interval.first.about) for sample in _zeros(interval, test.measure)]
+    found = [
+        (sample, test)
+        for test in tests(_critical(interval), interval.first.about)
+        for sample in _zeros(interval, test.measure)
+    ]
     if _critical(interval).kind == "fold":
         found += _turns(interval)
     if can_bend(interval.curve) and not (first := interval.first.about).conservative and first.root == 1:

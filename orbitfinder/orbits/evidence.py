@@ -43,7 +43,7 @@ from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.model import Model, constraint_of, energies
 from orbitfinder.mechanics.scales import masses_of, snapped
 from orbitfinder.orbits.closure import Closure, closes, extents, extents_of, gap, shift
-from orbitfinder.orbits.floquet import Floquet, analyse, generated, reduce_monodromy, symplectic_unit
+from orbitfinder.orbits.floquet import Floquet, analyse, complement, generated, reduce_monodromy, symplectic_unit
 
 SAMPLES = 512
 """Intervals at which the certifying integration is inspected."""
@@ -57,6 +57,8 @@ ROUGH = ReferenceSettings(relative_tolerance=1e-10, absolute_tolerance=1e-13)
 LONGEST_PHASE = 0.15
 """Radians of the fastest linear mode in a step: at 20 links the rates close to 2e-13, with 800 steps a period to
 8e-13."""
+KNOWN = 1e-6
+"""Share of a component's size below which its changes are no unit to integrate in: they are round-off, nearly"""
 HAMILTON, GIVEN = "Hamilton's equations", "the rates as given"
 REFLECTED = 1e-9
 """x(T/2) is this near to -x(0), in extents of the motion, where half a period stands for the whole"""
@@ -191,7 +193,12 @@ def units_of(
         return np.ones(start.size)
     units = in_momenta(first, masses, period, angular)
     path = integrate_in(units, field, start, np.linspace(0.0, period, 65), ROUGH)
-    return in_momenta(np.ptp(path, axis=0), masses, period, angular)
+    return known_in(in_momenta(np.ptp(path, axis=0), masses, period, angular), path)
+
+
+def known_in(units: np.ndarray, path: np.ndarray) -> np.ndarray:
+    """Units (m) of a motion (k x m), none of them near the round-off of what it is measured from."""
+    return np.asarray(np.maximum(units, KNOWN * np.abs(path).max(axis=0)))
 
 
 def in_momenta(moved: np.ndarray, masses: np.ndarray, period: float, angular: np.ndarray | None = None) -> np.ndarray:
@@ -405,7 +412,7 @@ class Tour:
     gradients: np.ndarray
     directions: np.ndarray
     conservative: bool
-    extents: np.ndarray
+    units: np.ndarray
     half: np.ndarray | None = None
     basis: np.ndarray | None = None
     divergence: float = 0.0
@@ -428,16 +435,31 @@ class Tour:
         inner = basis.T @ whole @ basis
         return reduce_monodromy(inner, self.gradients @ basis, self.directions @ basis)
 
+    def krein(self, multipliers: np.ndarray) -> list[tuple[int, bool]]:
+        """Krein signatures of multipliers of a canonical system's whole period, each with whether it can be told."""
+        if not self.conservative or not multipliers.size:
+            return [(0, False)] * multipliers.size
+        outer = np.eye(self.units.size) if self.basis is None else self.basis
+        basis = outer @ complement(self.gradients @ outer, self.directions @ outer)
+        form = basis.T @ (self.units[:, None] * symplectic_unit(self.units.size // 2) * self.units) @ basis
+        values, vectors = np.linalg.eig(np.linalg.matrix_power(self.map(), self.root))
+        found = []
+        for mu in multipliers:
+            k = int(np.argmin(np.abs(values - mu)))
+            size = float((1j * vectors[:, k].conj() @ form @ vectors[:, k]).real) / float(np.linalg.norm(form, 2))
+            away = min(float(np.abs(np.delete(values, k) - mu).min(initial=np.inf)), abs(mu.imag))
+            on_circle = bool(abs(abs(mu) - 1.0) < 1e-6)
+            found.append((int(np.sign(size)) if on_circle else 0, away > 1e-4 and (abs(size) > 1e-6 or not on_circle)))
+        return found
 
-def tour(
-    model: Model, state: np.ndarray, period: float, turns: np.ndarray, forward: Involution | None = None
-) -> Tour:
+
+def tour(model: Model, state: np.ndarray, period: float, turns: np.ndarray, forward: Involution | None = None) -> Tour:
     """The `Tour` of a state (d) and a period of a smooth Model, of an orbit that is its own image by `forward` after
     half a period."""
     moments, long = evenly(period), model.constraint is None and is_long(model)
     motion = (chain_motion if long else canonical_motion)(model, state, period, turns, moments, TIGHTEST)
     path = motion.path
-    units = in_momenta(np.ptp(path, axis=0), motion.masses, period, model.angular)
+    units = known_in(in_momenta(np.ptp(path, axis=0), motion.masses, period, model.angular), path)
     sizes = np.maximum(np.abs(path).max(axis=0) / units, 1.0)
     pieces = [piece * units[None, :] / units[:, None] for piece in motion.transitions]
     missed = (path[-1] - path[0] - shift(motion.turns, units.size)) / units
@@ -450,7 +472,7 @@ def tour(
     divergence, doubt = (0.0, 0.0) if long else _divergence(model, motion, pieces)
     return Tour(
         closes(missed, pieces, sizes, rate), pieces, motion.gradients * units, motion.directions / units,
-        symplectic(model), extents_of(model, motion.states, period), half,
+        symplectic(model), units, half,
         tangent_basis(motion.constraints * units) if motion.constraints.size else None, divergence, doubt,
     )  # fmt: skip
 

@@ -48,6 +48,8 @@ DENSE = {"nodes": "shooting_nodes", "mesh": "mesh", "tangent": "tangent"}
 """What goes into family.npz instead of family.json, and what it is called here."""
 CLOSURE = 1e-11
 """Largest independent closure of an accepted point, relative to the motion, times what errors grow by."""
+UNKNOWN = 1e10
+"""Where errors grow more than this in a period, its closure and multipliers say nothing"""
 METHODS = ("product", "periodic QR")
 """How multipliers were found: as eigenvalues of the state-transition matrices' product, or factor by factor."""
 OFTEN_EMPTY = ("shift", "multiplier_errors", "multiplier_method", "check")
@@ -117,8 +119,9 @@ class Event(Shown):
     """Something that happens between two points, located on the family.
 
     `kind`: fold | turn (of the period or of a momentum) | branch_point | period_doubling | torus | resonance |
-    collision | stability_change, of hybrid systems grazing | cycle_change | holds; along a curve of bifurcations in two parameters cusp | isola_centre | transcritical
-    | strong_resonance | fold_doubling | fold_torus | doubling_torus | degenerate_doubling.
+    collision | stability_change, of hybrid systems grazing | cycle_change | holds; along a curve of bifurcations in two
+    parameters cusp | isola_centre | transcritical | strong_resonance | fold_doubling | fold_torus | doubling_torus |
+    degenerate_doubling.
     `detail` says what exactly (of what the fold is, q of the resonance, what changed);
     `multiplier` is the critical multiplier of the root map, `order` the number of periods after which the branch
     closes.
@@ -241,9 +244,12 @@ class Family(Shown):
     @property
     def counts(self) -> str:
         """How many orbits are closed and how many of them certified, in words."""
-        sure = [sum(one.certified for one in some) for some in (self.points, self.events)]
+        known = [one for one in self.points if one.scale <= UNKNOWN]
+        sure = [sum(one.certified for one in some) for some in (known, self.events)]
+        left = len(self.points) - len(known)
         return (
-            f"{plural(len(self.points), 'closed orbit')}, {sure[0]} of them certified; "
+            f"{plural(len(known), 'closed orbit')}{f' (and {left} too unstable to say)' * bool(left)}, "
+            f"{sure[0]} of them certified; "
             f"{plural(len(self.events), 'event')}, {sure[1]} of them at certified orbits"
         )
 
