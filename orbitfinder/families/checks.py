@@ -231,7 +231,7 @@ def _meeting(look: Look) -> float:
 def _collision(sides: Sides, event: Event) -> Reading:
     """Two stability indices are one, real on one side and complex on the other."""
     if not sides.here.about.conservative or (event.detail, event.order) != ("", 1):
-        raise ConvergenceError("two stability indices do not meet there")
+        raise ConvergenceError(event.detail or "two stability indices do not meet there")
     return sides.zero(_meeting)
 
 
