@@ -158,7 +158,7 @@ class Sides:
         """Whether a quantity is, beyond round-off, on one side of what it is here on both sides."""
         low, middle, high = self.values(name)
         known = 8 * np.finfo(float).eps * abs(middle)
-        return min(low - middle, high - middle) > known or max(low - middle, high - middle) < -known
+        return bool(min(low - middle, high - middle) > known or max(low - middle, high - middle) < -known)
 
 
 def _as(look: Look, about: Any) -> Look:
@@ -323,7 +323,7 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float) -> Readi
                                     found.place, 0.5 * step))
                 for d in (-share * step, 0.0, share * step)
             ]  # fmt: skip
-            result = CHECKS[event.kind](Sides(looks[0], here, *looks[1:], share * step, step), event)
+            result = CHECKS[event.kind](Sides(looks[0], here, looks[1], looks[2], share * step, step), event)
         except (ConvergenceError, IntegrationError) as error:
             said = ConvergenceError(str(error))
             continue

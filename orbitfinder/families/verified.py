@@ -155,13 +155,14 @@ def _joined(curve: Curve, end: End, joined: Mapping[str, Any]) -> Check:
     a multiplier is +1, beside what is trivial: there is where another family leaves."""
     model = with_parameters(curve.equations.model, joined.get("free", {}))
     state, period = np.array(joined["state"], float), float(joined["period"])
-    times = round(float(end.period or period) / period)
+    whole_period = float(getattr(end, "period", None) or period)
+    times = round(whole_period / period)
     found = tour(model, state, period, turned(model, np.array(joined["winding"]), joined.get("shift", {})))
     whole = np.linalg.matrix_power(found.map(), times)
     values = np.linalg.eigvals(whole).astype(complex)
     roots = judged(values).indices if found.conservative else values
     off = abs(levelled(roots, 2.0 if found.conservative else 1.0))
-    gap, apart = found.closes.gap / (CLOSURE * found.closes.amplification), abs(times * period / float(end.period) - 1)
+    gap, apart = found.closes.gap / (CLOSURE * found.closes.amplification), abs(times * period / whole_period - 1)
     return Check(end.kind, max(off, apart), ALIKE, max(off, apart) <= ALIKE and gap <= 1.0, end.reason)
 
 
