@@ -87,7 +87,7 @@ def recorded(family: Family, last: float) -> Counter[str]:
         counts["-1"] += critical and event.multiplier.real < 0
         counts["collision"] += event.kind == "collision" and not event.detail
         counts["stability"] += event.kind == "stability_change"
-        turn = event.kind == "fold" and event.detail == family.parameter
+        turn = event.kind in ("fold", "turn") and event.detail == family.parameter
         counts[f"fold {family.parameter}"] += turn
         counts["+1"] += turn and family.parameter == "energy"
     return counts

@@ -192,3 +192,18 @@ def test_functions_are_short():
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and code_lines(node) > 60
     ]
     assert not long
+
+
+def test_every_kind_of_event_has_a_check():
+    """What the code may call an event is checked by its definition, and drawn."""
+    from orbitfinder.families.checks import CHECKS
+    from orbitfinder.families.passages import index_levels
+    from orbitfinder.show.plot import MARKERS
+
+    made = {kind for root in (1, 2) for _, kind, _, _ in index_levels(root, 6)}
+    for module, tree in MODULES.items():
+        for node in ast.walk(tree) if module.startswith("families") else ():
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ("Test", "Margin"):
+                made |= {one.value for one in ast.walk(node.args[0]) if isinstance(one, ast.Constant)}
+    assert len(made) > 8 and made <= set(CHECKS), made - set(CHECKS)
+    assert set(MARKERS) == set(CHECKS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +10,7 @@ import click
 
 from orbitfinder._runtime import interrupt
 from orbitfinder.cli.console import note
-from orbitfinder.cli.jobs import check_writable, one_line, verify_file
+from orbitfinder.cli.jobs import check_writable, one_line, verify_file, whole_family
 from orbitfinder.cli.options import (
     FILES,
     FINITE,
@@ -43,13 +44,15 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
     Another integrator, another formulation, nothing taken on trust. Exit code 0: every check of
     every file passed; 1: some failed, and are named. The equations of a system that a Python module
     of yours makes are that module's; it is run only with --trust. FILE#K is point K of a family.json,
-    counted from 0, or orbit K of an atlas; tori of a tori.json, a controller.json and a connection too.
+    counted from 0, or orbit K of an atlas; without #K all events and ends of a
+    family.json are checked by their definitions; tori of a tori.json, a controller.json and a connection too.
 
     \b
     Examples:
       orbitfinder verify orbits/triple-1/orbit.json
       orbitfinder verify orbits/*/orbit.json --json
       orbitfinder verify families/triple-mode-2/family.json#17
+      orbitfinder verify families/triple-mode-2/family.json
       orbitfinder verify --proof families/triple-mode-2/branch-proof.json
     """
     results = []
@@ -57,6 +60,9 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
         if proof and file.name == BRANCH:
             results.append({"file": str(file)} | verify_branch(file, trust))
             text(f"{file}: {results[-1]['message']}")
+            continue
+        if whole_family(file):
+            results.append(verified_family(file, trust))
             continue
         if (found := tori_of(file)) is not None:
             results += verified_tori(file, found, trust)
@@ -75,9 +81,11 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
 def _certified(file: Path, trust: bool) -> tuple[str, Certificate]:
     """Name and recomputed certificate of an orbit, a controller or a connection."""
     from orbitfinder.families.connections import certify_connection
+    from orbitfinder.families.verified import point_checks
     from orbitfinder.mechanics.catalogue import build_model
     from orbitfinder.orbits.feedback import certify_controller
     from orbitfinder.records.controller import load_controller
+    from orbitfinder.records.family import FamilyPoint, load_family
     from orbitfinder.records.manifold import load_connection
 
     folder = file.parent.resolve() if trust else None
@@ -89,7 +97,28 @@ def _certified(file: Path, trust: bool) -> tuple[str, Certificate]:
             joined = load_connection(file)
             return joined.name, certify_connection(joined, build_model(joined.system, folder))
     orbit, certificate = verify_file(file, trust)
+    if isinstance(orbit, FamilyPoint):
+        family = load_family(member(file)[0])
+        certificate = point_checks(family, orbit.index, certificate, build_model(family.system, folder))
     return orbit.name, certificate
+
+
+def verified_family(file: Path, trust: bool) -> dict[str, Any]:
+    """The checks of all events and ends of a family, made again."""
+    from orbitfinder.families.verified import verified
+    from orbitfinder.mechanics.catalogue import build_model
+    from orbitfinder.records.family import load_family
+
+    family = load_family(file)
+    found = list(verified(family, build_model(family.system, file.parent.resolve() if trust else None)))
+    wrong = [f"{where}: {check.name}" for where, check in found if not check.passed]
+    for where, check in found:
+        verdict = "passed" if check.passed else f"FAILED  {one_line(check.note)}"
+        text(f"  {check.name:<18}{where:<42}{check.value:>9.1e} of {check.tolerance:<8.1e}  {verdict}")
+    what = f"{plural(len(family.events), 'event')} and {plural(len(family.ends), 'end')}"
+    text(f"{file} ({family.name}): {what} {'verified' if not wrong else f'REJECTED by {len(wrong)}'}")
+    checks = [{"where": where} | dataclasses.asdict(check) for where, check in found]
+    return {"file": str(file), "name": family.name, "passed": not wrong, "checks": checks}
 
 
 def verified_tori(file: Path, found: Tori, trust: bool) -> list[dict[str, Any]]:

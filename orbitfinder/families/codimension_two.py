@@ -22,7 +22,9 @@ from orbitfinder.families.events import event_at
 from orbitfinder.families.passages import Measure, Test, located
 from orbitfinder.families.point import FamilySettings, parameter_value
 from orbitfinder.families.run import Interval, Sample
+from orbitfinder.families.stability import Spectrum
 from orbitfinder.loops.continued import Curve, advanced, at_place, correct, kernel, plane
+from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.problem import pinned
 from orbitfinder.records.family import End, Event
 
@@ -34,7 +36,11 @@ ASIDE = 1e-3
 
 def find_special(interval: Interval, settings: FamilySettings) -> list[Event]:
     """The points of codimension two between two points of a curve, in order, their arclength the distance into it."""
-    found = [(sample, test) for test in _tests(interval) for sample in _zeros(interval, test.measure)]
+    found = [
+        (sample, test)
+        for test in tests(_critical(interval), interval.first.about)
+        for sample in _zeros(interval, test.measure)
+    ]
     if _critical(interval).kind == "fold":
         found += _turns(interval)
     if can_bend(interval.curve) and not (first := interval.first.about).conservative and first.root == 1:
@@ -71,9 +77,8 @@ def _zeros(interval: Interval, measure: Measure) -> Iterator[Sample]:
             yield sample
 
 
-def _tests(interval: Interval) -> Iterator[Test]:
+def tests(one: Critical, about: Spectrum) -> Iterator[Test]:
     """The tests of a curve that are read off its multipliers."""
-    one, about = _critical(interval), interval.first.about
     if one.kind in ("torus", "collision"):
         yield from _resonances(one, about.root)
         return
@@ -166,14 +171,19 @@ def _turns(interval: Interval) -> Iterator[tuple[Sample, Test]]:
         if name == one.detail:
             direction = np.eye(2)[k]
             for sample in _zeros(interval, _Along(one.parameters, direction)):
-                kind = "isola_centre" if _is_centre(interval, sample, name) else "transcritical"
+                rising = interval.last.slopes[name] - interval.first.slopes[name]
+                centre = is_centre(interval.curve, sample.found.place, name, rising)
+                kind = "isola_centre" if centre else "transcritical"
                 yield sample, Test(kind, name, _Along(one.parameters, direction))
 
 
-def _is_centre(interval: Interval, sample: Sample, name: str) -> bool:
-    """Whether the parameter that folds is extremal on the whole surface of orbits, and not only along the curve."""
-    curve, place = interval.curve, sample.found.place
-    (other,) = {*_critical(interval).parameters} - {name}
+def is_centre(curve: Curve, place: Unknowns, name: str, rising: float) -> bool:
+    """Whether the parameter that folds is extremal on the whole surface of orbits, and not only along the curve.
+
+    `rising` has the sign of how the curve is bent there.
+    """
+    assert isinstance(curve.test, Critical)
+    (other,) = {*curve.test.parameters} - {name}
     fixed = pinned(curve.equations, other, parameter_value(curve, place, other))
     family = replace(curve, test=None, degenerate=False, conditions=(*curve.conditions, fixed))
     found, bent = at_place(family, place), 0.0
@@ -182,4 +192,4 @@ def _is_centre(interval: Interval, sample: Sample, name: str) -> bool:
         aim = plane(family, place, whole, length)
         aside = correct(family, advanced(place, whole, length), aim, place, slope=found.jacobian)
         bent += parameter_value(curve, aside.place, name) - parameter_value(curve, place, name)
-    return bent * (interval.last.slopes[name] - interval.first.slopes[name]) > 0
+    return bent * rising > 0

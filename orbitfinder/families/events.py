@@ -38,6 +38,8 @@ from orbitfinder.records.family import Event
 
 CRITICAL = ("branch_point", "period_doubling", "torus")
 """Kinds at which a multiplier leaves or enters the unit circle."""
+TURNED = ("fold", "turn")
+"""Kinds at which something is extremal: what a family is told by, then a multiplier is at +1, or the period."""
 ROUNDS = 4
 """How often collisions are looked for again after orbits between them were seen."""
 
@@ -54,10 +56,12 @@ def folds(interval: Interval) -> Iterator[Test]:
     """Every fold of the interval."""
     p, held = interval.curve.equations, {one.quantity for one in interval.curve.conditions}
     kept = [one for k, one in enumerate(p.model.invariants) if k in held]
+    timed = any(one.normal is not None and one.quantity is None for one in interval.curve.conditions)
+    bifurcates = () if timed and not p.model.forced else ("energy", *p.physical)
     swept = momenta_of(p.symmetry, p.model) if any(one.generator is None for one in kept) else ("energy",)
     for name in p.physical or (*(one for one in swept if one not in {each.name for each in kept}), "period"):
         if interval.first.slopes[name] * interval.last.slopes[name] < 0:
-            yield Test("fold", name, _slope(name))
+            yield Test("fold" if name in bifurcates else "turn", name, _slope(name))
 
 
 def bifurcations(interval: Interval, most: int) -> list[tuple[Sample, Test]]:
@@ -89,7 +93,7 @@ def find_events(interval: Interval, settings: FamilySettings) -> list[Event]:
     found = [(located(interval, test.measure, 0.0, interval.length), test) for test in folds(interval)]
     found += bifurcations(interval, settings.resonances)
     found.sort(key=lambda pair: pair[0].distance)
-    turns = [sample.distance for sample, test in found if test.kind == "fold" and test.detail != "period"]
+    turns = [sample.distance for sample, test in found if test.kind in TURNED and test.detail != "period"]
     found = [(p, t) for p, t in found if not (t.kind == "branch_point" and _near(p.distance, turns))]
     found = [(p, t) for p, t in found if t.kind != "branch_point" or _told(interval)]
     found += _changes(interval, found)
@@ -136,7 +140,7 @@ def event_at(curve: Curve, sample: Sample, test: Test, parameter: str) -> Event:
 
 def _changes(interval: Interval, found: list[tuple[Sample, Test]]) -> list[tuple[Sample, Test]]:
     """The located events at which the verdict changes, read halfway to their neighbours."""
-    critical = [(p, t) for p, t in found if t.kind in (*CRITICAL, "collision", "fold")]
+    critical = [(p, t) for p, t in found if t.kind in (*CRITICAL, "collision", *TURNED) and t.detail != "period"]
     a, b = (p.about.floquet.stability == "unstable" for p in (interval.first, interval.last))
     if not critical or (a == b and len(critical) < 2):
         return []

@@ -15,6 +15,7 @@ from orbitfinder._runtime import interrupt, limit, locks
 from orbitfinder.errors import InputError, LimitError, plural
 from orbitfinder.families.branches import Branch
 from orbitfinder.families.changes import checked_cycle
+from orbitfinder.families.checks import checked
 from orbitfinder.families.critical import Critical
 from orbitfinder.families.follow import follow
 from orbitfinder.families.members import batch_certified, certified
@@ -318,8 +319,12 @@ def _finish(
             continue
         if any(one.end is not None and one.end.kind == "returned" for one in batches):
             break  # a closed family has one direction
+        last = done[-1] if done else origin
         try:
             for batch in follow(Run(curve, settings, sign, origin, check, stop, exact), done):
+                reached = [one for one in batch.points if one.role == "step"][-1:]
+                step = abs(reached[0].arclength - last.arclength) if reached else last.step
+                batch, last = checked(curve, batch, step), (*reached, last)[0]
                 batch = batch_certified(curve, batch) if settings.certify else batch
                 if folder is not None:
                     append(folder, batch)

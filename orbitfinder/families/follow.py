@@ -18,7 +18,7 @@ from orbitfinder.errors import ConvergenceError, IntegrationError, plural
 from orbitfinder.families.changes import first_lost, test_of
 from orbitfinder.families.codimension_two import find_special, left_circle
 from orbitfinder.families.ends import approach, end_at, end_of_failure, merged, returned, shortest_step
-from orbitfinder.families.events import event_at, find_events
+from orbitfinder.families.events import TURNED, event_at, find_events
 from orbitfinder.families.passages import avoided
 from orbitfinder.families.point import FamilySettings, make_point, parameter_value
 from orbitfinder.families.run import Interval, Run, Sample, Step, ahead, make_interval, make_sample, step_at, step_from
@@ -154,7 +154,7 @@ def _batch(run: Run, before: Step, after: Step, last: Sample) -> Batch:
     interval, ended = make_interval(run.curve, before.sample, last), end_at(run, before, after)
     found = _events(interval, settings)
     events = [_placed(event, run, origin) for event in found]
-    folds = [event.arclength for event in found if (event.kind, event.detail) == ("fold", settings.parameter)]
+    folds = [event.arclength for event in found if event.kind in TURNED and event.detail == settings.parameter]
     wanted = (value for value in run.at if value != run.origin.value)
     points = [point for value in wanted for point in exact_points(run, before, interval, value, folds, "at")]
     final = [] if run.until is None else exact_points(run, before, interval, run.until, folds, "end")
@@ -166,7 +166,7 @@ def _batch(run: Run, before: Step, after: Step, last: Sample) -> Batch:
     if ended is not None and ended.kind in ("equilibrium", "relative equilibrium"):
         return Batch(run.direction, (), (), ended)
     for event, one in zip(events, found, strict=True):
-        turned = one.kind == "fold" and one.detail != "period"
+        turned = one.kind in TURNED and one.detail != "period"
         joined = merged(interval, one.arclength, settings.parameter) if turned else left_circle(run.curve, one)
         if joined is not None:
             reach = abs(event.arclength - origin.arclength)

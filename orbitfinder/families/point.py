@@ -46,8 +46,8 @@ class FamilySettings:
         sharpest_turn: rad between successive tangents; a sharper turn repeats the step at half its length.
         longest_stretch: relative change of the period within one step: near a saddle events come with every so many
             seconds.
-        narrowest: avoided crossings of two families are followed by steps no shorter than this, and else stepped over
-            and named.
+        narrowest: avoided crossings of two families are followed by steps no shorter than this, and else stepped over,
+            which the log says.
         longest_period: in units of the shortest period met: beyond it a slow orbit counts as homoclinic.
         resonances: period-q resonances are looked for up to this q.
         events: whether bifurcations are looked for.

@@ -20,7 +20,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.integrate import trapezoid
+from scipy.integrate import simpson, trapezoid
 
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.dop853 import (
@@ -36,14 +36,14 @@ from orbitfinder.integrate.dop853 import (
 from orbitfinder.integrate.equations import accelerations, hamilton, invariant_gradients
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
 from orbitfinder.loops.scales import alone
-from orbitfinder.loops.symmetry import symplectic
+from orbitfinder.loops.symmetry import Involution, symplectic
 from orbitfinder.mechanics.catalogue import REMADE, with_parameters
 from orbitfinder.mechanics.chain_lagrange import ChainLagrange, chain_lagrange, is_long
 from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.model import Model, constraint_of, energies
 from orbitfinder.mechanics.scales import masses_of, snapped
 from orbitfinder.orbits.closure import Closure, closes, extents, extents_of, gap, shift
-from orbitfinder.orbits.floquet import Floquet, analyse, generated, reduce_monodromy, symplectic_unit
+from orbitfinder.orbits.floquet import Floquet, analyse, complement, generated, reduce_monodromy, symplectic_unit
 
 SAMPLES = 512
 """Intervals at which the certifying integration is inspected."""
@@ -57,6 +57,8 @@ ROUGH = ReferenceSettings(relative_tolerance=1e-10, absolute_tolerance=1e-13)
 LONGEST_PHASE = 0.15
 """Radians of the fastest linear mode in a step: at 20 links the rates close to 2e-13, with 800 steps a period to
 8e-13."""
+KNOWN = 1e-6
+"""Share of a component's size below which its changes are no unit to integrate in: they are round-off, nearly"""
 HAMILTON, GIVEN = "Hamilton's equations", "the rates as given"
 REFLECTED = 1e-9
 """x(T/2) is this near to -x(0), in extents of the motion, where half a period stands for the whole"""
@@ -191,7 +193,12 @@ def units_of(
         return np.ones(start.size)
     units = in_momenta(first, masses, period, angular)
     path = integrate_in(units, field, start, np.linspace(0.0, period, 65), ROUGH)
-    return in_momenta(np.ptp(path, axis=0), masses, period, angular)
+    return known_in(in_momenta(np.ptp(path, axis=0), masses, period, angular), path)
+
+
+def known_in(units: np.ndarray, path: np.ndarray) -> np.ndarray:
+    """Units (m) of a motion (k x m), none of them near the round-off of what it is measured from."""
+    return np.asarray(np.maximum(units, KNOWN * np.abs(path).max(axis=0)))
 
 
 def in_momenta(moved: np.ndarray, masses: np.ndarray, period: float, angular: np.ndarray | None = None) -> np.ndarray:
@@ -389,6 +396,96 @@ def _products(pieces: Sequence[np.ndarray]) -> tuple[np.ndarray, float]:
 def _off(found: np.ndarray, wanted: np.ndarray) -> float:
     """How far rows are from what they should be, relative."""
     return float(np.abs(found - wanted).max() / max(np.abs(wanted).max(), 1e-300)) if wanted.size else 0.0
+
+
+@dataclass(frozen=True)
+class Tour:
+    """A loop gone round once: `pieces` (m x m each, in extents) of its linearisation, and what is trivial in it.
+
+    `gradients` and `directions` (k x m) leave `size` multipliers; `half` (m x m) takes what is half a period on back to
+    the start where the orbit repeats itself there, and the map is then that of half a period. `divergence` is by how
+    much the integrated divergence misses the sum of the logarithms of all multipliers, `doubt` how well it is known.
+    """
+
+    closes: Closure
+    pieces: Sequence[np.ndarray]
+    gradients: np.ndarray
+    directions: np.ndarray
+    conservative: bool
+    units: np.ndarray
+    half: np.ndarray | None = None
+    basis: np.ndarray | None = None
+    divergence: float = 0.0
+    doubt: float = 0.0
+
+    @property
+    def root(self) -> int:
+        """Of which power of the map the monodromy is."""
+        return 1 if self.half is None else 2
+
+    def map(self, noise: np.random.Generator | None = None, share: float = 0.0) -> np.ndarray:
+        """The root map without trivial multipliers (r x r), each piece with an error that is a `share` of its norm."""
+        pieces = self.pieces[: len(self.pieces) // self.root]
+        whole = np.eye(len(pieces[0]))
+        for piece in pieces:
+            error = 0.0 if noise is None else share * np.linalg.norm(piece, 2) * noise.normal(size=piece.shape)
+            whole = (piece + error) @ whole
+        whole = whole if self.half is None else self.half @ whole
+        basis = np.eye(len(whole)) if self.basis is None else self.basis
+        inner = basis.T @ whole @ basis
+        return reduce_monodromy(inner, self.gradients @ basis, self.directions @ basis)
+
+    def krein(self, multipliers: np.ndarray) -> list[tuple[int, bool]]:
+        """Krein signatures of multipliers of a canonical system's whole period, each with whether it can be told."""
+        if not self.conservative or not multipliers.size:
+            return [(0, False)] * multipliers.size
+        outer = np.eye(self.units.size) if self.basis is None else self.basis
+        basis = outer @ complement(self.gradients @ outer, self.directions @ outer)
+        form = basis.T @ (self.units[:, None] * symplectic_unit(self.units.size // 2) * self.units) @ basis
+        values, vectors = np.linalg.eig(np.linalg.matrix_power(self.map(), self.root))
+        found = []
+        for mu in multipliers:
+            k = int(np.argmin(np.abs(values - mu)))
+            size = float((1j * vectors[:, k].conj() @ form @ vectors[:, k]).real) / float(np.linalg.norm(form, 2))
+            away = min(float(np.abs(np.delete(values, k) - mu).min(initial=np.inf)), abs(mu.imag))
+            on_circle = bool(abs(abs(mu) - 1.0) < 1e-6)
+            found.append((int(np.sign(size)) if on_circle else 0, away > 1e-4 and (abs(size) > 1e-6 or not on_circle)))
+        return found
+
+
+def tour(model: Model, state: np.ndarray, period: float, turns: np.ndarray, forward: Involution | None = None) -> Tour:
+    """The `Tour` of a state (d) and a period of a smooth Model, of an orbit that is its own image by `forward` after
+    half a period."""
+    moments, long = evenly(period), model.constraint is None and is_long(model)
+    motion = (chain_motion if long else canonical_motion)(model, state, period, turns, moments, TIGHTEST)
+    path = motion.path
+    units = known_in(in_momenta(np.ptp(path, axis=0), motion.masses, period, model.angular), path)
+    sizes = np.maximum(np.abs(path).max(axis=0) / units, 1.0)
+    pieces = [piece * units[None, :] / units[:, None] for piece in motion.transitions]
+    missed = (path[-1] - path[0] - shift(motion.turns, units.size)) / units
+    rate = None if model.forced else motion.rate * period / units
+    half = None
+    if forward is not None:
+        n = motion.turns.size
+        places = forward.places(n) * (units[None, :n] / units[:n, None])
+        half = places if n == units.size else np.kron(np.eye(2), forward.places(n)) * units[None, :] / units[:, None]
+    divergence, doubt = (0.0, 0.0) if long else _divergence(model, motion, pieces)
+    return Tour(
+        closes(missed, pieces, sizes, rate), pieces, motion.gradients * units, motion.directions / units,
+        symplectic(model), units, half,
+        tangent_basis(motion.constraints * units) if motion.constraints.size else None, divergence, doubt,
+    )  # fmt: skip
+
+
+def _divergence(model: Model, motion: Motion, pieces: Sequence[np.ndarray]) -> tuple[float, float]:
+    """By how much the divergence integrated along a motion misses sum log |det| of its pieces, and an error bar."""
+    variational, size = vector_field(hamilton(model).variational), motion.path.shape[1]
+    unit = np.append(np.eye(size).ravel(), 0.0)
+    rows = variational.many(motion.times, np.hstack([motion.path, np.tile(unit, (len(motion.path), 1))]))  # type: ignore[attr-defined]
+    traces = rows[:, size:-1].reshape(-1, size, size).trace(axis1=1, axis2=2)
+    fine, coarse = (simpson(traces[::k], x=motion.times[::k]) for k in (1, 2))
+    logs = sum(float(np.linalg.slogdet(piece)[1]) for piece in pieces)
+    return abs(logs - float(fine)), abs(float(fine - coarse)) + 1e-10 * float(trapezoid(np.abs(traces), motion.times))
 
 
 def second_closure(model: Model, state: np.ndarray, period: float, turns: np.ndarray, units: np.ndarray) -> float:

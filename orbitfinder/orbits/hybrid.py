@@ -17,6 +17,7 @@ from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.automaton import Arc, Automaton
 from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, integrate_in
 from orbitfinder.integrate.equations import invariant_gradients
+from orbitfinder.loops.continued import Solution
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.newton import Refined
 from orbitfinder.loops.problem import Guess, Problem
@@ -26,7 +27,7 @@ from orbitfinder.mechanics.hybrid import Hybrid
 from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.scales import snapped
 from orbitfinder.orbits.closure import Closure, closes, extents_of, gap, shift
-from orbitfinder.orbits.evidence import CHECKED, ClosureCheck
+from orbitfinder.orbits.evidence import CHECKED, ClosureCheck, Tour
 from orbitfinder.orbits.floquet import AREA, Floquet, analyse, reduce_monodromy
 from orbitfinder.records.orbit import Orbit
 
@@ -188,6 +189,31 @@ def gather_hybrid(model: Model, state: np.ndarray, period: float, turns: np.ndar
         floquet=multipliers(whole, slopes, rate[None]),
         monodromy=whole * units[:, None] / units,
     )
+
+
+def hybrid_tour(model: Model, state: np.ndarray, period: float, turns: np.ndarray) -> Tour:
+    """The `Tour` of a hybrid orbit, as its automaton is simulated. Raises `ConvergenceError`, `IntegrationError`."""
+    found = gather_hybrid(model, state, period, turns)
+    units = found.extents
+    slopes = invariant_gradients(model)(state).full().reshape(-1, units.size) * units
+    rate = Automaton.about(model, state, period).field(found.arcs[0].mode)(0.0, np.asarray(state, float)) / units
+    paired = found.floquet.indices.size > 0
+    return Tour(found.closes, [found.monodromy * units / units[:, None]], slopes, rate[None], paired, units)
+
+
+def retraced(equations: Equations, found: Solution) -> Solution:
+    """A hybrid orbit whose states at its mesh are those of the automaton's integrator, over durations that are told."""
+    w, links = found.place, equations.links
+    model = with_parameters(equations.model, dict(zip(equations.free, map(float, w.free), strict=True)))
+    automaton, arcs, states, ends = Automaton(model), links.count, list[np.ndarray](), found.march.ends.copy()
+    steps, x, last = (w.mesh.size - 1) // arcs, w.nodes[0], links.ends(len(w.nodes))
+    units = snapped(np.maximum(np.ptp(found.march.states, axis=0), 1e-300))
+    for k, ((mode, one), share) in enumerate(zip(model.hybrid.arcs, links.shares(w.free), strict=True)):
+        times = (w.mesh[k * steps : (k + 1) * steps + 1] * arcs - k) * share * w.period
+        path = automaton.path(mode.name, x, times, CHECKED, units)
+        states.append(path[:-1])
+        ends[last[k]], x = path[-1], automaton.value(one.reset, path[-1])
+    return replace(found, march=replace(found.march, states=np.vstack([*states, x[None]]), ends=ends))
 
 
 def hybrid_orbit(problem: Problem, refined: Refined) -> Orbit:

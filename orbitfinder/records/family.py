@@ -49,9 +49,11 @@ DENSE = {"nodes": "shooting_nodes", "mesh": "mesh", "tangent": "tangent"}
 """What goes into family.npz instead of family.json, and what it is called here."""
 CLOSURE = 1e-11
 """Largest independent closure of an accepted point, relative to the motion, times what errors grow by."""
+UNKNOWN = 1e10
+"""Where errors grow more than this in a period, its closure and multipliers say nothing"""
 METHODS = ("product", "periodic QR")
 """How multipliers were found: as eigenvalues of the state-transition matrices' product, or factor by factor."""
-OFTEN_EMPTY = ("shift", "multiplier_errors", "multiplier_method")
+OFTEN_EMPTY = ("shift", "multiplier_errors", "multiplier_method", "check")
 """What is written only where there is any"""
 SEAL = "digest"
 """The key of a journal line's digest: the first digits of the SHA-256 of the rest of its content."""
@@ -105,12 +107,22 @@ class FamilyPoint(Orbit):
 
 
 @dataclass(frozen=True)
+class Reading:
+    """What the check of an event read: a `value` that is 0 at such an event, its `error`, and whether it `passed`."""
+
+    value: float
+    error: float
+    passed: bool
+
+
+@dataclass(frozen=True)
 class Event(Shown):
     """Something that happens between two points, located on the family.
 
-    `kind`: fold | branch_point | period_doubling | torus | resonance | collision | stability_change, of hybrid systems
-    grazing | cycle_change | holds; along a curve of bifurcations in two parameters cusp | isola_centre | transcritical
-    | strong_resonance | fold_doubling | fold_torus | doubling_torus | degenerate_doubling.
+    `kind`: fold | turn (of the period or of a momentum) | branch_point | period_doubling | torus | resonance |
+    collision | stability_change, of hybrid systems grazing | cycle_change | holds; along a curve of bifurcations in two
+    parameters cusp | isola_centre | transcritical | strong_resonance | fold_doubling | fold_torus | doubling_torus |
+    degenerate_doubling.
     `detail` says what exactly (of what the fold is, q of the resonance, what changed);
     `multiplier` is the critical multiplier of the root map, `order` the number of periods after which the branch
     closes.
@@ -134,6 +146,8 @@ class Event(Shown):
     symmetry: str = "none"
     free: Mapping[str, float] = field(default_factory=dict)
     certified: bool = False
+    check: Reading | None = None
+    """by its definition (see `families.checks`); none in older files"""
 
 
 @dataclass(frozen=True)
@@ -239,9 +253,12 @@ class Family(Shown):
     @property
     def counts(self) -> str:
         """How many orbits are closed and how many of them certified, in words."""
-        sure = [sum(one.certified for one in some) for some in (self.points, self.events)]
+        known = [one for one in self.points if one.scale <= UNKNOWN]
+        sure = [sum(one.certified for one in some) for some in (known, self.events)]
+        left = len(self.points) - len(known)
         return (
-            f"{plural(len(self.points), 'closed orbit')}, {sure[0]} of them certified; "
+            f"{plural(len(known), 'closed orbit')}{f' (and {left} too unstable to say)' * bool(left)}, "
+            f"{sure[0]} of them certified; "
             f"{plural(len(self.events), 'event')}, {sure[1]} of them at certified orbits"
         )
 
@@ -283,7 +300,7 @@ class Journal:
 def plain(value: Any) -> Any:
     """JSON-ready: arrays as lists, complex numbers as [re, im], of a point what its family does not say already."""
     if isinstance(value, (FamilyPoint, Event)):
-        told = (name for name in ENTRIES[type(value)] if name not in OFTEN_EMPTY or len(getattr(value, name)))
+        told = (name for name in ENTRIES[type(value)] if name not in OFTEN_EMPTY or _said(getattr(value, name)))
         entries = {name: plain(getattr(value, DENSE.get(name, name))) for name in told}
         return entries | {"energy": energy_entry(value.energy)}
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
@@ -292,6 +309,11 @@ def plain(value: Any) -> Any:
     if isinstance(value, (Mapping, list, tuple)):
         return walked(value, plain)
     return plain_numbers(value)
+
+
+def _said(value: Any) -> bool:
+    """Whether there is anything to be written."""
+    return value is not None and (isinstance(value, Reading) or len(value) > 0)
 
 
 def _entries_of(kind: type[FamilyPoint] | type[Event]) -> tuple[str, ...]:
@@ -315,6 +337,8 @@ def restored(kind: type[FamilyPoint] | type[Event], document: Mapping[str, Any],
     named = [name for name in COMPLEX if hasattr(found, name)]
     one = replace(found, **{name: _as_complex(getattr(found, name), f"{where}.{name}") for name in named})
     size, nodes = one.state.size, one.shooting_nodes
+    if isinstance(one, Event) and one.kind == "fold" and one.detail not in ("energy", *one.free):
+        one = replace(one, kind="turn")  # as older files call it too
     if one.state.ndim != 1 or not size or not one.period > 0:
         raise ValueError(f"{where}: state of {plural(size, 'number')}, period {one.period}: no orbit")
     if nodes.size and (nodes.shape[1:] != (size,) or not _fits(one.mesh, len(nodes))):

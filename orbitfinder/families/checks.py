@@ -1,0 +1,389 @@
+"""Whether an event is what it is called: its definition at its orbit and at one on each side of it.
+
+All three are gone round by the certificate's integrator and formulation (`orbits.evidence.tour`). What is read there is
+regular where the event is: the product of level - root over all roots, which are stability indices kappa = mu + 1/mu
+where multipliers come in pairs (mu itself moves like a square root there), else multipliers; the squared distance of
+two indices; the product of a pair less 1; what is extremal; a margin of a hybrid cycle. It must vanish at the event, to
+`SHARP` of a step, and change its sign across it; a kind may ask for more. What has no entry in `CHECKS` is no event.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.families.changes import margins
+from orbitfinder.families.codimension_two import is_centre, tests
+from orbitfinder.families.critical import Critical, discriminant, levelled, torus_pair
+from orbitfinder.families.doubling import bending
+from orbitfinder.families.passages import index_levels
+from orbitfinder.families.point import freed, parameter_value, shift_at, unknowns_of
+from orbitfinder.integrate.march import uniform
+from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, plane, scaled, tangent
+from orbitfinder.loops.mesh import remeshed
+from orbitfinder.loops.symmetry import turned
+from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.orbits.evidence import VARIED, Tour, tour
+from orbitfinder.orbits.floquet import analyse, judged
+from orbitfinder.orbits.hybrid import PATIENCE, cycle_from, hybrid_tour, retraced
+from orbitfinder.records.family import CLOSURE, UNKNOWN, Batch, Event, FamilyPoint, Reading
+
+SHARES = (3e-3, 3e-4)
+"""How far the orbits on both sides are, in steps of the family; the nearer ones where two events share a step"""
+SHARP = 1e-5
+"""An event is this near to where its definition holds, in steps of the family"""
+DOUBTFUL = 4e-5
+"""... and what is read there is known this well"""
+DRAWS, SAFETY = 3, 10.0
+"""Errors of the size of the integration's with which the map is read again, and what their largest is multiplied by"""
+ALIKE = 1e-6
+"""Multipliers nearer than this are one"""
+CROSSED = 1e-4
+"""Singular value, relative to the next, below which the rows leave two directions"""
+STEPS = 480
+"""Steps of a period on which an orbit is marched of which the nodes are not known"""
+MOST_ORDER = 100
+
+Measure = Callable[["Look"], float]
+
+
+@dataclass(frozen=True)
+class Look:
+    """An orbit of a family and what the certificate's integrator reads there."""
+
+    curve: Curve
+    found: Solution
+
+    @cached_property
+    def tour(self) -> Tour:
+        """The loop gone round. Raises `ConvergenceError` where it is not known well enough."""
+        p, w = self.curve.equations, self.found.place
+        turns = turned(p.model, np.array(self.curve.turns), shift_at(self.curve, w))
+        model = with_parameters(p.model, freed(self.curve, w))
+        if p.links:
+            return _known(hybrid_tour(model, w.nodes[0], w.period, turns))
+        return _known(tour(model, w.nodes[0], w.period, turns, p.symmetry.forward))
+
+    @cached_property
+    def about(self) -> Any:
+        """What is read off the root map, by the names of `Spectrum`."""
+        return self._read(self.tour.map())
+
+    @cached_property
+    def doubted(self) -> list[Any]:
+        """The same of maps that are wrong by what the integration may be."""
+        random = np.random.default_rng(0)
+        return [self._read(self.tour.map(random, VARIED.relative_tolerance)) for _ in range(DRAWS)]
+
+    def _read(self, reduced: np.ndarray) -> Any:
+        values, pairs = np.linalg.eigvals(reduced).astype(complex), self.tour.conservative
+        roots = judged(values).indices if pairs else values
+        return SimpleNamespace(reduced=reduced, indices=roots, roots=roots, conservative=pairs, root=self.tour.root)
+
+    @property
+    def indices(self) -> np.ndarray:
+        """Its stability indices."""
+        return np.asarray(self.about.indices)
+
+    @property
+    def unstable(self) -> bool:
+        """Whether a multiplier is outside the unit circle."""
+        return analyse(self.about.reduced, self.about.conservative).stability == "unstable"
+
+    def value(self, name: str) -> float:
+        """The energy, the period, a momentum or a parameter."""
+        return parameter_value(self.curve, self.found.place, name)
+
+
+def _known(found: Tour) -> Tour:
+    closes = found.closes
+    if not closes.amplification <= UNKNOWN or not closes.gap <= CLOSURE * closes.amplification:
+        raise ConvergenceError(
+            f"the orbit closes to {closes.gap:.2g} where errors grow {closes.amplification:.3g} times, which is too "
+            "little to tell multipliers"
+        )
+    if not found.divergence <= found.doubt + ALIKE:
+        raise ConvergenceError(f"its multipliers miss the divergence of the flow by exp({found.divergence:.2g})")
+    return found
+
+
+@dataclass(frozen=True)
+class Sides:
+    """The orbit of an event with one on each side, so far `apart` along the family, whose steps are `step` long.
+
+    `middle` is the event's orbit corrected as those on the sides are, so that its quantities compare with theirs.
+    """
+
+    before: Look
+    here: Look
+    middle: Look
+    after: Look
+    apart: float
+    step: float
+
+    def zero(self, measure: Measure, sharp: bool = True) -> Reading:
+        """What a measure says: it is to vanish here and to change its sign, if it is `sharp` to tell where."""
+        low, value, high = measure(self.before), measure(self.here), measure(self.after)
+        noise = 0.0
+        for about in self.here.doubted if self.here.__dict__.get("tour") else ():
+            noise = max(noise, SAFETY * abs(measure(_as(self.here, about)) - value))
+        slope = abs(high - low) * self.step / (2 * self.apart)
+        sure = low * high < 0 and noise <= (DOUBTFUL * slope if sharp else min(abs(low), abs(high)))
+        return Reading(value, noise + SHARP * slope, bool(sure and abs(value) <= noise + SHARP * slope))
+
+    def values(self, name: str) -> tuple[float, float, float]:
+        """A quantity before, at and after the event."""
+        return self.before.value(name), self.middle.value(name), self.after.value(name)
+
+    def turning(self, name: str) -> Reading:
+        """How far from where a quantity is extremal, in steps."""
+        looks, (low, middle, high) = (self.before, self.here, self.after), self.values(name)
+        bent, size = high - 2 * middle + low, max(abs(low), abs(high))
+        off = size * (4 * np.finfo(float).eps + max(one.tour.closes.distance for one in looks))
+        if not (low - middle) * (high - middle) > 0:
+            return Reading(1.0, SHARP, False)
+        scale = self.apart / (self.step * abs(bent))
+        value, noise = -0.5 * (high - low) * scale * float(np.sign(bent)), off * scale
+        error = noise + SHARP
+        return Reading(float(value), float(error), bool(abs(value) <= error and noise <= DOUBTFUL))
+
+    def turns(self, name: str) -> bool:
+        """Whether a quantity is, beyond round-off, on one side of what it is here on both sides."""
+        low, middle, high = self.values(name)
+        known = 8 * np.finfo(float).eps * abs(middle)
+        return bool(min(low - middle, high - middle) > known or max(low - middle, high - middle) < -known)
+
+
+def _as(look: Look, about: Any) -> Look:
+    """The same orbit with another map."""
+    found = replace(look)
+    found.__dict__["about"] = about
+    return found
+
+
+def _level(level: float) -> Measure:
+    return lambda look: levelled(look.about.roots, level)
+
+
+def _passage(sides: Sides, event: Event) -> Reading:
+    """A root at the level that the recorded multiplier stands for, of this kind and order and no other."""
+    here, told = sides.here.about, (event.kind, event.order)
+    if here.conservative:
+        known: Sequence[Any] = [*index_levels(here.root, min(max(event.order, 3), MOST_ORDER))]
+    else:
+        other = ("branch_point", 1) if here.root == 2 else ("period_doubling", 2)
+        known = [(1.0, "branch_point", 1, 1.0), (-1.0, *other, -1.0)]
+    levels = [one for one, *kind, mu in known if tuple(kind) == told and abs(mu - event.multiplier) < ALIKE]
+    if not levels or event.detail != (f"q = {event.order}" if event.kind == "resonance" else ""):
+        raise ConvergenceError(f"its multiplier {event.multiplier:.6g} and order {event.order} are of another kind")
+    if event.kind == "branch_point" and event.multiplier.real > 0 and sides.turns(_parameter(sides.here.curve)):
+        raise ConvergenceError("the family turns there, so that nothing else leads through it")
+    return sides.zero(_level(levels[0]))
+
+
+def _parameter(curve: Curve) -> str:
+    """What a family of orbits is told by: its physical parameter or the energy."""
+    return next(iter(curve.equations.physical), "energy")
+
+
+def _fold(sides: Sides, event: Event) -> Reading:
+    """A multiplier at +1, and the parameter turns."""
+    if event.detail not in ("energy", *sides.here.curve.equations.physical):
+        raise ConvergenceError(f"{event.detail or 'nothing'} is no parameter that folds")
+    turn = sides.turning(event.detail)
+    found = sides.zero(_level(2.0 if sides.here.about.conservative else 1.0), sharp=False)
+    return replace(found, passed=found.passed and turn.passed)
+
+
+def _turn(sides: Sides, event: Event) -> Reading:
+    """The period, or a momentum, is extremal."""
+    model = sides.here.curve.equations.model
+    if event.detail not in ("period", *sides.here.curve.equations.physical, *(one.name for one in model.invariants)):
+        raise ConvergenceError(f"{event.detail or 'nothing'} is not known to turn")
+    return sides.turning(event.detail)
+
+
+def _pair(look: Look) -> float:
+    return torus_pair(look.about.roots)[0] - 1.0
+
+
+def _torus(sides: Sides, event: Event) -> Reading:
+    """A complex pair on the unit circle."""
+    about = sides.here.about
+    if about.conservative or not abs(sum_ := torus_pair(about.roots)[1]) < 2.0:
+        raise ConvergenceError("no complex pair of multipliers is on the unit circle")
+    if abs(sum_ - 2 * event.multiplier.real) > ALIKE or (event.detail, event.order) != ("", 0):
+        raise ConvergenceError(f"the pair on the unit circle is not {event.multiplier:.6g}")
+    return sides.zero(_pair)
+
+
+def _meeting(look: Look) -> float:
+    return discriminant(look.about.roots) / (1.0 + float(np.abs(look.about.roots).min()) ** 2)
+
+
+def _collision(sides: Sides, event: Event) -> Reading:
+    """Two stability indices are one, real on one side and complex on the other."""
+    if not sides.here.about.conservative or (event.detail, event.order) != ("", 1):
+        raise ConvergenceError(event.detail or "two stability indices do not meet there")
+    return sides.zero(_meeting)
+
+
+def _stability(sides: Sides, event: Event) -> Reading:
+    """What makes a verdict change is at 0, and the verdict is another on the two sides."""
+    about = sides.here.about
+    if about.conservative:
+        measures = [_level(2.0), _level(-2.0), *([_meeting] if about.roots.size > 1 else [])]
+    else:
+        measures = [_level(1.0), _level(-1.0), *([_pair] if np.any(np.abs(about.roots.imag) > ALIKE) else [])]
+    verdicts = {"becomes stable": (True, False), "becomes unstable": (False, True)}
+    if verdicts.get(event.detail) != (sides.before.unstable, sides.after.unstable):
+        raise ConvergenceError("the orbits on its two sides are as stable or unstable as each other")
+    found = [sides.zero(one) for one in measures]
+    return min(found, key=lambda one: (not one.passed, abs(one.value)))
+
+
+def _margin(sides: Sides, event: Event) -> Reading:
+    """A margin of a hybrid cycle, along the arcs as the automaton integrates them."""
+
+    def every(look: Look) -> dict[tuple[int, str, str], float]:
+        known = margins(look.curve, retraced(look.curve.equations, look.found))
+        return {key: one.value for key, one in known.items() if (one.kind, one.name) == (event.kind, event.detail)}
+
+    here = every(sides.here) if sides.here.curve.equations.links else {}
+    if not here:
+        raise ConvergenceError(f"{event.detail} is nowhere near")
+    key = min(here, key=lambda one: abs(here[one]))
+    return sides.zero(lambda look: every(look).get(key, np.nan))
+
+
+def _second(sides: Sides, event: Event) -> Reading:
+    """On a curve of bifurcations in two parameters, what else vanishes."""
+    curve = sides.here.curve
+    assert isinstance(curve.test, Critical)
+    if event.kind == "degenerate_doubling":
+        return sides.zero(lambda look: bending(look.curve, look.found))
+    for one in tests(curve.test, sides.here.about):
+        told = (one.kind, one.detail, one.order) == (event.kind, event.detail, event.order)
+        if told and abs(one.multiplier - event.multiplier) < ALIKE:
+            return sides.zero(one.measure)  # type: ignore[arg-type]
+    raise ConvergenceError("nothing of this kind happens along such a curve")
+
+
+def _extremal(sides: Sides, event: Event) -> Reading:
+    """On a curve of folds in two parameters, where one of them, or both, turn."""
+    curve = sides.here.curve
+    assert isinstance(curve.test, Critical)
+    names = curve.test.parameters if event.kind == "cusp" else (event.detail,)
+    if curve.test.kind != "fold" or not set(names) <= set(curve.test.parameters):
+        raise ConvergenceError("no curve of folds turns there")
+    found = [sides.turning(one) for one in names]
+    if event.kind != "cusp":
+        low, middle, high = sides.values(event.detail)
+        if is_centre(curve, sides.here.found.place, event.detail, low + high - 2 * middle) != (
+            event.kind == "isola_centre"
+        ):
+            raise ConvergenceError("the surface of orbits is bent the other way")
+    return replace(max(found, key=lambda one: abs(one.value)), passed=all(one.passed for one in found))
+
+
+CHECKS: dict[str, Callable[[Sides, Event], Reading]] = {
+    "fold": _fold, "turn": _turn, "torus": _torus, "collision": _collision, "stability_change": _stability,
+    **dict.fromkeys(("branch_point", "period_doubling", "resonance"), _passage),
+    **dict.fromkeys(("grazing", "cycle_change", "holds"), _margin),
+    **dict.fromkeys(("strong_resonance", "fold_doubling", "fold_torus", "doubling_torus", "degenerate_doubling"),
+                    _second),
+    **dict.fromkeys(("cusp", "isola_centre", "transcritical"), _extremal),
+}  # fmt: skip
+"""How each kind of event is checked; what is not here cannot be recorded"""
+
+
+def reading(curve: Curve, event: Event, along: np.ndarray, step: float) -> Reading:
+    """What the check of an event says; `along` (head) is the way the family goes there, `step` the arclength of a step.
+
+    Raises `ConvergenceError` where it is not known well enough, or its definition is contradicted.
+    """
+    if event.kind not in CHECKS or (curve.test is None) != (CHECKS[event.kind] not in (_second, _extremal)):
+        raise ConvergenceError(f"a {event.kind} has no check on such a family")
+    found = settled_on(curve, event)
+    curve = curve.measured(found)
+    whole = _heading(curve, found, along)
+    here, said = Look(curve, found), ConvergenceError("no orbits beside it")
+    result = None
+    for share in SHARES:
+        try:
+            looks = [
+                Look(curve, correct(curve, advanced(found.place, whole, d), plane(curve, found.place, whole, d),
+                                    found.place, 0.5 * step))
+                for d in (-share * step, 0.0, share * step)
+            ]  # fmt: skip
+            result = CHECKS[event.kind](Sides(looks[0], here, looks[1], looks[2], share * step, step), event)
+        except (ConvergenceError, IntegrationError) as error:
+            said = ConvergenceError(str(error))
+            continue
+        if result.passed:
+            return result
+    if result is None:
+        raise said
+    return result
+
+
+def settled_on(curve: Curve, event: Event | FamilyPoint) -> Solution:
+    """The orbit of a point or event on the mesh that it was found on, or on one made for it from its state alone."""
+    if event.mesh.size:
+        return at_place(curve, unknowns_of(curve, event))
+    arcs = curve.equations.links.count if curve.equations.links else 1
+    mesh = uniform(curve.equations.symmetry.fraction, arcs, STEPS // arcs)
+    nodes = _starts(curve, event, arcs)
+    place = unknowns_of(curve, replace(event, shooting_nodes=nodes, mesh=mesh))
+    for _ in range(2):
+        place = remeshed(curve, Solution(place, curve.equations.varied(place, states=True), np.zeros((0, 0)), 0.0))
+    return at_place(curve, place)
+
+
+def _starts(curve: Curve, event: Event | FamilyPoint, arcs: int) -> np.ndarray:
+    """Where the arcs of an event's orbit begin (arcs x d)."""
+    if arcs == 1:
+        return event.state[None]
+    model = with_parameters(curve.equations.model, event.free)
+    return np.array([one.states[0] for one in cycle_from(model, event.state, longest=PATIENCE * event.period)])
+
+
+def _heading(curve: Curve, found: Solution, along: np.ndarray) -> np.ndarray:
+    """The family's direction (over w) at an orbit: where another one crosses there, the nearest to `along` (head)."""
+    if curve.test is not None:
+        return tangent(curve, found, along)
+    matrix, units = scaled(curve, found)
+    _, sizes, rows = np.linalg.svd(matrix)
+    crossed = sizes[-1] < CROSSED * sizes[-2:][0]
+    left = units * rows[-2 if crossed else -1 :]
+    sizes = np.concatenate([curve.scales.states, [curve.scales.period], curve.scales.free])
+    heads = np.array([found.place.head_of(one) / sizes for one in left])
+    whole = np.linalg.lstsq(heads.T, along / sizes, rcond=None)[0] @ left
+    return np.asarray(whole / np.sqrt(curve.scales.metric(found.place) @ whole**2))
+
+
+def checked(curve: Curve, batch: Batch, step: float) -> Batch:
+    """A step of a family with those of its events that are what they are called; the log says what the others are."""
+    return replace(batch, events=tuple(_kept(curve, batch.events, step)))
+
+
+def _kept(curve: Curve, events: Sequence[Event], step: float) -> Iterator[Event]:
+    for event in events:
+        try:
+            found = reading(curve, event, event.tangent, step)
+            what = f"{found.value:.2g} where {found.error:.2g} is known"
+        except (ConvergenceError, IntegrationError) as error:
+            found, what = None, str(error)
+        if found is not None and found.passed:
+            yield replace(event, check=found)
+        else:
+            logging.getLogger(__name__).warning(
+                "a %s was seen at %.12g and is none: %s", event.kind.replace("_", " "), event.parameter, what
+            )

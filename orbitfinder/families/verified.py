@@ -1,0 +1,205 @@
+"""What a file says of a family, again from the file alone: its events, its ends, what a point claims of the family."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from orbitfinder._runtime import interrupt
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.families.checks import ALIKE, Look, reading, settled_on
+from orbitfinder.families.critical import critical_of, levelled
+from orbitfinder.families.point import FamilySettings
+from orbitfinder.families.start import curve_of
+from orbitfinder.integrate.dop853 import vector_field
+from orbitfinder.integrate.equations import hamilton
+from orbitfinder.loops.continued import Curve
+from orbitfinder.loops.symmetry import turned
+from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.mechanics.model import Model
+from orbitfinder.orbits.evidence import gather, tour
+from orbitfinder.orbits.floquet import judged
+from orbitfinder.records.family import CLOSURE, UNKNOWN, End, Event, Family, FamilyPoint, number_of
+from orbitfinder.records.orbit import Certificate, Check
+
+ROUNDED = 1e-12
+"""Relative error of a number that follows from the state"""
+SAME_STEP = 1e-6
+"""... or this share of how much it changes in the step, if that is more"""
+LINEAR = 1e-2
+"""An orbit beside an equilibrium has the period of its linear oscillation to this share"""
+GROWN = 1.5
+"""A family that ends homoclinic has a period this many times its shortest"""
+NEWTON = 30
+
+
+def verified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
+    """Every event and then every end of a family in words, each with its check made again. Raises `InputError`."""
+    curve = family_curve(family, model)
+    for k, event in enumerate(family.events):
+        interrupt.check()
+        yield f"event {k}, {family.parameter} {event.parameter:.12g}", _event(family, curve, event)
+    for k, end in enumerate(family.ends):
+        at = family.points[0 if k == 0 and len(family.ends) > 1 else -1]
+        if len(family.ends) == 1 and family.points[-1].arclength == 0:
+            at = family.points[0]
+        yield f"end {k}", _end(family, curve, end, at)
+
+
+def family_curve(family: Family, model: Model) -> Curve:
+    """The curve that a family follows, with the test that it keeps."""
+    if not family.curve:
+        raise InputError(f"{family.name}: curve: missing, an older orbitfinder wrote this family; continue it again")
+    curve = curve_of(family.curve, model, FamilySettings(parameter=family.parameter))
+    if "test" not in family.curve:
+        return curve
+    return replace(curve, test=critical_of(family.curve["test"]))
+
+
+def _event(family: Family, curve: Curve, event: Event) -> Check:
+    try:
+        before, after = _neighbours(family, event)
+        _told(family, curve, event, abs(after.value - before.value), abs(after.energy - before.energy))
+        along = (_head(after) - _head(before)) * (1.0 if event.arclength >= 0 else -1.0)
+        found = reading(curve, _alone(event), along, after.arclength - before.arclength)
+        old = event.check
+        if old is not None and not (old.passed and abs(old.value - found.value) <= old.error + found.error):
+            raise ConvergenceError(f"recorded as {old.value:.3g} +- {old.error:.1g}, found {found.value:.3g}")
+    except (ConvergenceError, IntegrationError) as error:
+        return Check(event.kind, float("nan"), 0.0, False, str(error))
+    return Check(event.kind, abs(found.value), found.error, found.passed, event.detail)
+
+
+def _alone(event: Event) -> Event:
+    """The event as its state says it, without what a file beside it says."""
+    nothing = np.zeros(0)
+    return replace(event, shooting_nodes=nothing.reshape(0, 0), mesh=nothing, tangent=nothing)
+
+
+def _head(one: FamilyPoint) -> np.ndarray:
+    return np.array([*one.state, one.period, *one.free.values()])
+
+
+def _neighbours(family: Family, event: Event) -> tuple[FamilyPoint, FamilyPoint]:
+    """The points between which an event is."""
+    if not 0 <= event.index < len(family.points) - 1:
+        if len(family.points) > 1 and -1 <= event.index <= len(family.points) - 1:  # beyond the last one, where it ends
+            return tuple(family.points[:2] if event.index < 0 else family.points[-2:])  # type: ignore[return-value]
+        raise ConvergenceError(f"there is no step {event.index} in which it could be")
+    before, after = family.points[event.index : event.index + 2]
+    if not before.arclength <= event.arclength <= after.arclength:
+        raise ConvergenceError(f"arclength {event.arclength:.9g} is not in step {event.index}")
+    return before, after
+
+
+def _told(family: Family, curve: Curve, event: Event, change: float, exchanged: float) -> None:
+    """Raises `ConvergenceError` unless an event's numbers are those of its state."""
+    here = Look(curve, settled_on(curve, _alone(event)))
+    for name, value, moved in ((family.parameter, event.parameter, change), ("energy", event.energy, exchanged)):
+        found = here.value(name)
+        if np.isfinite(found) and abs(found - value) > ROUNDED * abs(found) + SAME_STEP * moved:
+            raise ConvergenceError(f"{name} is {found:.15g} there, recorded {value:.15g}")
+    if event.symmetry != curve.equations.symmetry.name:
+        raise ConvergenceError(f"symmetry {event.symmetry} is not the family's")
+
+
+def _end(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
+    parameter, joined = getattr(end, "parameter", None), getattr(end, "joined", None)
+    try:
+        if joined:
+            return _joined(curve, end, joined)
+        if end.kind == "target":
+            wanted = float(end.reason.rpartition("=")[2]) if parameter is None else float(parameter)
+            off = min(abs(number_of(one, family.parameter) - wanted) for one in (family.points[0], family.points[-1]))
+            return Check(end.kind, off, ROUNDED * abs(wanted), off <= ROUNDED * abs(wanted), end.reason)
+        if end.kind in ("equilibrium", "hopf"):
+            return _rest(family, curve, end, at)
+        if end.kind == "homoclinic":
+            grown = at.period / float(family.values("period").min())
+            return Check(end.kind, GROWN / grown, 1.0, grown >= GROWN, "shortest period over the last one, times 1.5")
+    except (ConvergenceError, IntegrationError, ValueError, KeyError, TypeError) as error:
+        return Check(end.kind, float("nan"), 0.0, False, str(error))
+    return Check(end.kind, 0.0, 0.0, True, "nothing was solved for")
+
+
+def _rest(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
+    """The equilibrium that orbits shrink to has a linear oscillation of their period."""
+    value, period = getattr(end, "parameter", None), getattr(end, "period", None)
+    free = dict(at.free) | ({family.parameter: value} if value is not None and family.parameter in at.free else {})
+    model, there = (with_parameters(curve.equations.model, one) for one in (free, at.free))
+    states = gather(there, at.state, at.period, turned(model, np.array(curve.turns), at.shift)).states
+    equations = hamilton(model)
+    y = 0.5 * (states.max(axis=0) + states.min(axis=0))[equations.coordinates.chosen]
+    if model.rates is None:
+        y[equations.coordinates.size :] = 0.0
+    size, variational = y.size, vector_field(equations.variational)
+    for _ in range(NEWTON):
+        found = variational(0.0, np.concatenate([y, np.eye(size).ravel(), [0.0]]))
+        slopes = found[size:-1].reshape(size, size, order="F")
+        step = np.linalg.lstsq(slopes, -found[:size], rcond=1e-12)[0]
+        y = y + step
+        if np.abs(step).max() <= 1e-14 * max(1.0, float(np.abs(y).max())):
+            break
+    turning = np.abs(np.linalg.eigvals(slopes).imag)
+    wanted, allowed = (period, 1e-6) if period is not None else (at.period, LINEAR)
+    off = float(np.abs(turning * wanted / (2 * np.pi) - 1.0).min())
+    return Check(end.kind, off, allowed, off <= allowed, "period over that of the linear oscillation, less 1")
+
+
+def _joined(curve: Curve, end: End, joined: Mapping[str, Any]) -> Check:
+    """The orbit of the family that is joined closes, the family's period is so many of its own, and so many times round
+    a multiplier is +1, beside what is trivial: there is where another family leaves."""
+    model = with_parameters(curve.equations.model, joined.get("free", {}))
+    state, period = np.array(joined["state"], float), float(joined["period"])
+    whole_period = float(getattr(end, "period", None) or period)
+    times = round(whole_period / period)
+    found = tour(model, state, period, turned(model, np.array(joined["winding"]), joined.get("shift", {})))
+    whole = np.linalg.matrix_power(found.map(), times)
+    values = np.linalg.eigvals(whole).astype(complex)
+    roots = judged(values).indices if found.conservative else values
+    off = abs(levelled(roots, 2.0 if found.conservative else 1.0))
+    gap, apart = found.closes.gap / (CLOSURE * found.closes.amplification), abs(times * period / whole_period - 1)
+    return Check(end.kind, max(off, apart), ALIKE, max(off, apart) <= ALIKE and gap <= 1.0, end.reason)
+
+
+def point_checks(family: Family, number: int, found: Certificate, model: Model) -> Certificate:
+    """The certificate of a point of a family, with checks of what it claims besides an orbit."""
+    point = family.points[number]
+    if not family.curve:
+        return found
+    curve = family_curve(family, model)
+    look = Look(curve, settled_on(curve, point))
+    value = look.value(family.parameter)
+    off = abs(point.value - value) / max(abs(value), 1e-300) if value else abs(point.value)
+    root = 1 if curve.equations.symmetry.forward is None else 2
+    checks = [
+        Check("value", off, ROUNDED, off <= ROUNDED, f"of {family.parameter}"),
+        Check("root", float(point.root), float(root), point.root == root, "of the map that indices are of"),
+    ]
+    if point.scale <= UNKNOWN:
+        try:
+            checks += _maps(look, point)
+        except (ConvergenceError, IntegrationError) as error:
+            checks.append(Check("indices", float("inf"), 0.0, False, str(error)))
+    return Certificate((*found.checks, *checks), found.scale, found.closure)
+
+
+def _maps(look: Look, point: FamilyPoint) -> Iterator[Check]:
+    """The stability indices and the Krein signatures."""
+    about, here = look.about, point.indices
+    wanted = about.roots if about.conservative else np.zeros(0)
+    apart = np.inf
+    if wanted.shape == here.shape:
+        gaps = np.abs(here[:, None] - wanted[None, :]) / np.maximum(1.0, np.abs(wanted))
+        apart = float(gaps[linear_sum_assignment(gaps)].max(initial=0.0))
+        allowed = ALIKE + 1e-12 * point.scale
+    yield Check("indices", apart, allowed, apart <= allowed, "recorded - recomputed, relative")
+    signs = look.tour.krein(point.floquet_multipliers)
+    alike = len(signs) == len(point.krein) and all(
+        a == b or not sure for (a, sure), b in zip(signs, point.krein, strict=True)
+    )
+    yield Check("krein", 0.0 if alike else 1.0, 0.0, alike, "signatures of multipliers on the unit circle")

@@ -1,0 +1,181 @@
+"""Events of families checked by their definitions: planted moves and renames, false folds, what a point claims."""
+
+import json
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import orbitfinder as of
+from orbitfinder.cli.group import cli
+from orbitfinder.errors import ConvergenceError
+from orbitfinder.families.checks import CHECKS, reading
+from orbitfinder.families.folder import follow_family
+from orbitfinder.families.point import FamilySettings
+from orbitfinder.families.start import curve_of
+from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.records.family import Event, Reading, load_family, save_family
+
+RESULTS = Path(__file__).parents[1] / "results" / "families"
+PLANTED = [
+    ("triple-1", "fold"), ("triple-1", "turn"), ("triple-1", "branch_point"), ("triple-1", "stability_change"),
+    ("henon-heiles-loop", "resonance"), ("henon-heiles-loop", "period_doubling"), ("quadruple-mode-3", "collision"),
+    ("five-bar-length", "branch_point"), ("triple-mode-2", "period_doubling"),
+]  # fmt: skip
+FEW = FamilySettings(points=12)
+
+
+def verdict(family, folder):
+    """Exit code and output of `verify FAMILY.json`, the file written anew, so that its digest fits."""
+    done = CliRunner().invoke(cli, ["verify", str(save_family(family, folder)), "--trust"])
+    return done.exit_code, done.output
+
+
+def only(family, event):
+    """The same with one event and no end."""
+    return replace(family, events=(event,), ends=())
+
+
+def moved(family, event, share=1e-4):
+    """The event that share of its step further on, with all that it says of itself."""
+    a, b = family.points[event.index : event.index + 2]
+
+    def on(value, first, last):
+        return value + share * (last - first)
+
+    return replace(
+        event, state=on(event.state, a.state, b.state), period=on(event.period, a.period, b.period),
+        energy=on(event.energy, a.energy, b.energy), parameter=on(event.parameter, a.value, b.value),
+        arclength=on(event.arclength, a.arclength, b.arclength),
+        free={name: on(value, a.free[name], b.free[name]) for name, value in event.free.items()},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "kind"), PLANTED[:3])
+def test_an_event_moved_or_renamed_is_rejected(name, kind, tmp_path):
+    """The kinds that are most easily taken for each other."""
+    rejected(name, kind, ("branch_point", "period_doubling"), tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "kind"), PLANTED)
+def test_every_kind_moved_or_renamed_is_rejected(name, kind, tmp_path):
+    """As every other kind."""
+    rejected(name, kind, [one for one in CHECKS if one not in ("fold", "turn")], tmp_path)
+
+
+def rejected(name, kind, renamed, tmp_path):
+    """By 1e-4 of its step: the orbit, the parameter alone, the period alone; and as every other kind."""
+    family = load_family(RESULTS / name / "family.json")
+    event = next(one for one in family.events if one.kind == kind)
+    assert verdict(only(family, event), tmp_path)[0] == 0
+    planted = moved(family, event)
+    wrong = [planted, replace(event, parameter=planted.parameter), replace(event, period=planted.period)]
+    wrong += [replace(event, kind=other) for other in renamed if other != kind]
+    wrong += [replace(event, kind="fold", detail="energy")] * (kind != "fold")
+    wrong += [replace(event, kind="turn", detail="period")] * (kind != "turn")
+    for one in wrong:
+        code, said = verdict(only(family, one), tmp_path)
+        assert code == 1 and "FAILED" in said, (one.kind, one.parameter, said)
+
+
+def test_a_recorded_reading_is_compared(tmp_path):
+    family = load_family(RESULTS / "henon-heiles-loop" / "family.json")
+    event = replace(family.events[0], check=Reading(1e-3, 1e-5, True))
+    assert verdict(only(family, event), tmp_path)[0] == 1
+
+
+def test_a_torus_moved_or_renamed_is_rejected(tmp_path):
+    """A cycle z = b whose pair passes the unit circle at a = b^2, off no resonance."""
+
+    def field(_, x, p):
+        rate = x.z - 0.7
+        return [rate * x.x - 3.5 * x.y, 3.5 * x.x + rate * x.y, 0.3 + p.a * x.z - x.z**3 / 3 - x.x**2 - x.y**2]
+
+    model = of.ode(field, ("x", "y", "z"), {"a": 0.4})
+    guess = Guess([np.sqrt(0.3 + 0.28 - 0.343 / 3), 0, 0.7], 2 * np.pi / 3.5)
+    family = follow_family(Problem(model, guess, name="torus"), "a", until=0.6, model=model)
+    assert [one.kind for one in family.events] == ["torus", "stability_change"]
+    event = family.events[0]
+    assert event.check.passed and abs(event.check.value) <= event.check.error < 1e-5
+    curve, step = curve_of(family.curve, model, FamilySettings(parameter="a")), 0.1
+    a, b = family.points[event.index : event.index + 2]
+    along = np.array([*(b.state - a.state), b.period - a.period, b.value - a.value])
+    bare = replace(event, shooting_nodes=np.zeros((0, 0)), mesh=np.zeros(0))
+    assert reading(curve, bare, along, step).passed
+    wrong = [replace(bare, kind=kind) for kind in ("fold", "branch_point", "period_doubling", "collision", "grazing")]
+    for one in [*wrong, moved(family, bare)]:
+        with pytest.raises(ConvergenceError):
+            reading(curve, one, along, step)
+
+
+def test_the_hopf_normal_form_has_no_fold(caplog):
+    """In units of 0.01 and from phase 0.8 its family turned at mu = 0.514 once; no multiplier is +1 there."""
+    unit, phase = 0.01, 0.8
+
+    def field(_, x, p):
+        u, v = x.x, x.y * unit
+        square = u**2 + v**2
+        return [p.mu * u - v - u * square, (u + p.mu * v - v * square) / unit]
+
+    model = of.ode(field, ("x", "y"), {"mu": 1.0})
+    guess = Guess([np.cos(phase), np.sin(phase) / unit], 2 * np.pi)
+    family = follow_family(Problem(model, guess, name="hopf"), "mu", until=0.3, model=model)
+    assert not [one for one in family.events if one.kind == "fold"]
+    point = family.points[len(family.points) // 2]
+    curve = curve_of(family.curve, model, FamilySettings(parameter="mu"))
+    false = Event("fold", 0, 0.0, point.value, point.state, point.period, float("nan"), detail="mu", free=point.free)
+    along = np.array([0.0, 0.0, 0.0, 1.0])
+    found = reading(curve, false, along, 0.1)
+    assert not found.passed and abs(found.value) > 0.1
+
+
+def test_what_is_seen_and_is_none_is_said(caplog, monkeypatch):
+    """An event whose check fails is in the log and not in the family."""
+    family = load_family(RESULTS / "henon-heiles-loop" / "family.json")
+    model, point = build_model(family.system), family.points[3]
+    monkeypatch.setitem(CHECKS, "resonance", lambda sides, event: replace(sides.zero(lambda look: 1.0)))
+    start = of.load_problem(Path(__file__).parents[1] / "problems" / "families" / "henon-heiles-loop.toml")
+    with caplog.at_level(logging.WARNING):
+        found = follow_family(start, until=0.08, model=model, settings=replace(FEW, directions="forward"))
+    assert point and "resonance" not in {one.kind for one in found.events}
+    assert any("a resonance was seen at" in one.message for one in caplog.records)
+
+
+@pytest.mark.parametrize(
+    ("entry", "change"),
+    [
+        ("value", lambda point: replace(point, value=point.value + 1e-3)),
+        ("indices", lambda point: replace(point, indices=np.array([9.0, *point.indices[1:]]))),
+        ("krein", lambda point: replace(point, krein=tuple(-one for one in point.krein))),
+        ("root", lambda point: replace(point, root=3 - point.root)),
+    ],
+)
+def test_what_a_point_claims_of_its_family_is_verified(entry, change, tmp_path):
+    """A9(g): the file's digest fits."""
+    family = load_family(RESULTS / "triple-mode-2" / "family.json")
+    number = next(k for k, one in enumerate(family.points) if any(one.krein) and k > 3)
+    points = [*family.points[:number], change(family.points[number]), *family.points[number + 1 :]]
+    true, false = (
+        save_family(one, tmp_path / f"{k}") for k, one in enumerate((family, replace(family, points=points)))
+    )
+    done = [CliRunner().invoke(cli, ["verify", f"{one}#{number}", "--json"]) for one in (true, false)]
+    failed = [{c["name"] for c in json.loads(one.stdout)["results"][0]["checks"] if not c["passed"]} for one in done]
+    assert entry not in failed[0] and entry in failed[1], failed
+
+
+def test_points_of_which_nothing_is_known_are_not_counted():
+    family = load_family(RESULTS / "henon-heiles-straight" / "family.json")
+    unknown = sum(one.scale > 1e10 for one in family.points)
+    assert unknown and family.counts.startswith(f"{len(family.points) - unknown} closed orbits (and {unknown} too")
+
+
+def test_folds_of_older_files_that_are_turns_are_called_so():
+    family = load_family(RESULTS / "triple-1" / "family.json")
+    assert {(one.kind, one.detail) for one in family.events if one.kind in ("fold", "turn")} == {
+        ("fold", "energy"), ("turn", "period"),
+    }  # fmt: skip
