@@ -15,7 +15,7 @@ which sees the shear that the multipliers do not. The distance to the true orbit
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
@@ -29,17 +29,21 @@ LEAST_SHARE = 0.1
 """A coordinate that hardly moves is measured in this share of the length in which it would carry all the action."""
 LARGEST_SCALE = 1e6
 """Tolerances grow with A up to this factor; beyond, closure would mean nothing."""
+REACHES = 1e-3
+"""Round-offs that one of another component makes in a component which it is said to drive"""
 ROUND_OFF = 30.0
 """Gaps of true orbits are 0.1 to 30 times eps A (benchmarks/closure_rule.py)."""
 
 
 @dataclass(frozen=True)
 class Closure:
-    """The largest component of the gap in extents of the motion, A, and the distance to the true orbit."""
+    """The largest component of the gap in extents of the motion, A, the distance to the true orbit, and the gap `held`
+    to A: that of components which depend on some others only, times A over theirs, where that is more."""
 
     gap: float
     amplification: float
     distance: float
+    held: float
 
 
 def extents(moved: np.ndarray, rushed: np.ndarray, masses: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
@@ -78,11 +82,35 @@ def closes(gap: np.ndarray, transitions: Sequence[np.ndarray], sizes: np.ndarray
     whatever else may be corrected (m x k).
 
     All in extents of the motion; `sizes` (m) are those of the state's components, `rate` is None where the
-    period is prescribed.
+    period is prescribed. Components that nothing else drives close by themselves, to their own A.
     """
+    found = _together(gap, transitions, sizes, rate)
+    for own in _closed(transitions, sizes):
+        part = _together(gap[own], [one[np.ix_(own, own)] for one in transitions], sizes[own],
+                         None if rate is None else rate[own])  # fmt: skip
+        larger = min(found.amplification, LARGEST_SCALE) / min(part.amplification, LARGEST_SCALE)
+        found = replace(
+            found, distance=max(found.distance, part.distance), held=max(found.held, part.gap * max(larger, 1.0))
+        )
+    return found
+
+
+def _together(gap: np.ndarray, transitions: Sequence[np.ndarray], sizes: np.ndarray, rate: np.ndarray | None) -> Closure:
     monodromy, largest = carried(transitions, sizes)
-    round_off = ROUND_OFF * EPSILON * min(largest, LARGEST_SCALE)
-    return Closure(float(np.abs(gap).max()), largest, _distance(gap, monodromy, rate, round_off))
+    round_off, widest = ROUND_OFF * EPSILON * min(largest, LARGEST_SCALE), float(np.abs(gap).max())
+    return Closure(widest, largest, _distance(gap, monodromy, rate, round_off), widest)
+
+
+def _closed(transitions: Sequence[np.ndarray], sizes: np.ndarray) -> list[np.ndarray]:
+    """The parts (indices) of a state, each smaller than the whole, on which no other component has an influence."""
+    monodromy, reach = np.eye(sizes.size), np.zeros((sizes.size, sizes.size))
+    for piece in reversed(transitions):
+        monodromy = monodromy @ piece
+        reach = np.maximum(reach, np.abs(monodromy * sizes))
+    drives = ~(reach <= REACHES) | np.eye(sizes.size, dtype=bool)
+    for _ in range(int(np.ceil(np.log2(sizes.size + 1)))):
+        drives = drives @ drives
+    return [np.flatnonzero(one) for one in np.unique(drives, axis=0) if not one.all()]
 
 
 def carried(transitions: Sequence[np.ndarray], sizes: np.ndarray) -> tuple[np.ndarray, float]:

@@ -286,9 +286,9 @@ def _kinetic(model: Model, mode: str, x: np.ndarray) -> float:
     return float(own.kinetic(x[:n], x[n:], own.parameter_values))
 
 
-def turned_further(model: Model, arcs: Sequence[Arc], k: int) -> float:
-    """The largest relative difference of rates, guards and resets along a motion with angle k a turn further."""
-    automaton, turn, worst = Automaton(model), 2 * np.pi * np.eye(arcs[0].states.shape[1])[k], 0.0
+def turned_further(model: Model, arcs: Sequence[Arc], turn: np.ndarray) -> float:
+    """The largest relative difference of rates, guards and resets along a motion at states a `turn` (d) further."""
+    automaton, worst = Automaton(model), 0.0
     for arc in arcs:
         rows = arc.states[:: max(1, len(arc.states) // TRIED)]
         here = np.array([_told(automaton, arc.mode, x) for x in rows])
