@@ -19,7 +19,17 @@ from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.hybrid import as_recorded
 from orbitfinder.mechanics.model import Invariant, Model, counted, energy, wrapped
 from orbitfinder.orbits.between import early_return, overlooked
-from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, alone, between, extents, shift, shift_along
+from orbitfinder.orbits.closure import (
+    EPSILON,
+    LARGEST_SCALE,
+    ROUND_OFF,
+    Closure,
+    alone,
+    between,
+    extents,
+    shift,
+    shift_along,
+)
 from orbitfinder.orbits.control import ControlledEvidence, gather_controlled
 from orbitfinder.orbits.evidence import VARIED, Evidence, constraint_defect, gather, native_closure, second_closure
 from orbitfinder.orbits.floquet import Floquet
@@ -130,13 +140,12 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
     except IntegrationError as error:
         return Certificate((Check("integration", float("inf"), 0.0, False, str(error)),))
     found, scale = evidence.closes, min(evidence.closes.amplification, LARGEST_SCALE)
-    bound = min(orbit.tolerance, allowed.closure) * scale
+    asked = min(orbit.tolerance, allowed.closure)
     # near a saddle errors grow between any two instants, and the variations with them
     passing = ROUND_OFF * EPSILON * min(evidence.growth, LARGEST_GROWTH)
     near = _Nearby(model, evidence.times, evidence.states, evidence.extents)
-    forms = f"DOP853 on {evidence.formulation}; {found.gap / (EPSILON * found.amplification):.2g} round-offs"
     checks = [
-        _at_most("closure", found.held, bound, f"{forms} grown {found.amplification:.3g} times"),
+        _closure_check(found, asked, f"DOP853 on {evidence.formulation}; "),
         _at_most("distance", found.distance, allowed.distance, "of the true orbit, in extents of the motion"),
         _at_most("second_closure", second, allowed.second_closure * scale, "DOP853 at a second tolerance"),
         _at_most("energy_drift", evidence.drift, allowed.energy_drift + found.gap, "relative to the energy exchanged")
@@ -167,6 +176,13 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
     return Certificate(tuple(check for check in checks if check), scale, evidence.closure)
 
 
+def _closure_check(found: Closure, asked: float, note: str = "") -> Check:
+    """The gap of the worst part of the state, by its own A."""
+    gap, grown = found.worst
+    note += f"{gap / (EPSILON * grown):.2g} round-offs grown {grown:.3g} times"
+    return _at_most("closure", gap, asked * min(grown, LARGEST_SCALE), note)
+
+
 def _model_of(orbit: Orbit, model: Model | None) -> Model:
     """The orbit's Model, of a hybrid one without a cycle that with the record's."""
     return as_recorded(model or build_model(orbit.system), orbit.system)
@@ -181,15 +197,15 @@ def _hybrid_certificate(orbit: Orbit, model: Model, turns: np.ndarray, allowed: 
     except (ConvergenceError, IntegrationError) as error:
         return Certificate((Check("events", float("inf"), 0.0, False, str(error)),))
     found, scale = evidence.closes, min(evidence.closes.amplification, LARGEST_SCALE)
-    bound, lasted = min(orbit.tolerance, allowed.closure) * scale, abs(evidence.period / orbit.period - 1)
+    asked, lasted = min(orbit.tolerance, allowed.closure), abs(evidence.period / orbit.period - 1)
     events = ", ".join(str(arc.ended_by) for arc in evidence.arcs)
     reached = np.array([arc.after for arc in evidence.arcs])
     checks = [
         Check("events", 0.0, 0.0, True, f"as simulated by DOP853, all guards watched: {events}"),
-        _at_most("closure", found.held, bound, f"errors grow {found.amplification:.3g} times"),
+        _closure_check(found, asked),
         _at_most("distance", found.distance, allowed.distance, "of the true orbit, in extents of the motion"),
         _at_most("second_closure", second, allowed.second_closure * scale, "DOP853 at a second tolerance"),
-        _at_most("recorded_period", lasted, bound, "time of the last event / recorded period - 1"),
+        _at_most("recorded_period", lasted, asked * scale, "time of the last event / recorded period - 1"),
         _at_most("energy_drift", evidence.drift, allowed.energy_drift + found.gap, "in arcs without forces"),
         _at_most("energy_balance", evidence.balance, allowed.energy_drift + found.gap, "energy lost in impacts"),
         _cycle_check(evidence.arcs, orbit, reached, evidence.extents, allowed.cover),
@@ -218,16 +234,17 @@ def _controlled_certificate(orbit: Orbit, model: Model, turns: np.ndarray, allow
     assert orbit.control is not None
     try:
         found = gather_controlled(
-            model, orbit.state, orbit.period, turns, orbit.control, orbit.symmetry, tuple(orbit.shift)
-        )
+            model, orbit.state, orbit.period, turns, orbit.control, orbit.symmetry, tuple(orbit.shift),
+            (orbit.times, orbit.samples) if orbit.samples.size or orbit.times.size else None,
+        )  # fmt: skip
     except IntegrationError as error:
         return Certificate((Check("integration", float("inf"), 0.0, False, str(error)),))
     scale = min(found.closes.amplification, LARGEST_SCALE)
-    bound, recorded = min(orbit.tolerance, allowed.closure) * scale, orbit.control.get("cost", np.nan)
+    asked, recorded = min(orbit.tolerance, allowed.closure), orbit.control.get("cost", np.nan)
     room = allowed.record + 10 * found.closes.gap
     pair = f"H varies by {found.drift:.2g}; 0 at the optimum over all controls, of any form"
     checks = [
-        _at_most("closure", found.closes.held, bound, f"DOP853, the recorded control; errors grow {scale:.3g} times"),
+        _closure_check(found.closes, asked, "DOP853, the recorded control; "),
         _at_most("distance", found.closes.distance, allowed.distance, "of the true orbit and control, in extents"),
         _at_most("second_closure", found.second, allowed.second_closure * scale, "DOP853 at a second tolerance"),
         _at_least("not_equilibrium", _extent(found.states, model), allowed.motion, "extent of the motion"),
@@ -302,11 +319,9 @@ def _controlled_record_checks(
         if any(orbit.unfolding)
         else None,
     ]  # fmt: skip
-    if orbit.samples.size:
+    if orbit.samples.size or orbit.times.size:
         room = min(max(SAMPLES_OFF, 1e-12 * found.closes.amplification), LARGEST_PICTURE)
-        alike = orbit.samples.shape == found.states.shape
-        away = float(np.abs((orbit.samples - found.states) / found.extents).max()) if alike else np.inf
-        checks.append(_at_most("samples", away, room, "off the recomputed motion"))
+        checks.append(_at_most("samples", found.off, room, "off the recomputed motion"))
     if orbit.record is not None:
         checks.append(_same("record", orbit.record, digest(orbit_to_document(orbit))))
     return [check for check in checks if check]

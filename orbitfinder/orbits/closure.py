@@ -37,13 +37,13 @@ ROUND_OFF = 30.0
 
 @dataclass(frozen=True)
 class Closure:
-    """The largest component of the gap in extents of the motion, A, the distance to the true orbit, and the gap `held`
-    to A: that of components which depend on some others only, times A over theirs, where that is more."""
+    """The largest component of the gap in extents of the motion, A, the distance to the true orbit, and gap and A of
+    the `worst` part of the state that nothing else drives, which may be the whole."""
 
     gap: float
     amplification: float
     distance: float
-    held: float
+    worst: tuple[float, float]
 
 
 def extents(moved: np.ndarray, rushed: np.ndarray, masses: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
@@ -85,20 +85,18 @@ def closes(gap: np.ndarray, transitions: Sequence[np.ndarray], sizes: np.ndarray
     period is prescribed. Components that nothing else drives close by themselves, to their own A.
     """
     found = _together(gap, transitions, sizes, rate)
+    parts = [found]
     for own in _closed(transitions, sizes):
-        part = _together(gap[own], [one[np.ix_(own, own)] for one in transitions], sizes[own],
-                         None if rate is None else rate[own])  # fmt: skip
-        larger = min(found.amplification, LARGEST_SCALE) / min(part.amplification, LARGEST_SCALE)
-        found = replace(
-            found, distance=max(found.distance, part.distance), held=max(found.held, part.gap * max(larger, 1.0))
-        )
-    return found
+        inner = [one[np.ix_(own, own)] for one in transitions]
+        parts.append(_together(gap[own], inner, sizes[own], None if rate is None else rate[own]))
+    worst = max(parts, key=lambda one: one.gap / min(one.amplification, LARGEST_SCALE))
+    return replace(found, distance=max(one.distance for one in parts), worst=worst.worst)
 
 
 def _together(gap: np.ndarray, transitions: Sequence[np.ndarray], sizes: np.ndarray, rate: np.ndarray | None) -> Closure:
     monodromy, largest = carried(transitions, sizes)
     round_off, widest = ROUND_OFF * EPSILON * min(largest, LARGEST_SCALE), float(np.abs(gap).max())
-    return Closure(widest, largest, _distance(gap, monodromy, rate, round_off), widest)
+    return Closure(widest, largest, _distance(gap, monodromy, rate, round_off), (widest, largest))
 
 
 def _closed(transitions: Sequence[np.ndarray], sizes: np.ndarray) -> list[np.ndarray]:
