@@ -46,6 +46,8 @@ LARGEST_GROWTH = 1e10
 """Growth of errors between any two instants that may excuse the trivial multipliers"""
 PAIRED, LARGEST_DEFECT = 10.0, 0.1
 """Relative errors of the integration in the product of two reciprocal multipliers; and what excuses no more"""
+BADLY = 1e-9
+"""Multipliers whose products are as far from 1 as this are looked at for better ones"""
 RECORDED = "recorded - recomputed, relative"
 MEETING = 1e-4
 """How near to each other mu and 1 / mu are where their sum is known better than they are"""
@@ -123,14 +125,26 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
     See Also:
         `of.prove` for a theorem in place of a measurement.
     """
-    allowed, model = tolerances or Tolerances(), _model_of(orbit, model)
+    return _judged(orbit, _model_of(orbit, model), tolerances or Tolerances())[1]
+
+
+@one_thread()
+def certified(orbit: Orbit, model: Model) -> Orbit:
+    """The orbit with its certificate and the closure found there, and its multipliers where they are better known."""
+    orbit, certificate = _judged(orbit, _model_of(orbit, model), Tolerances(), better=True)
+    closure = certificate.closure if np.isfinite(certificate.closure) else orbit.closure
+    return replace(orbit, certificate=certificate, closure=closure)
+
+
+def _judged(orbit: Orbit, model: Model, allowed: Tolerances, better: bool = False) -> tuple[Orbit, Certificate]:
+    """An orbit, with the multipliers recomputed here where they are `better` known, and its certificate."""
     whole = _turns(orbit, model)
     turns = turned(model, whole, orbit.shift)
     if not (np.all(np.isfinite(orbit.state)) and np.isfinite(orbit.period) and orbit.period > 0):
-        return Certificate((Check("finite", float("nan"), 0.0, False, "state or period is not a number"),))
+        return orbit, Certificate((Check("finite", float("nan"), 0.0, False, "state or period is not a number"),))
     special = _controlled_certificate if orbit.control is not None else _hybrid_certificate
     if orbit.control is not None or model.hybrid is not None:
-        return special(orbit, model, whole, allowed)
+        return orbit, special(orbit, model, whole, allowed)
     pictured = _pictured(orbit)
     apart = beside(whole, [shifts_of(model)[name].direction for name in orbit.shift])
     moments = np.concatenate([times for _, times, _, _ in pictured])
@@ -138,7 +152,8 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
         evidence = gather(model, orbit.state, orbit.period, turns, moments)
         second = second_closure(model, orbit.state, orbit.period, turns, evidence.extents)
     except IntegrationError as error:
-        return Certificate((Check("integration", float("inf"), 0.0, False, str(error)),))
+        return orbit, Certificate((Check("integration", float("inf"), 0.0, False, str(error)),))
+    orbit = _better_known(orbit, evidence.floquet) if better else orbit
     found, scale = evidence.closes, min(evidence.closes.amplification, LARGEST_SCALE)
     asked = min(orbit.tolerance, allowed.closure)
     # near a saddle errors grow between any two instants, and the variations with them
@@ -173,7 +188,17 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
         *_picture_checks(pictured, evidence.reached, evidence),
         *_expected_checks(orbit, model),
     ]  # fmt: skip
-    return Certificate(tuple(check for check in checks if check), scale, evidence.closure)
+    return orbit, Certificate(tuple(check for check in checks if check), scale, evidence.closure)
+
+
+def _better_known(orbit: Orbit, found: Floquet) -> Orbit:
+    """The orbit with multipliers whose pairs are reciprocal ten times better, if both are the same to the worse ones'."""
+    known = orbit.pair_defect > BADLY and PAIRED * found.pair_defect < orbit.pair_defect
+    if not known or not _multiplier_distance(orbit, found) <= orbit.pair_defect:
+        return orbit
+    return replace(
+        orbit, floquet_multipliers=found.multipliers, pair_defect=found.pair_defect, stability=found.stability
+    )
 
 
 def _closure_check(found: Closure, asked: float, note: str = "") -> Check:
@@ -404,13 +429,6 @@ def _hybrid_record_checks(
     if orbit.record is not None:
         checks.append(_same("record", orbit.record, digest(orbit_to_document(orbit))))
     return [check for check in checks if check]
-
-
-def certified(orbit: Orbit, model: Model) -> Orbit:
-    """The orbit with its certificate and the closure found there."""
-    certificate = certify(orbit, model)
-    closure = certificate.closure if np.isfinite(certificate.closure) else orbit.closure
-    return replace(orbit, certificate=certificate, closure=closure)
 
 
 def _turns(orbit: Orbit, model: Model) -> np.ndarray:
