@@ -22,6 +22,8 @@ SUSPECT = 1e-6
 """Rates this far off the smooth curve through four steps, relative to the largest, have their steps taken again"""
 RETAKEN, FINER = 16, 4
 """Steps that are taken again at most, and steps of the integrator between two looks there"""
+CLOSER, BEYOND = 513, 1e-9
+"""Looks at a guard where it is not on its curve, and by what share of its largest height it is beyond 0"""
 
 
 def early_return(
@@ -94,7 +96,7 @@ def _later(trace: Trace, lag: float) -> float:
     return float(np.abs(there - trace.at(moments) - lag / period * trace.drift).max())
 
 
-def overlooked(trace: Trace) -> tuple[float, float, int]:
+def overlooked(trace: Trace, looks: int = LOOKS) -> tuple[float, float, int]:
     """What features of the rates that are narrower than a step change, in extents; the widest gap between two looks, in
     extents and periods, and their number.
 
@@ -104,25 +106,60 @@ def overlooked(trace: Trace) -> tuple[float, float, int]:
     times, y, period = trace.moments, trace.states, float(trace.moments[-1])
     if len(times) < 4:
         return 0.0, 1.0, 0
-    each = np.maximum(np.abs(np.diff(y, axis=0)).max(axis=1), np.diff(times) / period)
-    way = np.append(0.0, np.cumsum(each))
-    count = min((LOOKS if trace.together else ONE_BY_ONE) * len(times), MOST_LOOKS)
-    looks = (np.arange(count) + np.random.default_rng(0).uniform()) * (way[-1] / count)
-    step = np.searchsorted(way, looks, side="right") - 1
-    moments = times[step] + (looks - way[step]) / each[step] * (times[step + 1] - times[step])
+    moments, step, width = _looks(trace, looks)
     slopes = trace.rates(times, y)
     states, rates = curve(times, y, slopes, step, moments)
     with np.errstate(all="ignore"):
         off = np.abs(trace.rates(moments, states) - rates).max(axis=1)
     off = np.where(np.isfinite(off), off, np.inf)
     suspect = off > SUSPECT * max(float(np.abs(slopes).max()), 1.0 / period)
-    worst = np.zeros(len(each))
+    worst = np.zeros(len(times) - 1)
     np.maximum.at(worst, step[suspect], off[suspect])
-    changed, width = 0.0, way[-1] / count
+    changed = 0.0
     for k in np.argsort(-worst)[: min(RETAKEN, np.count_nonzero(worst))]:
-        own, near = moments[suspect & (step == k)], width / each[k] * (times[k + 1] - times[k])
+        own, near = moments[suspect & (step == k)], float(np.diff(moments[step == k], append=times[k + 1]).max())
         changed += _retaken(trace, k, max(own[0] - near, times[k]), min(own[-1] + near, times[k + 1]), near / FINER)
-    return changed, width, count
+    return changed, width, moments.size
+
+
+def _looks(trace: Trace, looks: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Moments (m) at equal distances along a motion, the steps in which they lie, and that distance."""
+    times, period = trace.moments, float(trace.moments[-1])
+    each = np.maximum(np.abs(np.diff(trace.states, axis=0)).max(axis=1), np.diff(times) / period)
+    way = np.append(0.0, np.cumsum(each))
+    count = min((looks if trace.together else ONE_BY_ONE) * len(times), MOST_LOOKS)
+    places = (np.arange(count) + np.random.default_rng(0).uniform()) * (way[-1] / count)
+    step = np.minimum(np.searchsorted(way, places, side="right") - 1, len(each) - 1)
+    return times[step] + (places - way[step]) / each[step] * (times[step + 1] - times[step]), step, way[-1] / count
+
+
+def risen(
+    trace: Trace,
+    height: Callable[[np.ndarray], np.ndarray],
+    climb: Callable[[np.ndarray], np.ndarray],
+    looks: int = LOOKS,
+) -> np.ndarray:
+    """States (k x n) beyond a guard whose height (m, of states m x n) rises through 0 on the way, for however short;
+    `climb` is the rate of the height.
+
+    Looked for as what `overlooked` looks for, closer where the height is not on its curve through four steps.
+    """
+    times, y = trace.moments, trace.states
+    if len(times) < 4:
+        return y[:0]
+    moments, step, _ = _looks(trace, looks)
+    slopes, nodes = trace.rates(times, y), height(y)
+    known, size = curve(times, nodes[:, None], climb(y)[:, None], step, moments)[0][:, 0], np.abs(nodes).max()
+    off = np.abs(height(curve(times, y, slopes, step, moments)[0]) - known)
+    worst = np.argsort(-off)[:RETAKEN]
+    near = np.gradient(moments)[worst]
+    closer = [np.linspace(m - w, m + w, CLOSER) for m, w in zip(moments[worst], near, strict=True)]
+    closer = [one for one, far in zip(closer, off[worst], strict=True) if far > SUSPECT * size]
+    moments = np.unique(np.clip(np.concatenate([moments, *closer]), 0.0, times[-1]))
+    step = np.clip(np.searchsorted(times, moments, side="right") - 1, 0, len(times) - 2)
+    states = curve(times, y, slopes, step, moments)[0]
+    above = height(states)
+    return np.asarray(states[1:][(above[:-1] < 0) & (above[1:] > BEYOND * size)])
 
 
 def _retaken(trace: Trace, k: int, begin: float, end: float, longest: float) -> float:

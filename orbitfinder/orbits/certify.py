@@ -33,7 +33,7 @@ from orbitfinder.orbits.closure import (
 from orbitfinder.orbits.control import ControlledEvidence, gather_controlled
 from orbitfinder.orbits.evidence import VARIED, Evidence, constraint_defect, gather, native_closure, second_closure
 from orbitfinder.orbits.floquet import Floquet
-from orbitfinder.orbits.hybrid import HybridEvidence, gather_hybrid, held, off_motion, second_gap, turned_further
+from orbitfinder.orbits.hybrid import HybridEvidence, gather_hybrid, held, off_motion, second_gap, turned_further, unseen
 from orbitfinder.orbits.reduction import reduction
 from orbitfinder.records.family import FamilyPoint
 from orbitfinder.records.orbit import SHIFT, Certificate, Check, Orbit, digest, orbit_to_document
@@ -235,6 +235,7 @@ def _hybrid_certificate(orbit: Orbit, model: Model, turns: np.ndarray, allowed: 
         _at_most("energy_balance", evidence.balance, allowed.energy_drift + found.gap, "energy lost in impacts"),
         _cycle_check(evidence.arcs, orbit, reached, evidence.extents, allowed.cover),
         _at_least("not_equilibrium", _extent(evidence.states, model), allowed.motion, "extent of the motion"),
+        _hybrid_resolution(model, evidence),
         _at_least("transversal", evidence.transversal, allowed.transversal, "least rate of a guard, relative"),
         _at_least("decided", evidence.decided, allowed.transversal, "least |allowed| at a crossing, relative")
         if np.isfinite(evidence.decided)
@@ -373,6 +374,15 @@ def _hybrid_premises(model: Model, evidence: HybridEvidence, turns: np.ndarray) 
         by = shift(turns, evidence.extents.size)
         found = max(turned_further(model, evidence.arcs, k * by) for k in TURNS[1:5])
         yield _at_most("winding", found, EXACT, f"modes, guards and resets with {names} turned on")
+
+
+def _hybrid_resolution(model: Model, evidence: HybridEvidence) -> Check:
+    """No feature of the modes' equations, and no crossing of a guard, between two steps of the simulation."""
+    found, width, crossed = unseen(model, evidence)
+    note = f"change by what lies between steps; looks {width:.1e} of an arc or less apart"
+    if crossed:
+        found, note = 1.0, f"the guard of {crossed} is crossed where the simulation saw nothing"
+    return _at_most("resolution", found, RESOLVED, note)
 
 
 def _hybrid_pictures(orbit: Orbit, model: Model, evidence: HybridEvidence) -> Iterator[Check]:
