@@ -73,9 +73,7 @@ def test_a_force_far_narrower_than_a_step_is_found(place):
 
 @pytest.mark.parametrize("place", [0.3, -0.7123])
 def test_a_rectangular_force_of_a_ten_thousandth_is_found(place):
-    model = of.ode(
-        lambda t, x, p: [x.v, -x.x + ca.if_else(ca.fabs(x.x - place) < 1e-4, 20.0 * x.v, 0)], ("x", "v")
-    )
+    model = of.ode(lambda t, x, p: [x.v, -x.x + ca.if_else(ca.fabs(x.x - place) < 1e-4, 20.0 * x.v, 0)], ("x", "v"))
     assert certify(flat(model, [1.0, 0.0], 2 * np.pi), model).failures == ("resolution",)
 
 

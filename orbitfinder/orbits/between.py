@@ -13,7 +13,8 @@ from orbitfinder.integrate.dop853 import Trace, integrate
 WITHIN = 4
 """Looks at the cubic between two steps for the nearest return"""
 NEARBY, SAME, POLISHED = 1e-2, 1e-5, 6
-"""Extents within which a return is polished (by so many steps on its time), and the whole motion compared with itself"""
+"""Extents within which a return is polished, and within which the whole motion is compared with itself; steps of the
+polish"""
 ALONG = 64
 """Moments at which a motion is compared with itself a return later"""
 LOOKS, ONE_BY_ONE, MOST_LOOKS = 40, 2, 2**16
@@ -179,8 +180,8 @@ def _retaken(trace: Trace, k: int, begin: float, end: float, longest: float) -> 
 def curve(
     times: np.ndarray, values: np.ndarray, slopes: np.ndarray, step: np.ndarray, moments: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Values and slopes (m x d) at increasing moments (m), each within a `step`, of the polynomials of degree seven through the
-    values and slopes (k x d) at the four times about it."""
+    """Values and slopes (m x d) at increasing moments (m), each within a `step`, of the polynomials of degree seven
+    through the values and slopes (k x d) at the four times about it."""
     first = np.clip(np.arange(len(times) - 1) - 1, 0, len(times) - 4)[:, None] + np.repeat(np.arange(4), 2)
     z, table, found = times[first], values[first], [values[first[:, 0]]]
     for order in range(1, 8):

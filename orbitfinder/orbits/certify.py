@@ -33,7 +33,15 @@ from orbitfinder.orbits.closure import (
 from orbitfinder.orbits.control import ControlledEvidence, gather_controlled
 from orbitfinder.orbits.evidence import VARIED, Evidence, constraint_defect, gather, native_closure, second_closure
 from orbitfinder.orbits.floquet import Floquet
-from orbitfinder.orbits.hybrid import HybridEvidence, gather_hybrid, held, off_motion, second_gap, turned_further, unseen
+from orbitfinder.orbits.hybrid import (
+    HybridEvidence,
+    gather_hybrid,
+    held,
+    off_motion,
+    second_gap,
+    turned_further,
+    unseen,
+)
 from orbitfinder.orbits.reduction import reduction
 from orbitfinder.records.family import FamilyPoint
 from orbitfinder.records.orbit import SHIFT, Certificate, Check, Orbit, digest, orbit_to_document
@@ -192,7 +200,7 @@ def _judged(orbit: Orbit, model: Model, allowed: Tolerances, better: bool = Fals
 
 
 def _better_known(orbit: Orbit, found: Floquet) -> Orbit:
-    """The orbit with multipliers whose pairs are reciprocal ten times better, if both are the same to the worse ones'."""
+    """The orbit with multipliers whose pairs are reciprocal ten times better, if they agree to what the worse claim."""
     known = orbit.pair_defect > BADLY and PAIRED * found.pair_defect < orbit.pair_defect
     if not known or not _multiplier_distance(orbit, found) <= orbit.pair_defect:
         return orbit
@@ -713,7 +721,7 @@ class _Nearby:
         for k in range(1, LATER + 1):
             by = k * wait if clock else (k - random.uniform(0.0, 0.9, PARTS)) * wait
             found = max(found, self._differ(self._accelerations(parts + by, rows), here))
-        note = f"equations of motion at {PARTS} parts of {LATER} later periods" + " of the forcing" * (clock is not None)
+        note = f"equations of motion at {PARTS} parts of {LATER} later periods{' of the forcing' * (clock is not None)}"
         return _at_most("time_dependence", found, EXACT, note)
 
     def smooth(self) -> Check:

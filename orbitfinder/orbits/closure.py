@@ -93,7 +93,9 @@ def closes(gap: np.ndarray, transitions: Sequence[np.ndarray], sizes: np.ndarray
     return replace(found, distance=max(one.distance for one in parts), worst=worst.worst)
 
 
-def _together(gap: np.ndarray, transitions: Sequence[np.ndarray], sizes: np.ndarray, rate: np.ndarray | None) -> Closure:
+def _together(
+    gap: np.ndarray, transitions: Sequence[np.ndarray], sizes: np.ndarray, rate: np.ndarray | None
+) -> Closure:
     monodromy, largest = carried(transitions, sizes)
     round_off, widest = ROUND_OFF * EPSILON * min(largest, LARGEST_SCALE), float(np.abs(gap).max())
     return Closure(widest, largest, _distance(gap, monodromy, rate, round_off), (widest, largest))

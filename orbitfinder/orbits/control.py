@@ -76,7 +76,8 @@ class ControlledEvidence:
 
     `stationarity` is what the best multipliers leave of the conditions of an optimum, relative to the cost;
     `pointwise` the largest |H_u| relative to its terms, `drift` how far H is from constant, relative; `margins` by
-    name how far tasks and limits are violated, relative; `wrong` the worst sign of a multiplier, relative; `off` how far states that a record shows are off the motion, in extents.
+    name how far tasks and limits are violated, relative; `wrong` the worst sign of a multiplier, relative;
+    `off` how far states that a record shows are off the motion, in extents.
     """
 
     times: np.ndarray
@@ -409,7 +410,7 @@ def _sampled(
 def _off_motion(
     motion: _Motion, pieces: list[np.ndarray], times: np.ndarray, samples: np.ndarray, units: np.ndarray
 ) -> float:
-    """How far recorded samples (k x d) are off the motion at their times (k), in units; infinite where they are none."""
+    """How far recorded samples (k x d) are off the motion at their times (k), in units; infinite if they are none."""
     edge, began, far = TIED * motion.period, 0.0, np.full(times.size, np.inf)
     if samples.shape != (times.size, units.size) or times.size < 2 or not np.all(np.diff(times) >= 0):
         return float("inf")
@@ -420,7 +421,8 @@ def _off_motion(
         own = (times >= began - edge) & (times <= began + h + edge)
         shares = np.clip((times[own] - began) / h, 0.0, 1.0)
         moments = np.unique(np.append(shares, 0.0))
-        states = integrate(motion.forward[motion.parts.arc(k)].at(motion.given(k, h)), piece[0], moments, TIGHTEST, 0.25)
+        field = motion.forward[motion.parts.arc(k)].at(motion.given(k, h))
+        states = integrate(field, piece[0], moments, TIGHTEST, 0.25)
         off = np.abs((states[np.searchsorted(moments, shares), : units.size] - samples[own]) / units).max(axis=1)
         far[own], began = np.fmin(far[own], off), began + h
     return float(far.max())

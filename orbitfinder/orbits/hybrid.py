@@ -313,11 +313,11 @@ def unseen(model: Model, evidence: HybridEvidence) -> tuple[float, float, str]:
         for one in automaton.hybrid.leaving(arc.mode):
 
             def height(rows: np.ndarray, one: Transition = one) -> np.ndarray:
-                return one.direction * model.along(one.guard, (rows * units).T).ravel()
+                return np.asarray(one.direction * model.along(one.guard, (rows * units).T).ravel())
 
             def climb(rows: np.ndarray, one: Transition = one, rates: Rates = rates) -> np.ndarray:
                 slopes = model.along(one.slope, (rows * units).T).reshape(rows.shape)
-                return one.direction * (slopes * rates(np.zeros(len(rows)), rows) * units).sum(axis=1)
+                return np.asarray(one.direction * (slopes * rates(np.zeros(len(rows)), rows) * units).sum(axis=1))
 
             beyond = risen(trace, height, climb, LOOKS)
             if len(beyond) and (one.allowed is None or np.any(model.along(one.allowed, (beyond * units).T) > 0)):
