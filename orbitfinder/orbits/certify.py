@@ -511,7 +511,7 @@ def _forcing_check(orbit: Orbit, model: Model) -> Check | None:
 
 def _minimal_period(near: _Nearby, apart: np.ndarray, tolerance: float, evidence: Evidence) -> Check | None:
     """The motion, and what forces it, do not come back before the period is over."""
-    if abs(gcd(*(int(k) for k in apart))) == 1:
+    if gcd(*(int(k) for k in np.rint(apart))) == 1:
         return None
     found, lag = early_return(evidence.trace, apart, near.forced_alike if near.model.forced else None)
     both = " of motion and forcing" if near.model.forced and found < tolerance else ""
@@ -521,7 +521,10 @@ def _minimal_period(near: _Nearby, apart: np.ndarray, tolerance: float, evidence
 
 def _resolution(evidence: Evidence) -> Check:
     """No feature of the equations between two steps of the integration changes where it ends."""
-    found, width, count = overlooked(evidence.trace)
+    try:
+        found, width, count = overlooked(evidence.trace)
+    except IntegrationError as error:
+        return Check("resolution", float("inf"), RESOLVED, False, str(error))
     note = f"change by what lies between steps; {count} looks, each {width:.1e} of the motion or less from the next"
     return _at_most("resolution", found, RESOLVED, note)
 
