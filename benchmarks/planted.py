@@ -339,7 +339,7 @@ def main() -> None:
     """Plant, certify, count, write the page."""
     table: Counter[tuple[str, bool, bool, bool]] = Counter()
     odd: list[str] = []
-    last = ""
+    last, target = "", Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "results" / "validation" / "planted.md"
     for name, plant, right in planted():
         certificate = certify(plant.orbit, plant.model)
         below = certificate.passed and not right and plant.wide < looked(certificate)
@@ -353,8 +353,8 @@ def main() -> None:
             )
         if name != last:
             print(name, flush=True)
+            target.write_text(page(table, odd))  # what has been judged so far
         last = name
-    target = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "results" / "validation" / "planted.md"
     target.write_text(page(table, odd))
     wrong = Counter({key: n for key, n in table.items() if not key[1]})
     print(target.name, wrong.total(), "false,", sum(n for key, n in wrong.items() if key[2] and not key[3]),

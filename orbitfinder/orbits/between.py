@@ -15,6 +15,8 @@ WITHIN = 4
 NEARBY, SAME, POLISHED = 1e-2, 1e-5, 6
 """Extents within which a return is polished, and within which the whole motion is compared with itself; steps of the
 polish"""
+AGAIN = 1e-9
+"""Share of the period within which a return is where it began"""
 ALONG = 64
 """Moments at which a motion is compared with itself a return later"""
 LOOKS, ONE_BY_ONE, MOST_LOOKS = 40, 2, 2**16
@@ -85,7 +87,8 @@ def _returns(trace: Trace) -> tuple[np.ndarray, np.ndarray]:
         step = (away * rate).sum(axis=1) / np.maximum((rate * rate).sum(axis=1), 1e-300)
         lag = np.clip(lag - step, first - room, first + room)
     polished = np.abs(away).max(axis=1) if k.size else np.zeros(0)
-    return np.concatenate([lag, lags[others]]) % period, np.append(polished, np.abs(off[others]).max(axis=1))
+    own = (lag > AGAIN * period) & (lag < (1 - AGAIN) * period)  # a motion that does not close has minima at its seam
+    return np.append(lag[own], lags[others]), np.append(polished[own], np.abs(off[others]).max(axis=1))
 
 
 def _later(trace: Trace, lag: float) -> float:
