@@ -76,15 +76,11 @@ def recorded(case: Case) -> of.Orbit:
 
 def bases() -> list[Case]:
     """Thirty true orbits: conservative, dissipative, forced, linkages, running, very unstable, near a separatrix."""
-    cases = [case for case in shipped() if case.name not in LEFT_OUT and mechanical(case)]
+    relative = {orbit.name for kind, orbit, _ in others() if kind == "relative"}
+    cases = [case for case in shipped() if case.name not in {*LEFT_OUT, *relative} and case.model.rates is None]
     near = [case for case in upright() if case.name.endswith(("1e-2 below upright, from the top",
                                                               "1e-3 below upright, from the bottom"))]  # fmt: skip
     return [*cases, *near, *list(unstable(2))]
-
-
-def mechanical(case: Case) -> bool:
-    """Whether a case has coordinates and rates, and comes back by whole turns."""
-    return case.model.rates is None and bool(np.all(case.turns == np.rint(case.turns)))
 
 
 def physical(orbit: of.Orbit, model: Model, units: np.ndarray, random: np.random.Generator) -> Iterator[Plant]:

@@ -46,6 +46,13 @@ def test_multiples_beyond_a_hundred_are_rejected_by_name(name, k):
     assert f"T/{k}" in check(certificate, "minimal_period").note
 
 
+@pytest.mark.parametrize("name", ["double-pendulum-fast-mode", "figure-eight-reduced", "duffing"])
+@pytest.mark.parametrize("k", [2, 3, 13])
+def test_a_return_is_seen_before_and_after_where_the_motion_is_fastest(name, k):
+    orbit = of.load_orbit(ROOT / "results" / "gallery" / name / "orbit.json")
+    assert "minimal_period" in certify(times_round(orbit, k)).failures
+
+
 def test_prime_factors():
     assert [primes(n) for n in (1, 2, 12, 97 * 103, 2**10)] == [[], [2], [2, 3], [97, 103], [2]]
 

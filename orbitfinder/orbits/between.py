@@ -87,8 +87,9 @@ def _returns(trace: Trace) -> tuple[np.ndarray, np.ndarray]:
         step = (away * rate).sum(axis=1) / np.maximum((rate * rate).sum(axis=1), 1e-300)
         lag = np.clip(lag - step, first - room, first + room)
     polished = np.abs(away).max(axis=1) if k.size else np.zeros(0)
+    lag = lag % period
     own = (lag > AGAIN * period) & (lag < (1 - AGAIN) * period)  # a motion that does not close has minima at its seam
-    return np.append(lag[own], lags[others]), np.append(polished[own], np.abs(off[others]).max(axis=1))
+    return np.append(lag[own], lags[others] % period), np.append(polished[own], np.abs(off[others]).max(axis=1))
 
 
 def _later(trace: Trace, lag: float) -> float:
