@@ -395,7 +395,7 @@ def socket_of(base, origin, frames=()):
     return answer
 
 
-@nicegui
+@pytest.mark.needs("studio")
 def test_pages_of_elsewhere_what_they_send_and_too_many_tabs_are_refused_in_a_word(server):
     base = server.address.rpartition("/")[0]
 
@@ -424,7 +424,7 @@ def test_only_this_user_can_read_where_a_browser_is_sent(tmp_path):
         redirect(tmp_path, "http://127.0.0.1:1/secret")
 
 
-@nicegui
+@pytest.mark.needs("studio")
 def test_a_tab_that_is_closed_leaves_nothing(session):
     from types import SimpleNamespace
 

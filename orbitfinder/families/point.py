@@ -141,14 +141,9 @@ def make_point(
 
 
 def action_at(curve: Curve, found: Solution) -> float:
-    """The action over the horizon (J s). Where it is not stationary, it is that of the place after Newton's last step.
-
-    At one energy of a smooth conservative system it is: there an error of the state counts squared.
-    """
-    p = curve.equations
-    if found.stepped < STEPPED or (p.model.conservative and not p.links):
-        return found.march.integral
-    return p.varied(found.place).integral
+    """The action over the horizon (J s) of the place after Newton's last step, which may have changed the energy: by
+    dE, and so the action by T dE."""
+    return found.march.integral if found.stepped < STEPPED else curve.equations.varied(found.place).integral
 
 
 def checked_pieces(curve: Curve, found: Solution, check: ClosureCheck, free: Mapping[str, float]) -> float:

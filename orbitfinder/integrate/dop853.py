@@ -23,8 +23,8 @@ from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.evaluate import Buffered
 
 VectorField = Callable[[float, np.ndarray], np.ndarray]
-TOGETHER = 64
-"""States whose rates are evaluated in one call, where many are wanted."""
+TOGETHER = (64, 1024)
+"""States whose rates are evaluated in one call, where many are wanted and where very many are."""
 
 
 @dataclass(frozen=True)
@@ -70,18 +70,19 @@ def vector_field(function: ca.Function, free: np.ndarray | None = None) -> Vecto
         evaluate()
         return rate.copy()
 
-    mapped: list[Buffered] = []
+    mapped: dict[int, Buffered] = {}
 
     def many(times: np.ndarray, states: np.ndarray) -> np.ndarray:
         if len(times) == 1:
             return call(times[0], states[0])[None]
-        if not mapped:
-            mapped.append(Buffered(dense.map(TOGETHER)))
-        filled = -(-len(times) // TOGETHER) * TOGETHER  # whole blocks, the last one padded with the last state
+        size = TOGETHER[len(times) > TOGETHER[1]]
+        if size not in mapped:
+            mapped[size] = Buffered(dense.map(size))
+        filled = -(-len(times) // size) * size  # whole blocks, the last one padded with the last state
         clock = np.pad(times, (0, filled - len(times)), mode="edge")[:, None]
         padded = np.pad(states, ((0, filled - len(times)), (0, 0)), mode="edge")
-        blocks = (slice(k, k + TOGETHER) for k in range(0, filled, TOGETHER))
-        return np.vstack([mapped[0](clock[block], padded[block], *given)[0] for block in blocks])[: len(times)]
+        blocks = (slice(k, k + size) for k in range(0, filled, size))
+        return np.vstack([mapped[size](clock[block], padded[block], *given)[0] for block in blocks])[: len(times)]
 
     call.keep = (dense, buffer)  # type: ignore[attr-defined]  # or both are freed under the evaluation
     call.memory = (time, state, rate, evaluate)  # type: ignore[attr-defined]
@@ -104,9 +105,29 @@ def scaled(field: VectorField, units: np.ndarray) -> VectorField:
             evaluate()
             return np.asarray(rate / units)
 
-    rates = getattr(field, "many", None) or _one_by_one(field)
+    rates, together = rates_of(field)
     call.many = lambda times, states: rates(times, states * units) / units  # type: ignore[attr-defined]
+    call.together = together  # type: ignore[attr-defined]
     return call
+
+
+@dataclass(frozen=True)
+class Trace:
+    """The accepted steps of an integration: moments (k), states (k x n), and rates f(t, y) of rows of states.
+
+    `drift` (n) is how far a closed motion goes on in a period.
+    """
+
+    moments: np.ndarray
+    states: np.ndarray
+    rates: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    together: bool
+    """whether rates of many states come from one call"""
+    drift: np.ndarray | float = 0.0
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        """States at times from the first moment to the last, each by one step of DOP853."""
+        return _between(self.moments, self.states, self.rates, np.asarray(times, float))
 
 
 @dataclass
@@ -145,8 +166,9 @@ def integrate(
     times: np.ndarray,
     settings: ReferenceSettings = TIGHTEST,
     longest_step: float = np.inf,
+    traces: list[Trace] | None = None,
 ) -> np.ndarray:
-    """States (k x n) at increasing `times` (k, the first is the start), by DOP853.
+    """States (k x n) at increasing `times` (k > 2 for its `traces`, the first is the start), by DOP853.
 
     `longest_step` (s) buys digits that the smallest sensible relative tolerance does not give.
 
@@ -162,7 +184,10 @@ def integrate(
     steps = _Steps(field)
     try:
         end = _stepped(steps, start, times, settings, longest_step)
-        inner = _between(steps, times[1:-1]) if times.size > 2 else np.zeros((0, start.size))
+        trace = Trace(np.array(steps.moments), np.array(steps.states), *rates_of(field))
+        inner = trace.at(times[1:-1]) if times.size > 2 else np.zeros((0, start.size))
+        if traces is not None:
+            traces.append(trace)
     finally:
         vars(steps).clear()  # the field, 0.1 MB and more of steps, whoever still has it
     states = np.vstack([start, inner, end])
@@ -178,9 +203,10 @@ def integrate_in(
     times: np.ndarray,
     settings: ReferenceSettings = TIGHTEST,
     longest_step: float = np.inf,
+    traces: list[Trace] | None = None,
 ) -> np.ndarray:
-    """`integrate` with the components measured in `units`; states in their own."""
-    return np.asarray(integrate(scaled(field, units), start / units, times, settings, longest_step) * units)
+    """`integrate` with the components measured in `units`, in its traces too; states in their own."""
+    return np.asarray(integrate(scaled(field, units), start / units, times, settings, longest_step, traces) * units)
 
 
 def _stepped(
@@ -240,12 +266,13 @@ def _root(error: BaseException) -> BaseException:
     return error
 
 
-def _between(steps: _Steps, times: np.ndarray) -> np.ndarray:
+def _between(
+    nodes: np.ndarray, values: np.ndarray, rates: Callable[[np.ndarray, np.ndarray], np.ndarray], times: np.ndarray
+) -> np.ndarray:
     """States at times between steps: one step of SciPy's DOP853 from the accepted one before, for all at once."""
-    before = np.searchsorted(steps.moments, times, side="right") - 1
-    moments, states = np.asarray(steps.moments)[before], np.asarray(steps.states)[before]
+    before = np.searchsorted(nodes, times, side="right") - 1
+    moments, states = nodes[before], values[before]
     spans = times - moments
-    rates = getattr(steps.function, "many", None) or _one_by_one(steps.function)
 
     def stacked(part: float, flat: np.ndarray) -> np.ndarray:
         found = rates(moments + part * spans, flat.reshape(states.shape))
@@ -259,3 +286,9 @@ def _between(steps: _Steps, times: np.ndarray) -> np.ndarray:
 
 def _one_by_one(field: VectorField) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     return lambda times, states: np.stack([field(float(t), y) for t, y in zip(times, states, strict=True)])
+
+
+def rates_of(field: VectorField) -> tuple[Callable[[np.ndarray, np.ndarray], np.ndarray], bool]:
+    """Rates of rows of states, and whether they come from one call."""
+    many = getattr(field, "many", None)
+    return many or _one_by_one(field), many is not None and getattr(field, "together", True)

@@ -787,19 +787,25 @@ def moved(model: Model, free: Sequence[str]) -> Model:
     return replace(model, parameter_values=numbers) if free else model
 
 
+SIZES = (1.0, 1e-3, 1e-6, 1e-12)
+"""Of states, in lengths, at which the forces of a driven system are tried"""
+
+
 def symplectic(model: Model) -> bool:
     """Whether the flow is Hamilton's, driven or not, so that multipliers come in reciprocal pairs.
 
-    The forces of a driven system are then the gradient of a potential, tried at a few states.
+    The forces of a driven system are then the gradient of a potential, tried at a few states of several sizes; what
+    damping does is measured in the time of the drive.
     """
     if model.rates is not None:
         return model.hamiltonian
     if model.conservative or model.forces is None or not model.forced:
         return model.conservative
     random, slopes, n = np.random.default_rng(0), model.forces.jacobian(), model.degrees_of_freedom
-    lengths, clock = surroundings(model, np.zeros(n))
-    for _ in range(4):
-        t, (q, v) = float(random.uniform()) * clock, random.normal(0, 1.0, (2, n)) * lengths / [[1.0], [clock]]
+    lengths, _ = surroundings(model, np.zeros(n))
+    clock = float(model.forcing_period(model.parameter_values)) / (2 * np.pi)  # type: ignore[misc]
+    for size in np.tile(SIZES, 2):
+        t, (q, v) = float(random.uniform()) * clock, size * random.normal(0, 1.0, (2, n)) * lengths / [[1.0], [clock]]
         by_q, by_v = (one.full() for one in slopes(t, q, v, model.parameter_values, 0)[1:3])
         roots = np.sqrt(np.abs(masses_of(model.kinetic, np.append(q, v), model)))
         work = np.outer(roots, roots) / clock**2

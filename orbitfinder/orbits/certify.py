@@ -4,29 +4,47 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import gcd
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.integrate.automaton import Arc
+from orbitfinder.integrate.dop853 import rates_of, vector_field
+from orbitfinder.integrate.equations import accelerations
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.loops.scales import alone
 from orbitfinder.loops.symmetry import NONE, beside, knowing, recognise, shifts_of, symmetries_of, symplectic, turned
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.hybrid import as_recorded
 from orbitfinder.mechanics.model import Invariant, Model, counted, energy, wrapped
-from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, between, extents, shift_along
+from orbitfinder.orbits.between import early_return, overlooked
+from orbitfinder.orbits.closure import (
+    EPSILON,
+    LARGEST_SCALE,
+    ROUND_OFF,
+    Closure,
+    between,
+    extents,
+    shift,
+    shift_along,
+)
 from orbitfinder.orbits.control import ControlledEvidence, gather_controlled
 from orbitfinder.orbits.evidence import VARIED, Evidence, constraint_defect, gather, native_closure, second_closure
 from orbitfinder.orbits.floquet import Floquet
-from orbitfinder.orbits.hybrid import HybridEvidence, gather_hybrid, held, off_motion, second_gap, turned_further
+from orbitfinder.orbits.hybrid import (
+    HybridEvidence,
+    gather_hybrid,
+    held,
+    off_motion,
+    second_gap,
+    turned_further,
+    unseen,
+)
 from orbitfinder.orbits.reduction import reduction
 from orbitfinder.records.family import FamilyPoint
 from orbitfinder.records.orbit import SHIFT, Certificate, Check, Orbit, digest, orbit_to_document
-
-COVERS = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61, 67, 71, 73, 79, 83, 89, 97, 101)
-"""A recorded period is tested for being so many times another: of any multiple, one of its prime factors."""
 
 MOST_TURNS = 10**6
 """Whole turns in a period that are still believed"""
@@ -36,6 +54,8 @@ LARGEST_GROWTH = 1e10
 """Growth of errors between any two instants that may excuse the trivial multipliers"""
 PAIRED, LARGEST_DEFECT = 10.0, 0.1
 """Relative errors of the integration in the product of two reciprocal multipliers; and what excuses no more"""
+BADLY = 1e-9
+"""Multipliers whose products are as far from 1 as this are looked at for better ones"""
 RECORDED = "recorded - recomputed, relative"
 MEETING = 1e-4
 """How near to each other mu and 1 / mu are where their sum is known better than they are"""
@@ -50,8 +70,12 @@ ROUNDED = 64 * float(np.finfo(float).eps)
 STEEPEST, HALVINGS, BESIDE, JUMP = 32, 30, 1e-6, 1e-4
 """Pairs of samples between which a jump is looked for, halvings of their time, how far beside the motion (in extents)
 it must be seen too, its size"""
-LATER = 7
-"""Periods of the forcing after which the equations are compared again, at most."""
+RESOLVED = 1e-10
+"""Extents by which features between two steps may change the end of the motion"""
+LATER, PARTS = 32, 256
+"""Periods of the forcing after which the equations are compared again, at so many moments in each."""
+TURNS = (-2, -1, 1, 2, 3, 4, 5, 6, 7, 8)
+"""Whole turns of a running motion after which the equations are compared again"""
 
 
 @dataclass(frozen=True)
@@ -109,39 +133,51 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
     See Also:
         `of.prove` for a theorem in place of a measurement.
     """
-    allowed, model = tolerances or Tolerances(), _model_of(orbit, model)
+    return _judged(orbit, _model_of(orbit, model), tolerances or Tolerances())[1]
+
+
+@one_thread()
+def certified(orbit: Orbit, model: Model) -> Orbit:
+    """The orbit with its certificate and the closure found there, and its multipliers where they are better known."""
+    orbit, certificate = _judged(orbit, _model_of(orbit, model), Tolerances(), better=True)
+    closure = certificate.closure if np.isfinite(certificate.closure) else orbit.closure
+    return replace(orbit, certificate=certificate, closure=closure)
+
+
+def _judged(orbit: Orbit, model: Model, allowed: Tolerances, better: bool = False) -> tuple[Orbit, Certificate]:
+    """An orbit, with the multipliers recomputed here where they are `better` known, and its certificate."""
     whole = _turns(orbit, model)
     turns = turned(model, whole, orbit.shift)
     if not (np.all(np.isfinite(orbit.state)) and np.isfinite(orbit.period) and orbit.period > 0):
-        return Certificate((Check("finite", float("nan"), 0.0, False, "state or period is not a number"),))
+        return orbit, Certificate((Check("finite", float("nan"), 0.0, False, "state or period is not a number"),))
     special = _controlled_certificate if orbit.control is not None else _hybrid_certificate
     if orbit.control is not None or model.hybrid is not None:
-        return special(orbit, model, whole, allowed)
-    cycles, pictured = model.forcing_cycles(orbit.period), _pictured(orbit)
+        return orbit, special(orbit, model, whole, allowed)
+    pictured = _pictured(orbit)
     apart = beside(whole, [shifts_of(model)[name].direction for name in orbit.shift])
-    covers = [k for k in COVERS if cycles % k == 0 and not np.any(apart % k)]
-    shares = _shares(covers)
-    moments = np.concatenate([orbit.period * shares.ravel(), *(times for _, times, _, _ in pictured)])
+    moments = np.concatenate([times for _, times, _, _ in pictured])
     try:
         evidence = gather(model, orbit.state, orbit.period, turns, moments)
         second = second_closure(model, orbit.state, orbit.period, turns, evidence.extents)
     except IntegrationError as error:
-        return Certificate((Check("integration", float("inf"), 0.0, False, str(error)),))
+        return orbit, Certificate((Check("integration", float("inf"), 0.0, False, str(error)),))
+    orbit = _better_known(orbit, evidence.floquet) if better else orbit
     found, scale = evidence.closes, min(evidence.closes.amplification, LARGEST_SCALE)
-    bound = min(orbit.tolerance, allowed.closure) * scale
+    asked = min(orbit.tolerance, allowed.closure)
     # near a saddle errors grow between any two instants, and the variations with them
     passing = ROUND_OFF * EPSILON * min(evidence.growth, LARGEST_GROWTH)
-    forms = f"DOP853 on {evidence.formulation}; {found.gap / (EPSILON * found.amplification):.2g} round-offs"
+    near = _Nearby(model, evidence.times, evidence.states, evidence.extents)
     checks = [
-        _at_most("closure", found.gap, bound, f"{forms} grown {found.amplification:.3g} times"),
+        _closure_check(found, asked, f"DOP853 on {evidence.formulation}; "),
         _at_most("distance", found.distance, allowed.distance, "of the true orbit, in extents of the motion"),
         _at_most("second_closure", second, allowed.second_closure * scale, "DOP853 at a second tolerance"),
         _at_most("energy_drift", evidence.drift, allowed.energy_drift + found.gap, "relative to the energy exchanged")
         if model.conservative
         else None,
         _forcing_check(orbit, model),
-        *_premises(model, evidence, whole, orbit.shift),
-        _minimal_period(orbit, covers, allowed.cover, evidence, turns),
+        *_premises(near, whole, orbit.shift),
+        _minimal_period(near, apart, allowed.cover, evidence),
+        _resolution(evidence),
         _at_least("not_equilibrium", _motion(evidence, model), allowed.motion, _moving(model, orbit)),
         _at_most("trivial_multipliers", evidence.trivial, max(allowed.trivial, passing), "flow and gradients are kept")
         if model.invariants or not model.forced
@@ -157,10 +193,27 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
         else None,
         *_constraint_checks(orbit, model, allowed, scale, evidence),
         *_record_checks(orbit, evidence, model, replace(allowed, multipliers=max(allowed.multipliers, passing)), scale),
-        *_picture_checks(pictured, evidence.reached[shares.size :], evidence),
+        *_picture_checks(pictured, evidence.reached, evidence),
         *_expected_checks(orbit, model),
     ]  # fmt: skip
-    return Certificate(tuple(check for check in checks if check), scale, evidence.closure)
+    return orbit, Certificate(tuple(check for check in checks if check), scale, evidence.closure)
+
+
+def _better_known(orbit: Orbit, found: Floquet) -> Orbit:
+    """The orbit with multipliers whose pairs are reciprocal ten times better, if they agree to what the worse claim."""
+    known = orbit.pair_defect > BADLY and PAIRED * found.pair_defect < orbit.pair_defect
+    if not known or not _multiplier_distance(orbit, found) <= orbit.pair_defect:
+        return orbit
+    return replace(
+        orbit, floquet_multipliers=found.multipliers, pair_defect=found.pair_defect, stability=found.stability
+    )
+
+
+def _closure_check(found: Closure, asked: float, note: str = "") -> Check:
+    """The gap of the worst part of the state, by its own A."""
+    gap, grown = found.worst
+    note += f"{gap / (EPSILON * grown):.2g} round-offs grown {grown:.3g} times"
+    return _at_most("closure", gap, asked * min(grown, LARGEST_SCALE), note)
 
 
 def _model_of(orbit: Orbit, model: Model | None) -> Model:
@@ -177,19 +230,20 @@ def _hybrid_certificate(orbit: Orbit, model: Model, turns: np.ndarray, allowed: 
     except (ConvergenceError, IntegrationError) as error:
         return Certificate((Check("events", float("inf"), 0.0, False, str(error)),))
     found, scale = evidence.closes, min(evidence.closes.amplification, LARGEST_SCALE)
-    bound, lasted = min(orbit.tolerance, allowed.closure) * scale, abs(evidence.period / orbit.period - 1)
+    asked, lasted = min(orbit.tolerance, allowed.closure), abs(evidence.period / orbit.period - 1)
     events = ", ".join(str(arc.ended_by) for arc in evidence.arcs)
     reached = np.array([arc.after for arc in evidence.arcs])
     checks = [
         Check("events", 0.0, 0.0, True, f"as simulated by DOP853, all guards watched: {events}"),
-        _at_most("closure", found.gap, bound, f"errors grow {found.amplification:.3g} times"),
+        _closure_check(found, asked),
         _at_most("distance", found.distance, allowed.distance, "of the true orbit, in extents of the motion"),
         _at_most("second_closure", second, allowed.second_closure * scale, "DOP853 at a second tolerance"),
-        _at_most("recorded_period", lasted, bound, "time of the last event / recorded period - 1"),
+        _at_most("recorded_period", lasted, asked * scale, "time of the last event / recorded period - 1"),
         _at_most("energy_drift", evidence.drift, allowed.energy_drift + found.gap, "in arcs without forces"),
         _at_most("energy_balance", evidence.balance, allowed.energy_drift + found.gap, "energy lost in impacts"),
         _cycle_check(evidence.arcs, orbit, reached, evidence.extents, allowed.cover),
         _at_least("not_equilibrium", _extent(evidence.states, model), allowed.motion, "extent of the motion"),
+        _hybrid_resolution(model, evidence),
         _at_least("transversal", evidence.transversal, allowed.transversal, "least rate of a guard, relative"),
         _at_least("decided", evidence.decided, allowed.transversal, "least |allowed| at a crossing, relative")
         if np.isfinite(evidence.decided)
@@ -214,16 +268,17 @@ def _controlled_certificate(orbit: Orbit, model: Model, turns: np.ndarray, allow
     assert orbit.control is not None
     try:
         found = gather_controlled(
-            model, orbit.state, orbit.period, turns, orbit.control, orbit.symmetry, tuple(orbit.shift)
-        )
+            model, orbit.state, orbit.period, turns, orbit.control, orbit.symmetry, tuple(orbit.shift),
+            (orbit.times, orbit.samples) if orbit.samples.size or orbit.times.size else None,
+        )  # fmt: skip
     except IntegrationError as error:
         return Certificate((Check("integration", float("inf"), 0.0, False, str(error)),))
     scale = min(found.closes.amplification, LARGEST_SCALE)
-    bound, recorded = min(orbit.tolerance, allowed.closure) * scale, orbit.control.get("cost", np.nan)
+    asked, recorded = min(orbit.tolerance, allowed.closure), orbit.control.get("cost", np.nan)
     room = allowed.record + 10 * found.closes.gap
     pair = f"H varies by {found.drift:.2g}; 0 at the optimum over all controls, of any form"
     checks = [
-        _at_most("closure", found.closes.gap, bound, f"DOP853, the recorded control; errors grow {scale:.3g} times"),
+        _closure_check(found.closes, asked, "DOP853, the recorded control; "),
         _at_most("distance", found.closes.distance, allowed.distance, "of the true orbit and control, in extents"),
         _at_most("second_closure", found.second, allowed.second_closure * scale, "DOP853 at a second tolerance"),
         _at_least("not_equilibrium", _extent(found.states, model), allowed.motion, "extent of the motion"),
@@ -259,7 +314,7 @@ def _covered(found: ControlledEvidence, turns: np.ndarray, tolerance: float) -> 
     if found.events:
         return None
     nodes, away = found.nodes, {}
-    for k in COVERS:
+    for k in range(2, len(nodes) + 1):
         if len(nodes) % k == 0 and not np.any(turns % k):
             moved = np.roll(nodes, -(len(nodes) // k), axis=0)[: len(nodes) - len(nodes) // k]
             part = np.concatenate([2 * np.pi * turns / k, np.zeros(nodes.shape[1] - turns.size)])
@@ -298,11 +353,9 @@ def _controlled_record_checks(
         if any(orbit.unfolding)
         else None,
     ]  # fmt: skip
-    if orbit.samples.size:
+    if orbit.samples.size or orbit.times.size:
         room = min(max(SAMPLES_OFF, 1e-12 * found.closes.amplification), LARGEST_PICTURE)
-        alike = orbit.samples.shape == found.states.shape
-        away = float(np.abs((orbit.samples - found.states) / found.extents).max()) if alike else np.inf
-        checks.append(_at_most("samples", away, room, "off the recomputed motion"))
+        checks.append(_at_most("samples", found.off, room, "off the recomputed motion"))
     if orbit.record is not None:
         checks.append(_same("record", orbit.record, digest(orbit_to_document(orbit))))
     return [check for check in checks if check]
@@ -320,14 +373,24 @@ def _costate_off(orbit: Orbit, found: ControlledEvidence) -> float:
 
 
 def _hybrid_premises(model: Model, evidence: HybridEvidence, turns: np.ndarray) -> Iterator[Check]:
-    """A coordinate that turns is an angle, and modes, guards and resets are the same a turn later."""
-    for k in np.flatnonzero(turns):
-        name = model.state_names[k]
-        if not model.angular[k]:
-            yield Check("winding", float(abs(turns[k])), 0.0, False, f"{name} turns and is not an angle")
-        else:
-            found = turned_further(model, evidence.arcs, int(k))
-            yield _at_most("winding", found, EXACT, f"modes, guards and resets with {name} a turn further")
+    """What turns is an angle, and modes, guards and resets are the same where all have turned as in some periods."""
+    names = ", ".join(model.state_names[k] for k in np.flatnonzero(turns))
+    for k in np.flatnonzero(turns * ~model.angular):
+        note = f"{model.state_names[k]} turns and is not an angle"
+        yield Check("winding", float(abs(turns[k])), 0.0, False, note)
+    if names:
+        by = shift(turns, evidence.extents.size)
+        found = max(turned_further(model, evidence.arcs, k * by) for k in TURNS[1:5])
+        yield _at_most("winding", found, EXACT, f"modes, guards and resets with {names} turned on")
+
+
+def _hybrid_resolution(model: Model, evidence: HybridEvidence) -> Check:
+    """No feature of the modes' equations, and no crossing of a guard, between two steps of the simulation."""
+    found, width, crossed = unseen(model, evidence)
+    note = f"change by what lies between steps; looks {width:.1e} of an arc or less apart"
+    if crossed:
+        found, note = 1.0, f"the guard of {crossed} is crossed where the simulation saw nothing"
+    return _at_most("resolution", found, RESOLVED, note)
 
 
 def _hybrid_pictures(orbit: Orbit, model: Model, evidence: HybridEvidence) -> Iterator[Check]:
@@ -384,13 +447,6 @@ def _hybrid_record_checks(
     if orbit.record is not None:
         checks.append(_same("record", orbit.record, digest(orbit_to_document(orbit))))
     return [check for check in checks if check]
-
-
-def certified(orbit: Orbit, model: Model) -> Orbit:
-    """The orbit with its certificate and the closure found there."""
-    certificate = certify(orbit, model)
-    closure = certificate.closure if np.isfinite(certificate.closure) else orbit.closure
-    return replace(orbit, certificate=certificate, closure=closure)
 
 
 def _turns(orbit: Orbit, model: Model) -> np.ndarray:
@@ -453,28 +509,24 @@ def _forcing_check(orbit: Orbit, model: Model) -> Check | None:
     return _at_most("forcing_period", abs(orbit.period / wanted - 1), 1e-14, f"period / {cycles} forcing periods - 1")
 
 
-def _shares(covers: Sequence[int]) -> np.ndarray:
-    """Shares of the period (covers x 2) at which a motion that goes round k times is back: 1/k and about a half."""
-    return np.array([[1 / k, (k // 2) / k] for k in covers]).reshape(-1, 2)
-
-
-def _minimal_period(
-    orbit: Orbit, covers: Sequence[int], tolerance: float, evidence: Evidence, turns: np.ndarray
-) -> Check | None:
-    """The smallest distance between x(T/k), x(j T/k) and x(0), k prime, in extents of the motion.
-
-    Both: a motion that lingers where it starts is near x(0) after T/k without having been anywhere. Shorter
-    periods are possible only where the whole turns, and the periods of a forcing, can be divided by k.
-    """
-    if not covers:
+def _minimal_period(near: _Nearby, apart: np.ndarray, tolerance: float, evidence: Evidence) -> Check | None:
+    """The motion, and what forces it, do not come back before the period is over."""
+    if gcd(*(int(k) for k in np.rint(apart))) == 1:
         return None
-    shares = _shares(covers).ravel()
-    moved = 2 * np.pi * shares[:, None] * turns
-    shift = np.hstack([moved, np.zeros((len(moved), orbit.state.size - turns.size))])
-    far = np.abs((evidence.reached[: shares.size] - shift - orbit.state) / evidence.extents).max(axis=1)
-    found = far.reshape(-1, 2).max(axis=1)
-    note = f"nearest early return at T/{covers[int(found.argmin())]}"
-    return _at_least("minimal_period", found.min(), tolerance, note)
+    found, lag = early_return(evidence.trace, apart, near.forced_alike if near.model.forced else None)
+    both = " of motion and forcing" if near.model.forced and found < tolerance else ""
+    note = "no early return" if lag is None else f"nearest early return{both} after T/{near.period / lag:.6g}"
+    return _at_least("minimal_period", found, tolerance, note)
+
+
+def _resolution(evidence: Evidence) -> Check:
+    """No feature of the equations between two steps of the integration changes where it ends."""
+    try:
+        found, width, count = overlooked(evidence.trace)
+    except IntegrationError as error:
+        return Check("resolution", float("inf"), RESOLVED, False, str(error))
+    note = f"change by what lies between steps; {count} looks, each {width:.1e} of the motion or less from the next"
+    return _at_most("resolution", found, RESOLVED, note)
 
 
 Picture = tuple[str, np.ndarray, np.ndarray, float]
@@ -621,15 +673,14 @@ def _expected_checks(orbit: Orbit, model: Model) -> list[Check]:
     return checks
 
 
-def _premises(model: Model, evidence: Evidence, turns: np.ndarray, shift: Mapping[str, float]) -> list[Check]:
+def _premises(near: _Nearby, turns: np.ndarray, along: Mapping[str, float]) -> list[Check]:
     """What a certificate would otherwise take on trust: that the system is what its description says.
 
     A period declared for the forcing, the absence of time, angles that turn, cyclic coordinates and invariants are
     tried on the equations themselves, at seeded states about the motion.
     """
-    near = _Nearby(model, evidence.times, evidence.states, evidence.extents)
-    smooth = [near.smooth()] if model.forced else []  # where nothing else tries the variations: no flow is kept
-    return [near.time_dependence(), *smooth, *near.windings(turns), *near.shifts(shift), *near.invariants()]
+    smooth = [near.smooth()] if near.model.forced else []  # where nothing else tries the variations: no flow is kept
+    return [near.time_dependence(), *smooth, *near.windings(turns), *near.shifts(along), *near.invariants()]
 
 
 class _Nearby:
@@ -637,34 +688,43 @@ class _Nearby:
 
     def __init__(self, model: Model, times: np.ndarray, states: np.ndarray, units: np.ndarray) -> None:
         random = np.random.default_rng(0)
-        self.model, self.period = model, float(times[-1])
+        self.model, self.period, self.many = model, float(times[-1]), rates_of(vector_field(accelerations(model)))[0]
         self.times, self.along, self.units = times, states, units
         self.rows = states[random.integers(0, len(states), TRIED)]
         if model.constraint is None:  # off the constraints a motion has no meaning
             self.rows = self.rows + 0.1 * units * random.normal(size=self.rows.shape)
         self.moments = np.append(0.0, random.uniform(0.0, self.period, TRIED - 1))
-        self.ahead = random.integers(1, LATER + 1, TRIED)
-        self.here = self._accelerations(self.moments, self.rows)
 
     def _accelerations(self, moments: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        model = self.model
-        columns = np.split(rows.T, 2) if model.rates is None else [rows.T]
-        found = model.along(model.rates or model.acceleration, moments[None], *columns)
-        return np.asarray(found.T * self.period / self.units[-len(found) :])
+        found = self.many(moments, rows)[:, -self.model.degrees_of_freedom :]
+        return np.asarray(found * self.period / self.units[-self.model.degrees_of_freedom :])
 
-    def _differ(self, there: np.ndarray) -> float:
-        """Largest relative difference from the accelerations here, where both are finite."""
-        known = np.isfinite(self.here) & np.isfinite(there)
-        size = max(1.0, float(np.abs(self.here[known]).max(initial=0.0)))
-        return float(np.abs(there - self.here)[known].max(initial=0.0)) / size
+    @staticmethod
+    def _differ(there: np.ndarray, here: np.ndarray) -> float:
+        """Largest relative difference of accelerations, where both are finite."""
+        known = np.isfinite(here) & np.isfinite(there)
+        size = max(1.0, float(np.abs(here[known]).max(initial=0.0)))
+        return float(np.abs(there - here)[known].max(initial=0.0)) / size
+
+    def forced_alike(self, lag: float) -> float:
+        """The largest relative difference of the equations along the motion some time later."""
+        return self._differ(*(self._accelerations(self.times + by, self.along) for by in (lag, 0.0)))
 
     def time_dependence(self) -> Check:
-        """The equations one and a few periods of the forcing later; without a forcing, at any time."""
-        clock = self.model.forcing_period
+        """The equations some and many periods of the forcing later, at equal parts of it; without a forcing, at any
+        time."""
+        clock, random = self.model.forcing_period, np.random.default_rng(1)
+        function = self.model.rates or self.model.acceleration
+        if clock is None and not function.jac_sparsity(0, 0).nnz():  # the time is not in the equations
+            return _at_most("time_dependence", 0.0, EXACT, "equations of motion at other times")
         wait = self.period if clock is None else float(clock(self.model.parameter_values))
-        by = np.random.default_rng(1).uniform(0.1, 1.0, TRIED) * wait if clock is None else wait * self.ahead
-        found = max(self._differ(self._accelerations(self.moments + step, self.rows)) for step in (by, wait))
-        note = "equations of motion at other times" if clock is None else "equations of motion forcing periods later"
+        parts = (np.arange(PARTS) + random.uniform(0.0, 1.0, PARTS)) / PARTS * wait
+        rows, found = self.along[random.integers(0, len(self.along), PARTS)], 0.0
+        here = self._accelerations(parts, rows)
+        for k in range(1, LATER + 1):
+            by = k * wait if clock else (k - random.uniform(0.0, 0.9, PARTS)) * wait
+            found = max(found, self._differ(self._accelerations(parts + by, rows), here))
+        note = f"equations of motion at {PARTS} parts of {LATER} later periods{' of the forcing' * (clock is not None)}"
         return _at_most("time_dependence", found, EXACT, note)
 
     def smooth(self) -> Check:
@@ -692,26 +752,30 @@ class _Nearby:
         return _at_most("smooth", found, JUMP, "largest jump of the equations along the motion; of.hybrid knows jumps")
 
     def windings(self, turns: np.ndarray) -> Iterator[Check]:
-        """A coordinate that turns is an angle, and the equations are the same a turn later."""
-        for k in np.flatnonzero(turns):
-            name = self.model.state_names[k]
-            if not self.model.angular[k]:
-                yield Check("winding", float(abs(turns[k])), 0.0, False, f"{name} turns and is not an angle")
-                continue
-            turned = self.rows.copy()
-            turned[:, k] += 2 * np.pi
-            there = self._accelerations(self.moments, turned)
-            yield _at_most("winding", self._differ(there), EXACT, f"equations of motion with {name} a turn further")
+        """A coordinate that turns is an angle, and the equations are the same where all have turned as they do in some
+        periods."""
+        for k in np.flatnonzero(turns * ~self.model.angular):
+            note = f"{self.model.state_names[k]} turns and is not an angle"
+            yield Check("winding", float(abs(turns[k])), 0.0, False, note)
+        if not np.any(turns):
+            return
+        by, moments = shift(turns, self.units.size), np.append(self.moments, self.times)
+        rows = np.vstack([self.rows, self.along])
+        here = self._accelerations(moments, rows)
+        found = max(self._differ(self._accelerations(moments, rows + k * by), here) for k in TURNS)
+        names = ", ".join(self.model.state_names[k] for k in np.flatnonzero(turns))
+        yield _at_most("winding", found, EXACT, f"equations of motion with {names} {TURNS[0]} to {TURNS[-1]} times on")
 
-    def shifts(self, shift: Mapping[str, float]) -> Iterator[Check]:
+    def shifts(self, along: Mapping[str, float]) -> Iterator[Check]:
         """The equations are the same further along what a relative orbit shifts in, by any amount."""
         known, n = shifts_of(self.model), self.model.degrees_of_freedom
-        for name, amount in shift.items():
+        for name, amount in along.items():
             by = np.random.default_rng(1).uniform(0.1, 1.0, (TRIED, 1)) * (abs(amount) + self.units[:n].max())
             moved = np.hstack([by * known[name].direction, np.zeros((TRIED, self.units.size - n))])
             there = self._accelerations(self.moments, self.rows + moved)
+            here = self._accelerations(self.moments, self.rows)
             note = f"equations of motion further along {name}, which {known[name].momentum} is held for"
-            yield _at_most("cyclic", self._differ(there), EXACT, note)
+            yield _at_most("cyclic", self._differ(there, here), EXACT, note)
 
     def invariants(self) -> Iterator[Check]:
         """Each declared invariant is constant along the motion."""

@@ -15,7 +15,7 @@ which sees the shear that the multipliers do not. The distance to the true orbit
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
@@ -28,17 +28,21 @@ from orbitfinder.mechanics.scales import masses_of
 EPSILON = float(np.finfo(float).eps)
 LARGEST_SCALE = 1e6
 """Tolerances grow with A up to this factor; beyond, closure would mean nothing."""
+REACHES = 1e-3
+"""Round-offs that one of another component makes in a component which it is said to drive"""
 ROUND_OFF = 30.0
 """Gaps of true orbits are 0.1 to 30 times eps A (benchmarks/closure_rule.py)."""
 
 
 @dataclass(frozen=True)
 class Closure:
-    """The largest component of the gap in extents of the motion, A, and the distance to the true orbit."""
+    """The largest component of the gap in extents of the motion, A, the distance to the true orbit, and gap and A of
+    the `worst` part of the state that nothing else drives, which may be the whole."""
 
     gap: float
     amplification: float
     distance: float
+    worst: tuple[float, float]
 
 
 def extents(moved: np.ndarray, rushed: np.ndarray, masses: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
@@ -61,11 +65,35 @@ def closes(gap: np.ndarray, transitions: Sequence[np.ndarray], sizes: np.ndarray
     whatever else may be corrected (m x k).
 
     All in extents of the motion; `sizes` (m) are those of the state's components, `rate` is None where the
-    period is prescribed.
+    period is prescribed. Components that nothing else drives close by themselves, to their own A.
     """
+    found = _together(gap, transitions, sizes, rate)
+    parts = [found]
+    for own in _closed(transitions, sizes):
+        inner = [one[np.ix_(own, own)] for one in transitions]
+        parts.append(_together(gap[own], inner, sizes[own], None if rate is None else rate[own]))
+    worst = max(parts, key=lambda one: one.gap / min(one.amplification, LARGEST_SCALE))
+    return replace(found, distance=max(one.distance for one in parts), worst=worst.worst)
+
+
+def _together(
+    gap: np.ndarray, transitions: Sequence[np.ndarray], sizes: np.ndarray, rate: np.ndarray | None
+) -> Closure:
     monodromy, largest = carried(transitions, sizes)
-    round_off = ROUND_OFF * EPSILON * min(largest, LARGEST_SCALE)
-    return Closure(float(np.abs(gap).max()), largest, _distance(gap, monodromy, rate, round_off))
+    round_off, widest = ROUND_OFF * EPSILON * min(largest, LARGEST_SCALE), float(np.abs(gap).max())
+    return Closure(widest, largest, _distance(gap, monodromy, rate, round_off), (widest, largest))
+
+
+def _closed(transitions: Sequence[np.ndarray], sizes: np.ndarray) -> list[np.ndarray]:
+    """The parts (indices) of a state, each smaller than the whole, on which no other component has an influence."""
+    monodromy, reach = np.eye(sizes.size), np.zeros((sizes.size, sizes.size))
+    for piece in reversed(transitions):
+        monodromy = monodromy @ piece
+        reach = np.maximum(reach, np.abs(monodromy * sizes))
+    drives = ~(reach <= REACHES) | np.eye(sizes.size, dtype=bool)
+    for _ in range(int(np.ceil(np.log2(sizes.size + 1)))):
+        drives = drives @ drives
+    return [np.flatnonzero(one) for one in np.unique(drives, axis=0) if not one.all()]
 
 
 def carried(transitions: Sequence[np.ndarray], sizes: np.ndarray) -> tuple[np.ndarray, float]:

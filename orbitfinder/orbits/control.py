@@ -48,6 +48,8 @@ VARIED = ReferenceSettings(relative_tolerance=1e-12, absolute_tolerance=1e-13)
 SMALL = 1e-9
 """A control is small when it accelerates less than this share of what the motion does"""
 IPOPT_TOLERANCE = 1e-10
+TIED = 1e-9
+"""Share of the period by which recorded times may be off the ends of segments"""
 NEAR = 1e-9
 """A guard is at 0 to this, relative to its range along an arc"""
 
@@ -74,7 +76,8 @@ class ControlledEvidence:
 
     `stationarity` is what the best multipliers leave of the conditions of an optimum, relative to the cost;
     `pointwise` the largest |H_u| relative to its terms, `drift` how far H is from constant, relative; `margins` by
-    name how far tasks and limits are violated, relative; `wrong` the worst sign of a multiplier, relative.
+    name how far tasks and limits are violated, relative; `wrong` the worst sign of a multiplier, relative;
+    `off` how far states that a record shows are off the motion, in extents.
     """
 
     times: np.ndarray
@@ -102,6 +105,7 @@ class ControlledEvidence:
     cost_size: float
     symmetry: float
     held: tuple[tuple[str, float], ...]
+    off: float
 
 
 def find_controlled(problem: Problem, settings: SolveSettings) -> tuple[Orbit, Model]:
@@ -342,9 +346,10 @@ class _Motion:
 
 def gather_controlled(
     model: Model, state: np.ndarray, period: float, turns: np.ndarray, entry: Mapping[str, Any], symmetry: str,
-    relative: tuple[str, ...] = (),
+    relative: tuple[str, ...] = (), shown: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> ControlledEvidence:  # fmt: skip
-    """The evidence of a recorded control. Raises `InputError`, `IntegrationError`."""
+    """The evidence of a recorded control, and of times and states that are `shown`. Raises `InputError`,
+    `IntegrationError`."""
     model, plan = plan_of(model, entry, symmetry, relative, period)
     motion = _Motion(plan, period)
     d = plan.parts.size
@@ -376,6 +381,7 @@ def gather_controlled(
         multipliers=fitted.multipliers, tasks=fitted.violations, extents=units,
         floquet=analyse(monodromy, conservative=False), events=tuple(_events(motion, pieces)), shift=shifted,
         cost_size=fitted.size, symmetry=_off_symmetry(motion, pieces, units), held=tuple(_held(motion, pieces)),
+        off=0.0 if shown is None else _off_motion(motion, pieces, *shown, units),
     )  # fmt: skip
 
 
@@ -399,6 +405,27 @@ def _sampled(
     found = np.concatenate(times)
     found[-1] = motion.period
     return found, np.vstack(states), np.vstack(driven)
+
+
+def _off_motion(
+    motion: _Motion, pieces: list[np.ndarray], times: np.ndarray, samples: np.ndarray, units: np.ndarray
+) -> float:
+    """How far recorded samples (k x d) are off the motion at their times (k), in units; infinite if they are none."""
+    edge, began, far = TIED * motion.period, 0.0, np.full(times.size, np.inf)
+    if samples.shape != (times.size, units.size) or times.size < 2 or not np.all(np.diff(times) >= 0):
+        return float("inf")
+    if times[0] != 0.0 or not -edge <= motion.period - times[-1] <= np.diff(times).max():  # thinned, the last may lack
+        return float("inf")
+    for k, piece in enumerate(pieces):
+        h = motion.duration(min(k, motion.parts.basis.intervals - 1) if not motion.whole.arcs else k)
+        own = (times >= began - edge) & (times <= began + h + edge)
+        shares = np.clip((times[own] - began) / h, 0.0, 1.0)
+        moments = np.unique(np.append(shares, 0.0))
+        field = motion.forward[motion.parts.arc(k)].at(motion.given(k, h))
+        states = integrate(field, piece[0], moments, TIGHTEST, 0.25)
+        off = np.abs((states[np.searchsorted(moments, shares), : units.size] - samples[own]) / units).max(axis=1)
+        far[own], began = np.fmin(far[own], off), began + h
+    return float(far.max())
 
 
 def _events(motion: _Motion, pieces: list[np.ndarray]) -> Any:

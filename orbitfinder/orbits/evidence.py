@@ -28,6 +28,7 @@ from orbitfinder.integrate.dop853 import (
     STEPS_PER_PERIOD,
     TIGHTEST,
     ReferenceSettings,
+    Trace,
     VectorField,
     integrate,
     integrate_in,
@@ -70,7 +71,7 @@ class Motion:
 
     `states` (k x 2n) are those of the model at `times`, `path` (k x m) the same in y, `masses` (m / 2) the
     diagonal of its mass matrix (none: each component of y by itself), `constraints` (r x m) the gradients of what y is
-    held to, `rate` y' at the start.
+    held to, `rate` y' at the start, `trace` the steps of the integration.
     """
 
     times: np.ndarray
@@ -83,6 +84,7 @@ class Motion:
     directions: np.ndarray
     masses: np.ndarray
     turns: np.ndarray
+    trace: Trace
     formulation: str = HAMILTON
     constraints: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
@@ -164,7 +166,9 @@ def canonical_motion(
     first_order = model.rates is not None
     masses = np.zeros(0) if first_order else equations.masses(state[chosen])
     units = units_of(equations.field, start, masses, period, model.angular)
-    path = integrate_in(units, equations.field, start, moments, settings, period / STEPS_PER_PERIOD)
+    path = integrate_in(
+        units, equations.field, start, moments, settings, period / STEPS_PER_PERIOD, traces := list[Trace]()
+    )
     half = start.size // 2
     work = float(units @ units) / period if model.rates is not None else float(units[:half] @ units[half:]) or 1.0
     found = _pieces(vector_field(equations.equations.variational), start, units, work, period)
@@ -173,10 +177,16 @@ def canonical_motion(
         missed = end - start - shift(turns[chosen[: masses.size]], start.size)
         action -= float(end[half:] @ missed[:half])
     gradients, directions, constraints = equations.frame(state, start)
+    own = turns[chosen[: equations.coordinates.size]]
     return Motion(
         moments, equations.states(path), path, transitions, action, equations.field(0.0, start), gradients, directions,
-        masses, turns[chosen[: equations.coordinates.size]], GIVEN if first_order else HAMILTON, constraints,
+        masses, own, drifting(traces[0], own, units), GIVEN if first_order else HAMILTON, constraints,
     )  # fmt: skip
+
+
+def drifting(trace: Trace, turns: np.ndarray, units: np.ndarray) -> Trace:
+    """A trace in `units` (m) that knows how far its coordinates go on in a period."""
+    return replace(trace, drift=shift(turns, units.size) / units)
 
 
 def units_of(
@@ -244,7 +254,7 @@ def chain_motion(
     masses = np.diag(closed.coupling)
     units = units_of(closed.field, state, masses, period) / np.concatenate([np.ones(n), masses])
     longest = min(period / STEPS_PER_PERIOD, LONGEST_PHASE / float(np.sqrt(max(closed.squared[-1], 1e-300))))
-    states = integrate_in(units, closed.field, state, moments, settings, longest)
+    states = integrate_in(units, closed.field, state, moments, settings, longest, traces := list[Trace]())
     even = states[np.searchsorted(moments, evenly(period))]
     reflected = np.abs((even[SAMPLES // 2] + state) / units).max() <= REFLECTED
     pieces = _chain_pieces(closed, state, period / 2 if reflected else period, units)
@@ -254,7 +264,7 @@ def chain_motion(
         moments, states, closed.canonical(states), [*pieces, *pieces] if reflected else pieces,
         float(trapezoid(2.0 * energies(model, even)[0], evenly(period))), flow,
         *canonical_frame(model, state, flow, lift), np.ones(n), closed.modes.T @ closed.coupling @ turns,
-        "Lagrange's equations in closed form",
+        drifting(traces[0], turns, units), "Lagrange's equations in closed form",
     )  # fmt: skip
 
 
@@ -288,8 +298,8 @@ class Evidence:
 
     `times` are equally spaced; `closes` measures the gap in extents, `closure` in the model's units (its largest
     component); `exchanged` is the energy (J) that `drift` is relative to, `extents` (2n) those of the motion,
-    `growth` the largest |S^-1 Phi(t, s) S| of all s < t, and `reached` the states at
-    further moments that were asked for.
+    `growth` the largest |S^-1 Phi(t, s) S| of all s < t, `reached` the states at
+    further moments that were asked for, and `trace` the steps that were taken.
     """
 
     times: np.ndarray
@@ -306,6 +316,7 @@ class Evidence:
     symplectic: float
     floquet: Floquet
     reached: np.ndarray
+    trace: Trace
     formulation: str = HAMILTON
 
 
@@ -360,6 +371,7 @@ def _measured(
         symplectic=_asymplectic(inner, basis, units) / scale**2 if model.canonical else 0.0,
         floquet=analyse(reduce_monodromy(inner, gradients, directions), conservative=symplectic(model)),
         reached=motion.states[np.searchsorted(motion.times, moments)],
+        trace=motion.trace,
         formulation=motion.formulation,
     )
 

@@ -6,7 +6,7 @@ automaton itself, which watches all guards and does not know where an arc should
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -15,7 +15,15 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.automaton import Arc, Automaton
-from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, integrate_in
+from orbitfinder.integrate.dop853 import (
+    SECOND,
+    TIGHTEST,
+    ReferenceSettings,
+    Trace,
+    integrate_in,
+    rates_of,
+    scaled,
+)
 from orbitfinder.integrate.equations import invariant_gradients
 from orbitfinder.loops.continued import Solution
 from orbitfinder.loops.loop import Equations, Unknowns
@@ -23,14 +31,19 @@ from orbitfinder.loops.newton import Refined
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.catalogue import with_parameters
-from orbitfinder.mechanics.hybrid import Hybrid
+from orbitfinder.mechanics.hybrid import Hybrid, Transition
 from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.scales import snapped
+from orbitfinder.orbits.between import overlooked, risen
 from orbitfinder.orbits.closure import Closure, closes, extents_of, gap, shift
 from orbitfinder.orbits.evidence import CHECKED, ClosureCheck, Tour
 from orbitfinder.orbits.floquet import AREA, Floquet, analyse, reduce_monodromy
 from orbitfinder.records.orbit import Orbit
 
+Rates = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Times and rows of states -> their rates"""
+LOOKS = 24
+"""Looks at rates and guards between two samples of an arc"""
 PIECES = 4
 """Pieces of an arc whose variations are integrated one by one"""
 PATIENCE = 20.0
@@ -312,9 +325,35 @@ def _kinetic(model: Model, mode: str, x: np.ndarray) -> float:
     return float(own.kinetic(x[:n], x[n:], own.parameter_values))
 
 
-def turned_further(model: Model, arcs: Sequence[Arc], k: int) -> float:
-    """The largest relative difference of rates, guards and resets along a motion with angle k a turn further."""
-    automaton, turn, worst = Automaton(model), 2 * np.pi * np.eye(arcs[0].states.shape[1])[k], 0.0
+def unseen(model: Model, evidence: HybridEvidence) -> tuple[float, float, str]:
+    """What features narrower than a step change along the arcs, in extents, the widest gap between two looks, and the
+    guard, "" if there is none, that is crossed where the simulation saw nothing."""
+    automaton, units = Automaton(model), evidence.extents
+    changed, widest, crossed = 0.0, 0.0, ""
+    for arc in evidence.arcs:
+        rates = rates_of(scaled(automaton.field(arc.mode), units))[0]
+        moments, kept = np.unique(arc.times - arc.times[0], return_index=True)
+        trace = Trace(moments, arc.states[kept] / units, rates, True)
+        found, width, _ = overlooked(trace, LOOKS)
+        changed, widest = changed + found, max(widest, width)
+        for one in automaton.hybrid.leaving(arc.mode):
+
+            def height(rows: np.ndarray, one: Transition = one) -> np.ndarray:
+                return np.asarray(one.direction * model.along(one.guard, (rows * units).T).ravel())
+
+            def climb(rows: np.ndarray, one: Transition = one, rates: Rates = rates) -> np.ndarray:
+                slopes = model.along(one.slope, (rows * units).T).reshape(rows.shape)
+                return np.asarray(one.direction * (slopes * rates(np.zeros(len(rows)), rows) * units).sum(axis=1))
+
+            beyond = risen(trace, height, climb, LOOKS)
+            if len(beyond) and (one.allowed is None or np.any(model.along(one.allowed, (beyond * units).T) > 0)):
+                crossed = one.name
+    return changed, widest, crossed
+
+
+def turned_further(model: Model, arcs: Sequence[Arc], turn: np.ndarray) -> float:
+    """The largest relative difference of rates, guards and resets along a motion at states a `turn` (d) further."""
+    automaton, worst = Automaton(model), 0.0
     for arc in arcs:
         rows = arc.states[:: max(1, len(arc.states) // TRIED)]
         here = np.array([_told(automaton, arc.mode, x) for x in rows])
