@@ -5,8 +5,8 @@ It shares nothing with orbitfinder, which it does not import. The equations are 
 Dormand and Prince's method of order eight with steps that are not chosen but made twice as fine as a check; its
 derivatives are those of the very same arithmetic by complex steps (x + i 1e-40 e_j, exact to round-off). A family is
 followed by arclength over all pieces, in extents of the motion, with an integral phase condition, by short steps that
-`moved` halves as a check. Bifurcations are sign changes of regular functions of the reduced map M (the flow's direction,
-and where there is an energy its gradient, taken out), with p' = dp/ds:
+`moved` halves as a check. Bifurcations are sign changes of regular functions of the reduced map M (the flow's direction
+and, where there is an energy, its gradient taken out), with p' = dp/ds:
 
     fold            p'                           turn            T' (where the parameter is the energy)
     branch point    det(M - 1) / p'              doubling        det(M + 1)

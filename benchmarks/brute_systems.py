@@ -1,7 +1,7 @@
 """The equations of `benchmarks/brute_force.py`: plain NumPy, complex, from their sources and not from orbitfinder.
 
-Six are shipped with orbitfinder as problem files, seven are not and swing by themselves (two of these are systems of the
-library); all but the triple pendulum are dissipative.
+Six are shipped with orbitfinder as problem files, seven are not and swing by themselves (two of them are systems of
+the library); all but the triple pendulum are dissipative.
 """
 
 from __future__ import annotations

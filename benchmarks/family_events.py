@@ -185,7 +185,7 @@ def judged(name: str, kept: dict[str, Any], direction: int) -> Row:
     pairs, missed, invented = matched(truth["events"], [one for one in events if one[0]])
     end = family.ends[-1]
     value = getattr(end, "parameter", None)
-    value = family.points[-1].value if value is None else value
+    value = max(family.points, key=lambda point: abs(point.arclength)).value if value is None else value
     near = end.kind != "hopf" or abs(value - truth["value"]) <= HOPF * max(1.0, abs(value))
     return Row(
         name, direction,

@@ -185,7 +185,7 @@ def test_events_are_named_as_brute_force_names_them():
 
 def told(events, kind, value):
     end = End(kind, "a reason")
-    return SimpleNamespace(events=events, ends=(end,), points=(SimpleNamespace(value=value),))
+    return SimpleNamespace(events=events, ends=(end,), points=(SimpleNamespace(value=value, arclength=0.0),))
 
 
 def test_a_false_fold_a_lost_end_and_a_failure_are_in_the_page(monkeypatch):
