@@ -11,8 +11,8 @@ folders of their own, so that nothing of the inside is known here.
 
 Which points a run takes is no answer: of families the orbits at pinned values of the parameter (`--at`) are compared,
 numbers within max(1e-11, 1e-14 A) of their size, A what errors grow by there, and events, ends and branches as sets, by
-kind and value. `problems` and `families` are not run to be recorded but read from results and docs, as they were
-shipped. What
+kind and value. `problems`, `families` and `proofs` are not run to be recorded but read from results and docs, as
+they were shipped. What
 0.2.0 had wrong is listed under `known` in the file, each with why; it is printed and not counted.
 """
 
@@ -238,18 +238,30 @@ def in_order(orbits: Iterable[list[float]]) -> list[list[float]]:
 
 
 def proofs(folder: Path) -> dict[str, Any]:
-    """The four proofs of the report: proved or not, and the enclosure of the period."""
-    found = {}
-    for name in REPORT:
-        said = json.loads(command("prove", str(ROOT / f"results/orbits/{name}/orbit.json"), "--json", cwd=folder))
-        one = said[0] if isinstance(said, list) else said
-        found[name] = {key: one[key] for key in ("proved", "symmetry", "stability") if key in one}
-    return found
+    """The four proofs of the report again: proved or not, and the period in its middle."""
+    files = [str(ROOT / f"results/orbits/{name}/orbit.json") for name in REPORT]
+    told = json.loads(command("prove", *files, "--no-record", "--json", cwd=folder))["results"]
+    return {name: proof_of(one) for name, one in zip(REPORT, told, strict=True)}
 
 
+def shipped_proofs(_: Path) -> dict[str, Any]:
+    """The same as they were shipped."""
+    return {name: proof_of(read(ROOT / f"results/orbits/{name}/orbit.json")["proof"]) for name in REPORT}
+
+
+def proof_of(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """What a proof says, in a word each."""
+    return {
+        "proved": entry["proved"], "symmetry": entry["symmetry"], "stability": entry["stability"],
+        "period": float(entry["period"]["value"]),
+    }  # fmt: skip
+
+
+AGAIN: dict[str, Callable[[Path], Any]] = {"problems": problems, "proofs": proofs}
+"""How to compute again what is read from shipped files to be recorded"""
 ANSWERS: dict[str, Callable[[Path], Any]] = {
     "problems": shipped_problems, "families": shipped, "further": further, "branches": branching, "searches": searches,
-    "proofs": proofs,
+    "proofs": shipped_proofs,
 }  # fmt: skip
 
 
@@ -260,7 +272,7 @@ def answers(parts: Iterable[str], before: Mapping[str, Any] | None = None) -> It
             if before is not None and part == "families":
                 found = families(Path(name), before[part])
             else:
-                found = (problems if before is not None and part == "problems" else ANSWERS[part])(Path(name))
+                found = (AGAIN.get(part, ANSWERS[part]) if before is not None else ANSWERS[part])(Path(name))
         print(part, len(found), file=sys.stderr, flush=True)
         yield part, json.loads(json.dumps(found))
 

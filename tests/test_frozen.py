@@ -117,3 +117,12 @@ def test_times_allow_families_more_and_take_a_commit(monkeypatch, capsys):
     assert not frozen.times(Path("elsewhere"), 1) and "ratio 1.100 of 1.05" in capsys.readouterr().out
     with pytest.raises(SystemExit, match="no-such: neither a folder nor a commit"), frozen.other_checkout("no-such"):
         pass
+
+
+def test_proofs_are_asked_for_and_not_written_into_what_is_shipped(monkeypatch, tmp_path):
+    asked = []
+    entries = [{"proved": True, "symmetry": "brake", "stability": "unstable", "period": {"value": "1.5"}}] * 4
+    monkeypatch.setattr(frozen, "command", lambda *words, **_: asked.append(words) or json.dumps({"results": entries}))
+    found = frozen.proofs(tmp_path)
+    assert "--no-record" in asked[0] and found.keys() == BASELINE["proofs"].keys()
+    assert said(BASELINE["proofs"], BASELINE["proofs"]) == [] and len(said(BASELINE["proofs"], found)) >= 4
