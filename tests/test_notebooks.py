@@ -273,7 +273,7 @@ def _outputs(cell):
 
 
 MEMBER = r"\w+ = [-\d.e]+(?: J)?, T = "
-"""Before the numbers of an orbit in the display of a family. Which orbits these are, and how many, is a matter of the steps
+"""Before the numbers of an orbit in the display of a family. Which orbits these are is a matter of the steps
 that a run took: notebooks print orbits at pinned values of the parameter instead"""
 
 
