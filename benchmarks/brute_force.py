@@ -554,7 +554,7 @@ def recorded(system: System) -> dict[str, Any]:
 
 
 def moved(system: System) -> float:
-    """How far events move with twice the steps, a third more pieces and twice the orbits: the same ones must be met."""
+    """How far, relative, events move with twice the steps, a third more pieces and twice the orbits: the same ones must be met."""
     finer = replace(system, steps=2 * system.steps, pieces=system.pieces * 4 // 3, stride=system.stride / 2)
     coarse, fine = recorded(system), recorded(finer)
     pairs = [
@@ -563,4 +563,4 @@ def moved(system: System) -> float:
         for a, b in zip(*(one["directions"][direction]["events"] for one in (coarse, fine)), strict=True)
     ]
     assert all(a["kind"] == b["kind"] for a, b in pairs), system.name
-    return max((abs(a["value"] - b["value"]) for a, b in pairs), default=0.0)
+    return max((abs(a["value"] - b["value"]) / max(1.0, abs(a["value"])) for a, b in pairs), default=0.0)

@@ -186,8 +186,11 @@ def shipped(_: Path) -> dict[str, Any]:
 
 
 def further(folder: Path) -> dict[str, Any]:
-    """Dissipative families."""
-    return {named(line.split()): followed(folder, line.split(), named(line.split())) for line in FURTHER}
+    """Dissipative families, whose energy is one of an instant and no answer."""
+    found = {named(line.split()): followed(folder, line.split(), named(line.split())) for line in FURTHER}
+    for family in found.values():
+        family["points"] = [point | {"energy": None} for point in family["points"]]
+    return found
 
 
 BRANCHES = """

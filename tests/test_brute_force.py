@@ -134,8 +134,8 @@ def test_what_is_kept_is_what_it_computes(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_finer_steps_move_no_event(name):
-    """Twice the steps, a third more pieces and twice the orbits: the same events, where they were."""
-    assert moved(SYSTEMS[name]) < 1e-9
+    """Twice the steps, a third more pieces and twice the orbits: the same events, within half of what a match allows."""
+    assert moved(SYSTEMS[name]) < family_events.VALUE / 2
 
 
 def test_a_planted_fold_and_torus_are_where_they_were_put():
