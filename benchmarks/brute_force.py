@@ -554,7 +554,7 @@ def recorded(system: System) -> dict[str, Any]:
 
 
 def moved(system: System) -> float:
-    """How far, relative, events move with twice the steps, a third more pieces and twice the orbits: the same ones must be met."""
+    """How far, relative, events move with twice the steps, more pieces and twice the orbits: the same must be met."""
     finer = replace(system, steps=2 * system.steps, pieces=system.pieces * 4 // 3, stride=system.stride / 2)
     coarse, fine = recorded(system), recorded(finer)
     pairs = [

@@ -134,7 +134,7 @@ def test_what_is_kept_is_what_it_computes(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_finer_steps_move_no_event(name):
-    """Twice the steps, a third more pieces and twice the orbits: the same events, within half of what a match allows."""
+    """Twice the steps, a third more pieces, twice the orbits: the same events, within half of what a match allows."""
     assert moved(SYSTEMS[name]) < family_events.VALUE / 2
 
 
