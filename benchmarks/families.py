@@ -10,6 +10,9 @@ DOP853 at its tightest on Hamilton's equations, divided by max(1, largest multip
     python benchmarks/families.py             writes results/benchmarks/families.md
     python benchmarks/families.py --quick     three families, 20 points
     python benchmarks/families.py --cpu       processor time on one thread for both, for a busy machine
+
+Every run is taken three times while there is time: each family has its share of what is left of --limit seconds, and
+once that is used its runs are taken once. All families, meshes and thread counts are measured either way.
 """
 
 from __future__ import annotations
@@ -20,8 +23,9 @@ import platform
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterable
-from dataclasses import dataclass
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import casadi as ca
@@ -43,6 +47,8 @@ from orbitfinder.records.family import FamilyPoint
 ROOT = Path(__file__).parents[1]
 POINTS = 40
 REPEATS = 3
+LIMIT = 720.0
+"""Seconds of repeated runs; `run.py` gives 900"""
 MESHES = ((50, 4), (100, 4), (200, 4), (100, 7))
 """(NTST, NCOL) that AUTO is tried with; the cheapest one whose closures are as asked for is its time."""
 CLOSURE = 1e-11
@@ -73,48 +79,67 @@ CASES = (
 )
 
 
+@dataclass
+class Repeats:
+    """How often a run is taken: `REPEATS` times until the share of the time is used, then once."""
+
+    until: float
+    taken: list[int] = field(default_factory=list)
+
+    def __iter__(self) -> Iterator[int]:
+        count = 0
+        while count == 0 or (count < REPEATS and time.monotonic() < self.until):
+            yield count
+            count += 1
+        self.taken.append(count)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--cpu", action="store_true")
+    parser.add_argument("--limit", type=float, default=LIMIT)
     parser.add_argument("--out", type=Path, default=ROOT / "results" / "benchmarks")
     chosen = parser.parse_args()
     if shutil.which("gfortran") is None or not (AUTO / "lib").is_dir():
         sys.exit(f"AUTO-07p is needed in {AUTO} (Debian: auto-07p, gfortran); set AUTO_DIR")
     cases, points = (CASES, POINTS) if not chosen.quick else ((CASES[1], CASES[4], CASES[-4]), 20)
-    rows = []
-    for case in cases:
-        rows.append(measured(case, points, Clock(chosen.cpu)))
+    rows, fewest, end = [], REPEATS, time.monotonic() + chosen.limit
+    for k, case in enumerate(cases):
+        now = time.monotonic()
+        repeats = Repeats(now + (end - now) / (len(cases) - k))
+        rows.append(measured(case, points, Clock(chosen.cpu), repeats))
+        fewest = min(fewest, *repeats.taken)
         print(line(*rows[-1]), flush=True)
     chosen.out.mkdir(parents=True, exist_ok=True)
-    (chosen.out / "families.md").write_text(page(rows, chosen.cpu), encoding="utf-8")
+    (chosen.out / "families.md").write_text(page(rows, chosen.cpu, fewest), encoding="utf-8")
 
 
-def measured(case: Case, points: int, clock: Clock) -> tuple[Case, dict[str, Run]]:
+def measured(case: Case, points: int, clock: Clock, repeats: Repeats) -> tuple[Case, dict[str, Run]]:
     """Every method on one family."""
     model = chain(case.links)
     found: dict[str, Run] = {}
     with compiling("off"):
         start = begin(mode_problem(model, case.mode, case.amplitude), symmetry=case.symmetry)
-        found["interpreted"] = ours(start, points, clock, events=False)
+        found["interpreted"] = ours(start, points, clock, repeats, events=False)
     with compiling("on"):
         start = begin(mode_problem(model, case.mode, case.amplitude), symmetry=case.symmetry)
-        found["compiled"] = ours(start, points, clock, events=False, judge=True)
-        found["events"] = ours(start, points, clock, events=True)
+        found["compiled"] = ours(start, points, clock, repeats, events=False, judge=True)
+        found["events"] = ours(start, points, clock, repeats, events=True)
     reach = found["compiled"].points, found["compiled"].energies[1]
     with tempfile.TemporaryDirectory() as name:
-        found |= auto_runs(Path(name), start, reach, MESHES, CLOSURE, REPEATS, clock)
+        found |= auto_runs(Path(name), start, reach, MESHES, CLOSURE, repeats, clock)
     return case, found
 
 
-def ours(start: Start, points: int, clock: Clock, events: bool, judge: bool = False) -> Run:
+def ours(start: Start, points: int, clock: Clock, repeats: Iterable[int], events: bool, judge: bool = False) -> Run:
     """orbitfinder without the independent check, which is made after the clock has stopped."""
     settings = FamilySettings(events=events, certify=False, points=points)
     origin = first_point(start, settings, None)
     run = FamilyRun(start.curve, settings, 1, origin)
     next(iter(follow(run)))  # functions of the first mesh are built here
     taken = []
-    for _ in range(REPEATS):
+    for _ in repeats:
         began = clock()
         found = [point for batch in follow(run) for point in batch.points]
         taken.append(clock() - began)
@@ -153,14 +178,15 @@ HEADER = (
 )  # fmt: skip
 
 
-def page(rows: list[tuple[Case, dict[str, Run]]], cpu: bool) -> str:
+def page(rows: list[tuple[Case, dict[str, Run]]], cpu: bool, fewest: int) -> str:
     """The report of a run."""
     worst = max(found["interpreted"].seconds / found["compiled"].seconds for _, found in rows)
+    runs = f"{REPEATS} runs" if fewest == REPEATS else f"{fewest} to {REPEATS} runs"
     meshes = ", ".join(f"{intervals} x {order}" for intervals, order in MESHES)
     return f"""# Cost of a point on a family
 
 Written by `python benchmarks/families.py{" --cpu" if cpu else ""}`; {"processor" if cpu else "wall"} times in ms a
-point, the least of {REPEATS} runs, multipliers included. Both go from the same first orbit over the same energies in
+point, the least of {runs}, multipliers included. Both go from the same first orbit over the same energies in
 about the same number of points, with their own steps. Closures are the worst of all points, divided by max(1, largest
 multiplier). Wanted: compiled at most {SYMMETRIC_WANTED} times AUTO where a symmetry is used, at most {GENERAL_WANTED}
 times in the general formulation, interpreted at most {INTERPRETED_WANTED:g} times compiled (worst measured

@@ -1,34 +1,57 @@
 """Freeze what the package answers, and hold a later commit to it.
 
-    python benchmarks/frozen.py record frozen.json          answers of this checkout, some ten minutes
-    python benchmarks/frozen.py compare frozen.json         the answers now against them, exit 1 if they differ
-    python benchmarks/frozen.py times OTHER                 four times as ratios to another checkout, run alternately
+    python benchmarks/frozen.py record FILE [PART ...]      answers of this checkout into FILE, some ten minutes
+    python benchmarks/frozen.py compare [FILE [PART ...]]   the answers now against them, exit 1 if they differ
+    python benchmarks/frozen.py times [CHECKOUT|COMMIT]     five times as ratios to another checkout, run alternately
 
-Answers: every problem file (period, energy, multipliers, stability, symmetry), every family of results/families
-followed again by its documented command (points, events), 500 starts of two searches, four proofs, the chain of a
-hundred links. All go through the command line, in folders of their own, so that nothing of the inside is known here.
+FILE is benchmarks/frozen.json unless said: the answers of 0.2.0 (9bce99e). Parts: problems (every problem file: period,
+energy, action, multipliers, stability, symmetry), families (of results/families, by their documented commands), further
+(dissipative families), branches, searches (500 starts of two), proofs (four). All go through the command line, in
+folders of their own, so that nothing of the inside is known here.
+
+Which points a run takes is no answer: of families the orbits at pinned values of the parameter (`--at`) are compared,
+numbers within max(1e-11, 1e-14 A) of their size, A what errors grow by there, and events, ends and branches as sets, by
+kind and value. `problems`, `families` and `proofs` are not run to be recorded but read from results and docs, as
+they were shipped. What
+0.2.0 had wrong is listed under `known` in the file, each with why; it is printed and not counted.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 ROOT = Path(__file__).parents[1]
-PERIOD, EVENT, OTHER = 1e-12, 1e-7, 1e-9
-"""Relative differences allowed: of periods and energies, of the places of events, of everything else."""
+BASELINE, BEFORE = ROOT / "benchmarks" / "frozen.json", "9bce99e"
+NUMBER, GROWTH, MULTIPLIER, EVENT, OTHER = 1e-11, 1e-14, 1e-7, 1e-7, 1e-9
+"""Relative differences allowed: of numbers of orbits, at least and a unit of amplification, of multipliers, of the
+values of events and ends, and of everything else"""
 REPORT = ("triple-1", "triple-2", "quadruple-1", "quadruple-2")
+SHARES = (0.2, 0.4, 0.6, 0.8)
+"""Where along a shipped family the orbits are whose values are pinned"""
+KINDS = ("report", "examples", "gallery", "linkages")
+SAID = ("period", "energy", "action")
+FURTHER = (
+    "problems/gallery/hodgkin-huxley.toml --parameter current --points 150 --at 8,20,50",
+    "problems/families/lorenz-doubling.toml --parameter rho --until 215 --at 240,230,220",
+    "problems/families/duffing-resonance.toml --parameter frequency --until 2.5 --at 1.0,1.5,2.0",
+    "problems/families/coupled-pendula.toml --parameter torque --until 0.17 --at 0.25,0.2,0.18",
+    "problems/families/driven-pendulum.toml --parameter torque --until 1.3 --at 1.0,1.1,1.2",
+)
+BRANCHED = "problems/families/triple-mode-2.toml --direction forward --points 60"
 LIMIT = 3600
-RATIO = 1.05
+RATIOS = {"refine": 1.05, "find": 1.05, "search": 1.05, "family": 1.5, "forced family": 1.5}
+"""The most that this checkout may take of the other's processor time; families have more nodes than in 0.2.0"""
 
 
 def command(*arguments: str, cwd: Path, checkout: Path = ROOT) -> str:
@@ -42,36 +65,162 @@ def command(*arguments: str, cwd: Path, checkout: Path = ROOT) -> str:
 
 
 def orbit_of(document: dict[str, Any]) -> dict[str, Any]:
-    names = ("period", "energy", "action", "stability", "symmetry", "winding", "floquet_multipliers")
-    return {name: document[name] for name in names} | {"passed": document["certificate"]["passed"]}
+    names = (*SAID, "stability", "symmetry", "winding", "floquet_multipliers")
+    judged = document["certificate"]
+    return {name: document[name] for name in names} | {"passed": judged["passed"], "scale": judged.get("scale", 1.0)}
 
 
 def problems(folder: Path) -> dict[str, Any]:
     """The orbit of every problem file that names one."""
-    chosen = [path for kind in ("report", "examples", "gallery", "linkages") for path in files(kind)]
+    chosen = [path for kind in KINDS for path in files(kind)]
     command("run", *map(str, [*chosen, ROOT / "problems/chains/chain-100.toml"]), "--no-figures", "--out", "orbits",
             cwd=folder)  # fmt: skip
     written = sorted([*folder.glob("orbits/*/orbit.json"), *folder.glob("orbits/*/rejected.json")])
-    return {path.parent.name: orbit_of(json.loads(path.read_text())) for path in written}
+    return {path.parent.name: orbit_of(read(path)) for path in written}
+
+
+def shipped_problems(_: Path) -> dict[str, Any]:
+    """The orbits of the same problem files as they were shipped."""
+    found = {}
+    for file in (*(path for kind in KINDS for path in files(kind)), ROOT / "problems/chains/chain-100.toml"):
+        kept = [ROOT / "results" / kind / file.stem / "orbit.json" for kind in ("orbits", "gallery")]
+        kept.append(ROOT / "docs/gallery/orbits" / f"{file.parent.name}-{file.stem}.json")
+        for path in filter(Path.exists, kept):
+            found[file.stem] = orbit_of(read(path))
+    return found
 
 
 def files(kind: str) -> list[Path]:
     return sorted((ROOT / "problems" / kind).glob("*.toml"))
 
 
-def families(folder: Path) -> dict[str, Any]:
-    """Every family by the commands that results/families/README.md names, in their order."""
-    text = (ROOT / "results/families/README.md").read_text()
-    for line in re.findall(r"^ +orbitfinder (continue .*)$", text, re.MULTILINE):
-        words = [str(ROOT / word) if word.startswith("problems/") else word for word in line.split()]
-        command(*words, cwd=folder)
-    found = {}
-    for path in sorted(folder.glob("families/*/family.json")):
-        document = json.loads(path.read_text())
-        events = [{key: one.get(key) for key in ("kind", "parameter", "period")} for one in document["events"]]
-        ends = [{key: point[key] for key in ("period", "energy", "stability")} for point in document["points"][::10]]
-        found[path.parent.name] = {"points": ends, "count": len(document["points"]), "events": events}
+def families(folder: Path, before: Mapping[str, Any]) -> dict[str, Any]:
+    """Every family by the command that results/families/README.md names, in their order, at the pinned values."""
+    found: dict[str, Any] = {}
+    for words in commands():
+        name = named(words)
+        pins = [point["value"] for point in before[name]["points"]]
+        if "--switch" in words:  # events are known by kind and value, not by their number in a run
+            source, at = words[0].split("/")[1], words.index("--switch") + 1
+            wanted = before[source]["numbered"][words[at]]
+            words[at] = str(event_index(folder / words[0], wanted, before[source]["parameter"]))
+        found[name] = followed(folder, words, name, pins)
     return found
+
+
+def commands() -> list[list[str]]:
+    """The words after `continue` of every command of results/families/README.md."""
+    text = (ROOT / "results/families/README.md").read_text()
+    return [line.split() for line in re.findall(r"^ +orbitfinder continue (.*)$", text, re.MULTILINE)]
+
+
+def named(words: list[str]) -> str:
+    """The name of a family by its command."""
+    return words[words.index("--name") + 1] if "--name" in words else Path(words[0]).stem
+
+
+def followed(folder: Path, words: list[str], name: str, pins: Iterable[float] = ()) -> dict[str, Any]:
+    """What a command says of its family, exact points at pinned values added."""
+    words = [str(ROOT / word) if word.startswith("problems/") else word for word in words]
+    at = words.index("--at") + 1 if "--at" in words else 0
+    values = sorted({*map(float, words[at].split(",") if at else []), *pins})
+    if at:
+        del words[at - 1 : at + 1]
+    if "--out" in words:
+        del words[words.index("--out") : words.index("--out") + 2]
+    pinned = [*words, "--at=" + ",".join(map(repr, values))] if values else words
+    if not {"--until", "--direction", "--switch"} & set(words):  # without these the outermost of --at is where it stops
+        command("continue", *pinned, "--out", "pinned", cwd=folder)
+        command("continue", *words, "--out", "families", cwd=folder)
+        points = family_of(read(folder / "pinned" / name / "family.json"), values)["points"]
+        return family_of(read(folder / "families" / name / "family.json"), []) | {"points": points}
+    command("continue", *pinned, "--out", "families", cwd=folder)
+    return family_of(read(folder / "families" / name / "family.json"), values)
+
+
+def read(file: Path) -> Any:
+    """A JSON document."""
+    return json.loads(file.read_text(encoding="utf-8"))
+
+
+def event_index(file: Path, wanted: Mapping[str, Any], parameter: str) -> int:
+    """The number that an event has in a family now; -1, which no command takes, where it is gone."""
+    events = [event_of(one, parameter) for one in read(file)["events"]]
+    near = [k for k, one in enumerate(events) if same_event(wanted, one)]
+    return near[0] if near else -1
+
+
+def event_of(event: Mapping[str, Any], parameter: str) -> dict[str, Any]:
+    """The name and value of an event. A turn of the period was a fold of the period in 0.2.0."""
+    turn = event["kind"] == "fold" and event.get("detail") not in ("", None, parameter)
+    return {"kind": "turn" if turn else event["kind"], "value": event["parameter"], "period": event["period"]}
+
+
+def same_event(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Whether two are one event: kind and value; the period, which moves with a fold's root, to tell branches apart."""
+    near = abs(one["value"] - other["value"]) <= EVENT * max(1.0, abs(one["value"]))
+    return one["kind"] == other["kind"] and near and abs(one["period"] - other["period"]) <= 1e-3 * one["period"]
+
+
+def family_of(document: Mapping[str, Any], pins: Iterable[float]) -> dict[str, Any]:
+    """The orbits at the pinned values, events and ends of a family.json; its events also by number."""
+    names = ("value", *SAID, "floquet_multipliers", "stability", "scale")
+    points = [{name: one[name] for name in names} for one in document["points"] if one["value"] in set(pins)]
+    events = [event_of(one, document["parameter"]) for one in document["events"]]
+    ends = [{"kind": one["kind"]} | ({"value": one["parameter"]} if one.get("parameter") is not None else {})
+            for one in document["ends"]]  # fmt: skip
+    numbered = {str(k): one for k, one in enumerate(events)}
+    return {"parameter": document["parameter"], "points": points, "events": events, "ends": ends, "numbered": numbered}
+
+
+def shipped(_: Path) -> dict[str, Any]:
+    """The families of results/families as they are there, pinned at four of their orbits."""
+    found = {}
+    for words in commands():
+        document = read(ROOT / "results" / "families" / named(words) / "family.json")
+        steps = [one["value"] for one in document["points"] if one["role"] == "step"]
+        pins = {steps[round(share * (len(steps) - 1))] for share in SHARES}
+        if document["parameter"] in ("energy", "period") or len(set(steps)) == len(steps):
+            found[named(words)] = family_of(document, pins)
+    return found
+
+
+def further(folder: Path) -> dict[str, Any]:
+    """Dissipative families, whose energy is one of an instant and no answer."""
+    found = {named(line.split()): followed(folder, line.split(), named(line.split())) for line in FURTHER}
+    for family in found.values():
+        family["points"] = [point | {"energy": None} for point in family["points"]]
+    return found
+
+
+BRANCHES = """
+import json, sys
+from orbitfinder.families.branches import SWITCHABLE, branches
+from orbitfinder.records.family import load_family
+family = load_family(sys.argv[1])
+found = []
+for k, event in enumerate(family.events):
+    if event.kind in SWITCHABLE:
+        try:
+            for one in branches(sys.argv[1], k):
+                found.append({"kind": event.kind + ": " + one.start.curve.equations.symmetry.name,
+                              "value": event.parameter, "period": event.period})
+        except Exception as error:
+            found.append({"kind": event.kind + ": " + type(error).__name__, "value": event.parameter,
+                          "period": event.period})
+print(json.dumps(found))
+"""
+
+
+def branching(folder: Path) -> dict[str, Any]:
+    """The branches that leave every event of one family, by the event's kind and value and their symmetry."""
+    words = [str(ROOT / word) if word.startswith("problems/") else word for word in BRANCHED.split()]
+    command("continue", *words, "--out", "families", cwd=folder)
+    file = folder / "families" / named(words) / "family.json"
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "ignore"}
+    done = subprocess.run([sys.executable, "-c", BRANCHES, str(file)], env=environment, capture_output=True, text=True,
+                          timeout=LIMIT, check=True)  # fmt: skip
+    return {named(words): {"events": json.loads(done.stdout)}}
 
 
 def searches(folder: Path) -> dict[str, Any]:
@@ -81,7 +230,7 @@ def searches(folder: Path) -> dict[str, Any]:
         file = str(ROOT / f"problems/search/{name}.toml")
         command("search", file, "--starts", "500", "--seed", "0", "--atlas", f"{name}.sqlite", cwd=folder)
         command("atlas", "export", f"{name}.sqlite", "--to", "json", "-o", f"{name}.json", cwd=folder)
-        orbits = json.loads((folder / f"{name}.json").read_text())
+        orbits = read(folder / f"{name}.json")
         found[name] = in_order([one["energy"], one["period"], one["action"]] for one in orbits)
     return found
 
@@ -92,48 +241,124 @@ def in_order(orbits: Iterable[list[float]]) -> list[list[float]]:
 
 
 def proofs(folder: Path) -> dict[str, Any]:
-    """The four proofs of the report: proved or not, and the enclosure of the period."""
-    found = {}
-    for name in REPORT:
-        said = json.loads(command("prove", str(ROOT / f"results/orbits/{name}/orbit.json"), "--json", cwd=folder))
-        one = said[0] if isinstance(said, list) else said
-        found[name] = {key: one[key] for key in ("proved", "symmetry", "stability") if key in one}
-    return found
+    """The four proofs of the report again: proved or not, and the period in its middle."""
+    files = [str(ROOT / f"results/orbits/{name}/orbit.json") for name in REPORT]
+    told = json.loads(command("prove", *files, "--no-record", "--json", cwd=folder))["results"]
+    return {name: proof_of(one) for name, one in zip(REPORT, told, strict=True)}
 
 
+def shipped_proofs(_: Path) -> dict[str, Any]:
+    """The same as they were shipped."""
+    return {name: proof_of(read(ROOT / f"results/orbits/{name}/orbit.json")["proof"]) for name in REPORT}
+
+
+def proof_of(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """What a proof says, in a word each."""
+    return {
+        "proved": entry["proved"], "symmetry": entry["symmetry"], "stability": entry["stability"],
+        "period": float(entry["period"]["value"]),
+    }  # fmt: skip
+
+
+AGAIN: dict[str, Callable[[Path], Any]] = {"problems": problems, "proofs": proofs}
+"""How to compute again what is read from shipped files to be recorded"""
 ANSWERS: dict[str, Callable[[Path], Any]] = {
-    "problems": problems, "families": families, "searches": searches, "proofs": proofs,
+    "problems": shipped_problems, "families": shipped, "further": further, "branches": branching, "searches": searches,
+    "proofs": shipped_proofs,
 }  # fmt: skip
 
 
-def answers() -> dict[str, Any]:
-    """Everything, each kind in a folder of its own."""
-    found = {}
-    for name, make in ANSWERS.items():
-        with tempfile.TemporaryDirectory() as folder:
-            found[name] = make(Path(folder))
-        print(name, len(found[name]), file=sys.stderr, flush=True)
-    return found
+def answers(parts: Iterable[str], before: Mapping[str, Any] | None = None) -> Iterator[tuple[str, Any]]:
+    """The parts asked for, each in a folder of its own; with answers of before, families are followed at their pins."""
+    for part in parts:
+        with tempfile.TemporaryDirectory() as name:
+            if before is not None and part == "families":
+                found = families(Path(name), before[part])
+            else:
+                found = (AGAIN.get(part, ANSWERS[part]) if before is not None else ANSWERS[part])(Path(name))
+        print(part, len(found), file=sys.stderr, flush=True)
+        yield part, json.loads(json.dumps(found))
 
 
 def differences(before: Any, now: Any, where: str = "") -> Iterator[str]:
     """Sentences about what differs by more than is allowed there."""
-    if isinstance(before, dict) and isinstance(now, dict):
-        for key in sorted(before.keys() | now.keys()):
+    if isinstance(before, dict) and isinstance(now, dict) and "floquet_multipliers" in before:
+        yield from orbit_differences(before, now, where)
+    elif isinstance(before, dict) and isinstance(now, dict):
+        for key in sorted((before.keys() | now.keys()) - {"numbered"}):
             if key not in before or key not in now:
                 yield f"{where}/{key}: {'gone' if key in before else 'new'}"
+            elif key in ("events", "ends"):
+                yield from set_differences(before[key], now[key], f"{where}/{key}")
+            elif key == "points":
+                yield from pinned_differences(before[key], now[key], f"{where}/{key}")
             else:
                 yield from differences(before[key], now[key], f"{where}/{key}")
     elif isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
         for k, pair in enumerate(zip(before, now, strict=True)):
             yield from differences(*pair, f"{where}/{k}")
     elif isinstance(before, float) and isinstance(now, float):
-        allowed = EVENT if "/events/" in where or "floquet" in where else PERIOD if "period" in where else OTHER
-        if abs(now - before) > allowed * max(1.0, abs(before)):
+        if not abs(now - before) <= OTHER * max(1.0, abs(before)):
             yield f"{where}: {before!r} -> {now!r}"
     elif before != now:
-        told = (len(before), len(now)) if isinstance(before, list) and isinstance(now, list) else (before, now)
-        yield f"{where}: {told[0]} -> {told[1]}"
+        sizes = (len(before), len(now)) if isinstance(before, list) and isinstance(now, list) else (before, now)
+        yield f"{where}: {sizes[0]} -> {sizes[1]}"
+
+
+def orbit_differences(before: Mapping[str, Any], now: Mapping[str, Any], where: str) -> Iterator[str]:
+    """Of one orbit: numbers within max(1e-11, 1e-14 A), multipliers each against the nearest, words exactly."""
+    share = max(NUMBER, GROWTH * before["scale"])
+    for name in SAID:
+        pair = before[name], now[name]
+        if None in pair:
+            if pair != (None, None):
+                yield f"{where}/{name}: {pair[0]} -> {pair[1]}"
+        elif not abs(pair[1] - pair[0]) <= share * max(1.0, abs(pair[0])):
+            yield f"{where}/{name}: {pair[0]!r} -> {pair[1]!r}, allowed {share:.1e}"
+    known, left = ([complex(*each) for each in one["floquet_multipliers"]] for one in (before, now))
+    if len(known) != len(left):
+        yield f"{where}/floquet_multipliers: {len(known)} -> {len(left)}"
+        known = []
+    allowed = max(MULTIPLIER, GROWTH * before["scale"])
+    for mu in sorted(known, key=abs, reverse=True):
+        nearest = left.pop(min(range(len(left)), key=lambda k: abs(left[k] - mu)))
+        if not abs(nearest - mu) <= allowed * max(1.0, abs(mu)):
+            yield f"{where}/floquet_multipliers: {mu} -> {nearest}"
+    for name in ("stability", "symmetry", "winding", "passed"):
+        if before.get(name) != now.get(name):
+            yield f"{where}/{name}: {before.get(name)} -> {now.get(name)}"
+
+
+def set_differences(before: list[Any], now: list[Any], where: str) -> Iterator[str]:
+    """Of events, ends or branches: what is gone and what is new, whatever their order."""
+    left = list(now)
+    for one in before:
+        same = [k for k, other in enumerate(left) if alike(one, other)]
+        if same:
+            left.pop(same[0])
+        else:
+            yield f"{where}: gone: {one['kind']} {one.get('value', '')}".rstrip()
+    yield from (f"{where}: new: {one['kind']} {one.get('value', '')}".rstrip() for one in left)
+
+
+def alike(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Whether two entries of a set are the same; an end whose value 0.2.0 did not say is known by its kind."""
+    if "period" in one:
+        return same_event(one, other)
+    values = one.get("value"), other.get("value")
+    near = None in values or abs(values[0] - values[1]) <= EVENT * max(1.0, abs(values[0]))
+    return one["kind"] == other["kind"] and near
+
+
+def pinned_differences(before: list[Any], now: list[Any], where: str) -> Iterator[str]:
+    """Of the orbits at pinned values: each against the orbit at the same value that differs in least."""
+    for one in before:
+        label = f"{where}/{one['value']!r}"
+        there = [list(orbit_differences(one, other, label)) for other in now if other["value"] == one["value"]]
+        if not there:
+            yield f"{label}: not met"
+            continue
+        yield from min(there, key=len)
 
 
 TIMED = """
@@ -166,6 +391,9 @@ def seconds(what: str, checkout: Path) -> float:
         if what == "family":
             file = str(checkout / "problems/families/triple-mode-2.toml")
             command("continue", file, "--points", "60", "--direction", "forward", cwd=Path(folder), checkout=checkout)
+        elif what == "forced family":
+            file = str(checkout / "problems/families/duffing-resonance.toml")
+            command("continue", file, "--parameter", "frequency", "--until", "2.5", cwd=Path(folder), checkout=checkout)
         else:
             file = str(checkout / "problems/search/triple.toml")
             command("search", file, "--starts", "200", "--workers", "0", "--atlas", "a.sqlite", cwd=Path(folder),
@@ -174,30 +402,68 @@ def seconds(what: str, checkout: Path) -> float:
     return after.children_user + after.children_system - before.children_user - before.children_system
 
 
+@contextlib.contextmanager
+def other_checkout(target: str) -> Iterator[Path]:
+    """A folder as it is, or a commit in a folder that is gone afterwards."""
+    if Path(target).is_dir():
+        yield Path(target).resolve()
+        return
+    with tempfile.TemporaryDirectory() as name:
+        packed = subprocess.run(["git", "-C", str(ROOT), "archive", target], capture_output=True)
+        if packed.returncode:
+            raise SystemExit(f"{target}: neither a folder nor a commit: {packed.stderr.decode().strip()}")
+        subprocess.run(["tar", "-x", "-C", name], input=packed.stdout, check=True)
+        yield Path(name)
+
+
 def times(other: Path, repeats: int = 5) -> bool:
-    """Ratios of processor time, this checkout to another, run alternately; True when none is above 1.05."""
+    """Ratios of processor time, this checkout to another, run alternately; True when none is above its `RATIOS`."""
     fine = True
-    for what in ("refine", "find", "family", "search"):
+    for what, allowed in RATIOS.items():
         pairs = [(seconds(what, ROOT), seconds(what, other)) for _ in range(repeats)]
         mine, theirs = np.median(pairs, axis=0)
-        fine &= bool(mine <= RATIO * theirs)
-        print(f"{what:>8}: {mine:.4g} s against {theirs:.4g} s, ratio {mine / theirs:.3f}", flush=True)
+        fine &= bool(mine <= allowed * theirs)
+        print(f"{what:>14}: {mine:.4g} s against {theirs:.4g} s, ratio {mine / theirs:.3f} of {allowed}", flush=True)
     return fine
+
+
+def known(before: Mapping[str, Any], sentence: str) -> str:
+    """Why a difference is right, "" when nobody said so."""
+    return next((one["why"] for one in before.get("known", []) if re.fullmatch(one["what"], sentence)), "")
+
+
+def compared(file: Path, parts: Iterable[str]) -> int:
+    """Print every difference, those that are known apart; how many are not."""
+    before = read(file)
+    count = 0
+    for part, now in answers(parts or [one for one in ANSWERS if one in before], before):
+        old = before[part]
+        if part == "searches":
+            old = {name: in_order(orbits) for name, orbits in old.items()}
+        for sentence in differences(old, now, part):
+            why = known(before, sentence)
+            count += not why
+            print(f"{sentence}   (known: {why})" if why else sentence, flush=True)
+    print(f"{count} differences")
+    return count
 
 
 def main() -> None:
     """See the module."""
-    verb, target = [*sys.argv[1:], "", ""][:2]
+    verb, target, *parts = [*sys.argv[1:], "", ""][: max(2, len(sys.argv) - 1)]
+    file = Path(target or BASELINE)
+    if unknown := [part for part in parts if part not in ANSWERS]:
+        raise SystemExit(f"{unknown[0]}: no part; there are {', '.join(ANSWERS)}")
     if verb == "record":
-        Path(target).write_text(json.dumps(answers(), indent=1) + "\n")
+        known = read(file) if file.exists() else {}
+        for part, found in answers(parts or ANSWERS):
+            known[part] = found
+            file.write_text(json.dumps(known, separators=(",", ":")).replace("},", "},\n") + "\n")
     elif verb == "compare":
-        before = json.loads(Path(target).read_text())
-        before["searches"] = {name: in_order(orbits) for name, orbits in before["searches"].items()}
-        found = list(differences(before, json.loads(json.dumps(answers()))))
-        print(*found, f"{len(found)} differences", sep="\n")
-        raise SystemExit(1 if found else 0)
+        raise SystemExit(1 if compared(file, parts) else 0)
     elif verb == "times":
-        raise SystemExit(0 if times(Path(target).resolve()) else 1)
+        with other_checkout(target or BEFORE) as other:
+            raise SystemExit(0 if times(other) else 1)
     else:
         raise SystemExit(__doc__)
 

@@ -13,7 +13,7 @@ import os
 import resource
 import subprocess
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -196,7 +196,7 @@ def auto_runs(
     asked: tuple[int, float],
     meshes: Sequence[tuple[int, int]],
     closure: float,
-    repeats: int,
+    repeats: Iterable[int],
     clock: Clock,
 ) -> dict[str, Run]:
     """AUTO on its coarsest mesh ("coarse"), on the first that closes as asked for ("auto"), and there with events.
@@ -214,11 +214,11 @@ def auto_runs(
     return found
 
 
-def best_of(program: AutoFamily, asked: Asked, repeats: int) -> Run:
+def best_of(program: AutoFamily, asked: Asked, repeats: Iterable[int]) -> Run:
     """With one thread and with AUTO's own number of them, whichever is faster."""
     timed = []
     for threads in (1,) if program.clock.cpu else (1, 0):
-        timed.append((min(program.go(replace(asked, threads=threads)) for _ in range(repeats)), threads))
+        timed.append((min(program.go(replace(asked, threads=threads)) for _ in repeats), threads))
     seconds, threads = min(timed)
     named = f"{asked.mesh[0]} x {asked.mesh[1]}, {'one thread' if threads else 'its threads'}"
     return program.judged(seconds, named)
