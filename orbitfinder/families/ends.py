@@ -16,7 +16,7 @@ from orbitfinder.families.run import Interval, Run, Step, portrait
 from orbitfinder.families.start import full_samples, return_gaps
 from orbitfinder.loops.continued import Curve, Solution, correct
 from orbitfinder.loops.loop import Condition
-from orbitfinder.loops.symmetry import NONE, beside, recognise
+from orbitfinder.loops.symmetry import NONE, beside, named, recognise
 from orbitfinder.records.family import End, FamilyPoint
 
 SLOW = 0.1
@@ -460,20 +460,30 @@ def mirrored(interval: Interval, at: float) -> bool:
     return bool(abs(other[1] - level[1]) < MIRRORED * abs(level[1] - turn[1]))
 
 
+def _keeps(curve: Curve, name: str, states: np.ndarray) -> bool:
+    """Whether the equations have the symmetry of a name, asked at states (k x d) of an orbit that has not."""
+    symmetry = named(name, curve.equations.model)
+    chosen = states[:: len(states) // 3]
+    return all(symmetry.held_by(curve.equations.model, state, curve.cycles) for state in chosen)
+
+
 def merged(interval: Interval, at: float, name: str) -> End | None:
     """At a fold so far into a step: whether the family joins one of more symmetry or of a shorter period.
 
     A branch is its own mirror image about the orbit that it was born from, so that what it is followed in turns there.
     """
     curve, found = interval.curve, interval.sample(at).found
-    times, states = full_samples(curve, found)
-    seen = recognise(times, states, curve.equations.model)
+    model, (times, states) = curve.equations.model, full_samples(curve, found)
+    seen = recognise(times, states, model)
     gaps_of = {k: float((return_gaps(states, k) / curve.units).max()) for k in EVEN}
     extent = float(np.ptp(states / curve.units, axis=0).max())
     covers = max((k for k in EVEN if gaps_of[k] < JOINED * extent), default=1)
     if covers == 1 and seen in (NONE.name, curve.equations.symmetry.name):
         return None
     if not curve.equations.links:
+        times, beside = full_samples(curve, interval.first.found)
+        if covers == 1 and (recognise(times, beside, model) == seen or not _keeps(curve, seen, beside)):
+            return None  # the family has it itself, or the motion has and the equations have not
         join = solved(curve, found, name, Kept(covers), seen if covers == 1 else "")
         values = [parameter_value(curve, interval.sample(one).found.place, name) for one in (0.0, at, interval.length)]
         there = join is not None and abs(join.value - values[1]) < THERE * np.ptp(values)

@@ -37,8 +37,10 @@ SAMPLED = 480
 """Samples over a period, divisible by every `parts`"""
 STEPS = 20
 """Runge-Kutta steps in a segment of the first guess of the joined orbit"""
-BESIDE = (1e-7, 0.5)
-"""d relative to the motion: above round-off, and small enough for an orbit to be beside another family."""
+BESIDE = (1e-4, 0.5)
+"""d relative to the motion: above what cubics between the steps are off, and beside another family."""
+GONE = 0.2
+"""Share of the lower bound that d is below where it is only what cubics are off."""
 CRITICAL = 0.5
 """A multiplier of the joined family is this near to the critical one beside the join."""
 MOST_SECANT = 16
@@ -122,12 +124,21 @@ def _beside(curve: Curve, states: np.ndarray) -> Iterator[tuple[Kept, np.ndarray
         yield kept, gaps, float(np.sqrt((gaps**2).mean() / max((away**2).mean(), 1e-300)))
 
 
+def _held(curve: Curve, kept: Kept, states: np.ndarray) -> bool:
+    """Whether the equations keep it, and not only a motion: asked at states of an orbit beside."""
+    p = curve.equations
+    if kept.one is None:
+        return True
+    symmetry = called(replace(p.symmetry, maps=(kept.one,)), p.model)
+    cycles = max(curve.cycles // kept.covers, 1)
+    return all(symmetry.held_by(p.model, states[k], cycles) for k in (0, SAMPLED // 5, SAMPLED // 2))
+
+
 def approaching(curve: Curve, sample: Sample, length: float) -> Iterator[tuple[Kept, float, float]]:
     """The families that might be joined: what they keep, how far ahead, and how far the orbit is beside them."""
     found = sample.found
-    near = [
-        one for one in _beside(curve, sampled(curve, found.place, found.march.states)) if BESIDE[0] < one[2] < BESIDE[1]
-    ]
+    here = sampled(curve, found.place, found.march.states)
+    near = [one for one in _beside(curve, here) if BESIDE[0] < one[2] < BESIDE[1] and _held(curve, one[0], here)]
     if not near:
         return
     place, path = predicted(curve, sample, length)
@@ -142,9 +153,10 @@ def approaching(curve: Curve, sample: Sample, length: float) -> Iterator[tuple[K
 def passed(curve: Curve, before: Solution, after: Solution) -> bool:
     """Whether a family was joined between two orbits: the second one keeps what the first did not, or is its image."""
     one, other = (sampled(curve, each.place, each.march.states) for each in (before, after))
-    for (_, here, size), (_, there, left) in zip(_beside(curve, one), _beside(curve, other), strict=True):
+    for (kept, here, size), (_, there, left) in zip(_beside(curve, one), _beside(curve, other), strict=True):
         sizes = float(np.linalg.norm(here) * np.linalg.norm(there))
-        if size > BESIDE[0] > 1e2 * left or (max(size, left) < BESIDE[1] and (here * there).sum() < -0.5 * sizes):
+        turned = BESIDE[0] < min(size, left) and max(size, left) < BESIDE[1] and (here * there).sum() < -0.5 * sizes
+        if (turned or (size > BESIDE[0] and left < GONE * BESIDE[0])) and _held(curve, kept, one):
             return True
     return False
 
