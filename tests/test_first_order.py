@@ -278,11 +278,11 @@ def test_halo_orbits_leave_the_planar_family():
     """From the libration point: mode, planar family, branch points of the trial, and a switch that leaves the plane."""
     model = of.systems.restricted_three_body_canonical(ratio=0.01215057)
     guess = of.guesses.normal_mode(model, 2, 0.02, [0.837, 0, 0, 0, 0.837, 0])
-    settings = of.FamilySettings(directions="forward", points=12)
+    settings = of.FamilySettings(directions="forward", points=30)
     family = of.follow_family(of.Problem(model, guess, symmetry="mirror"), settings=settings)
     first = next(event for event in family.events if event.kind == "branch_point")
     assert first.parameter == pytest.approx(-1.58717591, abs=1e-8) and first.certified
-    halo = of.follow_family(of.switch_branch(family, 0), points=3)
+    halo = of.follow_family(of.switch_branch(family, 0), points=25)
     assert abs(halo.points[-1].state[2]) > 1e-3 and of.certify(halo.points[-1]).passed
 
 

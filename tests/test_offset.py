@@ -50,7 +50,7 @@ def test_the_same_family():
     """Its points are the same to round-off, those at a given energy to what that is told to."""
 
     def family(offset):
-        settings = FamilySettings(points=8, directions="forward")
+        settings = FamilySettings(points=14, directions="forward")
         return of.follow_family(planted(offset, y=SIZE), "energy", until=4 * energy(SIZE) + offset, settings=settings)
 
     known, found = family(0.0), family(1e6)

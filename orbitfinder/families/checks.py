@@ -41,6 +41,8 @@ SHARP = 1e-5
 """An event is this near to where its definition holds, in steps of the family"""
 DOUBTFUL = 4e-5
 """... and what is read there is known this well"""
+ASIDE = 0.03
+"""A cusp goes this little across the direction in which it turns, relative to its bend"""
 DRAWS, SAFETY = 3, 10.0
 """Errors of the size of the integration's with which the map is read again, and what their largest is multiplied by"""
 ALIKE = 1e-6
@@ -276,21 +278,41 @@ def _second(sides: Sides, event: Event) -> Reading:
     raise ConvergenceError("nothing of this kind happens along such a curve")
 
 
-def _extremal(sides: Sides, event: Event) -> Reading:
-    """On a curve of folds in two parameters, where one of them, or both, turn."""
-    curve = sides.here.curve
-    assert isinstance(curve.test, Critical)
-    names = curve.test.parameters if event.kind == "cusp" else (event.detail,)
-    if curve.test.kind != "fold" or not set(names) <= set(curve.test.parameters):
+def _folds_of(sides: Sides) -> tuple[str, str]:
+    """The two parameters of a curve of folds."""
+    test = sides.here.curve.test
+    assert isinstance(test, Critical)
+    if test.kind != "fold":
         raise ConvergenceError("no curve of folds turns there")
-    found = [sides.turning(one) for one in names]
-    if event.kind != "cusp":
-        low, middle, high = sides.values(event.detail)
-        if is_centre(curve, sides.here.found.place, event.detail, low + high - 2 * middle) != (
-            event.kind == "isola_centre"
-        ):
-            raise ConvergenceError("the surface of orbits is bent the other way")
-    return replace(max(found, key=lambda one: abs(one.value)), passed=all(one.passed for one in found))
+    return test.parameters
+
+
+def _extremal(sides: Sides, event: Event) -> Reading:
+    """On a curve of folds in two parameters, where the one that folds turns."""
+    curve = sides.here.curve
+    if event.detail not in _folds_of(sides):
+        raise ConvergenceError("no curve of folds turns there")
+    low, middle, high = sides.values(event.detail)
+    if is_centre(curve, sides.here.found.place, event.detail, low + high - 2 * middle) != (
+        event.kind == "isola_centre"
+    ):
+        raise ConvergenceError("the surface of orbits is bent the other way")
+    return sides.turning(event.detail)
+
+
+def _cusp(sides: Sides, event: Event) -> Reading:
+    """Where a curve of folds stops in the plane of its parameters: it turns in one direction, and has none across."""
+    names, model = _folds_of(sides), sides.here.curve.equations.physical
+    sizes = np.array([sides.here.curve.scales.free[model.index(one)] if one in model else 1.0 for one in names])
+    low, middle, high = np.array([sides.values(one) for one in names]).T / sizes
+    bent, across = high - 2 * middle + low, high - low
+    scale = sides.apart / (sides.step * max(float(np.linalg.norm(bent)), 1e-300))
+    along = bent / max(float(np.linalg.norm(bent)), 1e-300)
+    value, aside = -0.5 * float(across @ along) * scale, across - (across @ along) * along
+    known = 4 * np.finfo(float).eps + max(one.tour.closes.distance for one in (sides.before, sides.here, sides.after))
+    error = SHARP + float(np.abs([low, high]).max()) * known * scale
+    straight = 0.5 * float(np.linalg.norm(aside)) * scale < ASIDE
+    return Reading(value, error, bool(abs(value) <= error < DOUBTFUL and straight))
 
 
 CHECKS: dict[str, Callable[[Sides, Event], Reading]] = {
@@ -299,7 +321,7 @@ CHECKS: dict[str, Callable[[Sides, Event], Reading]] = {
     **dict.fromkeys(("grazing", "cycle_change", "holds"), _margin),
     **dict.fromkeys(("strong_resonance", "fold_doubling", "fold_torus", "doubling_torus", "degenerate_doubling"),
                     _second),
-    **dict.fromkeys(("cusp", "isola_centre", "transcritical"), _extremal),
+    "cusp": _cusp, **dict.fromkeys(("isola_centre", "transcritical"), _extremal),
 }  # fmt: skip
 """How each kind of event is checked; what is not here cannot be recorded"""
 
@@ -309,7 +331,7 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float) -> Readi
 
     Raises `ConvergenceError` where it is not known well enough, or its definition is contradicted.
     """
-    if event.kind not in CHECKS or (curve.test is None) != (CHECKS[event.kind] not in (_second, _extremal)):
+    if event.kind not in CHECKS or (curve.test is None) != (CHECKS[event.kind] not in (_second, _extremal, _cusp)):
         raise ConvergenceError(f"a {event.kind} has no check on such a family")
     found = settled_on(curve, event)
     curve = curve.measured(found)

@@ -181,7 +181,9 @@ def _hopf(run: Run, rest: Rest, more: str = "") -> End:
 def _turned_over(curve: Curve, before: Solution, found: Solution) -> bool:
     """Whether an orbit is the one before half a period later, as behind an equilibrium."""
     one, other = (full_samples(curve, each, COMPARED)[1][:-1] for each in (before, found))
-    one, other = ((each - each.mean(axis=0)) / np.ptp(one, axis=0) for each in (one, other))
+    extents = np.ptp(one, axis=0)
+    extents = np.where(extents > 0.0, extents, np.inf)  # what does not move says nothing
+    one, other = ((each - each.mean(axis=0)) / extents for each in (one, other))
     return bool(np.sum(one * other) < TURNED * np.linalg.norm(one) * np.linalg.norm(other))
 
 

@@ -76,8 +76,9 @@ def vanishing(curve: Curve, sample: Sample, length: float) -> float:
     found = sample.found
     _, here, weights = deviations(curve, found.place, found.march.states)
     _, there, _ = deviations(curve, *predicted(curve, sample, length))
-    units = np.maximum(np.ptp(here, axis=0), 1e-300)
-    share = float(np.sum(weights @ (here * there / units**2)) / np.sum(weights @ (here / units) ** 2))
+    units = np.ptp(here, axis=0)
+    units = np.where(units > 0.0, units, np.inf)  # what does not move says nothing
+    share = float(np.sum(weights @ (here / units * (there / units))) / np.sum(weights @ (here / units) ** 2))
     return length / (1.0 - share) if share < 1.0 else np.inf
 
 
