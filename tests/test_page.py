@@ -465,12 +465,12 @@ def test_family_motions_start_from_the_nodes(material, tmp_path):
     source = next(material.glob("families/*/family.json"))
     shutil.copy(source, tmp_path / "family.json")
     bare, full = (gather([path]).families[0] for path in (tmp_path / "family.json", source))
-    assert not bare.points[-1].shooting_nodes.size and full.points[-1].shooting_nodes.size
-    first, second = (Simulator().member(one.system, one.points[-1]) for one in (bare, full))
+    assert not bare.points[0].shooting_nodes.size and full.points[0].shooting_nodes.size
+    first, second = (Simulator().member(one.system, one.points[0]) for one in (bare, full))
     assert np.abs(first.at(60) - second.at(60)).max() < 1e-5
     middle = len(first.times) // 8  # cut the quarter that is free into two segments
     edges = np.array([0.0, first.times[middle] / first.period, 0.25])
-    many = replace(full.points[-1], shooting_nodes=first.states[[0, middle]], mesh=edges)
+    many = replace(full.points[0], shooting_nodes=first.states[[0, middle]], mesh=edges)
     assert many.symmetry == "brake+reflection"
     assert np.abs(Simulator().member(full.system, many).at(60) - first.at(60)).max() < 1e-5
     (tmp_path / "family.npz").write_bytes(b"no zip")

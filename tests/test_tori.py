@@ -235,7 +235,7 @@ def test_bad_input(loop_orbit, golden):
         of.follow_tori(loop_orbit, mode=2)
     with pytest.raises(InputError, match="model: missing; a Torus does not say of which system it is"):
         of.follow_tori(golden, hold="rotation")
-    with pytest.raises(InputError, match="origin: int; give an Orbit, or a Torus"):
+    with pytest.raises(InputError, match="origin: expected an Orbit or a Torus, got 3"):
         of.follow_tori(3)
     hyperbolic = of.find_orbit(of.Problem(model, guess=straight, pin=of.pin(energy=1 / 12)))
     if hyperbolic.stability == "unstable":

@@ -355,6 +355,10 @@ def switch_branch(
         'none'
     """
     if isinstance(event, str):
+        if event not in ("start", "end"):
+            raise InputError(
+                f"event: {event!r}; give an event, its number from 0, or the end that was joined: start, end"
+            )
         return _joined(family if isinstance(family, Family) else load_family(family), event, settings, model)
     if isinstance(event, Event):
         family = family if isinstance(family, Family) else load_family(family)
