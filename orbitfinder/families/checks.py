@@ -300,7 +300,7 @@ def _extremal(sides: Sides, event: Event) -> Reading:
     return sides.turning(event.detail)
 
 
-def _cusp(sides: Sides, event: Event) -> Reading:
+def _cusp(sides: Sides, _: Event) -> Reading:
     """Where a curve of folds stops in the plane of its parameters: it turns in one direction, and has none across."""
     names, model = _folds_of(sides), sides.here.curve.equations.physical
     sizes = np.array([sides.here.curve.scales.free[model.index(one)] if one in model else 1.0 for one in names])
