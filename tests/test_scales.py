@@ -1,6 +1,7 @@
 """A family is the same in any units, from any instant of its first orbit and from any of its orbits."""
 
 from functools import cache
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -11,6 +12,8 @@ from orbitfinder.families.start import begin
 from orbitfinder.loops.condensed import Linearised, eliminated
 from orbitfinder.loops.scales import HARMONIC, Scales, sizes
 from orbitfinder.mechanics.catalogue import with_parameters
+
+SHIPPED = Path(__file__).parents[1] / "problems" / "gallery"
 
 
 def rescaled(model, units, **given):
@@ -100,6 +103,75 @@ def test_a_neuron_from_another_orbit():
     plain = seen(model, orbit.state, orbit.period, parameter)
     near = of.follow_family(orbit, parameter, until=150.0, model=model).points[-1]
     agree(plain, seen(with_parameters(model, {"current": 150.0}), near.state, near.period, parameter))
+
+
+HH_EVENTS = (  # of current, ../data/cycles.json
+    ("fold", 6.2603212745), ("fold", 7.8423471202), ("fold", 7.9177854943),
+    ("period_doubling", 7.8453373977), ("period_doubling", 7.9177776757),
+)  # fmt: skip
+HH_HOPF = (9.775437995393126, 154.522433665808)
+
+
+@cache
+def axon():
+    """Hodgkin and Huxley's axon at a current of 10 and its cycle."""
+    orbit = of.find_orbit(of.load_problem(SHIPPED / "hodgkin-huxley.toml"))
+    return of.systems.hodgkin_huxley(), "current", orbit
+
+
+def check_axon(model, state, period):
+    family = of.follow_family(of.Problem(model, of.Guess(list(state), period)), "current")
+    kinds = ("fold", "period_doubling")
+    events = sorted((one.kind, one.parameter) for one in family.events if one.kind in kinds)
+    assert [kind for kind, _ in events] == [kind for kind, _ in HH_EVENTS]
+    assert [value for _, value in events] == pytest.approx([value for _, value in HH_EVENTS], rel=1e-9)
+    assert {one.kind for one in family.events} == {*kinds, "stability_change"}
+    assert [one.kind for one in family.ends] == ["hopf", "hopf"]
+    assert sorted(one.parameter for one in family.ends) == pytest.approx(HH_HOPF, rel=1e-10)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("component", range(4))
+@pytest.mark.parametrize("unit", [1e-6, 1e-3, 1e3, 1e6])
+def test_an_axon_in_any_units(unit, component):
+    """V in volts is one of them; 0.2.0 had two folds of one place, a false one and two step underflows."""
+    model, _, orbit = axon()
+    units = np.where(np.arange(4) == component, unit, 1.0)
+    check_axon(rescaled(model, units), orbit.state / units, orbit.period)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("eighth", range(8))
+def test_an_axon_from_any_instant(eighth):
+    model, _, orbit = axon()
+    check_axon(model, at_phase(model, orbit, eighth / 8), orbit.period)
+
+
+@cache
+def butterfly():
+    """Lorenz's attracting cycle at rho 240, before it doubles at 229.41."""
+    model = of.systems.lorenz(rho=240.0)
+    settled = of.simulate(model, [1.0, -40.0, 220.0], 60.0).states[-1]
+    return model, of.find_orbit(of.Problem(model, of.Guess(list(settled), 0.467)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("units", [(1e-6, 1.0, 1.0), (1.0, 1e6, 1.0), (1.0, 1.0, 1e-6), (1e6, 1e6, 1e-6)])
+def test_lorenz_in_any_units(units):
+    model, orbit = butterfly()
+    given = {"until": 200.0}
+    plain = seen(model, orbit.state, orbit.period, "rho", **given)
+    assert [one[1] for one in plain[0] if one[0] == "period_doubling"] == pytest.approx([229.4067085], rel=1e-9)
+    agree(plain, seen(rescaled(model, units), orbit.state / units, orbit.period, "rho", **given))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("eighth", [1, 3, 6])
+def test_lorenz_from_any_instant(eighth):
+    model, orbit = butterfly()
+    given = {"until": 200.0}
+    agree(seen(model, orbit.state, orbit.period, "rho", **given),
+          seen(model, at_phase(model, orbit, eighth / 8), orbit.period, "rho", **given))  # fmt: skip
 
 
 @pytest.mark.parametrize("phase", [0.8, 2.0, 4.0])

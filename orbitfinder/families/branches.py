@@ -356,9 +356,7 @@ def switch_branch(
     """
     if isinstance(event, str):
         if event not in ("start", "end"):
-            raise InputError(
-                f"event: {event!r}; give an event, its number from 0, or the end that was joined: start, end"
-            )
+            raise InputError(f"event: families are joined at the start or the end, got {event!r}; or give its number")
         return _joined(family if isinstance(family, Family) else load_family(family), event, settings, model)
     if isinstance(event, Event):
         family = family if isinstance(family, Family) else load_family(family)
