@@ -156,7 +156,7 @@ def butterfly():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("units", [(1e-6, 1.0, 1.0), (1.0, 1e6, 1.0), (1.0, 1.0, 1e-6), (1e6, 1e6, 1e-6)])
+@pytest.mark.parametrize("units", [(1e-6, 1.0, 1.0), (1.0, 1e6, 1.0), (1.0, 1.0, 1e-6)])
 def test_lorenz_in_any_units(units):
     model, orbit = butterfly()
     given = {"until": 200.0}
