@@ -393,7 +393,7 @@ def test_round_off_is_no_axis(browser, tmp_path):
 
 def test_a_pick_is_held_has_an_address_and_back_returns(browser, pages):
     go(browser, pages["family"])
-    first = ask(browser, "place", 0)
+    first = ask(browser, "place", 12)
     click(browser, *first[:2])
     wait(browser, "return document.getElementById('lock').getAttribute('aria-pressed') === 'true'")
     address = wait(browser, "return location.hash")
