@@ -120,6 +120,13 @@ def test_every_command_takes_a_limit():
             assert "--limit" in [opt for one in command.params for opt in one.opts], name
 
 
+@pytest.mark.parametrize("refused", [["--points", "few"], ["--parameter"], ["--help"]])
+def test_a_command_whose_options_are_refused_leaves_no_limit_behind(refused):
+    """The limit is told before the other options are read; it was left to the garbage collector."""
+    CliRunner().invoke(cli, ["continue", "orbit.json", *refused])
+    assert limit.left() == np.inf and not limit.running
+
+
 def test_run_reports_the_search_that_took_too_long(tmp_path):
     file = str(PROBLEMS / "gallery" / "quintuple-pendulum-whip.toml")
     done = CliRunner().invoke(cli, ["run", file, "--limit", "0.05", "--out", str(tmp_path), "--json"])

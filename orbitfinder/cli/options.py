@@ -200,7 +200,7 @@ def limit_option(default: float | None = None, each: str = "") -> click.Option:
 
     def hold(context: click.Context, _: click.Parameter, value: float | None) -> float | None:
         if not each:
-            context.with_resource(limited(value))
+            context.find_root().with_resource(limited(value))  # click closes no context whose options it refuses
         return value
 
     what = f"Stop {each or 'the command'} after this time; what is finished by then is kept."

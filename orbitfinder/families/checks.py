@@ -71,7 +71,8 @@ class Look:
         model = with_parameters(p.model, freed(self.curve, w))
         if p.links:
             return _known(hybrid_tour(model, w.nodes[0], w.period, turns))
-        return _known(tour(model, w.nodes[0], w.period, turns, p.symmetry.forward))
+        beside = p.symmetry.whole(w.mesh, self.found.march.states, self.curve.constant)
+        return _known(tour(model, w.nodes[0], w.period, turns, p.symmetry.forward, beside))
 
     @cached_property
     def about(self) -> Any:

@@ -51,6 +51,8 @@ SAMPLES = 512
 PIECES, PIECES_OF_HALF = 16, 4
 """State-transition matrices in a period, where an error may be made that is carried to the end; in half a long
 chain's, where each start costs a few short steps with all columns"""
+GROWN = 1e-11
+"""A motion from its start alone closes to this, in extents, or its linearisation is not that of the orbit"""
 VARIED = ReferenceSettings(relative_tolerance=1e-13, absolute_tolerance=1e-14)
 """For the state-transition matrices: of orbits with multipliers of 5e5, 1e-12 leaves the trivial ones wrong by 2e-8"""
 ROUGH = ReferenceSettings(relative_tolerance=1e-10, absolute_tolerance=1e-13)
@@ -71,7 +73,8 @@ class Motion:
 
     `states` (k x 2n) are those of the model at `times`, `path` (k x m) the same in y, `masses` (m / 2) the
     diagonal of its mass matrix (none: each component of y by itself), `constraints` (r x m) the gradients of what y is
-    held to, `rate` y' at the start, `trace` the steps of the integration.
+    held to, `rate` y' at the start, `trace` the steps of the integration, `begins` (k x m) where each piece whose
+    transition there is began: of an unstable orbit that is `path` to fewer digits.
     """
 
     times: np.ndarray
@@ -87,6 +90,7 @@ class Motion:
     trace: Trace
     formulation: str = HAMILTON
     constraints: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    begins: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 class Hamiltonian:
@@ -171,16 +175,17 @@ def canonical_motion(
     )
     half = start.size // 2
     work = float(units @ units) / period if model.rates is not None else float(units[:half] @ units[half:]) or 1.0
-    found = _pieces(vector_field(equations.equations.variational), start, units, work, period)
-    transitions, end, action = found
+    found = _pieces(vector_field(equations.equations.variational), start[None], units, work, period)
+    transitions, nodes, action = found
     if not first_order:  # a gap dq adds p.dq: however large p is, the action of a small orbit is not that round-off
-        missed = end - start - shift(turns[chosen[: masses.size]], start.size)
-        action -= float(end[half:] @ missed[:half])
+        missed = nodes[-1] - start - shift(turns[chosen[: masses.size]], start.size)
+        action -= float(nodes[-1, half:] @ missed[:half])
     gradients, directions, constraints = equations.frame(state, start)
     own = turns[chosen[: equations.coordinates.size]]
     return Motion(
         moments, equations.states(path), path, transitions, action, equations.field(0.0, start), gradients, directions,
         masses, own, drifting(traces[0], own, units), GIVEN if first_order else HAMILTON, constraints,
+        nodes[:-1],
     )  # fmt: skip
 
 
@@ -221,19 +226,21 @@ def in_momenta(moved: np.ndarray, masses: np.ndarray, period: float, angular: np
 
 
 def _pieces(
-    variational: VectorField, start: np.ndarray, units: np.ndarray, work: float, period: float
+    variational: VectorField, starts: np.ndarray, units: np.ndarray, work: float, period: float
 ) -> tuple[list[np.ndarray], np.ndarray, float]:
-    """State-transition matrices (m x m) of equal pieces of a period, its end, and the action, measured in `work`."""
-    size, now, action = start.size, start, 0.0
+    """State-transition matrices (m x m) of equal pieces of a period that begin at `starts` (or, if there is one, each
+    where the one before ended), their ends with the first start, and the action, which is measured in `work`."""
+    size, nodes, action = starts.shape[1], [starts[0]], 0.0
     matrix = (units[:, None] / units[None, :]).ravel("F")
     measures, pieces = np.concatenate([units, matrix, [work]]), []
     for k in range(PIECES):
-        extended = np.concatenate([now, np.eye(size).ravel(), [0.0]])
+        extended = np.concatenate([starts[k] if len(starts) > 1 else nodes[-1], np.eye(size).ravel(), [0.0]])
         span = period * np.array([k, k + 1]) / PIECES
         end = integrate_in(measures, variational, extended, span, VARIED)[-1]
         pieces.append(end[size:-1].reshape(size, size, order="F"))
-        now, action = end[:size], action + float(end[-1])
-    return pieces, now, action
+        nodes.append(end[:size])
+        action += float(end[-1])
+    return pieces, np.array(nodes), action
 
 
 def evenly(period: float) -> np.ndarray:
@@ -465,9 +472,17 @@ class Tour:
         return found
 
 
-def tour(model: Model, state: np.ndarray, period: float, turns: np.ndarray, forward: Involution | None = None) -> Tour:
+def tour(
+    model: Model,
+    state: np.ndarray,
+    period: float,
+    turns: np.ndarray,
+    forward: Involution | None = None,
+    beside: tuple[np.ndarray, np.ndarray] | None = None,
+) -> Tour:
     """The `Tour` of a state (d) and a period of a smooth Model, of an orbit that is its own image by `forward` after
-    half a period."""
+    half a period. What is known of the motion `beside` it (k times from 0 to 1, k x d states) is held against it and
+    tells what the state alone does not, where errors grow."""
     moments, long = evenly(period), model.constraint is None and is_long(model)
     motion = (chain_motion if long else canonical_motion)(model, state, period, turns, moments, TIGHTEST)
     path = motion.path
@@ -476,28 +491,59 @@ def tour(model: Model, state: np.ndarray, period: float, turns: np.ndarray, forw
     pieces = [piece * units[None, :] / units[:, None] for piece in motion.transitions]
     missed = (path[-1] - path[0] - shift(motion.turns, units.size)) / units
     rate = None if model.forced else motion.rate * period / units
-    half = None
+    closure, half = closes(missed, pieces, sizes, rate), None
+    if beside is not None and closure.gap > GROWN and not long:
+        motion, apart = _beside(model, motion, units, *beside)
+        closure = replace(closure, gap=max(closure.gap, apart * closure.amplification))
+        pieces = [piece * units[None, :] / units[:, None] for piece in motion.transitions]
     if forward is not None:
         n = motion.turns.size
         places = forward.places(n) * (units[None, :n] / units[:n, None])
         half = places if n == units.size else np.kron(np.eye(2), forward.places(n)) * units[None, :] / units[:, None]
-    divergence, doubt = (0.0, 0.0) if long else _divergence(model, motion, pieces)
+    divergence, doubt = (0.0, 0.0) if long else _divergence(model, motion, units)
     return Tour(
-        closes(missed, pieces, sizes, rate), pieces, motion.gradients * units, motion.directions / units,
+        closure, pieces, motion.gradients * units, motion.directions / units,
         symplectic(model), units, half,
         tangent_basis(motion.constraints * units) if motion.constraints.size else None, divergence, doubt,
     )  # fmt: skip
 
 
-def _divergence(model: Model, motion: Motion, pieces: Sequence[np.ndarray]) -> tuple[float, float]:
+def _beside(
+    model: Model, motion: Motion, units: np.ndarray, times: np.ndarray, states: np.ndarray
+) -> tuple[Motion, float]:
+    """The motion with transitions of pieces that begin at `states` (k x 2n; k `times` from 0 to 1) of the same orbit,
+    and the largest gap between two of them, relative to what a piece makes of an error.
+
+    From its start alone an unstable orbit is known to fewer and fewer digits, and so is its linearisation.
+    """
+    equations, edges = Hamiltonian(model), motion.times[:: SAMPLES // PIECES]
+    period, begins = float(edges[-1]), []
+    for now in edges[:-1]:
+        near = int(np.searchsorted(times * period, now, side="right")) - 1
+        span = np.array([times[near] * period, now])
+        begins.append(integrate_in(units, equations.field, equations.start(states[near]), span, VARIED)[-1])
+    pieces, nodes, _ = _pieces(vector_field(equations.equations.variational), np.array(begins), units, 1.0, period)
+    apart = np.abs((nodes[1:-1] - begins[1:]) / units).max(axis=1)
+    sizes = [np.linalg.norm(piece * units[None, :] / units[:, None]) for piece in pieces]
+    return replace(motion, transitions=pieces, begins=np.array(begins)), float(np.max(apart / sizes[:-1]))
+
+
+def _divergence(model: Model, motion: Motion, units: np.ndarray) -> tuple[float, float]:
     """By how much the divergence integrated along a motion misses sum log |det| of its pieces, and an error bar."""
-    variational, size = vector_field(hamilton(model).variational), motion.path.shape[1]
-    unit = np.append(np.eye(size).ravel(), 0.0)
-    rows = variational.many(motion.times, np.hstack([motion.path, np.tile(unit, (len(motion.path), 1))]))  # type: ignore[attr-defined]
-    traces = rows[:, size:-1].reshape(-1, size, size).trace(axis1=1, axis2=2)
-    fine, coarse = (simpson(traces[::k], x=motion.times[::k]) for k in (1, 2))
-    logs = sum(float(np.linalg.slogdet(piece)[1]) for piece in pieces)
-    return abs(logs - float(fine)), abs(float(fine - coarse)) + 1e-10 * float(trapezoid(np.abs(traces), motion.times))
+    equations, size = hamilton(model), motion.path.shape[1]
+    field, variational = vector_field(equations.field), vector_field(equations.variational)
+    unit, edges = np.append(np.eye(size).ravel(), 0.0), motion.times[:: SAMPLES // PIECES]
+    missed = refined = total = 0.0
+    for k, (begin, piece) in enumerate(zip(motion.begins, motion.transitions, strict=True)):
+        times = np.linspace(edges[k], edges[k + 1], SAMPLES // PIECES + 1)
+        path = integrate_in(units, field, begin, times, VARIED)
+        rows = variational.many(times, np.hstack([path, np.tile(unit, (times.size, 1))]))  # type: ignore[attr-defined]
+        traces = rows[:, size:-1].reshape(-1, size, size).trace(axis1=1, axis2=2)
+        fine, coarse = (float(simpson(traces[::by], x=times[::by])) for by in (1, 2))
+        missed += float(np.linalg.slogdet(piece)[1]) - fine
+        refined += fine - coarse
+        total += float(trapezoid(np.abs(traces), times))
+    return abs(missed), abs(refined) + 1e-10 * total
 
 
 def second_closure(model: Model, state: np.ndarray, period: float, turns: np.ndarray, units: np.ndarray) -> float:
