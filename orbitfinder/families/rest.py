@@ -118,7 +118,7 @@ class _Extended:
     def __init__(self, curve: Curve, found: Solution) -> None:
         self.curve, self.place, p = curve, found.place, curve.equations
         mean, there, _ = deviations(curve, found.place, found.march.states)
-        units = np.maximum(curve.units, np.ptp(there, axis=0))
+        units = np.maximum(curve.scales.states, np.ptp(there, axis=0))
         self.sizes = np.concatenate([units, parameter_sizes(p.model, p.free, found.place.free)])
         self.size, self.count = mean.size, self.sizes.size
         y = np.concatenate([mean, found.place.free]) / self.sizes

@@ -174,9 +174,7 @@ def canonical_motion(
         units, equations.field, start, moments, settings, period / STEPS_PER_PERIOD, traces := list[Trace]()
     )
     half = start.size // 2
-    work = float(units @ units) / period if model.rates is not None else float(units[:half] @ units[half:]) or 1.0
-    found = _pieces(vector_field(equations.equations.variational), start[None], units, work, period)
-    transitions, nodes, action = found
+    transitions, nodes, action = _pieces(equations, start[None], units, period)
     if not first_order:  # a gap dq adds p.dq: however large p is, the action of a small orbit is not that round-off
         missed = nodes[-1] - start - shift(turns[chosen[: masses.size]], start.size)
         action -= float(nodes[-1, half:] @ missed[:half])
@@ -226,11 +224,13 @@ def in_momenta(moved: np.ndarray, masses: np.ndarray, period: float, angular: np
 
 
 def _pieces(
-    variational: VectorField, starts: np.ndarray, units: np.ndarray, work: float, period: float
+    equations: Hamiltonian, starts: np.ndarray, units: np.ndarray, period: float
 ) -> tuple[list[np.ndarray], np.ndarray, float]:
     """State-transition matrices (m x m) of equal pieces of a period that begin at `starts` (or, if there is one, each
-    where the one before ended), their ends with the first start, and the action, which is measured in `work`."""
-    size, nodes, action = starts.shape[1], [starts[0]], 0.0
+    where the one before ended), their ends with the first start, and the action."""
+    size, nodes, action, half = starts.shape[1], [starts[0]], 0.0, starts.shape[1] // 2
+    first_order, variational = equations.model.rates is not None, vector_field(equations.equations.variational)
+    work = float(units @ units) / period if first_order else float(units[:half] @ units[half:]) or 1.0
     matrix = (units[:, None] / units[None, :]).ravel("F")
     measures, pieces = np.concatenate([units, matrix, [work]]), []
     for k in range(PIECES):
@@ -522,7 +522,7 @@ def _beside(
         near = int(np.searchsorted(times * period, now, side="right")) - 1
         span = np.array([times[near] * period, now])
         begins.append(integrate_in(units, equations.field, equations.start(states[near]), span, VARIED)[-1])
-    pieces, nodes, _ = _pieces(vector_field(equations.equations.variational), np.array(begins), units, 1.0, period)
+    pieces, nodes, _ = _pieces(equations, np.array(begins), units, period)
     apart = np.abs((nodes[1:-1] - begins[1:]) / units).max(axis=1)
     sizes = [np.linalg.norm(piece * units[None, :] / units[:, None]) for piece in pieces]
     return replace(motion, transitions=pieces, begins=np.array(begins)), float(np.max(apart / sizes[:-1]))
@@ -533,7 +533,7 @@ def _divergence(model: Model, motion: Motion, units: np.ndarray) -> tuple[float,
     equations, size = hamilton(model), motion.path.shape[1]
     field, variational = vector_field(equations.field), vector_field(equations.variational)
     unit, edges = np.append(np.eye(size).ravel(), 0.0), motion.times[:: SAMPLES // PIECES]
-    missed = refined = total = 0.0
+    missed = refined = known = 0.0
     for k, (begin, piece) in enumerate(zip(motion.begins, motion.transitions, strict=True)):
         times = np.linspace(edges[k], edges[k + 1], SAMPLES // PIECES + 1)
         path = integrate_in(units, field, begin, times, VARIED)
@@ -542,8 +542,9 @@ def _divergence(model: Model, motion: Motion, units: np.ndarray) -> tuple[float,
         fine, coarse = (float(simpson(traces[::by], x=times[::by])) for by in (1, 2))
         missed += float(np.linalg.slogdet(piece)[1]) - fine
         refined += fine - coarse
-        total += float(trapezoid(np.abs(traces), times))
-    return abs(missed), abs(refined) + 1e-10 * total
+        known += 1e-10 * float(trapezoid(np.abs(traces), times))
+        known += VARIED.relative_tolerance * float(np.linalg.cond(piece * units / units[:, None]))
+    return abs(missed), abs(refined) + known
 
 
 def second_closure(model: Model, state: np.ndarray, period: float, turns: np.ndarray, units: np.ndarray) -> float:
