@@ -8,7 +8,7 @@ first becomes 0 is found like any event, along the arclength.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -20,7 +20,7 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.passages import Test, located
 from orbitfinder.families.run import Interval, Sample
 from orbitfinder.integrate.dop853 import integrate_in
-from orbitfinder.loops.continued import Curve, Solution
+from orbitfinder.loops.continued import Curve, Solution, crossed
 from orbitfinder.loops.mesh import arc_states
 from orbitfinder.mechanics.hybrid import Hybrid
 from orbitfinder.orbits.evidence import CHECKED
@@ -72,8 +72,12 @@ def first_lost(interval: Interval) -> tuple[Sample, Margin] | None:
     if not found:
         return None
     nearest = min(sample.distance for sample, _ in found) + TOGETHER * interval.length
-    first = [(sample, lost[key]) for sample, key in found if sample.distance <= nearest]
-    return min(first, key=lambda one: one[1].kind == "holds")
+    first = [(sample, key) for sample, key in found if sample.distance <= nearest]
+    # beside an arc that vanishes the other margins jump or go like a square root
+    sample, key = min(first, key=lambda one: (lost[one[1]].kind == "holds", one[1][2] != "share"))
+    if crossed(interval.curve, sample.found):  # the rows there tell neither family's tangent
+        sample = replace(sample, whole=interval.heading(sample.distance))
+    return sample, lost[key]
 
 
 def test_of(lost: Margin) -> Test:
