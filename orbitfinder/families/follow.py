@@ -24,7 +24,7 @@ from orbitfinder.families.point import FamilySettings, make_point, parameter_val
 from orbitfinder.families.run import Interval, Run, Sample, Step, ahead, make_interval, make_sample, step_at, step_from
 from orbitfinder.families.stability import Spectrum
 from orbitfinder.loops.continued import Solution, advanced, correct, distance, plane, tangent
-from orbitfinder.loops.mesh import refined, regraded, settled
+from orbitfinder.loops.mesh import carried, refined, regraded, settled
 from orbitfinder.loops.problem import pinned
 from orbitfinder.records.family import Batch, End, Event, FamilyPoint
 
@@ -109,7 +109,7 @@ def _attempt(run: Run, before: Step, length: float) -> tuple[Step, Batch]:
         "indices": last.indices,
     }
     if found is not raw:
-        whole = tangent(curve, found, raw.place.carried(whole, found.place))
+        whole = tangent(curve, found, carried(curve, raw.place, whole, found.place))
     point, found = _checked_point(run, found, whole, where, last.about if found is raw else None)
     point = replace(point, wall_time=time.perf_counter() - began)
     after = step_from(run, before, point, found, whole, last if found is raw else None)

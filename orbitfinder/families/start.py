@@ -17,7 +17,7 @@ from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.continued import Curve, Solution, begun, correct, kernel, make_curve
 from orbitfinder.loops.loop import Condition, Equations, Unknowns
-from orbitfinder.loops.mesh import arc_states, remeshed, settled
+from orbitfinder.loops.mesh import arc_states, carried, remeshed, settled
 from orbitfinder.loops.problem import Guess, Problem, clock, clocked, pinned
 from orbitfinder.loops.scales import Scales
 from orbitfinder.loops.symmetry import (
@@ -304,7 +304,7 @@ def corrected(
         raise ConvergenceError(f"no orbit to start the family from: {error}; find and certify one first") from error
     whole = kernel(curve, found)
     found, place = settled(curve, found, whole), found.place
-    curve, whole = begun(curve, found, place.carried(whole, found.place))
+    curve, whole = begun(curve, found, carried(curve, place, whole, found.place))
     return Start(curve, found, found.place.head_of(whole))
 
 

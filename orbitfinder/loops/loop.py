@@ -120,15 +120,6 @@ class Unknowns:
         """A row over w: itself, or one over the head spread."""
         return row if row.size == self.vector.size else self.spread(row)
 
-    def carried(self, whole: np.ndarray, other: Unknowns) -> np.ndarray:
-        """A direction over w as one over others of the same orbit, interpolated where their segments differ."""
-        if np.array_equal(self.edges, other.edges) or whole.size != self.vector.size:
-            return whole if whole.size == other.vector.size else other.spread(whole)
-        cut, size = self.nodes.size, self.nodes.shape[1]
-        columns = whole[:cut].reshape(-1, size).T
-        nodes = np.array([np.interp(other.edges[:-1], self.edges[:-1], column) for column in columns]).T
-        return np.concatenate([nodes.ravel(), whole[cut:]])
-
     def head_of(self, whole: np.ndarray) -> np.ndarray:
         """The entries of a vector over w that belong to the head."""
         count, size = self.nodes.shape

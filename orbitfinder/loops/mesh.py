@@ -9,7 +9,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.loops.continued import Curve, Solution, correct, plane
+from orbitfinder.loops.continued import Curve, Solution, advanced, correct, plane
 from orbitfinder.loops.loop import Unknowns
 
 STEP_ERROR = 5e-13
@@ -34,6 +34,8 @@ STEEPEST = 3000.0
 """... which is done when one has grown to this: with the segments moved at every orbit no predictor would hold."""
 LEAST_NODES = 8
 """Nodes of a whole period at least, over which an orbit is measured."""
+MOVED = 1e-4
+"""Half of a central difference along a family, in its metric"""
 MOST_SEGMENTS = 60
 MOST_STEPS = 6000
 """A motion that asks for more Runge-Kutta steps than this in one horizon is singular."""
@@ -193,6 +195,17 @@ def refined(curve: Curve, found: Solution, along: np.ndarray) -> Solution:
     return correct(curve, finer, plane(curve, place, along), place)
 
 
+def carried(curve: Curve, place: Unknowns, whole: np.ndarray, other: Unknowns) -> np.ndarray:
+    """A direction over w as one over others of the same orbit: what moves along it, marched to where segments begin."""
+    if np.array_equal(place.edges, other.edges) or whole.size != place.vector.size:
+        return whole if whole.size == other.vector.size else other.spread(whole)
+    sides = (advanced(place, whole, length) for length in (-MOVED, MOVED))
+    before, after = (curve.equations.march.states(one.nodes, one.mesh, one.tail) for one in sides)
+    moved = ((after - before) / (2 * MOVED)).T
+    nodes = np.array([np.interp(other.edges[:-1], place.mesh, component) for component in moved]).T
+    return np.concatenate([nodes.ravel(), whole[place.nodes.size :]])
+
+
 def settled(curve: Curve, found: Solution, along: np.ndarray) -> Solution:
     """The same orbit on a fitting mesh, held in the hyperplane through it normal to a direction over w.
 
@@ -205,7 +218,7 @@ def settled(curve: Curve, found: Solution, along: np.ndarray) -> Solution:
         if _growths(curve, found).max() <= STEEPEST and len(found.place.nodes) >= _fewest(curve):
             mesh = regraded(curve, found)
         place = remeshed(curve, found) if mesh is found.place.mesh else replace(found.place, mesh=mesh)
-        along = found.place.carried(along, place)
+        along = carried(curve, found.place, along, place)
         found = correct(curve, place, plane(curve, place, along), found.place)
     return found
 
