@@ -78,9 +78,9 @@ small motion on it."""),
 small motion on it."""),
     mode("quadruple", 4, TOP, """The fast mode, neighbouring links against each other. Modes 2 to 4 end at the fully
 upright saddle, 156.8 J above hanging."""),
-    Entry("five-bar-slow", "problems/families/five-bar-slow.toml --points 60", """A five-bar under gravity, slow mode,
+    Entry("five-bar-slow", "problems/families/five-bar-slow.toml --points 110", """A five-bar under gravity, slow mode,
 in minimal coordinates; the family folds at -8 J and comes back unstable."""),
-    Entry("five-bar-fast", "problems/families/five-bar-fast.toml --points 90", "The same five-bar, fast mode."),
+    Entry("five-bar-fast", "problems/families/five-bar-fast.toml --points 150", "The same five-bar, fast mode."),
     Entry("five-bar-length", "problems/families/five-bar-length.toml --parameter length3 --until 2.2",
           """The slow mode at one energy while the length of a bar varies, the loop closed anew at every length."""),
     Entry("henon-heiles-straight", "problems/families/henon-heiles-straight.toml --points 100", """The straight line of

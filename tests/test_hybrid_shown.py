@@ -334,7 +334,7 @@ def test_a_cascade_goes_on_from_a_cycle_of_two(found):
     assert doubling.free["slope"] == pytest.approx(0.0176693748626, abs=1e-9)
     settings = of.FamilySettings(parameter="slope", directions="away", points=2)
     last = of.follow_family(of.switch_branch(family, doubling), settings=settings).points[-1]
-    assert last.closure < 1e-13 and last.period == pytest.approx(15.54, abs=5e-3)
+    assert last.closure < 5e-13 and last.period == pytest.approx(15.54, abs=5e-3)  # loops.mesh.STEP_ERROR
     assert set(last.system["arguments"]) == {"slope"} and last.system["cycle"] == ["strike"] * 4
     assert of.certify(last).passed
     shown = whole(last, build_model(last.system))

@@ -81,7 +81,10 @@ class Look:
 
     @cached_property
     def doubted(self) -> list[Any]:
-        """The same of maps that are wrong by what the integration may be."""
+        """The same of maps as wrong as the integration may be. Raises `ConvergenceError` where they are more so."""
+        missed, known = self.tour.divergence()
+        if not missed <= known + ALIKE:
+            raise ConvergenceError(f"its multipliers miss the divergence of the flow by exp({missed:.2g})")
         random = np.random.default_rng(0)
         return [self._read(self.tour.map(random, VARIED.relative_tolerance)) for _ in range(DRAWS)]
 
@@ -112,8 +115,6 @@ def _known(found: Tour) -> Tour:
             f"the orbit closes to {closes.gap:.2g} where errors grow {closes.amplification:.3g} times, which is too "
             "little to tell multipliers"
         )
-    if not found.divergence <= found.doubt + ALIKE:
-        raise ConvergenceError(f"its multipliers miss the divergence of the flow by exp({found.divergence:.2g})")
     return found
 
 

@@ -16,8 +16,9 @@ Lengths, momenta and the time are measured in extents of the motion, so that the
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from scipy.integrate import simpson, trapezoid
@@ -422,8 +423,8 @@ class Tour:
     """A loop gone round once: `pieces` (m x m each, in extents) of its linearisation, and what is trivial in it.
 
     `gradients` and `directions` (k x m) leave `size` multipliers; `half` (m x m) takes what is half a period on back to
-    the start where the orbit repeats itself there, and the map is then that of half a period. `divergence` is by how
-    much the integrated divergence misses the sum of the logarithms of all multipliers, `doubt` how well it is known.
+    the start where the orbit repeats itself there, and the map is then that of half a period. `divergence()` is by how
+    much the integrated divergence misses the sum of the logarithms of all multipliers, and how well that is known.
     """
 
     closes: Closure
@@ -434,8 +435,7 @@ class Tour:
     units: np.ndarray
     half: np.ndarray | None = None
     basis: np.ndarray | None = None
-    divergence: float = 0.0
-    doubt: float = 0.0
+    divergence: Callable[[], tuple[float, float]] = lambda: (0.0, 0.0)
 
     @property
     def root(self) -> int:
@@ -500,11 +500,11 @@ def tour(
         n = motion.turns.size
         places = forward.places(n) * (units[None, :n] / units[:n, None])
         half = places if n == units.size else np.kron(np.eye(2), forward.places(n)) * units[None, :] / units[:, None]
-    divergence, doubt = (0.0, 0.0) if long else _divergence(model, motion, units)
     return Tour(
         closure, pieces, motion.gradients * units, motion.directions / units,
         symplectic(model), units, half,
-        tangent_basis(motion.constraints * units) if motion.constraints.size else None, divergence, doubt,
+        tangent_basis(motion.constraints * units) if motion.constraints.size else None,
+        partial(_divergence, model, motion, units),
     )  # fmt: skip
 
 
@@ -530,20 +530,21 @@ def _beside(
 
 def _divergence(model: Model, motion: Motion, units: np.ndarray) -> tuple[float, float]:
     """By how much the divergence integrated along a motion misses sum log |det| of its pieces, and an error bar."""
-    equations, size = hamilton(model), motion.path.shape[1]
+    equations, size, missed, refined, known = hamilton(model), motion.path.shape[1], 0.0, 0.0, 0.0
     field, variational = vector_field(equations.field), vector_field(equations.variational)
     unit, edges = np.append(np.eye(size).ravel(), 0.0), motion.times[:: SAMPLES // PIECES]
-    missed = refined = known = 0.0
-    for k, (begin, piece) in enumerate(zip(motion.begins, motion.transitions, strict=True)):
-        times = np.linspace(edges[k], edges[k + 1], SAMPLES // PIECES + 1)
-        path = integrate_in(units, field, begin, times, VARIED)
-        rows = variational.many(times, np.hstack([path, np.tile(unit, (times.size, 1))]))  # type: ignore[attr-defined]
-        traces = rows[:, size:-1].reshape(-1, size, size).trace(axis1=1, axis2=2)
-        fine, coarse = (float(simpson(traces[::by], x=times[::by])) for by in (1, 2))
-        missed += float(np.linalg.slogdet(piece)[1]) - fine
-        refined += fine - coarse
-        known += 1e-10 * float(trapezoid(np.abs(traces), times))
+    for k, begin in enumerate(motion.begins):
+        piece = motion.transitions[k]
+        missed += float(np.linalg.slogdet(piece)[1])
         known += VARIED.relative_tolerance * float(np.linalg.cond(piece * units / units[:, None]))
+        if not symplectic(model):
+            times = np.linspace(edges[k], edges[k + 1], SAMPLES // PIECES + 1)
+            path = integrate_in(units, field, begin, times, VARIED)
+            rows = variational.many(times, np.hstack([path, np.tile(unit, (times.size, 1))]))  # type: ignore[attr-defined]
+            traces = rows[:, size:-1].reshape(-1, size, size).trace(axis1=1, axis2=2)
+            fine, coarse = (float(simpson(traces[::by], x=times[::by])) for by in (1, 2))
+            missed, refined = missed - fine, refined + fine - coarse
+            known += 1e-10 * float(trapezoid(np.abs(traces), times))
     return abs(missed), abs(refined) + known
 
 
