@@ -78,7 +78,7 @@ small motion on it."""),
 small motion on it."""),
     mode("quadruple", 4, TOP, """The fast mode, neighbouring links against each other. Modes 2 to 4 end at the fully
 upright saddle, 156.8 J above hanging."""),
-    Entry("five-bar-slow", "problems/families/five-bar-slow.toml --points 110", """A five-bar under gravity, slow mode,
+    Entry("five-bar-slow", "problems/families/five-bar-slow.toml --points 85", """A five-bar under gravity, slow mode,
 in minimal coordinates; the family folds at -8 J and comes back unstable."""),
     Entry("five-bar-fast", "problems/families/five-bar-fast.toml --points 150", "The same five-bar, fast mode."),
     Entry("five-bar-length", "problems/families/five-bar-length.toml --parameter length3 --until 2.2",

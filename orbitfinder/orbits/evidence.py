@@ -53,7 +53,8 @@ PIECES, PIECES_OF_HALF = 16, 4
 """State-transition matrices in a period, where an error may be made that is carried to the end; in half a long
 chain's, where each start costs a few short steps with all columns"""
 GROWN = 1e-11
-"""A motion from its start alone closes to this, in extents, or its linearisation is not that of the orbit"""
+"""A motion from its start alone closes to this, in extents, or its linearisation is not that of the orbit; pieces of
+another one join to as much, relative to what each makes of an error"""
 VARIED = ReferenceSettings(relative_tolerance=1e-13, absolute_tolerance=1e-14)
 """For the state-transition matrices: of orbits with multipliers of 5e5, 1e-12 leaves the trivial ones wrong by 2e-8"""
 ROUGH = ReferenceSettings(relative_tolerance=1e-10, absolute_tolerance=1e-13)
@@ -481,8 +482,8 @@ def tour(
     beside: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Tour:
     """The `Tour` of a state (d) and a period of a smooth Model, of an orbit that is its own image by `forward` after
-    half a period. What is known of the motion `beside` it (k times from 0 to 1, k x d states) is held against it and
-    tells what the state alone does not, where errors grow."""
+    half a period. Where errors grow, what is known of the motion `beside` it (k times from 0 to 1, k x d states) and
+    found to be one by this integrator says what the state alone cannot."""
     moments, long = evenly(period), model.constraint is None and is_long(model)
     motion = (chain_motion if long else canonical_motion)(model, state, period, turns, moments, TIGHTEST)
     path = motion.path
@@ -493,8 +494,8 @@ def tour(
     rate = None if model.forced else motion.rate * period / units
     closure, half = closes(missed, pieces, sizes, rate), None
     if beside is not None and closure.gap > GROWN and not long:
-        motion, apart = _beside(model, motion, units, *beside)
-        closure = replace(closure, gap=max(closure.gap, apart * closure.amplification))
+        told, apart = _beside(model, motion, units, *beside)
+        motion = told if apart <= GROWN else motion
         pieces = [piece * units[None, :] / units[:, None] for piece in motion.transitions]
     if forward is not None:
         n = motion.turns.size
