@@ -7,6 +7,7 @@ import sys
 import textwrap
 import time
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -26,15 +27,17 @@ from orbitfinder.families.start import begin, curve_of
 from orbitfinder.guesses.modes import equilibria, mode_problem, normal_modes, oscillating
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.loops.condensed import Linearised
-from orbitfinder.loops.continued import at_place
+from orbitfinder.loops.continued import at_place, correct, plane, tangent
+from orbitfinder.loops.mesh import between, carried
 from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.chain import chain
-from orbitfinder.orbits.evidence import ClosureCheck
+from orbitfinder.orbits.evidence import ClosureCheck, tour
 from orbitfinder.orbits.floquet import judged
 from orbitfinder.orbits.measure import multipliers
 from orbitfinder.records.family import load_family, read_journal
 
 DATA = Path(__file__).parent / "data"
+FAMILIES = Path(__file__).parents[1] / "results" / "families"
 MODES = json.loads((DATA / "normal_modes.json").read_text(encoding="utf-8"))["orbits"]
 REPORT = {one["name"]: one for one in json.loads((DATA / "report_orbits.json").read_text(encoding="utf-8"))["orbits"]}
 SEVEN = [(3, 1), (3, 2), (3, 3), (4, 1), (4, 2), (4, 3), (4, 4)]
@@ -355,6 +358,48 @@ def test_broken_piece_is_refused(wild):
     moved = at_place(run.curve, replace(place, nodes=nodes))
     with pytest.raises(ConvergenceError, match="the pieces of the orbit fit only to .* with growth"):
         make_point(run.curve, moved, point.tangent, "energy", run.check, index=0, arclength=0.0, step=0.1)
+
+
+def test_a_check_goes_round_from_the_nodes(wild):
+    """From the start alone the multipliers of an unstable orbit have fewer digits; states of no motion are not used."""
+    run, point = wild
+    found, symmetry = at_place(run.curve, unknowns_of(run.curve, point)), run.curve.equations.symmetry
+    times, states = symmetry.whole(found.place.mesh, found.march.states, run.curve.constant)
+
+    def index(beside):
+        place = found.place
+        gone = tour(chain(2), place.nodes[0], place.period, np.zeros(2), symmetry.forward, beside)
+        return judged(np.linalg.eigvals(gone.map())).indices[0].real
+
+    alone, known = index(None), point.indices[0].real
+    assert abs(index((times, states)) - known) < 1e-2 * abs(alone - known)
+    assert index((times, states + 1e-6)) == alone
+
+
+def test_a_direction_is_carried_to_other_segments(wild):
+    """Between two nodes it was interpolated, and a family turned back where its segments were made anew."""
+    run, point = wild
+    curve = run.curve
+    found = at_place(curve, unknowns_of(curve, point))
+    whole = tangent(curve, found, point.tangent)
+    mesh = found.place.mesh[-1] * np.linspace(0.0, 1.0, found.place.mesh.size) ** 1.5
+    nodes = between(curve, found, mesh[found.place.steps : -1 : found.place.steps])
+    place = replace(found.place, nodes=np.vstack([found.place.nodes[:1], nodes]), mesh=mesh)
+    other = correct(curve, place, plane(curve, place, carried(curve, found.place, whole, place)))
+    along, metric = carried(curve, found.place, whole, other.place), curve.scales.metric(other.place)
+    there = tangent(curve, other, along)
+    assert not np.array_equal(found.place.edges, place.edges)
+    assert (metric * along) @ there / np.sqrt(metric @ along**2) > 1 - 1e-6
+
+
+@pytest.mark.parametrize("file", sorted(FAMILIES.glob("*/family.json")), ids=lambda file: file.parent.name)
+def test_no_shipped_family_goes_over_itself(file):
+    """Each event is met once; quadruple-mode-2 came back over itself and ended where it had begun."""
+    met = [((one.kind, one.detail, one.order), (one.parameter, one.period)) for one in load_family(file).events]
+    again = [
+        one for (one, here), (other, there) in combinations(met, 2) if one == other and np.allclose(here, there, 1e-8)
+    ]
+    assert not again
 
 
 def test_no_bifurcations_out_of_round_off(monkeypatch):

@@ -141,11 +141,16 @@ class _Steps:
     moments: list[float] = field(default_factory=list)
     states: list[np.ndarray] = field(default_factory=list)
     errors: list[BaseException] = field(default_factory=list)
+    unchecked: int = 0
+    """evaluations before the limit of time is looked at again"""
 
     def rate(self, t: float, y: np.ndarray) -> np.ndarray:
         """The field, NaN where it raises."""
         try:
-            limit.check()
+            self.unchecked -= 1
+            if self.unchecked < 0:
+                limit.check()
+                self.unchecked = EVALUATIONS_PER_STEP
             return self.function(t, y)
         except BaseException as error:
             self.errors.append(error)

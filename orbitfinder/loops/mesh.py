@@ -113,11 +113,11 @@ def remeshed(curve: Curve, found: Solution) -> Unknowns:
     each = _rounded(density.sum() / count)
     work = np.concatenate([[0.0], np.cumsum(density)])
     mesh = np.interp(np.linspace(0.0, work[-1], count * each + 1), work, place.mesh)
-    nodes = _between(curve, found, mesh[each:-1:each])
+    nodes = between(curve, found, mesh[each:-1:each])
     return replace(place, nodes=np.vstack([place.nodes[:1], nodes]), mesh=mesh)
 
 
-def _between(curve: Curve, found: Solution, moments: np.ndarray) -> np.ndarray:
+def between(curve: Curve, found: Solution, moments: np.ndarray) -> np.ndarray:
     """States (k x d) at moments (k, in periods), exactly where they fix the phase."""
     place, states, march = found.place, found.march.states, curve.equations.march
     if curve.equations.model.forced:
