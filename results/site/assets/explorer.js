@@ -18,7 +18,7 @@
     largest: "largest multiplier", value: safe(it.parameter), below: unit("energy below the highest", E),
     arclength: "place along the family (arclength)", moduli: "|multipliers|", angles: "angle of multipliers, °" };
   // Symbol, colour and size of each kind of event.
-  var LOOKS = { fold: ["triangle-down", 1, 11], branch_point: ["circle-open", 2, 12], period_doubling: ["square", 3, 9],
+  var LOOKS = { fold: ["triangle-down", 1, 11], turn: ["triangle-left", 1, 9], branch_point: ["circle-open", 2, 12], period_doubling: ["square", 3, 9],
     torus: ["cross", 4, 10], collision: ["x", 1, 9], stability_change: ["diamond", 5, 10], resonance: ["circle", 4, 7],
     cusp: ["triangle-up", 3, 11], strong_resonance: ["pentagon", 2, 10], isola_centre: ["hexagon", 4, 10] };
   var highest = Math.max.apply(null, items.map(function (one) { return one.energy; }));
