@@ -146,7 +146,7 @@ def test_a_canard_is_said_for_what_it_is():
     family = of.follow_family(orbit, "current", settings=DOWN, model=model)
     assert hopf(family) == (pytest.approx(0.3312813374547458, rel=1e-10), pytest.approx(22.805916865386, rel=1e-10))
     slower = of.follow_family(orbit, "rate", until=0.02, settings=DOWN, model=model).points[0]
-    end = of.follow_family(slower, "current", settings=DOWN).ends[0]
+    end = of.follow_family(slower, "current", settings=replace(DOWN, points=600)).ends[0]
     assert end.kind == "canard" and end.parameter == pytest.approx(0.2997912, abs=1e-6) and end.error < 1e-5
     assert "the period changes from" in end.reason and "shooting cannot hold them" in end.reason
 

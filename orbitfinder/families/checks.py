@@ -25,18 +25,20 @@ from orbitfinder.families.critical import Critical, discriminant, levelled, toru
 from orbitfinder.families.doubling import bending
 from orbitfinder.families.passages import index_levels
 from orbitfinder.families.point import freed, parameter_value, shift_at, unknowns_of
+from orbitfinder.integrate.dop853 import ReferenceSettings
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, plane, scaled, tangent
 from orbitfinder.loops.mesh import remeshed
 from orbitfinder.loops.symmetry import turned
 from orbitfinder.mechanics.catalogue import with_parameters
-from orbitfinder.orbits.evidence import VARIED, Tour, tour
+from orbitfinder.orbits.evidence import COARSER, VARIED, Tour, tour
 from orbitfinder.orbits.floquet import analyse, judged
 from orbitfinder.orbits.hybrid import PATIENCE, cycle_from, hybrid_tour, retraced
 from orbitfinder.records.family import CLOSURE, UNKNOWN, Batch, Event, FamilyPoint, Reading
 
-SHARES = (3e-3, 3e-4)
-"""How far the orbits on both sides are, in steps of the family; the nearer ones where two events share a step"""
+SHARES = ((3e-3, 0), (3e-4, 0), (5e-2, 1))
+"""How far the orbits on both sides are, in steps of the family, and whether there are others twice as far: the nearer
+ones where two events share a step, the farthest where a parameter hardly moves, as in a canard"""
 SHARP = 1e-5
 """An event is this near to where its definition holds, in steps of the family"""
 DOUBTFUL = 4e-5
@@ -66,13 +68,16 @@ class Look:
     @cached_property
     def tour(self) -> Tour:
         """The loop gone round. Raises `ConvergenceError` where it is not known well enough."""
+        return _known(self._round(VARIED))
+
+    def _round(self, varied: ReferenceSettings) -> Tour:
         p, w = self.curve.equations, self.found.place
         turns = turned(p.model, np.array(self.curve.turns), shift_at(self.curve, w))
         model = with_parameters(p.model, freed(self.curve, w))
         if p.links:
-            return _known(hybrid_tour(model, w.nodes[0], w.period, turns))
+            return hybrid_tour(model, w.nodes[0], w.period, turns)
         beside = p.symmetry.whole(w.mesh, self.found.march.states, self.curve.constant)
-        return _known(tour(model, w.nodes[0], w.period, turns, p.symmetry.forward, beside))
+        return tour(model, w.nodes[0], w.period, turns, p.symmetry.forward, beside, varied)
 
     @cached_property
     def about(self) -> Any:
@@ -87,6 +92,11 @@ class Look:
             raise ConvergenceError(f"its multipliers miss the divergence of the flow by exp({missed:.2g})")
         random = np.random.default_rng(0)
         return [self._read(self.tour.map(random, VARIED.relative_tolerance)) for _ in range(DRAWS)]
+
+    @cached_property
+    def coarser(self) -> Any:
+        """The same at ten times the tolerance, which is off by more than the map is."""
+        return self._read(self._round(COARSER).map())
 
     def _read(self, reduced: np.ndarray) -> Any:
         values, pairs = np.linalg.eigvals(reduced).astype(complex), self.tour.conservative
@@ -131,15 +141,19 @@ class Sides:
     after: Look
     apart: float
     step: float
+    outer: Sequence[Look] = ()
+    """the orbits twice as far on both sides, where a parabola through the nearer ones is not enough"""
 
     def zero(self, measure: Measure, sharp: bool = True) -> Reading:
         """What a measure says: it is to vanish here and to change its sign, if it is `sharp` to tell where."""
         low, value, high = measure(self.before), measure(self.here), measure(self.after)
-        noise = 0.0
-        for about in self.here.doubted if self.here.__dict__.get("tour") else ():
-            noise = max(noise, SAFETY * abs(measure(_as(self.here, about)) - value))
         slope = abs(high - low) * self.step / (2 * self.apart)
-        sure = low * high < 0 and noise <= (DOUBTFUL * slope if sharp else min(abs(low), abs(high)))
+        noise, most = 0.0, DOUBTFUL * slope if sharp else min(abs(low), abs(high))
+        if self.here.__dict__.get("tour"):
+            noise = max(SAFETY * abs(measure(_as(self.here, about)) - value) for about in self.here.doubted)
+            if noise > most and not self.here.curve.equations.links:
+                noise = abs(measure(_as(self.here, self.here.coarser)) - value)
+        sure = low * high < 0 and noise <= most
         return Reading(value, noise + SHARP * slope, bool(sure and abs(value) <= noise + SHARP * slope))
 
     def values(self, name: str) -> tuple[float, float, float]:
@@ -154,7 +168,11 @@ class Sides:
         if not (low - middle) * (high - middle) > 0:
             return Reading(1.0, SHARP, False)
         scale = self.apart / (self.step * abs(bent))
-        value, noise = -0.5 * (high - low) * scale * float(np.sign(bent)), off * scale
+        rise, noise = 0.5 * (high - low), off * scale
+        if self.outer:
+            first, last = (one.value(name) for one in self.outer)
+            rise, noise = (8 * (high - low) - (last - first)) / 12, 1.5 * noise
+        value = -rise * scale * float(np.sign(bent))
         error = noise + SHARP
         return Reading(float(value), float(error), bool(abs(value) <= error and noise <= DOUBTFUL))
 
@@ -340,14 +358,16 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float) -> Readi
     whole = _heading(curve, found, along)
     here, said = Look(curve, found), ConvergenceError("no orbits beside it")
     result = None
-    for share in SHARES:
+    for share, outer in SHARES:
         try:
             looks = [
                 Look(curve, correct(curve, advanced(found.place, whole, d), plane(curve, found.place, whole, d),
                                     found.place, 0.5 * step))
-                for d in (-share * step, 0.0, share * step)
+                for d in step * share * np.array([-2, -1, 0, 1, 2] if outer else [-1, 0, 1])
             ]  # fmt: skip
-            result = CHECKS[event.kind](Sides(looks[0], here, looks[1], looks[2], share * step, step), event)
+            before, middle, after = looks[outer : len(looks) - outer]
+            sides = Sides(before, here, middle, after, share * step, step, looks[:: len(looks) - 1] if outer else ())
+            result = CHECKS[event.kind](sides, event)
         except (ConvergenceError, IntegrationError) as error:
             said = ConvergenceError(str(error))
             continue

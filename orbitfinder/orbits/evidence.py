@@ -56,7 +56,9 @@ GROWN = 1e-11
 """A motion from its start alone closes to this, in extents, or its linearisation is not that of the orbit; pieces of
 another one join to as much, relative to what each makes of an error"""
 VARIED = ReferenceSettings(relative_tolerance=1e-13, absolute_tolerance=1e-14)
-"""For the state-transition matrices: of orbits with multipliers of 5e5, 1e-12 leaves the trivial ones wrong by 2e-8"""
+COARSER = ReferenceSettings(relative_tolerance=1e-12, absolute_tolerance=1e-13)
+"""For the state-transition matrices: of orbits with multipliers of 5e5, 1e-12 leaves the trivial ones wrong by 2e-8;
+and for what they may be wrong by"""
 ROUGH = ReferenceSettings(relative_tolerance=1e-10, absolute_tolerance=1e-13)
 """For the extents of the motion, before there are any."""
 LONGEST_PHASE = 0.15
@@ -164,7 +166,13 @@ def canonical_frame(
 
 
 def canonical_motion(
-    model: Model, state: np.ndarray, period: float, turns: np.ndarray, moments: np.ndarray, settings: ReferenceSettings
+    model: Model,
+    state: np.ndarray,
+    period: float,
+    turns: np.ndarray,
+    moments: np.ndarray,
+    settings: ReferenceSettings,
+    varied: ReferenceSettings = VARIED,
 ) -> Motion:
     """The `Motion` of a state (2n) at `moments` (from 0 to the period) by Hamilton's equations."""
     equations = Hamiltonian(model)
@@ -176,7 +184,7 @@ def canonical_motion(
         units, equations.field, start, moments, settings, period / STEPS_PER_PERIOD, traces := list[Trace]()
     )
     half = start.size // 2
-    transitions, nodes, action = _pieces(equations, start[None], units, period)
+    transitions, nodes, action = _pieces(equations, start[None], units, period, varied)
     if not first_order:  # a gap dq adds p.dq: however large p is, the action of a small orbit is not that round-off
         missed = nodes[-1] - start - shift(turns[chosen[: masses.size]], start.size)
         action -= float(nodes[-1, half:] @ missed[:half])
@@ -226,7 +234,7 @@ def in_momenta(moved: np.ndarray, masses: np.ndarray, period: float, angular: np
 
 
 def _pieces(
-    equations: Hamiltonian, starts: np.ndarray, units: np.ndarray, period: float
+    equations: Hamiltonian, starts: np.ndarray, units: np.ndarray, period: float, varied: ReferenceSettings
 ) -> tuple[list[np.ndarray], np.ndarray, float]:
     """State-transition matrices (m x m) of equal pieces of a period that begin at `starts` (or, if there is one, each
     where the one before ended), their ends with the first start, and the action."""
@@ -238,7 +246,7 @@ def _pieces(
     for k in range(PIECES):
         extended = np.concatenate([starts[k] if len(starts) > 1 else nodes[-1], np.eye(size).ravel(), [0.0]])
         span = period * np.array([k, k + 1]) / PIECES
-        end = integrate_in(measures, variational, extended, span, VARIED)[-1]
+        end = integrate_in(measures, variational, extended, span, varied)[-1]
         pieces.append(end[size:-1].reshape(size, size, order="F"))
         nodes.append(end[:size])
         action += float(end[-1])
@@ -480,12 +488,14 @@ def tour(
     turns: np.ndarray,
     forward: Involution | None = None,
     beside: tuple[np.ndarray, np.ndarray] | None = None,
+    varied: ReferenceSettings = VARIED,
 ) -> Tour:
     """The `Tour` of a state (d) and a period of a smooth Model, of an orbit that is its own image by `forward` after
     half a period. Where errors grow, what is known of the motion `beside` it (k times from 0 to 1, k x d states) and
     found to be one by this integrator says what the state alone cannot."""
     moments, long = evenly(period), model.constraint is None and is_long(model)
-    motion = (chain_motion if long else canonical_motion)(model, state, period, turns, moments, TIGHTEST)
+    given = model, state, period, turns, moments, TIGHTEST
+    motion = chain_motion(*given) if long else canonical_motion(*given, varied)
     path = motion.path
     units = known_in(in_momenta(np.ptp(path, axis=0), motion.masses, period, model.angular), path)
     sizes = np.maximum(np.abs(path).max(axis=0) / units, 1.0)
@@ -494,7 +504,7 @@ def tour(
     rate = None if model.forced else motion.rate * period / units
     closure, half = closes(missed, pieces, sizes, rate), None
     if beside is not None and closure.gap > GROWN and not long:
-        told, apart = _beside(model, motion, units, *beside)
+        told, apart = _beside(model, motion, units, *beside, varied)
         motion = told if apart <= GROWN else motion
         pieces = [piece * units[None, :] / units[:, None] for piece in motion.transitions]
     if forward is not None:
@@ -510,7 +520,7 @@ def tour(
 
 
 def _beside(
-    model: Model, motion: Motion, units: np.ndarray, times: np.ndarray, states: np.ndarray
+    model: Model, motion: Motion, units: np.ndarray, times: np.ndarray, states: np.ndarray, varied: ReferenceSettings
 ) -> tuple[Motion, float]:
     """The motion with transitions of pieces that begin at `states` (k x 2n; k `times` from 0 to 1) of the same orbit,
     and the largest gap between two of them, relative to what a piece makes of an error.
@@ -523,7 +533,7 @@ def _beside(
         near = int(np.searchsorted(times * period, now, side="right")) - 1
         span = np.array([times[near] * period, now])
         begins.append(integrate_in(units, equations.field, equations.start(states[near]), span, VARIED)[-1])
-    pieces, nodes, _ = _pieces(equations, np.array(begins), units, period)
+    pieces, nodes, _ = _pieces(equations, np.array(begins), units, period, varied)
     apart = np.abs((nodes[1:-1] - begins[1:]) / units).max(axis=1)
     sizes = [np.linalg.norm(piece * units[None, :] / units[:, None]) for piece in pieces]
     return replace(motion, transitions=pieces, begins=np.array(begins)), float(np.max(apart / sizes[:-1]))
