@@ -643,6 +643,15 @@ def test_a_vanishing_arc_ends_its_family():
     assert last.energy == pytest.approx(0.0, abs=1e-12) and last.period == pytest.approx(0.2 * np.pi, abs=1e-9)
 
 
+def test_errors_of_a_family_grow_through_its_resets():
+    """Two steps of the walker: by A of the certificate, and not by the product of what the arcs alone make of them."""
+    problem = of.load_problem(Path(__file__).parents[1] / "problems" / "hybrid" / "simplest-walker-period-2.toml")
+    settings = of.FamilySettings(parameter="slope", directions="forward", points=2, events=False)
+    for point in of.follow_family(of.find_orbit(problem), "slope", settings=settings).points:
+        known = gather_hybrid(build_model(point.system), point.state, point.period, np.zeros(2)).closes.amplification
+        assert 0.1 * known < point.scale < 10 * known < 1e4
+
+
 def test_no_family_starts_from_another_cycle():
     """The loop that closes through the apex alone goes through the ground; it is an orbit of no family."""
     model = with_cycle(slip_runner(attack=0.35), ["apex"])

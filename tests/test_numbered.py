@@ -27,6 +27,7 @@ RESULTS = Path(__file__).parents[1] / "results"
 FAMILIES = sorted(RESULTS.glob("families/*/family.json"))
 QUICK = [RESULTS / "families" / name / "family.json" for name in ("henon-heiles-straight", "triple-mode-1")]
 LENGTHS = RESULTS / "families" / "five-bar-length" / "family.json"
+MANY = len(load_family(LENGTHS).points)
 ATLAS = RESULTS / "atlas" / "triple.sqlite"
 ORBIT = RESULTS / "orbits" / "triple-1" / "orbit.json"
 
@@ -237,7 +238,7 @@ def test_orbits_of_an_atlas_have_numbers(tmp_path):
 @pytest.mark.parametrize(
     ("path", "said"),
     [
-        (f"{LENGTHS}#37", "#37: no such orbit in the file; give a number from 0 to 36"),
+        (f"{LENGTHS}#{MANY}", f"#{MANY}: no such orbit in the file; give a number from 0 to {MANY - 1}"),
         (f"{LENGTHS}#-1", "#-1: not a whole number from 0; give FILE#K, such as family.json#0"),
         (f"{LENGTHS}#", "#: not a whole number from 0; give FILE#K, such as family.json#0"),
         (f"{LENGTHS}#3.0", "#3.0: not a whole number from 0"),

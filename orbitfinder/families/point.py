@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.families.stability import Spectrum, spectrum
+from orbitfinder.families.stability import Spectrum, spectrum, transitions
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.problem import pinned
@@ -96,7 +96,7 @@ def make_point(
     p, place = curve.equations, found.place
     about = about or spectrum(curve, found)
     units = extents(curve, found.march.states)
-    parts = list(found.march.transitions * units / units[:, None])
+    parts = list(transitions(curve, found) * units / units[:, None])
     grown = max(float(np.abs(about.floquet.multipliers).max(initial=1.0)), carried(parts, np.ones(p.size))[1])
     allowed = CLOSURE * grown
     free, shift = freed(curve, place), shift_at(curve, place)

@@ -224,12 +224,12 @@ def _root_map(curve: Curve, found: Solution) -> tuple[np.ndarray, int]:
     """The matrix of which the monodromy is a power, and that power, from the horizon's matrix by the symmetry."""
     size = curve.equations.size
     matrix = np.eye(size)
-    for transition in _transitions(curve, found):
+    for transition in transitions(curve, found):
         matrix = transition @ matrix
     return curve.equations.symmetry.root(matrix, lambda other: _inverse(curve, found, matrix) @ other, size)
 
 
-def _transitions(curve: Curve, found: Solution) -> np.ndarray:
+def transitions(curve: Curve, found: Solution) -> np.ndarray:
     """The state-transition matrices of all segments, through the events where there are some."""
     p, place = curve.equations, found.place
     if not p.links:
