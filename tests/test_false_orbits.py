@@ -56,6 +56,12 @@ def test_a_multiple_of_the_period_is_rejected_by_name(path, k):
     assert "minimal_period" in certify(times_round(orbit, k)).failures
 
 
+def test_a_multiple_that_errors_have_grown_over_is_rejected():
+    """Round-off has grown to 7e-7 after 23 periods of the Rossler cycle: that is how near it comes to itself before."""
+    orbit = of.load_orbit(Path(__file__).parents[1] / "results" / "gallery" / "rossler" / "orbit.json")
+    assert certify(times_round(orbit, 23)).failures == ("minimal_period",)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.parent.name)
 def test_no_multiple_from_2_to_31_of_any_shipped_orbit_is_accepted(path):

@@ -70,6 +70,8 @@ ROUNDED = 64 * float(np.finfo(float).eps)
 STEEPEST, HALVINGS, BESIDE, JUMP = 32, 30, 1e-6, 1e-4
 """Pairs of samples between which a jump is looked for, halvings of their time, how far beside the motion (in extents)
 it must be seen too, its size"""
+TOLD_APART = 10.0
+"""A motion comes back no nearer than so many times what it closes to, or it cannot be told from one that returns"""
 RESOLVED = 1e-10
 """Extents by which features between two steps may change the end of the motion"""
 LATER, PARTS = 32, 256
@@ -241,7 +243,7 @@ def _hybrid_certificate(orbit: Orbit, model: Model, turns: np.ndarray, allowed: 
         _at_most("recorded_period", lasted, asked * scale, "time of the last event / recorded period - 1"),
         _at_most("energy_drift", evidence.drift, allowed.energy_drift + found.gap, "in arcs without forces"),
         _at_most("energy_balance", evidence.balance, allowed.energy_drift + found.gap, "energy lost in impacts"),
-        _cycle_check(evidence.arcs, orbit, reached, evidence.extents, allowed.cover),
+        _cycle_check(evidence.arcs, orbit, reached, evidence.extents, max(allowed.cover, TOLD_APART * found.gap)),
         _at_least("not_equilibrium", _extent(evidence.states, model), allowed.motion, "extent of the motion"),
         _hybrid_resolution(model, evidence),
         _at_least("transversal", evidence.transversal, allowed.transversal, "least rate of a guard, relative"),
@@ -282,7 +284,7 @@ def _controlled_certificate(orbit: Orbit, model: Model, turns: np.ndarray, allow
         _at_most("distance", found.closes.distance, allowed.distance, "of the true orbit and control, in extents"),
         _at_most("second_closure", found.second, allowed.second_closure * scale, "DOP853 at a second tolerance"),
         _at_least("not_equilibrium", _extent(found.states, model), allowed.motion, "extent of the motion"),
-        _covered(found, turns, allowed.cover),
+        _covered(found, turns, max(allowed.cover, TOLD_APART * found.closes.gap)),
         *(_task_check(name, value, allowed) for name, value in found.tasks.items()),
         *(_at_most(f"event: {name}", miss, allowed.distance, "miss of its guard, in periods") for name, miss, _ in
           found.events),
@@ -516,7 +518,7 @@ def _minimal_period(near: _Nearby, apart: np.ndarray, tolerance: float, evidence
     found, lag = early_return(evidence.trace, apart, near.forced_alike if near.model.forced else None)
     both = " of motion and forcing" if near.model.forced and found < tolerance else ""
     note = "no early return" if lag is None else f"nearest early return{both} after T/{near.period / lag:.6g}"
-    return _at_least("minimal_period", found, tolerance, note)
+    return _at_least("minimal_period", found, max(tolerance, TOLD_APART * evidence.closes.gap), note)
 
 
 def _resolution(evidence: Evidence) -> Check:
