@@ -560,7 +560,7 @@ window.gone = render({{ model, el: host }});
 def notebook(tmp_path_factory):
     """A page with the widget of a family, and the family."""
     whole = load_family(SHIPPED.parent / "families" / "five-bar-length" / "family.json")
-    family = replace(whole, points=whole.points[::9], events=whole.events[3:4])
+    family = replace(whole, points=whole.points[:: -(-len(whole.points) // 5)], events=whole.events[3:4])
     stage = family.widget()
     state = {name: getattr(stage, name) for name in ("shown", "index", "playing", "speed")}
     page = tmp_path_factory.mktemp("notebook") / "host.html"
