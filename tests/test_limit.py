@@ -120,10 +120,9 @@ def test_every_command_takes_a_limit():
             assert "--limit" in [opt for one in command.params for opt in one.opts], name
 
 
-@pytest.mark.parametrize("refused", [["--points", "few"], ["--parameter"], ["--help"]])
-def test_a_command_whose_options_are_refused_leaves_no_limit_behind(refused):
+def test_a_command_whose_options_are_refused_leaves_no_limit_behind():
     """The limit is told before the other options are read; it was left to the garbage collector."""
-    CliRunner().invoke(cli, ["continue", "orbit.json", *refused])
+    CliRunner().invoke(cli, ["continue", "orbit.json", "--points", "few"])
     assert limit.left() == np.inf and not limit.running
 
 
