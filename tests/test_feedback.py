@@ -339,7 +339,8 @@ def test_saved_and_loaded(held, tmp_path):
         one, two = getattr(rich, name), getattr(again, name)
         if isinstance(one, np.ndarray):
             assert np.array_equal(one, two), name
-    assert again.certificate == rich.certificate and again.limits == rich.limits and again.stabilised
+    assert repr(again.certificate) == repr(rich.certificate)  # from Python 3.13 on nan is unequal in dataclasses too
+    assert again.limits == rich.limits and again.stabilised
     assert again.basin.rows[0].returned == rich.basin.rows[0].returned
     assert verified(again).certificate.passed
 

@@ -258,7 +258,8 @@ def test_csv_in_a_circle_of_links(tmp_path):
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     path = tmp_path / "problem.toml"
     path.write_text(with_guess('csv = "loop"'))
-    assert "no usable path" in refused(["run", path])
+    said = refused(["run", path])  # before Python 3.13 it is seen when the path is resolved, then when it is opened
+    assert "guess.csv: " in said and ("Symlink loop" in said or "symbolic links" in said)
 
 
 ORBIT = {"format": "orbitfinder/orbit", "version": 1, "name": "x"}

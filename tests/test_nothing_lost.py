@@ -6,7 +6,6 @@ Stopped from within: a real signal, or the deadline moved to now, at a chosen lo
 import json
 import os
 import signal
-import sqlite3
 import subprocess
 import sys
 import time
@@ -14,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from conftest import database
 
 import orbitfinder as of
 from orbitfinder._runtime import keeping, limit
@@ -144,7 +144,7 @@ def test_a_merge_keeps_the_atlases_it_has_taken(tmp_path, monkeypatch, how):
     assert done.exit_code == CODES[how], done.output
     monkeypatch.undo()
     two = of.merge_atlases(books[:2], tmp_path / "two.sqlite")
-    with sqlite3.connect(tmp_path / "out.sqlite") as kept:
+    with database(tmp_path / "out.sqlite") as kept:
         assert kept.execute("SELECT count(*) FROM starts").fetchone()[0] == two.starts > 0
     assert of.merge_atlases(books, tmp_path / "out.sqlite").starts == 6
 
