@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from orbitfinder.integrate.cvodes import Flow
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
+from orbitfinder.orbits import evidence
 from orbitfinder.orbits.certify import Tolerances, certify
 from orbitfinder.orbits.evidence import gather
 from orbitfinder.records.orbit import Orbit, save_orbit
@@ -264,6 +266,33 @@ def test_chaos_does_not_excuse_an_arc_that_does_not_close(period):
     certificate = certify(planted([2.0, 2.5, 0.0, 0.0], period))
     assert "closure" in certificate.failures
     assert certificate.scale <= 1e6
+
+
+STRAIGHT = Path(__file__).parents[1] / "results" / "families" / "henon-heiles-straight" / "family.json"
+
+
+@pytest.mark.parametrize("number", [50, 60])
+def test_near_a_saddle_the_flow_is_kept_as_well_as_its_linearisation_can_be_known(number):
+    """Straight orbits that nearly rest: an error is made where Phi(t, 0) is A times what it is at the end, and grows A
+    times: 6.7e-5 at A = 8e5."""
+    point = load_orbit(f"{STRAIGHT}#{number}")
+    certificate = certify(point)
+    kept = next(one for one in certificate.checks if one.name == "trivial_multipliers")
+    assert certificate.passed and 1e-8 < kept.value < kept.tolerance < 20 * kept.value
+    assert certificate.scale < 1e6 and kept.tolerance < 1e-14 * certificate.scale**2
+
+
+@pytest.mark.parametrize(("number", "error"), [(0, 1e-6), (50, 1e-12)])
+def test_a_wrong_linearisation_fails_trivial_multipliers(number, error, monkeypatch):
+    """One of sixteen pieces is off by a share of its largest entry: near a saddle 1e-12 is seen, it grows to 1e-5."""
+    whole = evidence._pieces
+
+    def disturbed(*arguments):
+        pieces, *more = whole(*arguments)
+        return [piece + error * (k == 8) * np.abs(piece).max() for k, piece in enumerate(pieces)], *more
+
+    monkeypatch.setattr(evidence, "_pieces", disturbed)
+    assert "trivial_multipliers" in certify(load_orbit(f"{STRAIGHT}#{number}")).failures
 
 
 def test_tolerances_can_be_tightened(good):

@@ -51,7 +51,7 @@ MOST_TURNS = 10**6
 NODES_OFF, SAMPLES_OFF, LARGEST_PICTURE = 1e-9, 1e-6, 1e-3
 """Shares of the extents that recorded nodes and samples may be off the motion, and that growing errors may excuse"""
 LARGEST_GROWTH = 1e10
-"""Growth of errors between any two instants that may excuse the trivial multipliers"""
+"""Growth of errors between any two instants that may excuse recorded multipliers"""
 PAIRED, LARGEST_DEFECT = 10.0, 0.1
 """Relative errors of the integration in the product of two reciprocal multipliers; and what excuses no more"""
 BADLY = 1e-9
@@ -166,8 +166,9 @@ def _judged(orbit: Orbit, model: Model, allowed: Tolerances, better: bool = Fals
     orbit = _better_known(orbit, evidence.floquet) if better else orbit
     found, scale = evidence.closes, min(evidence.closes.amplification, LARGEST_SCALE)
     asked = min(orbit.tolerance, allowed.closure)
-    # near a saddle errors grow between any two instants, and the variations with them
+    # near a saddle errors grow between any two instants; Phi takes up more than what it is at the end
     passing = ROUND_OFF * EPSILON * min(evidence.growth, LARGEST_GROWTH)
+    kept = max(allowed.trivial, ROUND_OFF * EPSILON * min(evidence.varied / evidence.norm, LARGEST_SCALE**2))
     near = _Nearby(model, evidence.times, evidence.states, evidence.extents)
     checks = [
         _closure_check(found, asked, f"DOP853 on {evidence.formulation}; "),
@@ -181,10 +182,10 @@ def _judged(orbit: Orbit, model: Model, allowed: Tolerances, better: bool = Fals
         _minimal_period(near, apart, allowed.cover, evidence),
         _resolution(evidence),
         _at_least("not_equilibrium", _motion(evidence, model), allowed.motion, _moving(model, orbit)),
-        _at_most("trivial_multipliers", evidence.trivial, max(allowed.trivial, passing), "flow and gradients are kept")
+        _at_most("trivial_multipliers", evidence.trivial, kept, "flow and gradients are kept")
         if model.invariants or not model.forced
         else None,
-        _at_most("symplectic", evidence.symplectic, allowed.symplectic, "Phi^T J Phi = J")
+        _at_most("symplectic", evidence.symplectic, max(allowed.symplectic, kept), "Phi^T J Phi = J")
         if model.canonical
         else None,
         _at_most(
@@ -599,9 +600,10 @@ def _record_checks(orbit: Orbit, evidence: Evidence, model: Model, allowed: Tole
         _same("stability", orbit.stability, evidence.floquet.stability),
         _same_symmetry(orbit, evidence, model),
     ]
-    # mu and 1/mu of a matrix of norm about mu, known to a few relative errors of the integration: mu^2 of that
-    paired = symplectic(model)
-    pairs = max(allowed.trivial, min(PAIRED * VARIED.relative_tolerance * scale**2, LARGEST_DEFECT)) if paired else 0.0
+    # mu and 1/mu of a matrix that takes up a few relative errors of the integration under way: |Phi| times what they
+    # grow to
+    paired, known = symplectic(model), PAIRED * VARIED.relative_tolerance * evidence.varied * evidence.norm
+    pairs = max(allowed.trivial, min(known, LARGEST_DEFECT)) if paired else 0.0
     defect = max(evidence.floquet.pair_defect, abs(orbit.pair_defect))
     if paired or defect:
         checks.append(_at_most("pair_defect", defect, pairs, "reciprocal pairs, as recorded and as found"))

@@ -315,8 +315,9 @@ class Evidence:
 
     `times` are equally spaced; `closes` measures the gap in extents, `closure` in the model's units (its largest
     component); `exchanged` is the energy (J) that `drift` is relative to, `extents` (2n) those of the motion,
-    `growth` the largest |S^-1 Phi(t, s) S| of all s < t, `reached` the states at
-    further moments that were asked for, and `trace` the steps that were taken.
+    `growth` the largest |S^-1 Phi(t, s) S| of all s < t, `varied` what an error that Phi takes up under way grows to
+    in it (the largest |Phi(T, t)| |Phi(t, 0)|) and `norm` |Phi(T, 0)|, both so scaled, `reached` the states at further
+    moments that were asked for, and `trace` the steps that were taken.
     """
 
     times: np.ndarray
@@ -329,6 +330,8 @@ class Evidence:
     exchanged: float
     extents: np.ndarray
     growth: float
+    varied: float
+    norm: float
     trivial: float
     symplectic: float
     floquet: Floquet
@@ -364,7 +367,7 @@ def _measured(
     gradients, directions = motion.gradients * units, motion.directions / units
     missed = (path[-1] - path[0] - shift(motion.turns, units.size)) / units
     found = closes(missed, pieces, sizes, None if model.forced else motion.rate * period / units)
-    monodromy, growth = _products(pieces)
+    monodromy, growth, varied = _products(pieces)
     basis = tangent_basis(motion.constraints * units) if motion.constraints.size else np.eye(units.size)
     inner, gradients, directions = basis.T @ monodromy @ basis, gradients @ basis, directions @ basis
     scale = max(1.0, float(np.abs(inner).max()))
@@ -384,6 +387,8 @@ def _measured(
         exchanged=exchanged,
         extents=extents_of(model, states, period),
         growth=growth,
+        varied=varied,
+        norm=float(np.linalg.norm(monodromy)),
         trivial=max(_off(directions @ inner.T, directions), _off(gradients @ inner, gradients)) / scale,
         symplectic=_asymplectic(inner, basis, units) / scale**2 if model.canonical else 0.0,
         floquet=analyse(reduce_monodromy(inner, gradients, directions), conservative=symplectic(model)),
@@ -411,15 +416,16 @@ def _variable(model: Model, states: np.ndarray, units: np.ndarray) -> float:
     return max(float(np.abs(gradients(state).full()[which]) @ units) for state in states[:: SAMPLES // 16])
 
 
-def _products(pieces: Sequence[np.ndarray]) -> tuple[np.ndarray, float]:
-    """Phi(T, 0) and the largest norm of Phi(t, s) between the ends of any two pieces."""
-    largest, whole = 1.0, np.eye(len(pieces[0]))
-    for begin in reversed(range(len(pieces))):
+def _products(pieces: Sequence[np.ndarray]) -> tuple[np.ndarray, float, float]:
+    """Phi(T, 0), the largest |Phi(t, s)| between the ends of any two pieces and the largest |Phi(T, t)| |Phi(t, 0)|."""
+    count = len(pieces)
+    norms = np.ones((count + 1, count + 1))  # from the start of one piece to that of another
+    for begin in reversed(range(count)):
         whole = np.eye(len(pieces[0]))
-        for piece in pieces[begin:]:
+        for end, piece in enumerate(pieces[begin:], begin + 1):
             whole = piece @ whole
-            largest = max(largest, float(np.linalg.norm(whole)))
-    return whole, largest
+            norms[begin, end] = np.linalg.norm(whole)
+    return whole, float(norms.max()), float((norms[:, -1] * norms[0]).max())
 
 
 def _off(found: np.ndarray, wanted: np.ndarray) -> float:
