@@ -10,6 +10,7 @@ number is left behind when the text changes.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import re
 import sqlite3
 import sys
@@ -63,7 +64,7 @@ def atlas() -> tuple[str, str]:
     files = sorted((RESULTS / "atlas").glob("*.sqlite"))
     counts = []
     for path in files:
-        with sqlite3.connect(f"file:{path}?mode=ro", uri=True) as store:
+        with contextlib.closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as store:
             counts.append(int(store.execute("select count(*) from orbits").fetchone()[0]))
     return f"{sum(counts)}", str(len(files))
 
