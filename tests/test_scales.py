@@ -174,6 +174,59 @@ def test_lorenz_from_any_instant(eighth):
           seen(model, at_phase(model, orbit, eighth / 8), orbit.period, "rho", **given))  # fmt: skip
 
 
+def masses(units=(1.0, 1.0, 1.0)):
+    """Three masses on two hardening springs, free to drift: the place of the first and the two stretches."""
+    q, v, hardening = ca.SX.sym("q", 3), ca.SX.sym("v", 3), ca.SX.sym("hardening")
+    moved = [one * scale for one, scale in zip(ca.vertsplit(v), units, strict=True)]
+    one, other = q[1] * units[1], q[2] * units[2]
+    speeds = [moved[0], moved[0] + moved[1], moved[0] + moved[1] + moved[2]]
+    kinetic = sum(mass * speed**2 for mass, speed in zip((1.0, 1.3, 0.8), speeds, strict=True)) / 2
+    potential = one**2 / 2 + 0.7 * other**2 + hardening * (one**4 + other**4) / 4
+    symbols = of.Symbols(q, v, hardening, ("hardening",), (0.3,))
+    return of.lagrange(kinetic, potential, symbols, names=["base", "first", "second"])
+
+
+@cache
+def swinging(energy=0.05):
+    """The slower mode of the masses at an energy."""
+    model = masses()
+    return of.find_orbit(of.Problem(model, of.guesses.normal_mode(model, 2, 0.3, np.zeros(3)), of.pin(energy=energy)))
+
+
+RESONANCES = (1.151255059, 4.717562092)
+"""Energies where the multipliers of the slower mode of the masses pass a root of unity"""
+
+
+@cache
+def resonant():
+    events, ends = seen(masses(), swinging().state, swinging().period, "energy", until=6.0)
+    assert [one[1] for one in events] == pytest.approx(RESONANCES, rel=1e-9) and ends == ["target"]
+    return events, ends
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("units", [(1e-6, 1.0, 1.0), (1.0, 1e6, 1.0), (1.0, 1.0, 1e-6), (1e3, 1e-3, 1e6)])
+def test_free_masses_in_any_units(units):
+    state = swinging().state / np.tile(units, 2)
+    agree(resonant(), seen(masses(units), state, swinging().period, "energy", until=6.0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("eighth", [1, 3, 6])
+def test_free_masses_from_any_instant(eighth):
+    model, orbit = masses(), swinging()
+    agree(resonant(), seen(model, at_phase(model, orbit, eighth / 8), orbit.period, "energy", until=6.0))
+
+
+@pytest.mark.slow
+def test_free_masses_from_another_orbit():
+    """From between the two resonances the one is met upwards, the other downwards."""
+    far = of.follow_family(swinging(), "energy", until=3.0, model=masses()).points[-1]
+    for until, which in ((6.0, 1), (0.05, 0)):
+        events, ends = seen(masses(), far.state, far.period, "energy", until=until)
+        agree((resonant()[0][which : which + 1], ["target"]), (events, ends))
+
+
 @pytest.mark.parametrize("phase", [0.8, 2.0, 4.0])
 @pytest.mark.parametrize("unit", [1e-2, 1.0, 1e2])
 def test_the_normal_form_of_hopf_has_no_fold(unit, phase):
