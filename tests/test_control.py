@@ -231,6 +231,23 @@ def test_a_control_one_per_cent_off_is_rejected_by_name() -> None:
     assert failures == ("stationarity",)
 
 
+@pytest.mark.parametrize("place", [0.33, -0.7123, 0.05])
+def test_a_force_far_narrower_than_a_step_is_found(place: float) -> None:
+    """2e-5 of the motion wide, and what it does to it: 7e-3."""
+
+    def moved(kick: float) -> of.Model:
+        q, v, force, wide = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("force"), 2e-5
+        push = force + kick / (wide * np.sqrt(np.pi)) * ca.exp(-(((q - place) / wide) ** 2)) * v
+        symbols = of.Symbols(q, v, force, ("force",), (0.0,))
+        return of.lagrange(v**2 / 2, q**2 / 2, symbols, forces=push, names=["x"], controls=["force"])
+
+    control = of.Control("force**2", "linear", 20, tasks=PICK)
+    pins = of.pin(x=-1.0, xdot=0.0, period=2.0)
+    orbit = of.find_orbit(of.Problem(moved(0.0), of.Guess([-1.0, 0.0], 2.0), pins, control=control))
+    assert of.certify(orbit, moved(0.0)).passed
+    assert "resolution" in of.certify(orbit, moved(6.8e-3)).failures
+
+
 def _recomputed(orbit: of.Orbit, entry: dict) -> dict:  # type: ignore[type-arg]
     """Cost, costate and multipliers as a record of this control would truly have them."""
     model = build_model(orbit.system)

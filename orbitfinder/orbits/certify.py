@@ -286,6 +286,8 @@ def _controlled_certificate(orbit: Orbit, model: Model, turns: np.ndarray, allow
         _at_most("second_closure", found.second, allowed.second_closure * scale, "DOP853 at a second tolerance"),
         _at_least("not_equilibrium", _extent(found.states, model), allowed.motion, "extent of the motion"),
         _covered(found, turns, max(allowed.cover, TOLD_APART * found.closes.gap)),
+        _at_most("resolution", found.unseen[0], RESOLVED,
+                 f"change by what lies between steps; looks {found.unseen[1]:.1e} of a segment or less apart"),
         *(_task_check(name, value, allowed) for name, value in found.tasks.items()),
         *(_at_most(f"event: {name}", miss, allowed.distance, "miss of its guard, in periods") for name, miss, _ in
           found.events),

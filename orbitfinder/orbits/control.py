@@ -26,7 +26,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from orbitfinder.errors import InputError
-from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, integrate
+from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, Trace, integrate
 from orbitfinder.loops.control import Basis, Control, Task
 from orbitfinder.loops.controlled import Arrangement, Program, Solution, arranged, optimum
 from orbitfinder.loops.ipopt import SolveSettings
@@ -35,6 +35,7 @@ from orbitfinder.loops.symmetry import named, related, shifts_of
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.controls import actuated
 from orbitfinder.mechanics.model import Model, energy, wrapped
+from orbitfinder.orbits.between import LOOKS, MOST_LOOKS, overlooked
 from orbitfinder.orbits.closure import Closure, closes, extents_of, shift, shift_along
 from orbitfinder.orbits.floquet import Floquet, analyse
 from orbitfinder.orbits.measure import provenance
@@ -77,7 +78,8 @@ class ControlledEvidence:
     `stationarity` is what the best multipliers leave of the conditions of an optimum, relative to the cost;
     `pointwise` the largest |H_u| relative to its terms, `drift` how far H is from constant, relative; `margins` by
     name how far tasks and limits are violated, relative; `wrong` the worst sign of a multiplier, relative;
-    `off` how far states that a record shows are off the motion, in extents.
+    `off` how far states that a record shows are off the motion, in extents, `unseen` what features of the equations
+    narrower than a step change, in extents, and down to which width they were looked for.
     """
 
     times: np.ndarray
@@ -106,6 +108,7 @@ class ControlledEvidence:
     symmetry: float
     held: tuple[tuple[str, float], ...]
     off: float
+    unseen: tuple[float, float]
 
 
 def find_controlled(problem: Problem, settings: SolveSettings) -> tuple[Orbit, Model]:
@@ -258,8 +261,9 @@ class _Motion:
         return np.concatenate([[begins, length], *(row[picked] for row in self.plan.coefficients), self.free, [h]])
 
     def duration(self, segment: int) -> float:
-        """How long (s) a segment lasts."""
-        return float(self.parts.duration(segment, self.period, ca.DM(self.free)))
+        """How long (s) a segment of the whole period lasts."""
+        own = segment if self.whole.arcs else min(segment, self.parts.basis.intervals - 1)
+        return float(self.parts.duration(own, self.period, ca.DM(self.free)))
 
     def _symbols(self, arc: int) -> tuple[list[Any], Any, Any, Any, Any, Any]:
         inputs, rate, p, rates = self.parts.driven(arc, ca.SX.sym)
@@ -320,14 +324,15 @@ class _Motion:
         weights = np.array([[float(w) for w in basis.values(share, begins + share * length)] for share in shares])
         return np.asarray(weights @ self.plan.coefficients[:, picked].T)
 
-    def path(self, state: np.ndarray, settings: ReferenceSettings, shares: np.ndarray) -> list[np.ndarray]:
+    def path(
+        self, state: np.ndarray, settings: ReferenceSettings, shares: np.ndarray, traces: list[Trace] | None = None
+    ) -> list[np.ndarray]:
         """(x, integrals, action) at shares of each segment, those of the first from the state; events at their ends."""
         d, found, more = self.parts.size, [], np.zeros(self.count + 1)
         now = np.asarray(state, float)
         for k in range(self.whole.intervals):
-            h = self.duration(min(k, self.parts.basis.intervals - 1) if not self.whole.arcs else k)
-            field = self.forward[self.parts.arc(k)].at(self.given(k, h))
-            found.append(integrate(field, np.concatenate([now, more]), shares, settings, 0.25))
+            field = self.forward[self.parts.arc(k)].at(self.given(k, self.duration(k)))
+            found.append(integrate(field, np.concatenate([now, more]), shares, settings, 0.25, traces))
             now, more = found[-1][-1, :d], found[-1][-1, d:]
             now = self.reset(k, now)
         return found
@@ -354,7 +359,7 @@ def gather_controlled(
     motion = _Motion(plan, period)
     d = plan.parts.size
     shares = np.linspace(0.0, 1.0, SAMPLES * plan.parts.steps + 1)
-    pieces = motion.path(state, TIGHTEST, shares)
+    pieces = motion.path(state, TIGHTEST, shares, traces := list[Trace]())
     second = motion.path(state, SECOND, np.array([0.0, 1.0]))
     last = len(pieces) - 1
     end, other = motion.reset(last, pieces[-1][-1, :d]), motion.reset(last, second[-1][-1, :d])
@@ -382,7 +387,28 @@ def gather_controlled(
         floquet=analyse(monodromy, conservative=False), events=tuple(_events(motion, pieces)), shift=shifted,
         cost_size=fitted.size, symmetry=_off_symmetry(motion, pieces, units), held=tuple(_held(motion, pieces)),
         off=0.0 if shown is None else _off_motion(motion, pieces, *shown, units),
+        unseen=_unseen(motion, traces, units),
     )  # fmt: skip
+
+
+def _unseen(motion: _Motion, traces: list[Trace], units: np.ndarray) -> tuple[float, float]:
+    """What features narrower than a step change along the segments, in extents, and the widest gap between two looks,
+    in extents and segments."""
+    changed, widest, looks = 0.0, 0.0, max(LOOKS, MOST_LOOKS // sum(len(one.moments) for one in traces))
+    for k, trace in enumerate(traces):
+        function = motion.forward[motion.parts.arc(k)].function
+        given, rest = motion.given(k, motion.duration(k)), np.zeros(function.size1_in(1) - units.size)
+
+        def rates(
+            moments: np.ndarray, rows: np.ndarray, function: ca.Function = function, given: np.ndarray = given,
+            rest: np.ndarray = rest,
+        ) -> np.ndarray:  # fmt: skip
+            whole = np.hstack([rows * units, np.tile(rest, (len(rows), 1))])
+            return np.asarray(function(moments[None], whole.T, given).full().T[:, : units.size] / units)
+
+        found, width, _ = overlooked(Trace(trace.moments, trace.states[:, : units.size] / units, rates, True), looks)
+        changed, widest = changed + found, max(widest, width)
+    return changed, widest
 
 
 def _direction(model: Model, name: str) -> np.ndarray:
@@ -396,7 +422,7 @@ def _sampled(
     d, began = motion.parts.size, 0.0
     times, states, driven = [], [], []
     for k, piece in enumerate(pieces):
-        h = motion.duration(min(k, motion.parts.basis.intervals - 1) if not motion.whole.arcs else k)
+        h = motion.duration(k)
         chosen = slice(0, None if k == len(pieces) - 1 or motion.event(k) is not None else -1)
         times.append(began + h * shares[chosen])
         states.append(piece[chosen, :d])
@@ -417,7 +443,7 @@ def _off_motion(
     if times[0] != 0.0 or not -edge <= motion.period - times[-1] <= np.diff(times).max():  # thinned, the last may lack
         return float("inf")
     for k, piece in enumerate(pieces):
-        h = motion.duration(min(k, motion.parts.basis.intervals - 1) if not motion.whole.arcs else k)
+        h = motion.duration(k)
         own = (times >= began - edge) & (times <= began + h + edge)
         shares = np.clip((times[own] - began) / h, 0.0, 1.0)
         moments = np.unique(np.append(shares, 0.0))
