@@ -151,11 +151,20 @@ def test_commands_prove_and_replay_a_branch(tmp_path):
     record = tmp_path / "branch-proof.json"
     found = run.invoke(cli, ["verify", "--proof", str(record)])
     assert found.exit_code == 0 and "proof replayed" in found.output
-    document = json.loads(record.read_text())
-    document["passages"][0] |= {"level": 1.0}
-    record.write_text(json.dumps(document))
+    whole = json.loads(record.read_text())
+    passage = whole["passages"][0]
+    for wrong in (
+        {"level": 1.0}, {"kind": "torus"}, {"kept": "brake+reflection"}, {"test": "det(N + 2)"}, {"proved": False},
+        {"low": passage["high"], "high": passage["low"]}, {"low": "[+/- inf]"}, {"low": "nan"}, {"low": "little"},
+        {"high": passage["high"].replace(" +/- ", "3 +/- ").replace("e-", "e-1")},
+    ):  # fmt: skip
+        record.write_text(json.dumps(whole | {"passages": [passage | wrong]}))
+        found = run.invoke(cli, ["verify", "--proof", str(record)])
+        assert found.exit_code == 1 and "proof REJECTED: event: recorded" in found.output, (wrong, found.output)
+    pieces = [whole["pieces"][0] | {"contraction": 1e-9}, *whole["pieces"][1:]]
+    record.write_text(json.dumps(whole | {"pieces": pieces}))
     found = run.invoke(cli, ["verify", "--proof", str(record)])
-    assert found.exit_code == 1 and "proof REJECTED: events recorded" in found.output
+    assert found.exit_code == 1 and "proof REJECTED: contraction from" in found.output
 
 
 @pytest.mark.parametrize(

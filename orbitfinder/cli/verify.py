@@ -274,16 +274,22 @@ def _print_branch(heading: str, found: Branch) -> None:
 
 def verify_branch(file: Path, trust: bool = False) -> dict[str, Any]:
     """Replay a recorded proof of a branch: `passed`, and `message`, one sentence."""
-    from orbitfinder.proof.branch import branch_model, read_branch, replayed
+    from orbitfinder.families.passages import index_levels
+    from orbitfinder.proof.branch import branch_model, contradictions, read_branch, replayed
 
     recorded = read_branch(file)
     found = replayed(recorded, branch_model(recorded, file.parent if trust else None), note)
     if not found.proved:
         return {"passed": False, "message": f"proof REJECTED: {found.reason}"}
-    claimed = [one.kind for one in recorded.passages if one.proved]
-    borne = [one.kind for one in found.passages if one.proved]
-    if claimed != borne:
-        return {"passed": False, "message": f"proof REJECTED: events recorded {claimed}, found {borne}"}
+    wrong = contradictions(recorded, found)
+    root = max(1, len(found.formulation.symmetry.maps))
+    known = {(kind, round(level, 9)) for level, kind, *_ in index_levels(root, 100)}
+    for one in recorded.passages:
+        if (one.kind, round(one.level, 9)) not in known:
+            wrong.append(f"event: recorded {one.kind} at nu + 1/nu = {one.level:.6g}, where there is none of this kind")
+    if wrong:
+        return {"passed": False, "message": f"proof REJECTED: {'; '.join(wrong)}"}
+    borne = [one for one in found.passages if one.proved]
     what = f"{plural(len(found.pieces), 'piece')}, {plural(len(borne), 'event')}"
     return {"passed": True, "message": f"proof replayed in {found.wall_time:.1f} s: proved, {what}"}
 

@@ -54,6 +54,7 @@ from orbitfinder.proof.krawczyk import (
     residual,
     solve,
 )
+from orbitfinder.proof.record import DIGITS, MARGIN, close
 from orbitfinder.proof.theorem import (
     CENTRE,
     NotProved,
@@ -293,14 +294,20 @@ def tests(found: Trajectory, level: float) -> dict[str, tuple[Any, str]]:
     return {"det(K - level)": (chosen(plus, plus, shifted).det(), "")}
 
 
-def passage(kind: str, level: float, ends: Sequence[Trajectory]) -> Passage | None:
-    """The passage of a level between two enclosed orbits; None where there is no test for it."""
+def passage(
+    kind: str, level: float, ends: Sequence[Trajectory], margin: float = MARGIN, digits: int = 6
+) -> Passage | None:
+    """The passage of a level between two enclosed orbits; None where there is no test for it.
+
+    Balls are written wider than they are by `margin`.
+    """
     level = float(round(level)) if abs(level - round(level)) < 1e-9 else level
     found, (low, high) = None, (tests(one, level) for one in ends)
     for name, (value, kept) in low.items():
         other = high[name][0]
         proved = bool((value < 0 and other > 0) or (value > 0 and other < 0))
-        one = Passage(kind, level, name, value.str(6), other.str(6), proved, kept if proved else "")
+        at_low, at_high = (arb(ball.mid(), margin * ball.rad()).str(digits) for ball in (value, other))
+        one = Passage(kind, level, name, at_low, at_high, proved, kept if proved else "")
         found = one if found is None or proved else found
     return found
 
@@ -406,13 +413,40 @@ def replayed(branch: Branch, model: Model | None = None, progress: Progress | No
         ends = [branch.pieces[0].low, branch.pieces[-1].high] if branch.pieces else []
         if ends != [branch.low, branch.high]:
             return replace(branch, proved=False, reason="the pieces do not reach from one end to the other")
-        return _concluded(branch, run, codes, asked, lambda: run.again(branch.pieces))
+        return _concluded(branch, run, codes, asked, lambda: run.again(branch.pieces), 1.0, 2 * DIGITS)
+
+
+def contradictions(recorded: Branch, found: Branch) -> list[str]:
+    """Every claim of a recorded branch that the proof done again, its balls written as found, does not prove."""
+    wrong = [
+        f"contraction from {one.low!r} J: recorded {one.contraction:.3g}, found {other.contraction:.3g}"
+        for one, other in zip(recorded.pieces, found.pieces, strict=True)
+        if not close(one.contraction, other.contraction)
+    ]
+    if len(recorded.passages) != len(found.passages):
+        return [*wrong, f"events: {len(recorded.passages)} recorded, {len(found.passages)} can be tested"]
+    return wrong + [
+        f"event: recorded {one}, found {other}"
+        for one, other in zip(recorded.passages, found.passages, strict=True) if not _borne(one, other)
+    ]  # fmt: skip
+
+
+def _borne(recorded: Passage, found: Passage) -> bool:
+    """Whether a passage found again bears a recorded one out: all its words, and its balls inside the recorded ones."""
+    try:
+        (low, high), narrower = ([arb(one.low), arb(one.high)] for one in (recorded, found))
+    except ValueError:
+        return False
+    inner = all(ball.is_finite() and ball.contains(one) for ball, one in zip((low, high), narrower, strict=True))
+    apart = not recorded.proved or bool((low < 0 and high > 0) or (low > 0 and high < 0))
+    return inner and apart and replace(found, low=recorded.low, high=recorded.high) == recorded
 
 
 def _concluded(
-    about: Branch, run: _Run, codes: Programs, asked: Sequence[tuple[str, float]], pieces: Callable[[], list[Checked]]
-) -> Branch:
-    """What pieces and their ends say."""
+    about: Branch, run: _Run, codes: Programs, asked: Sequence[tuple[str, float]], pieces: Callable[[], list[Checked]],
+    *written: Any,
+) -> Branch:  # fmt: skip
+    """What pieces and their ends say, balls as `written` (see `passage`)."""
     began, passed = time.perf_counter(), []
     try:
         check_graph(codes, about.formulation, run.model)
@@ -420,7 +454,7 @@ def _concluded(
         if asked:
             ends = [run.end(found[0], -1.0), run.end(found[-1], 1.0)]
             with precision(SHARP.bits):
-                each = (passage(kind, level, ends) for kind, level in asked)
+                each = (passage(kind, level, ends, *written) for kind, level in asked)
                 passed = [one for one in each if one is not None]
     except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
         return replace(about, proved=False, reason=str(error), wall_time=time.perf_counter() - began)

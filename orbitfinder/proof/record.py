@@ -179,7 +179,7 @@ def contradictions(found: Mapping[str, Any], fresh: Mapping[str, Any]) -> dict[s
     }  # fmt: skip
 
 
-def _close(recorded: Any, fresh: float) -> bool:
+def close(recorded: Any, fresh: float) -> bool:
     """True for a number that another machine's round-off could have made of it: within a factor of 2."""
     return isinstance(recorded, (int, float)) and 0.5 * fresh <= recorded <= 2 * fresh
 
@@ -197,7 +197,7 @@ def _at_least(recorded: Any, fresh: float) -> bool:
 def _minimal(recorded: Any, fresh: Mapping[str, Any]) -> bool:
     """True when the period was recorded as minimal, proved against about as many divisors."""
     name = "divisors_excluded_up_to"
-    return recorded.get("proved") is True and _close(recorded.get(name), fresh[name])
+    return recorded.get("proved") is True and close(recorded.get(name), fresh[name])
 
 
 def _same_words(recorded: Any, fresh: str) -> bool:
@@ -235,7 +235,7 @@ COMPARED: dict[str, Callable[[Any, Any], bool]] = {
     **dict.fromkeys(("proved", "reason", "symmetry", "segments", "stability"), operator.eq),
     **dict.fromkeys(("period", "energy", "state", "nodes", "unfolding"), _holds),
     "multipliers": _holds_each,
-    **dict.fromkeys(("contraction", "steps"), _close),
+    **dict.fromkeys(("contraction", "steps"), close),
     **dict.fromkeys(("distance", "period_distance", "enclosure_radius"), _wider),
     "box_radius": _at_least,
     "phase": lambda recorded, fresh: abs((recorded - fresh + 0.5) % 1.0 - 0.5) < PHASE,
