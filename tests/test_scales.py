@@ -68,6 +68,13 @@ def cycle():
     return model, "current", of.find_orbit(of.Problem(model, of.Guess(list(settled), 85.29)))
 
 
+@cache
+def branch():
+    """Events and ends of the neuron's family as it is told in mV, from its own instant."""
+    model, parameter, orbit = cycle()
+    return seen(model, orbit.state, orbit.period, parameter)
+
+
 def at_phase(model, orbit, share):
     return of.simulate(model, orbit.state, orbit.period * share).states[-1] if share else orbit.state
 
@@ -77,8 +84,7 @@ ML_FOLDS = (88.29325054, 216.89980139)
 
 def test_a_neuron_has_its_two_folds_and_no_other():
     """0.2.0 met 212.28 and 92.85 in mV, where the cycle stops crossing a plane of constant V."""
-    model, parameter, orbit = cycle()
-    events, ends = seen(model, orbit.state, orbit.period, parameter)
+    events, ends = branch()
     folds = [value for kind, value, _ in events if kind == "fold"]
     assert folds == pytest.approx(ML_FOLDS, rel=1e-9) and {kind for kind, *_ in events} == {"fold", "stability_change"}
     assert not any("underflow" in one for one in ends)
@@ -87,22 +93,19 @@ def test_a_neuron_has_its_two_folds_and_no_other():
 @pytest.mark.parametrize("units", [(1e-6, 1.0), (1e6, 1.0), (1.0, 1e-6), (1.0, 1e6)])
 def test_a_neuron_in_other_units(units):
     model, parameter, orbit = cycle()
-    plain = seen(model, orbit.state, orbit.period, parameter)
-    agree(plain, seen(rescaled(model, units), orbit.state / units, orbit.period, parameter))
+    agree(branch(), seen(rescaled(model, units), orbit.state / units, orbit.period, parameter))
 
 
 @pytest.mark.parametrize("eighth", range(1, 8))
 def test_a_neuron_from_any_instant(eighth):
     model, parameter, orbit = cycle()
-    plain = seen(model, orbit.state, orbit.period, parameter)
-    agree(plain, seen(model, at_phase(model, orbit, eighth / 8), orbit.period, parameter))
+    agree(branch(), seen(model, at_phase(model, orbit, eighth / 8), orbit.period, parameter))
 
 
 def test_a_neuron_from_another_orbit():
     model, parameter, orbit = cycle()
-    plain = seen(model, orbit.state, orbit.period, parameter)
     near = of.follow_family(orbit, parameter, until=150.0, model=model).points[-1]
-    agree(plain, seen(with_parameters(model, {"current": 150.0}), near.state, near.period, parameter))
+    agree(branch(), seen(with_parameters(model, {"current": 150.0}), near.state, near.period, parameter))
 
 
 HH_EVENTS = (  # of current, ../data/cycles.json
