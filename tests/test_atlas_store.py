@@ -413,6 +413,20 @@ def test_the_cost_of_an_insertion_stays_flat(tmp_path, triples, monkeypatch):
     assert late < 1.5 * early, f"{early * 1e6:.0f} and {late * 1e6:.0f} microseconds"
 
 
+def test_an_atlas_that_another_thread_collects_is_none_of_its_business(book):
+    kept = []
+
+    def opened():
+        with Atlas(book) as atlas:
+            kept.append(atlas)
+
+    thread = threading.Thread(target=opened)
+    thread.start()
+    thread.join()
+    kept.clear()
+    gc.collect()
+
+
 def test_an_atlas_that_nobody_closed_is_closed_with_its_last_name(book):
     """Python warns of an open connection since 3.13: `of.Atlas(path).orbit(1)` is what the reference shows."""
     atlas = Atlas(book)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
+import sqlite3
 import weakref
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -146,6 +148,12 @@ def check_range(name: str, limits: Sequence[float]) -> None:
         raise InputError(f"{name}: must be two increasing numbers, got {limits!r}; give (low, high)")
 
 
+def _closed(connection: sqlite3.Connection) -> None:
+    """Close what nobody closed, of which Python warns since 3.13; only in the thread where it was opened can it be."""
+    with contextlib.suppress(sqlite3.ProgrammingError):
+        connection.close()
+
+
 class Atlas(Shown):
     """Orbits in an SQLite file. Open to read by default; a context manager.
 
@@ -183,13 +191,13 @@ class Atlas(Shown):
         self.path, self._model, self._trusted = Path(path), model, trusted
         self._loops: dict[int, Signature] = {}
         self.connection = connect(self.path, write)
-        weakref.finalize(self, self.connection.close)  # since Python 3.13 who forgets `close` is warned
+        self._forgotten = weakref.finalize(self, _closed, self.connection)
         try:
             with explained(self.path):
                 asked = system if model is None else model.system
                 self.system = self._recorded() if asked is None else self._claim(dict(asked), write)
         except BaseException:
-            self.connection.close()
+            self.close()
             raise
 
     def __enter__(self) -> Atlas:
@@ -200,6 +208,7 @@ class Atlas(Shown):
 
     def close(self) -> None:
         """Close the file; a last connection also folds the write-ahead log into it."""
+        self._forgotten.detach()  # whichever thread collects a closed one
         self.connection.close()
 
     def _recorded(self) -> dict[str, Any]:
