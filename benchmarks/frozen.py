@@ -6,14 +6,15 @@
 
 FILE is benchmarks/frozen.json unless said: the answers of 0.2.0 (9bce99e). Parts: problems (every problem file: period,
 energy, action, multipliers, stability, symmetry), families (of results/families, by their documented commands), further
-(dissipative families), branches, searches (500 starts of two), proofs (four). All go through the command line, in
-folders of their own, so that nothing of the inside is known here.
+(dissipative families), branches, searches (500 starts of two), proofs (four), followed (12 tori, ten optima, a curve of
+folds, connections; recorded at the end of issue 28, not from 0.2.0). All go through the command line or the public
+interface, in folders of their own, so that nothing of the inside is known here.
 
 Which points a run takes is no answer: of families the orbits at pinned values of the parameter (`--at`) are compared,
 numbers within max(1e-11, 1e-14 A) of their size, A what errors grow by there, and events, ends and branches as sets, by
 kind and value. `problems`, `families` and `proofs` are not run to be recorded but read from results and docs, as
-they were shipped. What
-0.2.0 had wrong is listed under `known` in the file, each with why; it is printed and not counted.
+they were shipped. What 0.2.0 had wrong is listed under `known` in the file, each with why; it is printed and not
+counted.
 """
 
 from __future__ import annotations
@@ -223,6 +224,45 @@ def branching(folder: Path) -> dict[str, Any]:
     return {named(words): {"events": json.loads(done.stdout)}}
 
 
+FOLLOWED = """
+import json, sys, orbitfinder as of
+from pathlib import Path
+root = Path(sys.argv[1])
+
+def problem(name):
+    return of.load_problem(root / f"problems/{name}.toml")
+
+loop = of.find_orbit(problem("gallery/henon-heiles-loop"))
+turns = [0.3241 - k * (5**0.5 - 2) / 90 for k in range(1, 13)]
+tori = of.follow_tori(loop, at=tuple(turns), until=turns[-1]).tori
+found = [min(tori, key=lambda one: abs(one.rotation - turn)) for turn in turns]
+optima = of.follow_optima(problem("control/maintained-oscillator"), "damping", [(20 - k) / 100 for k in range(10)])
+family = of.follow_family(problem("families/duffing-resonance"), "frequency", until=2.0)
+forces = [0.06, 0.2, 0.5, 1.0, 2.0]
+folds = of.follow_curve(family, 0, ["force", "frequency"], at=forces)
+lyapunov = of.find_orbit(problem("gallery/oterma-l1"))
+where = {"plane": "y=0", "axes": ["x", "xdot"], "direction": -1, "near": [-0.616, 0], "most": 1}
+first = of.connect(lyapunov, **where)
+near = [lyapunov.energy + by for by in (-1e-5, 1e-5)]
+further = [of.sections.follow_connection(first[0], lyapunov, [energy]) for energy in near]
+print(json.dumps({
+    "tori": [[one.rotation, one.period, one.energy, one.certificate.passed] for one in found],
+    "optima": [[one.period, one.control["cost"], one.certificate.passed] for one in optima.points],
+    "folds": [[one.free["force"], one.free["frequency"]] for one in folds.points if one.value in forces],
+    "connections": [[one.kind, one.state.tolist(), one.angle, one.certificate.passed]
+                    for some in (first, *further) for one in some],
+}))
+"""
+
+
+def followed_otherwise(_: Path) -> dict[str, Any]:
+    """Tori, optima, a curve in two parameters and connections, at pinned values."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "ignore"}
+    done = subprocess.run([sys.executable, "-c", FOLLOWED, str(ROOT)], env=environment, capture_output=True, text=True,
+                          timeout=LIMIT, check=True)  # fmt: skip
+    return dict(json.loads(done.stdout))
+
+
 def searches(folder: Path) -> dict[str, Any]:
     """The catalogue that 500 starts of two searches make."""
     found = {}
@@ -264,7 +304,7 @@ AGAIN: dict[str, Callable[[Path], Any]] = {"problems": problems, "proofs": proof
 """How to compute again what is read from shipped files to be recorded"""
 ANSWERS: dict[str, Callable[[Path], Any]] = {
     "problems": shipped_problems, "families": shipped, "further": further, "branches": branching, "searches": searches,
-    "proofs": shipped_proofs,
+    "proofs": shipped_proofs, "followed": followed_otherwise,
 }  # fmt: skip
 
 
