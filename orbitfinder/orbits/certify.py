@@ -168,7 +168,8 @@ def _judged(orbit: Orbit, model: Model, allowed: Tolerances, better: bool = Fals
     asked = min(orbit.tolerance, allowed.closure)
     # near a saddle errors grow between any two instants; Phi takes up more than what it is at the end
     passing = ROUND_OFF * EPSILON * min(evidence.growth, LARGEST_GROWTH)
-    kept = max(allowed.trivial, ROUND_OFF * EPSILON * min(evidence.varied / evidence.norm, LARGEST_SCALE**2))
+    taken = ROUND_OFF * EPSILON * min(evidence.varied / evidence.norm, LARGEST_SCALE**2)
+    kept = max(allowed.trivial, passing, taken)
     near = _Nearby(model, evidence.times, evidence.states, evidence.extents)
     checks = [
         _closure_check(found, asked, f"DOP853 on {evidence.formulation}; "),
