@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.optimize import fsolve
 
 import orbitfinder as of
 from orbitfinder.cli.group import cli
@@ -280,3 +281,32 @@ def test_conservative_joins_from_both_sides():
         (end,) = (one for one in branch.ends if one.kind == "merged")
         assert end.parameter == pytest.approx(family.events[k].parameter, rel=1e-11) and end.error < 1e-9
         assert "fold" not in {one.kind for one in branch.events}
+
+
+@pytest.mark.slow
+def test_the_atmosphere_of_lorenz_1984_is_followed_until_it_is_too_fast():
+    """At F = 3e5 a period takes 3,000 steps; in 128 it was not finite: `follow_family` raised a ValueError."""
+
+    def field(t, x, p):
+        return [
+            -(x.y**2) - x.z**2 - 0.25 * x.x + 0.25 * p.F,
+            x.x * x.y - 4 * x.x * x.z - x.y + 0.5,
+            4 * x.x * x.y + x.x * x.z - x.z,
+        ]
+
+    model = of.ode(field, ["x", "y", "z"], {"F": 4.0})
+    settled = of.simulate(model, [1.0, 1.0, 0.1], 400.0).states[-1]
+    family = of.follow_family(of.Problem(model, of.Guess(list(settled), 1.544)), "F")
+    kinds = [one.kind for one in family.events if one.kind != "stability_change"]
+    assert kinds == ["period_doubling", "period_doubling", "fold", "fold"]
+    hopf, other = sorted(family.ends, key=lambda one: one.kind)
+    assert (hopf.kind, other.kind) == ("hopf", "step underflow")
+
+    def rest(x):
+        return [-(x[1] ** 2) - x[2] ** 2 - (x[0] - x[3]) / 4, x[0] * (x[1] - 4 * x[2]) - x[1] + 0.5,
+                x[0] * (4 * x[1] + x[2]) - x[2], x[3] - hopf.parameter]  # fmt: skip
+
+    x, y, z, _ = fsolve(rest, [1.0, 0.0, 0.1, hopf.parameter], xtol=1e-14)
+    jacobian = [[-0.25, -2 * y, -2 * z], [y - 4 * z, x - 1, -4 * x], [4 * y + z, 4 * x, x - 1]]
+    pair = max(np.linalg.eigvals(jacobian), key=np.imag)
+    assert abs(pair.real) < 1e-10 and hopf.period == pytest.approx(2 * np.pi / pair.imag, rel=1e-9)

@@ -355,12 +355,18 @@ def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[n
     p, place = curve.equations, found.place
     if p.links:
         return _linked_samples(curve, found, count)
-    each, edges = -(-count // len(place.nodes)), place.edges
-    mesh = np.concatenate([[0.0], *[np.linspace(a, b, each + 1)[1:] for a, b in pairwise(edges)]])
-    mesh, states = p.symmetry.whole(mesh, p.march.states(place.nodes, mesh, place.tail), curve.constant)
-    times = np.linspace(0.0, place.period, count + 1)
-    moments = mesh * place.period
-    return times, CubicHermiteSpline(moments, states, p.march.rates(states, place.tail, moments))(times)
+    each = -(-count // len(place.nodes))
+    if each > place.steps:
+        mesh = np.concatenate([[0.0], *[np.linspace(a, b, each + 1)[1:] for a, b in pairwise(place.edges)]])
+        states = p.march.states(place.nodes, mesh, place.tail)
+    else:  # what took so many steps is not known from fewer
+        mesh, states = place.mesh, found.march.states
+    mesh, states = p.symmetry.whole(mesh, states, curve.constant)
+    times, moments = np.linspace(0.0, place.period, count + 1), mesh * place.period
+    slopes = p.march.rates(states, place.tail, moments)
+    if not np.all(np.isfinite(slopes)):
+        raise IntegrationError("the motion is not finite between its nodes")
+    return times, CubicHermiteSpline(moments, states, slopes)(times)
 
 
 def _linked_samples(curve: Curve, found: Solution, count: int) -> tuple[np.ndarray, np.ndarray]:
