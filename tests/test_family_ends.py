@@ -310,3 +310,21 @@ def test_the_atmosphere_of_lorenz_1984_is_followed_until_it_is_too_fast():
     jacobian = [[-0.25, -2 * y, -2 * z], [y - 4 * z, x - 1, -4 * x], [4 * y + z, 4 * x, x - 1]]
     pair = max(np.linalg.eigvals(jacobian), key=np.imag)
     assert abs(pair.real) < 1e-10 and hopf.period == pytest.approx(2 * np.pi / pair.imag, rel=1e-9)
+
+
+def test_a_cycle_on_which_two_equilibria_are_born_is_no_canard():
+    """On r = 1, theta' = w - cos theta, so that T = 2 pi / sqrt(w^2 - 1); the end was said to be a canard."""
+
+    def field(t, x, p):
+        inward, turn = 1 - x.x**2 - x.y**2, p.w - x.x
+        return [x.x * inward - x.y * turn, x.y * inward + x.x * turn]
+
+    model = of.ode(field, ["x", "y"], {"w": 1.5})
+    state = of.simulate(model, [1.0, 0.1], 60.0).states[-1]
+    family = of.follow_family(of.Problem(model, of.Guess(list(state), 5.62)), "w", settings=DOWN)
+    near = [one for one in family.points if one.value > 1.001]
+    assert [one.period for one in near] == pytest.approx(
+        [2 * np.pi / np.sqrt(one.value**2 - 1) for one in near], rel=1e-9
+    )
+    (end,) = (one for one in family.ends if one.kind != "start")
+    assert end.kind == "step underflow" and "the period blows up" in end.reason and "no saddle" in end.reason

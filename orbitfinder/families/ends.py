@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import brentq
@@ -221,6 +222,9 @@ def end_of_failure(run: Run, step: Step, failure: str) -> End:
     slow = grown > UNDERFLOW_GROWTH and share > UNDERFLOW_SHARE and not curve.equations.model.forced
     if slow and near_saddle(curve, found, state):
         return _homoclinic(curve, found, state, grown, f"; then {failure}")
+    if slow and grown > run.settings.longest_period:  # near a saddle-node that is not there yet, say: no canard
+        told = _homoclinic(curve, found, state, grown, f", where no saddle is at this value; {failure}")
+        return replace(told, kind="step underflow")
     dead = dead_point(curve.equations.model.system, found.march.states, freed(curve, found.place))
     if dead:
         return End("dead point", f"{dead}, where the coordinates of this family end; {failure}")

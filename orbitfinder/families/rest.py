@@ -92,7 +92,7 @@ def rest_of(curve: Curve, found: Solution, name: str) -> Rest | None:
             return None
         step = np.linalg.lstsq(matrix, -extended.rows(z), rcond=1e-10)[0]
         z, moved = z + step, float(np.abs(step).max())
-        if not moved < FAR:
+        if not (moved < FAR and z[extended.count] > 0.0):
             return None
         if moved < SOLVED:
             break
