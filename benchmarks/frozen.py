@@ -37,6 +37,8 @@ BASELINE, BEFORE = ROOT / "benchmarks" / "frozen.json", "9bce99e"
 NUMBER, GROWTH, MULTIPLIER, EVENT, OTHER = 1e-11, 1e-14, 1e-7, 1e-7, 1e-9
 """Relative differences allowed: of numbers of orbits, at least and a unit of amplification, of multipliers, of the
 values of events and ends, and of everything else"""
+PINNED = 1e-12
+"""How near to a pinned value, relative to it, an orbit is that was asked for there"""
 REPORT = ("triple-1", "triple-2", "quadruple-1", "quadruple-2")
 SHARES = (0.2, 0.4, 0.6, 0.8)
 """Where along a shipped family the orbits are whose values are pinned"""
@@ -163,10 +165,16 @@ def same_event(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
     return one["kind"] == other["kind"] and near and abs(one["period"] - other["period"]) <= 1e-3 * one["period"]
 
 
+def pinned(value: float, other: float) -> bool:
+    """Whether an orbit is at a pinned value: as near as Newton's method meets it."""
+    return abs(value - other) <= PINNED * max(1.0, abs(other))
+
+
 def family_of(document: Mapping[str, Any], pins: Iterable[float]) -> dict[str, Any]:
     """The orbits at the pinned values, events and ends of a family.json; its events also by number."""
     names = ("value", *SAID, "floquet_multipliers", "stability", "scale")
-    points = [{name: one[name] for name in names} for one in document["points"] if one["value"] in set(pins)]
+    points = [{name: one[name] for name in names} for one in document["points"]
+              if any(pinned(one["value"], value) for value in pins)]  # fmt: skip
     events = [event_of(one, document["parameter"]) for one in document["events"]]
     ends = [{"kind": one["kind"]} | ({"value": one["parameter"]} if one.get("parameter") is not None else {})
             for one in document["ends"]]  # fmt: skip
@@ -394,7 +402,7 @@ def pinned_differences(before: list[Any], now: list[Any], where: str) -> Iterato
     """Of the orbits at pinned values: each against the orbit at the same value that differs in least."""
     for one in before:
         label = f"{where}/{one['value']!r}"
-        there = [list(orbit_differences(one, other, label)) for other in now if other["value"] == one["value"]]
+        there = [list(orbit_differences(one, other, label)) for other in now if pinned(one["value"], other["value"])]
         if not there:
             yield f"{label}: not met"
             continue

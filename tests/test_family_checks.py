@@ -179,3 +179,17 @@ def test_folds_of_older_files_that_are_turns_are_called_so():
     assert {(one.kind, one.detail) for one in family.events if one.kind in ("fold", "turn")} == {
         ("fold", "energy"), ("turn", "period"),
     }  # fmt: skip
+
+
+def test_a_verdict_that_changes_at_a_fold_by_almost_nothing_is_kept():
+    """Multipliers leave the circle by 3e-4 in a whole step there, by less than is asked for beside the fold."""
+    family = load_family(RESULTS / "quadruple-mode-1" / "family.json")
+    first = next(one for one in family.points[70:] if one.value < -77.44 and one.stability == "unstable")
+    guess, pin = Guess(first.state, first.period), of.pin(energy=first.energy)
+    start = Problem(build_model(family.system), guess, pin, symmetry=first.symmetry)
+    settings = FamilySettings(directions="backward", points=8, certify=False)
+    found = follow_family(start, "energy", settings=settings)
+    changes = [(one.kind, one.detail) for one in found.events if one.kind != "turn"]
+    assert changes == [("fold", "energy"), ("stability_change", "becomes stable")]
+    assert found.events[0].parameter == pytest.approx(-77.450824102262, abs=1e-9)
+    assert all(one.check.passed for one in found.events)

@@ -235,3 +235,30 @@ def test_a_family_in_memory_is_that_of_a_folder(tmp_path, monkeypatch):
         of.switch_branch(family, 2, 5)
     with pytest.raises(InputError, match="^event: no branch leaves at event 99"):
         of.switch_branch(family, 99)
+
+
+@pytest.mark.parametrize("until", [-33.1, pytest.param(-30.5, marks=pytest.mark.slow)])
+def test_two_families_leave_at_each_high_resonance(until):
+    """And no more (K. R. Meyer, Generic bifurcation of periodic points, Trans. Amer. Math. Soc. 149 (1970) 95-107)."""
+    settings = FamilySettings(certify=False, directions="forward")
+    family = of.follow_family(of.load_problem(FAMILIES / "triple-mode-2.toml"), until=until, settings=settings)
+    found = {
+        round(event.parameter, 4): [one.start.curve.equations.symmetry.name for one in branches(family, k)]
+        for k, event in enumerate(family.events)
+        if event.kind == "resonance" and event.order > 3
+    }
+    known = {
+        -38.348: ["brake+reflection"] * 2,
+        -35.1818: ["brake", "reversal"],
+        -34.4336: ["brake", "reversal"],
+        -33.9968: ["brake", "reversal"],  # order 6: they leave along each other, told apart at 0.001 of the orbit
+        -33.316: ["brake", "reversal"],
+        -33.1869: ["brake+reflection"] * 2,  # order 5: found again as brake orbits
+        -32.9983: ["brake", "reversal"],
+        -32.4722: ["brake", "reversal"],
+        -31.8177: ["brake+reflection"] * 2,
+        -31.2049: ["brake", "reversal"],
+        -30.8676: ["brake", "reversal"],
+        -30.5571: ["brake", "reversal"],  # order 6: one is found at two distances
+    }
+    assert found == {value: names for value, names in known.items() if value < until}

@@ -49,8 +49,9 @@ from orbitfinder.records.reading import finite
 
 CHOICE = 'give the number of an event, "start" or "end"'
 SWITCHABLE = ("branch_point", "period_doubling", "resonance")
-DISTANCES = (0.02, 0.005, 0.05, 0.1)
-"""How far from the old family, in sizes of its orbit, the new one is looked for; the first that succeeds is taken."""
+DISTANCES = (0.02, 0.005, 0.00125, 0.05, 0.1)
+"""How far from the old family, in sizes of its orbit, the new one is looked for; the first that succeeds is taken.
+Families of high resonances may leave along each other, and are told apart only near."""
 CLOSER, OUTSIDE = 3, 1e-6
 """How often it is looked for four times nearer where more or fewer multipliers are by this much outside the unit circle
 there: between the two an event of the new family would be missed."""
@@ -70,9 +71,25 @@ ROUND_OFF = 1e-13
 class Cover:
     """The orbit of an event, q times round, in one formulation, with the directions that leave it."""
 
+    event: Event
     curve: Curve
     place: Unknowns
     directions: tuple[np.ndarray, ...]
+
+
+@dataclass(frozen=True)
+class Leaving:
+    """A new family's start, so far from its cover in a direction (w)."""
+
+    cover: Cover
+    direction: np.ndarray
+    length: float
+    start: Start
+
+    def nearer(self, length: float) -> Leaving | None:
+        """The same family at another distance, or None where it was not met there."""
+        start = self.start if length == self.length else _at(self.cover, self.direction, length)
+        return None if start is None else replace(self, start=start, length=length)
 
 
 def switch(curve: Curve, event: Event, settings: FamilySettings | None = None) -> list[Start]:
@@ -84,7 +101,7 @@ def switch(curve: Curve, event: Event, settings: FamilySettings | None = None) -
     if event.kind not in SWITCHABLE:
         raise InputError(f"event: cannot switch at a {event.kind}; choose one of {', '.join(SWITCHABLE)}")
     settings = settings or FamilySettings()
-    found: list[Start] = []
+    found: list[Leaving] = []
     for kept, share in (*curve.equations.symmetry.narrower(), (replace(curve.equations.symmetry, maps=()), 0.0)):
         symmetry = called(kept, curve.equations.model)
         if not symmetry.maps and found:
@@ -95,19 +112,19 @@ def switch(curve: Curve, event: Event, settings: FamilySettings | None = None) -
         if found and len(cover.directions) > 2:  # a circle, on which only the symmetric ones are isolated
             continue
         for direction in cover.directions:
-            start = _branch(cover, event, direction)
-            if start is not None and not _known(start, found, cover, event):
-                found.append(start)
-    return found
+            leaving = _leaving(cover, direction)
+            if leaving is not None and not _known(leaving, found):
+                found.append(leaving)
+    return [one.start for one in found]
 
 
-def _known(start: Start, found: list[Start], cover: Cover, event: Event) -> bool:
+def _known(leaving: Leaving, found: list[Leaving]) -> bool:
     """Whether a branch was found before: by its own symmetry, where it has more than was asked for, or as it is."""
-    own = start.curve.equations.symmetry.name
-    known = {one.curve.equations.symmetry.name for one in found}
-    if own != cover.curve.equations.symmetry.name and own in known:
+    own = leaving.start.curve.equations.symmetry.name
+    known = {one.start.curve.equations.symmetry.name for one in found}
+    if own != leaving.cover.curve.equations.symmetry.name and own in known:
         return True
-    return any(_same(start, other, cover, event) for other in found)
+    return any(_same(leaving, other) for other in found)
 
 
 def _cover(curve: Curve, event: Event, symmetry: Symmetry, share: float, settings: FamilySettings) -> Cover:
@@ -133,7 +150,7 @@ def _cover(curve: Curve, event: Event, symmetry: Symmetry, share: float, setting
     own, others = along @ vectors, np.linalg.svd(np.atleast_2d(along))[2][1:]
     others -= np.outer(others @ vectors @ own, along) / (own @ own)  # a plane across one of them misses the old family
     across = others @ kernel
-    return Cover(there, place, tuple(_round(across, event.order)))
+    return Cover(event, there, place, tuple(_round(across, event.order)))
 
 
 def _moved_along(curve: Curve, event: Event, place: Unknowns, share: float) -> np.ndarray:
@@ -182,31 +199,33 @@ def _repeated(curve: Curve, event: Event, symmetry: Symmetry, share: float) -> U
     return Unknowns(nodes, event.period * event.order, np.zeros(0), base.place.free, times)
 
 
-def _branch(cover: Cover, event: Event, direction: np.ndarray) -> Start | None:
+def _leaving(cover: Cover, direction: np.ndarray) -> Leaving | None:
     """The new family in one direction, or None when what is found is the old one or nothing."""
     curve, place = cover.curve, cover.place
     moved = ((direction[: place.nodes.size].reshape(place.nodes.shape) / curve.scales.states) ** 2).sum(axis=1)
     direction = direction / np.sqrt(moved.max())  # the start may be where the two families part least
-    known = ((length, _at(cover, event, direction, length)) for length in DISTANCES)
+    known = ((length, _at(cover, direction, length)) for length in DISTANCES)
     length, start = next((one for one in known if one[1] is not None), (0.0, None))
-    for _ in range(CLOSER if start is not None else 0):
-        nearer = _at(cover, event, direction, length / 4)
+    if start is None:
+        return None
+    for _ in range(CLOSER):
+        nearer = _at(cover, direction, length / 4)
         if nearer is None or _grown(nearer) == _grown(start):
             break
         start, length = nearer, length / 4
-    return None if start is None else symmetric(_outwards(start, place))
+    return Leaving(cover, direction, length, symmetric(_outwards(start, place)))
 
 
-def _at(cover: Cover, event: Event, direction: np.ndarray, length: float) -> Start | None:
+def _at(cover: Cover, direction: np.ndarray, length: float) -> Start | None:
     """The new family so far from the old one in a direction, or None."""
-    curve, place = cover.curve, cover.place
+    curve, place, order = cover.curve, cover.place, cover.event.order
     aim = plane(curve, place, direction, length * float(curve.scales.metric(place) @ direction**2))
     try:
         start = corrected(curve, advanced(place, direction, length), aim, place, reach=2 * length)
     except (ConvergenceError, IntegrationError):
         return None
     damped = start.found.place.period * np.abs(start.found.place.unfolding).max(initial=0.0) > UNFOLDED
-    return None if damped or (event.order > 1 and _is_cover(start, event.order, length)) else start
+    return None if damped or (order > 1 and _is_cover(start, order, length)) else start
 
 
 def _grown(start: Start | None) -> int:
@@ -249,14 +268,16 @@ def _outwards(start: Start, origin: Unknowns) -> Start:
     return start if same else replace(start, direction=-start.direction)
 
 
-def _same(one: Start, other: Start, cover: Cover, event: Event) -> bool:
-    """Whether two starts are one branch: the same curve in the space of states, or a mirror image of it."""
-    a, b = (_moved(start, event) for start in (one, other))
+def _same(one: Leaving, other: Leaving) -> bool:
+    """Whether two are one branch: the same curve in the space of states, or a mirror image of it."""
+    length, event, cover = min(one.length, other.length), one.cover.event, one.cover
+    one, other = one.nearer(length) or one, other.nearer(length) or other
+    a, b = (_moved(each.start, event) for each in (one, other))
     sizes = np.abs([np.nan_to_num(event.energy), event.period * event.order, *_freed(event)])
     if np.all(np.abs(a - b) <= MIRRORED * np.maximum(np.abs(a), np.abs(b)) + ROUND_OFF * sizes):
         return True
     scale = cover.curve.scales.states
-    mine, theirs = (full_samples(start.curve, start.found)[1] / scale for start in (one, other))
+    mine, theirs = (full_samples(each.start.curve, each.start.found)[1] / scale for each in (one, other))
     old = full_samples(cover.curve, at_place(cover.curve, cover.place))[1] / scale
     model, size = cover.curve.equations.model, _apart(mine, old)
     images = [theirs, *(theirs @ each.matrix(model.degrees_of_freedom).T for each in involutions(model))]

@@ -32,7 +32,7 @@ from orbitfinder.loops.mesh import remeshed
 from orbitfinder.loops.symmetry import turned
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.orbits.evidence import COARSER, VARIED, Tour, tour
-from orbitfinder.orbits.floquet import analyse, judged
+from orbitfinder.orbits.floquet import ERROR_FLOOR, analyse, judged
 from orbitfinder.orbits.hybrid import PATIENCE, cycle_from, hybrid_tour, retraced
 from orbitfinder.records.family import CLOSURE, UNKNOWN, Batch, Event, FamilyPoint, Reading
 
@@ -112,6 +112,15 @@ class Look:
     def unstable(self) -> bool:
         """Whether a multiplier is outside the unit circle."""
         return analyse(self.about.reduced, self.about.conservative).stability == "unstable"
+
+    def beyond(self, level: float) -> bool:
+        """The same where a root passes a level, however near to it that root still is: beyond is beyond."""
+        roots, nearest = self.about.roots, int(np.argmin(np.abs(self.about.roots - level)))
+        others = np.delete(roots, nearest)
+        if self.about.conservative:
+            others = np.where(np.abs(others.imag) > ERROR_FLOOR, 2.0 + np.abs(others.imag), others)
+        outside = np.abs(others) > abs(level) + ERROR_FLOOR
+        return bool((roots[nearest].real - level) * np.sign(level) > 0 or np.any(outside))
 
     def value(self, name: str) -> float:
         """The energy, the period, a momentum or a parameter."""
@@ -219,9 +228,13 @@ def _fold(sides: Sides, event: Event) -> Reading:
     """A multiplier at +1, and the parameter turns."""
     if event.detail not in ("energy", *sides.here.curve.equations.physical):
         raise ConvergenceError(f"{event.detail or 'nothing'} is no parameter that folds")
-    turn = sides.turning(event.detail)
+    return _turned(sides, event.detail)
+
+
+def _turned(sides: Sides, parameter: str) -> Reading:
+    """A root at the level of mu = 1, which is sharp by the turn of a parameter if not by itself."""
     found = sides.zero(_level(2.0 if sides.here.about.conservative else 1.0), sharp=False)
-    return replace(found, passed=found.passed and turn.passed)
+    return replace(found, passed=found.passed and sides.turning(parameter).passed)
 
 
 def _turn(sides: Sides, event: Event) -> Reading:
@@ -258,17 +271,25 @@ def _collision(sides: Sides, event: Event) -> Reading:
 
 
 def _stability(sides: Sides, event: Event) -> Reading:
-    """What makes a verdict change is at 0, and the verdict is another on the two sides."""
+    """What makes a verdict change is at 0, and the verdict is another on the two sides.
+
+    Beside a fold the multipliers may leave the unit circle by less than any verdict asks for: on which side of its
+    level the root is that passes it tells there what the orbits are.
+    """
     about = sides.here.about
-    if about.conservative:
-        measures = [_level(2.0), _level(-2.0), *([_meeting] if about.roots.size > 1 else [])]
-    else:
-        measures = [_level(1.0), _level(-1.0), *([_pair] if np.any(np.abs(about.roots.imag) > ALIKE) else [])]
-    verdicts = {"becomes stable": (True, False), "becomes unstable": (False, True)}
-    if verdicts.get(event.detail) != (sides.before.unstable, sides.after.unstable):
+    one = 2.0 if about.conservative else 1.0
+    known = [(sides.zero(_level(level)), level) for level in (one, -one)]
+    known.append((_turned(sides, _parameter(sides.here.curve)), one))
+    if about.conservative and about.roots.size > 1:
+        known.append((sides.zero(_meeting), 0.0))
+    if not about.conservative and np.any(np.abs(about.roots.imag) > ALIKE):
+        known.append((sides.zero(_pair), 0.0))
+    found, level = min(known, key=lambda one: (not one[0].passed, abs(one[0].value)))
+    looks, told = (sides.before, sides.after), {"becomes stable": (True, False), "becomes unstable": (False, True)}
+    verdicts = [tuple(one.unstable for one in looks), tuple(one.beyond(level) for one in looks if level)]
+    if told.get(event.detail) not in verdicts:
         raise ConvergenceError("the orbits on its two sides are as stable or unstable as each other")
-    found = [sides.zero(one) for one in measures]
-    return min(found, key=lambda one: (not one.passed, abs(one.value)))
+    return found
 
 
 def _margin(sides: Sides, event: Event) -> Reading:

@@ -334,20 +334,27 @@ def symmetry_of(curve: Curve, found: Solution) -> str:
     return next(kept, NONE.name)
 
 
-def _symmetric_state(curve: Curve, times: np.ndarray, states: np.ndarray, symmetry: Symmetry) -> np.ndarray:
-    """The state at the instant nearest to the fixed set that the horizon starts in, moved into it."""
-    model, one = curve.equations.model, symmetry.maps[0]
-    half = states.shape[1] // 2
+def _motion(curve: Curve, found: Solution) -> CubicHermiteSpline:
+    """The states over the whole period."""
+    times, states = full_samples(curve, found, 4 * SAMPLES)
     tail = np.concatenate([[times[-1]], np.zeros(curve.equations.march.unfolding), curve.equations.numbers])
-    slopes = curve.equations.march.rates(states, tail)
-    clock = clocked(model, times[-1] / (2 * np.pi)) / np.tile(curve.shares, states.shape[1] // curve.shares.size)
-    away = off_centre(one, states[:-1] * clock, model.angles)
-    k = int(np.argmin(np.abs(away).max(axis=1)))
-    first, _ = symmetry.rows(model.degrees_of_freedom)
-    speed = (first @ (slopes[k] * clock))[:half]
-    moment = times[k] - float(away[k] @ speed) / max(float(speed @ speed), 1e-300)
-    state = np.asarray(CubicHermiteSpline(times, states, slopes)(moment % times[-1]))
-    return np.asarray(state - np.linalg.pinv(first[:half]) @ off_centre(one, state[None], model.angles)[0])
+    return CubicHermiteSpline(times, states, curve.equations.march.rates(states, tail))
+
+
+def _symmetric_instant(curve: Curve, motion: CubicHermiteSpline, symmetry: Symmetry) -> float:
+    """When a motion is nearest to the fixed set that the horizon starts in, of all times that it comes near."""
+    model, one, times = curve.equations.model, symmetry.maps[0], motion.x
+    half = model.degrees_of_freedom
+    clock = clocked(model, times[-1] / (2 * np.pi)) / np.tile(curve.shares, 2 * half // curve.shares.size)
+
+    def away(instants: np.ndarray) -> np.ndarray:
+        return off_centre(one, motion(instants % times[-1]) * clock, model.angles)
+
+    sizes = np.abs(away(times[:-1])).max(axis=1)
+    near = times[:-1][(sizes <= np.roll(sizes, 1)) & (sizes <= np.roll(sizes, -1))]
+    speeds = (motion(near, 1) * clock) @ symmetry.rows(half)[0][:half].T
+    instants = near - (away(near) * speeds).sum(axis=1) / np.maximum((speeds**2).sum(axis=1), 1e-300)
+    return float(instants[np.abs(away(instants)).max(axis=1).argmin()])
 
 
 def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
@@ -400,17 +407,18 @@ def reformulated(start: Start, symmetry: Symmetry) -> Start:
     if symmetry == old.equations.symmetry:
         return start
     model = old.equations.model
-    times, states = full_samples(old, start.found)
-    first = _symmetric_state(old, times, states, symmetry) if symmetry.reverses else states[0]
+    motion, fraction = _motion(old, start.found), symmetry.fraction
+    parts = max(1, round(len(place.nodes) * fraction))  # more than one where it is too unstable for one
+    begin = _symmetric_instant(old, motion, symmetry) if symmetry.reverses else 0.0
+    laps, instants = np.divmod(begin + place.period * fraction * np.arange(parts) / parts, place.period)
+    nodes = motion(instants) + (laps - laps[0])[:, None] * (motion(place.period) - motion(0.0))
+    if symmetry.reverses:
+        first = symmetry.rows(model.degrees_of_freedom)[0][: model.degrees_of_freedom]
+        nodes[0] -= np.linalg.pinv(first) @ off_centre(symmetry.maps[0], nodes[:1], model.angles)[0]
     equations = Equations(model, symmetry, old.equations.free, action=True)
-    fresh = equations.unknowns(first[None], place.period, np.zeros(0), place.free)
-    if len(place.nodes) > 1:  # too unstable to shoot over the horizon in one piece: nodes from the samples
-        shifted = np.vstack([states[:-1], states])
-        begin_at = int(np.argmin(np.abs((states[:-1] - first) / old.units).max(axis=1)))
-        parts = max(1, round(len(place.nodes) * equations.symmetry.fraction))
-        chosen = begin_at + (np.arange(parts) * equations.symmetry.fraction * (len(states) - 1) / parts).astype(int)
-        fresh = replace(fresh, nodes=np.vstack([first[None], shifted[chosen[1:]]]))
+    fresh = equations.unknowns(nodes, place.period, np.zeros(0), place.free)
     curve = replace(curve_at(equations, fresh), conditions=old.conditions, weights=old.weights)
-    steps = max(8, int(FIRST_STEPS * equations.symmetry.fraction / len(fresh.nodes)))
+    most = max(FIRST_STEPS, (place.mesh.size - 1) / old.equations.symmetry.fraction)  # of several turns, more
+    steps = max(8, int(most * fraction / len(fresh.nodes)))
     fresh = replace(fresh, mesh=uniform(equations.symmetry.fraction, len(fresh.nodes), steps))
     return corrected(curve, fresh, _own_aim(old, place))
