@@ -3,6 +3,7 @@
 import json
 import logging
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -81,6 +82,16 @@ def rejected(name, kind, renamed, tmp_path):
     for one in wrong:
         code, said = verdict(only(family, one), tmp_path)
         assert code == 1 and "FAILED" in said, (one.kind, one.parameter, said)
+
+
+@pytest.mark.parametrize("file", sorted(RESULTS.glob("*/family.json")), ids=lambda one: one.parent.name)
+def test_a_verdict_changes_only_at_an_event_that_says_so(file):
+    """Of every shipped family."""
+    family = load_family(file)
+    said = [one.arclength for one in family.events if one.kind == "stability_change"]
+    for a, b in pairwise(one for one in family.points if one.stability != "marginal"):
+        between = sum(a.arclength <= one <= b.arclength for one in said)
+        assert between % 2 == ((a.stability == "unstable") != (b.stability == "unstable")), (a.value, b.value)
 
 
 def test_a_recorded_reading_is_compared(tmp_path):
