@@ -133,9 +133,11 @@ def followed(folder: Path, words: list[str], name: str, pins: Iterable[float] = 
         del words[words.index("--out") : words.index("--out") + 2]
     pinned = [*words, "--at=" + ",".join(map(repr, values))] if values else words
     if not {"--until", "--direction", "--switch"} & set(words):  # without these the outermost of --at is where it stops
-        command("continue", *pinned, "--out", "pinned", cwd=folder)
         command("continue", *words, "--out", "families", cwd=folder)
-        points = family_of(read(folder / "pinned" / name / "family.json"), values)["points"]
+        points = []
+        for side in ("forward", "backward"):
+            command("continue", *pinned, "--direction", side, "--out", side, cwd=folder)
+            points += family_of(read(folder / side / name / "family.json"), values)["points"]
         return family_of(read(folder / "families" / name / "family.json"), []) | {"points": points}
     command("continue", *pinned, "--out", "families", cwd=folder)
     return family_of(read(folder / "families" / name / "family.json"), values)
