@@ -35,7 +35,8 @@ from orbitfinder.guesses.modes import mode_problem
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.problemfile.read import load_problem_file
-from orbitfinder.records.family import JOURNAL, SEAL, _seal, assemble, load_family, read_journal, save_family
+from orbitfinder.records.family import JOURNAL, assemble, load_family, read_journal, save_family
+from orbitfinder.records.journal import SEAL, seal
 from orbitfinder.records.orbit import digest
 from orbitfinder.records.reading import content_digest
 from orbitfinder.records.store import load_orbit
@@ -285,7 +286,7 @@ def journal(sound, folder, random, as_bytes):
             bare = [{key: entry for key, entry in json.loads(line).items() if key != SEAL} for line in lines]
             lines = [json.dumps(one).encode() + b"\n" for one in bare]
         with contextlib.suppress(Exception):
-            document |= {SEAL: _seal(document)} if way == 1 else {}
+            document |= {SEAL: seal(document)} if way == 1 else {}
     lines[at] = written(document) + b"\n"
     if random.random() < 0.1:
         del lines[: int(random.integers(len(lines)))]

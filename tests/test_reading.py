@@ -20,7 +20,8 @@ from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.guesses.modes import mode_problem
 from orbitfinder.mechanics.chain import chain
-from orbitfinder.records.family import JOURNAL, SEAL, load_family, read_journal
+from orbitfinder.records.family import JOURNAL, load_family, read_journal
+from orbitfinder.records.journal import SEAL
 from orbitfinder.records.orbit import save_orbit
 from orbitfinder.records.reading import inflated, json_document
 from orbitfinder.records.store import load_orbit

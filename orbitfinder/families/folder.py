@@ -45,8 +45,8 @@ from orbitfinder.records.family import (
     read_journal,
     restored,
     save_family,
-    start_journal,
 )
+from orbitfinder.records.journal import begin_journal
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.store import load_orbit
 
@@ -127,7 +127,7 @@ def follow_family(
             curve = start.curve
             journal = Journal(_header(label, start, settings, request, _source(origin)), ())
             if folder is not None:
-                start_journal(folder, journal.header)
+                begin_journal(folder / JOURNAL, plain(journal.header))
         else:
             assert folder is not None
             curve = curve_of(journal.header["curve"], _model_of(origin, journal, model), settings)

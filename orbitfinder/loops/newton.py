@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -41,6 +42,15 @@ class NewtonSettings:
     converged: float = 1e-8
     """a larger residual at the end is a failure"""
 
+
+class Movable(Protocol):
+    """Unknowns that a step over them moves."""
+
+    def moved(self, step: np.ndarray) -> Self:
+        """Their sum with a step."""
+
+
+W = TypeVar("W", bound=Movable)
 
 EVEN = WIDE**0.5
 """What changes by less than this is measured in 1."""
@@ -184,7 +194,7 @@ class Newton:
             self.jacobians += 1
             return self._solver(w, self.loop.equations.varied(w))
 
-        return chord(w, rows, solver, (self._rows, renewed), target, self.settings)
+        return chord(w, rows, solver, (self._rows, renewed), target, self.settings)[:3]
 
     def _rows(self, w: Unknowns) -> np.ndarray:
         self.marches += 1
@@ -215,32 +225,35 @@ class Newton:
 
 
 def chord(
-    w: Unknowns,
+    w: W,
     rows: np.ndarray,
     solver: Solver,
-    functions: tuple[Callable[[Unknowns], np.ndarray], Callable[[Unknowns], Solver]],
+    functions: tuple[Callable[[W], np.ndarray], Callable[[W], Solver]],
     target: float,
     settings: NewtonSettings,
-) -> tuple[Unknowns, np.ndarray, Solver]:
-    """Steps with a fixed Jacobian, renewed where it no longer contracts, down to `target` or round-off.
+    fresh: bool = False,
+) -> tuple[W, np.ndarray, Solver, int]:
+    """Steps with a fixed Jacobian, renewed where it no longer contracts, down to `target` or round-off; their number.
 
-    `functions` give the rows and the solver of any unknowns.
+    `functions` give the rows and the solver of any unknowns; `fresh` says that this solver is that of w.
     """
     rows_of, solver_of = functions
-    size = _largest(rows)
+    size, count = _largest(rows), 0
     for _ in range(settings.most_evaluations):
         if size <= target:
             break
-        trial = w.moved(solver(rows))
+        trial, count = w.moved(solver(rows)), count + 1
         found = rows_of(trial)
-        slow = _largest(found) > settings.contraction * size
-        if _largest(found) < size:
-            w, rows, size = trial, found, _largest(found)
+        smaller, slow = _largest(found) < size, _largest(found) > settings.contraction * size
+        if not smaller and fresh:
+            break  # nothing else leads on from here
+        if smaller:
+            w, rows, size, fresh = trial, found, _largest(found), False
         if slow and size < 1e3 * settings.agreement:
             break  # round-off
         if slow:
-            solver = solver_of(w)
-    return w, rows, solver
+            solver, fresh = solver_of(w), True
+    return w, rows, solver, count
 
 
 def _largest(rows: np.ndarray) -> float:

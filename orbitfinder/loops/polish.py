@@ -135,7 +135,7 @@ def polish(shooting: Shooting, start: np.ndarray) -> np.ndarray:
     functions = partial(residual, shooting), partial(solver_at, shooting)
     found = shooting.at(start)
     rows, solver = functions[0](found), functions[1](found)
-    found, rows, _ = chord(found, rows, solver, functions, ROUND_OFF, NewtonSettings())
+    found, rows, *_ = chord(found, rows, solver, functions, ROUND_OFF, NewtonSettings(), fresh=True)
     if not np.abs(rows).max() < STALLED:
         raise ConvergenceError(
             f"the polish stalled at a residual of {np.abs(rows).max():.2g}; the orbit is too unstable for "

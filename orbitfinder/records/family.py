@@ -1,20 +1,16 @@
 """What a family is made of, points, events and ends in plain numbers, and its files: a journal that survives
 being killed, and family.json + family.npz made from it.
 
-`family.jsonl` holds a header line and then one line per step with everything that the step added,
-flushed to the disk before the next step begins. Every line ends with a digest of itself: a last line that was
-cut short by a kill is dropped, so a step is there completely or not at all, and the run resumes from the last
-one; any other line that is not what was written is an error. family.json carries the digest of its own entries
-(`record`) and of the arrays beside it (`dense`). Files of 0.1.0 have no digests and are read without.
+`family.jsonl` is a journal (see `records.journal`) of steps, each with everything that it added; a run resumes from the
+last one. family.json carries the digest of its own entries (`record`) and of the arrays beside it (`dense`). Files of
+0.1.0 have no digests and are read without.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
-import logging
-import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -24,20 +20,16 @@ import numpy as np
 from orbitfinder._runtime import notebook as display
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError, plural
+from orbitfinder.records.journal import append_line, read_lines
 from orbitfinder.records.orbit import Orbit, energy_entry, energy_of, system_at
 from orbitfinder.records.reading import (
     arrays,
     content_digest,
-    file_lines,
-    json_bytes,
-    json_document,
     json_file,
-    named,
     plain_numbers,
     read_as,
     typed,
     walked,
-    write_atomically,
     write_json,
     write_npz,
 )
@@ -55,9 +47,6 @@ METHODS = ("product", "periodic QR")
 """How multipliers were found: as eigenvalues of the state-transition matrices' product, or factor by factor."""
 OFTEN_EMPTY = ("shift", "multiplier_errors", "multiplier_method", "check")
 """What is written only where there is any"""
-SEAL = "digest"
-"""The key of a journal line's digest: the first digits of the SHA-256 of the rest of its content."""
-SEAL_DIGITS = 16
 AGAIN = "continue the family again"
 ALIKE = 1e-6
 """Change of the energies of a family, relative to them, below which they are no axis"""
@@ -438,36 +427,9 @@ def _restored(kind: Any, entries: Sequence[Mapping[str, Any]], where: str) -> tu
     return tuple(restored(kind, entry, f"{where}[{k}]") for k, entry in enumerate(entries))
 
 
-def start_journal(folder: Path, header: Mapping[str, Any]) -> None:
-    """A fresh journal with its header, replacing an older one."""
-    folder.mkdir(parents=True, exist_ok=True)
-    write_atomically(folder / JOURNAL, _line(header))
-    _sync_folder(folder)
-
-
 def append(folder: Path, batch: Batch) -> None:
     """One batch as one line, on the disk when this returns."""
-    with named(folder / JOURNAL), open(folder / JOURNAL, "ab") as stream:
-        stream.write(_line(plain(batch)))
-        stream.flush()
-        os.fsync(stream.fileno())
-
-
-def _line(document: Mapping[str, Any]) -> bytes:
-    entries = plain(document)
-    return json_bytes(entries | {SEAL: _seal(entries)}, compact=True)
-
-
-def _seal(entries: Mapping[str, Any]) -> str:
-    return content_digest(entries)[:SEAL_DIGITS]
-
-
-def _sync_folder(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+    append_line(folder / JOURNAL, plain(batch))
 
 
 def read_journal(folder: Path) -> Journal | None:
@@ -475,52 +437,8 @@ def read_journal(folder: Path) -> Journal | None:
 
     Raises `InputError` about any other line that is not as it was written.
     """
-    path = folder / JOURNAL
-    if not path.exists():
-        return None
-    found = list(_entries(path))
-    if found and isinstance(found[-1], InputError):
-        logging.getLogger(__name__).warning("%s: the last line was cut short and is computed again", found.pop())
-        _cut(path, len(found))
-    for one in found:
-        if isinstance(one, InputError):
-            raise one
-    entries = [one for one in found if not isinstance(one, InputError)]
-    return _journal(path, [{k: v for k, v in one.items() if k != SEAL} for one in entries],
-                    all(SEAL in one for one in entries))  # fmt: skip
-
-
-def _entries(path: Path) -> Iterator[dict[str, Any] | InputError]:
-    """What each line of a journal says, or what is wrong with it."""
-    sealed = False
-    for number, line in enumerate(file_lines(path, "family.jsonl"), start=1):
-        try:
-            entries = json_document(line, f"{path}: line {number}", "restore a copy, or delete the file to start again")
-            check_line(entries, line, sealed)
-            sealed = SEAL in entries
-            yield entries
-        except InputError as error:
-            yield error
-        except ValueError as error:
-            yield InputError(f"{path}: line {number}: {error}; restore a copy, or delete the file to start again")
-
-
-def check_line(entries: Any, line: bytes, sealed: bool) -> None:
-    """`ValueError` unless a line is complete and has its digest; one after no `sealed` line may be without."""
-    if not isinstance(entries, dict) or not line.endswith(b"\n"):
-        raise ValueError("incomplete")
-    if not sealed and SEAL not in entries:
-        return
-    if entries.get(SEAL) != _seal({key: value for key, value in entries.items() if key != SEAL}):
-        raise ValueError("not what was written, its digest is another (edited or damaged)")
-
-
-def _cut(path: Path, lines: int) -> None:
-    """Keep so many lines of a file."""
-    kept = sum(len(line) for _, line in zip(range(lines), file_lines(path), strict=False))
-    with open(path, "r+b") as stream:
-        stream.truncate(kept)
-        os.fsync(stream.fileno())
+    found = read_lines(folder / JOURNAL, JOURNAL)
+    return None if found is None else _journal(folder / JOURNAL, *found)
 
 
 def _journal(path: Path, entries: Sequence[Mapping[str, Any]], sealed: bool) -> Journal | None:

@@ -1,0 +1,306 @@
+"""Pseudo-arclength continuation of anything that is F(w) = 0: predict, correct, step on or halve, locate what is asked.
+
+Source: H. B. Keller, Numerical solution of bifurcation and nonlinear eigenvalue problems, in Applications of
+Bifurcation Theory (1977). What is followed is a `ContinuationProblem`; nothing here knows what it describes.
+
+Every step is a line of a journal, and the same request goes on where it stopped. What is asked for may change: more
+points, a farther end, other values. What the journal has is read and not solved again; what is no longer asked for
+stays there and is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+from scipy.optimize import brentq
+
+from orbitfinder._runtime import limit
+from orbitfinder.continuation.problem import Point, plane, solved
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, plural
+from orbitfinder.records.family import End, plain
+from orbitfinder.records.journal import append_line, begin_journal, read_lines
+from orbitfinder.records.reading import typed
+
+FORMAT, VERSION = "orbitfinder/journal", 1
+LOCATED, LOOKS = 1e-12, 60
+"""An event is located to this share of a step, in so many looks at most"""
+
+Test = Callable[[Point], float]
+"""What vanishes at an event, and changes its sign there"""
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How long steps are, as arclength, and how many.
+
+    Args:
+        first: the first.
+        shortest: a step that fails below it ends the curve.
+        longest: the longest.
+        points: corrected ones at most, the first among them, those at values that are asked for not.
+        bend: the least cosine between the tangents of a step.
+        quick: a step in at most so many iterations of the corrector is followed by one `growth` as long.
+        slow: one in more by one `shrinkage` as long.
+    """
+
+    first: float = 0.02
+    shortest: float = 1e-3
+    longest: float = 10.0
+    points: int = 100
+    bend: float = 0.5
+    quick: int = 6
+    slow: int = 11
+    growth: float = 1.5
+    shrinkage: float = 0.6
+
+    def next(self, step: float, iterations: int) -> float:
+        """The length after a step that took so many iterations."""
+        easy = self.growth if iterations <= self.quick else self.shrinkage if iterations > self.slow else 1.0
+        return min(self.longest, step * easy)
+
+
+@dataclass(frozen=True)
+class Goals:
+    """The quantity that a curve is followed in, where it ends, and the values at which points are wanted."""
+
+    name: str
+    until: float | None = None
+    at: tuple[float, ...] = ()
+
+    def met(self, before: Point, after: Point) -> list[float]:
+        """The values between two points, in the order in which they are met, none beyond the end."""
+        a, b = before.value(self.name), after.value(self.name)
+        wanted = {*self.at, *(() if self.until is None else (self.until,))}
+        within = sorted(
+            (one for one in wanted if one != a and (one - a) * (one - b) <= 0), key=lambda one: abs(one - a)
+        )
+        return within[: within.index(self.until) + 1] if self.until in within else within
+
+
+class Keeping(Protocol):
+    """How points of a problem are recorded, written and read."""
+
+    def record(self, point: Point) -> Any:
+        """What is kept of a point, certified."""
+
+    def write(self, point: Point, record: Any) -> Mapping[str, Any]:
+        """Both in plain numbers."""
+
+    def read(self, entry: Mapping[str, Any]) -> tuple[Point, Any]:
+        """Both from what was written."""
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """A point with its role ("step", "at", "end") or its event's name, and its record."""
+
+    role: str
+    point: Point
+    record: Any
+
+
+@dataclass(eq=False)
+class Curve:
+    """What there is of a curve in the order of its steps, and why it ends."""
+
+    points: list[Kept] = field(default_factory=list)
+    events: list[Kept] = field(default_factory=list)
+    end: End | None = None
+
+
+def towards(point: Point, name: str, value: float | None) -> float:
+    """1 or -1: the way along the tangent in which a quantity goes towards a value, up without one."""
+    return 1.0 if rise(point, name) * (1.0 if value is None else value - point.value(name)) >= 0 else -1.0
+
+
+def rise(point: Point, name: str) -> float:
+    """What a quantity changes by along the curve, up to a positive factor: 0 where it turns."""
+    return float(point.problem.aim(point.w, name, point.value(name))[1] @ point.tangent)
+
+
+def advanced(point: Point, length: float, bend: float = 0.0) -> Point:
+    """The point in the plane across the tangent at a length from one, its tangent going on.
+
+    Raises `ConvergenceError` or `IntegrationError`, also where the tangents enclose more than a cosine of `bend`.
+    """
+    guess = point.w.moved(length * point.tangent)
+    after = solved(point.problem, guess, plane(point.problem, guess, point.tangent), point.linear)
+    along = point.inner(after.tangent)
+    if abs(along) < bend:
+        raise ConvergenceError("the curve bends within a step")
+    tangent = after.tangent if along >= 0 else -after.tangent
+    return after.along(tangent, arclength=point.arclength + length)
+
+
+def exactly(before: Point, after: Point, name: str, value: float) -> Point:
+    """The point between two at which a quantity has a value. Raises `ConvergenceError` or `IntegrationError`."""
+    a, b = before.value(name), after.value(name)
+    length, share = after.arclength - before.arclength, (value - a) / (b - a)
+    guess = after.w.moved((share - 1.0) * length * after.tangent)
+    found = solved(after.problem, guess, lambda w: after.problem.aim(w, name, value), after.linear)
+    tangent = found.tangent if after.inner(found.tangent) >= 0 else -found.tangent
+    return found.along(tangent, arclength=before.arclength + share * length)
+
+
+def located(before: Point, after: Point, test: Test) -> Point:
+    """Where a test vanishes within a step. Raises `ConvergenceError` or `IntegrationError`."""
+    length = after.arclength - before.arclength
+    ends = {0.0: before, length: after}
+
+    def at(share: float) -> Point:
+        return ends[share] if share in ends else advanced(before, share)
+
+    root = float(brentq(lambda share: test(at(share)), 0.0, length, xtol=LOCATED * length, maxiter=LOOKS, disp=False))
+    return at(root)
+
+
+@dataclass(frozen=True)
+class _Line:
+    """What a step adds: points at values of the quantity, events by name, the point that it ends in."""
+
+    at: tuple[tuple[float, Mapping[str, Any]], ...] = ()
+    events: tuple[tuple[str, Mapping[str, Any]], ...] = ()
+    step: Mapping[str, Any] | None = None
+    end: End | None = None
+
+
+class Trace:
+    """A curve as far as it is known, by an earlier run and this one; with a path it is a journal there.
+
+    `request` is what decides whether a journal is of this curve (plain numbers); another is begun anew. Raises
+    `InputError` for a journal that cannot be read.
+    """
+
+    def __init__(self, keeping: Keeping, path: Path | None = None, request: Mapping[str, Any] | None = None) -> None:
+        self.keeping, self.path = keeping, path
+        self.steps: list[Kept] = []
+        self.events: list[list[Kept]] = []
+        self.at: list[tuple[float, Kept]] = []
+        self.end: End | None = None
+        header = plain({"format": FORMAT, "version": VERSION, "request": request or {}})
+        lines = None if path is None else read_lines(path, path.name)
+        if path is not None and (lines is None or lines[0][:1] != [header]):
+            begin_journal(path, header)
+        elif lines is not None:
+            for number, entries in enumerate(lines[0][1:], start=2):
+                self._read(entries, number)
+
+    def _read(self, entries: Mapping[str, Any], number: int) -> None:
+        try:
+            line: _Line = typed(_Line, entries, "")
+            self.at += [(value, Kept("at", *self.keeping.read(entry))) for value, entry in line.at]
+            self.end = line.end
+            if line.step is not None:
+                self.events.append([Kept(name, *self.keeping.read(entry)) for name, entry in line.events])
+                self.steps.append(Kept("step", *self.keeping.read(line.step)))
+        except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+            again = "restore a copy, or delete the file to start again"
+            raise InputError(f"{self.path}: line {number}: {error}; {again}") from error
+
+    def kept(self, role: str, point: Point) -> Kept:
+        """A point with its record."""
+        return Kept(role, point, self.keeping.record(point))
+
+    def add(
+        self, step: Kept | None = None, events: Sequence[Kept] = (), at: Sequence[tuple[float, Kept]] = (),
+        end: End | None = None,
+    ) -> None:  # fmt: skip
+        """What was found, as a line."""
+        if step is not None:
+            self.steps.append(step)
+            self.events.append(list(events))
+        self.at, self.end = [*self.at, *at], end
+        if self.path is not None:
+            line = _Line(
+                tuple((value, self._entry(one)) for value, one in at),
+                tuple((one.role, self._entry(one)) for one in events), step and self._entry(step), end,
+            )  # fmt: skip
+            append_line(self.path, plain(line))
+
+    def _entry(self, one: Kept) -> Mapping[str, Any]:
+        return self.keeping.write(one.point, one.record)
+
+    def exactly(self, before: Point, after: Point, goals: Goals) -> tuple[list[Kept], list[tuple[float, Kept]]]:
+        """The points at values between two, and those among them that were not known before."""
+        points, fresh = list[Kept](), list[tuple[float, Kept]]()
+        for value in goals.met(before, after):
+            one = next((one for known, one in self.at if known == value
+                        and before.arclength <= one.point.arclength <= after.arclength), None)  # fmt: skip
+            if one is None:
+                one = self.kept("at", exactly(before, after, goals.name, value))
+                fresh.append((value, one))
+            points.append(replace(one, role="end" if value == goals.until else "at"))
+        return points, fresh
+
+
+def follow(
+    trace: Trace, begin: Callable[[], Point], goals: Goals, pace: Pace, tests: Mapping[str, Test] | None = None
+) -> Iterator[Curve]:
+    """The curve from where it begins, after every step, until it ends.
+
+    `tests` are events by name. What `begin` raises is raised.
+    """
+    if not trace.steps:
+        trace.add(trace.kept("step", begin()))
+    curve = Curve([trace.steps[0]])
+    yield curve
+    for index in range(1, pace.points):
+        limit.check()
+        try:
+            if index == len(trace.steps):
+                if trace.end is not None:
+                    raise ConvergenceError(trace.end.reason)
+                _step(trace, goals, pace, tests or {})
+            before, after = (one.point for one in trace.steps[index - 1 : index + 1])
+            points, fresh = trace.exactly(before, after, goals)
+        except (ConvergenceError, IntegrationError) as error:
+            curve.end = End("step underflow", str(error))
+            if trace.end is None:
+                trace.add(end=curve.end)
+            yield curve
+            return
+        if fresh:
+            trace.add(at=fresh)
+        met = bool(points) and points[-1].role == "end"
+        reach = points[-1].point.arclength if met else after.arclength
+        curve.points += points if met else [*points, trace.steps[index]]
+        curve.events += [one for one in trace.events[index] if one.point.arclength <= reach]
+        if met:
+            curve.end = End("target", f"reached {goals.name} = {goals.until!r}")
+        yield curve
+        if met:
+            return
+    curve.end = End("point limit", f"{plural(pace.points, 'point')} {'was' if pace.points == 1 else 'were'} asked for")
+    yield curve
+
+
+def _step(trace: Trace, goals: Goals, pace: Pace, tests: Mapping[str, Test]) -> None:
+    """The next point of a trace and what lies before it, by as short a step as it takes.
+
+    Raises the last error of a step that is too short.
+    """
+    point = trace.steps[-1].point
+    length = point.step or pace.first
+    while True:
+        try:
+            after = advanced(point, length, pace.bend)
+            problem, w, tangent = after.problem.at(after.w, after.tangent)
+            step = pace.next(length, after.iterations)
+            if w is after.w and problem is after.problem:
+                after = after.along(tangent, step=step)
+            else:
+                after = replace(after, problem=problem, w=w, tangent=tangent, step=step)
+            _, fresh = trace.exactly(point, after, goals)
+            crossed = [(name, test) for name, test in tests.items() if test(point) * test(after) < 0]
+            events = [trace.kept(name, located(point, after, test)) for name, test in crossed]
+        except (ConvergenceError, IntegrationError) as error:
+            length /= 2
+            if length < pace.shortest:
+                raise ConvergenceError(str(error)) from error
+            continue
+        events.sort(key=lambda one: one.point.arclength)
+        trace.add(trace.kept("step", after), events, fresh)
+        return

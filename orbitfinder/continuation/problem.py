@@ -1,0 +1,191 @@
+"""What can be followed: F(w) = 0 with one equation fewer than unknowns, whatever it describes.
+
+A problem says its rows, what they change by, and what lengths along its solutions are measured in:
+
+    <a, b> = sum_k m_k a_k b_k,    m the problem's metric over w
+
+One aim more closes it: a plane across the tangent, or a quantity that has a value. Rows and unknowns may have any
+units; the metric is what makes a length of them, and rows are compared with 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Protocol, Self
+
+import numpy as np
+
+from orbitfinder.errors import ConvergenceError
+from orbitfinder.loops.newton import NewtonSettings, chord
+
+Solver = Callable[[np.ndarray], np.ndarray]
+"""The step -A^-1 rows over w, A the derivatives of all rows with an aim's last"""
+
+
+class Linear(Protocol):
+    """The derivatives of a problem's rows at some w."""
+
+    def closed(self, row: np.ndarray) -> Solver:
+        """With the row of an aim (over w) as the last. Raises `ConvergenceError` where all is singular."""
+
+
+class ContinuationProblem(Protocol):
+    """F(w) = 0, one equation fewer than unknowns; any w has `vector`, its numbers, and `moved(step)`."""
+
+    settings: NewtonSettings
+    """of the corrector; `converged` is the largest row of a solution"""
+
+    def rows(self, w: Any) -> np.ndarray:
+        """F(w). Raises `IntegrationError` or `ConvergenceError` where there is none."""
+
+    def linearise(self, w: Any) -> tuple[np.ndarray, Linear]:
+        """F(w) and its derivatives, by one march where there is one."""
+
+    def metric(self, w: Any) -> np.ndarray:
+        """m over w, 0 of what is given."""
+
+    def value(self, w: Any, name: str) -> float:
+        """A quantity by name: what may be followed in, and asked for."""
+
+    def aim(self, w: Any, name: str, value: float) -> tuple[float, np.ndarray]:
+        """How far a quantity is from a value, and what that changes by over w."""
+
+    def at(self, w: Any, tangent: np.ndarray) -> tuple[Self, Any, np.ndarray]:
+        """Itself with references, mesh and scales of an accepted w, and w and its tangent there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A solution, its tangent (over w, of length 1), its arclength, the next step's, the corrector's iterations."""
+
+    problem: Any
+    w: Any
+    tangent: np.ndarray
+    arclength: float = 0.0
+    step: float = 0.0
+    iterations: int = 0
+
+    @cached_property
+    def linear(self) -> Linear:
+        """The derivatives there."""
+        found: Linear = self.problem.linearise(self.w)[1]
+        return found
+
+    def value(self, name: str) -> float:
+        """A quantity by name."""
+        return float(self.problem.value(self.w, name))
+
+    def along(self, tangent: np.ndarray, **more: float) -> Point:
+        """The same point with another tangent, arclength or step."""
+        found = replace(self, tangent=tangent, **more)  # type: ignore[arg-type]
+        found.__dict__.update({name: one for name, one in self.__dict__.items() if name == "linear"})
+        return found
+
+    def inner(self, tangent: np.ndarray) -> float:
+        """<tangent, another>, in this one's metric."""
+        return float(np.sum(self.problem.metric(self.w) * self.tangent * tangent))
+
+
+Aim = Callable[[Any], tuple[float, np.ndarray]]
+
+
+def plane(problem: Any, guess: Any, direction: np.ndarray) -> Aim:
+    """The plane through a guess across a direction (over w)."""
+    metric = problem.metric(guess)
+    row, origin = metric * direction / np.sqrt(float(direction @ (metric * direction))), guess.vector
+    return lambda w: (float(row @ (w.vector - origin)), row)
+
+
+def solved(problem: Any, guess: Any, aim: Aim, linear: Linear | None = None) -> Point:
+    """The solution near a guess that an aim picks, with the tangent there, either way along it.
+
+    `linear` are derivatives of the rows nearby, if they are known. Raises `ConvergenceError` or `IntegrationError`.
+    """
+    settings: NewtonSettings = problem.settings
+
+    def rows_of(w: Any) -> np.ndarray:
+        return np.append(problem.rows(w), aim(w)[0])
+
+    def solver_of(w: Any) -> Solver:
+        solver: Solver = problem.linearise(w)[1].closed(aim(w)[1])
+        return solver
+
+    missed, row = aim(guess)
+    fresh = linear is None
+    rows, linear = problem.linearise(guess) if linear is None else (problem.rows(guess), linear)
+    start = np.append(rows, missed), linear.closed(row)
+    w, rows, _, count = chord(guess, *start, (rows_of, solver_of), settings.floor, settings, fresh)
+    if not (size := float(np.abs(rows).max())) < settings.converged:
+        raise ConvergenceError(f"the corrector stalled at rows of {size:.2g} after {count} steps")
+    point, metric = Point(problem, w, np.zeros(0), iterations=count), problem.metric(w)
+    tangent = point.linear.closed(aim(w)[1])(np.append(np.zeros(rows.size - 1), -1.0))
+    return point.along(tangent / np.sqrt(float(tangent @ (metric * tangent))))
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinates:
+    """Unknowns that are no more than numbers."""
+
+    vector: np.ndarray
+
+    def moved(self, step: np.ndarray) -> Coordinates:
+        """Their sum with a step."""
+        return Coordinates(self.vector + step)
+
+
+@dataclass(frozen=True, eq=False)
+class Dense:
+    """A Linear that is a matrix."""
+
+    matrix: np.ndarray
+
+    def closed(self, row: np.ndarray) -> Solver:
+        """The square system's, or of more rows than unknowns the one of least squares."""
+        whole = np.vstack([self.matrix, row])
+
+        def step(rows: np.ndarray) -> np.ndarray:
+            try:
+                square = whole.shape[0] == whole.shape[1]
+                return -(np.linalg.solve(whole, rows) if square else np.linalg.lstsq(whole, rows, rcond=None)[0])
+            except np.linalg.LinAlgError as error:
+                raise ConvergenceError("the equations are singular there") from error
+
+        return step
+
+
+@dataclass(frozen=True, eq=False)
+class Plain:
+    """A problem of a few numbers: `function(w)` gives its rows and their derivatives, `names` are those of w."""
+
+    function: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+    names: tuple[str, ...]
+    settings: NewtonSettings = field(default_factory=lambda: NewtonSettings(floor=1e-13, converged=1e-9))
+
+    def rows(self, w: Coordinates) -> np.ndarray:
+        """F(w)."""
+        return np.asarray(self.function(w.vector)[0])
+
+    def linearise(self, w: Coordinates) -> tuple[np.ndarray, Linear]:
+        """F(w) and its derivatives."""
+        rows, slopes = self.function(w.vector)
+        return np.asarray(rows), Dense(np.asarray(slopes))
+
+    def metric(self, w: Coordinates) -> np.ndarray:
+        """Of Euclid."""
+        return np.ones(w.vector.size)
+
+    def value(self, w: Coordinates, name: str) -> float:
+        """One of the unknowns."""
+        return float(w.vector[self.names.index(name)])
+
+    def aim(self, w: Coordinates, name: str, value: float) -> tuple[float, np.ndarray]:
+        """It less a value."""
+        row = np.zeros(w.vector.size)
+        row[self.names.index(name)] = 1.0
+        return self.value(w, name) - value, row
+
+    def at(self, w: Coordinates, tangent: np.ndarray) -> tuple[Plain, Coordinates, np.ndarray]:
+        """The same everywhere."""
+        return replace(self), w, tangent

@@ -1,0 +1,103 @@
+"""Journals of what takes long: a header line and then one line a step, flushed to the disk before the next begins.
+
+Every line is a JSON object that ends with a digest of itself. A last line that was cut short by a kill is dropped, so
+that a step is there completely or not at all; any other line that is not what was written is an error.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from orbitfinder.errors import InputError
+from orbitfinder.records.reading import content_digest, file_lines, json_bytes, json_document, named, write_atomically
+
+SEAL = "digest"
+"""The key of a line's digest: the first digits of the SHA-256 of the rest of its content"""
+SEAL_DIGITS = 16
+AGAIN = "restore a copy, or delete the file to start again"
+
+
+def begin_journal(path: Path, header: Mapping[str, Any]) -> None:
+    """A fresh journal with its header, replacing an older one."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, sealed_line(header))
+    handle = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def append_line(path: Path, entries: Mapping[str, Any]) -> None:
+    """One line more, on the disk when this returns."""
+    with named(path), open(path, "ab") as stream:
+        stream.write(sealed_line(entries))
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def sealed_line(entries: Mapping[str, Any]) -> bytes:
+    """A line with its digest."""
+    return json_bytes({**entries, SEAL: seal(entries)}, compact=True)
+
+
+def seal(entries: Mapping[str, Any]) -> str:
+    """The digest of a line's entries."""
+    return content_digest(entries)[:SEAL_DIGITS]
+
+
+def read_lines(path: Path, what: str) -> tuple[list[dict[str, Any]], bool] | None:
+    """The lines of a journal, header first, and whether all have digests; a damaged last one is cut off the file.
+
+    None where there is no file. Raises `InputError` about any other line that is not as it was written.
+    """
+    if not path.exists():
+        return None
+    found = list(_lines(path, what))
+    if found and isinstance(found[-1], InputError):
+        logging.getLogger(__name__).warning("%s: the last line was cut short and is computed again", found.pop())
+        _cut(path, len(found))
+    entries = []
+    for one in found:
+        if isinstance(one, InputError):
+            raise one
+        entries.append(one)
+    sealed = all(SEAL in one for one in entries)
+    return [{key: value for key, value in one.items() if key != SEAL} for one in entries], sealed
+
+
+def _lines(path: Path, what: str) -> Iterator[dict[str, Any] | InputError]:
+    """What each line says, or what is wrong with it."""
+    sealed = False
+    for number, line in enumerate(file_lines(path, what), start=1):
+        try:
+            entries = json_document(line, f"{path}: line {number}", AGAIN)
+            _check(entries, line, sealed)
+            sealed = SEAL in entries
+            yield entries
+        except InputError as error:
+            yield error
+        except ValueError as error:
+            yield InputError(f"{path}: line {number}: {error}; {AGAIN}")
+
+
+def _check(entries: Any, line: bytes, sealed: bool) -> None:
+    """`ValueError` unless a line is complete and has its digest; one after no `sealed` line may be without."""
+    if not isinstance(entries, dict) or not line.endswith(b"\n"):
+        raise ValueError("incomplete")
+    if not sealed and SEAL not in entries:
+        return
+    if entries.get(SEAL) != seal({key: value for key, value in entries.items() if key != SEAL}):
+        raise ValueError("not what was written, its digest is another (edited or damaged)")
+
+
+def _cut(path: Path, lines: int) -> None:
+    """Keep so many lines of a file."""
+    kept = sum(len(line) for _, line in zip(range(lines), file_lines(path), strict=False))
+    with open(path, "r+b") as stream:
+        stream.truncate(kept)
+        os.fsync(stream.fileno())

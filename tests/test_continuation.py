@@ -1,0 +1,203 @@
+"""The driver follows anything that is F(w) = 0: a circle, a two-point boundary value problem, fixed points of a map."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from orbitfinder.continuation.follow import Goals, Pace, Trace, follow, rise, towards
+from orbitfinder.continuation.problem import Coordinates, Plain, Point, plane, solved
+from orbitfinder.errors import InputError
+
+PACE = Pace(first=0.1, longest=0.3, points=40)
+
+
+class Numbers:
+    """Points of a problem of plain numbers, whose record is w."""
+
+    def __init__(self, problem):
+        self.problem, self.solves = problem, 0
+
+    def record(self, point):
+        self.solves += 1
+        return point.w.vector
+
+    def write(self, point, record):
+        return {"w": record, "tangent": point.tangent, "arclength": point.arclength, "step": point.step}
+
+    def read(self, entry):
+        w = np.array(entry["w"], float)
+        tangent = np.array(entry["tangent"], float)
+        return Point(self.problem, Coordinates(w), tangent, entry["arclength"], entry["step"]), w
+
+
+def circle():
+    """p^2 + x^2 = 1, from (0, -1)."""
+    problem = Plain(lambda w: (np.array([w @ w - 1.0]), 2 * w[None]), ("p", "x"))
+    return problem, np.array([0.02, -1.01]), np.array([1.0, 0.0])
+
+
+def bratu(count=40):
+    """u'' + p exp(u) = 0, u(0) = u(1) = 0, by second differences, from p = 0; its fold is at p = 3.513830719."""
+
+    def function(w):
+        u, p, h = w[:-1], w[-1], 1.0 / (count + 1)
+        second = (np.diag(np.full(count, -2.0)) + np.eye(count, k=1) + np.eye(count, k=-1)) / h**2
+        rows = second @ u + p * np.exp(u)
+        return rows, np.column_stack([second + np.diag(p * np.exp(u)), np.exp(u)])
+
+    problem = Plain(function, (*(f"u{k}" for k in range(count)), "p"))
+    return problem, np.zeros(count + 1), np.append(np.zeros(count), 1.0)
+
+
+def logistic():
+    """Points of period three of x -> p x (1 - x): the cycle is born at the fold p = 1 + sqrt(8)."""
+
+    def function(w):
+        x, p = w
+        by_x, by_p, y = 1.0, 0.0, x
+        for _ in range(3):
+            by_x, by_p, y = p * (1 - 2 * y) * by_x, p * (1 - 2 * y) * by_p + y * (1 - y), p * y * (1 - y)
+        return np.array([y - x]), np.array([[by_x - 1.0, by_p]])
+
+    problem = Plain(function, ("x", "p"))
+    return problem, np.array([0.5, 3.8318740552833]), np.array([0.0, -1.0])
+
+
+def begun(problem, w, direction):
+    """The first point, going along a direction."""
+    guess = Coordinates(w)
+    point = solved(problem, guess, plane(problem, guess, direction))
+    sense = 1.0 if point.inner(direction) >= 0 else -1.0
+    return replace(point, tangent=sense * point.tangent)
+
+
+def whole(start, goals, pace=PACE, path=None, keeping=None):
+    """The curve to its end, and how it was kept."""
+    problem, w, direction = start
+    keeping = keeping or Numbers(problem)
+    tests = {"fold": lambda point: rise(point, goals.name)}
+    trace = Trace(keeping, path, {"w": w})
+    curves = list(follow(trace, lambda: begun(problem, w, direction), goals, pace, tests))
+    return curves[-1], keeping
+
+
+def test_round_a_circle():
+    """Folds, and exact values on both sides of them, again and again."""
+    curve, _ = whole(circle(), Goals("p", at=(0.5, -0.5)))
+    assert curve.end.kind == "point limit" and len([one for one in curve.points if one.role == "step"]) == 40
+    folds = np.array([one.record for one in curve.events])
+    assert len(folds) >= 3 and np.allclose(folds[:, 0], np.where(np.arange(len(folds)) % 2, -1.0, 1.0), atol=1e-12)
+    exact = np.array([one.record for one in curve.points if one.role == "at"])
+    assert np.allclose(np.abs(exact), [0.5, np.sqrt(0.75)], atol=1e-12) and len(exact) >= 5
+    lengths = [one.point.arclength for one in curve.points]
+    assert lengths == sorted(lengths)
+
+
+def test_a_boundary_value_problem_round_its_fold():
+    """u = 2 ln(cosh a / cosh(a (1 - 2 x))), p = 8 (a / cosh a)^2: what differences miss falls with h^2."""
+    missed = []
+    for count in (39, 79):
+        curve, _ = whole(bratu(count), Goals("p", at=(1.0,)), Pace(first=0.5, longest=3.0, points=30))
+        (fold,) = curve.events
+        upper = [one.record for one in curve.points if one.role == "at"][-1]
+        a = brentq(lambda a: 8 * (a / np.cosh(a)) ** 2 - 1.0, 1.3, 5.0)
+        assert upper[-1] == pytest.approx(1.0, abs=1e-12)
+        missed.append([fold.record[-1] - 3.513830719125, upper[:-1].max() - 2 * np.log(np.cosh(a))])
+    assert np.divide(*missed) == pytest.approx([4.0, 4.0], rel=0.05) and np.abs(missed[-1]).max() < 0.02
+
+
+def test_a_cycle_of_a_map_is_born_at_its_fold():
+    """Of period three, of x -> p x (1 - x), at p = 1 + sqrt(8), stable on one side and not on the other."""
+    curve, _ = whole(logistic(), Goals("p", at=(3.83,)), Pace(first=0.001, longest=0.01, points=40))
+    assert [one.record[1] for one in curve.events] == pytest.approx([1 + np.sqrt(8)], abs=1e-12)
+    exact = [one.record[0] for one in curve.points if one.role == "at"]
+    assert len(exact) == 2 and abs(exact[0] - exact[1]) > 1e-3
+
+
+@pytest.mark.parametrize("start", [circle, bratu, logistic])
+@pytest.mark.parametrize("lines", [1, 2, 7, 11])
+def test_cut_anywhere_it_ends_as_if_it_had_not_been(start, lines, tmp_path):
+    """The journal cut after a line, and within the next one; nothing that it has is solved again."""
+    path, name = tmp_path / "curve.jsonl", "p"
+    pace = Pace(first=0.01, longest=0.5, points=14)
+    values = (0.1, 0.3, 3.83)
+    before, all_solved = whole(start(), Goals(name, at=values), pace, path)
+    text = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join(text[:lines]) + text[min(lines, len(text) - 1)][:40])
+    after, keeping = whole(start(), Goals(name, at=values), pace, path)
+    assert [one.record.tolist() for one in after.points] == [one.record.tolist() for one in before.points]
+    assert [one.role for one in after.points] == [one.role for one in before.points] and after.end == before.end
+    known = sum(
+        len(entry["at"]) + len(entry["events"]) + (entry["step"] is not None)
+        for entry in map(json.loads, text[1:lines])
+    )
+    assert keeping.solves == all_solved.solves - known
+    assert path.read_bytes().splitlines() == b"".join(text).splitlines()
+
+
+def test_more_is_asked_for(tmp_path):
+    """More points, another end, other values: what is known is not solved again, the result is that of a fresh run."""
+    path = tmp_path / "curve.jsonl"
+    whole(circle(), Goals("p", until=0.5, at=(0.2,)), Pace(first=0.1, longest=0.3, points=4), path)
+    for goals, points in ((Goals("p", until=0.5, at=(0.2,)), 30), (Goals("p", until=-0.5, at=(0.3, 0.9)), 30),
+                          (Goals("p", at=(0.9,)), 12), (Goals("p", until=0.1), 40)):  # fmt: skip
+        pace = Pace(first=0.1, longest=0.3, points=points)
+        kept, keeping = whole(circle(), goals, pace, path)
+        fresh, _ = whole(circle(), goals, pace)
+        assert [one.role for one in kept.points] == [one.role for one in fresh.points] and kept.end == fresh.end
+        a, b = (np.array([one.record for one in each.points]) for each in (kept, fresh))
+        assert np.allclose(a, b, atol=1e-12) and len(kept.events) == len(fresh.events)
+        assert whole(circle(), goals, pace, path)[1].solves == 0
+    assert keeping.solves == 1
+
+
+def test_a_curve_that_ends(tmp_path):
+    """p = sqrt(x) ends at x = 0; what ended is not tried again."""
+
+    def function(w):
+        x, p = w
+        return np.array([p - np.sqrt(x)]), np.array([[-0.5 / np.sqrt(x), 1.0]])
+
+    start = Plain(function, ("x", "p")), np.array([1.0, 1.0]), np.array([-1.0, -1.0])
+    with np.errstate(all="ignore"):
+        curve, first = whole(start, Goals("p"), Pace(points=400), tmp_path / "root.jsonl")
+        again, second = whole(start, Goals("p"), Pace(points=400), tmp_path / "root.jsonl")
+    assert curve.end.kind == "step underflow" and again.end == curve.end and 0 < curve.points[-1].record[0] < 0.01
+    assert first.solves > 3 and second.solves == 0
+
+
+def test_a_journal_that_was_edited_is_refused(tmp_path):
+    path = tmp_path / "curve.jsonl"
+    whole(circle(), Goals("p"), Pace(points=5), path)
+    text = path.read_text().replace('"arclength":0.0', '"arclength":0.1')
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"line 2: not what was written"):
+        whole(circle(), Goals("p"), Pace(points=5), path)
+
+
+def test_another_request_begins_anew(tmp_path):
+    path = tmp_path / "curve.jsonl"
+    whole(circle(), Goals("p"), Pace(points=5), path)
+    problem, _, direction = circle()
+    _, keeping = whole((problem, np.array([0.02, 1.01]), direction), Goals("p"), Pace(points=5), path)
+    assert keeping.solves == 5
+
+
+def test_which_way_leads_there():
+    problem, w, direction = circle()
+    point = begun(problem, w, direction)
+    assert [towards(point, "p", value) for value in (0.5, -0.5, None)] == [1.0, -1.0, 1.0]
+
+
+def test_no_kind_of_problem_is_known_here():
+    """The driver asks no problem what it is."""
+    for file in (Path(__file__).parents[1] / "orbitfinder" / "continuation").glob("*.py"):
+        text = file.read_text(encoding="utf-8")
+        assert "isinstance" not in text, file.name
+        for word in ("orbit", "torus", "tori", "optima", "equilibri", "connection", "cycle", "family"):
+            code = [line for line in text.splitlines() if word in line.lower() and "orbitfinder" not in line]
+            assert not code, (file.name, code)
