@@ -44,7 +44,8 @@ def torus(
 
     At the orbit's energy in the rotation number (turns that a return takes the torus round), until --until or until
     the torus breaks down; from a torus of a TORI.json with --hold rotation in the energy. Each is certified by
-    another integrator between the points that it was solved at. Exit code 0: all certified and --until reached.
+    another integrator between the points that it was solved at. Exit code 0: all certified and --until reached. A run
+    that was killed goes on where it stopped when the same command is given again, or with other --points or --until.
 
     \b
     Examples:
@@ -70,7 +71,7 @@ def torus(
         with kept(folder / "tori.json", save_tori):
             found = follow_tori(
                 origin, until=until, hold=hold, parameter=parameter, mode=mode, model=model, progress=report,
-                name=label, settings=TorusSettings(points=points, most_states=states),
+                name=label, settings=TorusSettings(points=points, most_states=states), out=out,
             )  # fmt: skip
             written = [save_tori(found, folder / "tori.json")]
     written += save_torus_figures(found, model, folder) if figures else []

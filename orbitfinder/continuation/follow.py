@@ -51,8 +51,8 @@ class Pace:
     longest: float = 10.0
     points: int = 100
     bend: float = 0.5
-    quick: int = 6
-    slow: int = 11
+    quick: int = 5
+    slow: int = 9
     growth: float = 1.5
     shrinkage: float = 0.6
 
@@ -127,31 +127,32 @@ def advanced(point: Point, length: float, bend: float = 0.0) -> Point:
     Raises `ConvergenceError` or `IntegrationError`, also where the tangents enclose more than a cosine of `bend`.
     """
     guess = point.w.moved(length * point.tangent)
-    after = solved(point.problem, guess, plane(point.problem, guess, point.tangent), point.linear)
+    after = solved(point.problem, guess, plane(point.problem, guess, point.tangent))
     along = point.inner(after.tangent)
     if abs(along) < bend:
         raise ConvergenceError("the curve bends within a step")
     tangent = after.tangent if along >= 0 else -after.tangent
-    return after.along(tangent, arclength=point.arclength + length)
+    return replace(after, tangent=tangent, arclength=point.arclength + length)
 
 
 def exactly(before: Point, after: Point, name: str, value: float) -> Point:
     """The point between two at which a quantity has a value. Raises `ConvergenceError` or `IntegrationError`."""
     a, b = before.value(name), after.value(name)
     length, share = after.arclength - before.arclength, (value - a) / (b - a)
-    guess = after.w.moved((share - 1.0) * length * after.tangent)
-    found = solved(after.problem, guess, lambda w: after.problem.aim(w, name, value), after.linear)
+    first = after.problem.carried(before.w, after.w)
+    guess = first.moved(share * (after.w.vector - first.vector))
+    found = solved(after.problem, guess, lambda w: after.problem.aim(w, name, value))
     tangent = found.tangent if after.inner(found.tangent) >= 0 else -found.tangent
-    return found.along(tangent, arclength=before.arclength + share * length)
+    return replace(found, tangent=tangent, arclength=before.arclength + share * length)
 
 
 def located(before: Point, after: Point, test: Test) -> Point:
     """Where a test vanishes within a step. Raises `ConvergenceError` or `IntegrationError`."""
     length = after.arclength - before.arclength
-    ends = {0.0: before, length: after}
+    ends = {0.0: before.sharp, length: after.sharp}
 
     def at(share: float) -> Point:
-        return ends[share] if share in ends else advanced(before, share)
+        return ends[share] if share in ends else advanced(before, share).sharp
 
     root = float(brentq(lambda share: test(at(share)), 0.0, length, xtol=LOCATED * length, maxiter=LOOKS, disp=False))
     return at(root)
@@ -170,11 +171,14 @@ class _Line:
 class Trace:
     """A curve as far as it is known, by an earlier run and this one; with a path it is a journal there.
 
-    `request` is what decides whether a journal is of this curve (plain numbers); another is begun anew. Raises
-    `InputError` for a journal that cannot be read.
+    `request` is what decides whether a journal is of this curve (plain numbers); another, and one whose first point
+    `leads` elsewhere, is begun anew. Raises `InputError` for a journal that cannot be read.
     """
 
-    def __init__(self, keeping: Keeping, path: Path | None = None, request: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, keeping: Keeping, path: Path | None = None, request: Mapping[str, Any] | None = None,
+        leads: Callable[[Point], bool] = lambda first: True,
+    ) -> None:  # fmt: skip
         self.keeping, self.path = keeping, path
         self.steps: list[Kept] = []
         self.events: list[list[Kept]] = []
@@ -182,11 +186,12 @@ class Trace:
         self.end: End | None = None
         header = plain({"format": FORMAT, "version": VERSION, "request": request or {}})
         lines = None if path is None else read_lines(path, path.name)
-        if path is not None and (lines is None or lines[0][:1] != [header]):
-            begin_journal(path, header)
-        elif lines is not None:
+        if lines is not None and lines[0][:1] == [header]:
             for number, entries in enumerate(lines[0][1:], start=2):
                 self._read(entries, number)
+        if path is not None and not (self.steps and leads(self.steps[0].point)):
+            self.steps, self.events, self.at, self.end = [], [], [], None
+            begin_journal(path, header)
 
     def _read(self, entries: Mapping[str, Any], number: int) -> None:
         try:
@@ -216,7 +221,7 @@ class Trace:
         if self.path is not None:
             line = _Line(
                 tuple((value, self._entry(one)) for value, one in at),
-                tuple((one.role, self._entry(one)) for one in events), step and self._entry(step), end,
+                tuple((one.role, self._entry(one)) for one in events), None if step is None else self._entry(step), end,
             )  # fmt: skip
             append_line(self.path, plain(line))
 
@@ -237,16 +242,17 @@ class Trace:
 
 
 def follow(
-    trace: Trace, begin: Callable[[], Point], goals: Goals, pace: Pace, tests: Mapping[str, Test] | None = None
-) -> Iterator[Curve]:
-    """The curve from where it begins, after every step, until it ends.
+    curve: Curve, trace: Trace, begin: Callable[[], Point], goals: Goals, pace: Pace,
+    tests: Mapping[str, Test] | None = None,
+) -> Iterator[Kept]:  # fmt: skip
+    """The points of a curve from where it begins until it ends; the curve grows by a step before its points come.
 
     `tests` are events by name. What `begin` raises is raised.
     """
     if not trace.steps:
         trace.add(trace.kept("step", begin()))
-    curve = Curve([trace.steps[0]])
-    yield curve
+    curve.points.append(trace.steps[0])
+    yield trace.steps[0]
     for index in range(1, pace.points):
         limit.check()
         try:
@@ -260,21 +266,19 @@ def follow(
             curve.end = End("step underflow", str(error))
             if trace.end is None:
                 trace.add(end=curve.end)
-            yield curve
             return
         if fresh:
             trace.add(at=fresh)
         met = bool(points) and points[-1].role == "end"
         reach = points[-1].point.arclength if met else after.arclength
-        curve.points += points if met else [*points, trace.steps[index]]
+        points += [] if met else [trace.steps[index]]
+        curve.points += points
         curve.events += [one for one in trace.events[index] if one.point.arclength <= reach]
+        yield from points
         if met:
             curve.end = End("target", f"reached {goals.name} = {goals.until!r}")
-        yield curve
-        if met:
             return
     curve.end = End("point limit", f"{plural(pace.points, 'point')} {'was' if pace.points == 1 else 'were'} asked for")
-    yield curve
 
 
 def _step(trace: Trace, goals: Goals, pace: Pace, tests: Mapping[str, Test]) -> None:
@@ -288,13 +292,9 @@ def _step(trace: Trace, goals: Goals, pace: Pace, tests: Mapping[str, Test]) -> 
         try:
             after = advanced(point, length, pace.bend)
             problem, w, tangent = after.problem.at(after.w, after.tangent)
-            step = pace.next(length, after.iterations)
-            if w is after.w and problem is after.problem:
-                after = after.along(tangent, step=step)
-            else:
-                after = replace(after, problem=problem, w=w, tangent=tangent, step=step)
+            after = replace(after, problem=problem, w=w, tangent=tangent, step=pace.next(length, after.iterations))
             _, fresh = trace.exactly(point, after, goals)
-            crossed = [(name, test) for name, test in tests.items() if test(point) * test(after) < 0]
+            crossed = [(name, test) for name, test in tests.items() if test(point.sharp) * test(after.sharp) < 0]
             events = [trace.kept(name, located(point, after, test)) for name, test in crossed]
         except (ConvergenceError, IntegrationError) as error:
             length /= 2

@@ -4,14 +4,15 @@ A problem says its rows, what they change by, and what lengths along its solutio
 
     <a, b> = sum_k m_k a_k b_k,    m the problem's metric over w
 
-One aim more closes it: a plane across the tangent, or a quantity that has a value. Rows and unknowns may have any
+Where a symmetry moves solutions among themselves its phases are fixed, to those of the guess. One aim more closes it:
+a plane across the tangent, or a quantity that has a value. Rows and unknowns may have any
 units; the metric is what makes a length of them, and rows are compared with 1.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol, Self
 
@@ -20,6 +21,8 @@ import numpy as np
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.loops.newton import NewtonSettings, chord
 
+CORRECTOR = NewtonSettings(floor=1e-13, converged=1e-9, agreement=1e-16)
+"""How a problem of a few numbers is solved"""
 Solver = Callable[[np.ndarray], np.ndarray]
 """The step -A^-1 rows over w, A the derivatives of all rows with an aim's last"""
 
@@ -27,8 +30,8 @@ Solver = Callable[[np.ndarray], np.ndarray]
 class Linear(Protocol):
     """The derivatives of a problem's rows at some w."""
 
-    def closed(self, row: np.ndarray) -> Solver:
-        """With the row of an aim (over w) as the last. Raises `ConvergenceError` where all is singular."""
+    def closed(self, rows: np.ndarray) -> Solver:
+        """With phases and an aim (k x w) as the last rows. Raises `ConvergenceError` where all is singular."""
 
 
 class ContinuationProblem(Protocol):
@@ -43,6 +46,9 @@ class ContinuationProblem(Protocol):
     def linearise(self, w: Any) -> tuple[np.ndarray, Linear]:
         """F(w) and its derivatives, by one march where there is one."""
 
+    def phases(self, w: Any) -> np.ndarray:
+        """What is kept across the symmetries at w (k x w)."""
+
     def metric(self, w: Any) -> np.ndarray:
         """m over w, 0 of what is given."""
 
@@ -53,7 +59,10 @@ class ContinuationProblem(Protocol):
         """How far a quantity is from a value, and what that changes by over w."""
 
     def at(self, w: Any, tangent: np.ndarray) -> tuple[Self, Any, np.ndarray]:
-        """Itself with references, mesh and scales of an accepted w, and w and its tangent there."""
+        """Itself with the mesh and the scales of an accepted w, and w and its tangent there."""
+
+    def carried(self, w: Any, onto: Any) -> Any:
+        """w on the mesh of another."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,21 +76,17 @@ class Point:
     step: float = 0.0
     iterations: int = 0
 
-    @cached_property
-    def linear(self) -> Linear:
-        """The derivatives there."""
-        found: Linear = self.problem.linearise(self.w)[1]
-        return found
-
     def value(self, name: str) -> float:
         """A quantity by name."""
         return float(self.problem.value(self.w, name))
 
-    def along(self, tangent: np.ndarray, **more: float) -> Point:
-        """The same point with another tangent, arclength or step."""
-        found = replace(self, tangent=tangent, **more)  # type: ignore[arg-type]
-        found.__dict__.update({name: one for name, one in self.__dict__.items() if name == "linear"})
-        return found
+    @cached_property
+    def sharp(self) -> Point:
+        """The same with its tangent by the derivatives there, where the corrector's are those of a place nearby."""
+        metric = self.problem.metric(self.w)
+        rows = np.vstack([self.problem.phases(self.w), metric * self.tangent])
+        solver = self.problem.linearise(self.w)[1].closed(rows)
+        return replace(self, tangent=_tangent(solver, self.problem.rows(self.w).size + len(rows), metric))
 
     def inner(self, tangent: np.ndarray) -> float:
         """<tangent, another>, in this one's metric."""
@@ -98,30 +103,35 @@ def plane(problem: Any, guess: Any, direction: np.ndarray) -> Aim:
     return lambda w: (float(row @ (w.vector - origin)), row)
 
 
-def solved(problem: Any, guess: Any, aim: Aim, linear: Linear | None = None) -> Point:
-    """The solution near a guess that an aim picks, with the tangent there, either way along it.
+def solved(problem: Any, guess: Any, aim: Aim) -> Point:
+    """The solution near a guess that an aim picks, with the tangent there, along which the aim grows.
 
-    `linear` are derivatives of the rows nearby, if they are known. Raises `ConvergenceError` or `IntegrationError`.
+    Raises `ConvergenceError` or `IntegrationError`.
     """
     settings: NewtonSettings = problem.settings
+    phases, origin = problem.phases(guess), guess.vector
 
-    def rows_of(w: Any) -> np.ndarray:
-        return np.append(problem.rows(w), aim(w)[0])
+    def closed(w: Any, rows: np.ndarray) -> np.ndarray:
+        return np.concatenate([rows, phases @ (w.vector - origin), [aim(w)[0]]])
 
-    def solver_of(w: Any) -> Solver:
-        solver: Solver = problem.linearise(w)[1].closed(aim(w)[1])
-        return solver
+    def solver(w: Any, linear: Linear) -> Solver:
+        return linear.closed(np.vstack([phases, aim(w)[1]]))
 
-    missed, row = aim(guess)
-    fresh = linear is None
-    rows, linear = problem.linearise(guess) if linear is None else (problem.rows(guess), linear)
-    start = np.append(rows, missed), linear.closed(row)
-    w, rows, _, count = chord(guess, *start, (rows_of, solver_of), settings.floor, settings, fresh)
+    rows, linear = problem.linearise(guess)
+    functions = (lambda w: closed(w, problem.rows(w)), lambda w: solver(w, problem.linearise(w)[1]))
+    start = closed(guess, rows), solver(guess, linear)
+    w, rows, last, count = chord(guess, *start, functions, settings.floor, settings, fresh=True)
     if not (size := float(np.abs(rows).max())) < settings.converged:
         raise ConvergenceError(f"the corrector stalled at rows of {size:.2g} after {count} steps")
-    point, metric = Point(problem, w, np.zeros(0), iterations=count), problem.metric(w)
-    tangent = point.linear.closed(aim(w)[1])(np.append(np.zeros(rows.size - 1), -1.0))
-    return point.along(tangent / np.sqrt(float(tangent @ (metric * tangent))))
+    return Point(problem, w, _tangent(last, rows.size, problem.metric(w)), iterations=count)
+
+
+def _tangent(solver: Solver, rows: int, metric: np.ndarray) -> np.ndarray:
+    """The tangent of length 1 along which the last of so many rows grows."""
+    last = np.zeros(rows)
+    last[-1] = -1.0
+    tangent = solver(last)
+    return np.asarray(tangent / np.sqrt(float(tangent @ (metric * tangent))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,9 +151,9 @@ class Dense:
 
     matrix: np.ndarray
 
-    def closed(self, row: np.ndarray) -> Solver:
+    def closed(self, rows: np.ndarray) -> Solver:
         """The square system's, or of more rows than unknowns the one of least squares."""
-        whole = np.vstack([self.matrix, row])
+        whole = np.vstack([self.matrix, rows])
 
         def step(rows: np.ndarray) -> np.ndarray:
             try:
@@ -161,7 +171,7 @@ class Plain:
 
     function: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
     names: tuple[str, ...]
-    settings: NewtonSettings = field(default_factory=lambda: NewtonSettings(floor=1e-13, converged=1e-9))
+    settings: NewtonSettings = CORRECTOR
 
     def rows(self, w: Coordinates) -> np.ndarray:
         """F(w)."""
@@ -171,6 +181,10 @@ class Plain:
         """F(w) and its derivatives."""
         rows, slopes = self.function(w.vector)
         return np.asarray(rows), Dense(np.asarray(slopes))
+
+    def phases(self, w: Coordinates) -> np.ndarray:
+        """None."""
+        return np.zeros((0, w.vector.size))
 
     def metric(self, w: Coordinates) -> np.ndarray:
         """Of Euclid."""
@@ -188,4 +202,9 @@ class Plain:
 
     def at(self, w: Coordinates, tangent: np.ndarray) -> tuple[Plain, Coordinates, np.ndarray]:
         """The same everywhere."""
-        return replace(self), w, tangent
+        return self, w, tangent
+
+    def carried(self, w: Coordinates, onto: Coordinates) -> Coordinates:
+        """Itself: there is one mesh."""
+        assert w.vector.size == onto.vector.size
+        return w

@@ -344,15 +344,16 @@ def _motion(curve: Curve, found: Solution) -> CubicHermiteSpline:
 def _symmetric_instant(curve: Curve, motion: CubicHermiteSpline, symmetry: Symmetry) -> float:
     """When a motion is nearest to the fixed set that the horizon starts in, of all times that it comes near."""
     model, one, times = curve.equations.model, symmetry.maps[0], motion.x
-    half = model.degrees_of_freedom
-    clock = clocked(model, times[-1] / (2 * np.pi)) / np.tile(curve.shares, 2 * half // curve.shares.size)
+    size = motion.c.shape[-1]
+    clock = clocked(model, times[-1] / (2 * np.pi)) / np.tile(curve.shares, size // curve.shares.size)
+    rows = symmetry.rows(model.degrees_of_freedom)[0][: size // 2]
 
     def away(instants: np.ndarray) -> np.ndarray:
         return off_centre(one, motion(instants % times[-1]) * clock, model.angles)
 
     sizes = np.abs(away(times[:-1])).max(axis=1)
     near = times[:-1][(sizes <= np.roll(sizes, 1)) & (sizes <= np.roll(sizes, -1))]
-    speeds = (motion(near, 1) * clock) @ symmetry.rows(half)[0][:half].T
+    speeds = (motion(near, 1) * clock) @ rows.T
     instants = near - (away(near) * speeds).sum(axis=1) / np.maximum((speeds**2).sum(axis=1), 1e-300)
     return float(instants[np.abs(away(instants)).max(axis=1).argmin()])
 
@@ -413,7 +414,7 @@ def reformulated(start: Start, symmetry: Symmetry) -> Start:
     laps, instants = np.divmod(begin + place.period * fraction * np.arange(parts) / parts, place.period)
     nodes = motion(instants) + (laps - laps[0])[:, None] * (motion(place.period) - motion(0.0))
     if symmetry.reverses:
-        first = symmetry.rows(model.degrees_of_freedom)[0][: model.degrees_of_freedom]
+        first = symmetry.rows(model.degrees_of_freedom)[0][: nodes.shape[1] // 2]
         nodes[0] -= np.linalg.pinv(first) @ off_centre(symmetry.maps[0], nodes[:1], model.angles)[0]
     equations = Equations(model, symmetry, old.equations.free, action=True)
     fresh = equations.unknowns(nodes, place.period, np.zeros(0), place.free)

@@ -1,34 +1,39 @@
 """Invariant tori: quasi-periodic motions around an elliptic orbit, or born where two multipliers leave the unit circle.
 
-A torus is solved as a ring (see `loops.torus`) and followed by pseudo-arclength: at fixed energy in its rotation
+A torus is solved as a ring (see `families.ring`) and followed by pseudo-arclength: at fixed energy in its rotation
 number, at fixed rotation number in the energy, or in a parameter. A family ends where its Fourier series no longer
 converges: there the torus breaks down.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import gcd
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from orbitfinder._runtime import limit
+from orbitfinder._runtime import locks
 from orbitfinder._runtime.keeping import STOPPED, finished
+from orbitfinder.continuation.follow import Curve, Goals, Pace, Trace, follow, towards
+from orbitfinder.continuation.problem import Point, plane, solved
 from orbitfinder.errors import ConvergenceError, InputError, closest
+from orbitfinder.families.ring import RESOLVED, Ring, Turned, at_angles, coefficients, harmonics, unresolved
 from orbitfinder.integrate.dop853 import STEPS_PER_PERIOD, integrate_in, vector_field
 from orbitfinder.integrate.equations import accelerations
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.symmetry import NONE
-from orbitfinder.loops.torus import Aim, Ring, Turned, at_angles, coefficients, harmonics, resampled
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import parameter_sizes
 from orbitfinder.orbits.closure import extents_of
 from orbitfinder.orbits.section import Surface
 from orbitfinder.records.orbit import Certificate, Check, Orbit
-from orbitfinder.records.torus import Tori, Torus
+from orbitfinder.records.torus import Tori, Torus, torus_entry, torus_of
 
 TURNING = 1e-3
 """How far from the unit circle a multiplier is at most that a torus begins with"""
@@ -38,8 +43,6 @@ AMPLITUDE = 0.01
 """Of the first torus, in extents of the orbit"""
 FEWEST = 17
 """States of a curve at first"""
-RESOLVED = 1e-11
-"""What the highest harmonics may be of the curve's size"""
 CLEAN = 1e-13
 """Harmonics below this are round-off"""
 INVARIANT = 1e-9
@@ -60,8 +63,6 @@ LOW_ORDER = 12
 """A family that ends before a resonance of this order or less says so"""
 SHORTEST, LONGEST = 1e-3, 10.0
 """Steps along a family, in units of its metric"""
-QUICK, SLOW = 5, 9
-"""Iterations of Newton's method below which steps grow, above which they shrink"""
 
 
 @dataclass(frozen=True)
@@ -86,16 +87,6 @@ class TorusSettings:
     points: int = 100
     most_states: int = 151
     certify: bool = True
-
-
-@dataclass(frozen=True, eq=False)
-class _Place:
-    """A solved torus: its ring, its tangent over the measured unknowns, how it converged."""
-
-    ring: Ring
-    w: Turned
-    tangent: np.ndarray
-    iterations: int
 
 
 def torus(
@@ -152,6 +143,7 @@ def follow_tori(
     settings: TorusSettings | None = None,
     progress: Callable[[Torus], None] | None = None,
     name: str = "",
+    out: str | Path | None = None,
 ) -> Tori:
     """The family of tori from an elliptic orbit or from a Torus.
 
@@ -168,6 +160,8 @@ def follow_tori(
         settings: steps and sizes.
         progress: called with each torus.
         name: a word for files.
+        out: a folder: OUT/<name>/tori.jsonl keeps every torus as it comes, and what was asked before goes on from
+            there.
 
     Returns:
         Tori, and why they end.
@@ -188,26 +182,42 @@ def follow_tori(
     if asked == "rotation":
         for goal in goals:
             _check_rotation(goal, chosen.most_states)
-    if isinstance(origin, Torus):
-        first = _from_torus(origin, system, asked)
-        way = _towards(first, asked, until)
-    else:
-        first, way = _from_orbit(origin, system, asked, mode), 1.0
-        if asked == "rotation" and goals and _other_way_round(first, goals[0] if until is None else until):
-            first = _from_orbit(origin, system, asked, mode, backwards=True)
-    held = {label: value / (2 * np.pi) if label == "rotation" else value for label, value in first.ring.held}
     label = name or (f"{origin.name}-tori" if isinstance(origin, Orbit) else "tori")
-    tori = list[Torus]()
+    free = isinstance(origin, Torus)  # the tangent of its family points anywhere
+    if isinstance(origin, Torus):
+        ring, guess, direction = _from_torus(origin, system, asked)
+    else:
+        ring, guess, direction = _from_orbit(origin, system, asked, mode)
+    ring = replace(ring, most=chosen.most_states)
+    inner = Goals(asked, None if until is None else _inner(asked, until), tuple(_inner(asked, one) for one in goals))
 
-    def note(place: _Place) -> Torus:
-        tori.append(certify_torus(_recorded(place), system) if chosen.certify else _recorded(place))
-        finished(lambda: Tori(label, dict(system.system), asked, held, tuple(tori), STOPPED))
-        if progress:
-            progress(tori[-1])
-        return tori[-1]
+    def begin() -> Point:
+        point = _first(ring, guess, direction)
+        if free:
+            return point if towards(point, asked, inner.until) > 0 else replace(point, tangent=-point.tangent)
+        return _first(*_backwards(ring, guess, direction)) if _other_way_round(point, inner) else point
 
-    end = _followed(first, asked, way, (until, goals), chosen, note)
-    return Tori(label, dict(system.system), asked, held, tuple(tori), end)
+    def leads_there(point: Point) -> bool:
+        return towards(point, asked, inner.until) > 0 if free else not _other_way_round(point, inner)
+
+    keeping = _Keeping(ring, system, chosen.certify)
+    path = None if out is None else Path(out) / label / "tori.jsonl"
+    request = {"origin": _origin_entry(origin), "asked": asked, "mode": mode, "states": chosen.most_states,
+               "step": chosen.step, "certify": chosen.certify, "system": dict(system.system)}  # fmt: skip
+    pace = Pace(first=chosen.step, shortest=SHORTEST, longest=LONGEST, points=chosen.points, quick=6)
+    held = {label: value / (2 * np.pi) if label == "rotation" else value for label, value in ring.held}
+
+    curve = Curve()
+
+    def tori(end: str) -> Tori:
+        return Tori(label, dict(system.system), asked, held, tuple(one.record for one in curve.points), end)
+
+    with contextlib.nullcontext() if path is None else locks.alone_in(path.parent):
+        for one in follow(curve, Trace(keeping, path, request, leads_there), begin, inner, pace):
+            finished(lambda: tori(STOPPED))
+            if progress:
+                progress(one.record)
+    return tori(_ended(curve, asked, until, chosen.points))
 
 
 def _model(origin: Orbit | Torus, model: Model | None) -> Model:
@@ -264,33 +274,46 @@ def resonance(rotation: float, most: int) -> tuple[int, int] | None:
     return (int(nearest[hit[0]]), int(orders[hit[0]])) if hit.size else None
 
 
-def _other_way_round(first: _Place, goal: float) -> bool:
+def _other_way_round(first: Point, goals: Goals) -> bool:
     """Whether 1 - goal lies ahead of a first torus, nearer than the goal: theta -> -theta makes r of a torus 1 - r."""
-    ahead = [one for one in (goal, 1 - goal) if _towards(first, "rotation", one) > 0]
-    return bool(ahead) and min(ahead, key=lambda one: abs(_inner("rotation", one) - first.w.angle)) != goal
+    goal = goals.until if goals.until is not None else min(goals.at, default=None)
+    if goals.name != "rotation" or goal is None:
+        return False
+    ahead = [one for one in (goal, 2 * np.pi - goal) if towards(first, "rotation", one) > 0]
+    return bool(ahead) and min(ahead, key=lambda one: abs(one - first.w.angle)) != goal
 
 
-def _from_orbit(orbit: Orbit, model: Model, asked: str, mode: int, backwards: bool = False) -> _Place:
-    """A small torus around an elliptic orbit: X = x + a Re(v e^(i theta)), v an eigenvector of the monodromy.
+Guessed = tuple[Ring, Turned, np.ndarray]
+"""A ring, a guess of its torus, and the direction (over w) in which that is one of a family"""
 
-    `backwards` goes round it the other way, with the conjugate eigenvector.
-    """
+
+def _backwards(ring: Ring, guess: Turned, direction: np.ndarray) -> Guessed:
+    """The same gone round the other way."""
+
+    def turned(curve: np.ndarray) -> np.ndarray:
+        return np.roll(curve[::-1], 1, axis=0)
+
+    w = replace(guess, curve=turned(guess.curve), angle=2 * np.pi - guess.angle)
+    curve = turned(direction[: guess.curve.size].reshape(guess.curve.shape))
+    return ring, w, np.concatenate([curve.ravel(), direction[guess.curve.size :]])
+
+
+def _from_orbit(orbit: Orbit, model: Model, asked: str, mode: int) -> Guessed:
+    """A small torus around an elliptic orbit: X = x + a Re(v e^(i theta)), v an eigenvector of the monodromy."""
     free = (asked,) if asked in model.parameter_names else ()
     equations = Equations(model, NONE, free)
     w = equations.unknowns(orbit.state[None], orbit.period, np.linspace(0.0, 1.0, STEPS_PER_PERIOD + 1))
     path = equations.varied(w, states=True)
     units = extents_of(model, path.states, orbit.period)
     angle, vector = _turning_pair(path.transitions[0], mode)
-    angle, vector = (2 * np.pi - angle, vector.conj()) if backwards else (angle, vector)
     vector = vector / np.sqrt(np.mean(np.abs(vector / units) ** 2) * units.size / 2)
     around = (np.exp(2j * np.pi * np.arange(FEWEST) / FEWEST)[:, None] * vector).real
     held = (("energy", orbit.energy),) if model.conservative else ()
     sizes = parameter_sizes(model, free, w.free)
-    ring = Ring(equations, units, orbit.period / (2 * np.pi), sizes, held)
+    direction = np.concatenate([around.ravel(), np.zeros(2 + w.free.size)])
     still = Turned(np.tile(orbit.state, (FEWEST, 1)), orbit.period, angle, w.free)
-    direction = np.concatenate([(around / units).ravel(), np.zeros(2 + w.free.size)])
-    guess = still.moved(AMPLITUDE * direction * ring.columns(still))
-    return _solved(ring.confirmed(guess), guess, direction)
+    guess = still.moved(AMPLITUDE * direction)
+    return Ring(equations, units, orbit.period / (2 * np.pi), sizes, held).confirmed(guess), guess, direction
 
 
 def _turning_pair(monodromy: np.ndarray, mode: int) -> tuple[float, np.ndarray]:
@@ -310,8 +333,8 @@ def _turning_pair(monodromy: np.ndarray, mode: int) -> tuple[float, np.ndarray]:
     return float(np.angle(multipliers[chosen])), vectors[:, chosen]
 
 
-def _from_torus(torus: Torus, model: Model, asked: str) -> _Place:
-    """A known torus, solved again in the ring that its family is followed in; its tangent points anywhere."""
+def _from_torus(torus: Torus, model: Model, asked: str) -> Guessed:
+    """A known torus, in the ring that its family is followed in; its direction points anywhere."""
     free = (asked,) if asked in model.parameter_names else ()
     equations = Equations(with_parameters(model, torus.free), NONE, free)
     numbers = np.array([torus.free.get(name, value) for name, value in zip(free, equations.numbers, strict=True)])
@@ -319,9 +342,15 @@ def _from_torus(torus: Torus, model: Model, asked: str) -> _Place:
     held = (("rotation", w.angle),) if asked == "energy" else (("energy", torus.energy),) if model.conservative else ()
     units = extents_of(model, filled(torus, model, FEWEST).reshape(-1, w.curve.shape[1]), torus.period)
     ring = Ring(equations, units, w.period / (2 * np.pi), parameter_sizes(model, free, numbers), held).confirmed(w)
-    guess = np.zeros(w.vector.size)
-    guess[: w.curve.size] = ((w.curve - w.curve.mean(axis=0)) / units).ravel()
-    return _solved(ring, w, guess)
+    direction = np.concatenate([(w.curve - w.curve.mean(axis=0)).ravel(), np.zeros(2 + w.free.size)])
+    return ring, w, direction
+
+
+def _first(ring: Ring, guess: Turned, direction: np.ndarray) -> Point:
+    """The torus in the plane through a guess across a direction."""
+    point = solved(ring, guess, plane(ring, guess, direction))
+    ring, w, tangent = ring.at(point.w, point.tangent)
+    return replace(point, problem=ring, w=w, tangent=tangent)
 
 
 def filled(torus: Torus, model: Model, lines: int) -> np.ndarray:
@@ -346,37 +375,6 @@ def crossed(torus: Torus, found: Surface) -> np.ndarray:
     return np.asarray(states)
 
 
-def _solved(ring: Ring, guess: Turned, direction: np.ndarray) -> _Place:
-    """The torus in the plane through a guess across a direction (over the measured unknowns), and the tangent there."""
-    metric, columns = ring.metric(guess), ring.columns(guess)
-    row = metric * direction / np.sqrt(float(direction @ (metric * direction)))
-    measured = np.divide(guess.vector, columns, out=np.zeros(columns.size), where=columns > 0)
-    w, count, factors = ring.solved(guess, (Aim(row, measured, 0.0),))
-    tangent = factors.step(np.append(np.zeros(len(factors.matrix) - 1), 1.0))
-    return _Place(ring, w, tangent / np.sqrt(float(tangent @ (metric * tangent))), count)
-
-
-def _finer(place: _Place, most: int) -> _Place:
-    """The same with as many states as the series needs. Raises `ConvergenceError` where that is more than `most`."""
-    while (size := unresolved(place.w.curve / place.ring.units)) > RESOLVED:
-        count = 3 * len(place.w.curve) // 4 * 2 + 1
-        if count > most:
-            raise ConvergenceError(
-                f"the highest harmonics of {len(place.w.curve)} states are {size:.2g} of the curve; more than {most} "
-                "states are needed"
-            )
-        w, cut = place.w.on(count), place.w.curve.size
-        along = resampled(place.tangent[:cut].reshape(place.w.curve.shape), count)
-        place = _solved(place.ring, w, np.concatenate([along.ravel(), place.tangent[cut:]]))
-    return place
-
-
-def unresolved(curve: np.ndarray) -> float:
-    """The largest of the highest sixth of the harmonics, relative to the largest of all but the mean."""
-    waves, sizes = np.abs(harmonics(len(curve))), np.abs(coefficients(curve)).max(axis=1)
-    return float(sizes[waves > 5 * waves.max() // 6].max() / max(sizes[waves > 0].max(), 1e-300))
-
-
 def strip(curve: np.ndarray) -> float:
     """Half the width of the strip in which the series converges: the decay rate of its coefficients above round-off."""
     waves, sizes = harmonics(len(curve)), np.abs(coefficients(curve)).max(axis=1)
@@ -385,88 +383,53 @@ def strip(curve: np.ndarray) -> float:
     return float(-np.polyfit(clear, np.log(np.maximum(largest[clear], 1e-300)), 1)[0])
 
 
-def _towards(place: _Place, asked: str, until: float | None) -> float:
-    """1 or -1: the way along the tangent in which the parameter goes towards `until`, up without."""
-    step = place.tangent * place.ring.columns(place.w) * 1e-6
-    rise = place.ring.value(place.w.moved(step), asked) - place.ring.value(place.w, asked)
-    wanted = 1.0 if until is None else _inner(asked, until) - place.ring.value(place.w, asked)
-    return 1.0 if rise * wanted >= 0 else -1.0
-
-
 def _inner(name: str, value: float) -> float:
     """A rotation number in rad, everything else as it is."""
     return 2 * np.pi * value if name == "rotation" else value
 
 
-def _followed(
-    first: _Place,
-    asked: str,
-    way: float,
-    goals: tuple[float | None, tuple[float, ...]],
-    settings: TorusSettings,
-    note: Callable[[_Place], Torus],
-) -> str:
-    """The tori along a family noted one by one; why it ends."""
-    until, exact = goals
-    place = _finer(first, settings.most_states)
-    place = replace(place, tangent=way * place.tangent)
-    found = [note(place)]
-    step = settings.step
-    while len(found) < settings.points:
-        limit.check()
-        try:
-            after = _finer(_stepped(place, step), settings.most_states)
-            after = replace(after, ring=after.ring.confirmed(after.w))
-            passed = _passed(place, after, asked, exact)
-            between = [_exactly(place, after, asked, _inner(asked, one), settings.most_states) for one in passed]
-        except ConvergenceError as error:
-            step /= 2
-            if step < SHORTEST:
-                return _ending(found, asked, str(error))
-            continue
-        for goal, one in zip(passed, between, strict=True):
-            found.append(note(one))
-            if goal == until:
-                return f"{asked} reached {until:.12g}"
-        found.append(note(after))
-        step = min(LONGEST, step * (1.5 if after.iterations <= QUICK else 0.6 if after.iterations > SLOW else 1.0))
-        place = after
-    return f"point limit of {settings.points}"
+@dataclass(frozen=True, eq=False)
+class _Keeping:
+    """How tori are kept: the ring of the first, the system, whether each is certified."""
+
+    ring: Ring
+    model: Model
+    certify: bool
+
+    def record(self, point: Point) -> Torus:
+        """The Torus. Raises `ConvergenceError` where its curve needs more states."""
+        if unresolved(point.w.curve / self.ring.units) > RESOLVED:
+            raise ConvergenceError(f"a torus needs more than {len(point.w.curve)} states")
+        found = _recorded(point)
+        return certify_torus(found, self.model) if self.certify else found
+
+    def write(self, point: Point, record: Torus) -> dict[str, Any]:
+        """Both in plain numbers."""
+        return torus_entry(record) | {
+            "angle": point.w.angle, "numbers": point.w.free, "tangent": point.tangent, "steps": point.problem.steps,
+            "arclength": point.arclength, "step": point.step,
+        }  # fmt: skip
+
+    def read(self, entry: Mapping[str, Any]) -> tuple[Point, Torus]:
+        """Both from what was written."""
+        record = torus_of(entry)
+        w = Turned(record.curve, record.period, float(entry["angle"]), np.array(entry["numbers"], float))
+        ring = replace(self.ring, steps=int(entry["steps"]))
+        tangent = np.array(entry["tangent"], float)
+        if tangent.shape != w.vector.shape:
+            raise ValueError("a tangent of another size")
+        return Point(ring, w, tangent, float(entry["arclength"]), float(entry["step"])), record
 
 
-def _passed(before: _Place, after: _Place, asked: str, goals: tuple[float, ...]) -> list[float]:
-    """The goals between two tori, in the order in which they are met."""
-    a, b = (one.ring.value(one.w, asked) for one in (before, after))
-    met = [one for one in goals if (_inner(asked, one) - a) * (_inner(asked, one) - b) <= 0 and _inner(asked, one) != a]
-    return sorted(met, key=lambda one: abs(_inner(asked, one) - a))
+def _origin_entry(origin: Orbit | Torus) -> list[Any]:
+    """What decides where a family of tori begins."""
+    if isinstance(origin, Orbit):
+        return [origin.state, origin.period]
+    return [origin.curve, origin.period, origin.rotation, dict(origin.free)]
 
 
-def _stepped(place: _Place, step: float) -> _Place:
-    """The torus a step along the tangent."""
-    ring, w = place.ring, place.w.moved(step * place.tangent * place.ring.columns(place.w))
-    after = _solved(ring, w, place.tangent)
-    return after if np.sum(after.tangent * ring.metric(w) * place.tangent) > 0.5 else _bent()
-
-
-def _bent() -> _Place:
-    raise ConvergenceError("the family bends within a step")
-
-
-def _exactly(before: _Place, after: _Place, asked: str, value: float, most: int) -> _Place:
-    """The torus between two at a value of the parameter."""
-    a, b = (one.ring.value(one.w, asked) for one in (before, after))
-    first = before.w.on(len(after.w.curve)).vector
-    start = after.w.moved((value - b) / (b - a) * (after.w.vector - first))
-    ring = replace(after.ring, held=(*after.ring.held, (asked, value)))
-    w, count, _ = ring.solved(start, ())
-    found = _Place(after.ring, w, after.tangent, count)
-    if unresolved(w.curve / ring.units) > RESOLVED:
-        raise ConvergenceError(f"the torus at {asked} {value:.9g} needs more than {len(w.curve)} of {most} states")
-    return found
-
-
-def _recorded(place: _Place) -> Torus:
-    w, ring = place.w, place.ring
+def _recorded(point: Point) -> Torus:
+    w, ring = point.w, point.problem
     p = ring.equations
     energy = ring.value(w, "energy") if p.model.conservative else float("nan")
     measured = w.curve / ring.units
@@ -476,8 +439,15 @@ def _recorded(place: _Place) -> Torus:
     )
 
 
-def _ending(found: list[Torus], asked: str, why: str) -> str:
-    """Why a family ends: the width of its strip, and where that goes to 0."""
+def _ended(curve: Curve, asked: str, until: float | None, most: int) -> str:
+    """Why a family ends, in words."""
+    assert curve.end is not None
+    kinds = {"target": f"{asked} reached {until or 0.0:.12g}", "point limit": f"point limit of {most}"}
+    return kinds.get(curve.end.kind) or _breaking([one.record for one in curve.points], asked, curve.end.reason)
+
+
+def _breaking(found: list[Torus], asked: str, why: str) -> str:
+    """Why a family ends where it breaks down: the width of its strip, and where that goes to 0."""
     values = np.array([torus_value(one, asked) for one in found])
     widths = np.array([one.strip for one in found])
     told = f"break-down near {asked} {values[-1]:.9g}: {why}"

@@ -108,13 +108,14 @@ def save_tori(found: Tori, path: str | Path) -> Path:
     document = {
         "format": FORMAT, "version": VERSION, "name": found.name, "system": plain(found.system),
         "parameter": found.parameter, "held": dict(found.held), "end": found.end,
-        "tori": [_document(one) for one in found.tori],
+        "tori": [torus_entry(one) for one in found.tori],
     }  # fmt: skip
     write_atomically(target, json_bytes(document))
     return target
 
 
-def _document(torus: Torus) -> dict[str, Any]:
+def torus_entry(torus: Torus) -> dict[str, Any]:
+    """A Torus in plain numbers."""
     numbers = {name: plain(getattr(torus, name)) for name in ("curve", "period", "rotation", "tail", "strip", "free")}
     return numbers | {"energy": energy_entry(torus.energy), "certificate": certificate_to_document(torus.certificate)}
 
@@ -140,7 +141,7 @@ def load_tori(path: str | Path) -> Tori:
     if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
         raise InputError(f"{path}: format: expected {FORMAT!r} of version {VERSION}; give a tori.json")
     try:
-        tori = tuple(_torus(one) for one in document["tori"])
+        tori = tuple(torus_of(one) for one in document["tori"])
         size = {one.curve.shape[1] for one in tori}
         if not tori or len(size) > 1 or any(len(one.curve) % 2 == 0 for one in tori):
             raise ValueError("curves of an even number of states, or none")
@@ -151,7 +152,8 @@ def load_tori(path: str | Path) -> Tori:
         raise InputError(f"{path}: malformed entry ({error}); {AGAIN}") from error
 
 
-def _torus(document: Mapping[str, Any]) -> Torus:
+def torus_of(document: Mapping[str, Any]) -> Torus:
+    """The Torus of its entry; `ValueError`, `KeyError` or `TypeError` where it is damaged."""
     curve = np.asarray(document["curve"], float)
     numbers = [float(document[name]) for name in ("period", "rotation", "tail", "strip")]
     if curve.ndim != 2 or not (np.isfinite(curve).all() and np.isfinite(numbers).all() and numbers[0] > 0):

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from orbitfinder.families.ring import at_angles, coefficients, harmonics
 from orbitfinder.families.tori import filled, torus_value
-from orbitfinder.loops.torus import at_angles, coefficients, harmonics
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.torus import Tori, Torus
 from orbitfinder.show.plot import axis

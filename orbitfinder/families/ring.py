@@ -8,8 +8,9 @@ The curve X(theta) is told by N states at equal angles, N odd, and by its Fourie
     <X - X_ref, dX_ref/dtheta>             phase of the angle
     conditions                             energy or rotation number held, and the aim that picks one torus
 
-Of a conservative system the rows of the arcs are dependent (by the energy, and by the area that the curve encloses):
-they are solved in the sense of least squares, which have one solution, and whose rows vanish where there is a torus.
+X_ref is the guess. Of a conservative system the rows of the arcs are dependent (by the energy, and by the area that the
+curve encloses): they are solved in the sense of least squares, which have one solution, and whose rows vanish where
+there is a torus.
 Source: Z. P. Olikara and D. J. Scheeres, "Numerical method for computing quasi-periodic orbits and their stability in
 the restricted three-body problem", Advances in the Astronautical Sciences 145 (2012) 911-930.
 """
@@ -24,21 +25,19 @@ from typing import TypeVar
 import numpy as np
 import scipy.linalg
 
+from orbitfinder.continuation.problem import plane, solved
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied
 from orbitfinder.loops.loop import Equations, Unknowns
+from orbitfinder.loops.newton import NewtonSettings
 
 T = TypeVar("T")
-STEPS = 16
-"""Steps of Newton's method at most"""
-CONTRACTION = 0.1
-"""A step that reduces the rows by less asks for a new Jacobian"""
-CONVERGED = 3e-13
-"""Largest row, in units of the motion, at which a torus is solved"""
-ROUGH = 1e-10
-"""Rows below this that a fresh Jacobian does not reduce are round-off"""
+CORRECTOR = NewtonSettings(floor=3e-13, converged=1e-10, agreement=3e-16, most_evaluations=16)
+"""How a torus is solved: rows in units of the motion"""
 CONFIRMED = 1e-12
 """What arcs by twice the steps may end apart, in units of the motion"""
+RESOLVED = 1e-11
+"""What the highest harmonics may be of the curve's size"""
 DETERMINED = 1e-11
 """Pivots this small beside the largest leave unknowns undetermined"""
 MOST_STEPS = 4096
@@ -101,21 +100,12 @@ class Turned:
         return replace(self, curve=resampled(self.curve, count))
 
 
-@dataclass(frozen=True)
-class Aim:
-    """One row more: `row` (over X, T, rho, free, in the ring's units) times the step from `origin` is `value`."""
-
-    row: np.ndarray
-    origin: np.ndarray
-    value: float
-
-
 @dataclass(frozen=True, eq=False)
 class Ring:
-    """The rows of a torus and their solution, in units of the motion (d), of time and of the freed parameters.
+    """The rows of a torus, in units of the motion (d), of time and of the freed parameters.
 
     `held` are values of "energy", "rotation" (rho, in rad) or freed parameters by name; `steps` the Runge-Kutta steps
-    of an arc.
+    of an arc. A `ContinuationProblem`, whose curves have as many states as their series needs, `most` at most.
     """
 
     equations: Equations
@@ -124,6 +114,8 @@ class Ring:
     sizes: np.ndarray
     held: tuple[tuple[str, float], ...] = ()
     steps: int = 32
+    most: int = 151
+    settings: NewtonSettings = CORRECTOR
 
     @property
     def forced(self) -> bool:
@@ -144,31 +136,34 @@ class Ring:
         return np.concatenate([states, [0.0 if self.forced else self.clock, 1.0], self.sizes])
 
     def metric(self, w: Turned) -> np.ndarray:
-        """Weights of the unknowns in arclength, in these units: a mean over the curve, and the rest as they are."""
+        """Weights of the unknowns in arclength: a mean over the curve, and the rest as they are."""
         weights = np.concatenate([np.full(w.curve.size, 1.0 / len(w.curve)), np.ones(2 + w.free.size)])
-        return weights * (self.columns(w) > 0)
+        columns = self.columns(w)
+        return np.asarray(np.divide(weights, columns**2, out=np.zeros(columns.size), where=columns > 0))
 
     def rates(self, w: Turned) -> np.ndarray:
         """dx/dt (N x d) where arcs begin, in units of the motion."""
         return np.asarray(self.equations.march.rates(w.curve, self.tail(w)) / self.units)
 
-    def rows(self, w: Turned, reference: Turned, ends: np.ndarray, aims: tuple[Aim, ...]) -> np.ndarray:
-        """All rows, in units of the motion."""
+    def rows(self, w: Turned) -> np.ndarray:
+        """All rows, in units of the motion. Raises `ConvergenceError`."""
+        return self._rows(w, self._marched(w, self.equations.march.ends))
+
+    def _rows(self, w: Turned, ends: np.ndarray) -> np.ndarray:
         turn, _ = turning(len(w.curve), w.angle)
         arcs = (ends - turn @ w.curve) / self.units
-        away = ((w.curve - reference.curve) / self.units).ravel()
-        phases = [float(one @ away) for one in self._phases(reference)]
-        named = [self._held(w, *one)[0] for one in self.held]
-        columns = self.columns(w)
-        measured = np.divide(w.vector, columns, out=np.zeros(columns.size), where=columns > 0)
-        aimed = [float(one.row @ (measured - one.origin)) - one.value for one in aims]
-        return np.concatenate([arcs.ravel(), phases, named, aimed])
+        return np.concatenate([arcs.ravel(), [self.aim(w, *one)[0] for one in self.held]])
 
-    def jacobian(self, w: Turned, reference: Turned, path: Varied, aims: tuple[Aim, ...]) -> np.ndarray:
+    def linearise(self, w: Turned) -> tuple[np.ndarray, Factored]:
+        """All rows and their derivatives, by one march. Raises `ConvergenceError`."""
+        path = self._marched(w, self.equations.march.varied)
+        return self._rows(w, path.ends), Factored(self.jacobian(w, path), self.columns(w))
+
+    def jacobian(self, w: Turned, path: Varied) -> np.ndarray:
         """The derivatives of all rows by all unknowns, both measured."""
         (count, size), own = w.curve.shape, self.columns(w)
-        phases, cut = self._phases(reference), w.curve.size
-        found = np.zeros((cut + len(phases) + len(self.held) + len(aims), own.size))
+        cut = w.curve.size
+        found = np.zeros((cut + len(self.held), own.size))
         turn, by_angle = turning(count, w.angle)
         arcs = found[:cut].reshape(count, size, -1)
         arcs[:, :, :cut] = -np.einsum("kl,ij->kilj", turn, np.eye(size)).reshape(count, size, cut)
@@ -178,20 +173,20 @@ class Ring:
         arcs[:, :, cut + 1] = -by_angle @ w.curve
         arcs[:, :, cut + 2 :] = path.columns[:, :, 1 + self.equations.march.unfolding :]
         arcs *= own / self.units[:, None]
-        found[cut : cut + len(phases), :cut] = phases
-        others = [self._held(w, *one)[1] * own for one in self.held] + [one.row for one in aims]
-        found[cut + len(phases) :] = np.reshape(others, (len(others), own.size))
+        for k, one in enumerate(self.held, start=cut):
+            found[k] = self.aim(w, *one)[1] * own
         return found
 
-    def _phases(self, reference: Turned) -> list[np.ndarray]:
-        """Unit rows over the measured curve that fix time (unless forced) and angle."""
-        places = 2 * np.pi * np.arange(len(reference.curve)) / len(reference.curve)
-        along = at_angles(reference.curve, places, derivative=True) / self.units
-        chosen = [along] if self.forced else [self.rates(reference), along]
-        return [one.ravel() / max(float(np.linalg.norm(one)), 1e-300) for one in chosen]
+    def phases(self, w: Turned) -> np.ndarray:
+        """Rows over w that fix time (unless forced) and angle, of length 1 over the measured curve."""
+        places = 2 * np.pi * np.arange(len(w.curve)) / len(w.curve)
+        along = at_angles(w.curve, places, derivative=True) / self.units
+        chosen = [along] if self.forced else [self.rates(w), along]
+        rows = [(one / self.units / max(float(np.linalg.norm(one)), 1e-300)).ravel() for one in chosen]
+        return np.pad(rows, ((0, 0), (0, 2 + w.free.size)))
 
-    def _held(self, w: Turned, name: str, value: float) -> tuple[float, np.ndarray]:
-        """The row of what is held and its derivatives by the unknowns."""
+    def aim(self, w: Turned, name: str, value: float) -> tuple[float, np.ndarray]:
+        """How far what may be held is from a value, measured, and what that changes by over w."""
         p, first, slope = self.equations, w.curve[:1], np.zeros(w.vector.size)
         if name != "energy":
             place = w.curve.size + (1 if name == "rotation" else 2 + p.free.index(name))
@@ -212,29 +207,27 @@ class Ring:
         values, _, _ = p.quantities_at(Unknowns(w.curve[:1], w.period, np.zeros(0), w.free, np.zeros(2)))
         return float(values[p.energy])
 
-    def solved(self, w: Turned, aims: tuple[Aim, ...]) -> tuple[Turned, int, Factored]:
-        """The torus near w, the steps that it took, and the last factors: Newton's method, a Jacobian kept as long as
-        it contracts.
+    def at(self, w: Turned, tangent: np.ndarray) -> tuple[Ring, Turned, np.ndarray]:
+        """The ring with as many steps as a torus that was met needs, and the torus with as many states.
 
-        Raises `ConvergenceError`, also where the unknowns are not determined: a resonance, or a curve that is an orbit.
+        Raises `ConvergenceError` where that is more than `most`.
         """
-        reference, best, factors, fresh = w, np.inf, None, False
-        for k in range(STEPS):
-            rows = self.rows(w, reference, self._marched(w, self.equations.march.ends), aims)
-            size = float(np.abs(rows).max())
-            if not np.isfinite(size) or size > 1e3 * max(best, CONVERGED):
-                break
-            done = size <= CONVERGED or (fresh and size < ROUGH and size > CONTRACTION * best)
-            if factors is None or (not done and size > CONTRACTION * best):
-                path = self._marched(w, self.equations.march.varied)
-                factors, fresh = Factored(self.jacobian(w, reference, path, aims), self.columns(w)), True
-            else:
-                fresh = False
-            if done:
-                return w, k, factors
-            best = min(best, size)
-            w = w.moved(factors.step(-rows) * self.columns(w))
-        raise ConvergenceError(f"no torus found near (rows of {size:.2g} after {k + 1} iterations)")
+        while (size := unresolved(w.curve / self.units)) > RESOLVED:
+            count = 3 * len(w.curve) // 4 * 2 + 1
+            if count > self.most:
+                raise ConvergenceError(
+                    f"the highest harmonics of {len(w.curve)} states are {size:.2g} of the curve; more than "
+                    f"{self.most} states are needed"
+                )
+            along = resampled(tangent[: w.curve.size].reshape(w.curve.shape), count)
+            direction, finer = np.concatenate([along.ravel(), tangent[w.curve.size :]]), w.on(count)
+            point = solved(self, finer, plane(self, finer, direction))
+            w, tangent = point.w, point.tangent if point.inner(direction) >= 0 else -point.tangent
+        return self.confirmed(w), w, tangent
+
+    def carried(self, w: Turned, onto: Turned) -> Turned:
+        """w with as many states as another."""
+        return w if len(w.curve) == len(onto.curve) else w.on(len(onto.curve))
 
     def _marched(self, w: Turned, march: Callable[[np.ndarray, np.ndarray, np.ndarray], T]) -> T:
         if not (np.isfinite(w.vector).all() and w.period > 0):
@@ -255,31 +248,44 @@ class Ring:
         raise ConvergenceError(f"the motion on this torus needs more than {MOST_STEPS} steps a return")
 
 
-class Factored:
-    """The triangle R of a Jacobian's QR (its Q is never made), which solves measured rows best for any rows.
+def unresolved(curve: np.ndarray) -> float:
+    """The largest of the highest sixth of the harmonics, relative to the largest of all but the mean."""
+    waves, sizes = np.abs(harmonics(len(curve))), np.abs(coefficients(curve)).max(axis=1)
+    return float(sizes[waves > 5 * waves.max() // 6].max() / max(sizes[waves > 0].max(), 1e-300))
 
-    x = R^-1 R^-T A^T b and one correction: A. Bjorck, Linear Algebra and its Applications 88/89 (1987) 31-48. Raises
-    `ConvergenceError` where there are several solutions.
+
+class Factored:
+    """A measured Jacobian; a row that closes it makes the triangle R of their QR (its Q is never made).
+
+    That solves best for any rows: x = R^-1 R^-T A^T b and one correction: A. Bjorck, Linear Algebra and its
+    Applications 88/89 (1987) 31-48.
     """
 
     def __init__(self, matrix: np.ndarray, columns: np.ndarray) -> None:
-        self.known = columns > 0
+        self.known, self.columns = columns > 0, columns
         self.matrix = matrix[:, self.known]
-        (self.triangle,) = scipy.linalg.qr(self.matrix, mode="r", check_finite=False)
-        self.triangle = self.triangle[: self.matrix.shape[1]]
-        sizes = np.abs(np.diag(self.triangle))
+
+    def closed(self, rows: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """The step over w that takes rows to 0, nothing of a time that is given.
+
+        Raises `ConvergenceError` where there are several: a resonance, or a curve that is an orbit.
+        """
+        matrix = np.vstack([self.matrix, (rows * self.columns)[:, self.known]])
+        (triangle,) = scipy.linalg.qr(matrix, mode="r", check_finite=False)
+        triangle = triangle[: matrix.shape[1]]
+        sizes = np.abs(np.diag(triangle))
         if not sizes.min() > DETERMINED * sizes.max():
             raise ConvergenceError(
                 "a torus is not determined there: its rotation number is resonant, or its curve is that of an orbit"
             )
 
-    def step(self, rows: np.ndarray) -> np.ndarray:
-        """The measured step for measured rows, 0 for a time that is given."""
-        found = self._solved(rows)
-        step = np.zeros(self.known.size)
-        step[self.known] = found + self._solved(rows - self.matrix @ found)
-        return step
+        def best(rows: np.ndarray) -> np.ndarray:
+            half = scipy.linalg.solve_triangular(triangle, matrix.T @ rows, trans="T", check_finite=False)
+            return np.asarray(scipy.linalg.solve_triangular(triangle, half, check_finite=False))
 
-    def _solved(self, rows: np.ndarray) -> np.ndarray:
-        half = scipy.linalg.solve_triangular(self.triangle, self.matrix.T @ rows, trans="T", check_finite=False)
-        return np.asarray(scipy.linalg.solve_triangular(self.triangle, half, check_finite=False))
+        def step(rows: np.ndarray) -> np.ndarray:
+            found, whole = best(rows), np.zeros(self.columns.size)
+            whole[self.known] = -(found + best(rows - matrix @ found))
+            return np.asarray(whole * self.columns)
+
+        return step

@@ -1,0 +1,78 @@
+"""kill -9 at random times of what is followed: the same command ends as if it had not been, and repeats nothing."""
+
+import json
+import random
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from orbitfinder.records.journal import read_lines
+
+ROOT = Path(__file__).parents[1]
+RUNS = {
+    "torus": (
+        ["torus", str(ROOT / "results/gallery/henon-heiles-loop/orbit.json"), "--until", "0.2926242", "--no-figures"],
+        "tori/henon-heiles-loop-tori/tori.json",
+    ),
+}
+"""The command of each kind and the file that it makes"""
+
+
+def started(words, folder):
+    """The command, in its folder."""
+    line = [sys.executable, "-m", "orbitfinder", *words]
+    return subprocess.Popen(line, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def lines(path):
+    """How many lines of a journal are whole."""
+    return len(read_lines(path, path.name)[0]) if path.exists() and path.stat().st_size else 0
+
+
+def made(folder, file):
+    """What a file says, but for the time that it took."""
+    return json.loads((folder / file).read_text())
+
+
+@pytest.mark.parametrize("kind", RUNS)
+def test_killed_once(kind, tmp_path):
+    """As soon as the journal has a few lines."""
+    killed(kind, tmp_path, kills=1, seed=0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", RUNS)
+def test_killed_eight_times(kind, tmp_path):
+    """Whenever it comes: while it starts, while it computes, while it writes."""
+    killed(kind, tmp_path, kills=8, seed=1)
+
+
+def killed(kind, tmp_path, kills, seed):
+    words, file = RUNS[kind]
+    calm, rough = tmp_path / "calm", tmp_path / "rough"
+    for folder in (calm, rough):
+        folder.mkdir()
+    began = time.monotonic()
+    assert started(words, calm).wait() == 0
+    longest, rng = time.monotonic() - began, random.Random(seed)
+    journal = (rough / file).with_suffix(".jsonl")
+    seen = 0
+    for turn in range(kills):
+        process = started(words, rough)
+        if turn == 0:
+            while lines(journal) < 4 and process.poll() is None:
+                time.sleep(0.01)
+        else:
+            time.sleep(rng.uniform(0.2, 1.0) * longest)
+        process.kill()
+        process.wait()
+        assert lines(journal) >= seen, "a line was lost"
+        seen = lines(journal)
+    assert seen >= 4
+    before = b"".join(line for line in journal.read_bytes().splitlines(keepends=True) if line.endswith(b"\n"))
+    assert started(words, rough).wait() == 0
+    assert journal.read_bytes().startswith(before), "what was known was computed again"
+    assert made(rough, file) == made(calm, file)
