@@ -15,6 +15,7 @@ from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.critical import discriminant, doubled, levelled, torus_pair
 from orbitfinder.families.curves import curve_start
 from orbitfinder.families.doubling import bending
+from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.records.family import Event, load_family, save_family
 from orbitfinder.show.plot import save_figures, two_parameters
 from orbitfinder.systems import impact_oscillator
@@ -47,6 +48,17 @@ def event_of(family, kind, detail=""):
 @pytest.fixture(scope="module")
 def duffing():
     return of.follow_family(of.load_problem(PROBLEMS / "duffing-resonance.toml"), "frequency", until=2.0, settings=FEW)
+
+
+def test_orbits_along_a_curve_of_folds_are_certified(duffing):
+    """Their equations are all but singular: a gap of 5e-14 is 0.05 of the motion there, so they close to round-off."""
+    curve = of.follow_curve(
+        duffing, event_of(duffing, "fold"), ("force", "frequency"), settings=replace(FEW, points=40)
+    )
+    model = of.load_problem(PROBLEMS / "duffing-resonance.toml").model
+    for point in curve.points[::4]:
+        judged = of.certify(point, with_parameters(model, point.free))
+        assert judged.passed, (point.value, judged.failures)
 
 
 # ---- exact loci ---------------------------------------------------------------------------------------------

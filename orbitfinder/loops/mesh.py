@@ -44,12 +44,18 @@ MOST_STEPS = 6000
 def needs_mesh(curve: Curve, found: Solution) -> bool:
     """Whether the mesh is too coarse, or a segment too unstable, for what is asked of a point."""
     some = _errors(curve, found, SAMPLED)
-    if some.max() > COARSE * STEP_ERROR or _steep(curve, found):
+    allowed = _allowed(curve)
+    if some.max() > COARSE * allowed or _steep(curve, found):
         return True
-    if not _density(some).sum() * SPARE < some.size:
+    if not _density(some, allowed).sum() * SPARE < some.size:
         return False
     errors = _errors(curve, found)
     return bool(wanted_steps(curve, found, errors).sum() < 0.5 * errors.size)
+
+
+def _allowed(curve: Curve) -> float:
+    """Estimated error of a step on a fresh mesh: less where equations are all but singular, as all along a curve."""
+    return STEP_ERROR if curve.test is None else STEP_ERROR / COARSE
 
 
 def _errors(curve: Curve, found: Solution, every: int = 1) -> np.ndarray:
@@ -78,7 +84,7 @@ def _blocks(curve: Curve, found: Solution) -> np.ndarray:
     return np.asarray(blocks)
 
 
-def _density(errors: np.ndarray, allowed: float = STEP_ERROR) -> np.ndarray:
+def _density(errors: np.ndarray, allowed: float) -> np.ndarray:
     """(error / allowed)^(1/8), the number of steps that each present step should become."""
     return np.asarray((errors / allowed) ** 0.125)
 
@@ -89,7 +95,7 @@ def wanted_steps(curve: Curve, found: Solution, errors: np.ndarray) -> np.ndarra
     asked = np.arange(0, errors.size, SAMPLED)
     varied = curve.equations.march.variation_errors(found.march.states, place.mesh, place.tail, units, asked)
     variations = np.repeat(_density(varied, VARIATION_ERROR), SAMPLED)[: errors.size]
-    return np.asarray(np.maximum(_density(errors), variations))
+    return np.asarray(np.maximum(_density(errors, _allowed(curve)), variations))
 
 
 def _spread(density: np.ndarray) -> np.ndarray:
@@ -168,7 +174,7 @@ def regraded(curve: Curve, found: Solution) -> np.ndarray:
     Nodes, and with them the equations, stay as they are: Newton's method can do so on its way.
     """
     place, errors = found.place, _errors(curve, found)
-    if errors.max() < STALE * STEP_ERROR:
+    if errors.max() < STALE * _allowed(curve):
         return place.mesh
     density = _spread(np.maximum(wanted_steps(curve, found, errors), 0.15)).reshape(len(place.nodes), -1)
     needed = density.sum(axis=1)
