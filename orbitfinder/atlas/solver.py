@@ -21,11 +21,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import brentq
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.equations import invariant_gradients
 from orbitfinder.integrate.march import rounded, uniform
+from orbitfinder.loops.condensed import Solver
 from orbitfinder.loops.loop import Equations, Loop, Unknowns
+from orbitfinder.loops.newton import NewtonSettings, chord
 from orbitfinder.loops.problem import Problem, loop_of
 
 FINER = 3
@@ -49,9 +52,8 @@ LARGEST_RATE = 100.0
 """Bound on rates, in units of the guess's root mean square; a step beyond it is not taken."""
 LARGEST_UNFOLDING = 100.0
 """Bound on |s| times the clock (s); values of 10 have been seen to come back, this has left the problem."""
-POLISH_STEPS = 8
-POLISHED = 1e-13
-"""Scaled residual below which the polish stops early."""
+POLISH = NewtonSettings(floor=1e-13, converged=1e-10, agreement=1e-16, most_evaluations=8)
+"""Scaled residuals of the polish."""
 LONGEST, SHORTEST = 0.3, 1e-3
 """Scaled steps along the valley."""
 MOST_CORRECTIONS = 6
@@ -224,24 +226,26 @@ def damped_step(jacobian: np.ndarray, residual: np.ndarray, damping: float) -> n
 
 
 def polished(one: Scaled, w: Unknowns, jacobian: np.ndarray) -> Unknowns:
-    """w to round-off, by chord Newton steps with an accurate residual, on the mesh that it needs."""
-    inverse = np.linalg.pinv(jacobian, rcond=1e-13)
+    """w to round-off, by chord steps with an accurate residual, on the mesh that it needs; `Stalled` above 1e-10."""
     equations = one.loop.equations
+
+    def rows(w: Unknowns, ends: np.ndarray) -> np.ndarray:
+        return np.asarray(one.loop.rows(w, ends) / one.rows)
+
+    def solver(jacobian: np.ndarray) -> Solver:
+        inverse = np.linalg.pinv(jacobian, rcond=1e-13)
+        return lambda rows: -(inverse @ rows) * one.columns
+
+    def renewed(w: Unknowns) -> Solver:
+        matrix = one.loop.linearised(w, equations.varied(w)).matrix()
+        return solver(matrix * one.columns / one.rows[:, None])
+
     w = replace(one, step=one.step / FINER).at(w)
     ends, mesh = equations.march.refined_ends(w.nodes, w.mesh, w.tail, one.units)
     w = replace(w, mesh=mesh)
-    residual = one.loop.rows(w, ends) / one.rows
-    best = float(np.abs(residual).max())
-    for _ in range(POLISH_STEPS):
-        trial = moved(one, w, -inverse @ residual)
-        found = one.loop.rows(trial, equations.ends(trial)) / one.rows
-        size = float(np.abs(found).max())
-        if not size < best:
-            break
-        w, residual, best = trial, found, size
-        if best < POLISHED:
-            break
-    if not best < 1e-10:
+    functions = (lambda w: rows(w, equations.ends(w)), renewed)
+    w, left, *_ = chord(w, rows(w, ends), solver(jacobian), functions, POLISH.floor, POLISH)
+    if not np.abs(left).max() < POLISH.converged:
         raise Stalled(w)
     return w
 
@@ -329,17 +333,14 @@ def bracket(one: Scaled, at: Point) -> tuple[Point, Point, float]:
 
 
 def crossed(one: Scaled, first: Point, second: Point, length: float) -> Point:
-    """The zero of mu between two points, by the Illinois method (M. Dowell, P. Jarratt, BIT 11 (1971) 168-174)."""
-    (low, below), (high, above) = (0.0, first.mu), (length, second.mu)
-    found = second
-    for _ in range(MOST_ROOT_STEPS):
-        if abs(found.mu) < ROUND_OFF or abs(high - low) < 1e-13:
-            break
-        middle = (low * above - high * below) / (above - below)
-        found = corrected(one, first, middle)
-        if found.mu * above < 0:
-            low, below = high, above
-        else:
-            below /= 2
-        high, above = middle, found.mu
-    return found
+    """The zero of mu between two points, `length` apart."""
+    met = {0.0: first, length: second}
+
+    def mu(share: float) -> float:
+        if share not in met:
+            met[share] = corrected(one, first, share)
+        value = met[share].mu
+        return 0.0 if abs(value) < ROUND_OFF else value
+
+    root = brentq(mu, 0.0, length, xtol=1e-13, maxiter=MOST_ROOT_STEPS, disp=False)
+    return met.get(root) or corrected(one, first, root)
