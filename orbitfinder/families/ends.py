@@ -223,8 +223,8 @@ def end_of_failure(run: Run, step: Step, failure: str) -> End:
     if slow and near_saddle(curve, found, state):
         return _homoclinic(curve, found, state, grown, f"; then {failure}")
     if slow and grown > run.settings.longest_period:  # near a saddle-node that is not there yet, say: no canard
-        told = _homoclinic(curve, found, state, grown, f", where no saddle is at this value; {failure}")
-        return replace(told, kind="step underflow")
+        end = _homoclinic(curve, found, state, grown, f", where no saddle is at this value; {failure}")
+        return replace(end, kind="step underflow")
     dead = dead_point(curve.equations.model.system, found.march.states, freed(curve, found.place))
     if dead:
         return End("dead point", f"{dead}, where the coordinates of this family end; {failure}")
@@ -497,7 +497,6 @@ def merged(interval: Interval, at: float, name: str) -> End | None:
     if not mirrored(interval, at):
         return None
     what = f"of period T/{covers}" if covers > 1 else f"of symmetry {seen}"
-    told = {"energy": (parameter_value(curve, found.place, "energy"), " J")}
-    told = {one: (parameter_value(curve, found.place, one), "") for one in curve.equations.physical} or told
-    where = ", ".join(f"{one} {value:.9g}{unit}" for one, (value, unit) in told.items())
+    units = dict.fromkeys(curve.equations.physical, "") or {"energy": " J"}
+    where = ", ".join(f"{name} {parameter_value(curve, found.place, name):.9g}{unit}" for name, unit in units.items())
     return End("merged", f"joins a family {what} at {where}, period {found.place.period:.9g} s")
