@@ -435,7 +435,8 @@ def seconds(what: str, checkout: Path) -> float:
     environment = os.environ | {"PYTHONPATH": str(checkout), "OPENBLAS_NUM_THREADS": "1"}
     if what in ("refine", "find"):
         line = [sys.executable, "-c", TIMED, str(checkout), what]
-        return float(subprocess.run(line, env=environment, capture_output=True, text=True, check=True).stdout)
+        done = subprocess.run(line, env=environment, cwd=checkout, capture_output=True, text=True, check=True)
+        return float(done.stdout)
     with tempfile.TemporaryDirectory() as folder:
         before = os.times()
         if what == "family":

@@ -61,3 +61,26 @@ def test_little_work_stays_in_one_lane(step, monkeypatch):
     monkeypatch.setattr(parallel, "LANES", 4)
     assert parallel._lanes(step, 8, 1) == 1
     assert parallel._lanes(step, 8, 10_000) == 4 and parallel._lanes(step, 2, 10_000) == 2
+
+
+@pytest.mark.parametrize("links", [3, 9])
+def test_variations_are_those_of_the_field(links):
+    """By columns of differences, whether the product with df/dx is written out (to 16 states) or sparse (beyond)."""
+    field, random = build_flow(chain(links)).field, np.random.default_rng(1)
+    size, extra = 2 * links, field.size1_in(2) + field.size1_in(3)
+    x, columns = random.normal(size=size), random.normal(size=(size, size + extra))
+    tail = [random.normal(size=field.size1_in(k)) for k in (2, 3)]
+    found = variational_field(field)(0.1, np.concatenate([x, columns.ravel("F")]), *tail).full().ravel()
+    rates, moving = found[:size], found[size : size + columns.size].reshape(columns.shape, order="F")
+    np.testing.assert_array_equal(rates, field(0.1, x, *tail).full().ravel())
+    for k in range(size + extra):
+        ends = []
+        for sign in (-1, 1):
+            h = sign * 1e-6
+            moved = [x + h * columns[:, k], *tail]
+            if k >= size:
+                own, place = (1, k - size) if k - size < tail[0].size else (2, k - size - tail[0].size)
+                moved[own] = moved[own] + h * np.eye(moved[own].size)[place]
+            ends.append(field(0.1, *moved).full().ravel())
+        slope = (ends[1] - ends[0]) / 2e-6
+        assert moving[:, k] == pytest.approx(slope, rel=1e-6, abs=1e-6 * np.abs(slope).max())

@@ -159,7 +159,9 @@ def _with_columns(slopes: ca.Function, size: int, extra: int) -> ca.Function:
     whole = ca.MX.sym("whole", end + slopes.size1_out(3))
     columns = ca.reshape(whole[size:end], size, size + extra)
     rate, matrix, forcing, added = slopes(t, whole[:size], s, free)
-    moving = ca.densify(matrix) @ columns + ca.horzcat(ca.MX(size, size), forcing)
+    if size <= WIDE:
+        matrix = ca.densify(matrix)
+    moving = ca.densify(matrix @ columns + ca.horzcat(ca.MX(size, size), forcing))
     return ca.Function("variations", [t, whole, s, free], [ca.vertcat(rate, ca.vec(moving), added)], NOT_INLINED)
 
 
