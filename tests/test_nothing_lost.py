@@ -18,6 +18,8 @@ from conftest import database
 import orbitfinder as of
 from orbitfinder._runtime import keeping, limit
 from orbitfinder.cli.group import cli
+from orbitfinder.continuation import follow as driver
+from orbitfinder.continuation.problem import solved
 from orbitfinder.errors import InputError
 from orbitfinder.records.controller import load_controller
 from orbitfinder.records.family import load_family
@@ -62,9 +64,7 @@ def sure(certificate):
 
 @pytest.mark.parametrize("how", STOPS)
 def test_tori_that_were_found_stay(tmp_path, monkeypatch, how):
-    from orbitfinder.families import tori
-
-    stopped_at(monkeypatch, tori, "_stepped", 2, how)
+    stopped_at(monkeypatch, driver, "advanced", 2, how)
     done = ran("torus", LOOP, "--until", "0.2071", "--limit", 3600, "-o", tmp_path)
     file = tmp_path / "henon-heiles-loop-tori" / "tori.json"
     assert done.exit_code == CODES[how] and SAID[how] in done.stderr, done.output
@@ -168,17 +168,31 @@ def test_a_section_of_a_hybrid_system_can_be_read_again(tmp_path):
 
 
 def test_the_file_of_an_earlier_run_is_not_written_over_by_less(tmp_path, monkeypatch):
-    from orbitfinder.families import tori
-
     words = ("torus", LOOP, "--no-figures", "-o", tmp_path, "--points")
     assert ran(*words, 3).exit_code == 0
     file = tmp_path / "henon-heiles-loop-tori" / "tori.json"
     before = file.read_bytes()
-    stopped_at(monkeypatch, tori, "_stepped", 2, signal.SIGINT)
+    monkeypatch.setattr(driver, "read_lines", lambda path, what: None)  # without its journal it begins anew
+    stopped_at(monkeypatch, driver, "advanced", 2, signal.SIGINT)
     done = ran(*words, 9)
     beside = file.with_name("tori-stopped.json")
     assert f"is kept in {beside}" in done.stderr and len(load_tori(beside).tori) == 2
     assert file.read_bytes() == before
+
+
+@pytest.mark.parametrize("how", STOPS)
+def test_stopped_tori_go_on(tmp_path, monkeypatch, how):
+    """From where the signal came or the time was over: the same command ends with the file of an undisturbed run."""
+    words = ("torus", LOOP, "--no-figures", "--points", 5, "-o")
+    assert ran(*words, tmp_path / "calm").exit_code == 0
+    with monkeypatch.context() as patch:
+        stopped_at(patch, driver, "advanced", 3, how)
+        assert ran(*words, tmp_path / "stopped", "--limit", 3600).exit_code == CODES[how]
+    solves = []
+    monkeypatch.setattr(driver, "solved", lambda *given: (solves.append(1), solved(*given))[1])
+    assert ran(*words, tmp_path / "stopped").exit_code == 0 and len(solves) == 2
+    calm, stopped = (tmp_path / one / "henon-heiles-loop-tori" / "tori.json" for one in ("calm", "stopped"))
+    assert calm.read_bytes() == stopped.read_bytes()
 
 
 def test_nothing_finished_is_said(tmp_path, monkeypatch):
