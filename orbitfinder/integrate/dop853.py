@@ -23,8 +23,8 @@ from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.evaluate import Buffered
 
 VectorField = Callable[[float, np.ndarray], np.ndarray]
-TOGETHER = (64, 1024)
-"""States whose rates are evaluated in one call, where many are wanted and where very many are."""
+TOGETHER, MANY = (64, 1024), 640
+"""States whose rates are evaluated in one call, where some are wanted and where more than so many are."""
 
 
 @dataclass(frozen=True)
@@ -75,14 +75,17 @@ def vector_field(function: ca.Function, free: np.ndarray | None = None) -> Vecto
     def many(times: np.ndarray, states: np.ndarray) -> np.ndarray:
         if len(times) == 1:
             return call(times[0], states[0])[None]
-        size = TOGETHER[len(times) > TOGETHER[1]]
+        size = TOGETHER[len(times) > MANY]
         if size not in mapped:
             mapped[size] = Buffered(dense.map(size))
-        filled = -(-len(times) // size) * size  # whole blocks, the last one padded with the last state
-        clock = np.pad(times, (0, filled - len(times)), mode="edge")[:, None]
-        padded = np.pad(states, ((0, filled - len(times)), (0, 0)), mode="edge")
-        blocks = (slice(k, k + size) for k in range(0, filled, size))
-        return np.vstack([mapped[size](clock[block], padded[block], *given)[0] for block in blocks])[: len(times)]
+        found = np.empty((len(times), rate.size))
+        for k in range(0, len(times), size):
+            block = slice(k, k + size)
+            clock, some = times[block, None], states[block]
+            if len(some) < size:  # the last block is filled with the last state
+                clock, some = (np.concatenate([one, np.repeat(one[-1:], size - len(some), 0)]) for one in (clock, some))
+            found[block] = mapped[size](clock, some, *given)[0][: len(times) - k]
+        return found
 
     call.keep = (dense, buffer)  # type: ignore[attr-defined]  # or both are freed under the evaluation
     call.memory = (time, state, rate, evaluate)  # type: ignore[attr-defined]
@@ -103,7 +106,7 @@ def scaled(field: VectorField, units: np.ndarray) -> VectorField:
             time[0] = t
             np.multiply(y, units, state)
             evaluate()
-            return np.asarray(rate / units)
+            return rate / units  # type: ignore[no-any-return]
 
     rates, together = rates_of(field)
     call.many = lambda times, states: rates(times, states * units) / units  # type: ignore[attr-defined]
@@ -144,18 +147,16 @@ class _Steps:
     unchecked: int = 0
     """evaluations before the limit of time is looked at again"""
 
-    def rate(self, t: float, y: np.ndarray) -> np.ndarray:
-        """The field, NaN where it raises."""
-        try:
-            self.unchecked -= 1
-            if self.unchecked < 0:
-                limit.check()
-                self.unchecked = EVALUATIONS_PER_STEP
-            return self.function(t, y)
-        except BaseException as error:
-            self.errors.append(error)
-            self.function = _nowhere  # for good, or DOP853 would try a shorter step
-            return _nowhere(t, y)
+    def failed(self, error: BaseException, t: float, y: np.ndarray) -> np.ndarray:
+        """NaN from now on, or DOP853 would try a shorter step."""
+        self.errors.append(error)
+        self.function = _nowhere
+        return _nowhere(t, y)
+
+    def check(self) -> None:
+        """Look at the limit of time, once in a step or so."""
+        limit.check()
+        self.unchecked = EVALUATIONS_PER_STEP
 
     def accepted(self, t: float, y: np.ndarray) -> int:
         """Note a step; -1 ends the integration."""
@@ -253,7 +254,14 @@ _under_way = threading.local()
 
 
 def _rate(t: float, y: np.ndarray) -> np.ndarray:
-    return _under_way.steps.rate(t, y)  # type: ignore[no-any-return]
+    steps: _Steps = _under_way.steps
+    try:
+        steps.unchecked -= 1
+        if steps.unchecked < 0:
+            steps.check()
+        return steps.function(t, y)
+    except BaseException as error:
+        return steps.failed(error, t, y)
 
 
 def _accepted(t: float, y: np.ndarray) -> int:

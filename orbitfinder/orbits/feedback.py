@@ -9,10 +9,8 @@ multipliers of the nonlinear closed loop, integrated with its variations from th
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from typing import Any
 
 import casadi as ca
@@ -28,6 +26,7 @@ from orbitfinder.mechanics.catalogue import REBUILDABLE, build_model
 from orbitfinder.mechanics.controls import TORQUE, Limits, checked_limits
 from orbitfinder.mechanics.model import Model, vector_field
 from orbitfinder.orbits.closure import extents_of, shift
+from orbitfinder.orbits.measure import versions
 from orbitfinder.orbits.riccati import periodic
 from orbitfinder.orbits.transverse import EFFORT, STEPS, Reference, authority
 from orbitfinder.records.controller import Controller
@@ -287,8 +286,7 @@ def _check_limits(controller: Controller) -> None:
 def _provenance(orbit: Orbit) -> dict[str, Any]:
     return {
         "orbitfinder": __version__,
-        **{name: version(name) for name in ("casadi", "numpy", "scipy")},
-        "python": platform.python_version(),
+        **versions(),
         "orbit": {"name": orbit.name, "period": orbit.period, "record": orbit.record},
     }
 
