@@ -158,18 +158,23 @@ def test_more_is_asked_for(tmp_path):
 
 
 def test_a_curve_that_ends(tmp_path):
-    """p = sqrt(x) ends at x = 0; what ended is not tried again."""
+    """p = sqrt(x) ends at x = 0; what ended is not tried again, also where other values are asked for meanwhile."""
+    calls = []
 
     def function(w):
+        calls.append(1)
         x, p = w
         return np.array([p - np.sqrt(x)]), np.array([[-0.5 / np.sqrt(x), 1.0]])
 
-    start = Plain(function, ("x", "p")), np.array([1.0, 1.0]), np.array([-1.0, -1.0])
+    start, tries = (Plain(function, ("x", "p")), np.array([1.0, 1.0]), np.array([-1.0, -1.0])), []
     with np.errstate(all="ignore"):
-        curve, first = whole(start, Goals("p"), Pace(points=400), tmp_path / "root.jsonl")
-        again, second = whole(start, Goals("p"), Pace(points=400), tmp_path / "root.jsonl")
-    assert curve.end.kind == "step underflow" and again.end == curve.end and 0 < curve.points[-1].record[0] < 0.01
-    assert first.solves > 3 and second.solves == 0
+        for at in ((), (), (0.5,), (0.5,)):
+            calls.clear()
+            curve, _ = whole(start, Goals("p", at=at), Pace(points=400), tmp_path / "root.jsonl")
+            tries.append(len(calls))
+            assert curve.end.kind == "step underflow" and 0 < curve.points[-1].record[0] < 0.01
+            assert [one.record[0] for one in curve.points if one.role == "at"] == pytest.approx([0.25] * len(at))
+    assert tries[0] > 100 and tries[1] == 0 and 0 < tries[2] < 20 and tries[3] == 0
 
 
 def test_a_journal_that_was_edited_is_refused(tmp_path):

@@ -268,7 +268,7 @@ def follow(
                 trace.add(end=curve.end)
             return
         if fresh:
-            trace.add(at=fresh)
+            trace.add(at=fresh, end=trace.end)
         met = bool(points) and points[-1].role == "end"
         reach = points[-1].point.arclength if met else after.arclength
         points += [] if met else [trace.steps[index]]

@@ -5,8 +5,8 @@ A problem says its rows, what they change by, and what lengths along its solutio
     <a, b> = sum_k m_k a_k b_k,    m the problem's metric over w
 
 Where a symmetry moves solutions among themselves its phases are fixed, to those of the guess. One aim more closes it:
-a plane across the tangent, or a quantity that has a value. Rows and unknowns may have any
-units; the metric is what makes a length of them, and rows are compared with 1.
+a plane across the tangent, or a quantity that has a value. Unknowns may have any units, of which the metric makes
+lengths; rows are compared with 1.
 """
 
 from __future__ import annotations

@@ -338,7 +338,7 @@ def _motion(curve: Curve, found: Solution) -> CubicHermiteSpline:
     """The states over the whole period."""
     times, states = full_samples(curve, found, 4 * SAMPLES)
     tail = np.concatenate([[times[-1]], np.zeros(curve.equations.march.unfolding), curve.equations.numbers])
-    return CubicHermiteSpline(times, states, curve.equations.march.rates(states, tail))
+    return CubicHermiteSpline(times, states, curve.equations.march.rates(states, tail, times))
 
 
 def _symmetric_instant(curve: Curve, motion: CubicHermiteSpline, symmetry: Symmetry) -> float:
