@@ -1,7 +1,10 @@
 """The driver follows anything that is F(w) = 0: a circle, a two-point boundary value problem, fixed points of a map."""
 
+from __future__ import annotations
+
 import json
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +12,90 @@ import pytest
 from scipy.optimize import brentq
 
 from orbitfinder.continuation.follow import Curve, Goals, Pace, Trace, follow, rise, towards
-from orbitfinder.continuation.problem import Coordinates, Plain, Point, plane, solved
-from orbitfinder.errors import InputError
+from orbitfinder.continuation.problem import Linear, Point, Solver, plane, solved
+from orbitfinder.errors import ConvergenceError, InputError
+from orbitfinder.loops.newton import NewtonSettings
 
 PACE = Pace(first=0.1, longest=0.3, points=40)
+
+
+CORRECTOR = NewtonSettings(floor=1e-13, converged=1e-9, agreement=1e-16)
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinates:
+    """Unknowns that are no more than numbers."""
+
+    vector: np.ndarray
+
+    def moved(self, step: np.ndarray) -> Coordinates:
+        """Their sum with a step."""
+        return Coordinates(self.vector + step)
+
+
+@dataclass(frozen=True, eq=False)
+class Dense:
+    """A Linear that is a matrix."""
+
+    matrix: np.ndarray
+
+    def closed(self, rows: np.ndarray) -> Solver:
+        """The square system's, or of more rows than unknowns the one of least squares."""
+        whole = np.vstack([self.matrix, rows])
+
+        def step(rows: np.ndarray) -> np.ndarray:
+            try:
+                square = whole.shape[0] == whole.shape[1]
+                return -(np.linalg.solve(whole, rows) if square else np.linalg.lstsq(whole, rows, rcond=None)[0])
+            except np.linalg.LinAlgError as error:
+                raise ConvergenceError("the equations are singular there") from error
+
+        return step
+
+
+@dataclass(frozen=True, eq=False)
+class Plain:
+    """A problem of a few numbers: `function(w)` gives its rows and their derivatives, `names` are those of w."""
+
+    function: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+    names: tuple[str, ...]
+    settings: NewtonSettings = CORRECTOR
+
+    def rows(self, w: Coordinates) -> np.ndarray:
+        """F(w)."""
+        return np.asarray(self.function(w.vector)[0])
+
+    def linearise(self, w: Coordinates) -> tuple[np.ndarray, Linear]:
+        """F(w) and its derivatives."""
+        rows, slopes = self.function(w.vector)
+        return np.asarray(rows), Dense(np.asarray(slopes))
+
+    def phases(self, w: Coordinates) -> np.ndarray:
+        """None."""
+        return np.zeros((0, w.vector.size))
+
+    def metric(self, w: Coordinates) -> np.ndarray:
+        """Of Euclid."""
+        return np.ones(w.vector.size)
+
+    def value(self, w: Coordinates, name: str) -> float:
+        """One of the unknowns."""
+        return float(w.vector[self.names.index(name)])
+
+    def aim(self, w: Coordinates, name: str, value: float) -> tuple[float, np.ndarray]:
+        """It less a value."""
+        row = np.zeros(w.vector.size)
+        row[self.names.index(name)] = 1.0
+        return self.value(w, name) - value, row
+
+    def at(self, w: Coordinates, tangent: np.ndarray) -> tuple[Plain, Coordinates, np.ndarray]:
+        """The same everywhere."""
+        return self, w, tangent
+
+    def carried(self, w: Coordinates, onto: Coordinates) -> Coordinates:
+        """Itself: there is one mesh."""
+        assert w.vector.size == onto.vector.size
+        return w
 
 
 class Numbers:

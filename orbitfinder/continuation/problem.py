@@ -21,8 +21,6 @@ import numpy as np
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.loops.newton import NewtonSettings, chord
 
-CORRECTOR = NewtonSettings(floor=1e-13, converged=1e-9, agreement=1e-16)
-"""How a problem of a few numbers is solved"""
 Solver = Callable[[np.ndarray], np.ndarray]
 """The step -A^-1 rows over w, A the derivatives of all rows with an aim's last"""
 
@@ -132,79 +130,3 @@ def _tangent(solver: Solver, rows: int, metric: np.ndarray) -> np.ndarray:
     last[-1] = -1.0
     tangent = solver(last)
     return np.asarray(tangent / np.sqrt(float(tangent @ (metric * tangent))))
-
-
-@dataclass(frozen=True, eq=False)
-class Coordinates:
-    """Unknowns that are no more than numbers."""
-
-    vector: np.ndarray
-
-    def moved(self, step: np.ndarray) -> Coordinates:
-        """Their sum with a step."""
-        return Coordinates(self.vector + step)
-
-
-@dataclass(frozen=True, eq=False)
-class Dense:
-    """A Linear that is a matrix."""
-
-    matrix: np.ndarray
-
-    def closed(self, rows: np.ndarray) -> Solver:
-        """The square system's, or of more rows than unknowns the one of least squares."""
-        whole = np.vstack([self.matrix, rows])
-
-        def step(rows: np.ndarray) -> np.ndarray:
-            try:
-                square = whole.shape[0] == whole.shape[1]
-                return -(np.linalg.solve(whole, rows) if square else np.linalg.lstsq(whole, rows, rcond=None)[0])
-            except np.linalg.LinAlgError as error:
-                raise ConvergenceError("the equations are singular there") from error
-
-        return step
-
-
-@dataclass(frozen=True, eq=False)
-class Plain:
-    """A problem of a few numbers: `function(w)` gives its rows and their derivatives, `names` are those of w."""
-
-    function: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-    names: tuple[str, ...]
-    settings: NewtonSettings = CORRECTOR
-
-    def rows(self, w: Coordinates) -> np.ndarray:
-        """F(w)."""
-        return np.asarray(self.function(w.vector)[0])
-
-    def linearise(self, w: Coordinates) -> tuple[np.ndarray, Linear]:
-        """F(w) and its derivatives."""
-        rows, slopes = self.function(w.vector)
-        return np.asarray(rows), Dense(np.asarray(slopes))
-
-    def phases(self, w: Coordinates) -> np.ndarray:
-        """None."""
-        return np.zeros((0, w.vector.size))
-
-    def metric(self, w: Coordinates) -> np.ndarray:
-        """Of Euclid."""
-        return np.ones(w.vector.size)
-
-    def value(self, w: Coordinates, name: str) -> float:
-        """One of the unknowns."""
-        return float(w.vector[self.names.index(name)])
-
-    def aim(self, w: Coordinates, name: str, value: float) -> tuple[float, np.ndarray]:
-        """It less a value."""
-        row = np.zeros(w.vector.size)
-        row[self.names.index(name)] = 1.0
-        return self.value(w, name) - value, row
-
-    def at(self, w: Coordinates, tangent: np.ndarray) -> tuple[Plain, Coordinates, np.ndarray]:
-        """The same everywhere."""
-        return self, w, tangent
-
-    def carried(self, w: Coordinates, onto: Coordinates) -> Coordinates:
-        """Itself: there is one mesh."""
-        assert w.vector.size == onto.vector.size
-        return w
