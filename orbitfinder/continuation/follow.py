@@ -1,7 +1,9 @@
-"""Pseudo-arclength continuation of anything that is F(w) = 0: predict, correct, step on or halve, locate what is asked.
+"""Following anything, one step after another; and pseudo-arclength continuation of anything that is F(w) = 0.
 
-Source: H. B. Keller, Numerical solution of bifurcation and nonlinear eigenvalue problems, in Applications of
-Bifurcation Theory (1977). What is followed is a `ContinuationProblem`; nothing here knows what it describes.
+`walked` is the driver of everything that is followed: it asks a `Walk` for steps, halves those that fail, and ends.
+`follow` is the walk along a `ContinuationProblem`: predict, correct, step on, locate what is asked. Source: H. B.
+Keller, Numerical solution of bifurcation and nonlinear eigenvalue problems, in Applications of Bifurcation Theory
+(1977). Nothing here knows what is followed.
 
 Every step is a line of a journal, and the same request goes on where it stopped. What is asked for may change: more
 points, a farther end, other values. What the journal has is read and not solved again; what is no longer asked for
@@ -13,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from scipy.optimize import brentq
 
@@ -27,6 +29,78 @@ from orbitfinder.records.reading import typed
 FORMAT, VERSION = "orbitfinder/journal", 1
 LOCATED, LOOKS = 1e-12, 60
 """An event is located to this share of a step, in so many looks at most"""
+
+
+class Block(Protocol):
+    """What some steps add to what is followed."""
+
+    @property
+    def end(self) -> End | None:
+        """Why there are no more."""
+
+
+B = TypeVar("B", bound=Block, covariant=True)
+
+
+class Walk(Protocol[B]):
+    """How something is followed in one direction: it knows where it stands, at first after the steps known already."""
+
+    def taken(self) -> int:
+        """How many steps it has taken."""
+
+    def approach(self) -> tuple[float, End | None]:
+        """The length of the next step, and why there is none where it ends."""
+
+    def advance(self, length: float) -> B:
+        """On by a step of this length, and by more where they come together.
+
+        Raises `ConvergenceError` or `IntegrationError` where it is too long, and stands where it stood.
+        """
+
+    def shortest(self) -> float:
+        """Where a step fails that is shorter, none leads on."""
+
+    def failed(self, reason: str) -> B:
+        """What there is where no step leads on: an end, or somewhere else to go on from."""
+
+    def ended(self, end: End) -> B:
+        """A block of no step but the end."""
+
+
+def walked(walk: Walk[B], most: int) -> Iterator[B]:
+    """The blocks of a walk until it ends, at the latest after so many steps."""
+    while True:
+        limit.check()
+        length, end = (0.0, point_limit(most)) if walk.taken() >= most else walk.approach()
+        block = _advanced(walk, length) if end is None else walk.ended(end)
+        yield block
+        if block.end is not None:
+            return
+
+
+def _advanced(walk: Walk[B], length: float) -> B:
+    """On by as short a step as it takes."""
+    while True:
+        try:
+            return walk.advance(length)
+        except (ConvergenceError, IntegrationError) as error:
+            length /= 2
+            if length < walk.shortest():
+                return walk.failed(str(error))
+
+
+def point_limit(most: int) -> End:
+    """The end of what has as many points as were asked for."""
+    return End("point limit", f"{plural(most, 'point')} {'was' if most == 1 else 'were'} asked for")
+
+
+def zero(value: Callable[[float], float], low: float, high: float, tolerance: float) -> float:
+    """Where a function that changes its sign between two lengths vanishes, by Brent's method.
+
+    Round-off may keep the last bracket wider than asked for.
+    """
+    return float(brentq(value, low, high, xtol=tolerance, rtol=1e-14, maxiter=LOOKS, disp=False))
+
 
 Test = Callable[[Point], float]
 """What vanishes at an event, and changes its sign there"""
@@ -154,8 +228,7 @@ def located(before: Point, after: Point, test: Test) -> Point:
     def at(share: float) -> Point:
         return ends[share] if share in ends else advanced(before, share).sharp
 
-    root = float(brentq(lambda share: test(at(share)), 0.0, length, xtol=LOCATED * length, maxiter=LOOKS, disp=False))
-    return at(root)
+    return at(zero(lambda share: test(at(share)), 0.0, length, LOCATED * length))
 
 
 @dataclass(frozen=True)
@@ -212,18 +285,20 @@ class Trace:
     def add(
         self, step: Kept | None = None, events: Sequence[Kept] = (), at: Sequence[tuple[float, Kept]] = (),
         end: End | None = None,
-    ) -> None:  # fmt: skip
+    ) -> _Line:  # fmt: skip
         """What was found, as a line."""
         if step is not None:
             self.steps.append(step)
             self.events.append(list(events))
         self.at, self.end = [*self.at, *at], end
-        if self.path is not None:
-            line = _Line(
-                tuple((value, self._entry(one)) for value, one in at),
-                tuple((one.role, self._entry(one)) for one in events), None if step is None else self._entry(step), end,
-            )  # fmt: skip
-            append_line(self.path, plain(line))
+        if self.path is None:
+            return _Line(end=end)
+        line = _Line(
+            tuple((value, self._entry(one)) for value, one in at),
+            tuple((one.role, self._entry(one)) for one in events), None if step is None else self._entry(step), end,
+        )  # fmt: skip
+        append_line(self.path, plain(line))
+        return line
 
     def _entry(self, one: Kept) -> Mapping[str, Any]:
         return self.keeping.write(one.point, one.record)
@@ -253,13 +328,12 @@ def follow(
         trace.add(trace.kept("step", begin()))
     curve.points.append(trace.steps[0])
     yield trace.steps[0]
+    ahead = walked(_Arclength(trace, goals, pace, tests or {}), pace.points)
     for index in range(1, pace.points):
-        limit.check()
         try:
-            if index == len(trace.steps):
-                if trace.end is not None:
-                    raise ConvergenceError(trace.end.reason)
-                _step(trace, goals, pace, tests or {})
+            end = trace.end or next(ahead).end if index == len(trace.steps) else None
+            if end is not None:
+                raise ConvergenceError(end.reason)
             before, after = (one.point for one in trace.steps[index - 1 : index + 1])
             points, fresh = trace.exactly(before, after, goals)
         except (ConvergenceError, IntegrationError) as error:
@@ -278,29 +352,46 @@ def follow(
         if met:
             curve.end = End("target", f"reached {goals.name} = {goals.until!r}")
             return
-    curve.end = End("point limit", f"{plural(pace.points, 'point')} {'was' if pace.points == 1 else 'were'} asked for")
+    curve.end = point_limit(pace.points)
 
 
-def _step(trace: Trace, goals: Goals, pace: Pace, tests: Mapping[str, Test]) -> None:
-    """The next point of a trace and what lies before it, by as short a step as it takes.
+@dataclass(frozen=True, eq=False)
+class _Arclength:
+    """The walk along the solutions of a `ContinuationProblem`, of which a trace holds all."""
 
-    Raises the last error of a step that is too short.
-    """
-    point = trace.steps[-1].point
-    length = point.step or pace.first
-    while True:
-        try:
-            after = advanced(point, length, pace.bend)
-            problem, w, tangent = after.problem.at(after.w, after.tangent)
-            after = replace(after, problem=problem, w=w, tangent=tangent, step=pace.next(length, after.iterations))
-            _, fresh = trace.exactly(point, after, goals)
-            crossed = [(name, test) for name, test in tests.items() if test(point.sharp) * test(after.sharp) < 0]
-            events = [trace.kept(name, located(point, after, test)) for name, test in crossed]
-        except (ConvergenceError, IntegrationError) as error:
-            length /= 2
-            if length < pace.shortest:
-                raise ConvergenceError(str(error)) from error
-            continue
+    trace: Trace
+    goals: Goals
+    pace: Pace
+    tests: Mapping[str, Test]
+
+    @property
+    def point(self) -> Point:
+        return self.trace.steps[-1].point
+
+    def taken(self) -> int:
+        return len(self.trace.steps)
+
+    def approach(self) -> tuple[float, End | None]:
+        return self.point.step or self.pace.first, None
+
+    def shortest(self) -> float:
+        return self.pace.shortest
+
+    def advance(self, length: float) -> _Line:
+        """By one step, with what lies before its end."""
+        point = self.point
+        after = advanced(point, length, self.pace.bend)
+        problem, w, tangent = after.problem.at(after.w, after.tangent)
+        step = self.pace.next(length, after.iterations)
+        after = replace(after, problem=problem, w=w, tangent=tangent, step=step)
+        _, fresh = self.trace.exactly(point, after, self.goals)
+        crossed = [(name, test) for name, test in self.tests.items() if test(point.sharp) * test(after.sharp) < 0]
+        events = [self.trace.kept(name, located(point, after, test)) for name, test in crossed]
         events.sort(key=lambda one: one.point.arclength)
-        trace.add(trace.kept("step", after), events, fresh)
-        return
+        return self.trace.add(self.trace.kept("step", after), events, fresh)
+
+    def failed(self, reason: str) -> _Line:
+        return self.trace.add(end=End("step underflow", reason))
+
+    def ended(self, end: End) -> _Line:
+        return _Line(end=end)

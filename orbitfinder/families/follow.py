@@ -14,7 +14,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from orbitfinder.errors import ConvergenceError, IntegrationError, plural
+from orbitfinder.continuation.follow import walked
+from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.changes import first_lost, test_of
 from orbitfinder.families.codimension_two import find_special, left_circle
 from orbitfinder.families.ends import approach, end_at, end_of_failure, merged, returned, shortest_step
@@ -48,36 +49,34 @@ def follow(run: Run, done: Sequence[FamilyPoint] = ()) -> Iterator[Batch]:
 
     `done` are the steps already taken in this direction (from a journal); the run goes on after them.
     """
-    run, step = step_at(run, [run.origin, *done])
-    while True:
-        if step.point.index >= run.settings.points:
-            asked = f"{plural(most := run.settings.points, 'point')} {'was' if most == 1 else 'were'} asked for"
-            yield Batch(run.direction, end=End("point limit", asked))
-            return
-        try:
-            step, batch = next_step(run, step)
-        except (ConvergenceError, IntegrationError) as error:
-            yield Batch(run.direction, end=end_of_failure(run, step, str(error)))
-            return
-        run = replace(run, curve=step.curve)
-        yield batch
-        if batch.end is not None:
-            return
+    return walked(_Walk(run, done), run.settings.points)
 
 
-def next_step(run: Run, before: Step) -> tuple[Step, Batch]:
-    """The next point, by as short a step as it takes. Raises the last error when the step underflows."""
-    length, ended = approach(run, before, before.point.step)
-    if ended is not None:
-        return before, Batch(run.direction, end=ended)
-    while True:
-        try:
-            return _attempt(run, before, length)
-        except (ConvergenceError, IntegrationError) as error:
-            length *= 0.5
-            least = shortest_step(run, before)
-            if length < least:
-                raise ConvergenceError(f"step below {least:g}: {error}") from error
+class _Walk:
+    """The walk along a family: the run, in the scales that hold where it stands, and its last step."""
+
+    def __init__(self, run: Run, done: Sequence[FamilyPoint]) -> None:
+        self.run, self.last = step_at(run, [run.origin, *done])
+
+    def taken(self) -> int:
+        return self.last.point.index
+
+    def approach(self) -> tuple[float, End | None]:
+        return approach(self.run, self.last, self.last.point.step)
+
+    def shortest(self) -> float:
+        return shortest_step(self.run, self.last)
+
+    def advance(self, length: float) -> Batch:
+        self.last, batch = _attempt(self.run, self.last, length)
+        self.run = replace(self.run, curve=self.last.curve)
+        return batch
+
+    def failed(self, reason: str) -> Batch:
+        return self.ended(end_of_failure(self.run, self.last, f"step below {self.shortest():g}: {reason}"))
+
+    def ended(self, end: End) -> Batch:
+        return Batch(self.run.direction, end=end)
 
 
 def _attempt(run: Run, before: Step, length: float) -> tuple[Step, Batch]:

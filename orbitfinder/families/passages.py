@@ -13,8 +13,9 @@ from itertools import pairwise
 from math import gcd
 
 import numpy as np
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import minimize_scalar
 
+from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.run import Interval, Sample, ahead, is_real, real_indices
 from orbitfinder.families.stability import matching
@@ -93,7 +94,7 @@ def located(interval: Interval, measure: Measure, low: float, high: float) -> Sa
     ends = [value(low), value(high)]
     if ends[0] * ends[1] >= 0:  # within round-off of one end
         return interval.sample((low, high)[int(abs(ends[1]) < abs(ends[0]))])
-    sample = interval.sample(_zero(value, low, high))
+    sample = interval.sample(zero(value, low, high, LOCATION))
     if interval.crossed(sample):
         with suppress(ConvergenceError, IntegrationError):  # as of a step that is too short to look beyond
             return _across(interval, measure, sample)
@@ -117,18 +118,13 @@ def _across(interval: Interval, measure: Measure, near: Sample) -> Sample:
     before, after = measure(low), measure(high)
     if not before * after < 0:
         return near
-    found = sample(_zero(value, 0.0, about.length))
+    found = sample(zero(value, 0.0, about.length, LOCATION))
     straight = low.distance + (high.distance - low.distance) * before / (before - after)
     vanishes = abs(measure(found)) < STRAIGHT * (abs(before) + abs(after))
     if not (vanishes and abs(found.distance - straight) < STRAIGHT * about.length):
         return near  # between them orbits of the other family were met
     interval.seen[found.distance] = found
     return found
-
-
-def _zero(value: Callable[[float], float], low: float, high: float) -> float:
-    """Where a function of arclength vanishes; round-off may keep the last bracket wider than asked for."""
-    return float(brentq(value, low, high, xtol=LOCATION, rtol=1e-14, maxiter=60, disp=False))
 
 
 @dataclass(frozen=True)
