@@ -34,7 +34,7 @@ from orbitfinder.mechanics.chain import chain
 from orbitfinder.orbits.evidence import ClosureCheck, tour
 from orbitfinder.orbits.floquet import judged
 from orbitfinder.orbits.measure import multipliers
-from orbitfinder.records.family import load_family, read_journal
+from orbitfinder.records.family import family_to_document, load_family, plain, read_journal
 
 DATA = Path(__file__).parent / "data"
 FAMILIES = Path(__file__).parents[1] / "results" / "families"
@@ -329,6 +329,28 @@ def test_torn_line_is_dropped(tmp_path):
     again = follow_family(mode_problem(chain(1), 1), points=6, out=tmp_path, settings=settings)
     assert [p.period for p in again.points] == pytest.approx([p.period for p in first.points], abs=1e-10)
     assert curve_of(kept.header["curve"], chain(1), settings).equations.symmetry.name == "brake+reflection"
+
+
+def told(family):
+    """What a family says, but for the time that it took."""
+    document = family_to_document(family)
+    points = [{key: value for key, value in one.items() if key != "wall_time"} for one in document.pop("points")]
+    return json.loads(json.dumps(plain([document, points])))
+
+
+@pytest.mark.parametrize("stops", [(-3.0, -1.0), (-3.0, None), (None, -3.0), (-1.0, -3.0), (-3.0, -3.0)])
+def test_goes_on_to_another_end(stops, tmp_path):
+    """Farther or less far: what is known stays as it is, to the last bit, and is not computed again."""
+    ask = {"points": 12, "settings": FamilySettings(directions="forward"), "at": (-3.5,)}
+    problem, steps = mode_problem(chain(1), 1), []
+    follow_family(problem, out=tmp_path / "on", until=stops[0], **ask)
+    (journal,) = (tmp_path / "on").glob("*/family.jsonl")
+    known = journal.read_bytes().splitlines()
+    found = follow_family(problem, out=tmp_path / "on", until=stops[1], progress=steps.append, **ask)
+    assert told(found) == told(follow_family(problem, until=stops[1], **ask))
+    lines = journal.read_bytes().splitlines()
+    kept = sum(one in known for one in lines[1:])
+    assert len(steps) == len(lines) - 1 - kept and kept > 3
 
 
 @pytest.fixture(scope="module")

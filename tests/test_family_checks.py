@@ -21,7 +21,8 @@ from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.records.family import Event, Reading, load_family, save_family
 
-RESULTS = Path(__file__).parents[1] / "results" / "families"
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "results" / "families"
 PLANTED = [
     ("triple-1", "fold"), ("triple-1", "turn"), ("triple-1", "branch_point"), ("triple-1", "stability_change"),
     ("henon-heiles-loop", "resonance"), ("henon-heiles-loop", "period_doubling"), ("quadruple-mode-3", "collision"),
@@ -82,6 +83,14 @@ def rejected(name, kind, renamed, tmp_path):
     for one in wrong:
         code, said = verdict(only(family, one), tmp_path)
         assert code == 1 and "FAILED" in said, (one.kind, one.parameter, said)
+
+
+def test_a_fold_is_known_where_orbits_of_one_parameter_are_far_apart():
+    """(1 - mu) of the lower one is 4e-14, and its gap all but along that: 0.04 from an orbit of the same frequency."""
+    orbit = of.find_orbit(of.load_problem(ROOT / "problems" / "gallery" / "forced-duffing-lower.toml"))
+    family = follow_family(orbit, "frequency", until=1.0, points=40)
+    folds = [one.parameter for one in family.events if one.kind == "fold"]
+    assert folds == pytest.approx([1.7317606717826788, 1.4529935043131847], abs=1e-10)
 
 
 @pytest.mark.parametrize("file", sorted(RESULTS.glob("*/family.json")), ids=lambda one: one.parent.name)

@@ -27,7 +27,7 @@ from orbitfinder.families.passages import index_levels
 from orbitfinder.families.point import freed, parameter_value, shift_at, unknowns_of
 from orbitfinder.integrate.dop853 import ReferenceSettings
 from orbitfinder.integrate.march import uniform
-from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, plane, scaled, tangent
+from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, distance, plane, scaled, tangent
 from orbitfinder.loops.mesh import remeshed
 from orbitfinder.loops.symmetry import turned
 from orbitfinder.mechanics.catalogue import with_parameters
@@ -170,10 +170,16 @@ class Sides:
         return self.before.value(name), self.middle.value(name), self.after.value(name)
 
     def turning(self, name: str) -> Reading:
-        """How far from where a quantity is extremal, in steps."""
-        looks, (low, middle, high) = (self.before, self.here, self.after), self.values(name)
+        """How far from where a quantity is extremal, in steps.
+
+        It is known as well as on both sides, if its orbit is the family's: how far an orbit is from one of the same
+        parameter says nothing where that turns.
+        """
+        low, middle, high = self.values(name)
         bent, size = high - 2 * middle + low, max(abs(low), abs(high))
-        off = size * (4 * np.finfo(float).eps + max(one.tour.closes.distance for one in looks))
+        away = distance(self.here.curve, self.here.found.place, self.middle.found.place)
+        known = max(away, *(one.tour.closes.distance for one in (self.before, self.after)))
+        off = size * (4 * np.finfo(float).eps + known)
         if not (low - middle) * (high - middle) > 0:
             return Reading(1.0, SHARP, False)
         scale = self.apart / (self.step * abs(bent))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from orbitfinder.families.critical import Critical
 from orbitfinder.families.follow import follow
 from orbitfinder.families.members import batch_certified, certified
 from orbitfinder.families.point import FamilySettings
-from orbitfinder.families.run import Run, first_point
+from orbitfinder.families.run import Run, first_point, in_scales
 from orbitfinder.families.start import Start, begin, curve_of, entry_of, unknown_parameters
 from orbitfinder.integrate.equations import prepare
 from orbitfinder.loops.continued import Curve
@@ -56,6 +56,8 @@ EFFORT = 1.0
 """Seconds of interpreted integration in the checks of a family of moderate length, for `compiled`."""
 
 Progress = Callable[[Batch], None]
+Asked = tuple[int, float | None, tuple[float, ...]]
+"""A direction, the value at which to stop, the values at which points are wanted"""
 Origin = str | Path | Orbit | Problem | Start | Branch
 
 
@@ -119,10 +121,11 @@ def follow_family(
     if out is not None and not label:
         raise InputError("name: missing; a family that starts from a branch needs a name")
     folder = None if out is None else Path(out) / label
-    request = _request(origin, settings, until, at)
+    request = _request(origin, settings, at)
     with contextlib.nullcontext() if folder is None else locks.alone_in(folder):
         journal = None if folder is None else read_journal(folder)
-        if journal is None or journal.header.get("request") != request:
+        born = origin.event.parameter if isinstance(origin, Branch) and isinstance(origin.number, int) else None
+        if journal is None or {**journal.header.get("request", {}), "until": None} != {**request, "until": None}:
             start = _started(origin, settings, model)
             curve = start.curve
             journal = Journal(_header(label, start, settings, request, _source(origin)), ())
@@ -135,8 +138,10 @@ def follow_family(
                 curve = replace(curve, test=origin.start.curve.test, degenerate=origin.start.curve.degenerate)
             if not journal.sealed and settings.certify:
                 _check_again(journal, curve, folder)
-        born = origin.event.parameter if isinstance(origin, Branch) and isinstance(origin.number, int) else None
-        return _finish(folder, journal, curve, settings, (until, tuple(map(float, at))), progress, born)
+        runs = _runs(journal, settings, (until, tuple(map(float, at))), born)
+        if folder is not None:
+            journal = _reopened(folder, journal, {sign: stop for sign, stop, _ in runs})
+        return _finish(folder, journal, curve, settings, runs, progress)
 
 
 def _read(path: str | Path) -> Orbit:
@@ -223,10 +228,28 @@ def _source(origin: Orbit | Problem | Start | Branch) -> dict[str, Any]:
     return {"kind": kind, "name": getattr(origin, "name", "")}
 
 
-def _request(
-    origin: Orbit | Problem | Start | Branch, settings: FamilySettings, until: float | None, at: Sequence[float]
-) -> dict[str, Any]:
-    """What decides whether a journal answers the same question; the number of points may grow."""
+def _reopened(folder: Path, journal: Journal, stops: Mapping[int, float | None]) -> Journal:
+    """The journal as far as it leads to where each direction shall stop, which may be elsewhere than before."""
+    origin: FamilyPoint = restored(FamilyPoint, journal.header["origin"])
+    kept, last = list[Batch](), dict.fromkeys(stops, origin.value)
+    for batch in journal.batches:
+        side, stop = batch.direction, stops.get(batch.direction)
+        met = [point.value for point in batch.points if point.role != "at"]
+        passed = stop is not None and any((last.get(side, stop) - stop) * (value - stop) <= 0 for value in met)
+        ended = batch.end is not None and batch.end.kind == "target" and met[-1] != stop
+        if side not in last or ended or (passed and met[-1] != stop):
+            last.pop(side, None)  # and what comes after it in this direction
+            continue
+        kept.append(batch)
+        last[side] = [last[side], *met][-1]
+    if len(kept) == len(journal.batches):
+        return journal
+    begin_journal(folder / JOURNAL, plain(journal.header), map(plain, kept))
+    return replace(journal, batches=tuple(kept))
+
+
+def _request(origin: Orbit | Problem | Start | Branch, settings: FamilySettings, at: Sequence[float]) -> dict[str, Any]:
+    """What decides whether a journal answers the same question; the number of points and where it ends may differ."""
     head: Any
     if isinstance(origin, Branch):
         head = origin.described()
@@ -237,7 +260,7 @@ def _request(
     else:
         head = [*map(float, origin.guess.state), float(origin.guess.period), plain(origin.pin), origin.symmetry]
     chosen = {key: value for key, value in plain(settings).items() if key != "points"}
-    return {"origin": plain(head), "settings": chosen, "until": until, "at": [float(value) for value in at]}
+    return {"origin": plain(head), "settings": chosen, "at": [float(value) for value in at]}
 
 
 def _header(
@@ -270,7 +293,7 @@ def directions(
     goals: tuple[float | None, tuple[float, ...]],
     away: int = 1,
     born: float | None = None,
-) -> Iterator[tuple[int, float | None, tuple[float, ...]]]:
+) -> Iterator[Asked]:
     """(direction, stop, exact values) of every run that is wanted: as set, or from "both" towards the goals.
 
     A branch whose first point is already beyond where it shall stop goes back towards where it was `born`.
@@ -300,26 +323,33 @@ def directions(
             yield sign, last, tuple(value for value in wanted if value != last)
 
 
+def _runs(
+    journal: Journal, settings: FamilySettings, goals: tuple[float | None, tuple[float, ...]], born: float | None
+) -> list[Asked]:
+    """The directions of a journal's family in which something is wanted."""
+    origin: FamilyPoint = restored(FamilyPoint, journal.header["origin"])
+    return list(directions(origin, settings, goals, int(journal.header.get("away", 1)), born))
+
+
 def _finish(
     folder: Path | None,
     journal: Journal,
     curve: Curve,
     settings: FamilySettings,
-    goals: tuple[float | None, tuple[float, ...]],
+    runs: Sequence[Asked],
     progress: Progress | None,
-    born: float | None = None,
 ) -> Family:
     """Follow what is left in each direction, journalling every step where there is a folder."""
     origin: FamilyPoint = restored(FamilyPoint, journal.header["origin"])
-    check = _independent(curve, settings)
+    curve, check = in_scales(curve, origin), _independent(curve, settings)
     batches = list(journal.batches)
-    for sign, stop, exact in directions(origin, settings, goals, int(journal.header.get("away", 1)), born):
+    for sign, stop, exact in runs:
         done, end = journal.steps(sign), journal.end(sign)
         if end is not None and not (end.kind == "point limit" and len(done) < settings.points):
             continue
         if any(one.end is not None and one.end.kind == "returned" for one in batches):
             break  # a closed family has one direction
-        last = done[-1] if done else origin
+        last = done[-1][0] if done else origin
         try:
             for batch in follow(Run(curve, settings, sign, origin, check, stop, exact), done):
                 reached = [one for one in batch.points if one.role == "step"][-1:]

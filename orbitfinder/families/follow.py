@@ -22,12 +22,23 @@ from orbitfinder.families.ends import approach, end_at, end_of_failure, merged, 
 from orbitfinder.families.events import TURNED, event_at, find_events
 from orbitfinder.families.passages import avoided
 from orbitfinder.families.point import FamilySettings, make_point, parameter_value
-from orbitfinder.families.run import Interval, Run, Sample, Step, ahead, make_interval, make_sample, step_at, step_from
+from orbitfinder.families.run import (
+    Interval,
+    Run,
+    Sample,
+    Step,
+    ahead,
+    make_interval,
+    make_sample,
+    standing_of,
+    step_at,
+    step_from,
+)
 from orbitfinder.families.stability import Spectrum
 from orbitfinder.loops.continued import Solution, advanced, correct, distance, plane, tangent
 from orbitfinder.loops.mesh import carried, refined, regraded, settled
 from orbitfinder.loops.problem import pinned
-from orbitfinder.records.family import Batch, End, Event, FamilyPoint
+from orbitfinder.records.family import Batch, End, Event, FamilyPoint, Standing
 
 SHORTEST_SEARCH = 1e-3
 """Steps longer than this are repeated at half their length when an event in them cannot be located."""
@@ -44,7 +55,7 @@ LEAST_STRETCHED = 1e-4
 Member = TypeVar("Member", FamilyPoint, Event)
 
 
-def follow(run: Run, done: Sequence[FamilyPoint] = ()) -> Iterator[Batch]:
+def follow(run: Run, done: Sequence[tuple[FamilyPoint, Standing | None]] = ()) -> Iterator[Batch]:
     """Batches of points and events in one direction until the family ends.
 
     `done` are the steps already taken in this direction (from a journal); the run goes on after them.
@@ -55,8 +66,8 @@ def follow(run: Run, done: Sequence[FamilyPoint] = ()) -> Iterator[Batch]:
 class _Walk:
     """The walk along a family: the run, in the scales that hold where it stands, and its last step."""
 
-    def __init__(self, run: Run, done: Sequence[FamilyPoint]) -> None:
-        self.run, self.last = step_at(run, [run.origin, *done])
+    def __init__(self, run: Run, done: Sequence[tuple[FamilyPoint, Standing | None]]) -> None:
+        self.run, self.last = step_at(run, done)
 
     def taken(self) -> int:
         return self.last.point.index
@@ -112,7 +123,9 @@ def _attempt(run: Run, before: Step, length: float) -> tuple[Step, Batch]:
     point, found = _checked_point(run, found, whole, where, last.about if found is raw else None)
     point = replace(point, wall_time=time.perf_counter() - began)
     after = step_from(run, before, point, found, whole, last if found is raw else None)
-    return after, _batch(run, before, after, last)
+    batch = _batch(run, before, after, last)
+    stands = bool(batch.points) and batch.points[-1] is after.point
+    return after, replace(batch, standing=standing_of(curve, found, whole)) if stands else batch
 
 
 def _checked_point(

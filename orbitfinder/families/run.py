@@ -26,8 +26,9 @@ from orbitfinder.loops.continued import (
     tangent,
 )
 from orbitfinder.loops.loop import Unknowns
+from orbitfinder.loops.scales import Scales
 from orbitfinder.orbits.evidence import ClosureCheck
-from orbitfinder.records.family import FamilyPoint
+from orbitfinder.records.family import FamilyPoint, Standing
 
 REAL = 1e-7
 """An index counts as real when its imaginary part is below this, relative to its size."""
@@ -240,24 +241,44 @@ def first_point(start: Start, settings: FamilySettings, check: ClosureCheck | No
     return make_point(curve, start.found, head, settings.parameter, check, index=0, arclength=0.0, step=step)
 
 
-def step_at(run: Run, points: Sequence[FamilyPoint]) -> tuple[Run, Step]:
-    """The last step of a run over these points, from which everything follows, and the run in its scales."""
-    last, curve, portraits = points[-1], run.curve, list[np.ndarray]()
-    for point in points:
-        plain = replace(curve, test=None, degenerate=False) if portraits else curve
-        found = at_place(plain, unknowns_of(plain, point))
-        curve = curve.measured(found) if portraits else begun(curve, found, point.tangent)[0]
-        portraits.append(portrait(curve, found))
-    found = at_place(curve, found.place)
-    whole = tangent(curve, found, last.tangent if len(points) > 1 else run.direction * last.tangent)
-    curvature, trend, drift = np.zeros_like(whole), np.zeros_like(last.indices), None
-    if len(points) > 1:
-        before = at_place(curve, unknowns_of(curve, points[-2]))
-        curvature, drift = bend(curve, found.place, whole, before.place), drifted(curve, before, found)
-        trend = trend_of(points[-2], last)
-    sample = make_sample(curve, 0.0, found, whole, last.indices)
-    shortest = min(point.period for point in points)
-    return replace(run, curve=curve), Step(curve, last, sample, curvature, trend, shortest, np.array(portraits), drift)
+def step_at(run: Run, done: Sequence[tuple[FamilyPoint, Standing | None]]) -> tuple[Run, Step]:
+    """The last step of a run after those already taken, from which everything follows, and the run in its scales."""
+    origin, curve = run.origin, in_scales(run.curve, run.origin)
+    found = at_place(curve, unknowns_of(curve, origin))
+    known = portrait(curve, found)[None]
+    whole = tangent(curve, found, run.direction * origin.tangent)
+    sample = make_sample(curve, 0.0, found, whole, origin.indices)
+    step = Step(curve, origin, sample, np.zeros_like(whole), np.zeros_like(origin.indices), origin.period, known)
+    for point, standing in done:
+        run = replace(run, curve=step.curve)
+        found, whole = standing_at(step.curve, point, standing)
+        step = step_from(run, step, point, found, whole, None)
+    return replace(run, curve=step.curve), step
+
+
+def in_scales(curve: Curve, origin: FamilyPoint) -> Curve:
+    """The curve of a family in the scales of its first point, whatever it was in before."""
+    curve = replace(curve, scales=Scales.head(curve.weights, curve.equations.size))
+    return begun(curve, at_place(curve, unknowns_of(curve, origin)), origin.tangent)[0]
+
+
+def standing_at(curve: Curve, point: FamilyPoint, standing: Standing | None) -> tuple[Solution, np.ndarray]:
+    """The orbit of a step that was taken and the tangent there (over w), as they were."""
+    place = unknowns_of(curve, point)
+    if standing is None:  # an older orbitfinder took the step
+        return at_place(curve, place), place.over(point.tangent)
+    marched = place.at(standing.marched)
+    path = curve.equations.varied(marched, states=True)
+    rows = curve.through(place).linearised(place, path).matrix()
+    stepped = distance(curve, place, marched)
+    found = Solution(place, path, np.vstack([rows, standing.rows.reshape(-1, rows.shape[1])]), 0.0, stepped, marched)
+    return found, standing.tangent
+
+
+def standing_of(curve: Curve, found: Solution, whole: np.ndarray) -> Standing:
+    """What the step after an orbit begins with."""
+    count = len(found.jacobian) if curve.test is None else len(found.jacobian) - 1
+    return Standing((found.marched or found.place).vector, whole, found.jacobian[count:])
 
 
 def step_from(

@@ -17,7 +17,7 @@ from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.start import curve_of
 from orbitfinder.integrate.dop853 import vector_field
 from orbitfinder.integrate.equations import hamilton
-from orbitfinder.loops.continued import Curve
+from orbitfinder.loops.continued import Curve, begun
 from orbitfinder.loops.symmetry import turned
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
@@ -39,7 +39,7 @@ NEWTON = 30
 
 def verified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
     """Every event and then every end of a family in words, each with its check made again. Raises `InputError`."""
-    curve = family_curve(family, model)
+    curve = _in_scales(family, family_curve(family, model))
     for k, event in enumerate(family.events):
         interrupt.check()
         yield f"event {k}, {family.parameter} {event.parameter:.12g}", _event(family, curve, event)
@@ -58,6 +58,13 @@ def family_curve(family: Family, model: Model) -> Curve:
     if "test" not in family.curve:
         return curve
     return replace(curve, test=critical_of(family.curve["test"]))
+
+
+def _in_scales(family: Family, curve: Curve) -> Curve:
+    """The family's curve in the scales of the orbit that it began with."""
+    points, k = family.points, int(np.argmin(np.abs(family.values("arclength"))))
+    along = _head(points[k]) - _head(points[k - 1 if k else -1])
+    return begun(curve, settled_on(curve, points[k]), along if along.any() else np.ones(along.size))[0]
 
 
 def _event(family: Family, curve: Curve, event: Event) -> Check:

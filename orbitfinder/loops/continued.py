@@ -114,6 +114,8 @@ class Solution:
     residual: float
     stepped: float = 0.0
     """how far, in the family's metric, the place is from where `march` was made: Newton's last step"""
+    marched: Unknowns | None = None
+    """where `march` was made, if that is not the place"""
     kept: dict[str, float] = field(default_factory=dict, compare=False, repr=False)
     """numbers that were read off it and take long"""
 
@@ -240,7 +242,7 @@ def correct(
         if ready:
             if border is not None:  # by so much off the bifurcation was the march
                 return Solution(moved, curve.equations.varied(moved, states=True), jacobian, largest)
-            return Solution(moved, path, jacobian, largest, distance(curve, moved, w))
+            return Solution(moved, path, jacobian, largest, distance(curve, moved, w), w)
         if not distance(curve, moved, guess) < reach or not moved.period > 0:
             raise ConvergenceError("the corrector left the neighbourhood of its guess; take a smaller step")
         if fit is not None and largest < FITTING:

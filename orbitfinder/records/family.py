@@ -160,6 +160,16 @@ UNITS = {"energy": "J", "period": "s"}
 
 
 @dataclass(frozen=True)
+class Standing:
+    """What the next step begins with, to the last bit: where the orbit was marched, the family's tangent (both over
+    w), the rows of what else vanishes along it (k x w)."""
+
+    marched: np.ndarray
+    tangent: np.ndarray
+    rows: np.ndarray
+
+
+@dataclass(frozen=True)
 class Batch:
     """Everything one step adds; written to the journal as one line, so that it is kept or lost as a whole."""
 
@@ -169,6 +179,7 @@ class Batch:
     points: tuple[FamilyPoint, ...] = ()
     events: tuple[Event, ...] = ()
     end: End | None = None
+    standing: Standing | None = None
 
 
 @dataclass(frozen=True)
@@ -275,10 +286,10 @@ class Journal:
     sealed: bool = True
     """False when it was written without digests"""
 
-    def steps(self, direction: int) -> list[FamilyPoint]:
-        """The steps already taken in one direction."""
-        points = [p for batch in self.batches if batch.direction == direction for p in batch.points]
-        return [point for point in points if point.role == "step"]
+    def steps(self, direction: int) -> list[tuple[FamilyPoint, Standing | None]]:
+        """The steps already taken in one direction, and what the next one begins with."""
+        batches = [batch for batch in self.batches if batch.direction == direction]
+        return [(point, one.standing) for one in batches for point in one.points if point.role == "step"]
 
     def end(self, direction: int) -> End | None:
         """The last reason for ending in one direction."""
@@ -386,6 +397,7 @@ class _Step:
     points: tuple[Mapping[str, Any], ...]
     events: tuple[Mapping[str, Any], ...]
     end: End | None = None
+    standing: Standing | None = None
 
 
 @dataclass(frozen=True)
@@ -420,7 +432,7 @@ class _Document:
 def _batch(document: Mapping[str, Any]) -> Batch:
     step = typed(_Step, document, "")
     return Batch(step.direction, _restored(FamilyPoint, step.points, "points"),
-                 _restored(Event, step.events, "events"), step.end)  # fmt: skip
+                 _restored(Event, step.events, "events"), step.end, step.standing)  # fmt: skip
 
 
 def _restored(kind: Any, entries: Sequence[Mapping[str, Any]], where: str) -> tuple[Any, ...]:

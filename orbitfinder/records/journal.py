@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +21,10 @@ SEAL_DIGITS = 16
 AGAIN = "restore a copy, or delete the file to start again"
 
 
-def begin_journal(path: Path, header: Mapping[str, Any]) -> None:
-    """A fresh journal with its header, replacing an older one."""
+def begin_journal(path: Path, header: Mapping[str, Any], lines: Iterable[Mapping[str, Any]] = ()) -> None:
+    """A journal of a header and of lines that are known, replacing an older one whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, sealed_line(header))
+    write_atomically(path, b"".join(map(sealed_line, (header, *lines))))
     handle = os.open(path.parent, os.O_RDONLY)
     try:
         os.fsync(handle)
