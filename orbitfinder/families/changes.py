@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
-from scipy.optimize import brentq
 
+from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.passages import Test, located
 from orbitfinder.families.run import Interval, Sample
@@ -201,13 +201,13 @@ class _Watched:
         """The height and the moment of the highest place between two looks."""
         times, ends = self.arc.times[i : i + 2], slice(i, i + 2)
         cubic = CubicHermiteSpline(times, self.heights[ends], self.rates[ends])
-        moment = float(brentq(cubic.derivative(), *times, xtol=1e-12 * (times[1] - times[0])))
+        moment = zero(cubic.derivative(), times[0], times[1], 1e-12 * (times[1] - times[0]))
         top = float(cubic(moment))
         if abs(top) > CLOSE * self.range:
             return top, moment
         climbs = [self._climb(float(one)) for one in times]
         if climbs[0] > 0 > climbs[1]:
-            moment = float(brentq(self._climb, *times, xtol=1e-10 * (times[1] - times[0])))
+            moment = zero(self._climb, times[0], times[1], 1e-10 * (times[1] - times[0]))
         return self.direction * float(self._read(self.function, moment)[0]), moment
 
     def _climb(self, moment: float) -> float:

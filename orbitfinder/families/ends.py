@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import brentq
 
+from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.joins import EVEN, Kept, agrees, approaching, end_of, passed, solved
 from orbitfinder.families.minimal import dead_point
+from orbitfinder.families.passages import LOCATION
 from orbitfinder.families.point import LEAST, extents, freed, parameter_value
 from orbitfinder.families.rest import Rest, can_rest, rest_of, vanishing
 from orbitfinder.families.run import Interval, Run, Step, portrait
@@ -462,7 +463,7 @@ def mirrored(interval: Interval, at: float) -> bool:
     if abs(near - at) < EDGE * interval.length:
         raise ConvergenceError("the family turns at the edge of a step")
     level = ends[near]
-    other = read(float(brentq(lambda distance: float(read(distance)[0] - level[0]), at, far, rtol=1e-12)))
+    other = read(zero(lambda distance: float(read(distance)[0] - level[0]), at, far, LOCATION))
     return bool(abs(other[1] - level[1]) < MIRRORED * abs(level[1] - turn[1]))
 
 
