@@ -27,7 +27,7 @@ from orbitfinder.families.passages import index_levels
 from orbitfinder.families.point import freed, parameter_value, shift_at, unknowns_of
 from orbitfinder.integrate.dop853 import ReferenceSettings
 from orbitfinder.integrate.march import uniform
-from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, distance, plane, scaled, tangent
+from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, plane, scaled, tangent
 from orbitfinder.loops.mesh import remeshed
 from orbitfinder.loops.symmetry import turned
 from orbitfinder.mechanics.catalogue import with_parameters
@@ -172,14 +172,14 @@ class Sides:
     def turning(self, name: str) -> Reading:
         """How far from where a quantity is extremal, in steps.
 
-        It is known as well as on both sides, if its orbit is the family's: how far an orbit is from one of the same
-        parameter says nothing where that turns.
+        It is known as well as on both sides, if the orbit is the family's and closes: how far one is from another of
+        the same parameter says nothing where that turns.
         """
         low, middle, high = self.values(name)
         bent, size = high - 2 * middle + low, max(abs(low), abs(high))
-        away = distance(self.here.curve, self.here.found.place, self.middle.found.place)
-        known = max(away, *(one.tour.closes.distance for one in (self.before, self.after)))
-        off = size * (4 * np.finfo(float).eps + known)
+        own, *beside = (one.tour.closes for one in (self.here, self.before, self.after))
+        known = own.gap / own.amplification + max(one.distance for one in beside)
+        off = size * (4 * np.finfo(float).eps + known) + abs(self.here.value(name) - middle)
         if not (low - middle) * (high - middle) > 0:
             return Reading(1.0, SHARP, False)
         scale = self.apart / (self.step * abs(bent))
