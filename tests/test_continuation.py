@@ -14,12 +14,12 @@ from scipy.optimize import brentq
 from orbitfinder.continuation.follow import Curve, Goals, Pace, Trace, follow, rise, towards
 from orbitfinder.continuation.problem import Linear, Point, Solver, plane, solved
 from orbitfinder.errors import ConvergenceError, InputError
-from orbitfinder.loops.newton import NewtonSettings
+from orbitfinder.mechanics.newton import Settings
 
 PACE = Pace(first=0.1, longest=0.3, points=40)
 
 
-CORRECTOR = NewtonSettings(floor=1e-13, converged=1e-9, agreement=1e-16)
+CORRECTOR = Settings(floor=1e-13, round_off=1e-13, most_evaluations=30)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class Plain:
 
     function: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
     names: tuple[str, ...]
-    settings: NewtonSettings = CORRECTOR
+    settings: Settings = CORRECTOR
 
     def rows(self, w: Coordinates) -> np.ndarray:
         """F(w)."""

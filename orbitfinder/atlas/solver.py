@@ -26,10 +26,9 @@ from scipy.optimize import brentq
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.equations import invariant_gradients
 from orbitfinder.integrate.march import rounded, uniform
-from orbitfinder.loops.condensed import Solver
 from orbitfinder.loops.loop import Equations, Loop, Unknowns
-from orbitfinder.loops.newton import NewtonSettings, chord
 from orbitfinder.loops.problem import Problem, loop_of
+from orbitfinder.mechanics.newton import Settings, Solver, chord
 
 FINER = 3
 """The polish begins with steps shorter than the cheap stage's by this factor."""
@@ -52,7 +51,7 @@ LARGEST_RATE = 100.0
 """Bound on rates, in units of the guess's root mean square; a step beyond it is not taken."""
 LARGEST_UNFOLDING = 100.0
 """Bound on |s| times the clock (s); values of 10 have been seen to come back, this has left the problem."""
-POLISH = NewtonSettings(floor=1e-13, converged=1e-10, agreement=1e-16, most_evaluations=8)
+POLISH = Settings(floor=1e-13, round_off=1e-13, converged=1e-10, most_evaluations=8)
 """Scaled residuals of the polish."""
 LONGEST, SHORTEST = 0.3, 1e-3
 """Scaled steps along the valley."""
@@ -244,10 +243,10 @@ def polished(one: Scaled, w: Unknowns, jacobian: np.ndarray) -> Unknowns:
     ends, mesh = equations.march.refined_ends(w.nodes, w.mesh, w.tail, one.units)
     w = replace(w, mesh=mesh)
     functions = (lambda w: rows(w, equations.ends(w)), renewed)
-    w, left, *_ = chord(w, rows(w, ends), solver(jacobian), functions, POLISH.floor, POLISH)
-    if not np.abs(left).max() < POLISH.converged:
-        raise Stalled(w)
-    return w
+    found = chord(w, rows(w, ends), solver(jacobian), functions, POLISH, Unknowns.moved)
+    if not found.converged:
+        raise Stalled(found.w)
+    return found.w
 
 
 @dataclass(frozen=True)

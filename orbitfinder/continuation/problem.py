@@ -19,23 +19,23 @@ from typing import Any, Protocol, Self
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.loops.newton import NewtonSettings, chord
-
-Solver = Callable[[np.ndarray], np.ndarray]
-"""The step -A^-1 rows over w, A the derivatives of all rows with an aim's last"""
+from orbitfinder.mechanics.newton import Settings, Solver, chord
 
 
 class Linear(Protocol):
     """The derivatives of a problem's rows at some w."""
 
     def closed(self, rows: np.ndarray) -> Solver:
-        """With phases and an aim (k x w) as the last rows. Raises `ConvergenceError` where all is singular."""
+        """The step -A^-1 rows over w, A the derivatives with phases and an aim (k x w) as the last rows.
+
+        Raises `ConvergenceError` where all is singular.
+        """
 
 
 class ContinuationProblem(Protocol):
     """F(w) = 0, one equation fewer than unknowns; any w has `vector`, its numbers, and `moved(step)`."""
 
-    settings: NewtonSettings
+    settings: Settings
     """of the corrector; `converged` is the largest row of a solution"""
 
     def rows(self, w: Any) -> np.ndarray:
@@ -106,7 +106,6 @@ def solved(problem: Any, guess: Any, aim: Aim) -> Point:
 
     Raises `ConvergenceError` or `IntegrationError`.
     """
-    settings: NewtonSettings = problem.settings
     phases, origin = problem.phases(guess), guess.vector
 
     def closed(w: Any, rows: np.ndarray) -> np.ndarray:
@@ -118,10 +117,11 @@ def solved(problem: Any, guess: Any, aim: Aim) -> Point:
     rows, linear = problem.linearise(guess)
     functions = (lambda w: closed(w, problem.rows(w)), lambda w: solver(w, problem.linearise(w)[1]))
     start = closed(guess, rows), solver(guess, linear)
-    w, rows, last, count = chord(guess, *start, functions, settings.floor, settings, fresh=True)
-    if not (size := float(np.abs(rows).max())) < settings.converged:
-        raise ConvergenceError(f"the corrector stalled at rows of {size:.2g} after {count} steps")
-    return Point(problem, w, _tangent(last, rows.size, problem.metric(w)), iterations=count)
+    found = chord(guess, *start, functions, problem.settings, lambda w, step: w.moved(step), fresh=True)
+    if not found.converged:
+        raise ConvergenceError(f"the corrector stalled at rows of {found.size:.2g} after {found.count} steps")
+    tangent = _tangent(found.solver, found.rows.size, problem.metric(found.w))
+    return Point(problem, found.w, tangent, iterations=found.count)
 
 
 def _tangent(solver: Solver, rows: int, metric: np.ndarray) -> np.ndarray:

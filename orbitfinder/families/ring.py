@@ -29,10 +29,10 @@ from orbitfinder.continuation.problem import plane, solved
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied
 from orbitfinder.loops.loop import Equations, Unknowns
-from orbitfinder.loops.newton import NewtonSettings
+from orbitfinder.mechanics.newton import Settings
 
 T = TypeVar("T")
-CORRECTOR = NewtonSettings(floor=3e-13, converged=1e-10, agreement=3e-16, most_evaluations=16)
+CORRECTOR = Settings(floor=3e-13, round_off=3e-13, converged=1e-10, most_evaluations=16)
 """How a torus is solved: rows in units of the motion"""
 CONFIRMED = 1e-12
 """What arcs by twice the steps may end apart, in units of the motion"""
@@ -115,7 +115,7 @@ class Ring:
     held: tuple[tuple[str, float], ...] = ()
     steps: int = 32
     most: int = 151
-    settings: NewtonSettings = CORRECTOR
+    settings: Settings = CORRECTOR
 
     @property
     def forced(self) -> bool:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -13,11 +12,12 @@ from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied, divided
 from orbitfinder.loops.condensed import Linearised, Solver, eliminated
 from orbitfinder.loops.loop import NONE_SUCH, Loop, Unknowns, beyond
+from orbitfinder.mechanics.newton import Settings, Solved, chord, halved
 from orbitfinder.mechanics.scales import WIDE, snapped
 
 
 @dataclass(frozen=True)
-class NewtonSettings:
+class NewtonSettings(Settings):
     """How fine the marches are, and when enough is enough."""
 
     steps_per_period: int = 100
@@ -29,28 +29,17 @@ class NewtonSettings:
     """of the period in one step, relative: a longer step leads to a multiple of the orbit, or to another"""
     handover: float = 1e-4
     """residual at which the coarse march has done its work"""
-    contraction: float = 0.1
-    """a chord step that reduces the residual by less asks for a new Jacobian"""
     rough: float = 1e-10
     """residual to which the march that is still to be confirmed is driven"""
     agreement: float = 4e-12
     """two step sizes must agree to this, times the states; the finer is then some 2^8 times better than that"""
     floor: float = 1e-15
     """residual, times the states and the largest entry of Phi (at least 10), below which all is round-off"""
+    round_off: float = 4e-9
+    converged: float = 1e-8
     most_evaluations: int = 30
     most_doublings: int = 7
-    converged: float = 1e-8
-    """a larger residual at the end is a failure"""
 
-
-class Movable(Protocol):
-    """Unknowns that a step over them moves."""
-
-    def moved(self, step: np.ndarray) -> Self:
-        """Their sum with a step."""
-
-
-W = TypeVar("W", bound=Movable)
 
 EVEN = WIDE**0.5
 """What changes by less than this is measured in 1."""
@@ -147,54 +136,55 @@ class Newton:
         """
         self._lost = self.loop.lost(w)
         w, solver = self._approach(w, path)
-        w, rows = self._finish(w, solver)
-        return w, _largest(rows)
+        return self._finish(w, solver)
 
     def _approach(self, w: Unknowns, path: Varied | None) -> tuple[Unknowns, Solver]:
-        """Damped steps on the coarse march until the residual is small."""
-        chosen, before, step, factor = self.settings, w, np.zeros(0), 1.0
-        for _ in range(chosen.most_evaluations):
-            path = path or self._varied(w)
+        """Halved steps on the coarse march until the residual is small."""
+        chosen, paths = self.settings, [path]
+
+        def linearised(w: Unknowns) -> tuple[np.ndarray, Solver]:
+            path = paths.pop() if paths else self._varied(w)
             rows = self._measured(w, path.ends) if path else np.full(1, np.inf)
-            size = float(np.linalg.norm(rows))
-            if path is not None and size < self.best:
-                solver = self._solver(w, path)
-                before, self.best, step = w, size, solver(rows)
-                factor = 1.0 / max(1.0, abs(step[w.nodes.size]) / (chosen.largest_change * w.period))
-                if size < chosen.handover and factor == 1.0:
-                    return w.moved(step), solver
-            elif not step.size:
-                raise ConvergenceError("the motion from this guess gives no finite numbers; start elsewhere")
-            else:
-                factor /= 2
-            w, path = before.moved(factor * step), None
+            if path is None or not np.linalg.norm(rows) < self.best:
+                return rows, np.negative
+            self.best = float(np.linalg.norm(rows))
+            return rows, self._solver(w, path)
+
+        def share(w: Unknowns, step: np.ndarray) -> float:
+            return 1.0 / max(1.0, abs(float(step[w.nodes.size])) / (chosen.largest_change * w.period))
+
+        until = replace(chosen, floor=chosen.handover, converged=chosen.handover)
+        found = halved(w, linearised, until, Unknowns.moved, share)
+        if found.converged:
+            return found.w, found.solver
+        if not found.rows.size:
+            raise ConvergenceError("the motion from this guess gives no finite numbers; start elsewhere")
         beyond = "start nearer" if self.loop.equations.links else "find_orbit reaches farther"
         raise ConvergenceError(
             f"warm refinement does not converge from this guess (residual {self.best:.2g}); {beyond}"
         )
 
-    def _finish(self, w: Unknowns, solver: Solver) -> tuple[Unknowns, np.ndarray]:
+    def _finish(self, w: Unknowns, solver: Solver) -> tuple[Unknowns, float]:
         """Chord steps on ever finer marches until twice as many steps confirm the residual, then to round-off."""
         scale = max(1.0, float(np.abs(w.nodes if self.units is None else w.nodes / self.units.state).max()))
         rows = self._rows(w)
         for _ in range(self.settings.most_doublings):
-            w, rows, solver = self._chord(w, rows, solver, self.settings.rough)
-            w = replace(w, mesh=divided(w.mesh, 2))
-            coarse, rows = rows, self._rows(w)
+            found = self._chord(w, rows, solver, self.settings.rough)
+            solver, coarse = found.solver, found.rows
+            w = replace(found.w, mesh=divided(found.w.mesh, 2))
+            rows = self._rows(w)
             if np.abs(rows - coarse).max() <= self.settings.agreement * scale:
                 break
         floor = self.settings.floor * scale * max(10.0, self.growth)
-        w, rows, _ = self._chord(w, rows, solver, floor)
-        return w, rows
+        found = self._chord(w, rows, solver, floor)
+        return found.w, found.size
 
-    def _chord(
-        self, w: Unknowns, rows: np.ndarray, solver: Solver, target: float
-    ) -> tuple[Unknowns, np.ndarray, Solver]:
+    def _chord(self, w: Unknowns, rows: np.ndarray, solver: Solver, floor: float) -> Solved[Unknowns]:
         def renewed(w: Unknowns) -> Solver:
             self.jacobians += 1
             return self._solver(w, self.loop.equations.varied(w))
 
-        return chord(w, rows, solver, (self._rows, renewed), target, self.settings)[:3]
+        return chord(w, rows, solver, (self._rows, renewed), replace(self.settings, floor=floor), Unknowns.moved)
 
     def _rows(self, w: Unknowns) -> np.ndarray:
         self.marches += 1
@@ -222,39 +212,3 @@ class Newton:
         self.growth = max(1.0, float(np.abs(system.transitions).max()))
         step, columns = eliminated(system), np.concatenate([np.tile(units.state, len(w.nodes)), units.tail])
         return lambda rows: step(rows) * columns
-
-
-def chord(
-    w: W,
-    rows: np.ndarray,
-    solver: Solver,
-    functions: tuple[Callable[[W], np.ndarray], Callable[[W], Solver]],
-    target: float,
-    settings: NewtonSettings,
-    fresh: bool = False,
-) -> tuple[W, np.ndarray, Solver, int]:
-    """Steps with a fixed Jacobian, renewed where it no longer contracts, down to `target` or round-off; their number.
-
-    `functions` give the rows and the solver of any unknowns; `fresh` says that this solver is that of w.
-    """
-    rows_of, solver_of = functions
-    size, count = _largest(rows), 0
-    for _ in range(settings.most_evaluations):
-        if size <= target:
-            break
-        trial, count = w.moved(solver(rows)), count + 1
-        found = rows_of(trial)
-        smaller, slow = _largest(found) < size, _largest(found) > settings.contraction * size
-        if not smaller and fresh:
-            break  # nothing else leads on from here
-        if smaller:
-            w, rows, size, fresh = trial, found, _largest(found), False
-        if slow and size < 1e3 * settings.agreement:
-            break  # round-off
-        if slow:
-            solver, fresh = solver_of(w), True
-    return w, rows, solver, count
-
-
-def _largest(rows: np.ndarray) -> float:
-    return float(np.abs(rows).max(initial=0.0))

@@ -17,11 +17,11 @@ from orbitfinder.integrate.cvodes import Flow, sundials
 from orbitfinder.integrate.rk8 import MOST_DOUBLINGS, agree, march, refined_march
 from orbitfinder.loops.condensed import Solver
 from orbitfinder.loops.loop import Unknowns, beyond
-from orbitfinder.loops.newton import NewtonSettings, chord
 from orbitfinder.loops.shooting import Shooting
+from orbitfinder.mechanics.newton import Settings, chord
 
-ROUND_OFF, STALLED = 1e-15, 1e-8
-"""The residual that no step makes smaller, and that of a polish that has failed"""
+POLISH = Settings(floor=1e-15, round_off=4e-9, converged=1e-8, most_evaluations=30)
+"""Of the rows as they are: no step makes 1e-15 smaller, a polish that stalls above 1e-8 has failed"""
 STEPS_PER_PERIOD = 400
 """Runge-Kutta steps in a period at least, doubled in segments that need more"""
 PIECE = 8
@@ -134,11 +134,10 @@ def polish(shooting: Shooting, start: np.ndarray) -> np.ndarray:
     """
     functions = partial(residual, shooting), partial(solver_at, shooting)
     found = shooting.at(start)
-    rows, solver = functions[0](found), functions[1](found)
-    found, rows, *_ = chord(found, rows, solver, functions, ROUND_OFF, NewtonSettings(), fresh=True)
-    if not np.abs(rows).max() < STALLED:
+    polished = chord(found, functions[0](found), functions[1](found), functions, POLISH, Unknowns.moved, fresh=True)
+    if not polished.converged:
         raise ConvergenceError(
-            f"the polish stalled at a residual of {np.abs(rows).max():.2g}; the orbit is too unstable for "
+            f"the polish stalled at a residual of {polished.size:.2g}; the orbit is too unstable for "
             "this many segments, use more"
         )
-    return shooting.vector(found)
+    return shooting.vector(polished.w)

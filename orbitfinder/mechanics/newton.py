@@ -1,0 +1,232 @@
+"""Newton's method, for whatever is F(w) = 0: whole steps, chord steps, halved and damped ones, with one stop rule.
+
+Any w will do that a step moves; what its rows and steps are measured in is the caller's, so that they compare with 1.
+An iteration ends where what is left is below `floor`, or below `round_off` and no longer contracts, and has
+succeeded where it is below `converged`. The file knows no loop and no model; it lies on this floor as the lowest that
+solves anything: mechanisms are closed here, and rest is found.
+
+Sources: J. Nocedal, S. Wright, Numerical Optimization (2006), chapters 10, 11; of the damping K. Levenberg, Quarterly
+of Applied Mathematics 2 (1944) 164-168; D. Marquardt, SIAM Journal 11 (1963) 431-441.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from orbitfinder._runtime import limit
+
+W = TypeVar("W")
+Solver = Callable[[np.ndarray], np.ndarray]
+"""Rows -> the step that would remove them"""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """When an iteration ends, and how far its steps go."""
+
+    floor: float = 1e-13
+    """what may be left of equations that are solved"""
+    round_off: float = 1e-9
+    """what is left below this and no longer contracts is round-off"""
+    converged: float = 1e-9
+    """more that is left at the end is a failure"""
+    contraction: float = 0.1
+    """a step that leaves a larger share no longer contracts; a chord's asks for a new Jacobian"""
+    most_evaluations: int = 50
+    longest: float = np.inf
+    """entry of a step that is taken: longer ones are shortened"""
+    farthest: float = np.inf
+    """more that is left leads nowhere"""
+    patience: int = 1000
+    """evaluations one after another that do not halve what is left"""
+
+    def ended(self, left: float, before: float) -> bool:
+        """Whether so much left, after so much before, ends the iteration: the stop rule."""
+        return left <= self.floor or (left <= self.round_off and left > self.contraction * before)
+
+
+@dataclass(frozen=True)
+class Solved(Generic[W]):
+    """The best w of an iteration, its rows and their size, the solver there, the evaluations it took."""
+
+    w: W
+    rows: np.ndarray
+    size: float
+    solver: Solver
+    count: int
+    settings: Settings
+
+    @property
+    def converged(self) -> bool:
+        """Whether what is left is as little as was asked for."""
+        return self.size <= self.settings.converged
+
+
+def largest(rows: np.ndarray) -> float:
+    """The largest of some rows, which an iteration is judged by; nan where they are."""
+    return float(np.abs(rows).max(initial=0.0))
+
+
+def least_norm(slopes: np.ndarray, rows: np.ndarray, cutoff: float = 1e-12) -> np.ndarray:
+    """The shortest step that removes rows, or leaves least of them; nan where they are no numbers."""
+    if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(slopes))):
+        return np.full(slopes.shape[1], np.nan)
+    return -np.asarray(np.linalg.lstsq(slopes, rows, rcond=cutoff)[0])
+
+
+def _start(w: W, settings: Settings) -> Solved[W]:
+    return Solved(w, np.zeros(0), np.inf, np.negative, 0, settings)
+
+
+def full(
+    w: W,
+    linearised: Callable[[W], tuple[np.ndarray, Solver]],
+    settings: Settings = Settings(),
+    moved: Callable[[Any, np.ndarray], Any] = np.add,
+    measure: Callable[[np.ndarray], float] = largest,
+) -> Solved[W]:
+    """Whole steps, each with the derivatives where it begins: `linearised(w)` gives the rows and what solves for them.
+
+    Rows that are not finite end it. An iteration that is judged by its steps gives these for rows (`stepped`).
+    """
+    best, last, idle = _start(w, settings), np.inf, 0
+    for count in range(1, settings.most_evaluations + 1):
+        limit.check()
+        rows, solver = linearised(w)
+        size = measure(rows)
+        idle = idle + 1 if size > 0.5 * best.size else 0
+        if size < best.size:
+            best = Solved(w, rows, size, solver, count, settings)
+        spent = idle > settings.patience or count == settings.most_evaluations
+        if settings.ended(size, last) or spent or not size < settings.farthest:
+            break
+        step, last = solver(rows), size
+        long = largest(step) > settings.longest
+        w = moved(w, step * (settings.longest / largest(step)) if long else step)
+    return best
+
+
+def stepped(
+    w: W,
+    step: Callable[[W], np.ndarray],
+    settings: Settings = Settings(),
+    moved: Callable[[Any, np.ndarray], Any] = np.add,
+    measure: Callable[[np.ndarray], float] = largest,
+) -> Solved[W]:
+    """The same for equations without a size of their own: judged by the steps, the last of which is taken too."""
+    found = full(w, lambda w: (step(w), np.positive), settings, moved, measure)
+    return replace(found, w=moved(found.w, found.rows)) if found.converged else found
+
+
+def chord(
+    w: W,
+    rows: np.ndarray,
+    solver: Solver,
+    functions: tuple[Callable[[W], np.ndarray], Callable[[W], Solver]],
+    settings: Settings,
+    moved: Callable[[Any, np.ndarray], Any],
+    fresh: bool = False,
+) -> Solved[W]:
+    """Steps with a fixed Jacobian, renewed where it no longer contracts.
+
+    `functions` give the rows and the solver of any w; `fresh` says that this solver is that of w.
+    """
+    rows_of, solver_of = functions
+    size, count = largest(rows), 0
+    while count < settings.most_evaluations and size > settings.floor:
+        trial, before, count = moved(w, solver(rows)), size, count + 1
+        found = rows_of(trial)
+        slow = largest(found) > settings.contraction * before
+        if largest(found) < before:
+            w, rows, size, fresh = trial, found, largest(found), False
+        elif fresh:
+            break  # nothing else leads on from here
+        if settings.ended(size, before):
+            break
+        if slow:
+            solver, fresh = solver_of(w), True
+    return Solved(w, rows, size, solver, count, settings)
+
+
+def halved(
+    w: W,
+    linearised: Callable[[W], tuple[np.ndarray, Solver]],
+    settings: Settings,
+    moved: Callable[[Any, np.ndarray], Any],
+    share: Callable[[W, np.ndarray], float],
+) -> Solved[W]:
+    """Steps that are halved while they do not help, from the best w so far; the norm of the rows is what is left.
+
+    `share` is how much of a step may be taken at first. The last one begins below `floor` and is a whole one.
+    """
+    best, step, factor = _start(w, settings), np.zeros(0), 1.0
+    for count in range(1, settings.most_evaluations + 1):
+        rows, solver = linearised(w)
+        size = float(np.linalg.norm(rows))
+        if size < best.size:
+            best, step = Solved(w, rows, size, solver, count, settings), solver(rows)
+            factor = share(w, step)
+            if size < settings.floor and factor == 1.0:
+                return replace(best, w=moved(w, step))
+        elif not step.size:
+            break
+        else:
+            factor /= 2
+        w = moved(best.w, factor * step)
+    return best
+
+
+CLOSING = Settings(floor=0.0, round_off=1e-13, converged=1e-11, most_evaluations=80, longest=0.4)
+"""How a mechanism is closed: gaps relative to its size, steps in rad or shares of that"""
+
+
+def closed(
+    phi: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    q: np.ndarray,
+    loose: Sequence[int] | None = None,
+    units: np.ndarray | float = 1.0,
+    size: float = 0.0,
+    settings: Settings = CLOSING,
+) -> Solved[np.ndarray]:
+    """Coordinates near q (n) at which phi = 0: the shortest steps in their units, of the `loose` ones (default: all).
+
+    `phi(q)` gives gaps and their slopes; gaps are measured in the largest slope, at least in `size`.
+    """
+    measures, free, sizes = np.broadcast_to(units, q.shape), range(q.size) if loose is None else loose, [size]
+
+    def linearised(q: np.ndarray) -> tuple[np.ndarray, Solver]:
+        gaps, slopes = phi(q)
+        slopes = slopes[:, list(free)] * measures[list(free)]
+        sizes.append(max(sizes[-1], largest(slopes)))
+
+        def step(_: np.ndarray) -> np.ndarray:
+            whole = np.zeros(q.size)
+            whole[list(free)] = least_norm(slopes, gaps)
+            return whole
+
+        return gaps / sizes[-1], step
+
+    return full(q, linearised, settings, lambda q, step: q + measures * step)
+
+
+RESTING = Settings(floor=1e-14, round_off=1e-12, converged=1e-12, most_evaluations=60)
+"""How an equilibrium is found: steps in units of its coordinates"""
+
+
+def equilibrium(
+    linearised: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    x: np.ndarray,
+    units: np.ndarray | float = 1.0,
+    settings: Settings = RESTING,
+) -> Solved[np.ndarray]:
+    """A zero of f near x (n): `linearised(x)` gives f and its slopes, of which the first n columns are by x."""
+
+    def step(x: np.ndarray) -> np.ndarray:
+        rows, slopes = linearised(x)
+        return least_norm(slopes, rows)[: x.size] / units
+
+    return stepped(x, step, settings, lambda x, step: x + units * step)
