@@ -28,12 +28,12 @@ from orbitfinder.mechanics.constrained import RANK_TOLERANCE
 from orbitfinder.mechanics.controls import Limits
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import Baumgarte, Model, check_state, constraint_of
+from orbitfinder.mechanics.newton import Settings, closed
 
 DEFAULT_BAUMGARTE = Baumgarte(10.0, 10.0)
 """1/s; phi decays within a few tenths of a second, much faster than a linkage of metres moves"""
-NEWTON_STEPS = 50
-CLOSURE_TOLERANCE = 1e-13
-"""|closure| over the perimeter at which an assembly counts as exact"""
+CLOSING = Settings(floor=1e-13, round_off=1e-13, converged=1e-13, longest=0.5)
+"""How an assembly is closed: gaps over the perimeter, steps in rad"""
 REACH_TOLERANCE = 1e-12
 """relative excess over the reach that is taken for round-off"""
 
@@ -317,18 +317,17 @@ def _nearest(lengths: np.ndarray, ground: np.ndarray, fixed: Mapping[int, float]
     theta, loose = guess.copy(), [k for k in range(lengths.size) if k not in fixed]
     for k, angle in fixed.items():
         theta[k] = angle
-    scale = lengths.sum()
-    gap = np.inf
-    for _ in range(NEWTON_STEPS):
-        residual = np.array([np.cos(theta), np.sin(theta)]) @ lengths - ground
-        gap = float(np.hypot(*residual))
-        if gap <= CLOSURE_TOLERANCE * scale:
-            return theta
-        step = np.linalg.lstsq(closure_jacobian(lengths, theta)[:, loose], -residual, rcond=None)[0]
-        theta[loose] += step * min(1.0, 0.5 / max(np.abs(step).max(), 1e-300))
+
+    def phi(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.array([np.cos(theta), np.sin(theta)]) @ lengths - ground, closure_jacobian(lengths, theta)
+
+    found = closed(phi, theta, loose, size=float(lengths.sum()), settings=CLOSING)
+    if found.converged:
+        return found.w
     raise InputError(
-        f"linkage: cannot be assembled near guess = {np.array2string(guess, precision=6)}: a gap of {gap:.3g} m "
-        f"is left after {NEWTON_STEPS} Gauss-Newton steps; give another guess or fewer fixed angles"
+        f"linkage: cannot be assembled near guess = {np.array2string(guess, precision=6)}: a gap of "
+        f"{float(np.hypot(*phi(found.w)[0])):.3g} m is left after {CLOSING.most_evaluations} Gauss-Newton steps; give "
+        "another guess or fewer fixed angles"
     )
 
 

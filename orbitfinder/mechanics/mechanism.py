@@ -40,6 +40,7 @@ from orbitfinder.mechanics.lagrange import (
     take_apart,
 )
 from orbitfinder.mechanics.model import Baumgarte, Model, constraint_of
+from orbitfinder.mechanics.newton import closed
 
 Table = Mapping[str, Any]
 GROUND = "ground"
@@ -68,10 +69,6 @@ KEYS = {
 EXPRESSION = re.compile(
     r"\s*([+-]?)\s*(?:(\d+\.?\d*(?:[eE][+-]?\d+)?)\s*\*\s*)?([A-Za-z_]\w*)\s*(?:/\s*(\d+\.?\d*))?\s*"
 )
-NEWTON_STEPS, CLOSED = 80, 1e-13
-"""Steps of an assembly, and the gap over the mechanism's size at which it is done"""
-LONGEST_TURN = 0.4
-"""rad, or share of the size, by which an assembly moves a coordinate in one step"""
 STRIDE = 0.2
 """rad, or share of the size, from one assembly to the next on the way from the pose"""
 HOMOTOPY, FINAL = 20, 3
@@ -1288,24 +1285,19 @@ def closed_near(
     """A configuration (n) with phi = 0 near a start, some coordinates held, by Gauss-Newton; `InputError` naming the
     joint that stays open. `function(q, p)` is (phi, J).
     """
-    place, loose = start.copy(), [k for k in range(start.size) if k not in fixed]
-    size, best = float(np.abs(units[units != 1.0]).max(initial=0.0)), np.inf
-    phi = np.zeros(1)
-    for _ in range(NEWTON_STEPS):
-        phi, slopes = (one.full() for one in function(place, values))
-        phi, slopes = phi.ravel(), slopes[:, loose] * units[loose]
-        size = max(size, float(np.abs(slopes).max(initial=0.0)))
-        gap = float(np.abs(phi).max())
-        if gap <= CLOSED * size and gap >= 0.5 * best:
-            return place
-        best = min(best, gap)
-        step = np.linalg.lstsq(slopes, -phi, rcond=1e-12)[0]
-        place[loose] += units[loose] * step * min(1.0, LONGEST_TURN / max(float(np.abs(step).max(initial=0.0)), 1e-300))
-    if best <= 1e2 * CLOSED * size:
-        return place
-    worst = int(np.abs(phi).argmax())
+
+    def phi(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        gaps, slopes = (part.full() for part in function(place, values))
+        return gaps.ravel(), slopes
+
+    loose = [k for k in range(start.size) if k not in fixed]
+    found = closed(phi, start, loose, units, float(np.abs(units[units != 1.0]).max(initial=0.0)))
+    if found.converged:
+        return found.w
+    gaps = phi(found.w)[0]
+    worst = int(np.abs(gaps).argmax())
     raise InputError(
-        f"joints: the loop stays open at {owner(worst)}: {abs(phi[worst]):.3g} m are left between their points in the "
+        f"joints: the loop stays open at {owner(worst)}: {abs(gaps[worst]):.3g} m are left between their points in the "
         "nearest configuration that was found; check the lengths, or give a pose nearer to one that closes"
     )
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from math import isfinite
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -43,6 +44,8 @@ class Settings:
     """more that is left leads nowhere"""
     patience: int = 1000
     """evaluations one after another that do not halve what is left"""
+    cutoff: float = 1e-12
+    """singular values below this share of the largest are taken for 0"""
 
     def ended(self, left: float, before: float) -> bool:
         """Whether so much left, after so much before, ends the iteration: the stop rule."""
@@ -71,11 +74,11 @@ def largest(rows: np.ndarray) -> float:
     return float(np.abs(rows).max(initial=0.0))
 
 
-def least_norm(slopes: np.ndarray, rows: np.ndarray, cutoff: float = 1e-12) -> np.ndarray:
+def least_norm(slopes: np.ndarray, rows: np.ndarray, cutoff: float = Settings.cutoff) -> np.ndarray:
     """The shortest step that removes rows, or leaves least of them; nan where they are no numbers."""
-    if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(slopes))):
-        return np.full(slopes.shape[1], np.nan)
-    return -np.asarray(np.linalg.lstsq(slopes, rows, rcond=cutoff)[0])
+    if not isfinite(float(rows.sum()) + float(slopes.sum())):
+        return np.full(slopes.shape[1], np.nan)  # LAPACK may never return from them
+    return np.asarray(np.linalg.lstsq(slopes, -rows, rcond=cutoff)[0])
 
 
 def _start(w: W, settings: Settings) -> Solved[W]:
@@ -105,8 +108,8 @@ def full(
         if settings.ended(size, last) or spent or not size < settings.farthest:
             break
         step, last = solver(rows), size
-        long = largest(step) > settings.longest
-        w = moved(w, step * (settings.longest / largest(step)) if long else step)
+        length = largest(step)
+        w = moved(w, step if length <= settings.longest else step * (settings.longest / length))
     return best
 
 
@@ -196,19 +199,16 @@ def closed(
 
     `phi(q)` gives gaps and their slopes; gaps are measured in the largest slope, at least in `size`.
     """
-    measures, free, sizes = np.broadcast_to(units, q.shape), range(q.size) if loose is None else loose, [size]
+    measures = np.zeros(q.size)
+    measures[range(q.size) if loose is None else loose] = 1.0
+    measures *= units
 
     def linearised(q: np.ndarray) -> tuple[np.ndarray, Solver]:
+        nonlocal size
         gaps, slopes = phi(q)
-        slopes = slopes[:, list(free)] * measures[list(free)]
-        sizes.append(max(sizes[-1], largest(slopes)))
-
-        def step(_: np.ndarray) -> np.ndarray:
-            whole = np.zeros(q.size)
-            whole[list(free)] = least_norm(slopes, gaps)
-            return whole
-
-        return gaps / sizes[-1], step
+        slopes = slopes * measures
+        size = max(size, largest(slopes))
+        return gaps / size, lambda rows: least_norm(slopes, rows * size, settings.cutoff)
 
     return full(q, linearised, settings, lambda q, step: q + measures * step)
 
@@ -227,6 +227,6 @@ def equilibrium(
 
     def step(x: np.ndarray) -> np.ndarray:
         rows, slopes = linearised(x)
-        return least_norm(slopes, rows)[: x.size] / units
+        return least_norm(slopes, rows, settings.cutoff)[: x.size] / units
 
     return stepped(x, step, settings, lambda x, step: x + units * step)

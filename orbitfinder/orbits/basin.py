@@ -23,6 +23,7 @@ from orbitfinder.integrate.rk8 import step_of
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.constrained import constraint_rows, tangent_basis
 from orbitfinder.mechanics.model import Model, constraint_of, vector_field
+from orbitfinder.mechanics.newton import closed, least_norm
 from orbitfinder.records.controller import Basin, Controller, Returned
 
 SIZES = (0.01, 0.03, 0.1, 0.3)
@@ -189,11 +190,10 @@ def disturbed(controller: Controller, model: Model, sizes: np.ndarray, seed: int
 def _assembled(model: Model, state: np.ndarray) -> np.ndarray:
     """The state with phi = 0 and J v = 0 that is near to this one."""
     n, p, constraint = model.degrees_of_freedom, model.parameter_values, constraint_of(model)
-    q, v = state[:n].copy(), state[n:].copy()
-    for _ in range(20):
-        q -= np.linalg.lstsq(constraint.jacobian(q, p).full(), constraint.phi(q, p).full().ravel(), rcond=None)[0]
-    v -= np.linalg.lstsq(constraint.jacobian(q, p).full(), constraint.rate(q, v, p).full().ravel(), rcond=None)[0]
-    return np.concatenate([q, v])
+    v = state[n:]
+    q = closed(lambda q: (constraint.phi(q, p).full().ravel(), constraint.jacobian(q, p).full()), state[:n]).w
+    slopes, rates = constraint.jacobian(q, p).full(), constraint.rate(q, v, p).full().ravel()
+    return np.concatenate([q, v + least_norm(slopes, rates)])
 
 
 @np.errstate(over="ignore", invalid="ignore")  # what is lost is put back and counted
