@@ -19,14 +19,15 @@ from orbitfinder.families.start import full_samples, return_gaps
 from orbitfinder.loops.continued import Curve, Solution, correct
 from orbitfinder.loops.loop import Condition
 from orbitfinder.loops.symmetry import NONE, beside, named, recognise
+from orbitfinder.mechanics.newton import Settings, equilibrium
 from orbitfinder.records.family import End, FamilyPoint
 
 SLOW = 0.1
 """A motion slower than this share of its fastest is near an equilibrium."""
 NEAR = 0.1
 """... of an equilibrium within this share of the motion's extents,"""
-MOST_NEWTON = 12
-"""... which Newton's method finds in so many steps."""
+AT_REST = Settings(floor=1e-6, round_off=1e-6, converged=1e-6, most_evaluations=12, cutoff=1e-9)
+"""... which Newton's method finds in so many steps, in extents."""
 LINEAR, NEARLY, STEADY = 1e-7, 1e-5, 1e-5
 """A small oscillation's period is the linear one's to this share: where a family shrinks, and where it fails; and how
 little the period changes in a step there."""
@@ -314,17 +315,19 @@ def _at_rest(curve: Curve, found: Solution, state: np.ndarray, near: float) -> n
     """The eigenvalues of the equations at the equilibrium within a share of the motion's extents; none without one."""
     p, place = curve.equations, found.place
     n, units = p.model.degrees_of_freedom, extents(curve, found.march.states)
-    x = np.concatenate([state[:n], np.zeros(p.size - n)])
-    for _ in range(MOST_NEWTON):
-        slopes = p.march.arcs[0].slopes(x, place.tail)
+    still = np.zeros(p.size - n)
+
+    def linearised(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        x = np.append(q, still)
+        if np.any(np.abs(x - state) > near * units):
+            return np.full(n, np.nan), np.eye(n)
         # at rest the first rates, which are the velocities, are 0; a first-order system's are all to be solved for
-        step = np.linalg.lstsq(slopes[-n:, :n], -p.march.rates(x[None], place.tail)[0][-n:], rcond=1e-9)[0]
-        x[:n] += step
-        if not np.all(np.isfinite(x)) or np.any(np.abs(x - state) > near * units):
-            break
-        if np.all(np.abs(step) < 1e-6 * units[:n]):
-            return np.asarray(np.linalg.eigvals(p.march.arcs[0].slopes(x, place.tail)))
-    return np.zeros(0)
+        return p.march.rates(x[None], place.tail)[0][-n:], p.march.arcs[0].slopes(x, place.tail)[-n:, :n]
+
+    rest = equilibrium(linearised, state[:n], units[:n], AT_REST)
+    if not rest.converged:
+        return np.zeros(0)
+    return np.asarray(np.linalg.eigvals(p.march.arcs[0].slopes(np.append(rest.w, still), place.tail)))
 
 
 def _singular(curve: Curve, found: Solution, failure: str) -> End | None:

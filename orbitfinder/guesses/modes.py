@@ -14,29 +14,32 @@ are those of Z^T (d2L/dtheta2) Z u = w^2 Z^T M Z u, Z a basis of the null space 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 from scipy.linalg import eigh
-from scipy.optimize import minimize, root
+from scipy.optimize import minimize
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import InputError, plural
 from orbitfinder.integrate.equations import at_rest, linearised, under_constraints
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import QUARTER, declared
+from orbitfinder.mechanics import newton
 from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.linkage import assemble, check_regular, dimensions, linkage_state
 from orbitfinder.mechanics.mechanism import mechanism_state
 from orbitfinder.mechanics.model import Model, counted, vector_field, wrapped
-from orbitfinder.mechanics.scales import given_lengths, masses_of, snapped
+from orbitfinder.mechanics.scales import given_lengths, snapped
 
 DESCENTS = 16
 FLAT = 1e-4
 """Slope (J per rad or m) at which a descent has reached a minimum; only its energy is asked for."""
 STARTS = 24
 """Assemblies, drawn with a fixed seed, from which the lowest equilibrium is looked for."""
-NEWTON_STEPS = 60
+SHORT = replace(newton.RESTING, longest=0.3, cutoff=1e-15)
+"""How an equilibrium under constraints is found, whose forces have units of their own; steps in rad or m"""
 AT_REST = 1e-10
 """Rates of a first-order system below this share of what they are made of are those of an equilibrium."""
 ELLIPSE = 64
@@ -105,14 +108,9 @@ def equilibrium(model: Model) -> np.ndarray:
     if np.abs(slopes).max() < 1e-11 * max(work, abs(potential(zero))):
         return from_here
     found = minimize(lambda q: potential(q) / work, zero, method="BFGS", options={"gtol": 1e-11}).x
-    pace = work / masses_of(model.kinetic, np.concatenate([from_here + units * found, zero]), model).max() / units.max()
-
-    def force(q: np.ndarray) -> np.ndarray:
-        return np.asarray(
-            model.acceleration(0.0, from_here + units * q, zero, model.parameter_values).full().ravel() / pace
-        )
-
-    return np.asarray(from_here + units * np.asarray(root(force, found, tol=1e-15).x))
+    accelerations = linearised(model)
+    rest = newton.equilibrium(lambda q: accelerations(q, zero)[:2], from_here + units * found, units)
+    return rest.w if rest.converged else from_here + units * found
 
 
 def _work(potential: Callable[[np.ndarray], float], n: int) -> float:
@@ -161,19 +159,19 @@ def stationary_terms(model: Model, theta: np.ndarray) -> tuple[np.ndarray, ...]:
 
 def _stationary(model: Model, start: np.ndarray) -> np.ndarray:
     """Newton's method on grad L = 0, phi = 0."""
-    theta: np.ndarray = start.copy()
-    for _ in range(NEWTON_STEPS):
+
+    def linearised(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         residual, jacobian, hessian, _ = stationary_terms(model, theta)
         corner = np.zeros((len(jacobian), len(jacobian)))
-        step = np.linalg.lstsq(np.block([[hessian, jacobian.T], [jacobian, corner]]), -residual, rcond=None)[0]
-        step = step[: theta.size]
-        theta = theta + step * min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-300))
-        if np.abs(step).max() < 1e-13:
-            if model.system.get("kind") == "linkage":
-                check_regular(dimensions(model)[0], theta)
-            return theta
-    kind, near = model.system.get("kind"), np.array2string(start, precision=4)
-    raise InputError(f"{kind}: no equilibrium found near {near}; give other angles")
+        return residual, np.block([[hessian, jacobian.T], [jacobian, corner]])
+
+    found, kind = newton.equilibrium(linearised, start, settings=SHORT), model.system.get("kind")
+    if not found.converged:
+        near = np.array2string(start, precision=4)
+        raise InputError(f"{kind}: no equilibrium found near {near}; give other angles")
+    if kind == "linkage":
+        check_regular(dimensions(model)[0], found.w)
+    return found.w
 
 
 def _descended(model: Model, start: np.ndarray) -> np.ndarray:
@@ -295,10 +293,10 @@ def first_order_modes(
     def slopes(x: np.ndarray) -> np.ndarray:
         return np.asarray(slope(0.0, x, [], [], 0)[1].full())
 
-    found = root(rates, place, jac=slopes, tol=1e-14).x
-    matrix, left = slopes(found), rates(found)
+    rest = newton.equilibrium(lambda x: (rates(x), slopes(x)), place, newton.largest(place) or 1.0)
+    found, matrix, left = rest.w, slopes(rest.w), rates(rest.w)
     size = np.abs(matrix) @ np.maximum(np.abs(found), np.abs(found - place))
-    if not np.all(np.abs(left) <= AT_REST * np.maximum(size, size.max())):
+    if not (rest.converged and np.all(np.abs(left) <= AT_REST * np.maximum(size, size.max()))):
         raise InputError(f"guess.equilibrium: none is found from {place.tolist()}; give a state nearer to it")
     values, vectors = np.linalg.eig(matrix)
     turning = np.flatnonzero(values.imag > np.sqrt(OSCILLATES) * np.abs(values).max(initial=0.0))
@@ -328,15 +326,10 @@ def rest_near(model: Model, place: Sequence[float] | np.ndarray) -> np.ndarray:
     start, slopes = np.asarray(place, float), linearised(model)
     if start.shape != (model.degrees_of_freedom,):
         raise InputError(f"guess.equilibrium: shape {start.shape} for {model.degrees_of_freedom} coordinates")
-    found = start
-    for _ in range(NEWTON_STEPS):
-        force, matrix, _ = slopes(found, np.zeros(start.size))
-        if not (np.all(np.isfinite(force)) and np.all(np.isfinite(matrix))):
-            break
-        step = np.linalg.lstsq(matrix, -force, rcond=1e-12)[0]
-        found = found + step
-        if np.abs(step).max() <= 1e-14 * max(1.0, float(np.abs(found).max())):
-            return np.asarray(found)
+    size = max(1.0, newton.largest(start))
+    found = newton.equilibrium(lambda q: slopes(q, np.zeros(q.size))[:2], start, size)
+    if found.converged:
+        return found.w
     raise InputError(f"guess.equilibrium: no equilibrium found from {start.tolist()}; give a place nearer to one")
 
 
