@@ -18,17 +18,17 @@ from orbitfinder.families.point import parameter_value
 from orbitfinder.families.run import Sample
 from orbitfinder.loops.continued import Curve, Solution, advanced
 from orbitfinder.loops.loop import Unknowns
+from orbitfinder.mechanics.newton import Settings, equilibrium
 from orbitfinder.mechanics.scales import parameter_sizes
 
-MOST_NEWTON = 20
+NEWTON = Settings(
+    floor=1e-11, round_off=1e-11, converged=1e-11, most_evaluations=20, farthest=1e2, cutoff=1e-10
+)  # fmt: skip
+"""A step below `floor`, in the scaled unknowns, solves the equations, one beyond `farthest` leads away,"""
 DIFFERENCE = 1e-5
 """Half of a central difference of slopes, in the units of the unknowns: only rates of convergence depend on it."""
-SOLVED = 1e-11
-"""A last step below this, in the scaled unknowns, has solved the equations,"""
 CHECKED = 1e-7
 """and an eigenvalue of J is then this near to i omega, relative to it."""
-FAR = 1e2
-"""A step of so many units leads away from what the orbit is near."""
 ROUND_OFF = 8 * float(np.finfo(float).eps)
 """What each row is known to, relative to the sizes of its terms"""
 
@@ -85,24 +85,15 @@ def vanishing(curve: Curve, sample: Sample, length: float) -> float:
 def rest_of(curve: Curve, found: Solution, name: str) -> Rest | None:
     """The equilibrium that an orbit is an oscillation about, with the family's parameter `name`; None without one."""
     extended = _Extended(curve, found)
-    z = extended.start
-    for _ in range(MOST_NEWTON):
-        matrix = extended.linearised(z)
-        if not np.all(np.isfinite(matrix)):
-            return None
-        step = np.linalg.lstsq(matrix, -extended.rows(z), rcond=1e-10)[0]
-        z, moved = z + step, float(np.abs(step).max())
-        if not (moved < FAR and z[extended.count] > 0.0):
-            return None
-        if moved < SOLVED:
-            break
-    else:
+    rest = equilibrium(extended.linearised, extended.start, settings=NEWTON)
+    if not rest.converged:
         return None
+    z, (_, matrix) = rest.w, extended.linearised(rest.w)
     there, values = extended.at(z), np.linalg.eigvals(extended.slopes(z)) / z[extended.count]
     nearest = np.argsort(np.minimum(np.abs(values - 1j), np.abs(values + 1j)))
     if not abs(abs(values[nearest[1]].imag) - 1.0) + abs(values[nearest[1]].real) < CHECKED or not there.period > 0:
         return None
-    error = moved + np.abs(np.linalg.pinv(matrix)) @ (ROUND_OFF * (np.abs(matrix) @ np.abs(z)))
+    error = rest.size + np.abs(np.linalg.pinv(matrix)) @ (ROUND_OFF * (np.abs(matrix) @ np.abs(z)))
     bars = error[: extended.count] * extended.sizes
     value, (values_, by_state, by_free) = parameter_value(curve, there, name), curve.equations.quantities_at(there)
     k = curve.equations.energy
@@ -156,7 +147,10 @@ class _Extended:
         held = self.curve.values(there, self.curve.conditions) / self.held
         return np.concatenate([self.rates(z), turned.real, turned.imag, held])
 
-    def linearised(self, z: np.ndarray) -> np.ndarray:
-        """Their Jacobian, by central differences."""
+    def linearised(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """They and their Jacobian, by central differences; nan where omega is not positive."""
+        if not z[self.count] > 0.0:
+            return np.full(z.size, np.nan), np.eye(z.size)
         steps = DIFFERENCE * np.eye(z.size)
-        return np.array([self.rows(z + one) - self.rows(z - one) for one in steps]).T / (2 * DIFFERENCE)
+        slopes = np.array([self.rows(z + one) - self.rows(z - one) for one in steps]).T / (2 * DIFFERENCE)
+        return self.rows(z), slopes

@@ -21,6 +21,7 @@ from orbitfinder.loops.continued import Curve, begun
 from orbitfinder.loops.symmetry import turned
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.newton import equilibrium
 from orbitfinder.orbits.evidence import gather, tour
 from orbitfinder.orbits.floquet import judged
 from orbitfinder.records.family import CLOSURE, UNKNOWN, End, Event, Family, FamilyPoint, number_of
@@ -34,7 +35,6 @@ LINEAR = 1e-2
 """An orbit beside an equilibrium has the period of its linear oscillation to this share"""
 GROWN = 1.5
 """A family that ends homoclinic has a period this many times its shortest"""
-NEWTON = 30
 
 
 def verified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
@@ -144,14 +144,13 @@ def _rest(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
     if model.rates is None:
         y[equations.coordinates.size :] = 0.0
     size, variational = y.size, vector_field(equations.variational)
-    for _ in range(NEWTON):
+
+    def linearised(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         found = variational(0.0, np.concatenate([y, np.eye(size).ravel(), [0.0]]))
-        slopes = found[size:-1].reshape(size, size, order="F")
-        step = np.linalg.lstsq(slopes, -found[:size], rcond=1e-12)[0]
-        y = y + step
-        if np.abs(step).max() <= 1e-14 * max(1.0, float(np.abs(y).max())):
-            break
-    turning = np.abs(np.linalg.eigvals(slopes).imag)
+        return found[:size], found[size:-1].reshape(size, size, order="F")
+
+    rest = equilibrium(linearised, y, max(1.0, float(np.abs(y).max())))
+    turning = np.abs(np.linalg.eigvals(linearised(rest.w)[1]).imag)
     wanted, allowed = (period, 1e-6) if period is not None else (at.period, LINEAR)
     off = float(np.abs(turning * wanted / (2 * np.pi) - 1.0).min())
     return Check(end.kind, off, allowed, off <= allowed, "period over that of the linear oscillation, less 1")

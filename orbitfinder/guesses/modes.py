@@ -19,7 +19,6 @@ from itertools import product
 
 import numpy as np
 from scipy.linalg import eigh
-from scipy.optimize import minimize
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import InputError, plural
@@ -75,12 +74,13 @@ def resting_place(model: Model, energy: float) -> np.ndarray:
 def minima(model: Model) -> list[np.ndarray]:
     """Coordinates (n each) of minima of the potential, met going down from places about q = 0."""
     reach, random = reach_of(model), np.random.default_rng(0)
-    found = [
-        minimize(lambda q: float(model.potential(q, model.parameter_values)), reach * random.uniform(-1, 1, reach.size))
-        for _ in range(DESCENTS)
-    ]
+
+    def potential(q: np.ndarray) -> float:
+        return float(model.potential(q, model.parameter_values))
+
+    found = [newton.descended(potential, reach * random.uniform(-1, 1, reach.size)) for _ in range(DESCENTS)]
     # a potential without a floor leads away from every minimum
-    return [one.x for one in found if np.all(np.abs(one.x) < 4 * reach) and np.abs(one.jac).max() < FLAT]
+    return [q for q, _, slope in found if np.all(np.abs(q) < 4 * reach) and slope < FLAT]
 
 
 def reach_of(model: Model) -> np.ndarray:
@@ -107,7 +107,7 @@ def equilibrium(model: Model) -> np.ndarray:
     slopes = [potential(1e-6 * unit) - potential(-1e-6 * unit) for unit in np.eye(n)]
     if np.abs(slopes).max() < 1e-11 * max(work, abs(potential(zero))):
         return from_here
-    found = minimize(lambda q: potential(q) / work, zero, method="BFGS", options={"gtol": 1e-11}).x
+    found = newton.descended(lambda q: potential(q) / work, zero, method="BFGS", options={"gtol": 1e-11})[0]
     accelerations = linearised(model)
     rest = newton.equilibrium(lambda q: accelerations(q, zero)[:2], from_here + units * found, units)
     return rest.w if rest.converged else from_here + units * found
@@ -180,11 +180,10 @@ def _descended(model: Model, start: np.ndarray) -> np.ndarray:
     closure = {
         "type": "eq", "fun": lambda x: rest.first(x)[2].full().ravel(), "jac": lambda x: rest.first(x)[1].full()
     }  # fmt: skip
-    result = minimize(
+    return newton.descended(
         lambda x: float(rest.potential(x)), start, jac=lambda x: rest.first(x)[0].full().ravel(), method="SLSQP",
         constraints=[closure], options={"ftol": 1e-10, "maxiter": 200},
-    )  # fmt: skip
-    return np.asarray(result.x)
+    )[0]  # fmt: skip
 
 
 AMPLITUDE = 0.02

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import minimize
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.cvodes import integration_error, sundials
 from orbitfinder.loops.problem import Problem, clocked
 from orbitfinder.loops.shooting import Shooting
 from orbitfinder.mechanics.model import Model, energy
+from orbitfinder.mechanics.newton import descended
 
 SETTLED = 1e-4
 """Slope of the potential, relative to its value, below which a way down has come to its end."""
@@ -168,9 +168,8 @@ def _lowest(model: Model, place: np.ndarray) -> float:
     """Least energy (J) of rest on the way down from a place (n), -inf where there is no floor or rods constrain it."""
     if model.constraint is not None:
         return -np.inf
-    down = minimize(lambda q: energy(model, np.concatenate([q, np.zeros(q.size)])), place)
-    settled = np.isfinite(down.fun) and np.abs(down.jac).max() <= SETTLED * abs(down.fun)
-    return float(down.fun) if settled else -np.inf
+    _, lowest, slope = descended(lambda q: energy(model, np.concatenate([q, np.zeros(q.size)])), place)
+    return lowest if np.isfinite(lowest) and slope <= SETTLED * abs(lowest) else -np.inf
 
 
 def worst_defects(shooting: Shooting, w: np.ndarray) -> np.ndarray:

@@ -17,6 +17,7 @@ from math import isfinite
 from typing import Any, Generic, TypeVar
 
 import numpy as np
+from scipy.optimize import minimize
 
 from orbitfinder._runtime import limit
 
@@ -43,7 +44,8 @@ class Settings:
     farthest: float = np.inf
     """more that is left leads nowhere"""
     patience: int = 1000
-    """evaluations one after another that do not halve what is left"""
+    """evaluations one after another that leave more than the share `progress` of the least so far"""
+    progress: float = 0.5
     cutoff: float = 1e-12
     """singular values below this share of the largest are taken for 0"""
 
@@ -101,7 +103,7 @@ def full(
         limit.check()
         rows, solver = linearised(w)
         size = measure(rows)
-        idle = idle + 1 if size > 0.5 * best.size else 0
+        idle = idle + 1 if size > settings.progress * best.size else 0
         if size < best.size:
             best = Solved(w, rows, size, solver, count, settings)
         spent = idle > settings.patience or count == settings.most_evaluations
@@ -230,3 +232,9 @@ def equilibrium(
         return least_norm(slopes, rows, settings.cutoff)[: x.size] / units
 
     return stepped(x, step, settings, lambda x, step: x + units * step)
+
+
+def descended(value: Callable[[np.ndarray], float], q: np.ndarray, **how: Any) -> tuple[np.ndarray, float, float]:
+    """Where the way down from q (n) ends, the value there, the largest slope left; `how` is for SciPy's minimize."""
+    found = minimize(value, q, **how)
+    return np.asarray(found.x), float(found.fun), largest(found.jac)
