@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgError, LinAlgWarning, solve
 
-from orbitfinder._runtime import limit
 from orbitfinder.errors import InputError
 from orbitfinder.guesses.modes import normal_modes
 from orbitfinder.integrate.equations import linearised
@@ -27,15 +26,15 @@ from orbitfinder.loops.loop import Equations, Loop
 from orbitfinder.loops.problem import Guess, Problem, pinned
 from orbitfinder.loops.symmetry import QUARTER
 from orbitfinder.mechanics.model import Model, energy
+from orbitfinder.mechanics.newton import Settings, stepped
 
 Accelerations = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 """(q, v) -> a (n), da/dq, da/dv (n x n each)"""
 PinRow = Callable[[np.ndarray, float], tuple[float, np.ndarray, float]]
 """(q(0), T) -> residual of the pin and its derivatives in q(0) (n) and in T, for a start at rest"""
 
-MOST_ITERATIONS = 8
-CONVERGED = 1e-9
-"""rad (or m) and rad/s: the last Newton step's size"""
+NEWTON = Settings(floor=1e-9, converged=1e-9, most_evaluations=8, farthest=np.pi)
+"""Of steps, rad (or m) and rad/s"""
 TAIL = 1e-3
 """Harmonics are doubled until the last quarter of them is below this, rad (or m)"""
 FINE_TAIL = 1e-5
@@ -79,6 +78,11 @@ class Series:
         more = np.zeros((count - len(self.coefficients), self.coefficients.shape[1]))
         return Series(np.vstack([self.coefficients, more]), self.frequency)
 
+    def moved(self, step: np.ndarray) -> Series:
+        """The same after a step of the coefficients and of the frequency."""
+        shape = self.coefficients.shape
+        return Series(self.coefficients + step[:-1].reshape(shape), self.frequency + float(step[-1]))
+
     def towards(self, other: Series, factor: float) -> Series:
         """The point at `factor` on the straight line through this (0) and another (1)."""
         count = max(len(self.coefficients), len(other.coefficients))
@@ -96,24 +100,18 @@ def most_harmonics(coordinates: int) -> int:
 
 def correct(series: Series, accelerations: Accelerations, pin: PinRow) -> tuple[Series, int] | None:
     """Newton's method from a prediction: the solution and its iterations, or None where it does not converge."""
-    found = series
-    for iteration in range(1, MOST_ITERATIONS + 1):
-        limit.check()
-        matrix, rows = _system(found, accelerations, pin)
-        if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(matrix))):
-            return None
+
+    def step(series: Series) -> np.ndarray:
+        matrix, rows = _system(series, accelerations, pin)
+        if series.frequency <= 0 or not (np.all(np.isfinite(rows)) and np.all(np.isfinite(matrix))):
+            return np.full(rows.size, np.nan)
         try:
-            step = solve(matrix.T, -rows, overwrite_a=True, check_finite=False, transposed=True)
+            return np.asarray(solve(matrix.T, -rows, overwrite_a=True, check_finite=False, transposed=True))
         except (LinAlgError, LinAlgWarning):
-            return None
-        shape = found.coefficients.shape
-        found = Series(found.coefficients + step[:-1].reshape(shape), found.frequency + float(step[-1]))
-        size = float(np.abs(step).max())
-        if not size < np.pi or found.frequency <= 0:
-            return None
-        if size < CONVERGED:
-            return found, iteration
-    return None
+            return np.full(rows.size, np.nan)
+
+    found = stepped(series, step, NEWTON, Series.moved)
+    return (found.w, found.count) if found.converged else None
 
 
 def _system(series: Series, accelerations: Accelerations, pin: PinRow) -> tuple[np.ndarray, np.ndarray]:

@@ -31,6 +31,7 @@ from orbitfinder.loops.problem import Problem, boundary_constants, guessed_nodes
 from orbitfinder.loops.symmetry import Symmetry
 from orbitfinder.mechanics.hybrid import share
 from orbitfinder.mechanics.model import Model, vector_field
+from orbitfinder.mechanics.newton import Settings, stepped
 
 POINTS = 5
 """Legendre points of an element: of order 10"""
@@ -49,8 +50,10 @@ FARTHEST = 1e3
 MIRRORED = 1e-9
 """A control's sign under a symmetry is tried to this, relative"""
 ALWAYS = "always"
-CORRECTIONS, SINGULAR = 2, 1e-13
-"""Newton steps after IPOPT; what keeps rows that say the same apart"""
+CORRECTED = Settings(floor=0.0, round_off=0.0, converged=np.inf, most_evaluations=2)
+"""Newton steps after IPOPT, whatever they leave"""
+SINGULAR = 1e-13
+"""What keeps rows that say the same apart"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -615,14 +618,16 @@ def _closed(stated: Statement, at: np.ndarray) -> np.ndarray:
     chosen = [int(k) for k in np.flatnonzero(equal)]
     equations = stated.rows[chosen] - ca.DM(stated.low[equal])
     function = ca.Function("equations", [stated.v], [equations, ca.jacobian(equations, stated.v)])
-    for _ in range(CORRECTIONS):
+
+    def step(at: np.ndarray) -> np.ndarray:
         left, slope = function(at)
         matrix = slope.sparse().tocsr()
         sizes = np.maximum(np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=1)).ravel()), 1e-300)
         matrix, left = diags(1.0 / sizes) @ matrix, left.full().ravel() / sizes
         square = (matrix @ matrix.T + SINGULAR * identity(len(chosen))).tocsc()
-        at = at - matrix.T @ splu(square).solve(left)
-    return np.asarray(at)
+        return -np.asarray(matrix.T @ splu(square).solve(left))
+
+    return stepped(at, step, CORRECTED).w
 
 
 def _failed(stats: Any, program: Program) -> ConvergenceError:

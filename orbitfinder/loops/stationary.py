@@ -28,6 +28,7 @@ from scipy.sparse.linalg import splu
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.loops.controlled import Program, Solution, Statement, stated_program
 from orbitfinder.mechanics.model import vector_field
+from orbitfinder.mechanics.newton import Settings, largest, stepped
 
 NEAR = 1e-6
 """A constraint is tried as active where it is met to this, in sizes of the unknowns"""
@@ -35,12 +36,12 @@ VIOLATED = 1e-8
 """A constraint is violated, a multiplier has the wrong sign, beyond this"""
 DEPENDENT = 1e-8
 """Gradients that differ by less, of norm 1, say the same"""
-CONVERGED, STALLED, MOST_NEWTON = 1e-9, 1e-7, 10
-"""Last step of Newton's method (relative), the same where round-off ends it, and the most of them"""
+NEWTON = Settings(
+    floor=1e-9, round_off=1e-7, converged=1e-7, contraction=0.5, most_evaluations=10, farthest=1e3
+)  # fmt: skip
+"""Of steps, relative to the unknowns"""
 NEGATIVE = 1e-9
 """An eigenvalue is negative below this share of the largest"""
-FARTHEST = 1e3
-"""A step of Newton's method that is longer leads nowhere"""
 STILL = 1e-3
 """Least size of a control that is unused: this share of what would accelerate as much as the motion does"""
 ROUNDS = 20
@@ -198,21 +199,23 @@ class Stationary:
     def corrected(self, z: np.ndarray, near: Point, row: np.ndarray, active: dict[int, int] | None = None) -> Point:
         """The point of the curve on the hyperplane through z normal to `row`. Raises `ConvergenceError`."""
         active = near.active if active is None else active
-        aim, chosen, last = float(row @ z), np.array(list(active), int), np.inf
-        y = np.zeros(near.y.size)
-        y[chosen] = near.y[chosen]
-        for _ in range(MOST_NEWTON):
-            residual, matrix, _ = self._system(z, y, active)
-            step = self._bordered(matrix, row, np.append(-residual, aim - row @ z))
-            z, y = z + step[: z.size], y.copy()
-            y[chosen] += step[z.size :]
-            size = float(np.abs(step[: z.size]).max())
-            if size <= CONVERGED or (size <= STALLED and size > 0.5 * last):
-                return Point(z, y, active)
-            if not size < FARTHEST:
-                break
-            last = size
-        raise ConvergenceError("Newton's method does not converge")
+        aim, chosen, size = float(row @ z), np.array(list(active), int), z.size
+
+        def point(w: np.ndarray) -> Point:
+            y = np.zeros(near.y.size)
+            y[chosen] = w[size:]
+            return Point(w[:size], y, active)
+
+        def step(w: np.ndarray) -> np.ndarray:
+            at = point(w)
+            residual, matrix, _ = self._system(at.z, at.y, active)
+            return self._bordered(matrix, row, np.append(-residual, aim - row @ at.z))
+
+        start = np.append(z, near.y[chosen])
+        found = stepped(start, step, NEWTON, measure=lambda step: largest(step[:size]))
+        if not found.converged:
+            raise ConvergenceError("Newton's method does not converge")
+        return point(found.w)
 
     @staticmethod
     def _bordered(matrix: csr_matrix, row: np.ndarray, right: np.ndarray) -> np.ndarray:
