@@ -32,6 +32,7 @@ from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, energy, vector_field, wrapped
+from orbitfinder.mechanics.newton import Settings, Solver, full
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.closure import extents_of
 from orbitfinder.orbits.evidence import Hamiltonian
@@ -40,10 +41,8 @@ from orbitfinder.orbits.section import Surface, solved_component, surface
 from orbitfinder.records.manifold import Connection, End
 from orbitfinder.records.orbit import Certificate, Check, Orbit
 
-MOST_STEPS, MOST_WORSE = 25, 4
-"""Steps of Newton's method, and how many in a row may gain less than half"""
-SOLVED, ACCEPTED = 1e-13, 1e-10
-"""Gaps of a solved connection, in extents of the orbits: where Newton's method stops, and the most it may leave"""
+NEWTON = Settings(floor=1e-13, round_off=1e-10, converged=1e-10, contraction=0.5, most_evaluations=25, patience=4)
+"""How a connection is solved: gaps in extents of the orbits"""
 LARGEST_STEP = 0.3
 """Change of a place's logarithm in one step of Newton's method"""
 GAP, POINT, TANGENT = 1e-9, 1e-8, 1e-4
@@ -271,27 +270,26 @@ def _matrix(chain: Chain, slopes: np.ndarray) -> np.ndarray:
 def solved(chain: Chain) -> Chain:
     """The connection near a guess, by Newton's method. Raises `ConvergenceError` where the manifolds do not meet
     there."""
-    found, best, worse = chain.origin.surface, (np.inf, chain), 0
-    axes = list(found.axes)
-    for _ in range(MOST_STEPS):
+    axes = list(chain.origin.surface.axes)
+
+    def linearised(chain: Chain) -> tuple[np.ndarray, Solver]:
         linear = _linear(chain)
-        units = np.maximum(chain.origin.extents[axes], np.abs(chain.states[1:, axes]))
-        size = float(np.abs(linear.gaps / units).max())
-        if not np.isfinite(size):
-            raise ConvergenceError("connection: Newton's method leaves the section")
-        if size <= SOLVED or (best[0] <= ACCEPTED and size > 0.5 * best[0]):
-            return chain if size <= best[0] else best[1]
-        worse = worse + 1 if size > 0.5 * best[0] else 0
-        best = (size, chain) if size < best[0] else best
-        if worse > MOST_WORSE:
-            break
-        try:
-            step = np.linalg.solve(linear.matrix, -linear.gaps.ravel())
-        except np.linalg.LinAlgError as error:
-            raise ConvergenceError("connection: the manifolds touch and do not cross there") from error
-        step /= max(1.0, float(np.abs(step[[0, -1]]).max()) / LARGEST_STEP)
-        chain = _moved(chain, step)
-    raise ConvergenceError(f"connection: the manifolds come within {best[0]:.2g} of each other there and do not meet")
+
+        def solver(_: np.ndarray) -> np.ndarray:
+            try:
+                step = np.linalg.solve(linear.matrix, -linear.gaps.ravel())
+            except np.linalg.LinAlgError as error:
+                raise ConvergenceError("connection: the manifolds touch and do not cross there") from error
+            return step / max(1.0, float(np.abs(step[[0, -1]]).max()) / LARGEST_STEP)
+
+        return linear.gaps / np.maximum(chain.origin.extents[axes], np.abs(chain.states[1:, axes])), solver
+
+    found = full(chain, linearised, NEWTON, _moved)
+    if not found.converged:
+        raise ConvergenceError(
+            f"connection: the manifolds come within {found.size:.2g} of each other there and do not meet"
+        )
+    return found.w
 
 
 def _moved(chain: Chain, step: np.ndarray) -> Chain:
