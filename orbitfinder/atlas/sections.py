@@ -23,6 +23,7 @@ from orbitfinder.loops.newton import Refined
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.hybrid import section_of, with_cycle
 from orbitfinder.mechanics.model import Model, wrapped
+from orbitfinder.mechanics.newton import Settings, closed, equilibrium
 from orbitfinder.orbits.refine import Refiner
 from orbitfinder.records.orbit import Orbit
 
@@ -40,8 +41,9 @@ DRAWS = 12
 """Motions that a start begins until one of them comes back to the section as often as it takes: most may fall"""
 MOST_EVENTS = 8
 """For each transition of the cycle: a motion with more events in a cycle is given up"""
-CORRECTIONS, MET = 12, 1e-12
-"""Newton steps onto the section, and what is left of its equations then, relative"""
+DRAWING = Settings(floor=0.0, round_off=0.0, converged=np.inf, most_evaluations=12, cutoff=1e-10)
+ONTO = Settings(floor=1e-12, round_off=1e-12, converged=1e-12, most_evaluations=12, cutoff=1e-10)
+"""Of steps near to a state that is wanted, and then onto the section, whose equations are relative"""
 LOOSE = ReferenceSettings(relative_tolerance=1e-6, absolute_tolerance=1e-8)
 COVER = 1e-6
 """Returns nearer than this, in lengths, are one"""
@@ -140,20 +142,20 @@ class Section:
         width = np.where(asked, np.nan_to_num(self.high - self.low), 1.0)
         x = wanted + np.where(asked, 0.0, random.normal(size=width.size))
         level = np.append(0.0, np.full(len(self.model.invariants), self.level))
-        with np.errstate(all="ignore"):
-            for k in range(2 * CORRECTIONS):
-                after, held, by, slopes = (one.T for one in self._after(x, p))
-                rows, miss = slopes * width, held.ravel() - level
-                if k < CORRECTIONS:  # near what is wanted, then onto the section the shortest way
-                    size = np.maximum(np.abs(rows).max(axis=1), 1e-300)
-                    rows = np.vstack([(by * width / width[:, None])[asked], rows / size[:, None]])
-                    miss = np.append(((after.ravel() - wanted) / width)[asked], miss / size)
-                elif np.all(np.abs(miss) <= MET * np.maximum(np.abs(rows).max(axis=1), np.abs(level))):
-                    return np.asarray(x)
-                if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(miss))):
-                    return None
-                x = x - width * np.linalg.lstsq(rows, miss, rcond=1e-10)[0]
-        return None
+
+        def phi(x: np.ndarray, near: bool) -> tuple[np.ndarray, np.ndarray]:
+            after, held, by, slopes = (part.T for part in self._after(x, p))
+            sizes = np.maximum(np.abs(slopes * width).max(axis=1), 1e-300 if near else np.abs(level))
+            miss, slopes = (held.ravel() - level) / sizes, slopes / sizes[:, None]
+            if not near:
+                return miss, slopes
+            away, rows = (after.ravel() - wanted) / width, by / width[:, None]
+            return np.append(away[asked], miss), np.vstack([rows[asked], slopes])
+
+        with np.errstate(all="ignore"):  # near what is wanted, then onto the section the shortest way
+            x = equilibrium(lambda x: phi(x, True), x, width, DRAWING).w
+            found = closed(lambda x: phi(x, False), x, units=width, size=1.0, settings=ONTO)
+        return found.w if found.converged else None
 
     def passes(self, state: np.ndarray, count: int) -> Iterator[Pass]:
         """The state and what follows it on the section, `count` passes at most, as far as the motion goes."""

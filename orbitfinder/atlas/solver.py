@@ -28,7 +28,7 @@ from orbitfinder.integrate.equations import invariant_gradients
 from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.loop import Equations, Loop, Unknowns
 from orbitfinder.loops.problem import Problem, loop_of
-from orbitfinder.mechanics.newton import Settings, Solver, chord
+from orbitfinder.mechanics.newton import Settings, Solver, chord, full, largest
 
 FINER = 3
 """The polish begins with steps shorter than the cheap stage's by this factor."""
@@ -55,7 +55,8 @@ POLISH = Settings(floor=1e-13, round_off=1e-13, converged=1e-10, most_evaluation
 """Scaled residuals of the polish."""
 LONGEST, SHORTEST = 0.3, 1e-3
 """Scaled steps along the valley."""
-MOST_CORRECTIONS = 6
+REGULAR = Settings(floor=0.0, converged=0.0, round_off=0.0, most_evaluations=6, patience=0, progress=1.0)
+"""How the regular equations are solved: given up where what is left of them grows"""
 MOST_TRIALS = 60
 MOST_ROOT_STEPS = 20
 SLACK = 1e-3
@@ -264,11 +265,6 @@ class Point:
         """What is left of the residual in the one equation that is not regular."""
         return float(self.left @ self.residual)
 
-    @property
-    def rest(self) -> float:
-        """The largest residual of the others."""
-        return float(np.abs(self.residual - self.mu * self.left).max())
-
 
 def orbit_in_valley(one: Scaled, w: Unknowns) -> tuple[Unknowns, np.ndarray]:
     """The unknowns of an orbit in the valley that w lies in, and the Jacobian there; `Stalled` when there is none."""
@@ -300,18 +296,25 @@ def turned(at: Point) -> Point:
 
 def corrected(one: Scaled, at: Point, length: float) -> Point:
     """Where the regular equations hold at h = `length` from a point, by Newton's method; `Stalled` if nowhere."""
-    w, smallest = moved(one, at.w, length * at.right), np.inf
-    for _ in range(MOST_CORRECTIONS):
-        found = Point(w, *linearised(one, bounded(one, w)), at.left, at.right)
-        if found.rest < max(SLACK * abs(found.mu), ROUND_OFF):
-            return found
-        if found.rest > smallest:
-            break
-        smallest = found.rest
-        bordered = np.block([[found.jacobian, -at.left[:, None]], [at.right[None], np.zeros((1, 1))]])
-        wanted = np.append(found.mu * at.left - found.residual, 0.0)
-        w = moved(one, w, np.linalg.solve(bordered, wanted)[:-1])
-    raise Stalled(at.w)
+
+    def onward(point: Point, step: np.ndarray) -> Point:
+        w = bounded(one, moved(one, point.w, step))
+        return Point(w, *linearised(one, w), at.left, at.right)
+
+    def regular(point: Point) -> tuple[np.ndarray, Solver]:
+        rest = point.residual - point.mu * at.left
+
+        def step(_: np.ndarray) -> np.ndarray:
+            bordered = np.block([[point.jacobian, -at.left[:, None]], [at.right[None], np.zeros((1, 1))]])
+            return np.asarray(np.linalg.solve(bordered, np.append(-rest, 0.0))[:-1])
+
+        hold = largest(rest) < max(SLACK * abs(point.mu), ROUND_OFF)
+        return np.zeros(0) if hold else rest, step
+
+    found = full(onward(at, length * at.right), regular, REGULAR, onward)
+    if not found.converged:
+        raise Stalled(at.w)
+    return found.w
 
 
 def bracket(one: Scaled, at: Point) -> tuple[Point, Point, float]:

@@ -56,7 +56,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Solved(Generic[W]):
-    """The best w of an iteration, its rows and their size, the solver there, the evaluations it took."""
+    """What an iteration ended with: w, its rows and their size, the solver there, the evaluations it took."""
 
     w: W
     rows: np.ndarray
@@ -93,10 +93,11 @@ def full(
     settings: Settings = Settings(),
     moved: Callable[[Any, np.ndarray], Any] = np.add,
     measure: Callable[[np.ndarray], float] = largest,
+    final: bool = False,
 ) -> Solved[W]:
     """Whole steps, each with the derivatives where it begins: `linearised(w)` gives the rows and what solves for them.
 
-    Rows that are not finite end it. An iteration that is judged by its steps gives these for rows (`stepped`).
+    Rows that are not finite end it. The answer is the best w, or the `final`.
     """
     best, last, idle = _start(w, settings), np.inf, 0
     for count in range(1, settings.most_evaluations + 1):
@@ -104,7 +105,7 @@ def full(
         rows, solver = linearised(w)
         size = measure(rows)
         idle = idle + 1 if size > settings.progress * best.size else 0
-        if size < best.size:
+        if size < best.size or final:
             best = Solved(w, rows, size, solver, count, settings)
         spent = idle > settings.patience or count == settings.most_evaluations
         if settings.ended(size, last) or spent or not size < settings.farthest:
@@ -123,7 +124,7 @@ def stepped(
     measure: Callable[[np.ndarray], float] = largest,
 ) -> Solved[W]:
     """The same for equations without a size of their own: judged by the steps, the last of which is taken too."""
-    found = full(w, lambda w: (step(w), np.positive), settings, moved, measure)
+    found = full(w, lambda w: (step(w), np.positive), settings, moved, measure, True)
     return replace(found, w=moved(found.w, found.rows)) if found.converged else found
 
 
@@ -229,7 +230,8 @@ def equilibrium(
 
     def step(x: np.ndarray) -> np.ndarray:
         rows, slopes = linearised(x)
-        return least_norm(slopes, rows, settings.cutoff)[: x.size] / units
+        columns = np.hstack([slopes[:, : x.size] * units, slopes[:, x.size :]])
+        return least_norm(columns, rows, settings.cutoff)[: x.size]
 
     return stepped(x, step, settings, lambda x, step: x + units * step)
 
