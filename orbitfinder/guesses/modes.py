@@ -254,10 +254,7 @@ def normal_mode(
         return _first_order_mode(model, mode, amplitude, np.zeros(n) if equilibrium is None else equilibrium)
     if model.gyroscopic is not None and model.conservative:
         return _gyroscopic_mode(model, mode, amplitude, np.zeros(n) if equilibrium is None else equilibrium)
-    if isinstance(mode, bool) or not 1 <= mode <= n:
-        raise InputError(
-            f"guess.mode: must be between 1 and {n}, got {mode}; this system has {plural(n, 'normal mode')}"
-        )
+    _check_mode(mode, n, f"this system has {plural(n, 'normal mode')}")
     squared, shapes = normal_modes(model, equilibrium)
     chosen = float(squared[mode - 1])
     if mode - 1 not in oscillating(squared):
@@ -269,6 +266,11 @@ def normal_mode(
     largest = shape[np.abs(shape).argmax()]
     place = _place(model, equilibrium)
     return Guess(np.concatenate([place + amplitude * shape / largest, np.zeros(n)]), 2 * np.pi / np.sqrt(chosen))
+
+
+def _check_mode(mode: int, count: int, there: str, name: str = "guess.mode") -> None:
+    if isinstance(mode, bool) or not 1 <= mode <= count:
+        raise InputError(f"{name}: must be between 1 and {count}, got {mode}; {there}")
 
 
 def first_order_modes(
@@ -306,11 +308,8 @@ def first_order_modes(
 def _first_order_mode(model: Model, mode: int, amplitude: float, equilibrium: Sequence[float] | np.ndarray) -> Guess:
     """One turn of the ellipse x* + a Re(u exp(i w t)) that a pair of eigenvalues goes round."""
     place, values, vectors = first_order_modes(model, equilibrium)
-    if isinstance(mode, bool) or not 1 <= mode <= values.size:
-        raise InputError(
-            f"guess.mode: must be between 1 and {values.size}, got {mode}; the equilibrium at {place.tolist()} has "
-            f"{plural(values.size, 'pair')} of complex eigenvalues"
-        )
+    pairs = f"{plural(values.size, 'pair')} of complex eigenvalues"
+    _check_mode(mode, values.size, f"the equilibrium at {place.tolist()} has {pairs}")
     shape, frequency = vectors[:, mode - 1], float(values[mode - 1].imag)
     shape = amplitude * shape / shape[np.abs(shape).argmax()]
     times = np.linspace(0.0, 2 * np.pi / frequency, ELLIPSE + 1)
@@ -352,11 +351,7 @@ def gyroscopic_modes(model: Model, equilibrium: np.ndarray) -> tuple[np.ndarray,
 def _gyroscopic_mode(model: Model, mode: int, amplitude: float, equilibrium: Sequence[float] | np.ndarray) -> Guess:
     place = np.asarray(equilibrium, float)
     frequencies, shapes = gyroscopic_modes(model, place)
-    if isinstance(mode, bool) or not 1 <= mode <= frequencies.size:
-        raise InputError(
-            f"guess.mode: must be between 1 and {frequencies.size}, got {mode}; {frequencies.size} modes oscillate at "
-            f"{place.tolist()}"
-        )
+    _check_mode(mode, frequencies.size, f"{frequencies.size} modes oscillate at {place.tolist()}")
     shape = shapes[:, mode - 1]
     shape = shape / shape[np.abs(shape[: place.size]).argmax()]  # the largest coordinate is largest at the start,
     for one in declared(model):
@@ -389,11 +384,8 @@ def mode_problem(
     """
     amplitude = AMPLITUDE * float(sizes(model).max()) if amplitude is None else amplitude
     found = oscillating(normal_modes(model, equilibrium)[0])
-    if isinstance(mode, bool) or not 1 <= mode <= found.size:
-        raise InputError(
-            f"mode: must be between 1 and {found.size}, got {mode}; this equilibrium has "
-            f"{plural(found.size, 'oscillating mode')} out of {model.degrees_of_freedom}"
-        )
+    modes = f"{plural(found.size, 'oscillating mode')} out of {model.degrees_of_freedom}"
+    _check_mode(mode, found.size, f"this equilibrium has {modes}", "mode")
     guess = normal_mode(model, int(found[mode - 1]) + 1, amplitude, equilibrium)
     return Problem(model, guess, symmetry=QUARTER.name, name=name or f"mode-{mode}")
 
@@ -418,11 +410,7 @@ def linkage_mode(
     """Guess on a linear normal mode, at rest at its turning point: `mode` from 1, largest angle `amplitude` (rad)."""
     theta = linkage_equilibrium(model) if equilibrium is None else np.asarray(equilibrium, float)
     squared, shapes = linkage_modes(model, theta)
-    if isinstance(mode, bool) or not 1 <= mode <= squared.size:
-        raise InputError(
-            f"guess.mode: must be between 1 and {squared.size}, got {mode}; this linkage has "
-            f"{plural(squared.size, 'mode')}"
-        )
+    _check_mode(mode, squared.size, f"this linkage has {plural(squared.size, 'mode')}")
     if not (np.isfinite(amplitude) and amplitude != 0):
         raise InputError(f"guess.amplitude: must be finite and not 0, got {amplitude}; give an angle in rad")
     if squared[mode - 1] <= 0:

@@ -11,7 +11,6 @@ products and one small solve. The product of all Phi_k loses the contracting dir
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -20,15 +19,13 @@ from scipy.linalg.lapack import dgetrf, dgetrs
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
+from orbitfinder.mechanics.newton import Solver
+
 LARGEST_PRODUCT = 1e8
 CUTOFF = 1e-13
 """Singular values below this, relative to the largest, are taken for 0 (brake orbits at rest have one)"""
 SMALL = 150
 """Unknowns up to which a dense factorisation is the faster one"""
-
-Solver = Callable[[np.ndarray], np.ndarray]
-"""Rows (defects, closing rows) -> the step over w (nodes, tail) that would remove them"""
-
 
 Inner = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Segments (g), and the derivatives of a row of each by its node (g x d) and by y (g x m)"""

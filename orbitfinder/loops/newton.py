@@ -10,9 +10,9 @@ import numpy as np
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied, divided
-from orbitfinder.loops.condensed import Linearised, Solver, eliminated
+from orbitfinder.loops.condensed import Linearised, eliminated
 from orbitfinder.loops.loop import NONE_SUCH, Loop, Unknowns, beyond
-from orbitfinder.mechanics.newton import Settings, Solved, chord, halved
+from orbitfinder.mechanics.newton import Settings, Solved, Solver, chord, halved
 from orbitfinder.mechanics.scales import WIDE, snapped
 
 

@@ -15,10 +15,9 @@ import numpy as np
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.cvodes import Flow, sundials
 from orbitfinder.integrate.rk8 import MOST_DOUBLINGS, agree, march, refined_march
-from orbitfinder.loops.condensed import Solver
 from orbitfinder.loops.loop import Unknowns, beyond
 from orbitfinder.loops.shooting import Shooting
-from orbitfinder.mechanics.newton import Settings, chord
+from orbitfinder.mechanics.newton import Settings, Solver, chord
 
 POLISH = Settings(floor=1e-15, round_off=4e-9, converged=1e-8, most_evaluations=30)
 """Of the rows as they are: no step makes 1e-15 smaller, a polish that stalls above 1e-8 has failed"""

@@ -3,16 +3,13 @@
 Any w will do that a step moves; what its rows and steps are measured in is the caller's, so that they compare with 1.
 An iteration ends where what is left is below `floor`, or below `round_off` and no longer contracts, and has
 succeeded where it is below `converged`. The file knows no loop and no model; it lies on this floor as the lowest that
-solves anything: mechanisms are closed here, and rest is found.
-
-Sources: J. Nocedal, S. Wright, Numerical Optimization (2006), chapters 10, 11; of the damping K. Levenberg, Quarterly
-of Applied Mathematics 2 (1944) 164-168; D. Marquardt, SIAM Journal 11 (1963) 431-441.
+solves anything: mechanisms are closed here. Source: J. Nocedal, S. Wright, Numerical Optimization (2006), chapter 11.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from typing import Any, Generic, TypeVar
 
@@ -59,11 +56,11 @@ class Solved(Generic[W]):
     """What an iteration ended with: w, its rows and their size, the solver there, the evaluations it took."""
 
     w: W
-    rows: np.ndarray
-    size: float
-    solver: Solver
-    count: int
     settings: Settings
+    rows: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    size: float = np.inf
+    solver: Solver = np.negative
+    count: int = 0
 
     @property
     def converged(self) -> bool:
@@ -83,10 +80,6 @@ def least_norm(slopes: np.ndarray, rows: np.ndarray, cutoff: float = Settings.cu
     return np.asarray(np.linalg.lstsq(slopes, -rows, rcond=cutoff)[0])
 
 
-def _start(w: W, settings: Settings) -> Solved[W]:
-    return Solved(w, np.zeros(0), np.inf, np.negative, 0, settings)
-
-
 def full(
     w: W,
     linearised: Callable[[W], tuple[np.ndarray, Solver]],
@@ -99,14 +92,14 @@ def full(
 
     Rows that are not finite end it. The answer is the best w, or the `final`.
     """
-    best, last, idle = _start(w, settings), np.inf, 0
+    best, last, idle = Solved(w, settings), np.inf, 0
     for count in range(1, settings.most_evaluations + 1):
         limit.check()
         rows, solver = linearised(w)
         size = measure(rows)
         idle = idle + 1 if size > settings.progress * best.size else 0
         if size < best.size or final:
-            best = Solved(w, rows, size, solver, count, settings)
+            best = Solved(w, settings, rows, size, solver, count)
         spent = idle > settings.patience or count == settings.most_evaluations
         if settings.ended(size, last) or spent or not size < settings.farthest:
             break
@@ -155,7 +148,7 @@ def chord(
             break
         if slow:
             solver, fresh = solver_of(w), True
-    return Solved(w, rows, size, solver, count, settings)
+    return Solved(w, settings, rows, size, solver, count)
 
 
 def halved(
@@ -169,12 +162,12 @@ def halved(
 
     `share` is how much of a step may be taken at first. The last one begins below `floor` and is a whole one.
     """
-    best, step, factor = _start(w, settings), np.zeros(0), 1.0
+    best, step, factor = Solved(w, settings), np.zeros(0), 1.0
     for count in range(1, settings.most_evaluations + 1):
         rows, solver = linearised(w)
         size = float(np.linalg.norm(rows))
         if size < best.size:
-            best, step = Solved(w, rows, size, solver, count, settings), solver(rows)
+            best, step = Solved(w, settings, rows, size, solver, count), solver(rows)
             factor = share(w, step)
             if size < settings.floor and factor == 1.0:
                 return replace(best, w=moved(w, step))
