@@ -208,3 +208,44 @@ def test_every_kind_of_event_has_a_check():
                 made |= {one.value for one in ast.walk(node.args[0]) if isinstance(one, ast.Constant)}
     assert len(made) > 8 and made <= set(CHECKS), made - set(CHECKS)
     assert set(MARKERS) == set(CHECKS)
+
+
+SOLVERS = {"solve", "lstsq", "pinv", "splu", "spsolve", "least_norm"}
+"""What a step of Newton's method is solved with"""
+ITERATIONS = {
+    "mechanics.newton": "the one: whole, chord and halved steps, closures, equilibria",
+    "loops.continued": "families' corrector, with a border whose derivatives are measured on the way",
+    "atlas.solver": "Levenberg and Marquardt's, asked at every evaluation whether a start is hopeless or creeps",
+    "mechanics.mechanism": "the minimal form's steps: an expression graph, whose number of steps is fixed",
+    "mechanics.pose": "a hand pulls to the least distance, which is no zero",
+    "orbits.section": "many states at once, each of which may fail alone",
+    "orbits.product": "no Newton: directions of a periodic Schur form, block by block",
+    "orbits.frequencies": "no Newton: lines of a spectrum, taken off one after the other",
+    "orbits.riccati": "no Newton: the doubling of a Riccati equation",
+    "loops.stationary": "no Newton: constraints that are met or let go",
+    "guesses.balance": "no Newton: harmonics are doubled",
+}
+"""Files outside proof/ in which something is solved again and again, and why `mechanics.newton` does not do it"""
+
+
+def calls(nodes):
+    """The names that are called in some nodes: `solve` of np.linalg.solve(...)."""
+    made = [node.func for one in nodes for node in ast.walk(one) if isinstance(node, ast.Call)]
+    return {getattr(function, "attr", getattr(function, "id", "")) for function in made}
+
+
+def iterates(node):
+    """Whether a node is a loop that counts, or goes on until something holds."""
+    counted = isinstance(node, ast.For) and isinstance(node.iter, ast.Call) and calls([node.iter]) == {"range"}
+    return counted or isinstance(node, ast.While)
+
+
+def test_newton_is_written_once():
+    """A loop that solves linear equations, or calls a function of its file that does, is there or has a reason."""
+    found = set()
+    for module, tree in ((module, tree) for module, tree in MODULES.items() if not module.startswith("proof")):
+        functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+        solving = SOLVERS | {one.name for one in functions if calls(one.body) & SOLVERS}
+        loops = [node for node in ast.walk(tree) if iterates(node)]
+        found |= {module for loop in loops if calls(loop.body) & solving}
+    assert found == set(ITERATIONS)

@@ -619,7 +619,7 @@ def _closed(stated: Statement, at: np.ndarray) -> np.ndarray:
     equations = stated.rows[chosen] - ca.DM(stated.low[equal])
     function = ca.Function("equations", [stated.v], [equations, ca.jacobian(equations, stated.v)])
 
-    def step(at: np.ndarray) -> np.ndarray:
+    def correction(at: np.ndarray) -> np.ndarray:
         left, slope = function(at)
         matrix = slope.sparse().tocsr()
         sizes = np.maximum(np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=1)).ravel()), 1e-300)
@@ -627,7 +627,7 @@ def _closed(stated: Statement, at: np.ndarray) -> np.ndarray:
         square = (matrix @ matrix.T + SINGULAR * identity(len(chosen))).tocsc()
         return -np.asarray(matrix.T @ splu(square).solve(left))
 
-    return stepped(at, step, CORRECTED).w
+    return stepped(at, correction, CORRECTED).w
 
 
 def _failed(stats: Any, program: Program) -> ConvergenceError:
