@@ -12,7 +12,7 @@ from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied, divided
 from orbitfinder.loops.condensed import Linearised, eliminated
 from orbitfinder.loops.loop import NONE_SUCH, Loop, Unknowns, beyond
-from orbitfinder.mechanics.newton import Settings, Solved, Solver, chord, halved
+from orbitfinder.mechanics.newton import Settings, Solved, Solver, chord, full
 from orbitfinder.mechanics.scales import WIDE, snapped
 
 
@@ -140,7 +140,7 @@ class Newton:
 
     def _approach(self, w: Unknowns, path: Varied | None) -> tuple[Unknowns, Solver]:
         """Halved steps on the coarse march until the residual is small."""
-        chosen, paths = self.settings, [path]
+        chosen, paths, solvers = self.settings, [path], list[Solver]()
 
         def linearised(w: Unknowns) -> tuple[np.ndarray, Solver]:
             path = paths.pop() if paths else self._varied(w)
@@ -148,15 +148,19 @@ class Newton:
             if path is None or not np.linalg.norm(rows) < self.best:
                 return rows, np.negative
             self.best = float(np.linalg.norm(rows))
-            return rows, self._solver(w, path)
+            solver = self._solver(w, path)
 
-        def share(w: Unknowns, step: np.ndarray) -> float:
-            return 1.0 / max(1.0, abs(float(step[w.nodes.size])) / (chosen.largest_change * w.period))
+            def shortened(rows: np.ndarray) -> np.ndarray:
+                step = solver(rows)
+                return step / max(1.0, abs(float(step[w.nodes.size])) / (chosen.largest_change * w.period))
 
-        until = replace(chosen, floor=chosen.handover, converged=chosen.handover)
-        found = halved(w, linearised, until, Unknowns.moved, share)
+            solvers.append(solver)
+            return rows, shortened
+
+        until = replace(chosen, floor=chosen.handover, converged=chosen.handover, halving=True)
+        found = full(w, linearised, until, Unknowns.moved, lambda rows: float(np.linalg.norm(rows)))
         if found.converged:
-            return found.w, found.solver
+            return found.w.moved(found.solver(found.rows)), solvers[-1]
         if not found.rows.size:
             raise ConvergenceError("the motion from this guess gives no finite numbers; start elsewhere")
         beyond = "start nearer" if self.loop.equations.links else "find_orbit reaches farther"

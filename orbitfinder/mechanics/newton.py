@@ -43,6 +43,8 @@ class Settings:
     patience: int = 1000
     """evaluations one after another that leave more than the share `progress` of the least so far"""
     progress: float = 0.5
+    halving: bool = False
+    """a step that leaves as much or more, or no numbers, is taken back and halved"""
     cutoff: float = 1e-12
     """singular values below this share of the largest are taken for 0"""
 
@@ -92,20 +94,24 @@ def full(
 
     Rows that are not finite end it. The answer is the best w, or the `final`.
     """
-    best, last, idle = Solved(w, settings), np.inf, 0
+    best, last, idle, share = Solved(w, settings), np.inf, 0, 1.0
     for count in range(1, settings.most_evaluations + 1):
         limit.check()
         rows, solver = linearised(w)
         size = measure(rows)
         idle = idle + 1 if size > settings.progress * best.size else 0
         if size < best.size or final:
-            best = Solved(w, settings, rows, size, solver, count)
+            best, share = Solved(w, settings, rows, size, solver, count), 1.0
+        elif settings.halving and best.count:
+            share, size = share / 2, best.size
         spent = idle > settings.patience or count == settings.most_evaluations
         if settings.ended(size, last) or spent or not size < settings.farthest:
             break
-        step, last = solver(rows), size
-        length = largest(step)
-        w = moved(w, step if length <= settings.longest else step * (settings.longest / length))
+        if share == 1.0:
+            begin, step, last = w, solver(rows), size
+            length = largest(step)
+            step = step if length <= settings.longest else step * (settings.longest / length)
+        w = moved(begin, step if share == 1.0 else share * step)
     return best
 
 
@@ -149,34 +155,6 @@ def chord(
         if slow:
             solver, fresh = solver_of(w), True
     return Solved(w, settings, rows, size, solver, count)
-
-
-def halved(
-    w: W,
-    linearised: Callable[[W], tuple[np.ndarray, Solver]],
-    settings: Settings,
-    moved: Callable[[Any, np.ndarray], Any],
-    share: Callable[[W, np.ndarray], float],
-) -> Solved[W]:
-    """Steps that are halved while they do not help, from the best w so far; the norm of the rows is what is left.
-
-    `share` is how much of a step may be taken at first. The last one begins below `floor` and is a whole one.
-    """
-    best, step, factor = Solved(w, settings), np.zeros(0), 1.0
-    for count in range(1, settings.most_evaluations + 1):
-        rows, solver = linearised(w)
-        size = float(np.linalg.norm(rows))
-        if size < best.size:
-            best, step = Solved(w, settings, rows, size, solver, count), solver(rows)
-            factor = share(w, step)
-            if size < settings.floor and factor == 1.0:
-                return replace(best, w=moved(w, step))
-        elif not step.size:
-            break
-        else:
-            factor /= 2
-        w = moved(best.w, factor * step)
-    return best
 
 
 CLOSING = Settings(floor=0.0, round_off=1e-13, converged=1e-11, most_evaluations=80, longest=0.4)
