@@ -267,7 +267,7 @@ def _matrix(chain: Chain, slopes: np.ndarray) -> np.ndarray:
     return found
 
 
-def solved(chain: Chain) -> Chain:
+def solved(chain: Chain, settings: Settings = NEWTON) -> Chain:
     """The connection near a guess, by Newton's method. Raises `ConvergenceError` where the manifolds do not meet
     there."""
     axes = list(chain.origin.surface.axes)
@@ -284,7 +284,7 @@ def solved(chain: Chain) -> Chain:
 
         return linear.gaps / np.maximum(chain.origin.extents[axes], np.abs(chain.states[1:, axes])), solver
 
-    found = full(chain, linearised, NEWTON, _moved)
+    found = full(chain, linearised, settings, _moved)
     if not found.converged:
         raise ConvergenceError(
             f"connection: the manifolds come within {found.size:.2g} of each other there and do not meet"

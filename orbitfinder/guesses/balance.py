@@ -98,7 +98,9 @@ def most_harmonics(coordinates: int) -> int:
     return max(FEWEST, MOST_UNKNOWNS // coordinates)
 
 
-def correct(series: Series, accelerations: Accelerations, pin: PinRow) -> tuple[Series, int] | None:
+def correct(
+    series: Series, accelerations: Accelerations, pin: PinRow, settings: Settings = NEWTON
+) -> tuple[Series, int] | None:
     """Newton's method from a prediction: the solution and its iterations, or None where it does not converge."""
 
     def step(series: Series) -> np.ndarray:
@@ -110,7 +112,7 @@ def correct(series: Series, accelerations: Accelerations, pin: PinRow) -> tuple[
         except (LinAlgError, LinAlgWarning):
             return np.full(rows.size, np.nan)
 
-    found = stepped(series, step, NEWTON, Series.moved)
+    found = stepped(series, step, settings, Series.moved)
     return (found.w, found.count) if found.converged else None
 
 

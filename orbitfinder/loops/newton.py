@@ -1,4 +1,4 @@
-"""Newton's method for a Loop: damped on a coarse mesh, then chord steps whose residual comes from ever finer ones."""
+"""Newton's method for a Loop: halved on a coarse mesh, then chord steps whose residual comes from ever finer ones."""
 
 from __future__ import annotations
 
