@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from orbitfinder.continuation.follow import Curve, Goals, Pace, Trace, follow, rise, towards
+from orbitfinder.continuation.follow import Curve, Goals, Pace, Trace, follow, reached, rise, towards
 from orbitfinder.continuation.problem import Linear, Point, Solver, plane, solved
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.mechanics.newton import Settings
@@ -281,6 +281,26 @@ def test_which_way_leads_there():
     problem, w, direction = circle()
     point = begun(problem, w, direction)
     assert [towards(point, "p", value) for value in (0.5, -0.5, None)] == [1.0, -1.0, 1.0]
+
+
+def test_straight_to_values_before_a_fold():
+    """x^2 + p = 1: steps that fail are halved, and longer again; beyond p = 1 there are none."""
+    known, asked = [(0.0, 1.0)], []
+
+    def corrected(p):
+        asked.append(p)
+        x = known[-1][1]
+        for _ in range(4):
+            x = (x + (1 - p) / x) / 2
+        if not abs(x * x + p - 1) < 1e-9:
+            raise ConvergenceError("no root")
+        return x, 4
+
+    assert reached(known, 0.99, corrected) == pytest.approx(0.1, abs=1e-8)
+    assert asked[:2] == [0.99, 0.495] and len(asked) < 20 and [one for one, _ in known][-1] == 0.99
+    with pytest.raises(ConvergenceError, match="no root"):
+        reached(known, 2.0, corrected)
+    assert 0.99 < known[-1][0] < 1.0 and len(known) == 2 and len(asked) < 60
 
 
 def test_no_kind_of_problem_is_known_here():

@@ -3,11 +3,12 @@
 `walked` is the driver of everything that is followed: it asks a `Walk` for steps, halves those that fail, and ends.
 `follow` is the walk along a `ContinuationProblem`: predict, correct, step on, locate what is asked. Source: H. B.
 Keller, Numerical solution of bifurcation and nonlinear eigenvalue problems, in Applications of Bifurcation Theory
-(1977). Nothing here knows what is followed.
+(1977). `reached` is the walk straight to a value of natural parameters, of what goes round no folds. Nothing here knows
+what is followed.
 
-Every step is a line of a journal, and the same request goes on where it stopped. What is asked for may change: more
-points, a farther end, other values. What the journal has is read and not solved again; what is no longer asked for
-stays there and is left out.
+Every step of `follow` is a line of a journal, and the same request goes on where it stopped. What is asked for may
+change: more points, a farther end, other values. What the journal has is read and not solved again; what is no longer
+asked for stays there and is left out.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from scipy.optimize import brentq
 
@@ -392,6 +393,56 @@ class _Arclength:
 
     def failed(self, reason: str) -> _Line:
         return self.trace.add(end=End("step underflow", reason))
+
+    def ended(self, end: End) -> _Line:
+        return _Line(end=end)
+
+
+DIRECT = Pace(first=1.0, shortest=2.0**-8, longest=1.0, growth=2.0)
+"""At once; where that fails by halves of the way, and of those, and after each that leads on by one twice as long"""
+S = TypeVar("S")
+Known = list[tuple[Any, S]]
+"""The last two solutions or fewer, each with the values of the natural parameters (a number, or an array) before it"""
+
+
+def reached(known: Known[S], target: Any, corrected: Callable[[Any], tuple[S, int]], pace: Pace = DIRECT) -> S:
+    """The solution at values of natural parameters, by steps along the line there from the last that is known.
+
+    `corrected` is the solution at values, by what is known, and its iterations; `pace` is in shares of the way, and the
+    shortest step ever shorter where less is left than the first. What is known grows. Raises `ConvergenceError` where
+    no step leads on.
+    """
+    for _ in walked(_Straight(known, target, corrected, pace), 1):
+        pass
+    return known[-1][1]
+
+
+class _Straight(Generic[S]):
+    """The walk along a straight line of natural parameters."""
+
+    def __init__(self, known: Known[S], target: Any, corrected: Callable[[Any], tuple[S, int]], pace: Pace) -> None:
+        self.known, self.target, self.corrected, self.pace = known, target, corrected, pace
+        self.start, self.share, self.step = known[-1][0], 0.0, pace.first
+
+    def taken(self) -> int:
+        return int(self.share)
+
+    def approach(self) -> tuple[float, End | None]:
+        return min(self.step, 1.0 - self.share), None
+
+    def shortest(self) -> float:
+        return self.pace.shortest * min(1.0, (1.0 - self.share) / self.pace.first)
+
+    def advance(self, length: float) -> _Line:
+        share = self.share + length
+        place = self.target if share == 1.0 else self.start + share * (self.target - self.start)
+        solution, iterations = self.corrected(place)
+        self.known[:] = [*self.known[-1:], (place, solution)]
+        self.share, self.step = share, self.pace.next(length, iterations)
+        return _Line()
+
+    def failed(self, reason: str) -> _Line:
+        raise ConvergenceError(reason)
 
     def ended(self, end: End) -> _Line:
         return _Line(end=end)

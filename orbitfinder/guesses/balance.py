@@ -17,7 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgError, LinAlgWarning, solve
 
-from orbitfinder.errors import InputError
+from orbitfinder.continuation.follow import Known, Pace, reached
+from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.guesses.modes import normal_modes
 from orbitfinder.integrate.equations import linearised
 from orbitfinder.integrate.march import uniform
@@ -165,23 +166,21 @@ def follow(
     goes far from its prediction, the secant through the last two solutions. Internal resonances on
     the way, where the family is a gap of exponentially small width, are stepped over.
     """
-    known: list[tuple[float, Series]] = []
-    fraction, step, guess = FIRST_STEP, FIRST_STEP, start.padded(max(FEWEST, len(start.coefficients)))
-    while step > SMALLEST_STEP:
-        found = resolved(guess, accelerations, pin(fraction), TAIL)
-        if found is not None and near(guess, found[0]):
-            report(fraction, found[0])
-            if fraction >= 1.0:
-                return _finer(found[0], accelerations, pin(1.0))
-            known = [*known[-1:], (fraction, found[0])]
-            step = min(step * growth, LARGEST_STEP) if found[1] <= QUICK else step
-        elif not known:
-            return None
-        else:
-            step /= 2
-        fraction = min(1.0, known[-1][0] + step)
+    known = [(0.0, start.padded(max(FEWEST, len(start.coefficients))))]
+
+    def corrected(fraction: float) -> tuple[Series, int]:
         guess = _predicted(known, fraction)
-    return None
+        found = resolved(guess, accelerations, pin(fraction), TAIL)
+        if found is None or not near(guess, found[0]):
+            raise ConvergenceError("the family is lost")
+        report(fraction, found[0])
+        return found
+
+    try:
+        pace = Pace(FIRST_STEP, SMALLEST_STEP, LARGEST_STEP, quick=QUICK, growth=growth)
+        return _finer(reached(known, 1.0, corrected, pace), accelerations, pin(1.0))
+    except ConvergenceError:
+        return None
 
 
 def _finer(series: Series, accelerations: Accelerations, pin: PinRow) -> Series:
@@ -196,11 +195,11 @@ def near(guess: Series, found: Series) -> bool:
     return bool(np.abs(found.coefficients - guess.padded(count).coefficients).max() < LARGEST_CORRECTION)
 
 
-def _predicted(known: list[tuple[float, Series]], fraction: float) -> Series:
-    if len(known) == 1:
-        at, series = known[0]
-        return Series(series.coefficients * (fraction / at), series.frequency)
-    (first, one), (second, other) = known
+def _predicted(known: Known[Series], fraction: float) -> Series:
+    """On the secant through the last two; where one of them is rest, at the frequency of the other."""
+    (first, one), (second, other) = known[0], known[-1]
+    if not first:
+        return replace(other, coefficients=other.coefficients * (fraction / (second or FIRST_STEP)))
     return one.towards(other, (fraction - first) / (second - first))
 
 
