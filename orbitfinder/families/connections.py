@@ -19,11 +19,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice, product
 from typing import Any
 
 import numpy as np
 
+from orbitfinder.continuation.follow import Known, reached
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.manifolds import Local, ManifoldSettings, Part, grown, local_manifold, surface_of
 from orbitfinder.integrate.crossings import FINE
@@ -415,10 +417,11 @@ class _Evidence:
 
 def _gathered(connection: Connection, model: Model) -> _Evidence:
     states, independent, ends = connection.states, _Independent(model), (connection.origin, connection.goal)
-    reached = np.array([independent.end(x, t) for x, t in zip(states, connection.durations, strict=False)])
+    came = np.array([independent.end(x, t) for x, t in zip(states, connection.durations, strict=False)])
     closed = [wrapped(independent.end(one.point, one.period) - one.point, model.angular) for one in ends]
     local = [_off(independent, one, x, sense) for one, x, sense in zip(ends, states[[0, -1]], (1, -1), strict=True)]
-    return _Evidence(reached, closed, local, *_again(connection, model))
+    chain = _chain(connection, model)
+    return _Evidence(came, closed, local, chain, _linear(chain))
 
 
 def _certificate(connection: Connection, model: Model) -> tuple[Certificate, float]:
@@ -482,8 +485,8 @@ def _off_plane(chain: Chain, states: np.ndarray) -> np.ndarray:
     return np.asarray(plane.off(own, nearest) / units[plane.component])
 
 
-def _again(connection: Connection, model: Model) -> tuple[Chain, Linear]:
-    """The linearised problem of a record."""
+def _chain(connection: Connection, model: Model) -> Chain:
+    """The chain of a record."""
     n, p, x = model.degrees_of_freedom, model.parameter_values, connection.origin.state
     levels = {one.name: float(one.value(x[:n], x[n:], p)) for one in model.invariants}
     plane = None
@@ -498,8 +501,7 @@ def _again(connection: Connection, model: Model) -> tuple[Chain, Linear]:
         for one, sense in ((connection.origin, 1), (connection.goal, -1))
     ]
     places = connection.origin.place, connection.goal.place
-    chain = Chain(ends[0], ends[1], connection.states, places, connection.chosen)
-    return chain, _linear(chain)
+    return Chain(ends[0], ends[1], connection.states, places, connection.chosen)
 
 
 def _no_orbit(end: End) -> Orbit:
@@ -548,19 +550,18 @@ def follow_connection(
     model = model or build_model(orbit.system)
     if not model.conservative:
         raise InputError("energies: this system conserves none; connections are followed in energy")
-    chain, found = _again(connection, model)[0], list[Connection]()
+    if not np.isfinite(energies).all():
+        raise InputError(f"energies: must be finite, got {', '.join(map(str, energies))}")
     refiners = [_refiner(one, model) for one in ((orbit,) if other is None else (orbit, other))]
-    before = connection.energy
-    for level in energies:
-        if not np.isfinite(level):
-            raise InputError(f"energies: must be finite, got {level}")
+    found = [connection]
+    for level in map(float, energies):
+        known = [(one.energy, _chain(one, model)) for one in found[-2:]]
         try:
-            chain = _reached(chain, refiners, before, float(level), connection.axes)
+            chain = reached(known, level, partial(_at_level, known, refiners))
         except (ConvergenceError, IntegrationError):
             break
-        before = float(level)
-        found.append(certified_connection(described(chain, f"{connection.name}-{len(found) + 1}"), model))
-    return tuple(found)
+        found.append(certified_connection(described(chain, f"{connection.name}-{len(found)}"), model))
+    return tuple(found[1:])
 
 
 def _refiner(orbit: Orbit, model: Model) -> Refiner:
@@ -572,32 +573,23 @@ def _refiner(orbit: Orbit, model: Model) -> Refiner:
         return Refiner(plain)
 
 
-def _reached(
-    chain: Chain, refiners: Sequence[Refiner], before: float, level: float, axes: Sequence[str], halvings: int = 5
-) -> Chain:
-    """The chain at another energy, by steps that are halved where Newton's method fails."""
-    try:
-        return _at_level(chain, refiners, level, axes)
-    except (ConvergenceError, IntegrationError):
-        if not halvings:
-            raise
-    middle = 0.5 * (before + level)
-    return _reached(_reached(chain, refiners, before, middle, axes, halvings - 1), refiners, middle, level, axes, 0)
-
-
-def _at_level(chain: Chain, refiners: Sequence[Refiner], level: float, axes: Sequence[str]) -> Chain:
-    """The chain at another energy: its orbits there, motions from the same places, Newton's method."""
+def _at_level(known: Known[Chain], refiners: Sequence[Refiner], level: float) -> tuple[Chain, int]:
+    """The chain at another energy: its orbits there, motions from places on the secant through the last two, Newton."""
+    (before, past), (here, chain) = known[0], known[-1]
+    found = chain.origin.surface
     orbits = [one.orbit(one.refine(None, (Pin("energy", level),)), False) for one in refiners]
-    plane, model = chain.origin.surface.plane, chain.origin.surface.model
-    text = f"{model.state_names[plane.component]}={plane.level!r}"
-    surfaces = [surface_of(one, model, text, axes, plane.direction) for one in orbits]
+    names = found.model.state_names
+    text, axes = f"{names[found.plane.component]}={found.plane.level!r}", [names[k] for k in found.axes]
+    surfaces = [surface_of(one, found.model, text, axes, found.plane.direction) for one in orbits]
     origin, goal = (
         local_manifold(orbits[k], surfaces[k], which, point=end.point)
         for k, which, end in ((0, "unstable", chain.origin), (-1, "stable", chain.goal))
     )
     goal = replace(goal, surface=surfaces[0])
-    forth = _returned(origin, chain.places[0], chain.chosen)
-    back = _returned(goal, chain.places[1], len(chain.states) - 1 - chain.chosen)
+    share = np.clip((level - here) / (here - before), -2.0, 2.0) if here != before else 0.0
+    a, b = (one * abs(one / other) ** share for one, other in zip(chain.places, past.places, strict=True))
+    forth, back = _returned(origin, a, chain.chosen), _returned(goal, b, len(chain.states) - 1 - chain.chosen)
     if not (np.isfinite(forth).all() and np.isfinite(back).all()):
         raise ConvergenceError("connection: its motion does not come back to the section at this energy")
-    return solved(replace(chain, origin=origin, goal=goal, states=np.vstack([forth, back[-2::-1]])))
+    states = np.vstack([forth, back[-2::-1]])
+    return solved(replace(chain, origin=origin, goal=goal, states=states, places=(a, b))), 0

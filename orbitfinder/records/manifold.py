@@ -18,6 +18,7 @@ from orbitfinder.records.reading import (
     json_file,
     plain_numbers,
     read_as,
+    typed,
     walked,
     write_atomically,
     write_json,
@@ -238,8 +239,17 @@ class _Plain2:
 
 
 @dataclass(frozen=True)
+class _Check:
+    name: str
+    value: float | None
+    tolerance: float
+    passed: bool
+    note: str = ""
+
+
+@dataclass(frozen=True)
 class _Checks:
-    checks: tuple[Check, ...]
+    checks: tuple[_Check, ...] = ()
 
 
 def save_connection(connection: Connection, path: str | Path) -> Path:
@@ -247,32 +257,41 @@ def save_connection(connection: Connection, path: str | Path) -> Path:
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     write_npz(target.with_suffix(".npz"), {"times": connection.times, "samples": connection.samples})
+    document = {"format": CONNECTION, "version": VERSION, "kind": connection.kind, **connection_entry(connection)}
+    return write_json(target, document)
+
+
+def connection_entry(connection: Connection) -> dict[str, Any]:
+    """A Connection in plain numbers, but for its motion."""
     plain = {name: getattr(connection, name) for name in _Plain2.__dataclass_fields__}
-    plain |= {name: walked(plain[name], plain_numbers) for name in ("states", "durations")}
-    ends = {name: walked(vars(plain[name]), plain_numbers) for name in ("origin", "goal")}
+    ends = {name: vars(plain[name]) for name in ("origin", "goal")}
     certificate = certificate_to_document(connection.certificate)
-    document = {"format": CONNECTION, "version": VERSION, "kind": connection.kind, **plain, **ends}
-    return write_json(target, finite(document | {"certificate": certificate}))
+    return dict(finite(walked({**plain, **ends, "certificate": certificate}, plain_numbers)))
 
 
 def load_connection(path: str | Path) -> Connection:
     """The Connection of a JSON file; its certificate as recorded. Raises `InputError`."""
     source = Path(path)
     document = _document(source, CONNECTION, "a connection", "`orbitfinder connect`")
-    plain = read_as(_Plain2, document, str(source), AGAIN)
-    entry = document.get("certificate", {})
-    found = read_as(_Checks, _known(entry), str(source), AGAIN)
     beside = source.with_suffix(".npz")
-    dense = arrays(beside, ("times", "samples"), AGAIN) if beside.exists() else {}
-    numbers: dict[str, Any] = {**vars(plain), **dense, "certificate": Certificate(found.checks)}
-    numbers["energy"] = energy_of(plain.energy)
-    numbers["error"] = float("inf") if plain.error is None else plain.error
+    motion = arrays(beside, ("times", "samples"), AGAIN) if beside.exists() else {}
+    try:
+        return connection_of(document, motion)
+    except ValueError as error:
+        raise InputError(f"{source}: {error}; {AGAIN}") from error
+
+
+def connection_of(entry: Mapping[str, Any], motion: Mapping[str, np.ndarray]) -> Connection:
+    """The Connection of its entry and its motion (`times`, `samples`). Raises `ValueError` for a damaged one."""
+    plain = typed(_Plain2, entry, "")
     if plain.states.ndim != 2 or not 0 <= plain.chosen < len(plain.states):
-        raise InputError(f"{source}: states: expected rows, the chosen one among them; {AGAIN}")
-    return Connection(**numbers)
+        raise ValueError("states: expected rows, the chosen one among them")
+    entries = typed(_Checks, entry.get("certificate", {}), "").checks
+    checks = tuple(Check(**vars(one) | {"value": _number(one.value)}) for one in entries)
+    known = {"energy": energy_of(plain.energy), "error": _number(plain.error), "certificate": Certificate(checks)}
+    return Connection(**{**vars(plain), **motion, **known})
 
 
-def _known(entry: Any) -> Any:
-    """The checks with infinity for a number that JSON has not."""
-    checks = entry.get("checks", ()) if isinstance(entry, Mapping) else ()
-    return {"checks": [one | {"value": 1e308 if one.get("value") is None else one["value"]} for one in checks]}
+def _number(value: float | None) -> float:
+    """Infinity where JSON has no such number."""
+    return float("inf") if value is None else value
