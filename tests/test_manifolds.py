@@ -207,6 +207,37 @@ def test_a_connection_is_followed_in_energy(homoclinic, coupled):
     assert 1e-6 < abs(found.state[0] - homoclinic.state[0]) < 1e-2
 
 
+def test_it_goes_on_where_it_was_cut(homoclinic, coupled, tmp_path, monkeypatch):
+    """The same file, bit for bit, and what the journal has is not solved again; nor is where it ends."""
+    asked, right = [], connections._at_level
+    levels = [LEVEL + 1e-3, LEVEL + 2e-3, LEVEL + 4e-3]
+
+    def counted(known, refiners, level):
+        asked.append(level)
+        if level > LEVEL + 3e-3:
+            raise ConvergenceError("planted")
+        return right(known, refiners, level)
+
+    def along(count=2):
+        asked.clear()
+        return of.sections.follow_connection(homoclinic, coupled, levels[:count], model=wells(0.05), out=tmp_path)
+
+    monkeypatch.setattr(connections, "_at_level", counted)
+    whole, journal = along(), tmp_path / homoclinic.name / "connection.jsonl"
+    written = journal.read_bytes()
+    assert len(whole) == 2 and asked == levels[:2] and len(written.splitlines()) == 3
+    journal.write_bytes(written[:-100])
+    again = along()
+    assert asked == levels[1:2] and journal.read_bytes() == written
+    for one, other in zip(whole, again, strict=True):
+        files = [of.sections.save_connection(each, tmp_path / "c.json").read_bytes() for each in (one, other)]
+        assert files[0] == files[1] and np.array_equal(one.samples, other.samples)
+    assert len(along(3)) == 2 and asked[0] == levels[2] and journal.read_bytes().startswith(written)
+    assert len(along(3)) == 2 and not asked
+    with pytest.raises(InputError, match="orbit: of another system"):
+        of.sections.follow_connection(replace(homoclinic, system={}), coupled, levels, model=wells(0.05))
+
+
 def test_a_tube_leaves_the_orbit_and_keeps_its_energy(saddle, tmp_path):
     found = manifold(saddle, **SEEN, tube=4.0, side=1, model=wells(0.0), settings=ManifoldSettings(spacing=0.05))
     x, p = found.states[:, 0], found.states[:, 2]
@@ -281,3 +312,5 @@ def test_the_commands_grow_connect_and_draw(first, tmp_path):
     assert bad.exit_code == 2 and "--plane: unknown component 'q'" in bad.output
     bad = CliRunner().invoke(cli, ["connect", str(file), "--near", "1", "--plane", "y=0", "-o", str(tmp_path)])
     assert bad.exit_code == 2 and "--near: need two numbers" in bad.output
+    bad = CliRunner().invoke(cli, ["connect", str(file), "--at", "-1.5", "-o", str(tmp_path)])
+    assert bad.exit_code == 2 and "--at: goes with --follow" in bad.output

@@ -222,39 +222,62 @@ def manifold(file: Path, which: str, out: Path, trust: bool, plane: str | None, 
 @click.option("--returns", default=1, show_default=True, type=int, help="Returns grown beyond the orbits' own size.")
 @click.option("--most", default=8, show_default=True, type=click.IntRange(1, 1000), help="Connections, at most.")
 @click.option("--near", default="", metavar="A,B", help="Those nearest to this point of the axes first.")
+@click.option("--follow", "known", type=FILES, default=None, metavar="CONNECTION.json",
+              help="Find none, but follow this connection of the same orbits to the energies of --at.")  # fmt: skip
+@click.option("--at", default="", metavar="V,V,...", help="With --follow: the energies, one after another.")
+@click.option("--name", default=None, help="Of the folder; the orbits' or the connection's when left out.")
 @out_option("Folder for DIR/<name>/connection-K.json, .npz and .png.", default="connections", show_default=True)
 @trust_option(MODULES)
 @json_option
-def connect(file: Path, other: Path | None, near: str, returns: int, most: int, out: Path, trust: bool,
-            **shown: Any) -> None:  # fmt: skip
+def connect(file: Path, other: Path | None, near: str, returns: int, most: int, known: Path | None, at: str,
+            name: str | None, out: Path, trust: bool, **shown: Any) -> None:  # fmt: skip
     """Find motions that leave one orbit and come to another of the same energy, or back to it.
 
-    Each is certified by another integrator, with an error of its point. Exit code 0: some found; 1: none.
+    Each is certified by another integrator, with an error of its point. Exit code 0: some found, or all energies of
+    --at reached; 1: not. With --follow DIR/<name>/connection.jsonl keeps each as it comes: the same command goes on
+    where it was killed, or with more energies.
 
     \b
     Examples:
       orbitfinder connect orbits/lyapunov/orbit.json --plane y=0 --axes x,xdot --direction falling
       orbitfinder connect orbits/l1/orbit.json orbits/l2/orbit.json --plane y=0 --axes x,xdot
+      orbitfinder connect orbits/l1/orbit.json --follow connections/l1/connection-1.json --at -1.519,-1.518
     """
     from orbitfinder.families.connections import connect as connected
-    from orbitfinder.records.manifold import save_connection
+    from orbitfinder.families.connections import follow_connection
+    from orbitfinder.problemfile.read import checked_name
+    from orbitfinder.records.manifold import Connection, load_connection, save_connection
     from orbitfinder.show.sections import draw_section
 
     ((_, orbit, model),) = named_orbits([file], trust)
     goal: Orbit | None = None if other is None else named_orbits([other], trust)[0][1]
-    folder = out / (orbit.name if goal is None else f"{orbit.name}-{goal.name}")
+    if (known is None) != (not numbers(at)):
+        raise InputError("--at: goes with --follow; give the connection and the energies to follow it to")
+    start = None if known is None else load_connection(known)
+    label = name or (start.name if start else orbit.name if goal is None else f"{orbit.name}-{goal.name}")
+    folder = out / checked_name(label)
     check_writable(folder)
-    point = numbers(near) or None
-    found = connected(orbit, goal, **chosen_plane(**shown), returns=returns, most=most, near=point, model=model)
-    written = []
-    for k, one in enumerate(found, 1):
-        written.append(save_connection(one, folder / f"connection-{k}.json"))
+    written = list[Path]()
+
+    def report(one: Connection) -> None:
+        interrupt.check()
+        written.append(save_connection(one, folder / f"connection-{len(written) + 1}.json"))
         place = ", ".join(f"{name} = {one.state[one.state_names.index(name)]:.12g}" for name in one.axes)
-        text(f"{written[-1]}: {one.kind} at {place}, error {one.error:.2g}, angle {one.angle:.3g} rad")
+        level = "" if start is None else f" of energy {one.energy:.12g}"
+        text(f"{written[-1]}: {one.kind}{level} at {place}, error {one.error:.2g}, angle {one.angle:.3g} rad")
+
+    if start is None:
+        point = numbers(near) or None
+        found = connected(orbit, goal, **chosen_plane(**shown), returns=returns, most=most, near=point, model=model)
+        for one in found:
+            report(one)
+    else:
+        found = follow_connection(start, orbit, numbers(at), goal, model=model, progress=report, name=label, out=out)
     if found:
         orbits = [orbit, *([goal] if goal is not None else [])]
         written.append(draw_section(None, folder / "connections.png", orbits=orbits, connections=found, model=model))
-    else:
+    elif start is None:
         text(f"no connection of {orbit.name} within {plural(returns, 'return')}; grow more, or look at another plane")
     entries = [{"kind": one.kind, "state": one.state.tolist(), "error": one.error, "angle": one.angle} for one in found]
-    finish("connections", {"connections": entries, "written": [str(one) for one in written]}, bool(found))
+    reached = bool(found) if start is None else len(found) == len(numbers(at))
+    finish("connections", {"connections": entries, "written": [str(one) for one in written]}, reached)

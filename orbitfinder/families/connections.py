@@ -17,10 +17,12 @@ off the local manifolds are. The error of a point is what the linearised problem
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice, product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -40,7 +42,9 @@ from orbitfinder.orbits.closure import extents_of
 from orbitfinder.orbits.evidence import Hamiltonian
 from orbitfinder.orbits.refine import Refiner
 from orbitfinder.orbits.section import Surface, solved_component, surface
-from orbitfinder.records.manifold import Connection, End
+from orbitfinder.records.family import plain
+from orbitfinder.records.journal import checkpoints
+from orbitfinder.records.manifold import MOTION, Connection, End, connection_entry, connection_of
 from orbitfinder.records.orbit import Certificate, Check, Orbit
 
 NEWTON = Settings(floor=1e-13, round_off=1e-10, converged=1e-10, contraction=0.5, most_evaluations=25, patience=4)
@@ -357,7 +361,7 @@ def described(chain: Chain, name: str) -> Connection:
         )
         for one, place in zip((chain.origin, chain.goal), chain.places, strict=True)
     ]
-    units = _extents(found.model, chain.states, chain.origin.orbit.period)
+    units = extents_of(found.model, chain.states, chain.origin.orbit.period)
     parts, since = [], 0.0
     times = np.linspace(0.0, 1.0, SAMPLES + 1)
     for state, duration in zip(chain.states, linear.durations, strict=False):
@@ -370,11 +374,6 @@ def described(chain: Chain, name: str) -> Connection:
         (names[found.axes[0]], names[found.axes[1]]), chain.origin.orbit.energy, chain.states, linear.durations,
         chain.chosen, _angle(chain, linear, units), float("inf"), ends[0], ends[1], None, whole[:, 0], whole[:, 1:],
     )  # fmt: skip
-
-
-def _extents(model: Model, states: np.ndarray, period: float) -> np.ndarray:
-    """Extents (d) of a connection's crossings."""
-    return extents_of(model, states, period)
 
 
 def certified_connection(connection: Connection, model: Model) -> Connection:
@@ -433,7 +432,7 @@ def _certificate(connection: Connection, model: Model) -> tuple[Certificate, flo
         evidence = _gathered(connection, model)
     except (IntegrationError, ConvergenceError, InputError) as failure:
         return Certificate((Check("integration", np.inf, 0.0, False, str(failure)),)), np.inf
-    chain, linear, units = evidence.chain, evidence.linear, _extents(model, states, connection.origin.period)
+    chain, linear, units = evidence.chain, evidence.linear, extents_of(model, states, connection.origin.period)
     axes, gaps = list(chain.origin.surface.axes), wrapped(evidence.reached - states[1:], model.angular)
     errors = np.abs(gaps[:, axes])
     errors[0] += np.abs(linear.slopes[0] @ evidence.local[0][axes])
@@ -542,35 +541,78 @@ def follow_connection(
     other: Orbit | None = None,
     *,
     model: Model | None = None,
+    progress: Callable[[Connection], None] | None = None,
+    name: str = "",
+    out: str | Path | None = None,
 ) -> tuple[Connection, ...]:
     """A connection at other energies, one after another; it ends before the list does where the manifolds part.
 
-    `orbit` and `other` are its orbits, which are refined at each energy. Raises `InputError`.
+    `orbit` and `other` are its orbits, which are refined at each energy; `progress` is called with each connection.
+    OUT/<name>/connection.jsonl keeps them as they come, and what was asked before goes on from there, also to more
+    energies. Raises `InputError`.
     """
-    model = model or build_model(orbit.system)
+    model, levels, label = model or build_model(orbit.system), tuple(map(float, energies)), name or connection.name
     if not model.conservative:
         raise InputError("energies: this system conserves none; connections are followed in energy")
-    if not np.isfinite(energies).all():
-        raise InputError(f"energies: must be finite, got {', '.join(map(str, energies))}")
-    refiners = [_refiner(one, model) for one in ((orbit,) if other is None else (orbit, other))]
-    found = [connection]
-    for level in map(float, energies):
-        known = [(one.energy, _chain(one, model)) for one in found[-2:]]
-        try:
-            chain = reached(known, level, partial(_at_level, known, refiners))
-        except (ConvergenceError, IntegrationError):
-            break
-        found.append(certified_connection(described(chain, f"{connection.name}-{len(found)}"), model))
+    if not np.isfinite(levels).all():
+        raise InputError(f"energies: must be finite, got {', '.join(map(str, levels))}")
+    if any(plain(one.system) != plain(connection.system) for one in (orbit, other) if one):
+        raise InputError("orbit: of another system than the connection; give the orbits that it joins")
+    orbits, found = (orbit,) if other is None else (orbit, other), [connection]
+    joined = [(one.state, one.period, one.symmetry) for one in orbits]
+    request = plain({"name": label, "connection": connection_entry(connection), "orbits": joined})
+    path, refiners = None if out is None else Path(out) / label / "connection.jsonl", list[Refiner]()
+    with checkpoints(path, request, _read) as journal:
+        known = dict(journal.known)
+        for k, level in enumerate(levels, 1):
+            if levels[:k] not in known:
+                refiners = refiners or [_refiner(one, model) for one in orbits]
+                known[levels[:k]] = _next(found[-2:], refiners, level, f"{label}-{k}")
+                journal.add(_entry(levels[:k], known[levels[:k]]))
+            one = known[levels[:k]]
+            if isinstance(one, str):
+                logging.getLogger(__name__).warning("energies: %r: %s; give some nearer ones before it", level, one)
+                break
+            found.append(one)
+            if progress:
+                progress(one)
     return tuple(found[1:])
+
+
+def _entry(levels: tuple[float, ...], found: Connection | str) -> dict[str, Any]:
+    """The line of a journal: energies up to one, and the connection there or why there is none."""
+    if isinstance(found, str):
+        return {"energies": levels, "end": found}
+    motion = {"times": found.times, "samples": found.samples}
+    return dict(plain({"energies": levels, "connection": connection_entry(found), **motion}))
+
+
+def _read(line: Mapping[str, Any]) -> tuple[tuple[float, ...], Connection | str]:
+    """Both from what was written. Raises `ValueError`."""
+    levels = tuple(map(float, line["energies"]))
+    if "end" in line:
+        return levels, str(line["end"])
+    return levels, connection_of(line["connection"], {name: np.array(line[name], float) for name in MOTION})
+
+
+def _next(known: Sequence[Connection], refiners: Sequence[Refiner], level: float, name: str) -> Connection | str:
+    """The connection at another energy, from one or two that are known; or why there is none."""
+    model = refiners[0].problem.model
+    chains = [(one.energy, _chain(one, model)) for one in known]
+    try:
+        chain = reached(chains, level, partial(_at_level, chains, refiners))
+    except (ConvergenceError, IntegrationError) as error:
+        return str(error)
+    return certified_connection(described(chain, name), model)
 
 
 def _refiner(orbit: Orbit, model: Model) -> Refiner:
     """What refines an orbit at other energies, in its symmetry where the equations have it."""
-    plain = Problem(model, Guess(orbit.state, orbit.period), pin=(Pin("energy", orbit.energy),))
+    problem = Problem(model, Guess(orbit.state, orbit.period), pin=(Pin("energy", orbit.energy),))
     try:
-        return Refiner(replace(plain, symmetry=orbit.symmetry))
+        return Refiner(replace(problem, symmetry=orbit.symmetry))
     except InputError:
-        return Refiner(plain)
+        return Refiner(problem)
 
 
 def _at_level(known: Known[Chain], refiners: Sequence[Refiner], level: float) -> tuple[Chain, int]:

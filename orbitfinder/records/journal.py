@@ -6,19 +6,62 @@ that a step is there completely or not at all; any other line that is not what w
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
+from orbitfinder._runtime import locks
 from orbitfinder.errors import InputError
 from orbitfinder.records.reading import content_digest, file_lines, json_bytes, json_document, named, write_atomically
 
+FORMAT, VERSION = "orbitfinder/journal", 1
 SEAL = "digest"
 """The key of a line's digest: the first digits of the SHA-256 of the rest of its content"""
 SEAL_DIGITS = 16
 AGAIN = "restore a copy, or delete the file to start again"
+Line = TypeVar("Line")
+
+
+@dataclass(frozen=True)
+class Checkpoints(Generic[Line]):
+    """What earlier runs of a request have left, line by line; with a path it is a journal there, which grows."""
+
+    path: Path | None
+    known: list[Line]
+
+    def add(self, entries: Mapping[str, Any]) -> None:
+        """One line more, on the disk when this returns."""
+        if self.path is not None:
+            append_line(self.path, entries)
+
+
+@contextlib.contextmanager
+def checkpoints(
+    path: Path | None, request: Mapping[str, Any], read: Callable[[dict[str, Any]], Line]
+) -> Iterator[Checkpoints[Line]]:
+    """Those of a request (plain numbers) at a path, whose folder nobody else has meanwhile; nothing without a path.
+
+    The journal of another request is begun anew. Raises `InputError` for one that cannot be read.
+    """
+    if path is None:
+        yield Checkpoints(None, [])
+        return
+    with locks.alone_in(path.parent):
+        header, known = {"format": FORMAT, "version": VERSION, "request": request}, list[Line]()
+        lines = read_lines(path, path.name)
+        if lines is None or lines[0][:1] != [header]:
+            begin_journal(path, header)
+            lines = [], True
+        for number, entries in enumerate(lines[0][1:], start=2):
+            try:
+                known.append(read(entries))
+            except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+                raise InputError(f"{path}: line {number}: {error}; {AGAIN}") from error
+        yield Checkpoints(path, known)
 
 
 def begin_journal(path: Path, header: Mapping[str, Any], lines: Iterable[Mapping[str, Any]] = ()) -> None:

@@ -101,6 +101,8 @@ PLAIN = (
     "name", "system", "state_names", "which", "kind", "plane", "axes", "energy", "multiplier", "displacement", "error",
     "error_at_half",
 )  # fmt: skip
+MOTION = ("times", "samples")
+"""The arrays of a connection"""
 ARRAYS = ("point", "direction", "states", "pieces", "places", "images", "times")
 
 
@@ -256,7 +258,7 @@ def save_connection(connection: Connection, path: str | Path) -> Path:
     """Write a connection as JSON and its motion beside it in .npz; returns the JSON's path."""
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
-    write_npz(target.with_suffix(".npz"), {"times": connection.times, "samples": connection.samples})
+    write_npz(target.with_suffix(".npz"), {name: getattr(connection, name) for name in MOTION})
     document = {"format": CONNECTION, "version": VERSION, "kind": connection.kind, **connection_entry(connection)}
     return write_json(target, document)
 
@@ -274,7 +276,7 @@ def load_connection(path: str | Path) -> Connection:
     source = Path(path)
     document = _document(source, CONNECTION, "a connection", "`orbitfinder connect`")
     beside = source.with_suffix(".npz")
-    motion = arrays(beside, ("times", "samples"), AGAIN) if beside.exists() else {}
+    motion = arrays(beside, MOTION, AGAIN) if beside.exists() else {}
     try:
         return connection_of(document, motion)
     except ValueError as error:
