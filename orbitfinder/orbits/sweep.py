@@ -21,6 +21,7 @@ from orbitfinder._runtime import limit as limited
 from orbitfinder._runtime import processes
 from orbitfinder._runtime.keeping import finished
 from orbitfinder._runtime.notebook import Shown, brief
+from orbitfinder.continuation.follow import Known, reached
 from orbitfinder.errors import (
     ConvergenceError,
     InputError,
@@ -41,10 +42,6 @@ from orbitfinder.records.orbit import SHARE, Orbit
 
 LIMIT = 3600.0
 """Seconds after which a sweep stops unless told otherwise."""
-MOST_HALVINGS = 8
-"""Of the step to one value; nearer to a fold than that the value is given up."""
-MOST_STEPS = 200
-"""To one value."""
 ELSEWHERE = 0.1
 """A period or state farther than this from what was expected, relative to the motion, is another orbit's."""
 NUMBERS = ("period", "energy", "action", "symmetry", "stability", "closure")
@@ -205,8 +202,7 @@ class _Study:
         self.own = np.array([pinned.get(name, own.get(name)) for name in names], float)
         self._free = (*problem.free, *(name for name in own if name not in problem.free))
         self._pin = (*problem.pin, *(Pin(name, value) for name, value in own.items()))
-        self._here: tuple[np.ndarray, Refined] | None = None
-        self._before: tuple[np.ndarray, Refined] | None = None
+        self._way: Known[Refined] = []
 
     def swept(self, found: Mapping[int, Row], seconds: float) -> Sweep:
         """Rows by number as a Sweep."""
@@ -240,7 +236,7 @@ class _Study:
         along = ((self.values - self.own) / np.where(scale > 0, scale, 1.0)).sum(axis=1)
         order = np.argsort(along, kind="stable")
         for side in (order[along[order] >= 0], order[along[order] < 0][::-1]):
-            self._here = self._before = None
+            self._way = []
             for k in side:
                 yield int(self.numbers[k]), self._row(int(k))
 
@@ -256,34 +252,27 @@ class _Study:
 
     def _reached(self, target: np.ndarray) -> Refined:
         """The orbit at a value, by steps from the one before it."""
-        if self._here is None:
-            self._here = (self.own, self._at(self.own, None))
-        goals = [target]
-        for _ in range(MOST_STEPS):
-            if np.array_equal(self._here[0], target):
-                return self._here[1]
-            try:
-                found = self._at(goals[-1], self._predicted(goals[-1]))
-            except (ConvergenceError, IntegrationError) as error:
-                if len(goals) > MOST_HALVINGS:
-                    break
-                reason, middle = error, (self._here[0] + goals[-1]) / 2
-                goals.append(middle)
-                continue
-            self._before, self._here = self._here, (goals.pop(), found)
-            goals = goals or [target]
-        place = ", ".join(f"{name} = {x:.6g}" for name, x in zip(self.names, self._here[0], strict=True))
-        raise ConvergenceError(
-            f"not reached: from {place} on, {reason}; a fold or the end of the orbit lies between, which continue shows"
-        )
+        way = self._way
+        if not way:
+            way.append((self.own, self._at(self.own, None)))
+        try:
+            here, found = way[-1]
+            return found if np.array_equal(here, target) else reached(way, target, self._stepped)
+        except ConvergenceError as error:
+            place = ", ".join(f"{name} = {x:.6g}" for name, x in zip(self.names, way[-1][0], strict=True))
+            raise ConvergenceError(
+                f"not reached: from {place} on, {error}; a fold or the end of the orbit lies between, which continue "
+                "shows"
+            ) from error
+
+    def _stepped(self, values: np.ndarray) -> tuple[Refined, int]:
+        return self._at(values, self._predicted(values)), 0
 
     def _predicted(self, goal: np.ndarray) -> Guess:
         """The nodes and the period on the line through the two last orbits."""
-        assert self._here is not None
-        place, here = self._here
+        (past, before), (place, here) = self._way[0], self._way[-1]
         nodes, period, free = here.nodes, here.period, here.free
-        if self._before is not None and self._before[1].nodes.shape == nodes.shape:
-            past, before = self._before
+        if len(self._way) > 1 and before.nodes.shape == nodes.shape:
             share = float(np.linalg.norm(goal - place) / max(float(np.linalg.norm(place - past)), 1e-300))
             share *= 1.0 if (goal - place) @ (place - past) > 0 else -1.0
             if abs(share) <= 2.0:
