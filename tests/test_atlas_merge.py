@@ -6,6 +6,9 @@ import json
 import multiprocessing
 import os
 import shutil
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -14,7 +17,7 @@ from test_atlas_search import ENERGY, PERIODS, content
 from test_search_command import run
 
 import orbitfinder as of
-from orbitfinder.atlas import workers
+from orbitfinder.atlas import merge, workers
 from orbitfinder.atlas.export import exported
 from orbitfinder.atlas.merge import merge_atlases
 from orbitfinder.atlas.shard import Shard, shard_from
@@ -66,6 +69,31 @@ def test_eight_merged_shards_are_one_search(whole, shards, tmp_path):
     assert content(tmp_path / "merged.sqlite") == content(whole)
     assert (merged.starts, merged.searches[0].missing) == (STARTS, 0) and merged.orbits >= 4
     assert sum(len(content(one)[0]) for one in shards) > merged.orbits  # there was something to recognise
+
+
+KILLED = """
+import os, signal, sys
+from orbitfinder.atlas import merge
+whole, calls = merge._starts, []
+def starts(*given):
+    calls.append(whole(*given))
+    if len(calls) == int(sys.argv[1]):
+        os.kill(os.getpid(), signal.SIGKILL)
+merge._starts = starts
+merge.merge_atlases(sys.argv[3:], sys.argv[2])
+"""
+
+
+def test_a_killed_merge_takes_only_what_is_missing(whole, shards, tmp_path, monkeypatch):
+    """kill -9 in the middle of the third atlas, and of the fourth of those that were left."""
+    for turn in ("3", "4"):
+        words = [sys.executable, "-c", KILLED, turn, tmp_path / "merged.sqlite", *shards]
+        assert subprocess.run(words, check=False).returncode == -signal.SIGKILL
+    joined, right = [], merge._joined
+    monkeypatch.setattr(merge, "_joined", lambda out, books: (joined.append(len(books)), right(out, books)))
+    merge_atlases(shards, tmp_path / "merged.sqlite")
+    assert joined == [2] * 3 and exports(tmp_path / "merged.sqlite") == exports(whole)
+    assert content(tmp_path / "merged.sqlite") == content(whole)
 
 
 def test_merging_is_idempotent_commutative_and_associative(whole, shards, tmp_path):

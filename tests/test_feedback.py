@@ -415,7 +415,7 @@ def test_the_command(pendulum_orbit, tmp_path):
     assert "pendulum: stabilised by torque1" in out and "returned" in out and "(acts)" in out
     folder = tmp_path / "pendulum"
     assert {one.name for one in folder.iterdir()} == {
-        "controller.json", "pendulum_gains.csv", "pendulum_controller.c", "pendulum_controller.py"
+        "controller.json", "controller.jsonl", "pendulum_gains.csv", "pendulum_controller.c", "pendulum_controller.py"
     }  # fmt: skip
     controller = of.load_controller(folder / "controller.json")
     assert controller.limits == {"torque1": (-2.0, 2.0)}

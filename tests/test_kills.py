@@ -8,6 +8,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from orbitfinder.records.journal import read_lines
@@ -38,8 +39,28 @@ RUNS = {
         ["connect", OTERMA, "--plane", "y=0", "--axes", "x,xdot", "--direction", "falling", "--near", "-0.616,0",
          "--most", "1"],
     ),
+    "sweep": (
+        ["sweep", str(ROOT / "problems/gallery/spring-pendulum-swing.toml"), "--parameter", "stiffness=28:33:30"],
+        "sweeps/spring-pendulum-swing/sweep.json",
+    ),
+    "workers": (
+        ["sweep", str(ROOT / "problems/gallery/spring-pendulum-swing.toml"), "--parameter", "stiffness=28:33:30",
+         "--workers", "2"],
+        "sweeps/spring-pendulum-swing/sweep.json",
+    ),
+    "section": (
+        ["section", str(ROOT / "problems/examples/double-mode-2.toml"), "--energy", "-14", "--plane", "theta1=0",
+         "--seeds", "4", "--returns", "60"],
+        "sections/double-mode-2/section.json",
+    ),
+    "stabilise": (
+        ["stabilise", str(ROOT / "results/orbits/triple-1/orbit.json"), "--motors", "1", "--disturbances", "2",
+         "--sizes", "0.03", "--periods", "20", "--noise", "0.001"],
+        "controllers/triple-1/controller.json",
+    ),
 }  # fmt: skip
 """The command of each kind, the file that it makes, and commands that come before"""
+LONG = ("workers", "stabilise")
 
 
 def started(words, folder):
@@ -54,18 +75,24 @@ def lines(path):
 
 
 def made(folder, file):
-    """What a file says, but for the time that it took and the digest of that."""
+    """What the files say that come with one, but for the time that it took and the digest of that."""
 
     def told(value):
         if isinstance(value, dict):
             return {key: told(one) for key, one in value.items() if key not in ("wall_time", "record")}
         return [told(one) for one in value] if isinstance(value, list) else value
 
-    text = (folder / file).read_text()
-    return told(list(map(json.loads, text.splitlines())) if file.endswith(".jsonl") else json.loads(text))
+    if file.endswith(".jsonl"):
+        return told(list(map(json.loads, (folder / file).read_text().splitlines())))
+    home = (folder / file).parent
+    documents = {one.relative_to(home): told(json.loads(one.read_text())) for one in home.rglob("*.json")}
+    for one in home.rglob("*.npz"):
+        with np.load(one) as arrays:
+            documents[one.relative_to(home)] = {name: arrays[name].tobytes() for name in arrays}
+    return documents
 
 
-@pytest.mark.parametrize("kind", RUNS)
+@pytest.mark.parametrize("kind", sorted({*RUNS} - {*LONG}))
 def test_killed_once(kind, tmp_path):
     """As soon as the journal has a few lines."""
     killed(kind, tmp_path, kills=1, seed=0)

@@ -79,7 +79,7 @@ def merge_atlases(
     """Put the orbits, searches and starts of several atlases of one system into one, beside what that holds already.
 
     Merging is idempotent, commutative and associative. Each atlas is taken whole or not at all, and none where one is
-    refused; of a merge that is stopped those stay that are taken.
+    refused; of a merge that is stopped or killed those stay that are taken, and are not taken again.
 
     Args:
         files: the atlases.
@@ -114,11 +114,16 @@ def merge_atlases(
             for k, book in enumerate([*books, held]):
                 for one in _entries(k, book):
                     book.document(one.number)  # `InputError` where it is damaged, before anything is written
-            for k, pair in enumerate([[book, held] for book in books] or [[held]]):
-                limit.note(f"{k} of {plural(len(books), 'atlas')} in {out.path}; the same command takes the others")
+            taken = {key for (key,) in held.select([str], "SELECT key FROM about")}
+            marks = [(mark, book) for book in books if (mark := _mark(book)) not in taken]
+            for k, (mark, book) in enumerate(marks or [("", held)]):
+                done = k + len(books) - len(marks)
+                limit.note(f"{done} of {plural(len(books), 'atlas')} in {out.path}; the same command takes the others")
                 limit.check()
                 with transaction(out.connection):
-                    _joined(out, pair)
+                    _joined(out, [book, held] if mark else [held])
+                    if mark:
+                        out.connection.execute("INSERT OR IGNORE INTO about VALUES (?, ?)", [mark, book.path.name])
         return _summary(out)
 
 
@@ -130,6 +135,15 @@ def _joined(out: Atlas, books: Sequence[Atlas]) -> None:
     out.forget()
     known = _orbits(out, books, entries)
     _starts(out, books, known, [one for one in entries if not one.orphan])
+
+
+def _mark(book: Atlas) -> str:
+    """What an atlas that has taken all of another one says `about` it: the journal of a merge."""
+    found = hashlib.sha256()
+    for table in ("searches", "starts", "orbits"):
+        for row in book.connection.execute(f"SELECT * FROM {table} ORDER BY 1, 2"):
+            found.update(repr(row).encode())
+    return f"merged {found.hexdigest()}"
 
 
 def _distinct(files: Sequence[str | Path]) -> list[Path]:

@@ -67,7 +67,8 @@ def section(
     """Draw the Poincare section of the system of a problem FILE or an ORBIT.json, at one energy where it has one.
 
     Regular motions are coloured, chaotic ones grey. Forced systems are looked at once a period of their forcing,
-    hybrid ones after their own events.
+    hybrid ones after their own events. A run that was killed goes on where it stopped when the same command is given
+    again, or with other --seeds or --returns.
 
     \b
     Examples:
@@ -88,7 +89,14 @@ def section(
     check_writable(folder)
     with kept(folder / "section.json", save_section):
         found = made(
-            origin, energy, **chosen_plane(**shown), seeds=seeds, returns=returns, ranges=limits(ranges), model=model
+            origin,
+            energy,
+            **chosen_plane(**shown),
+            seeds=seeds,
+            returns=returns,
+            ranges=limits(ranges),
+            model=model,
+            out=out,
         )
         interrupt.check()
         written = [save_section(found, folder / "section.json")]

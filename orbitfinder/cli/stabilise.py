@@ -66,6 +66,7 @@ def stabilise(
 
     Which joints can do it is printed, and refused with the reason where they cannot. Writes the controller with its
     certificate (the multipliers of the nonlinear closed loop) and basin, its gains as CSV, and itself in C and Python.
+    A trial that was killed goes on where it stopped when the same command is given again, or with more --periods.
     Exit code 0: stabilised; 1: not.
 
     \b
@@ -93,7 +94,7 @@ def stabilise(
         finished(lambda: designed)
         if made.stabilised and disturbances:
             note(f"{orbit.name}: {len(sizes) * disturbances} motions of {periods} periods")
-            made = basin(made, sizes, disturbances, periods, noise=noise, rate=rate, seed=seed, model=own)
+            made = basin(made, sizes, disturbances, periods, noise=noise, rate=rate, seed=seed, model=own, out=out)
             _print_basin(made)
         written = [save_controller(made, folder / "controller.json")]
     if made.stabilised:

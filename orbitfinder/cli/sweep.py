@@ -38,7 +38,8 @@ def sweep(
 ) -> None:
     """Find the orbit of a problem FILE at each value of a parameter, starting from the one at the value before.
 
-    Writes a table with a line a value: certified with its numbers, or the reason why not. Exit code 0: all certified.
+    Writes a table with a line a value: certified with its numbers, or the reason why not. A run that was killed goes
+    on where it stopped when the same command is given again, or with more values. Exit code 0: all certified.
 
     \b
     Examples:
@@ -75,7 +76,7 @@ def sweep(
                 place = ", ".join(f"{name} = {value:.6g}" for name, value in row.values.items())
                 shown.say(f"{done} of {total}: {place}, {said(row)}")
 
-            found = swept(loaded.wanted, values, workers=workers, limit=None, progress=report,
+            found = swept(loaded.wanted, values, workers=workers, limit=None, progress=report, out=out,
                           folder=file.parent.resolve() if trust else None)  # fmt: skip
     written = save(found, folder / "sweep.json")
     records = found.records

@@ -12,7 +12,7 @@ S. Norsett, G. Wanner, Solving Ordinary Differential Equations I (1993), section
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -25,6 +25,7 @@ from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.compiled import compiled
 from orbitfinder.integrate.parallel import STAGES, Lanes
 from orbitfinder.integrate.rk8 import one_step, step_of
+from orbitfinder.records.journal import fill
 
 FINE, SEEN = 2e-14, 1e-10
 """Relative tolerances of one step: of what is refined, and of what is drawn"""
@@ -42,6 +43,8 @@ TOUCHING = 0.02
 """A cubic turns back at the plane where it comes as near as this, relative to how far it came and goes"""
 SHORT = 500
 """Operations of a field up to which a step and its error are one expression"""
+EVERY = 4
+"""Crossings of each motion, on average, between two lines of a track"""
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,18 @@ class Passing:
     def complete(self) -> np.ndarray:
         """Which motions (k) have all crossings."""
         return np.asarray(np.isfinite(self.times).all(axis=1))
+
+
+@dataclass(frozen=True)
+class Track:
+    """A run of k motions as far as earlier ones have come, line by line, and what keeps a line more.
+
+    A line is where the motions are (k x 6 + 2d) and the crossings since the line before (m x 3 + d). A run goes on
+    from it bit for bit, also with more motions and to more crossings.
+    """
+
+    known: Sequence[tuple[np.ndarray, np.ndarray]]
+    add: Callable[[np.ndarray, np.ndarray], None]
 
 
 @lru_cache(maxsize=16)
@@ -134,17 +149,24 @@ class Crossings:
         times: np.ndarray | float = 0.0,
         path: Callable[[np.ndarray, np.ndarray, np.ndarray], None] | None = None,
         seen: Callable[[Callable[[], Passing]], None] | None = None,
+        track: Track | None = None,
     ) -> Passing:
         """The next `count` crossings of motions from states (k x d), none of which takes longer than `longest`.
 
         `sense` -1 goes backwards in time; the plane's direction is that of the motion forwards. Motions that leave, end
         in a singularity or do not come back have nan. `path(which, times, states)` is told every accepted step,
-        `seen` after every step how to get the crossings so far.
+        `seen` after every step how to get the crossings so far. A `track` is gone on from, and kept.
         """
         run = _Run(self, plane, np.asarray(states, float), count, (longest, sense, tolerance), times)
+        for line in () if track is None else track.known:
+            run.restore(*line)
+        due = run.crossed.sum() + EVERY * len(states)
         while run.alive.any():
             limit.check()
             run.step(path)
+            if track is not None and (run.crossed.sum() >= due or not run.alive.any()):
+                track.add(*run.line())
+                due = run.crossed.sum() + EVERY * len(states)
             if seen is not None:
                 seen(run.passing)
         return run.passing()
@@ -170,7 +192,10 @@ class Crossings:
 
 
 class _Run:
-    """One integration of k motions to their crossings."""
+    """One integration of k motions to their crossings, those `noted` not located yet."""
+
+    LASTING = ("times", "lengths", "since", "crossed", "cells", "alive", "states", "rates")
+    """What a step needs of the one before it"""
 
     def __init__(
         self, crossings: Crossings, plane: Plane, states: np.ndarray, count: int, chosen: tuple[float, int, float],
@@ -183,7 +208,7 @@ class _Run:
         self.rates = crossings.rates(self.times, states)
         self.lengths = self._first()
         self.since, self.crossed = np.zeros(k), np.zeros(k, int)
-        self.noted: list[tuple[np.ndarray, ...]] = []
+        self.noted, self.located, self.kept = list[np.ndarray](), list[np.ndarray](), 0
         own, going = self._watched(self.times, self.states, self.rates)
         self.cells = plane.start(own, self.sense * going, self._unit)
         self.alive = np.isfinite(states).all(axis=1) & np.isfinite(self.rates).all(axis=1) & (count > 0)
@@ -261,7 +286,8 @@ class _Run:
         if counts.any():
             who = here[counts]
             level = np.maximum(cells, before)[counts]
-            self.noted.append((who, self.crossed[who], h[counts], self.times[who], self.states[who], level))
+            begin = self.crossed[who], self.times[who], h[counts], level, self.states[who]
+            self.noted.append(np.column_stack([who, *begin]))
             self.crossed[who] += 1
             self.since[who] = 0.0
         self.times[here] += self.sense * h
@@ -269,35 +295,60 @@ class _Run:
         self.alive[here[self.since[here] > self.longest]] = False
         self.alive[self.crossed >= self.count] = False
 
+    def line(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the motions are, and the crossings since the last line."""
+        self._locate()
+        fresh, self.kept = self.located[self.kept :], len(self.located)
+        alive = self.alive | (self.crossed >= self.count)  # which may go on to more crossings
+        parts = (alive if name == "alive" else getattr(self, name) for name in self.LASTING)
+        return np.column_stack(list(parts)), np.vstack([np.zeros((0, 3 + self.of.size)), *fresh])
+
+    def restore(self, motions: np.ndarray, crossings: np.ndarray) -> None:
+        """Go on from a line, maybe of more or fewer motions and crossings."""
+        fill([getattr(self, name) for name in self.LASTING], motions)
+        self.alive &= self.crossed < self.count
+        wanted = (crossings[:, :2] >= 0) & (crossings[:, :2] < [len(self.states), self.count])
+        self.located.append(crossings[wanted.all(axis=1)])
+        self.kept = len(self.located)
+
     def passing(self) -> Passing:
-        """The crossings that were noted, located."""
+        """The crossings so far."""
+        self._locate()
         times = np.full((len(self.states), self.count), np.nan)
         states = np.full((*times.shape, self.of.size), np.nan)
-        if self.noted:
-            who, which, *steps = (np.concatenate(each) for each in zip(*self.noted, strict=True))
-            times[who, which], states[who, which] = self._located(*steps)
+        for rows in self.located:
+            who, which = rows[:, :2].astype(int).T
+            times[who, which], states[who, which] = rows[:, 2], rows[:, 3:]
         return Passing(times, states)
 
-    def _located(self, h: np.ndarray, t: np.ndarray, x: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Times and states on the plane: Newton's method, kept within the step, on the step's length."""
-        low, high, s, plane, i = np.zeros(h.size), h.copy(), h * 0.5, self.plane, self.plane.component
+    def _locate(self) -> None:
+        """Times and states on the plane of what is noted: Newton's method, within the step, on the step's length."""
+        if not self.noted:
+            return
+        rows, sense, plane, i = np.vstack(self.noted), self.sense, self.plane, self.plane.component
+        (t, h, level), x = rows[:, 2:5].T, rows[:, 5:]
+        low, high, s, there = np.zeros(h.size), h.copy(), h * 0.5, x.copy()
         below = plane.off(self._watched(t, x, x)[0], level)
         room = ROOM * (h + (np.abs(t) if i < 0 else 0.0))  # time is known to its own round-off
+        k = np.arange(h.size)  # those that are not there yet: what each comes to depends on no other
         for _ in range(NEWTON):
-            there, _, rates = self.of.stepped(t, x, self.sense * s)
-            own, going = self._watched(t + self.sense * s, there, rates)
-            off = plane.off(own, level)
-            same = off * below > 0
-            low, high = np.where(same, s, low), np.where(same, high, s)
+            there[k], _, rates = self.of.stepped(t[k], x[k], sense * s[k])
+            own, going = self._watched(t[k] + sense * s[k], there[k], rates)
+            off = plane.off(own, level[k])
+            same = off * below[k] > 0
+            low[k], high[k] = np.where(same, s[k], low[k]), np.where(same, high[k], s[k])
             with np.errstate(all="ignore"):
-                trial = s - off / (going * self.sense)
-            trial = np.where((trial >= low) & (trial <= high), trial, 0.5 * (low + high))
-            if np.all(np.abs(trial - s) <= room):
+                trial = s[k] - off / (going * sense)
+            trial = np.where((trial >= low[k]) & (trial <= high[k]), trial, 0.5 * (low[k] + high[k]))
+            far = np.abs(trial - s[k]) > room[k]
+            k = k[far]
+            if not k.size:
                 break
-            s = trial
+            s[k] = trial[far]
         if i >= 0 and not plane.cycle:
             there[:, i] = plane.level
-        return t + self.sense * s, there
+        self.located.append(np.column_stack([rows[:, :2], t + sense * s, there]))
+        self.noted.clear()
 
 
 def checked(found: Passing, what: str) -> Passing:

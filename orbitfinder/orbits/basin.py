@@ -8,8 +8,10 @@ it uniform in time.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -24,7 +26,9 @@ from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.constrained import constraint_rows, tangent_basis
 from orbitfinder.mechanics.model import Model, constraint_of, vector_field
 from orbitfinder.mechanics.newton import closed, least_norm
-from orbitfinder.records.controller import Basin, Controller, Returned
+from orbitfinder.records.controller import Basin, Controller, Returned, controller_to_document
+from orbitfinder.records.journal import checkpoints, fill, packed, unpacked
+from orbitfinder.records.reading import content_digest
 
 SIZES = (0.01, 0.03, 0.1, 0.3)
 NEAR, HALF = 0.01, 0.5
@@ -35,6 +39,8 @@ LOST = 100.0
 """Extents off the orbit beyond which a motion is given up"""
 EFFORT = 30.0
 """Seconds of interpreted simulation, for `compiled`"""
+LINES = 25
+"""Of the journal of a trial, at most"""
 
 
 @dataclass(frozen=True)
@@ -69,6 +75,7 @@ def basin(
     rate: int = 200,
     seed: int = 0,
     model: Model | None = None,
+    out: str | Path | None = None,
 ) -> Controller:
     """From how far a controller brings the motion back, by simulation.
 
@@ -81,6 +88,8 @@ def basin(
         rate: samples of a period.
         seed: the same gives the same.
         model: needed only for systems that no file describes.
+        out: a folder: OUT/<name>/controller.jsonl keeps how far the motions have come, and what was asked before goes
+            on from there, also for more periods.
 
     Returns:
         The Controller with its `basin`.
@@ -97,16 +106,40 @@ def basin(
     _check(sizes, disturbances, periods, noise, rate)
     pushed = np.append(np.repeat(np.asarray(sizes, float), disturbances), 0.0)  # the last one sees noise alone
     plan = _Plan(*disturbed(controller, model, pushed, seed), periods, rate, noise, seed)
-    base, last = controller.inputs[0], periods * rate - rate
-    peak, power = np.zeros((len(pushed), base.size)), np.zeros((len(pushed), base.size))
-    far, floor = np.zeros(len(pushed)), 0.0
-    for k, (_, own, controls, distance) in enumerate(_simulated(controller, model, plan)):
-        effort = controls - own
-        peak, power = np.maximum(peak, np.abs(effort)), power + np.where(np.isinf(distance)[:, None], 0.0, effort) ** 2
-        floor = max(floor, float(distance[-1]))
-        far = np.maximum(far, distance) if k >= last else far
+    trial = _Trial(controller, model, plan)
+    far, most = np.zeros((2, len(pushed)))  # in this period, in all
+    peak, power = np.zeros((2, len(pushed), len(controller.actuators)))
+    path = None if out is None else Path(out) / controller.name / "controller.jsonl"
+    tried = content_digest(controller_to_document(replace(controller, basin=None)))
+    request = {"controller": tried, "sizes": [*map(float, sizes)], "disturbances": disturbances, "rate": rate,
+               "noise": float(noise), "seed": seed}  # fmt: skip
+
+    def now() -> list[np.ndarray]:
+        """What the next period needs of the one before it."""
+        return [trial.states, trial.times, trial.places, trial.lost, far, most, peak, power]
+
+    begin = 0, np.column_stack(now())
+
+    def read(entry: Mapping[str, Any]) -> tuple[int, np.ndarray]:
+        return int(entry["period"]), unpacked(entry["motions"], begin[1].shape[1])
+
+    with checkpoints(path, request, read) as journal:
+        known = [line for line in journal.known if line[0] <= periods]
+        done, motions = max(known, key=lambda line: line[0], default=begin)
+        fill(now(), motions)
+        trial.pass_over(done * rate)
+        for period in range(done + 1, periods + 1):
+            far[:] = 0.0
+            for _ in range(rate):
+                own, controls, distance = trial.sample()
+                np.maximum(peak, np.abs(controls - own), out=peak)
+                power += np.where(np.isinf(distance)[:, None], 0.0, controls - own) ** 2
+                np.maximum(far, distance, out=far)
+            np.maximum(most, far, out=most)
+            if period % -(-periods // LINES) == 0 or period == periods:
+                journal.add({"period": period, "motions": packed(np.column_stack(now()))})
     near = float(np.clip(SLACK * np.abs(controller.multipliers).max() ** (periods - 1), NEAR, HALF))
-    back = far <= near * pushed + 3 * floor
+    back = far <= near * pushed + 3 * most[-1]
     rows = []
     for k, size in enumerate(sizes):
         chosen = slice(k * disturbances, (k + 1) * disturbances)
@@ -152,7 +185,11 @@ def recovery(
     model = model or build_model(controller.system)
     _check([size], 1, periods, noise, rate)
     plan = _Plan(*disturbed(controller, model, np.array([size]), seed), periods, rate, noise, seed)
-    found = [(x[0], u[0], float(r[0])) for x, _, u, r in _simulated(controller, model, plan)]
+    trial, found = _Trial(controller, model, plan), list[tuple[np.ndarray, np.ndarray, float]]()
+    for _ in range(periods * rate):
+        state = trial.states[0]
+        _, controls, distance = trial.sample()
+        found.append((state, controls[0], float(distance[0])))
     times = np.arange(len(found)) * (controller.period / rate)
     return Run(times, *(np.array(part) for part in zip(*found, strict=True)))
 
@@ -196,27 +233,38 @@ def _assembled(model: Model, state: np.ndarray) -> np.ndarray:
     return np.concatenate([q, v + least_norm(slopes, rates)])
 
 
-@np.errstate(over="ignore", invalid="ignore")  # what is lost is put back and counted
-def _simulated(
-    controller: Controller, model: Model, plan: _Plan
-) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-    """At each sample: states (k x d), u* and u (k x m each), distances (k) in extents, infinite of what is lost."""
-    law, random = law_of(controller), np.random.default_rng([plan.seed, 1])
-    span, x, clock = controller.period / plan.rate, plan.states, plan.times
-    tau, lost = (clock if law.clock else law.start(x)), np.zeros(len(x), bool)
-    step, lanes = plant_step(model, controller.actuators), Lanes()
-    for _ in range(plan.periods * plan.rate):
+class _Trial:
+    """Disturbed motions under a controller, side by side: `states` (k x d), `times`, `places` on the orbit, which are
+    `lost` (k each)."""
+
+    def __init__(self, controller: Controller, model: Model, plan: _Plan) -> None:
+        self.law, self.plan, self.units = law_of(controller), plan, controller.units
+        self.span, self.random = controller.period / plan.rate, np.random.default_rng([plan.seed, 1])
+        self.states, self.times, self.lost = plan.states.copy(), plan.times.copy(), np.zeros(len(plan.states), bool)
+        self.places = self.times.copy() if self.law.clock else self.law.start(self.states)
+        self._step, self._lanes = plant_step(model, controller.actuators), Lanes()
+
+    def pass_over(self, samples: int) -> None:
+        """Draw the noise of samples that are known."""
+        for _ in range(samples if self.plan.noise else 0):
+            self.random.normal(size=self.states.shape)
+
+    @np.errstate(over="ignore", invalid="ignore")  # what is lost is put back and counted
+    def sample(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """u* and u (k x m each), distances (k) in extents, infinite of what is lost; then all go on for a sample."""
         limit.check()
-        measured = x + plan.noise * controller.units * random.normal(size=x.shape) if plan.noise else x
-        u, tau = law(measured, clock if law.clock else tau)
+        law, x, plan = self.law, self.states, self.plan
+        measured = x + plan.noise * self.units * self.random.normal(size=x.shape) if plan.noise else x
+        u, tau = law(measured, self.times if law.clock else self.places)
         wanted = law.at(tau)[:, : law.size + law.controls]
-        gap = np.sqrt(law.gap(x, wanted[:, : law.size]) ** 2 @ (1 / controller.units**2))
-        lost |= ~(gap <= LOST)
-        yield x, wanted[:, law.size :], u, np.where(lost, np.inf, gap)
-        z, p = np.column_stack([clock, x]), np.column_stack([np.full(len(x), span), u])
-        x = lanes.evaluated(step, STAGES, z, p)[:, 1:]
-        x = np.where((lost | ~np.isfinite(x).all(axis=1))[:, None], law.rows[0, : law.size], x)
-        clock, tau = clock + span, tau + span
+        gap = np.sqrt(law.gap(x, wanted[:, : law.size]) ** 2 @ (1 / self.units**2))
+        self.lost = self.lost | ~(gap <= LOST)
+        z, p = np.column_stack([self.times, x]), np.column_stack([np.full(len(x), self.span), u])
+        x = self._lanes.evaluated(self._step, STAGES, z, p)[:, 1:]
+        gone = self.lost | ~np.isfinite(x).all(axis=1)
+        self.states = np.where(gone[:, None], law.rows[0, : law.size], x)
+        self.times, self.places = self.times + self.span, tau + self.span
+        return wanted[:, law.size :], u, np.where(self.lost, np.inf, gap)
 
 
 def plant_step(model: Model, names: Sequence[str]) -> ca.Function:

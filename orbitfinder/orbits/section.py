@@ -10,9 +10,12 @@ where it parts exponentially.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +23,7 @@ from orbitfinder._runtime.keeping import finished
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError, IntegrationError, closest
 from orbitfinder.integrate.automaton import Automaton
-from orbitfinder.integrate.crossings import FINE, SEEN, Crossings, Passing, Plane
+from orbitfinder.integrate.crossings import FINE, SEEN, Crossings, Passing, Plane, Track
 from orbitfinder.integrate.dop853 import SECOND
 from orbitfinder.integrate.equations import conserved
 from orbitfinder.integrate.parallel import Lanes
@@ -28,6 +31,8 @@ from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, check_states, energy, vector_field, wrapped
 from orbitfinder.mechanics.scales import surroundings
+from orbitfinder.records.family import plain
+from orbitfinder.records.journal import checkpoints, packed, unpacked
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.section import Section
 
@@ -130,12 +135,12 @@ class Surface:
 
     def passing(
         self, states: np.ndarray, count: int, *, sense: int = 1, tolerance: float = SEEN,
-        seen: Callable[[Callable[[], Passing]], None] | None = None,
+        seen: Callable[[Callable[[], Passing]], None] | None = None, track: Track | None = None,
     ) -> Passing:  # fmt: skip
         """The next crossings of motions that begin at states (k x d)."""
         longest = max(TIMES * self.clock, 2 * self.plane.cycle if self.plane.component < 0 else 0.0)
         return self.motions.passing(self.plane, states, count, longest=longest, sense=sense, tolerance=tolerance,
-                                    seen=seen)  # fmt: skip
+                                    seen=seen, track=track)  # fmt: skip
 
 
 def surface(
@@ -264,6 +269,7 @@ def section(
     ranges: Mapping[str, Sequence[float]] | None = None,
     model: Model | None = None,
     name: str = "",
+    out: str | Path | None = None,
 ) -> Section:
     """The Poincare section of a system: where motions of one energy cross a plane.
 
@@ -281,6 +287,8 @@ def section(
         ranges: of the axes {component: (least, greatest)} in which motions begin.
         model: for an orbit of a system that no file describes.
         name: a word for files.
+        out: a folder: OUT/<name>/section.jsonl keeps how far the motions have come, and what was asked before goes on
+            from there, also with more seeds or returns.
 
     Returns:
         A Section: `points`, `regular`, `starts`.
@@ -300,10 +308,7 @@ def section(
         if not 1 <= count <= most:
             raise InputError(f"{what}: must be between 1 and {most}, got {count}")
     model, state, own = _of(system, model)
-    if model.hybrid is None and (energy is not None or not model.conservative or state is not None):
-        levels = level_of(model, energy, state)
-    else:
-        levels = {} if model.hybrid is not None else level_of(model, energy, state)
+    levels = {} if model.hybrid is not None else level_of(model, energy, state)
     found = surface(model, plane, axes, direction, levels=levels)
     starts = _starts(found, seeds, dict(ranges or {}), state)
     names, chosen = model.state_names, next(iter(levels.values()), float("nan"))
@@ -323,14 +328,36 @@ def section(
     def seen(so_far: Callable[[], Passing]) -> None:
         finished(lambda: made(passing) if np.isfinite((passing := so_far()).times).any() else None)
 
+    path = None if out is None else Path(out) / (name or own) / "section.jsonl"
+    request = plain({"system": dict(model.system), "section": (plane, axes, direction, levels, ranges or {}, state)})
     growth, hybrid = unknown, model.hybrid is not None
-    passing = _events(model, starts, returns, seen) if hybrid else found.passing(starts, returns, seen=seen)
-    if not np.isfinite(passing.times).any():
-        raise InputError(f"plane: no motion comes to {found.name}; choose another plane, energy or direction")
-    if not hybrid:
-        seen(lambda: passing)
-        growth = _divergence(found, starts, passing.states)
+    with _tracks(path, request, 2 if hybrid else 6 + 2 * len(names), 3 + len(names)) as track:
+        if hybrid:
+            passing = _events(model, starts, returns, seen, track("seeds"))
+        else:
+            passing = found.passing(starts, returns, seen=seen, track=track("seeds"))
+        if not np.isfinite(passing.times).any():
+            raise InputError(f"plane: no motion comes to {found.name}; choose another plane, energy or direction")
+        if not hybrid:
+            seen(lambda: passing)
+            growth = _divergence(found, starts, passing.states, track("neighbours"))
     return made(passing, growth)
+
+
+@contextlib.contextmanager
+def _tracks(
+    path: Path | None, request: Mapping[str, Any], motions: int, crossings: int
+) -> Iterator[Callable[[str], Track]]:
+    """The tracks in a journal, by a word for whose they are; lines have so many columns."""
+
+    def read(entry: Mapping[str, Any]) -> tuple[str, np.ndarray, np.ndarray]:
+        return str(entry["of"]), unpacked(entry["motions"], motions), unpacked(entry["crossings"], crossings)
+
+    with checkpoints(path, request, read) as journal:
+        yield lambda of: Track(
+            [(where, rows) for whose, where, rows in journal.known if whose == of],
+            lambda where, rows: journal.add({"of": of, "motions": packed(where), "crossings": packed(rows)}),
+        )
 
 
 def _of(system: Model | Orbit | Problem, model: Model | None) -> tuple[Model, np.ndarray | None, str]:
@@ -474,33 +501,41 @@ def _closed(found: Surface, base: np.ndarray, low: np.ndarray, high: np.ndarray,
     return not np.isfinite(at_points(found, base, np.vstack(sides))).any()
 
 
-def _events(model: Model, starts: np.ndarray, returns: int, seen: Callable[[Callable[[], Passing]], None]) -> Passing:
-    """The states of a hybrid system after the event that ends its cycle, or any event where it has no cycle."""
+def _events(
+    model: Model, starts: np.ndarray, returns: int, seen: Callable[[Callable[[], Passing]], None], track: Track
+) -> Passing:
+    """The states of a hybrid system after the event that ends its cycle, or any event where it has no cycle.
+
+    A line of the track is a start with the returns that it was asked for.
+    """
     hybrid = model.hybrid
     last = hybrid.cycle[-1] if hybrid.cycle else None
     times, states = np.full((len(starts), returns), np.nan), np.full((len(starts), returns, starts.shape[1]), np.nan)
+    known = {int(motion[0, 0]): rows for motion, rows in track.known if motion[0, 1] == returns}
     for k, start in enumerate(starts):
-        found = 0
-        try:
-            for arc in Automaton(model, SECOND).arcs(
-                start, hybrid.first.name, events=returns * max(1, len(hybrid.cycle))
-            ):
-                if arc.ended_by is not None and last in (None, arc.ended_by) and found < returns:
-                    times[k, found], states[k, found] = arc.times[-1], arc.after
-                    found += 1
-        except IntegrationError:
-            continue  # it has left: what was seen of it stays
+        if k not in known:
+            found = list[np.ndarray]()
+            with contextlib.suppress(IntegrationError):  # it has left: what was seen of it stays
+                for arc in Automaton(model, SECOND).arcs(
+                    start, hybrid.first.name, events=returns * max(1, len(hybrid.cycle))
+                ):
+                    if arc.ended_by is not None and last in (None, arc.ended_by) and len(found) < returns:
+                        found.append(np.array([k, len(found), arc.times[-1], *arc.after]))
+            known[k] = np.vstack([np.zeros((0, 3 + starts.shape[1])), *found])
+            track.add(np.array([[k, returns]]), known[k])
+        rows = known[k]
+        times[k, : len(rows)], states[k, : len(rows)] = rows[:, 2], rows[:, 3:]
         seen(lambda: Passing(times, states))
     return Passing(times, states)
 
 
-def _divergence(found: Surface, starts: np.ndarray, states: np.ndarray) -> np.ndarray:
+def _divergence(found: Surface, starts: np.ndarray, states: np.ndarray, track: Track) -> np.ndarray:
     """How much farther apart (k) each motion and one that begins `BESIDE` it come, at most, on the section."""
     beside = starts.copy()
     beside[:, found.axes[0]] += BESIDE * found.units[found.axes[0]]
     if found.levels:
         beside = found.held(beside, along=[solved_component(found)])
-    others = found.passing(beside, states.shape[1]).states
+    others = found.passing(beside, states.shape[1], track=track).states
     units = found.units[list(found.axes)]
     apart = np.linalg.norm(wrapped(others - states, found.model.angular)[..., list(found.axes)] / units, axis=2)
     return np.asarray(np.max(np.nan_to_num(apart, nan=0.0), axis=1) / BESIDE)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -38,13 +38,18 @@ from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.refine import Refiner
-from orbitfinder.records.orbit import SHARE, Orbit
+from orbitfinder.records.family import plain
+from orbitfinder.records.journal import Checkpoints, checkpoints, packed, unpacked
+from orbitfinder.records.orbit import SHARE, Orbit, check_document, orbit_from_document, orbit_to_document
+from orbitfinder.records.reading import typed
 
 LIMIT = 3600.0
 """Seconds after which a sweep stops unless told otherwise."""
 ELSEWHERE = 0.1
 """A period or state farther than this from what was expected, relative to the motion, is another orbit's."""
 NUMBERS = ("period", "energy", "action", "symmetry", "stability", "closure")
+ASKED = ("guess", "pin", "symmetry", "winding", "segments", "tolerance", "free", "relative", "name", "title", "source")
+"""Of a problem beside its system: what decides which orbits are found, and what they are called"""
 
 
 @dataclass(frozen=True)
@@ -106,7 +111,7 @@ Progress = Callable[[Row, int, int], None]
 def sweep(
     problem: Problem, values: Mapping[str, Sequence[float]] | None = None, *, workers: int = 1,
     limit: float | None = LIMIT, folder: str | Path | None = None, progress: Progress | None = None,
-    **named: Sequence[float],
+    out: str | Path | None = None, **named: Sequence[float],
 ) -> Sweep:  # fmt: skip
     """The orbits of a Problem at other values of its parameters, each certified or with its reason.
 
@@ -119,6 +124,8 @@ def sweep(
         limit: s after which what is missing is left out with that reason.
         folder: of a trusted module that makes the system.
         progress: called with what is being done.
+        out: a folder: OUT/<name>/sweep.jsonl keeps every row as it comes, and what was asked before goes on from
+            there, also with more values.
         **named: values of a physical parameter (`stiffness=numpy.linspace(20, 40, 100)`), or of `energy` or `period`
             where the problem pins it; several of equal lengths change together.
 
@@ -142,19 +149,24 @@ def sweep(
     if not 1 <= workers <= 256:
         raise InputError(f"workers: must be between 1 and 256, got {workers}")
     found: dict[int, Row] = {}
-    study = _Study(problem, tuple(table), np.array(list(table.values())).T)
-    try:
-        with limited.limited(limit):
-            rows = study.rows() if workers == 1 else _shared(study, min(workers, len(study.values)), folder)
-            for k, row in rows:
-                found[k] = row
-                finished(lambda: study.swept(found, time.monotonic() - began))
-                limited.note(f"{len(found)} of {len(study.values)} values are done")
-                if progress:
-                    progress(row, len(found), len(study.values))
-    except LimitError as error:
-        late = {k: Row(study.named(k), None, str(error)) for k in range(len(study.values)) if k not in found}
-        found |= late
+    path = None if out is None else Path(out) / problem.name / "sweep.jsonl"
+    asked = {"system": dict(problem.model.system), **{name: getattr(problem, name) for name in ASKED}}
+    with checkpoints(path, plain({"values": list(table), "problem": asked}), _read) as journal:
+        study = _Study(problem, tuple(table), np.array(list(table.values())).T, journal)
+        try:
+            with limited.limited(limit):
+                rows = study.rows() if workers == 1 else _shared(study, min(workers, len(study.values)), folder)
+                for k, visit, fresh in rows:
+                    found[k] = visit.row
+                    if fresh and path is not None:
+                        journal.add(visit.entry())
+                    finished(lambda: study.swept(found, time.monotonic() - began))
+                    limited.note(f"{len(found)} of {len(study.values)} values are done")
+                    if progress:
+                        progress(visit.row, len(found), len(study.values))
+        except LimitError as error:
+            late = {k: Row(study.named(k), None, str(error)) for k in range(len(study.values)) if k not in found}
+            found |= late
     return study.swept(found, time.monotonic() - began)
 
 
@@ -186,17 +198,58 @@ def _table(problem: Problem, given: Mapping[str, Sequence[float]]) -> dict[str, 
     return found
 
 
+Origin = tuple[Guess, tuple[int, ...]]
+"""A problem's own orbit, and its winding"""
+Reached = tuple[np.ndarray, Refined]
+"""Values (p), and the orbit there"""
+
+
+@dataclass(frozen=True)
+class _Visit:
+    """A row, the values of the row before it, and the last orbits of the way when it was left."""
+
+    row: Row
+    after: tuple[float, ...] | None
+    way: tuple[Reached, ...]
+
+    def entry(self) -> dict[str, Any]:
+        """The line of the journal."""
+        line, orbit = {one.name: getattr(self, one.name) for one in fields(self)}, self.row.orbit
+        line["row"] = {"values": self.row.values, "reason": self.row.reason}
+        if orbit is not None:
+            line["orbit"] = orbit_to_document(orbit)
+            line["samples"] = packed(np.column_stack([orbit.times, orbit.samples]))
+        return dict(plain(line))
+
+
+def _read(entry: Mapping[str, Any]) -> Origin | _Visit:
+    """What a line of the journal stands for. Raises `ValueError`."""
+    kind: Any = Origin if "origin" in entry else _Visit
+    line: Origin | _Visit = typed(kind, entry.get("origin", entry), "")
+    if isinstance(line, tuple) or "orbit" not in entry:
+        return line
+    document = check_document(entry["orbit"], "orbit")
+    samples = unpacked(entry["samples"], 1 + len(document["state"]))
+    orbit = replace(orbit_from_document(document, samples[:, 0], samples[:, 1:]), record=None)
+    return replace(line, row=replace(line.row, orbit=orbit))
+
+
 class _Study:
     """A problem whose parameters `names` go through `values` (k x p), walked outwards from its own orbit.
 
-    `numbers` (k) are those of the values in the whole sweep, by which rows and orbits go.
+    `numbers` (k) are those of the values in the whole sweep, by which rows and orbits go. What the journal knows is not
+    solved again; where nothing was reached it is tried again from another value than before.
     """
 
     def __init__(
-        self, problem: Problem, names: tuple[str, ...], values: np.ndarray, numbers: np.ndarray | None = None
-    ) -> None:
-        self.problem, self.names, self.values = problem, names, values
+        self, problem: Problem, names: tuple[str, ...], values: np.ndarray, journal: Checkpoints[Origin | _Visit],
+        numbers: np.ndarray | None = None,
+    ) -> None:  # fmt: skip
+        self.problem, self.names, self.values, self.journal = problem, names, values, journal
         self.numbers = np.arange(len(values)) if numbers is None else numbers
+        self.origin = next((line for line in journal.known if isinstance(line, tuple)), None)
+        visits = [line for line in journal.known if isinstance(line, _Visit)]
+        self.known = {tuple(line.row.values[name] for name in names): line for line in visits}
         model, pinned = problem.model, {one.name: one.value for one in problem.pin}
         own = {name: float(model.parameter_values[model.parameter_index(name)]) for name in names if name not in pinned}
         self.own = np.array([pinned.get(name, own.get(name)) for name in names], float)
@@ -220,25 +273,39 @@ class _Study:
         wanted.check_count()
         if wanted.count().freedom:
             raise InputError("pin: missing; a sweep needs to know what is held, pin the energy, the period or a state")
-        orbit = find_orbit(replace(self.problem, expected={}))
-        guess = Guess(orbit.state, orbit.period, free=orbit.provenance.get("free", {}))
-        return replace(wanted, guess=guess, winding=orbit.winding)
+        if self.origin is None:
+            orbit = find_orbit(replace(self.problem, expected={}))
+            self.origin = Guess(orbit.state, orbit.period, free=orbit.provenance.get("free", {})), orbit.winding
+            self.journal.add(plain({"origin": self.origin}))
+        guess, winding = self.origin
+        return replace(wanted, guess=guess, winding=winding)
 
     @cached_property
     def refiner(self) -> Refiner:
         """Everything that is built once."""
         return Refiner(self.base)
 
-    def rows(self) -> Iterator[tuple[int, Row]]:
-        """Rows by number, those of values below the problem's own after those above."""
-        assert self.refiner  # whatever is wrong with the problem is no value's fault
+    def rows(self) -> Iterator[tuple[int, _Visit, bool]]:
+        """Visits by number and whether each is new, those of values below the problem's own after those above."""
         scale = np.abs(self.values - self.own).max(axis=0)
         along = ((self.values - self.own) / np.where(scale > 0, scale, 1.0)).sum(axis=1)
         order = np.argsort(along, kind="stable")
         for side in (order[along[order] >= 0], order[along[order] < 0][::-1]):
-            self._way = []
+            self._way, after = [], None
             for k in side:
-                yield int(self.numbers[k]), self._row(int(k))
+                values = tuple(map(float, self.values[k]))
+                visit = self.known.get(values)
+                fresh = visit is None or not (visit.row.certified or visit.after == after)
+                if visit is None or fresh:
+                    assert self.refiner  # whatever is wrong with the problem is no value's fault
+                    visit = _Visit(self._row(int(k)), after, tuple(self._way))
+                self._way, after = list(visit.way), values
+                yield int(self.numbers[k]), self._numbered(visit, int(k)), fresh
+
+    def _numbered(self, visit: _Visit, k: int) -> _Visit:
+        """With the name that the orbit has in this sweep."""
+        row, name = visit.row, f"{self.problem.name}-{self.numbers[k] + 1:04d}"
+        return visit if row.orbit is None else replace(visit, row=replace(row, orbit=replace(row.orbit, name=name)))
 
     def _row(self, k: int) -> Row:
         limited.check()
@@ -246,7 +313,6 @@ class _Study:
             orbit = self.refiner.orbit(self._reached(self.values[k]))
         except (ConvergenceError, IntegrationError, InputError) as error:
             return Row(self.named(k), None, str(error))
-        orbit = replace(orbit, name=f"{self.problem.name}-{self.numbers[k] + 1:04d}")
         failed = ", ".join(orbit.certificate.failures) if orbit.certificate else "no certificate"
         return Row(self.named(k), orbit, failed and f"not certified: {failed}")
 
@@ -305,15 +371,22 @@ def _away(expected: np.ndarray, found: np.ndarray, period: float) -> float:
     return float(max(moved.max() / max(places.max(), 1e-300), rushed.max() / speed))
 
 
-def _shared(study: _Study, workers: int, folder: str | Path | None) -> Iterator[tuple[int, Row]]:
-    """The rows by spawned processes, each with a run of neighbouring values."""
-    base, order = study.base, np.argsort(study.values[:, 0], kind="stable")
-    plain = (dict(base.model.system), None if folder is None else Path(folder))
-    build_model(*plain)  # or no process can
-    hands = list[processes.Hand]()
+def _shared(study: _Study, workers: int, folder: str | Path | None) -> Iterator[tuple[int, _Visit, bool]]:
+    """The rows by spawned processes, each with a run of neighbouring values; none for a run that is known."""
+    order, hands, left = np.argsort(study.values[:, 0], kind="stable"), list[processes.Hand](), list[tuple[Any, ...]]()
+    for part in np.array_split(order, workers):
+        values = study.values[part]
+        known = [study.known[one] for one in map(tuple, values.tolist()) if one in study.known]
+        if len(known) < len(part):
+            left.append((values, known, part))
+        else:
+            yield from _Study(study.problem, study.names, values, study.journal, part).rows()
+    if left:
+        system = dict(study.base.model.system), None if folder is None else Path(folder)
+        build_model(*system)  # or no process can
     try:
-        for part in np.array_split(order, workers):
-            wanted = (plain, _described(study), study.names, study.values[part], part, limited.left())
+        for values, known, part in left:
+            wanted = (system, _described(study), study.names, values, [study.origin, *known], part, limited.left())
             hands.append(processes.hired(_serve, wanted))
         while hands:
             for hand in processes.ready(hands):
@@ -346,10 +419,11 @@ def _described(study: _Study) -> dict[str, Any]:
 
 def _serve(pipe: Connection, wanted: tuple[Any, ...]) -> None:
     """The life of a worker: its rows, one message each, then `DONE` or what went wrong."""
-    plain, described, names, values, numbers, left = wanted
+    system, described, names, values, known, part, left = wanted
     try:
         with one_thread(), limited.limited(left if np.isfinite(left) else None):
-            for answer in _Study(Problem(build_model(*plain), **described), names, values, numbers).rows():
+            problem = Problem(build_model(*system), **described)
+            for answer in _Study(problem, names, values, Checkpoints(None, known), part).rows():
                 pipe.send(answer)
         pipe.send(DONE)
     except OrbitfinderError as error:

@@ -6,6 +6,7 @@ that a step is there completely or not at all; any other line that is not what w
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import logging
 import os
@@ -13,6 +14,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
+
+import numpy as np
 
 from orbitfinder._runtime import locks
 from orbitfinder.errors import InputError
@@ -62,6 +65,25 @@ def checkpoints(
             except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
                 raise InputError(f"{path}: line {number}: {error}; {AGAIN}") from error
         yield Checkpoints(path, known)
+
+
+def fill(arrays: Iterable[np.ndarray], matrix: np.ndarray) -> None:
+    """Write the columns of a matrix back into the arrays that it was stacked from, in the rows that both have."""
+    begin = 0
+    for one in arrays:
+        width = one[:1].size
+        one[: len(matrix)] = matrix[: len(one), begin : begin + width].reshape(-1, *one.shape[1:])
+        begin += width
+
+
+def packed(matrix: np.ndarray) -> str:
+    """A matrix of numbers as text, every bit of it, infinities and NaN too."""
+    return base64.b64encode(np.ascontiguousarray(matrix, "<f8").tobytes()).decode()
+
+
+def unpacked(text: str, columns: int) -> np.ndarray:
+    """The matrix of so many columns that a text stands for. Raises `ValueError`."""
+    return np.frombuffer(base64.b64decode(text, validate=True), "<f8").reshape(-1, columns).astype(float)
 
 
 def begin_journal(path: Path, header: Mapping[str, Any], lines: Iterable[Mapping[str, Any]] = ()) -> None:
