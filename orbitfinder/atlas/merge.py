@@ -140,9 +140,10 @@ def _joined(out: Atlas, books: Sequence[Atlas]) -> None:
 def _mark(book: Atlas) -> str:
     """What an atlas that has taken all of another one says `about` it: the journal of a merge."""
     found = hashlib.sha256()
-    for table in ("searches", "starts", "orbits"):
-        for row in book.connection.execute(f"SELECT * FROM {table} ORDER BY 1, 2"):
-            found.update(repr(row).encode())
+    with explained(book.path):
+        for table in ("searches", "starts", "orbits"):
+            for row in book.connection.execute(f"SELECT * FROM {table} ORDER BY 1, 2"):
+                found.update(repr(row).encode())
     return f"merged {found.hexdigest()}"
 
 
