@@ -142,7 +142,7 @@ def test_damaged_journals_are_named(duffing, tmp_path):
     file.write_bytes(sound[:-9])  # cut short by a kill
     assert of.sweep(duffing, cubic=[1.0, 2.0], out=tmp_path).certified == 2
     lines = read_lines(file, "")[0]
-    for wrong in ({"here": None}, {"row": {}}, {"orbit": {}}, {"samples": "A"}, {"samples": "AAAA"}, {"after": "x"}):
+    for wrong in ({"here": None}, {"row": {}}, {"orbit": {}}, {"samples": "3:A"}, {"samples": "4:"}, {"after": "x"}):
         file.write_bytes(sound)
         append_line(file, lines[3] | wrong | {"here": lines[3]["here"] if "here" not in wrong else [0, 1]})
         with pytest.raises(InputError, match="sweep.jsonl: line 5: .*; restore a copy, or delete the file to start"):
@@ -151,4 +151,4 @@ def test_damaged_journals_are_named(duffing, tmp_path):
 
 def test_packed_numbers_are_the_same():
     matrix = np.random.default_rng(1).normal(size=(5, 3)) * np.array([1e-300, 1.0, np.inf])
-    assert unpacked(packed(matrix), 3).tobytes() == matrix.tobytes() and unpacked("", 4).shape == (0, 4)
+    assert unpacked(packed(matrix), 3).tobytes() == matrix.tobytes() and unpacked("4:", 4).shape == (0, 4)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -151,7 +151,9 @@ def sweep(
     found: dict[int, Row] = {}
     path = None if out is None else Path(out) / problem.name / "sweep.jsonl"
     asked = {"system": dict(problem.model.system), **{name: getattr(problem, name) for name in ASKED}}
-    with checkpoints(path, plain({"values": list(table), "problem": asked}), _read) as journal:
+    freed = [one for one in problem.model.parameter_names if one in (*problem.free, *table) or one.startswith(SHARE)]
+    sizes = (len(table),), (len(problem.model.state_names),), (len(freed),)
+    with checkpoints(path, plain({"values": list(table), "problem": asked}), partial(_read, sizes=sizes)) as journal:
         study = _Study(problem, tuple(table), np.array(list(table.values())).T, journal)
         try:
             with limited.limited(limit):
@@ -222,11 +224,16 @@ class _Visit:
         return dict(plain(line))
 
 
-def _read(entry: Mapping[str, Any]) -> Origin | _Visit:
-    """What a line of the journal stands for. Raises `ValueError`."""
+def _read(entry: Mapping[str, Any], sizes: tuple[tuple[int], ...]) -> Origin | _Visit:
+    """What a line of the journal stands for, `sizes` of the values, a state and what is free. Raises `ValueError`."""
     kind: Any = Origin if "origin" in entry else _Visit
     line: Origin | _Visit = typed(kind, entry.get("origin", entry), "")
-    if isinstance(line, tuple) or "orbit" not in entry:
+    if isinstance(line, tuple):
+        return line
+    for values, one in filter(None, (line.here, line.before)):
+        if (values.shape, one.nodes.shape[1:], one.free.shape) != sizes or not one.period > 0:
+            raise ValueError("here, before: no orbits of this problem")
+    if "orbit" not in entry:
         return line
     document = check_document(entry["orbit"], "orbit")
     samples = unpacked(entry["samples"], 1 + len(document["state"]))
@@ -249,7 +256,7 @@ class _Study:
         self.numbers = np.arange(len(values)) if numbers is None else numbers
         self.origin = next((line for line in journal.known if isinstance(line, tuple)), None)
         visits = [line for line in journal.known if isinstance(line, _Visit)]
-        self.known = {tuple(line.row.values[name] for name in names): line for line in visits}
+        self.known = {tuple(line.row.values.get(name) for name in names): line for line in visits}
         model, pinned = problem.model, {one.name: one.value for one in problem.pin}
         own = {name: float(model.parameter_values[model.parameter_index(name)]) for name in names if name not in pinned}
         self.own = np.array([pinned.get(name, own.get(name)) for name in names], float)

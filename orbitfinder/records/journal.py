@@ -78,12 +78,15 @@ def fill(arrays: Iterable[np.ndarray], matrix: np.ndarray) -> None:
 
 def packed(matrix: np.ndarray) -> str:
     """A matrix of numbers as text, every bit of it, infinities and NaN too."""
-    return base64.b64encode(np.ascontiguousarray(matrix, "<f8").tobytes()).decode()
+    return f"{matrix.shape[1]}:" + base64.b64encode(np.ascontiguousarray(matrix, "<f8").tobytes()).decode()
 
 
 def unpacked(text: str, columns: int) -> np.ndarray:
     """The matrix of so many columns that a text stands for. Raises `ValueError`."""
-    return np.frombuffer(base64.b64decode(text, validate=True), "<f8").reshape(-1, columns).astype(float)
+    width, _, data = text.partition(":")
+    if width != str(columns):
+        raise ValueError(f"expected numbers in {columns} columns, got {width[:9]!r}")
+    return np.frombuffer(base64.b64decode(data, validate=True), "<f8").reshape(-1, columns).astype(float)
 
 
 def begin_journal(path: Path, header: Mapping[str, Any], lines: Iterable[Mapping[str, Any]] = ()) -> None:
