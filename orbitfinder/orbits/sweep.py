@@ -230,9 +230,9 @@ def _read(entry: Mapping[str, Any], sizes: tuple[tuple[int], ...]) -> Origin | _
     line: Origin | _Visit = typed(kind, entry.get("origin", entry), "")
     if isinstance(line, tuple):
         return line
-    for values, one in filter(None, (line.here, line.before)):
+    for values, one in line.way:
         if (values.shape, one.nodes.shape[1:], one.free.shape) != sizes or not one.period > 0:
-            raise ValueError("here, before: no orbits of this problem")
+            raise ValueError("way: no orbits of this problem")
     if "orbit" not in entry:
         return line
     document = check_document(entry["orbit"], "orbit")
