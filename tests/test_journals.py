@@ -142,9 +142,9 @@ def test_damaged_journals_are_named(duffing, tmp_path):
     file.write_bytes(sound[:-9])  # cut short by a kill
     assert of.sweep(duffing, cubic=[1.0, 2.0], out=tmp_path).certified == 2
     lines = read_lines(file, "")[0]
-    for wrong in ({"here": None}, {"row": {}}, {"orbit": {}}, {"samples": "3:A"}, {"samples": "4:"}, {"after": "x"}):
+    for wrong in ({"way": None}, {"row": {}}, {"orbit": {}}, {"samples": "3:A"}, {"samples": "4:"}, {"after": "x"}):
         file.write_bytes(sound)
-        append_line(file, lines[3] | wrong | {"here": lines[3]["here"] if "here" not in wrong else [0, 1]})
+        append_line(file, lines[3] | wrong)
         with pytest.raises(InputError, match="sweep.jsonl: line 5: .*; restore a copy, or delete the file to start"):
             of.sweep(duffing, cubic=[1.0, 2.0], out=tmp_path)
 
