@@ -200,8 +200,8 @@ def _table(problem: Problem, given: Mapping[str, Sequence[float]]) -> dict[str, 
     return found
 
 
-Origin = tuple[Guess, tuple[int, ...]]
-"""A problem's own orbit, and its winding"""
+Origin = tuple[np.ndarray, float, Mapping[str, float], tuple[int, ...]]
+"""A problem's own orbit: state, period, what is free, winding"""
 Reached = tuple[np.ndarray, Refined]
 """Values (p), and the orbit there"""
 
@@ -282,10 +282,10 @@ class _Study:
             raise InputError("pin: missing; a sweep needs to know what is held, pin the energy, the period or a state")
         if self.origin is None:
             orbit = find_orbit(replace(self.problem, expected={}))
-            self.origin = Guess(orbit.state, orbit.period, free=orbit.provenance.get("free", {})), orbit.winding
+            self.origin = orbit.state, orbit.period, orbit.provenance.get("free", {}), orbit.winding
             self.journal.add(plain({"origin": self.origin}))
-        guess, winding = self.origin
-        return replace(wanted, guess=guess, winding=winding)
+        state, period, free, winding = self.origin
+        return replace(wanted, guess=Guess(state, period, free=free), winding=winding)
 
     @cached_property
     def refiner(self) -> Refiner:
