@@ -223,7 +223,10 @@ def _optima(
             shown.say(f"{parameter} {value:.9g}, cost {cost:.9g}, period {orbit.period:.9g} s, {orbit.stability}")
 
         with kept(folder / "optima.json", save_optima):
-            found = follow_optima(problem, parameter, values, until=chosen["until"], points=points, progress=report)
+            found = follow_optima(
+                problem, parameter, values, until=chosen["until"], points=points, progress=report, name=folder.name,
+                out=out,
+            )  # fmt: skip
             written = [save_optima(found, folder / "optima.json")]
     written += [save_optima_figure(found, folder)] if chosen["figures"] else []
     text(f"{written[0]}: {found.counts}")

@@ -446,19 +446,19 @@ def optimum(
         solution = program.solved(start, tolerance)
         if (error := program.error(solution)) <= enough or steps >= MOST_STEPS:
             break
-        steps = _finer(steps, error, enough, order)
+        steps = finer(steps, error, enough, order)
         program, start = Program(problem, control, steps), (solution.unknowns, solution.coefficients)
     if control.method == "shooting":
         return program, program.closed(solution)
     shot = Program(problem, replace(control, method="shooting"), steps)
     solution = replace(solution, points=np.zeros(0))
     while (error := shot.error(solution)) > AGREEMENT and shot.parts.steps < MOST_STEPS:
-        shot = Program(problem, shot.control, _finer(shot.parts.steps, error, AGREEMENT, 8))
+        shot = Program(problem, shot.control, finer(shot.parts.steps, error, AGREEMENT, 8))
     program, found = Program(problem, control, shot.parts.steps), shot.closed(solution)
     return program, found
 
 
-def _finer(steps: int, error: float, enough: float, order: int) -> int:
+def finer(steps: int, error: float, enough: float, order: int) -> int:
     """Steps that bring an error down to what is enough."""
     return min(MOST_STEPS, max(steps + 1, int(np.ceil(steps * (3 * error / enough) ** (1 / order)))))
 

@@ -4,53 +4,60 @@ The curve is that of the conditions of an optimum (`loops.stationary`), followed
 tangent, corrector by Newton's method normal to it. Between points it is looked at where a constraint becomes active or
 is let go (the curve has a corner there), where it turns back, and where the cost is least along it. Every point that
 is kept is certified as any controlled orbit: from its record, by other means.
+
+Every step is a line of a journal that says which other one it comes after: what is asked for later, farther or
+elsewhere, goes on from the last line that it shares.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
 
 from orbitfinder._runtime.keeping import STOPPED, finished
+from orbitfinder.continuation.follow import LOCATED, Pace, point_limit, walked, zero
 from orbitfinder.errors import ConvergenceError, InputError, closest
-from orbitfinder.loops.control import Control, Task
-from orbitfinder.loops.controlled import AGREEMENT, MOST_STEPS, Program, Solution, coefficient_bounds, optimum
+from orbitfinder.loops.control import Task
+from orbitfinder.loops.controlled import AGREEMENT, MOST_STEPS, Program, Solution, coefficient_bounds, finer, optimum
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.problem import Problem
 from orbitfinder.loops.stationary import VIOLATED, Point, Stationary, Varying, moved
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.control import IPOPT_TOLERANCE, recorded
+from orbitfinder.records.family import End, plain
+from orbitfinder.records.journal import Checkpoints, checkpoints
 from orbitfinder.records.optima import Change, Optima
-from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.orbit import Orbit, orbit_in, orbit_to_document
+from orbitfinder.records.reading import typed
 
-FIRST, LONGEST, SHORTEST = 0.02, 0.3, 1e-5
-"""Steps along the curve, in root mean squares of the unknowns' sizes"""
-GROWTH, BEND = 1.6, 0.9
-"""A step that is right grows by this; the cosine of a bend between tangents that is too sharp for one step"""
-LOCATED, LOOKS = 1e-11, 60
-"""A change is located to this share of a step, in as many looks at most"""
+PACE = Pace(first=0.02, shortest=2e-7, longest=0.3, points=200, bend=0.9, growth=1.6)
+HERE = 1e-14
+"""A target is reached where the number is as near, in its size"""
 TOGETHER = 1e-6
 """Constraints change together where their margins are this near"""
 UNBOUNDED = 1e7
 """Multipliers that grow by this end a family: where what is asked ceases to be possible"""
 COSTLESS = 1e-12
 """A cost is none at this share of the largest met"""
-MOST_POINTS = 200
 TOLD = ("fold", "active", "inactive")
 """What may change the number of directions that lower the cost, without other optima branching off"""
 
 Report = Callable[[float, Orbit], None]
+Watch = Callable[[Point, np.ndarray], float]
+"""What becomes negative, of a point and the tangent there"""
 
 
 def follow_optima(
     problem: Problem, parameter: str, values: Sequence[float] = (), settings: SolveSettings | None = None, *,
-    until: float | None = None, points: int = MOST_POINTS, progress: Report | None = None,
+    until: float | None = None, points: int = PACE.points, pace: Pace = PACE, progress: Report | None = None,
+    name: str = "", out: str | Path | None = None,
 ) -> Optima:  # fmt: skip
     """The certified optima of a controlled problem along a number, round turning points.
 
@@ -64,7 +71,11 @@ def follow_optima(
         settings: how each is solved.
         until: every step on the way there from where the problem stands.
         points: the most with `until`.
+        pace: lengths of steps, in root mean squares of the unknowns' sizes.
         progress: called with each optimum.
+        name: a word for files; the problem's without one.
+        out: a folder: OUT/<name>/optima.jsonl keeps every step as it comes, and what was asked before goes on from
+            there; optima that it has come without samples.
 
     Returns:
         Optima.
@@ -84,9 +95,19 @@ def follow_optima(
         raise InputError(f"values: {list(values)}; give finite values of {parameter}, or until")
     if points < 1:
         raise InputError(f"points: must be at least 1, got {points}")
-    own = value_of(problem, parameter)
+    own, label = value_of(problem, parameter), name or problem.name
     start = problem if own == (first := targets[0] if values else own) else set_to(problem, parameter, first)
-    return _Walk(start, parameter, settings or SolveSettings(), until is not None, points, progress).along(targets)
+    stated = {one.name: getattr(start, one.name) for one in fields(start) if one.name != "model"}
+    chosen, walking = settings or SolveSettings(), replace(pace, points=points)
+    request = {
+        "problem": {**stated, "system": dict(start.model.system)}, "parameter": parameter,
+        "values": None if until is None else targets[:-1], "settings": replace(chosen, limit=None),
+        "pace": replace(walking, points=0),
+    }  # fmt: skip
+    path = None if out is None else Path(out) / label / "optima.jsonl"
+    with checkpoints(path, plain(request), lambda entries: typed(_Line, entries, "")) as journal:
+        walk = _Walk(start, parameter, targets, until is not None, chosen, walking, progress, label, journal)
+        return walk.along()
 
 
 def value_of(problem: Problem, parameter: str) -> float:
@@ -181,254 +202,338 @@ def _slopes(now: Any, then: Any) -> np.ndarray:
     return np.where(both, np.round(np.where(both, there, 0.0) - np.where(both, here, 0.0)), 0.0)
 
 
+Tangent = tuple[np.ndarray, np.ndarray]
+"""By z, and by the multipliers"""
+
+
+@dataclass(frozen=True, eq=False)
+class _Stand:
+    """Where a walk stands and all that decides how it goes on.
+
+    Its equations were stated at the value `stated` with a solution, in so many steps; `strongest` were the multipliers
+    there. `leg` counts the targets that it has come to, `taken` its steps; the next has this `length`. `largest` is the
+    largest cost met, `renewed` the value at which equations were stated anew for want of a step, `onward` and `rising`
+    are the ways in which number and cost go along the tangent, which a walk has that is on the way to a target.
+    """
+
+    stated: float
+    solution: Solution
+    steps: int
+    point: Point
+    length: float
+    strongest: float = 0.0
+    largest: float = 0.0
+    leg: int = 0
+    taken: int = 0
+    renewed: float | None = None
+    tangent: Tangent | None = None
+    onward: float = 1.0
+    rising: float = 0.0
+    changes: tuple[Change, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """A line of the journal: after which, on the way to what target, where it leads, the optimum that is kept there."""
+
+    after: int
+    target: float
+    value: float
+    stand: _Stand
+    end: End | None = None
+    orbit: Mapping[str, Any] | None = None
+    descents: int = 0
+
+
+@dataclass(frozen=True)
+class _Step:
+    """What the walk does next: whether the optimum there is kept, and the end where there is one."""
+
+    keep: bool
+    end: End | None = None
+
+
+@dataclass(eq=False)
 class _Walk:
-    """One family of optima, as it grows."""
+    """A family of optima, as it grows: the walk to its targets, one after the other; `every` step of the last kept."""
 
-    def __init__(
-        self, problem: Problem, parameter: str, settings: SolveSettings, every: bool, most: int,
-        progress: Report | None,
-    ) -> None:  # fmt: skip
-        assert problem.control is not None
-        self.problem, self.parameter, self.settings, self.every = problem, parameter, settings, every
-        self.most, self.progress = most, progress
-        self.control: Control = replace(problem.control, method="shooting")
-        self.orbits: list[Orbit] = []
-        self.values: list[float] = []
-        self.descents: list[int] = []
-        self.changes: list[Change] = []
-        self.length, self.largest, self.end, self.taken = FIRST, 0.0, "", 0
-        self.renewed = np.inf
-        program, solution = optimum(problem, problem.control, IPOPT_TOLERANCE)
-        self._state(problem, replace(solution, points=np.zeros(0)), program.parts.steps)
+    problem: Problem
+    parameter: str
+    targets: Sequence[float]
+    every: bool
+    settings: SolveSettings
+    pace: Pace
+    progress: Report | None
+    name: str
+    journal: Checkpoints[_Line]
+    orbits: list[Orbit] = field(default_factory=list)
+    values: list[float] = field(default_factory=list)
+    descents: list[int] = field(default_factory=list)
+    line: int = -1
+    lines: int = 0
+    end: End | None = None
+    stand: _Stand = field(init=False)
 
-    def _state(self, problem: Problem, solution: Solution, steps: int) -> None:
-        """The equations at a problem and its solution, with its phase, and the point of the curve there."""
-        self.steps, w = steps, solution.unknowns
-        unknown = self.parameter not in {one.name for one in problem.pin} and " " not in self.parameter
-        number = self.parameter in self.control.numbers
-        if unknown and not number:
-            at, value = len(problem.free), value_of(problem, self.parameter)
-            solution = replace(solution, unknowns=replace(w, free=np.insert(w.free, at, value)))
-            asked = replace(problem, free=(*problem.free, self.parameter))
-        else:
-            asked = problem
-        assert problem.control is not None
-        control = replace(problem.control, method="shooting")
-        program = Program(asked, control, steps, (self.parameter,) if number else ())
-        self.system = Stationary(program, solution, _varying(problem, self.parameter, program))
-        self.point = self.system.started()
-        self.strongest = float(np.abs(self.point.y).max(initial=0.0))
+    def along(self) -> Optima:
+        """The family: what the journal knows of it, and what comes then."""
+        known = self.journal.known
+        self.lines = len(known)
+        while following := [k for k, line in enumerate(known) if line.after == self.line and self._holds(line)]:
+            line = known[following[0]]
+            orbit = None if line.orbit is None else orbit_in(line.orbit, str(self.journal.path))
+            self._take(following[0], line, orbit)
+        if self.line < 0:
+            assert self.problem.control is not None
+            program, solution = optimum(self.problem, self.problem.control, IPOPT_TOLERANCE)
+            value, solution = value_of(self.problem, self.parameter), replace(solution, points=np.zeros(0))
+            nowhere = Point(np.zeros(0), np.zeros(0), {})
+            self._begin(_Stand(value, solution, program.parts.steps, nowhere, self.pace.first))
+            self.stand = replace(self.stand, largest=abs(self.system.cost(self.stand.point)))
+            self._add(_Step(self.every))
+        while self.stand.leg < len(self.targets) and (self.end is None or self.end.kind == "target"):
+            for step in walked(self, self.pace.points):
+                self._add(step)
+        assert self.end is not None
+        return self._optima(f"{self.pace.points} points" if self.end.kind == "point limit" else self.end.reason)
 
-    @property
-    def value(self) -> float:
-        """The number, where the curve has come to."""
-        return self.system.theta(self.point)
+    def _holds(self, line: _Line) -> bool:
+        """Whether a line that comes after the one where the walk stands is what it would do now."""
+        if line.after < 0 or self.stand.leg == len(self.targets):
+            return line.after < 0
+        stand, kind = self.stand, "" if line.end is None else line.end.kind
+        full = stand.taken >= self.pace.points or len(self.orbits) >= self.pace.points
+        if (full and line.stand.taken > stand.taken) or (kind == "point limit" and not full):
+            return False
+        target, here = self.targets[stand.leg], self.journal.known[self.line].value
+        passed = (target - here) * (target - line.value) <= 0
+        turned = stand.tangent is None and (target - here) * (line.target - here) < 0
+        return line.target == target or not (kind == "target" or passed or turned)
 
-    def along(self, targets: Sequence[float]) -> Optima:
-        """The family to targets, one after the other."""
-        self.largest = abs(self.system.cost(self.point))
-        if self.every:
-            self._keep()
-        for k, target in enumerate(targets):
-            every = self.every and k == len(targets) - 1
-            if not self._to(target, every):
-                break
-        if self.every or not self.orbits:
-            self._keep()
-        return self._optima(self.end or f"{self.parameter} reached {targets[-1]:g}")
+    def _add(self, step: _Step) -> None:
+        """A step as a line of the journal, with the optimum where it leads to if that is kept."""
+        target = self.targets[self.stand.leg]
+        if step.end is not None:
+            reached = step.end.kind == "target"
+            if reached and abs(self.system.cost(self.stand.point)) <= COSTLESS * self.stand.largest:
+                self._extreme()
+            self.stand = replace(self.stand, tangent=None, leg=self.stand.leg + reached)
+        keep = step.keep and self.values[-1:] != [self.value]
+        orbit, descents = self._optimum() if keep else (None, 0)
+        document = None if orbit is None else orbit_to_document(orbit)
+        line = _Line(self.line, target, self.value, self.stand, step.end, document, descents)
+        self.journal.add(plain(line))
+        self._take(self.lines, line, orbit)
+        self.lines += 1
+
+    def _take(self, number: int, line: _Line, orbit: Orbit | None) -> None:
+        """On to where a line leads, a new one or one that the journal knows."""
+        self.line, self.stand, self.end = number, line.stand, line.end
+        if orbit is not None:
+            self.orbits.append(orbit)
+            self.values.append(line.value)
+            self.descents.append(line.descents)
+            finished(lambda: self._optima(STOPPED))
+            if self.progress:
+                self.progress(line.value, orbit)
 
     def _optima(self, end: str) -> Optima:
         """What there is of the family."""
         last = len(self.orbits) - 1
-        changes = tuple(replace(one, index=min(one.index, last)) for one in self.changes)
-        return Optima(self.problem.name, self.parameter, tuple(self.orbits), np.array(self.values),
-                      tuple(self.descents), changes, end)  # fmt: skip
+        changes = tuple(replace(one, index=min(one.index, last)) for one in self.stand.changes)
+        return Optima(self.name, self.parameter, tuple(self.orbits), np.array(self.values), tuple(self.descents),
+                      changes, end)  # fmt: skip
 
-    def _plain(self, point: Point) -> tuple[Problem, Solution]:
-        """The problem at a point, without theta among its unknowns, and its solution."""
-        problem, solution = set_to(self.problem, self.parameter, self.system.theta(point)), self.system.solution(point)
+    @cached_property
+    def system(self) -> Stationary:
+        """The equations, as they were stated last."""
+        stand, name = self.stand, self.parameter
+        problem, solution, w = set_to(self.problem, name, stand.stated), stand.solution, stand.solution.unknowns
+        assert problem.control is not None
+        whole, number = problem, name in problem.control.numbers
+        if not number and " " not in name and name not in {one.name for one in problem.pin}:
+            free = np.insert(w.free, len(problem.free), stand.stated)
+            solution = replace(solution, unknowns=replace(w, free=free))
+            whole = replace(problem, free=(*problem.free, name))
+        program = Program(whole, replace(problem.control, method="shooting"), stand.steps, (name,) if number else ())
+        return Stationary(program, solution, _varying(problem, name, program))
+
+    @property
+    def value(self) -> float:
+        """The number, where the curve has come to."""
+        return self.system.theta(self.stand.point)
+
+    @property
+    def tangent(self) -> Tangent:
+        """The tangent where it stands."""
+        assert self.stand.tangent is not None
+        return self.stand.tangent
+
+    def _plain(self) -> tuple[Problem, Solution]:
+        """The problem where the walk stands, without theta among its unknowns, and its solution."""
+        problem, solution = set_to(self.problem, self.parameter, self.value), self.system.solution(self.stand.point)
         w = solution.unknowns
-        if self.system.program.parts.free != (*problem.free, *self._shares()):
+        if self.system.program.problem.free != problem.free:
             solution = replace(solution, unknowns=replace(w, free=np.delete(w.free, len(problem.free))))
         return problem, solution
 
-    def _shares(self) -> tuple[str, ...]:
-        arcs = self.system.program.parts.basis.arcs
-        return tuple(f"share_{k + 1}" for k in range(arcs - 1))
+    def _begin(self, stand: _Stand) -> None:
+        """Stand where the equations lead that are stated as it says."""
+        self.stand = stand
+        vars(self).pop("system", None)
+        point = self.system.started()
+        self.stand = replace(stand, point=point, strongest=float(np.abs(point.y).max(initial=0.0)))
 
-    def _keep(self) -> None:
-        """The point as a certified orbit, on as many steps as its states no longer depend on."""
-        if self.values and self.values[-1] == self.value:
-            return
+    def _renew(self, steps: int) -> None:
+        """The equations stated anew where the walk stands: with the phase and in the sizes there, in so many steps."""
+        tangent, sizes = self.stand.tangent, self.system.sizes
+        self._begin(replace(self.stand, stated=self.value, solution=self._plain()[1], steps=steps))
+        if tangent is not None:
+            tangent = self.system.tangent(self.stand.point, tangent[0] * sizes / self.system.sizes)
+            self.stand = replace(self.stand, tangent=tangent)
+
+    def _optimum(self) -> tuple[Orbit, int]:
+        """A certified orbit where the walk stands, on as many steps as its states no longer depend on; descents."""
         began = time.perf_counter()
-        problem, solution = self._plain(self.point)
-        assert problem.control is not None
-        control = replace(problem.control, method="shooting")
-        program = Program(problem, control, self.steps)
-        while (error := program.error(solution)) > AGREEMENT and self.steps < MOST_STEPS:
-            finer = min(MOST_STEPS, max(self.steps + 1, int(np.ceil(self.steps * (3 * error / AGREEMENT) ** 0.125))))
-            self._state(problem, solution, finer)
-            problem, solution = self._plain(self.point)
-            program = Program(problem, control, self.steps)
-        index, descents = len(self.orbits), self.system.descents(self.point)
+        while True:
+            (problem, solution), steps = self._plain(), self.stand.steps
+            assert problem.control is not None
+            program = Program(problem, replace(problem.control, method="shooting"), steps)
+            if (error := program.error(solution)) <= AGREEMENT or steps >= MOST_STEPS:
+                break
+            self._renew(finer(steps, error, AGREEMENT, 8))
+        index, descents = len(self.orbits), self.system.descents(self.stand.point)
         named = replace(problem, name=f"{self.problem.name}-{index}", expected={})
         orbit, model = recorded(named, program, solution, self.settings, began)
         if descents:
             said = f"stationary, no least: to second order the cost falls in {descents} of the directions left"
             orbit = replace(orbit, provenance={**orbit.provenance, "optimum": said})
-        told = any(
-            one.index in (index - 1, index) for one in self.changes if one.kind in ("fold", "active", "inactive")
-        )
+        told = any(one.index in (index - 1, index) and one.kind in TOLD for one in self.stand.changes)
         if self.every and self.descents and self.descents[-1] != descents and not told:
             self._changed("branch", f"before it: the cost falls in {descents} directions, not {self.descents[-1]}")
         orbit = certified(orbit, model)
-        self.orbits.append(orbit)
-        self.values.append(self.value)
-        self.descents.append(descents)
-        self.largest = max(self.largest, abs(self.system.cost(self.point)))
-        finished(lambda: self._optima(STOPPED))
-        if self.progress:
-            self.progress(self.value, self.orbits[-1])
+        largest = max(self.stand.largest, abs(self.system.cost(self.stand.point)))
+        self.stand = replace(self.stand, largest=largest)
+        return orbit, descents
 
-    def _to(self, target: float, every: bool) -> bool:
-        """Along the curve until the number is the target; whether it came there."""
-        sense = np.zeros(self.point.z.size)
-        sense[self.system.place] = np.sign(target - self.value) or 1.0
-        if abs(target - self.value) > 1e-14 * self.system.span:
-            tangent, change = self.system.tangent(self.point, sense)
-            self._sides(tangent)
-            while True:
-                if self.taken >= self.most or len(self.orbits) >= self.most:
-                    self.end = f"{self.most} points"
-                    return False
-                self.taken += 1
-                try:
-                    arrived, tangent, change = self._step(target, tangent, change)
-                except ConvergenceError as error:
-                    if abs(self.value - self.renewed) <= TOGETHER * self.system.span:
-                        self.end = f"no step leads on from {self.parameter} {self.value:.9g}: {error}"
-                        return False
-                    tangent, change = self._renewed(tangent, change)
-                    continue
-                if arrived:
-                    break
-                if every:
-                    tangent, change = self._kept(tangent, change)
-        if abs(self.system.cost(self.point)) <= COSTLESS * self.largest:
-            self._extreme()
-        self._keep()
-        return True
+    def _head(self, tangent: Tangent) -> None:
+        """On along a tangent."""
+        onward = float(np.sign(tangent[0][self.system.place])) or 1.0
+        rising = float(np.sign(self.system.slope(self.stand.point, tangent[0])))
+        self.stand = replace(self.stand, tangent=tangent, onward=onward, rising=rising)
 
-    def _renewed(self, tangent: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The tangent, where equations can be stated anew at the point: with its phase, in its sizes."""
-        before, point = self.system, self.point
+    def taken(self) -> int:
+        return self.stand.taken
+
+    def approach(self) -> tuple[float, End | None]:
+        stand, target = self.stand, self.targets[self.stand.leg]
+        if abs(target - self.value) <= HERE * self.system.span:
+            return 0.0, End("target", f"{self.parameter} reached {target:g}")
+        if len(self.orbits) >= self.pace.points:
+            return 0.0, point_limit(self.pace.points)
+        if stand.tangent is None:
+            sense = np.zeros(stand.point.z.size)
+            sense[self.system.place] = np.sign(target - self.value)
+            self._head(self.system.tangent(stand.point, sense))
+        self.stand = replace(self.stand, taken=stand.taken + 1)
+        return stand.length, None
+
+    def shortest(self) -> float:
+        return self.pace.shortest
+
+    def advance(self, length: float) -> _Step:
+        """By one step of this length, or to the first of what lies before its end: a change, the target."""
+        new = self._at(length)
+        tangent = self.system.tangent(new, self.tangent[0])
+        if float(tangent[0] @ self.tangent[0]) < self.pace.bend:
+            raise ConvergenceError("it bends too sharply")
         try:
-            self._state(*self._plain(point), self.steps)
-            tangent, change = self.system.tangent(self.point, tangent * before.sizes / self.system.sizes)
+            return self._met(length, new, tangent)
+        except ConvergenceError as error:  # not for its length
+            return self.failed(str(error))
+
+    def failed(self, reason: str) -> _Step:
+        """On with equations stated anew, with the phase and in the sizes of the point; where they are that, the end."""
+        renewed, before, stand = self.stand.renewed, self.system, self.stand
+        if renewed is not None and abs(self.value - renewed) <= TOGETHER * before.span:
+            said = f"no step leads on from {self.parameter} {self.value:.9g}: {reason}"
+            return self.ended(End("step underflow", said))
+        try:
+            self._renew(stand.steps)
         except ConvergenceError:
-            self.system, self.point = before, point
-        self.renewed, self.length = self.value, FIRST
-        return tangent, change
+            self.system, self.stand = before, stand
+        self.stand = replace(self.stand, renewed=self.value, length=self.pace.first)
+        return _Step(False)
 
-    def _kept(self, tangent: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The point kept; the tangent, again where the equations were stated anew for it."""
-        before = self.system
-        self._keep()
-        if self.system is before:
-            return tangent, change
-        return self.system.tangent(self.point, tangent * before.sizes / self.system.sizes)
+    def ended(self, end: End) -> _Step:
+        return _Step(end.kind == "target" or self.every or not self.orbits, end)
 
-    def _sides(self, tangent: np.ndarray) -> None:
-        """Which way number and cost go."""
-        self.onward = float(np.sign(tangent[self.system.place])) or 1.0
-        self.rising = float(np.sign(self.system.slope(self.point, tangent)))
-
-    def _step(self, target: float, tangent: np.ndarray, change: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
-        """A step to the first of: its end, a change, the target. Whether it is the target, and the tangent there."""
-        system, begin = self.system, self.point
-        length, new, ahead = self._ahead(tangent, change)
-        if np.abs(new.y).max(initial=0.0) > UNBOUNDED * max(self.strongest, 1.0):
+    def _met(self, length: float, new: Point, ahead: Tangent) -> _Step:
+        """On to the end of a step, or to the first of what lies before."""
+        system, stand, target = self.system, self.stand, self.targets[self.stand.leg]
+        if np.abs(new.y).max(initial=0.0) > UNBOUNDED * max(stand.strongest, 1.0):
             raise ConvergenceError("multipliers grow without bound: beyond, no motion does what is asked")
         margins, sides = system.margins(new)
         wrong = np.flatnonzero(margins < -VIOLATED)
-        side = np.sign(target - system.theta(begin))
-        watches: dict[str, Callable[[Point, np.ndarray], float]] = {
+        side = np.sign(target - self.value)
+        watches: dict[str, Watch] = {
             "target": lambda at, _: side * (target - system.theta(at)) / system.span,
-            "fold": lambda _, along: self.onward * along[system.place],
-            "cost": lambda at, along: self.rising * system.slope(at, along),
+            "fold": lambda _, along: stand.onward * along[system.place],
+            "cost": lambda at, along: stand.rising * system.slope(at, along),
         }
         if wrong.size:
             watches["constraint"] = lambda at, _: float(system.margins(at)[0][wrong].min())
         found = []
         for kind, watch in watches.items():
-            if watch(new, ahead[0]) < 0 or (kind == "target" and watch(new, ahead[0]) == 0):
-                found.append((self._located(watch, begin, (tangent, change), length, new, ahead[0]), kind))
+            if (last := watch(new, ahead[0])) < 0 or (kind == "target" and last == 0):
+                found.append((self._located(watch, length, last), kind))
+        step = _Step(self.every and stand.leg == len(self.targets) - 1)
         if not found:
-            self.point = new
-            self.length = min(LONGEST, length * GROWTH)
-            return False, *ahead
+            self.stand = replace(stand, point=new, tangent=ahead, length=self.pace.next(length, 0))
+            return step
         share, kind = min(found)
         folds = [one for one, what in found if what == "fold"]
         if kind == "cost" and folds and folds[0] - share <= TOGETHER * length:
             share, kind = folds[0], "fold"  # where a family turns back its cost does
-        self.point = new if share >= length else self._at(begin, tangent, change, share)
+        self.stand = replace(stand, point=new if share >= length else self._at(share))
         if kind == "target":
-            unit = np.zeros(begin.z.size)
-            unit[system.place] = 1.0
-            z = self.point.z.copy()
-            z[system.place] = target / system.span
-            self.point = system.corrected(z, self.point, unit)
-            return True, tangent, change
+            unit, z = np.zeros(new.z.size), self.stand.point.z.copy()
+            unit[system.place], z[system.place] = 1.0, target / system.span
+            self.stand = replace(stand, point=system.corrected(z, self.stand.point, unit))
+            return self.ended(End("target", f"{self.parameter} reached {target:g}"))
         if kind == "constraint":
-            return False, *self._turned([(int(k), int(sides[k])) for k in wrong], tangent)
-        along = system.tangent(self.point, tangent)
+            self._turn([(int(k), int(sides[k])) for k in wrong])
+            return step
+        tangent, onward = system.tangent(self.stand.point, self.tangent[0]), stand.onward
         if kind == "fold":
             self._changed("fold", f"{self.parameter} turns back")
-            self.onward, self.rising = -self.onward, -self.rising
+            onward = -onward
         else:
             self._extreme()
-            self.rising = -self.rising
-        return False, *along
+        self.stand = replace(self.stand, tangent=tangent, onward=onward, rising=-stand.rising)
+        return step
 
-    def _ahead(self, tangent: np.ndarray, change: np.ndarray) -> tuple[float, Point, tuple[np.ndarray, np.ndarray]]:
-        """A step that can be corrected and bends little: its length, its end, the tangent there."""
-        length, why = self.length, ConvergenceError("it bends too sharply")
-        while length > SHORTEST * FIRST:
-            try:
-                new = self._at(self.point, tangent, change, length)
-                ahead = self.system.tangent(new, tangent)
-                if float(ahead[0] @ tangent) >= BEND:
-                    return length, new, ahead
-            except ConvergenceError as error:
-                why = error
-            length /= 2
-        raise why
+    def _at(self, length: float) -> Point:
+        """The point of the curve in the plane across the tangent at a length. Raises `ConvergenceError`."""
+        near = moved(self.stand.point, *self.tangent, length)
+        return self.system.corrected(near.z, near, self.tangent[0])
 
-    def _at(self, begin: Point, tangent: np.ndarray, change: np.ndarray, length: float) -> Point:
-        near = moved(begin, tangent, change, length)
-        return self.system.corrected(near.z, near, tangent)
-
-    def _located(
-        self, watch: Callable[[Point, np.ndarray], float], begin: Point, step: tuple[np.ndarray, np.ndarray],
-        length: float, new: Point, ahead: np.ndarray,
-    ) -> float:  # fmt: skip
-        """Where along a step something becomes negative."""
-        if watch(begin, step[0]) <= 0:
-            return 0.0
-        if watch(new, ahead) == 0:
-            return length
+    def _located(self, watch: Watch, length: float, last: float) -> float:
+        """Where along a step something becomes negative that is `last` at its end."""
+        ends = {0.0: watch(self.stand.point, self.tangent[0]), length: last}
 
         def value(share: float) -> float:
-            if share in (0.0, length):
-                return watch(begin, step[0]) if share == 0.0 else watch(new, ahead)
-            at = self._at(begin, *step, share)
-            return watch(at, self.system.tangent(at, step[0])[0])
+            if share in ends:
+                return ends[share]
+            at = self._at(share)
+            return watch(at, self.system.tangent(at, self.tangent[0])[0])
 
-        return float(brentq(value, 0.0, length, xtol=LOCATED * length, maxiter=LOOKS, disp=False))
+        if ends[0.0] <= 0 or last == 0:
+            return 0.0 if ends[0.0] <= 0 else length
+        return zero(value, 0.0, length, LOCATED * length)
 
-    def _turned(self, wrong: list[tuple[int, int]], tangent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The curve beyond a corner, where the active set changes: its tangent there."""
-        system, at = self.system, self.point
+    def _turn(self, wrong: list[tuple[int, int]]) -> None:
+        """Along the curve beyond a corner, where the active set changes. Raises `ConvergenceError`."""
+        system, at = self.system, self.stand.point
         margins = system.margins(at)[0]
         changed = [(k, side) for k, side in wrong if margins[k] <= TOGETHER]
         gone = [k for k, _ in changed if k in at.active]
@@ -436,11 +541,12 @@ class _Walk:
         active = system.independent(at, active | {k: side for k, side in changed if k not in gone})
         y = np.zeros(at.y.size)
         y[list(active)] = at.y[list(active)]
-        self.point = Point(at.z, y, active)
-        along, change = system.tangent(self.point, tangent)
-        trial = moved(self.point, along, change, TOGETHER)
+        point = Point(at.z, y, active)
+        self.stand = replace(self.stand, point=point)
+        along, change = system.tangent(point, self.tangent[0])
+        trial = moved(point, along, change, TOGETHER)
         told = [k for k, _ in changed]
-        rates = system.margins(trial)[0][told] - system.margins(self.point)[0][told]
+        rates = system.margins(trial)[0][told] - system.margins(point)[0][told]
         if float(np.sum(np.sign(rates))) < 0:
             along, change, rates = -along, -change, -rates
         if np.any(rates < -TOGETHER * np.abs(rates).max()):
@@ -449,22 +555,22 @@ class _Walk:
         words = [system.name(k, side) for k, side in changed]
         detail = "; ".join(words[:3]) + (f" and {len(words) - 3} more" if len(words) > 3 else "")
         self._changed("inactive" if gone else "active", detail)
-        if along[system.place] * self.onward < 0:
+        if along[system.place] * self.stand.onward < 0:
             self._changed("fold", f"{self.parameter} turns back where the active constraints change")
-        self._sides(along)
-        self.length = min(self.length, FIRST)
-        return along, change
+        self._head((along, change))
+        self.stand = replace(self.stand, length=min(self.stand.length, self.pace.first))
 
     def _extreme(self) -> None:
-        cost = abs(self.system.cost(self.point))
-        if cost <= COSTLESS * self.largest:
+        stand = self.stand
+        if abs(self.system.cost(stand.point)) <= COSTLESS * stand.largest:
             self._changed("costless", "no control is needed: the mechanism does it alone")
         else:
-            self._changed("least" if self.rising < 0 else "largest", "of the cost along the family")
+            self._changed("least" if stand.rising < 0 else "largest", "of the cost along the family")
 
     def _changed(self, kind: str, detail: str) -> None:
-        last = self.changes[-1] if self.changes else None
-        if last is not None and last.kind == kind and abs(last.value - self.value) <= TOGETHER * self.system.span:
+        point, changes = self.stand.point, self.stand.changes
+        if changes and changes[-1].kind == kind and abs(changes[-1].value - self.value) <= TOGETHER * self.system.span:
             return
-        period = self.system.solution(self.point).unknowns.period
-        self.changes.append(Change(kind, len(self.orbits), self.value, self.system.cost(self.point), period, detail))
+        period = self.system.solution(point).unknowns.period
+        new = Change(kind, len(self.orbits), self.value, self.system.cost(point), period, detail)
+        self.stand = replace(self.stand, changes=(*changes, new))

@@ -307,7 +307,7 @@ def _complex(_: Any, value: Any, where: str) -> complex:
 def _table(of: tuple[Any, ...], value: Any, where: str) -> dict[str, Any]:
     if not isinstance(value, Mapping):
         raise _wrong(where, "a table", value)
-    return {key: typed(of[1], entry, f"{where}.{key}".lstrip(".")) for key, entry in value.items()}
+    return {of[0](key): typed(of[1], entry, f"{where}.{key}".lstrip(".")) for key, entry in value.items()}
 
 
 def _row(of: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
