@@ -58,6 +58,11 @@ RUNS = {
          "--sizes", "0.03", "--periods", "20", "--noise", "0.001"],
         "controllers/triple-1/controller.json",
     ),
+    "optima": (
+        ["continue", str(ROOT / "problems/control/maintained-oscillator.toml"), "--parameter", "damping", "--until",
+         "0.3", "--no-figures"],
+        "families/maintained-oscillator/optima.json",
+    ),
 }  # fmt: skip
 """The command of each kind, the file that it makes, and commands that come before"""
 LONG = ("workers", "stabilise")

@@ -195,6 +195,30 @@ def test_stopped_tori_go_on(tmp_path, monkeypatch, how):
     assert calm.read_bytes() == stopped.read_bytes()
 
 
+@pytest.mark.parametrize("how", STOPS)
+def test_stopped_optima_go_on(tmp_path, monkeypatch, how):
+    """The third, of which the certificate was not finished, is the first that is solved again."""
+    from orbitfinder.orbits import optima
+
+    words = ("continue", OSCILLATOR, "--parameter", "damping", "--until", 0.24, "--no-figures", "-o")
+    assert ran(*words, tmp_path / "calm").exit_code == 0
+    with monkeypatch.context() as patch:
+        stopped_at(patch, optima, "certified", 3, how)
+        assert ran(*words, tmp_path / "stopped", "--limit", 3600).exit_code == CODES[how]
+    found, whole = [], optima.certified
+    monkeypatch.setattr(optima, "certified", lambda *given: (found.append(given[0].name[-1]), whole(*given))[1])
+    monkeypatch.setattr(optima, "optimum", None)
+    assert ran(*words, tmp_path / "stopped").exit_code == 0
+    calm, stopped = (
+        [
+            {**one, "provenance": None}
+            for one in json.loads((tmp_path / of / OSCILLATOR.stem / "optima.json").read_text())["points"]
+        ]
+        for of in ("calm", "stopped")
+    )
+    assert found == [str(k) for k in range(2, len(calm))] and calm == stopped
+
+
 def test_nothing_finished_is_said(tmp_path, monkeypatch):
     from orbitfinder.families import tori
 

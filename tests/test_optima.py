@@ -15,6 +15,7 @@ from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.loops.controlled import optimum
 from orbitfinder.loops.stationary import Stationary, Varying
 from orbitfinder.mechanics.controls import with_controls
+from orbitfinder.orbits import optima
 
 PICK = (of.Task("x", 0.5, equals=1.0), of.Task("xdot", 0.5, equals=0.0))
 
@@ -163,6 +164,58 @@ def test_a_limit_becomes_active_and_then_leaves_no_way_on() -> None:
     of.find_orbit(pick(4.0, 8, 1.001 * least))
     with pytest.raises(ConvergenceError, match="no motion does what is asked"):
         of.find_orbit(pick(4.0, 8, 0.999 * least))
+
+
+def alike(one: of.Optima, other: of.Optima) -> bool:
+    """Whether two families are the same to the last bit, but for the time that they took."""
+    numbers = [
+        (found.name, found.values.tolist(), found.costs.tolist(), found.descents, found.changes, found.end,
+         [(point.name, point.state.tolist(), point.certificate) for point in found])
+        for found in (one, other)
+    ]  # fmt: skip
+    return numbers[0] == numbers[1]
+
+
+@pytest.fixture
+def solved(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What is solved from now on: "first" by IPOPT, "point" by a corrector, "certificate"."""
+    done: list[str] = []
+    for owner, name, what in ((optima, "optimum", "first"), (optima, "certified", "certificate"),
+                              (Stationary, "corrected", "point")):  # fmt: skip
+        whole = getattr(owner, name)
+        monkeypatch.setattr(
+            owner, name, lambda *given, _whole=whole, _what=what: (done.append(_what), _whole(*given))[1]
+        )
+    return done
+
+
+@pytest.mark.parametrize("lines", [1, 4, 6, 10])
+def test_a_journal_cut_anywhere_ends_the_same(tmp_path: Path, solved: list[str], lines: int) -> None:
+    """Before, at and beyond a corner and where equations were stated anew; what it has is not solved again."""
+    calm = of.follow_optima(pick(4.0, 8, 7.0), "limit force", until=2.0, points=25, out=tmp_path / "calm")
+    whole = (tmp_path / "calm" / "pick" / "optima.jsonl").read_bytes().splitlines(keepends=True)
+    journal, count = tmp_path / "cut" / "pick" / "optima.jsonl", len(solved)
+    journal.parent.mkdir(parents=True)
+    journal.write_bytes(b"".join(whole[:lines]) + whole[lines][:99])
+    again = of.follow_optima(pick(4.0, 8, 7.0), "limit force", until=2.0, points=25, out=tmp_path / "cut")
+    assert len(whole) == 11 and alike(again, calm) and len(journal.read_bytes().splitlines()) == 11
+    assert ("first" in solved[count:]) == (lines == 1) and len(solved) - count <= count - (lines > 1) * lines
+
+
+def test_a_family_goes_on_farther_nearer_and_the_other_way(tmp_path: Path, solved: list[str]) -> None:
+    """What is known of what is asked is not solved again, and the rest is as if all had been asked at once."""
+    of.follow_optima(maintained(), "damping", until=0.24, out=tmp_path)
+    for asked in ({"until": 0.3}, {"until": 0.23}, {"until": 0.3, "points": 3}, {"until": 0.19}):
+        solved.clear()
+        found = of.follow_optima(maintained(), "damping", **asked, out=tmp_path)
+        count, first = len(solved), "first" in solved
+        assert alike(found, of.follow_optima(maintained(), "damping", **asked)) and not first
+        assert count < len(solved) - count
+    solved.clear()
+    assert of.follow_optima(maintained(), "damping", until=0.24, out=tmp_path).end == "damping reached 0.24"
+    assert not solved
+    of.follow_optima(maintained(), "damping", [0.19], out=tmp_path)
+    assert "first" in solved  # another question: its journal takes the place of that one
 
 
 def test_optima_are_saved_loaded_drawn_and_members_verified(tmp_path: Path, folded: of.Optima) -> None:

@@ -24,10 +24,9 @@ from orbitfinder._runtime import limit
 from orbitfinder.continuation.problem import Point, plane, solved
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, plural
 from orbitfinder.records.family import End, plain
-from orbitfinder.records.journal import append_line, begin_journal, read_lines
+from orbitfinder.records.journal import FORMAT, VERSION, append_line, begin_journal, read_lines
 from orbitfinder.records.reading import typed
 
-FORMAT, VERSION = "orbitfinder/journal", 1
 LOCATED, LOOKS = 1e-12, 60
 """An event is located to this share of a step, in so many looks at most"""
 
