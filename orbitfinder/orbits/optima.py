@@ -71,7 +71,7 @@ def follow_optima(
         settings: how each is solved.
         until: every step on the way there from where the problem stands.
         points: the most with `until`.
-        pace: lengths of steps, in root mean squares of the unknowns' sizes.
+        pace: lengths of steps, in root mean squares of the unknowns' sizes (an `orbitfinder.continuation.follow.Pace`).
         progress: called with each optimum.
         name: a word for files; the problem's without one.
         out: a folder: OUT/<name>/optima.jsonl keeps every step as it comes, and what was asked before goes on from
@@ -207,13 +207,15 @@ Tangent = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
-class _Stand:
-    """Where a walk stands and all that decides how it goes on.
+class _Line:
+    """Where a walk stands and all that decides how it goes on: a line of the journal.
 
     Its equations were stated at the value `stated` with a solution, in so many steps; `strongest` were the multipliers
     there. `leg` counts the targets that it has come to, `taken` its steps; the next has this `length`. `largest` is the
     largest cost met, `renewed` the value at which equations were stated anew for want of a step, `onward` and `rising`
     are the ways in which number and cost go along the tangent, which a walk has that is on the way to a target.
+
+    It comes after the line with number `after`, on the way to `target`, at `value`; `orbit` is the optimum kept there.
     """
 
     stated: float
@@ -230,16 +232,9 @@ class _Stand:
     onward: float = 1.0
     rising: float = 0.0
     changes: tuple[Change, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class _Line:
-    """A line of the journal: after which, on the way to what target, where it leads, the optimum that is kept there."""
-
-    after: int
-    target: float
-    value: float
-    stand: _Stand
+    after: int = -1
+    target: float = 0.0
+    value: float = 0.0
     end: End | None = None
     orbit: Mapping[str, Any] | None = None
     descents: int = 0
@@ -269,44 +264,43 @@ class _Walk:
     orbits: list[Orbit] = field(default_factory=list)
     values: list[float] = field(default_factory=list)
     descents: list[int] = field(default_factory=list)
-    line: int = -1
+    last: int = -1
     lines: int = 0
-    end: End | None = None
-    stand: _Stand = field(init=False)
+    stand: _Line = field(init=False)
 
     def along(self) -> Optima:
         """The family: what the journal knows of it, and what comes then."""
         known = self.journal.known
         self.lines = len(known)
-        while following := [k for k, line in enumerate(known) if line.after == self.line and self._holds(line)]:
+        while following := [k for k, line in enumerate(known) if line.after == self.last and self._holds(line)]:
             line = known[following[0]]
             orbit = None if line.orbit is None else orbit_in(line.orbit, str(self.journal.path))
             self._take(following[0], line, orbit)
-        if self.line < 0:
+        if self.last < 0:
             assert self.problem.control is not None
             program, solution = optimum(self.problem, self.problem.control, IPOPT_TOLERANCE)
             value, solution = value_of(self.problem, self.parameter), replace(solution, points=np.zeros(0))
             nowhere = Point(np.zeros(0), np.zeros(0), {})
-            self._begin(_Stand(value, solution, program.parts.steps, nowhere, self.pace.first))
+            self._begin(_Line(value, solution, program.parts.steps, nowhere, self.pace.first))
             self.stand = replace(self.stand, largest=abs(self.system.cost(self.stand.point)))
             self._add(_Step(self.every))
-        while self.stand.leg < len(self.targets) and (self.end is None or self.end.kind == "target"):
+        while self.stand.leg < len(self.targets) and (self.stand.end is None or self.stand.end.kind == "target"):
             for step in walked(self, self.pace.points):
                 self._add(step)
-        assert self.end is not None
-        return self._optima(f"{self.pace.points} points" if self.end.kind == "point limit" else self.end.reason)
+        end = self.stand.end
+        assert end is not None
+        return self._optima(f"{self.pace.points} points" if end.kind == "point limit" else end.reason)
 
     def _holds(self, line: _Line) -> bool:
         """Whether a line that comes after the one where the walk stands is what it would do now."""
         if line.after < 0 or self.stand.leg == len(self.targets):
             return line.after < 0
-        stand, kind = self.stand, "" if line.end is None else line.end.kind
+        stand, kind, target = self.stand, "" if line.end is None else line.end.kind, self.targets[self.stand.leg]
         full = stand.taken >= self.pace.points or len(self.orbits) >= self.pace.points
-        if (full and line.stand.taken > stand.taken) or (kind == "point limit" and not full):
+        if (full and line.taken > stand.taken) or (kind == "point limit" and not full):
             return False
-        target, here = self.targets[stand.leg], self.journal.known[self.line].value
-        passed = (target - here) * (target - line.value) <= 0
-        turned = stand.tangent is None and (target - here) * (line.target - here) < 0
+        passed = (target - stand.value) * (target - line.value) <= 0
+        turned = stand.tangent is None and (target - stand.value) * (line.target - stand.value) < 0
         return line.target == target or not (kind == "target" or passed or turned)
 
     def _add(self, step: _Step) -> None:
@@ -319,15 +313,17 @@ class _Walk:
             self.stand = replace(self.stand, tangent=None, leg=self.stand.leg + reached)
         keep = step.keep and self.values[-1:] != [self.value]
         orbit, descents = self._optimum() if keep else (None, 0)
-        document = None if orbit is None else orbit_to_document(orbit)
-        line = _Line(self.line, target, self.value, self.stand, step.end, document, descents)
+        line = replace(
+            self.stand, after=self.last, target=target, value=self.value, end=step.end, descents=descents,
+            orbit=None if orbit is None else orbit_to_document(orbit),
+        )  # fmt: skip
         self.journal.add(plain(line))
         self._take(self.lines, line, orbit)
         self.lines += 1
 
     def _take(self, number: int, line: _Line, orbit: Orbit | None) -> None:
         """On to where a line leads, a new one or one that the journal knows."""
-        self.line, self.stand, self.end = number, line.stand, line.end
+        self.last, self.stand = number, line
         if orbit is not None:
             self.orbits.append(orbit)
             self.values.append(line.value)
@@ -376,7 +372,7 @@ class _Walk:
             solution = replace(solution, unknowns=replace(w, free=np.delete(w.free, len(problem.free))))
         return problem, solution
 
-    def _begin(self, stand: _Stand) -> None:
+    def _begin(self, stand: _Line) -> None:
         """Stand where the equations lead that are stated as it says."""
         self.stand = stand
         vars(self).pop("system", None)
