@@ -32,8 +32,10 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import parameter_sizes
 from orbitfinder.orbits.closure import extents_of
 from orbitfinder.orbits.section import Surface
+from orbitfinder.records.codec import entry_of
 from orbitfinder.records.orbit import Certificate, Check, Orbit
-from orbitfinder.records.torus import Tori, Torus, torus_entry, torus_of
+from orbitfinder.records.reading import typed
+from orbitfinder.records.torus import Tori, Torus
 
 TURNING = 1e-3
 """How far from the unit circle a multiplier is at most that a torus begins with"""
@@ -405,14 +407,14 @@ class _Keeping:
 
     def write(self, point: Point, record: Torus) -> dict[str, Any]:
         """Both in plain numbers."""
-        return torus_entry(record) | {
+        return entry_of(record) | {
             "angle": point.w.angle, "numbers": point.w.free, "tangent": point.tangent, "steps": point.problem.steps,
             "arclength": point.arclength, "step": point.step,
         }  # fmt: skip
 
     def read(self, entry: Mapping[str, Any]) -> tuple[Point, Torus]:
         """Both from what was written."""
-        record = torus_of(entry)
+        record: Torus = typed(Torus, entry, "torus")
         w = Turned(record.curve, record.period, float(entry["angle"]), np.array(entry["numbers"], float))
         ring = replace(self.ring, steps=int(entry["steps"]))
         tangent = np.array(entry["tangent"], float)

@@ -6,21 +6,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import NoneType
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from orbitfinder._runtime import notebook as display
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError
+from orbitfinder.records.codec import Filed, Unknown, entry_of
 from orbitfinder.records.control import control_entry
 from orbitfinder.records.reading import (
     arrays,
     content_digest,
-    finite,
     json_bytes,
     json_file,
     plain_numbers,
+    typed,
     walked,
     write_atomically,
     write_npz,
@@ -55,7 +56,7 @@ class Check:
     """One question asked of an orbit: the number found, the number allowed, the answer."""
 
     name: str
-    value: float
+    value: Unknown
     tolerance: float
     passed: bool
     note: str = ""
@@ -82,10 +83,11 @@ class Certificate(Shown):
     """
 
     __repr__ = brief("passed", "failures", "closure")
+    _entries = ("passed", "scale", "closure", "checks")
 
     checks: tuple[Check, ...]
     scale: float = 1.0
-    closure: float = float("nan")
+    closure: Unknown = float("nan")
 
     @property
     def passed(self) -> bool:
@@ -96,6 +98,21 @@ class Certificate(Shown):
     def failures(self) -> tuple[str, ...]:
         """Names of the checks that failed."""
         return tuple(check.name for check in self.checks if not check.passed)
+
+
+def certificate_to_document(certificate: Certificate | None) -> dict[str, Any]:
+    """The `certificate` entry of a file."""
+    return {"passed": False, "scale": 1.0, "checks": []} if certificate is None else entry_of(certificate)
+
+
+def certificate_of(entry: Any, where: str) -> Certificate | None:
+    """The certificate of an entry, None where nothing was checked. Raises `ValueError`."""
+    found: Certificate = typed(Certificate, entry or {"checks": []}, where)
+    return found if found.checks else None
+
+
+Certified = Annotated[Certificate | None, Filed(certificate_to_document, certificate_of)]
+"""A certificate, if there is one"""
 
 
 @dataclass(frozen=True)
@@ -227,16 +244,6 @@ def level(energy: float | None) -> float:
 def unconserved(orbit: Orbit) -> bool:
     """True for the orbit of a first-order system, which has as many turns as components, without an energy."""
     return bool(np.isnan(orbit.energy)) and len(orbit.winding) == orbit.state.size
-
-
-def certificate_to_document(certificate: Certificate | None) -> dict[str, Any]:
-    """The `certificate` entry of orbit.json."""
-    if certificate is None:
-        return {"passed": False, "scale": 1.0, "checks": []}
-    return {
-        "passed": certificate.passed, "scale": certificate.scale, "closure": finite(certificate.closure),
-        "checks": [vars(one) | {"value": finite(one.value)} for one in certificate.checks],
-    }  # fmt: skip
 
 
 DIGESTED = (
@@ -423,3 +430,11 @@ def orbit_from_document(
         )  # fmt: skip
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
         raise InputError(f"orbit document: malformed entry ({error}); run the problem again") from error
+
+
+def _orbits(entries: Any, where: str) -> tuple[Orbit, ...]:
+    return tuple(orbit_in(one, f"{where}[{k}]") for k, one in enumerate(typed(tuple[Any, ...], entries, where)))
+
+
+Orbits = Annotated[tuple[Orbit, ...], Filed(lambda orbits: [orbit_to_document(one) for one in orbits], _orbits)]
+"""Orbits, each with its own format and digest"""

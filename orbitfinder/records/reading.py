@@ -245,7 +245,8 @@ def typed(kind: Any, value: Any, where: str) -> Any:
     """A JSON value as the type that an annotation names, dataclasses included; `ValueError` names the entry.
 
     float: finite; complex: [re, im]; np.ndarray: numbers in at most two dimensions; entries that a dataclass
-    does not know are left out, those with a default may be missing.
+    does not know are left out, those with a default may be missing. `_check` of a dataclass, if it has one, raises
+    `ValueError` about its field unless what was read belongs together.
     """
     if dataclasses.is_dataclass(kind):
         return _record(kind, value, where)
@@ -256,17 +257,24 @@ def typed(kind: Any, value: Any, where: str) -> Any:
 
 
 def _record(kind: Any, value: Any, where: str) -> Any:
-    entries, hints = _table((str, Any), value, where), _hints(kind)
+    entries, known = _table((str, Any), value, where), hints(kind)
     for one in dataclasses.fields(kind):
         if one.name not in entries and one.default is one.default_factory is dataclasses.MISSING:
             raise ValueError(f"{where}.{one.name}: missing".lstrip("."))
-    known = {name: entry for name, entry in entries.items() if name in hints}
-    return kind(**{name: typed(hints[name], entry, f"{where}.{name}".lstrip(".")) for name, entry in known.items()})
+    told = {name: entry for name, entry in entries.items() if name in known}
+    made = kind(**{name: typed(known[name], entry, f"{where}.{name}".lstrip(".")) for name, entry in told.items()})
+    if check := getattr(made, "_check", None):
+        try:
+            check()
+        except ValueError as error:
+            raise ValueError(f"{where}.{error}".lstrip(".")) from error
+    return made
 
 
 @lru_cache
-def _hints(kind: type) -> dict[str, Any]:
-    return typing.get_type_hints(kind)
+def hints(kind: type) -> dict[str, Any]:
+    """The annotations of a class by name, what they are `Annotated` with included."""
+    return typing.get_type_hints(kind, include_extras=True)
 
 
 def _wrong(where: str, wanted: str, value: Any) -> ValueError:
@@ -329,8 +337,9 @@ _READERS: dict[Any, Callable[[Any, Any, str], Any]] = {
     int: _plain((int,), "a whole number"), str: _plain((str,), "text"), bool: _plain((bool,), "true or false"),
     bytes: _plain((bytes,), "bytes"),
     dict: _table, Mapping: _table, tuple: _row, UnionType: _either, typing.Union: _either,
+    typing.Annotated: lambda of, value, where: of[1].read(value, where),
 }  # fmt: skip
-"""How each kind of annotation is read; X | None is X or null."""
+"""How each kind of annotation is read; X | None is X or null; `Annotated` reads by what it is annotated with."""
 
 
 def read_as(kind: Any, value: Any, where: str, remedy: str) -> Any:

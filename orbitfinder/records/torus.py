@@ -10,13 +10,8 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
-from orbitfinder.errors import InputError
-from orbitfinder.records.family import plain
-from orbitfinder.records.orbit import Certificate, Check, certificate_to_document, energy_entry, energy_of
-from orbitfinder.records.reading import json_bytes, json_file, write_atomically
-
-FORMAT, VERSION = "orbitfinder/tori", 1
-AGAIN = "compute the tori again"
+from orbitfinder.records.codec import Codec, Unknown
+from orbitfinder.records.orbit import Certified
 
 
 @dataclass(frozen=True)
@@ -42,21 +37,28 @@ class Torus(Shown):
     """
 
     __repr__ = brief("period", "rotation", "energy", "frequencies", "certificate")
+    _entries = (..., "energy", "certificate")
 
     curve: np.ndarray
     period: float
     rotation: float
-    energy: float
+    energy: Unknown
     tail: float
     strip: float
     free: Mapping[str, float] = field(default_factory=dict)
-    certificate: Certificate | None = None
+    certificate: Certified = None
 
     @property
     def frequencies(self) -> tuple[float, float]:
         """Angular frequencies (rad/s): of the returns, and of the turning."""
         first = 2 * np.pi / self.period
         return first, first * self.rotation
+
+    def _check(self) -> None:
+        if self.curve.ndim != 2 or len(self.curve) % 2 == 0:
+            raise ValueError(f"curve: expected an odd number of states, got numbers of shape {self.curve.shape}")
+        if not self.period > 0:
+            raise ValueError(f"period: expected more than 0, got {self.period:g}")
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,7 @@ class Tori(Shown):
     """
 
     __repr__ = brief("name", "parameter", "held", "tori", "end")
+    _entries = (..., "end", "tori")
 
     name: str
     system: Mapping[str, Any]
@@ -84,6 +87,13 @@ class Tori(Shown):
     held: Mapping[str, float]
     tori: tuple[Torus, ...]
     end: str = ""
+
+    def _check(self) -> None:
+        if len({torus.curve.shape[1] for torus in self.tori}) != 1:
+            raise ValueError("tori: expected one at least, all of one number of coordinates")
+
+
+CODEC = Codec(Tori, "tori", "`orbitfinder torus`", "compute the tori again")
 
 
 def save_tori(found: Tori, path: str | Path) -> Path:
@@ -103,21 +113,7 @@ def save_tori(found: Tori, path: str | Path) -> Path:
         >>> of.save_tori(tori, "tori.json").name
         'tori.json'
     """
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    document = {
-        "format": FORMAT, "version": VERSION, "name": found.name, "system": plain(found.system),
-        "parameter": found.parameter, "held": dict(found.held), "end": found.end,
-        "tori": [torus_entry(one) for one in found.tori],
-    }  # fmt: skip
-    write_atomically(target, json_bytes(document))
-    return target
-
-
-def torus_entry(torus: Torus) -> dict[str, Any]:
-    """A Torus in plain numbers."""
-    numbers = {name: plain(getattr(torus, name)) for name in ("curve", "period", "rotation", "tail", "strip", "free")}
-    return numbers | {"energy": energy_entry(torus.energy), "certificate": certificate_to_document(torus.certificate)}
+    return CODEC.save(found, path)
 
 
 def load_tori(path: str | Path) -> Tori:
@@ -137,33 +133,4 @@ def load_tori(path: str | Path) -> Tori:
         >>> len(of.load_tori("tori.json").tori)
         2
     """
-    document = json_file(Path(path), "tori.json", AGAIN)
-    if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
-        raise InputError(f"{path}: format: expected {FORMAT!r} of version {VERSION}; give a tori.json")
-    try:
-        tori = tuple(torus_of(one) for one in document["tori"])
-        size = {one.curve.shape[1] for one in tori}
-        if not tori or len(size) > 1 or any(len(one.curve) % 2 == 0 for one in tori):
-            raise ValueError("curves of an even number of states, or none")
-        return Tori(str(document["name"]), dict(document["system"]), str(document["parameter"]),
-                    {str(name): float(one) for name, one in document["held"].items()}, tori,
-                    str(document["end"]))  # fmt: skip
-    except (TypeError, ValueError, KeyError, AttributeError, IndexError) as error:
-        raise InputError(f"{path}: malformed entry ({error}); {AGAIN}") from error
-
-
-def torus_of(document: Mapping[str, Any]) -> Torus:
-    """The Torus of its entry; `ValueError`, `KeyError` or `TypeError` where it is damaged."""
-    curve = np.asarray(document["curve"], float)
-    numbers = [float(document[name]) for name in ("period", "rotation", "tail", "strip")]
-    if curve.ndim != 2 or not (np.isfinite(curve).all() and np.isfinite(numbers).all() and numbers[0] > 0):
-        raise ValueError("a torus that is not of finite numbers")
-    checks = tuple(
-        Check(**{**one, "value": np.nan if one["value"] is None else float(one["value"])})
-        for one in document["certificate"]["checks"]
-    )
-    return Torus(
-        curve, numbers[0], numbers[1], energy_of(document["energy"]),
-        numbers[2], numbers[3], {str(name): float(one) for name, one in document["free"].items()},
-        Certificate(checks) if checks else None,
-    )  # fmt: skip
+    return CODEC.load(path)
