@@ -164,7 +164,7 @@ def test_sections_are_saved_and_loaded(henon_heiles, tmp_path):
         np.testing.assert_array_equal(getattr(again, name), getattr(henon_heiles, name))
     assert again.plane == henon_heiles.plane and again.axes == henon_heiles.axes and again.energy == 0.125
     path.write_text(path.read_text().replace("orbitfinder/section", "orbitfinder/other"))
-    with pytest.raises(InputError, match="not a section"):
+    with pytest.raises(InputError, match="format: expected 'orbitfinder/section'.*got 'orbitfinder/other'"):
         of.sections.load_section(path)
 
 
