@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
-from orbitfinder.errors import InputError, plural
-from orbitfinder.records.orbit import Orbit, orbit_in, orbit_to_document
-from orbitfinder.records.reading import json_bytes, json_file, write_atomically
-
-FORMAT, VERSION = "orbitfinder/optima", 1
-AGAIN = "follow the optima again"
+from orbitfinder.errors import plural
+from orbitfinder.records.codec import Codec
+from orbitfinder.records.orbit import Orbit, Orbits
 
 
 @dataclass(frozen=True)
@@ -54,10 +50,11 @@ class Optima(Shown):
     """
 
     __repr__ = brief("name", "parameter", "points", "changes", "end")
+    _entries = (..., "end", "values", "descents", "changes", "points")
 
     name: str
     parameter: str
-    points: tuple[Orbit, ...]
+    points: Orbits
     values: np.ndarray
     descents: tuple[int, ...]
     changes: tuple[Change, ...] = ()
@@ -87,6 +84,21 @@ class Optima(Shown):
     def __getitem__(self, k: int) -> Orbit:
         return self.points[k]
 
+    def _check(self) -> None:
+        count = len(self.points)
+        for name, numbers in (("values", self.values), ("descents", self.descents)):
+            if not count or np.shape(numbers) != (count,):
+                raise ValueError(f"{name}: expected one of each of {plural(count, 'point')}, and one at least")
+        for k, change in enumerate(self.changes):
+            if not 0 <= change.index < count:
+                raise ValueError(f"changes[{k}].index: expected 0 to {count - 1}, got {change.index}")
+        for k, point in enumerate(self.points):
+            if point.control is None:
+                raise ValueError(f"points[{k}].control: missing")
+
+
+CODEC = Codec(Optima, "optima", "`orbitfinder continue`", "follow the optima again")
+
 
 def save_optima(found: Optima, path: str | Path) -> Path:
     """Write an optima.json.
@@ -105,15 +117,7 @@ def save_optima(found: Optima, path: str | Path) -> Path:
         >>> of.save_optima(optima, "optima.json").name
         'optima.json'
     """
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    document = {
-        "format": FORMAT, "version": VERSION, "name": found.name, "parameter": found.parameter, "end": found.end,
-        "values": [float(one) for one in found.values], "descents": list(found.descents),
-        "changes": [vars(one) for one in found.changes], "points": [orbit_to_document(one) for one in found.points],
-    }  # fmt: skip
-    write_atomically(target, json_bytes(document))
-    return target
+    return CODEC.save(found, path)
 
 
 def load_optima(path: str | Path) -> Optima:
@@ -133,26 +137,4 @@ def load_optima(path: str | Path) -> Optima:
         >>> of.load_optima("optima.json").parameter
         'period'
     """
-    document = json_file(Path(path), "optima.json", AGAIN)
-    if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
-        raise InputError(f"{path}: format: expected {FORMAT!r} of version {VERSION}; give an optima.json")
-    try:
-        points = tuple(orbit_in(one, f"{path}#{k}") for k, one in enumerate(document["points"]))
-        values, descents = np.array(document["values"], float), tuple(int(one) for one in document["descents"])
-        changes = tuple(_change(one, len(points)) for one in document["changes"])
-        if not points or values.shape != (len(points),) or len(descents) != len(points):
-            raise ValueError("as many values and descents as points are needed, and one at least")
-        if any(one.control is None for one in points):
-            raise ValueError("a point without control")
-        return Optima(str(document["name"]), str(document["parameter"]), points, values, descents, changes,
-                      str(document["end"]))  # fmt: skip
-    except (TypeError, ValueError, KeyError, AttributeError) as error:
-        raise InputError(f"{path}: malformed entry ({error}); {AGAIN}") from error
-
-
-def _change(entry: Mapping[str, Any], count: int) -> Change:
-    numbers = [float(entry[name]) for name in ("value", "cost", "period")]
-    if not 0 <= int(entry["index"]) < count:
-        raise ValueError(f"a change at point {entry['index']} of {count}")
-    value, cost, period = numbers
-    return Change(str(entry["kind"]), int(entry["index"]), value, cost, period, str(entry["detail"]))
+    return CODEC.load(path)
