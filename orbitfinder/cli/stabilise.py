@@ -79,7 +79,8 @@ def stabilise(
     from orbitfinder.orbits.basin import basin
     from orbitfinder.orbits.feedback import stabilise as stabilised
     from orbitfinder.problemfile.read import checked_name
-    from orbitfinder.records.controller import controller_to_document, save_controller
+    from orbitfinder.records.codec import entry_of
+    from orbitfinder.records.controller import save_controller
 
     orbit, model = orbit_and_model(file, trust, pictured=True)
     checked_name(orbit.name, f"{file}: name")
@@ -103,9 +104,7 @@ def stabilise(
             written.append(_animated(made, own, max(sizes), noise, seed, folder / "recovery.gif"))
     for one in written:
         text(str(one))
-    document = controller_to_document(made)
-    for name in ("format", "version", "states", "inputs", "gains"):
-        del document[name]
+    document = {name: entry for name, entry in entry_of(made).items() if name not in ("states", "inputs", "gains")}
     finish("stabilise", document | {"written": [str(one) for one in written]}, made.stabilised)
 
 

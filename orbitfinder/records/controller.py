@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
-from orbitfinder.errors import InputError
-from orbitfinder.records.orbit import Certificate, Check, certificate_to_document
-from orbitfinder.records.reading import json_bytes, json_file, plain_numbers, read_as, walked, write_atomically
-
-FORMAT, VERSION = "orbitfinder/controller", 1
-AGAIN = "stabilise the orbit again"
+from orbitfinder.records.codec import Codec, Complexes
+from orbitfinder.records.orbit import Certified
 
 
 @dataclass(frozen=True)
@@ -89,6 +85,7 @@ class Controller(Shown):
     """
 
     __repr__ = brief("name", "actuators", "period", "multipliers", "certificate")
+    _entries = (..., "stabilised")
 
     name: str
     system: Mapping[str, Any]
@@ -104,11 +101,11 @@ class Controller(Shown):
     weight_state: np.ndarray
     weight_control: np.ndarray
     control_units: np.ndarray
-    open_loop: np.ndarray
-    predicted: np.ndarray
-    multipliers: np.ndarray
+    open_loop: Complexes
+    predicted: Complexes
+    multipliers: Complexes
     authority: Mapping[str, float]
-    certificate: Certificate | None = None
+    certificate: Certified = None
     basin: Basin | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
@@ -117,16 +114,22 @@ class Controller(Shown):
         """True where the certificate holds: the nonlinear closed loop's multipliers are inside the unit circle."""
         return self.certificate is not None and self.certificate.passed
 
+    def _check(self) -> None:
+        rows, d = self.states.shape if self.states.ndim == 2 else (0, 0)
+        m = len(self.actuators)
+        wanted = {"states": (rows, d), "inputs": (rows, m), "gains": (rows, m * d), "units": (d,), "angles": (d,),
+                  "control_units": (m,), "weight_state": (d, d), "weight_control": (m, m)}  # fmt: skip
+        for name, shape in wanted.items():
+            found = getattr(self, name).shape
+            if rows < 4 or not m or found != shape:
+                raise ValueError(f"{name}: shape {found} where {shape} belongs to {m} controls and {d} states")
+        if not (self.period > 0 and np.all(self.units > 0)):
+            raise ValueError("period and units: must be positive")
+        if unknown := sorted(set(self.limits) - set(self.actuators)):
+            raise ValueError(f"limits: {unknown[0]!r} is none of the actuators")
 
-def controller_to_document(controller: Controller) -> dict[str, Any]:
-    """The JSON document of a controller; floats round-trip exactly."""
-    entries = {one.name: getattr(controller, one.name) for one in fields(Controller)}
-    basin = controller.basin
-    if basin is not None:
-        entries["basin"] = vars(basin) | {"rows": [dict(vars(row)) for row in basin.rows]}
-    entries["certificate"] = certificate_to_document(controller.certificate)
-    entries["stabilised"] = controller.stabilised
-    return {"format": FORMAT, "version": VERSION} | {name: walked(one, plain_numbers) for name, one in entries.items()}
+
+CODEC = Codec(Controller, "controller", "`orbitfinder stabilise`", "stabilise the orbit again")
 
 
 def save_controller(controller: Controller, path: str | Path) -> Path:
@@ -146,18 +149,7 @@ def save_controller(controller: Controller, path: str | Path) -> Path:
         >>> of.save_controller(controller, "controller.json").name
         'controller.json'
     """
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(target, json_bytes(controller_to_document(controller)))
-    return target
-
-
-@dataclass(frozen=True)
-class _Certified:
-    """The `certificate` entry of the file."""
-
-    checks: tuple[Check, ...] = ()
-    scale: float = 1.0
+    return CODEC.save(controller, path)
 
 
 def load_controller(path: str | Path) -> Controller:
@@ -177,41 +169,4 @@ def load_controller(path: str | Path) -> Controller:
         >>> of.load_controller("controller.json").actuators
         ('torque1',)
     """
-    source = Path(path)
-    document = json_file(source, "controller.json", AGAIN)
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise InputError(f"{source}: format: expected {FORMAT!r}; give a controller.json, which `stabilise` writes")
-    if document.get("version") != VERSION:
-        raise InputError(
-            f"{source}: version: this orbitfinder reads {VERSION}, got {document.get('version')!r}; "
-            "use the orbitfinder that wrote it, or stabilise the orbit again"
-        )
-    complexes = ("open_loop", "predicted", "multipliers")
-    plain = {name: entry for name, entry in document.items() if name not in (*complexes, "certificate")}
-    spectra = {name: read_as(tuple[complex, ...], document.get(name), f"{source}: {name}", AGAIN) for name in complexes}
-    given = read_as(_Certified, document.get("certificate") or {}, f"{source}: certificate", AGAIN)
-    found: Controller = read_as(Controller, plain | {name: [0.0] for name in complexes}, str(source), AGAIN)
-    entries = {one.name: getattr(found, one.name) for one in fields(Controller)}
-    entries |= {name: np.array(one, complex) for name, one in spectra.items()}
-    entries["certificate"] = Certificate(given.checks, given.scale) if given.checks else None
-    made = Controller(**entries)
-    _check_shapes(made, source)
-    return made
-
-
-def _check_shapes(found: Controller, source: Path) -> None:
-    """`InputError` unless the tables of a controller belong together."""
-    rows, d = found.states.shape if found.states.ndim == 2 else (0, 0)
-    m = len(found.actuators)
-    wanted = {"states": (rows, d), "inputs": (rows, m), "gains": (rows, m * d), "units": (d,), "angles": (d,),
-              "control_units": (m,), "weight_state": (d, d), "weight_control": (m, m)}  # fmt: skip
-    for name, shape in wanted.items():
-        if rows < 4 or not m or getattr(found, name).shape != shape:
-            raise InputError(
-                f"{source}: {name}: shape {getattr(found, name).shape} where {shape} belongs to {m} controls and {d} "
-                f"states; {AGAIN}"
-            )
-    if not (found.period > 0 and np.all(found.units > 0)):
-        raise InputError(f"{source}: period and units: must be positive; {AGAIN}")
-    if unknown := sorted(set(found.limits) - set(found.actuators)):
-        raise InputError(f"{source}: limits: {unknown[0]!r} is none of the actuators; {AGAIN}")
+    return CODEC.load(path)
