@@ -42,10 +42,12 @@ from orbitfinder.orbits.closure import extents_of
 from orbitfinder.orbits.evidence import Hamiltonian
 from orbitfinder.orbits.refine import Refiner
 from orbitfinder.orbits.section import Surface, solved_component, surface
+from orbitfinder.records.codec import entry_of
 from orbitfinder.records.family import plain
 from orbitfinder.records.journal import checkpoints
-from orbitfinder.records.manifold import MOTION, Connection, End, connection_entry, connection_of
+from orbitfinder.records.manifold import Connection, End
 from orbitfinder.records.orbit import Certificate, Check, Orbit
+from orbitfinder.records.reading import typed
 
 NEWTON = Settings(floor=1e-13, round_off=1e-10, converged=1e-10, contraction=0.5, most_evaluations=25, patience=4)
 """How a connection is solved: gaps in extents of the orbits"""
@@ -560,7 +562,7 @@ def follow_connection(
         raise InputError("orbit: of another system than the connection; give the orbits that it joins")
     orbits, found = (orbit,) if other is None else (orbit, other), [connection]
     joined = [(one.state, one.period, one.symmetry) for one in orbits]
-    request = plain({"name": label, "connection": connection_entry(connection), "orbits": joined})
+    request = plain({"name": label, "connection": entry_of(connection), "orbits": joined})
     path, refiners = None if out is None else Path(out) / label / "connection.jsonl", list[Refiner]()
     with checkpoints(path, request, _read) as journal:
         known = dict(journal.known)
@@ -584,7 +586,7 @@ def _entry(levels: tuple[float, ...], found: Connection | str) -> dict[str, Any]
     if isinstance(found, str):
         return {"energies": levels, "end": found}
     motion = {"times": found.times, "samples": found.samples}
-    return dict(plain({"energies": levels, "connection": connection_entry(found), **motion}))
+    return dict(plain({"energies": levels, "connection": entry_of(found), **motion}))
 
 
 def _read(line: Mapping[str, Any]) -> tuple[tuple[float, ...], Connection | str]:
@@ -592,7 +594,8 @@ def _read(line: Mapping[str, Any]) -> tuple[tuple[float, ...], Connection | str]
     levels = tuple(map(float, line["energies"]))
     if "end" in line:
         return levels, str(line["end"])
-    return levels, connection_of(line["connection"], {name: np.array(line[name], float) for name in MOTION})
+    motion = {name: np.array(line[name], float) for name in ("times", "samples")}
+    return levels, typed(Connection, {**line["connection"], **motion}, "")
 
 
 def _next(known: Sequence[Connection], refiners: Sequence[Refiner], level: float, name: str) -> Connection | str:

@@ -10,23 +10,9 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
-from orbitfinder.errors import InputError
-from orbitfinder.records.orbit import Certificate, Check, certificate_to_document, energy_of
-from orbitfinder.records.reading import (
-    arrays,
-    finite,
-    json_file,
-    plain_numbers,
-    read_as,
-    typed,
-    walked,
-    write_atomically,
-    write_json,
-    write_npz,
-)
-
-FORMAT, CONNECTION, VERSION = "orbitfinder/manifold", "orbitfinder/connection", 1
-AGAIN = "make it again"
+from orbitfinder.records.codec import Codec, Dense, Endless, Unknown
+from orbitfinder.records.orbit import Certified
+from orbitfinder.records.reading import write_atomically
 
 
 def reach(points: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -67,18 +53,18 @@ class Manifold(Shown):
     kind: str
     plane: str
     axes: tuple[str, str]
-    energy: float
+    energy: Unknown
     multiplier: float
     displacement: float
-    error: float
-    error_at_half: float
-    point: np.ndarray
-    direction: np.ndarray
-    states: np.ndarray
-    pieces: np.ndarray
-    places: np.ndarray
-    images: np.ndarray
-    times: np.ndarray
+    error: Unknown
+    error_at_half: Unknown
+    point: Dense
+    direction: Dense
+    states: Dense
+    pieces: Dense
+    places: Dense
+    images: Dense
+    times: Dense
 
     @property
     def curves(self) -> tuple[np.ndarray, ...]:
@@ -97,39 +83,15 @@ class Manifold(Shown):
         return float(np.log2(max(self.error, 1e-300) / max(self.error_at_half, 1e-300)))
 
 
-PLAIN = (
-    "name", "system", "state_names", "which", "kind", "plane", "axes", "energy", "multiplier", "displacement", "error",
-    "error_at_half",
-)  # fmt: skip
-MOTION = ("times", "samples")
-"""The arrays of a connection"""
-ARRAYS = ("point", "direction", "states", "pieces", "places", "images", "times")
-
-
-@dataclass(frozen=True)
-class _Plain:
-    name: str
-    system: Mapping[str, Any]
-    state_names: tuple[str, ...]
-    which: str
-    kind: str
-    plane: str
-    axes: tuple[str, str]
-    energy: float | None
-    multiplier: float
-    displacement: float
-    error: float
-    error_at_half: float
+MANIFOLD = Codec(Manifold, "manifold", "`orbitfinder manifold`", "make it again")
 
 
 def save_manifold(manifold: Manifold, path: str | Path) -> Path:
     """Write a manifold as JSON with its numbers beside it, .npz and .csv; returns the JSON's path."""
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
-    write_npz(target.with_suffix(".npz"), {name: getattr(manifold, name) for name in ARRAYS})
     write_atomically(target.with_suffix(".csv"), _csv(manifold).encode())
-    document = {"format": FORMAT, "version": VERSION, **{name: getattr(manifold, name) for name in PLAIN}}
-    return write_json(target, finite(document))
+    return MANIFOLD.save(manifold, target)
 
 
 def _csv(manifold: Manifold) -> str:
@@ -145,18 +107,7 @@ def _csv(manifold: Manifold) -> str:
 
 def load_manifold(path: str | Path) -> Manifold:
     """The Manifold of a JSON file and the .npz beside it. Raises `InputError`."""
-    source = Path(path)
-    document = _document(source, FORMAT, "a manifold", "`orbitfinder manifold`")
-    plain = read_as(_Plain, document, str(source), AGAIN)
-    numbers: dict[str, Any] = {**vars(plain), **arrays(source.with_suffix(".npz"), ARRAYS, AGAIN)}
-    return Manifold(**numbers | {"energy": energy_of(plain.energy)})
-
-
-def _document(source: Path, wanted: str, what: str, maker: str) -> Mapping[str, Any]:
-    document = json_file(source, what.partition(" ")[2], AGAIN)
-    if not isinstance(document, Mapping) or document.get("format") != wanted:
-        raise InputError(f"{source}: not {what}; give a file that {maker} wrote")
-    return document
+    return MANIFOLD.load(path)
 
 
 @dataclass(frozen=True)
@@ -191,6 +142,7 @@ class Connection(Shown):
     """
 
     __repr__ = brief("name", "kind", "state", "angle", "error", "certificate")
+    _entries = ("kind", ...)
 
     name: str
     system: Mapping[str, Any]
@@ -198,17 +150,17 @@ class Connection(Shown):
     plane: str
     component: int
     axes: tuple[str, str]
-    energy: float
+    energy: Unknown
     states: np.ndarray
     durations: np.ndarray
     chosen: int
     angle: float
-    error: float
+    error: Endless
     origin: End
     goal: End
-    certificate: Certificate | None = None
-    times: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    samples: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    certificate: Certified = None
+    times: Dense = field(default_factory=lambda: np.zeros(0))
+    samples: Dense = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def state(self) -> np.ndarray:
@@ -221,79 +173,19 @@ class Connection(Shown):
         same = self.origin.state.shape == self.goal.state.shape and np.array_equal(self.origin.state, self.goal.state)
         return "homoclinic" if same else "heteroclinic"
 
-
-@dataclass(frozen=True)
-class _Plain2:
-    name: str
-    system: Mapping[str, Any]
-    state_names: tuple[str, ...]
-    plane: str
-    component: int
-    axes: tuple[str, str]
-    energy: float | None
-    states: np.ndarray
-    durations: np.ndarray
-    chosen: int
-    angle: float
-    error: float | None
-    origin: End
-    goal: End
+    def _check(self) -> None:
+        if self.states.ndim != 2 or not 0 <= self.chosen < len(self.states):
+            raise ValueError(f"states: expected rows, number {self.chosen} among them, got shape {self.states.shape}")
 
 
-@dataclass(frozen=True)
-class _Check:
-    name: str
-    value: float | None
-    tolerance: float
-    passed: bool
-    note: str = ""
-
-
-@dataclass(frozen=True)
-class _Checks:
-    checks: tuple[_Check, ...] = ()
+CONNECTION = Codec(Connection, "connection", "`orbitfinder connect`", "make it again", alone=True)
 
 
 def save_connection(connection: Connection, path: str | Path) -> Path:
     """Write a connection as JSON and its motion beside it in .npz; returns the JSON's path."""
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    write_npz(target.with_suffix(".npz"), {name: getattr(connection, name) for name in MOTION})
-    document = {"format": CONNECTION, "version": VERSION, "kind": connection.kind, **connection_entry(connection)}
-    return write_json(target, document)
-
-
-def connection_entry(connection: Connection) -> dict[str, Any]:
-    """A Connection in plain numbers, but for its motion."""
-    plain = {name: getattr(connection, name) for name in _Plain2.__dataclass_fields__}
-    ends = {name: vars(plain[name]) for name in ("origin", "goal")}
-    certificate = certificate_to_document(connection.certificate)
-    return dict(finite(walked({**plain, **ends, "certificate": certificate}, plain_numbers)))
+    return CONNECTION.save(connection, path)
 
 
 def load_connection(path: str | Path) -> Connection:
     """The Connection of a JSON file; its certificate as recorded. Raises `InputError`."""
-    source = Path(path)
-    document = _document(source, CONNECTION, "a connection", "`orbitfinder connect`")
-    beside = source.with_suffix(".npz")
-    motion = arrays(beside, MOTION, AGAIN) if beside.exists() else {}
-    try:
-        return connection_of(document, motion)
-    except ValueError as error:
-        raise InputError(f"{source}: {error}; {AGAIN}") from error
-
-
-def connection_of(entry: Mapping[str, Any], motion: Mapping[str, np.ndarray]) -> Connection:
-    """The Connection of its entry and its motion (`times`, `samples`). Raises `ValueError` for a damaged one."""
-    plain = typed(_Plain2, entry, "")
-    if plain.states.ndim != 2 or not 0 <= plain.chosen < len(plain.states):
-        raise ValueError("states: expected rows, the chosen one among them")
-    entries = typed(_Checks, entry.get("certificate", {}), "").checks
-    checks = tuple(Check(**vars(one) | {"value": _number(one.value)}) for one in entries)
-    known = {"energy": energy_of(plain.energy), "error": _number(plain.error), "certificate": Certificate(checks)}
-    return Connection(**{**vars(plain), **motion, **known})
-
-
-def _number(value: float | None) -> float:
-    """Infinity where JSON has no such number."""
-    return float("inf") if value is None else value
+    return CONNECTION.load(path)
