@@ -79,7 +79,7 @@ def stabilise(
     from orbitfinder.orbits.basin import basin
     from orbitfinder.orbits.feedback import stabilise as stabilised
     from orbitfinder.problemfile.read import checked_name
-    from orbitfinder.records.codec import entry_of
+    from orbitfinder.records.codec import entries_of
     from orbitfinder.records.controller import save_controller
 
     orbit, model = orbit_and_model(file, trust, pictured=True)
@@ -104,7 +104,7 @@ def stabilise(
             written.append(_animated(made, own, max(sizes), noise, seed, folder / "recovery.gif"))
     for one in written:
         text(str(one))
-    document = {name: entry for name, entry in entry_of(made).items() if name not in ("states", "inputs", "gains")}
+    document = {name: entry for name, entry in entries_of(made).items() if name not in ("states", "inputs", "gains")}
     finish("stabilise", document | {"written": [str(one) for one in written]}, made.stabilised)
 
 

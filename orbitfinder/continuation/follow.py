@@ -23,7 +23,8 @@ from scipy.optimize import brentq
 from orbitfinder._runtime import limit
 from orbitfinder.continuation.problem import Point, plane, solved
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, plural
-from orbitfinder.records.family import End, plain
+from orbitfinder.records.codec import plain
+from orbitfinder.records.family import End
 from orbitfinder.records.journal import FORMAT, VERSION, append_line, begin_journal, read_lines
 from orbitfinder.records.reading import typed
 

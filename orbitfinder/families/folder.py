@@ -30,6 +30,7 @@ from orbitfinder.mechanics.catalogue import REMADE, build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.orbits.hybrid import HybridCheck
+from orbitfinder.records.codec import plain
 from orbitfinder.records.family import (
     CLOSURE,
     FORMAT,
@@ -41,7 +42,6 @@ from orbitfinder.records.family import (
     Journal,
     append,
     assemble,
-    plain,
     read_journal,
     restored,
     save_family,

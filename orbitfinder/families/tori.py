@@ -32,7 +32,7 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import parameter_sizes
 from orbitfinder.orbits.closure import extents_of
 from orbitfinder.orbits.section import Surface
-from orbitfinder.records.codec import entry_of
+from orbitfinder.records.codec import entries_of
 from orbitfinder.records.orbit import Certificate, Check, Orbit
 from orbitfinder.records.reading import typed
 from orbitfinder.records.torus import Tori, Torus
@@ -407,7 +407,7 @@ class _Keeping:
 
     def write(self, point: Point, record: Torus) -> dict[str, Any]:
         """Both in plain numbers."""
-        return entry_of(record) | {
+        return entries_of(record) | {
             "angle": point.w.angle, "numbers": point.w.free, "tangent": point.tangent, "steps": point.problem.steps,
             "arclength": point.arclength, "step": point.step,
         }  # fmt: skip

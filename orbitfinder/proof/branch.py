@@ -67,7 +67,8 @@ from orbitfinder.proof.theorem import (
     unknowns_at,
 )
 from orbitfinder.proof.trajectory import Trajectory, horizon, minimal_period, moves, positive_mass, trajectory
-from orbitfinder.records.family import Family, FamilyPoint, plain
+from orbitfinder.records.codec import plain
+from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.reading import json_file, read_as
 
 ROUGH = Settings(order=12, bits=80, tolerance=1e-14)

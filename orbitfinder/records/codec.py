@@ -1,20 +1,21 @@
 """One codec for records: a dataclass, its JSON, and what is dense beside it in .npz.
 
 A file says its format and version, then the fields in their order, or in that of `_entries` of the class: `...` stands
-there for the fields that it does not name, and properties may be among them, which are written only. The annotation of
-a field says how it stands in a file: arrays as lists, records within records as tables, everything else as it is; what
-is different is `Annotated` with a `Filed`. `_check` of the class says what of it belongs together (see `typed`).
+there for the fields that it does not name, and properties may be among them, which are written only. Those of `_sparse`
+are left out where they are None or empty, `_called` says of a field what it is called there. The annotation of a field
+says how it stands in a file: arrays as lists, records within records as tables, everything else as it is; what is
+different is `Annotated` with a `Filed`. `_check` of the class says what of it belongs together (see `typed`).
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Generic, TypeVar
+from typing import Annotated, Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -27,7 +28,6 @@ from orbitfinder.records.reading import (
     json_file,
     plain_numbers,
     typed,
-    walked,
     write_atomically,
     write_npz,
 )
@@ -50,7 +50,7 @@ class Filed:
 
 def _null_for(unsaid: float) -> Filed:
     return Filed(
-        lambda value: plain_numbers(value) if math.isfinite(value) else None,
+        lambda value: value if math.isfinite(value) else None,
         lambda entry, where: unsaid if entry is None else typed(float, entry, where),
     )
 
@@ -66,35 +66,55 @@ Unknown = Annotated[float, _null_for(math.nan)]
 """A number that may be nan, which files say as null"""
 Endless = Annotated[float, _null_for(math.inf)]
 """A number that may be infinite, which files say as null"""
-Complexes = Annotated[np.ndarray, Filed(plain_numbers, _complexes)]
+Complexes = Annotated[np.ndarray, Filed(np.asarray, _complexes)]
 """Complex numbers, in files [re, im] each"""
 Dense = Annotated[np.ndarray, Filed(np.asarray, lambda entry, where: entry, dense=True)]
 """Numbers in the .npz beside the file"""
 
 
+class Entry(NamedTuple):
+    """An entry of a record's file: the field or property that it is of, and what that is annotated with."""
+
+    name: str
+    field: str
+    filed: Filed | None
+    sparse: bool
+
+
 @lru_cache
-def _layout(kind: Any) -> dict[str, Filed | None]:
-    """The entries of a record in their order, each with what its annotation says."""
-    known, order = hints(kind), getattr(kind, "_entries", (...,))
-    rest = [one.name for one in dataclasses.fields(kind) if one.name not in order]
-    names = [name for part in order for name in (rest if part is ... else [part])]
-    return {name: next(iter(getattr(known.get(name), "__metadata__", ())), None) for name in names}
+def layout(kind: Any) -> tuple[Entry, ...]:
+    """The entries of a class of records in their order."""
+    known, order, called = hints(kind), getattr(kind, "_entries", (...,)), getattr(kind, "_called", {})
+    fields = {called.get(one.name, one.name): one.name for one in dataclasses.fields(kind)}
+    rest = [name for name in fields if name not in order]
+    found = []
+    for name in (name for part in order for name in (rest if part is ... else [part])):
+        field = fields.get(name, name)
+        filed = getattr(known.get(field), "__metadata__", (None,))[0]
+        found.append(Entry(name, field, filed, name in getattr(kind, "_sparse", ())))
+    return tuple(found)
 
 
-def entry_of(record: Any) -> dict[str, Any]:
-    """A record in plain numbers, without what is dense."""
-    return {
-        name: plain(getattr(record, name) if filed is None else filed.write(getattr(record, name)))
-        for name, filed in _layout(type(record)).items()
-        if filed is None or not filed.dense
-    }
+def entries_of(record: Any, kind: Any = None) -> dict[str, Any]:
+    """A record in plain numbers, without what is dense; as one of a `kind` that its own class derives from."""
+    found = {}
+    for name, field, filed, sparse in layout(kind or record.__class__):
+        value = getattr(record, field)
+        left_out = sparse and (value is None or (hasattr(value, "__len__") and len(value) == 0))
+        if not left_out and not (filed is not None and filed.dense):
+            found[name] = plain(value if filed is None else filed.write(value))
+    return found
 
 
 def plain(value: Any) -> Any:
     """JSON-ready: records as their entries, arrays as lists, complex numbers as [re, im]."""
-    if dataclasses.is_dataclass(value):
-        return entry_of(value)
-    return walked(value, plain) if isinstance(value, (Mapping, list, tuple)) else plain_numbers(value)
+    if value.__class__ in (float, int, str, bool):
+        return value
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(entry) for entry in value]
+    return entries_of(value) if dataclasses.is_dataclass(value) else plain_numbers(value)
 
 
 @dataclass(frozen=True)
@@ -103,7 +123,7 @@ class Codec(Generic[Record]):
     them, `again` what to do about a damaged file; `alone`: it may be without its .npz.
     """
 
-    kind: type[Record]
+    kind: Callable[..., Record]
     name: str
     maker: str
     again: str
@@ -117,7 +137,7 @@ class Codec(Generic[Record]):
 
     def document(self, record: Record) -> dict[str, Any]:
         """The JSON document of a record; floats round-trip exactly."""
-        return {"format": self.format, "version": self.version, **entry_of(record)}
+        return {"format": self.format, "version": self.version, **entries_of(record)}
 
     def save(self, record: Record, path: str | Path) -> Path:
         """Write a record and what is dense of it, each whole or not at all; returns the JSON's path.
@@ -131,7 +151,7 @@ class Codec(Generic[Record]):
             bounded(document, str(target), "nothing was written")
             raise
         target.parent.mkdir(parents=True, exist_ok=True)
-        if dense := dict(self._dense()):
+        if dense := self._dense():
             members = {name: filed.write(getattr(record, name)) for name, filed in dense.items()}
             write_npz(target.with_suffix(".npz"), members)
         write_atomically(target, text)
@@ -142,7 +162,7 @@ class Codec(Generic[Record]):
         source = Path(path)
         document, beside = json_file(source, f"{self.name}.json", self.again), source.with_suffix(".npz")
         self._check_format(document, source)
-        dense = dict(self._dense())
+        dense = self._dense()
         entries = {name: entry for name, entry in document.items() if name not in dense}
         if dense and (beside.exists() or not self.alone):
             endless = [name for name, filed in dense.items() if filed.endless]
@@ -153,9 +173,9 @@ class Codec(Generic[Record]):
             raise InputError(f"{source}: malformed entry ({error}); {self.again}") from error
         return record
 
-    def _dense(self) -> Iterator[tuple[str, Filed]]:
+    def _dense(self) -> dict[str, Filed]:
         """What is in the .npz."""
-        return ((name, filed) for name, filed in _layout(self.kind).items() if filed is not None and filed.dense)
+        return {one.name: one.filed for one in layout(self.kind) if one.filed is not None and one.filed.dense}
 
     def _check_format(self, document: Any, source: Path) -> None:
         found = document if isinstance(document, Mapping) else {}

@@ -45,10 +45,8 @@ class _Entry:
     numbers: Mapping[str, float] = field(default_factory=dict)
 
 
-def control_entry(value: Any, size: int) -> dict[str, Any] | None:
-    """The entry of an orbit whose state has `size` numbers, None for none; `ValueError` names what is wrong in it."""
-    if value is None:
-        return None
+def check_control(value: Any, size: int) -> None:
+    """`ValueError` about what is wrong in the entry of an orbit whose state has `size` numbers."""
     found = typed(_Entry, value, "control")
     for name, most in MOST.items():
         least = int(name in ("intervals", "points"))
@@ -65,7 +63,6 @@ def control_entry(value: Any, size: int) -> dict[str, Any] | None:
     shares = list(found.shares.values())
     if len(shares) != max(found.arcs - 1, 0) or not all(0 < one < 1 for one in (*shares, sum(shares) or 0.5)):
         raise ValueError(f"control.shares: {shares[:9]}, no shares of {found.arcs} arcs")
-    return dict(value)
 
 
 def _whole(found: _Entry) -> int:

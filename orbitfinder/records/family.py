@@ -8,45 +8,42 @@ last one. family.json carries the digest of its own entries (`record`) and of th
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from orbitfinder._runtime import notebook as display
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError, plural
+from orbitfinder.records.codec import Complexes, Filed, Unknown, layout, plain
 from orbitfinder.records.journal import append_line, read_lines
-from orbitfinder.records.orbit import Orbit, energy_entry, energy_of, system_at
+from orbitfinder.records.orbit import Orbit, system_at
 from orbitfinder.records.reading import (
     arrays,
     content_digest,
     json_file,
-    plain_numbers,
     read_as,
     typed,
-    walked,
     write_json,
     write_npz,
 )
 
 FORMAT, VERSION = "orbitfinder/family", 1
 JOURNAL = "family.jsonl"
-COMPLEX = ("floquet_multipliers", "indices")
 DENSE = {"nodes": "shooting_nodes", "mesh": "mesh", "tangent": "tangent"}
 """What goes into family.npz instead of family.json, and what it is called here."""
+CALLED = {"shooting_nodes": "nodes"}
+"""What fields of points and events are called in files"""
 CLOSURE = 1e-11
 """Largest independent closure of an accepted point, relative to the motion, times what errors grow by."""
 UNKNOWN = 1e10
 """Where errors grow more than this in a period, its closure and multipliers say nothing"""
 METHODS = ("product", "periodic QR")
 """How multipliers were found: as eigenvalues of the state-transition matrices' product, or factor by factor."""
-OFTEN_EMPTY = ("shift", "multiplier_errors", "multiplier_method", "check")
-"""What is written only where there is any"""
 AGAIN = "continue the family again"
 ALIKE = 1e-6
 """Change of the energies of a family, relative to them, below which they are no axis"""
@@ -69,13 +66,20 @@ class FamilyPoint(Orbit):
     """
 
     __repr__ = brief("name", "value", "period", "energy", "closure", "stability", "role")
+    _entries = (
+        "state", "period", "energy", "action", "closure", "symmetry", "floquet_multipliers", "pair_defect", "stability",
+        "unfolding", "shift", "index", "arclength", "value", "scale", "krein", "indices", "root", "free", "nodes",
+        "mesh", "tangent", "step", "role", "wall_time", "defect", "multiplier_errors", "multiplier_method", "certified",
+    )  # fmt: skip
+    _called = CALLED
+    _sparse = ("shift", "multiplier_errors", "multiplier_method")
 
     index: int
     arclength: float
     value: float
     scale: float
     krein: tuple[int, ...]
-    indices: np.ndarray
+    indices: Complexes
     root: int
     free: Mapping[str, float]
     shooting_nodes: np.ndarray
@@ -93,6 +97,9 @@ class FamilyPoint(Orbit):
     """whether it has every check of a certificate and not only those of its closure"""
     curve: Mapping[str, Any] = field(default_factory=dict)
     """what rebuilds the equations of its family"""
+
+    def _check(self) -> None:
+        _check_place(self)
 
 
 @dataclass(frozen=True)
@@ -118,6 +125,8 @@ class Event(Shown):
     """
 
     __repr__ = brief("kind", "detail", "parameter", "period", "index")
+    _called = CALLED
+    _sparse = ("check",)
 
     kind: str
     index: int
@@ -125,7 +134,7 @@ class Event(Shown):
     parameter: float
     state: np.ndarray
     period: float
-    energy: float
+    energy: Unknown
     detail: str = ""
     order: int = 1
     multiplier: complex = 1.0 + 0.0j
@@ -138,6 +147,18 @@ class Event(Shown):
     check: Reading | None = None
     """by its definition (see `families.checks`); none in older files"""
 
+    def _check(self) -> None:
+        _check_place(self)
+
+
+def _check_place(member: FamilyPoint | Event) -> None:
+    size, nodes, mesh = member.state.size, member.shooting_nodes, member.mesh
+    if member.state.ndim != 1 or not size or not member.period > 0:
+        raise ValueError(f"state: {plural(size, 'number')}, period {member.period}: no orbit")
+    rising = mesh.ndim == 1 and mesh.size > len(nodes) and bool(np.all(np.diff(mesh) > 0))
+    if nodes.size and (nodes.shape[1:] != (size,) or not rising or (mesh.size - 1) % len(nodes)):
+        raise ValueError("nodes: do not fit the state or the mesh")
+
 
 @dataclass(frozen=True)
 class End:
@@ -146,6 +167,8 @@ class End:
     Of what was solved for there, a Hopf point or a join, the family's parameter, the period and the error bar of the
     parameter; `joined` is the orbit of the family that is joined: state, period, symmetry, winding, free.
     """
+
+    _sparse = ("parameter", "period", "error", "joined")
 
     kind: str
     reason: str
@@ -169,6 +192,14 @@ class Standing:
     rows: np.ndarray
 
 
+def _members(kind: type[FamilyPoint] | type[Event]) -> Filed:
+    def read(entries: Any, where: str) -> tuple[Any, ...]:
+        told = typed(tuple[Mapping[str, Any], ...], entries, where)
+        return tuple(restored(kind, entry, f"{where}[{k}]") for k, entry in enumerate(told))
+
+    return Filed(list, read)
+
+
 @dataclass(frozen=True)
 class Batch:
     """Everything one step adds; written to the journal as one line, so that it is kept or lost as a whole."""
@@ -176,8 +207,8 @@ class Batch:
     __repr__ = brief("direction", "points", "events", "end")
 
     direction: int
-    points: tuple[FamilyPoint, ...] = ()
-    events: tuple[Event, ...] = ()
+    points: Annotated[tuple[FamilyPoint, ...], _members(FamilyPoint)] = ()
+    events: Annotated[tuple[Event, ...], _members(Event)] = ()
     end: End | None = None
     standing: Standing | None = None
 
@@ -297,60 +328,20 @@ class Journal:
         return ends[-1] if ends else None
 
 
-def plain(value: Any) -> Any:
-    """JSON-ready: arrays as lists, complex numbers as [re, im], of a point what its family does not say already."""
-    if isinstance(value, (FamilyPoint, Event)):
-        told = (name for name in ENTRIES[type(value)] if name not in OFTEN_EMPTY or _said(getattr(value, name)))
-        entries = {name: plain(getattr(value, DENSE.get(name, name))) for name in told}
-        return entries | {"energy": energy_entry(value.energy)}
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        entries = {one.name: plain(getattr(value, one.name)) for one in dataclasses.fields(value)}
-        return {k: v for k, v in entries.items() if v is not None or not isinstance(value, End)}
-    if isinstance(value, (Mapping, list, tuple)):
-        return walked(value, plain)
-    return plain_numbers(value)
-
-
-def _said(value: Any) -> bool:
-    """Whether there is anything to be written."""
-    return value is not None and (isinstance(value, Reading) or len(value) > 0)
-
-
-def _entries_of(kind: type[FamilyPoint] | type[Event]) -> tuple[str, ...]:
-    """What a file says of each point or event; the rest of a point follows from its family."""
-    told = {"state", "period", "energy", "action", "closure", "symmetry", "floquet_multipliers", "pair_defect"}
-    told |= {"stability", "unfolding", "shift"}
-    family = {one.name for one in dataclasses.fields(Orbit)} - told | {"curve"}
-    names = [one.name for one in dataclasses.fields(kind) if kind is Event or one.name not in family]
-    return tuple("nodes" if name == DENSE["nodes"] else name for name in names)
-
-
-ENTRIES = {kind: _entries_of(kind) for kind in (FamilyPoint, Event)}
-
-
 def restored(kind: type[FamilyPoint] | type[Event], document: Mapping[str, Any], where: str = "") -> Any:
     """A FamilyPoint or an Event out of what `plain` made of it; `ValueError` names the entry that is wrong."""
-    entries = {DENSE.get(name, name): document[name] for name in ENTRIES[kind] if name in document}
-    without = {"energy": 0.0} if entries.get("energy", 0.0) is None else {}
-    found = typed(kind, entries | (_untold(entries) if kind is FamilyPoint else {}) | without, where)
-    found = replace(found, energy=energy_of(None)) if without else found
-    named = [name for name in COMPLEX if hasattr(found, name)]
-    one = replace(found, **{name: _as_complex(getattr(found, name), f"{where}.{name}") for name in named})
-    size, nodes = one.state.size, one.shooting_nodes
-    if isinstance(one, Event) and one.kind == "fold" and one.detail not in ("energy", *one.free):
-        one = replace(one, kind="turn")  # as older files call it too
-    if one.state.ndim != 1 or not size or not one.period > 0:
-        raise ValueError(f"{where}: state of {plural(size, 'number')}, period {one.period}: no orbit")
-    if nodes.size and (nodes.shape[1:] != (size,) or not _fits(one.mesh, len(nodes))):
-        raise ValueError(f"{where}.nodes: do not fit the state or the mesh")
-    return one
+    entries = {one.field: document[one.name] for one in layout(kind) if one.name in document}  # type: ignore[arg-type]
+    found = typed(kind, entries | (_untold(entries) if kind is FamilyPoint else {}), where)
+    if isinstance(found, Event) and found.kind == "fold" and found.detail not in ("energy", *found.free):
+        found = replace(found, kind="turn")  # as older files call it too
+    return found
 
 
 def _untold(entries: Mapping[str, Any]) -> dict[str, Any]:
     """The entries of an Orbit that only the family of a point knows (see `situated`), and those that are left out."""
     state = entries.get("state")
-    return {"name": "", "system": {}, "winding": (), "nodes": [state], "times": [], "samples": [],
-            "tolerance": CLOSURE}  # fmt: skip
+    return {"name": "", "system": {}, "winding": (), "nodes": [state], "times": np.zeros(0),
+            "samples": np.zeros(0), "tolerance": CLOSURE}  # fmt: skip
 
 
 def situated(point: FamilyPoint, index: int, name: str, system: Mapping[str, Any], curve: Mapping[str, Any]) -> Any:
@@ -377,66 +368,35 @@ def _turns(curve: Mapping[str, Any], size: int) -> tuple[int, ...]:
     return tuple(int(k) for k in np.round(turned))
 
 
-def _as_complex(pairs: np.ndarray, where: str) -> np.ndarray:
-    if pairs.size and pairs.shape[1:] != (2,):
-        raise ValueError(f"{where}: expected a list of [re, im]")
-    return np.asarray([complex(*pair) for pair in pairs], complex)
-
-
-def _fits(mesh: np.ndarray, pieces: int) -> bool:
-    """Whether a mesh has the same number of rising steps in each of the pieces."""
-    rising = mesh.ndim == 1 and mesh.size > pieces and bool(np.all(np.diff(mesh) > 0))
-    return rising and (mesh.size - 1) % pieces == 0
-
-
-@dataclass(frozen=True)
-class _Step:
-    """A line of a journal."""
-
-    direction: int
-    points: tuple[Mapping[str, Any], ...]
-    events: tuple[Mapping[str, Any], ...]
-    end: End | None = None
-    standing: Standing | None = None
-
-
-@dataclass(frozen=True)
-class _Header:
-    """The first line of a journal."""
+@dataclass(frozen=True, kw_only=True)
+class _About:
+    """What the files of a family say of all of it."""
 
     name: str
     system: Mapping[str, Any]
     parameter: str
+    curve: Mapping[str, Any] = field(default_factory=dict)
+    source: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Header(_About):
+    """The first line of a journal."""
+
     origin: Mapping[str, Any]
     curve: Mapping[str, Any]
     request: Mapping[str, Any] = field(default_factory=dict)
-    source: Mapping[str, Any] = field(default_factory=dict)
     away: int = 1
 
 
-@dataclass(frozen=True)
-class _Document:
+@dataclass(frozen=True, kw_only=True)
+class _Document(_About):
     """A family.json."""
 
-    name: str
-    system: Mapping[str, Any]
-    parameter: str
     points: tuple[Mapping[str, Any], ...]
     events: tuple[Mapping[str, Any], ...]
     ends: tuple[End, ...]
-    curve: Mapping[str, Any] = field(default_factory=dict)
-    source: Mapping[str, Any] = field(default_factory=dict)
     dense: str = ""
-
-
-def _batch(document: Mapping[str, Any]) -> Batch:
-    step = typed(_Step, document, "")
-    return Batch(step.direction, _restored(FamilyPoint, step.points, "points"),
-                 _restored(Event, step.events, "events"), step.end, step.standing)  # fmt: skip
-
-
-def _restored(kind: Any, entries: Sequence[Mapping[str, Any]], where: str) -> tuple[Any, ...]:
-    return tuple(restored(kind, entry, f"{where}[{k}]") for k, entry in enumerate(entries))
 
 
 def append(folder: Path, batch: Batch) -> None:
@@ -465,7 +425,7 @@ def _journal(path: Path, entries: Sequence[Mapping[str, Any]], sealed: bool) -> 
                 about = typed(_Header, header, "")
                 situated(restored(FamilyPoint, about.origin, "origin"), 0, about.name, about.system, about.curve)
             else:
-                batches.append(_batch(entry))
+                batches.append(typed(Batch, entry, ""))
         except ValueError as error:
             raise InputError(f"{path}: line {number}: {error}; delete the file to start again") from error
     return Journal(header, tuple(batches), sealed)

@@ -6,15 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import NoneType
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from orbitfinder._runtime import notebook as display
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError
-from orbitfinder.records.codec import Filed, Unknown, entry_of
-from orbitfinder.records.control import control_entry
+from orbitfinder.records.codec import Complexes, Dense, Filed, Unknown, entries_of
+from orbitfinder.records.control import check_control
 from orbitfinder.records.reading import (
     arrays,
     content_digest,
@@ -22,7 +22,6 @@ from orbitfinder.records.reading import (
     json_file,
     plain_numbers,
     typed,
-    walked,
     write_atomically,
     write_npz,
 )
@@ -102,7 +101,7 @@ class Certificate(Shown):
 
 def certificate_to_document(certificate: Certificate | None) -> dict[str, Any]:
     """The `certificate` entry of a file."""
-    return {"passed": False, "scale": 1.0, "checks": []} if certificate is None else entry_of(certificate)
+    return {"passed": False, "scale": 1.0, "checks": []} if certificate is None else entries_of(certificate)
 
 
 def certificate_of(entry: Any, where: str) -> Certificate | None:
@@ -113,6 +112,24 @@ def certificate_of(entry: Any, where: str) -> Certificate | None:
 
 Certified = Annotated[Certificate | None, Filed(certificate_to_document, certificate_of)]
 """A certificate, if there is one"""
+
+
+@dataclass(frozen=True)
+class _Expectation:
+    value: float
+    tolerance: float
+
+
+Expected = Annotated[
+    Mapping[str, tuple[float, float]],
+    Filed(
+        lambda told: {name: _Expectation(*pair) for name, pair in told.items()},
+        lambda entry, where: {
+            name: (one.value, one.tolerance) for name, one in typed(dict[str, _Expectation], entry, where).items()
+        },
+    ),
+]
+"""Numbers that are expected of an orbit, each with a tolerance"""
 
 
 @dataclass(frozen=True)
@@ -159,26 +176,32 @@ class Orbit(Shown):
     """
 
     __repr__ = brief("name", "period", "energy", "closure", "symmetry", "stability", "certificate")
+    _entries: ClassVar[tuple[str, ...]] = (
+        "name", "title", "source", "system", "state", "period", "energy", "action", "closure", "symmetry", "winding",
+        "floquet_multipliers", "pair_defect", "stability", "unfolding", "tolerance", "nodes", "expected", "certificate",
+        "provenance", "shift", "control",
+    )  # fmt: skip
+    _sparse: ClassVar[tuple[str, ...]] = ("shift", "control")
 
     name: str
     system: Mapping[str, Any]
     state: np.ndarray
     period: float
-    energy: float
+    energy: Unknown
     action: float
     closure: float
     symmetry: str
     winding: tuple[int, ...]
-    floquet_multipliers: np.ndarray
+    floquet_multipliers: Complexes
     pair_defect: float
     stability: str
     unfolding: tuple[float, ...]
     nodes: np.ndarray
-    times: np.ndarray
-    samples: np.ndarray
+    times: Dense
+    samples: Dense
     tolerance: float
-    expected: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    certificate: Certificate | None = None
+    expected: Expected = field(default_factory=dict)
+    certificate: Certified = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
     title: str = ""
     source: str = ""
@@ -188,33 +211,33 @@ class Orbit(Shown):
 
     control: Mapping[str, Any] | None = None
 
+    def _check(self) -> None:
+        described = {"period", "energy", "action", *self.system, *self.system.get("arguments", {})}
+        described |= {f"{SHIFT}{name}" for name in self.shift}
+        if np.isnan(self.energy) and not unconserved(self):
+            raise ValueError("energy: missing, that of a mechanical system")
+        if not 0 < self.tolerance < 1:
+            raise ValueError(f"tolerance: expected between 0 and 1, got {self.tolerance}")
+        if unknown := [name for name in self.expected if not {name, name.rstrip("0123456789")} & described]:
+            raise ValueError(f"expected: {unknown[0][:60]!a} is nothing that an orbit of this system has")
+        if self.control is not None:
+            check_control(self.control, self.state.size)
+
     def widget(self) -> Any:
         """The orbit on a stage with play, speed and a slider in time, for Jupyter, VS Code and marimo; of a point of a
         family that point alone. Raises `InputError` without the extra [notebook]."""
         return display.stage(self)
 
 
-ENTRIES = (
-    "name", "title", "source", "system", "state", "period", "energy", "action", "closure", "symmetry", "winding",
-    "floquet_multipliers", "pair_defect", "stability", "unfolding", "tolerance", "nodes", "expected", "certificate",
-    "provenance",
-)  # fmt: skip
-"""What orbit.json says of an orbit, in this order."""
+OFTEN_EMPTY = ("winding", "nodes", "expected", "certificate", "provenance", "shift")
+"""Entries that say nothing where they are empty or null"""
 
 
 def orbit_to_document(orbit: Orbit) -> dict[str, Any]:
     """The JSON document of an orbit (the contract of orbit.json); floats round-trip exactly."""
-    in_words = {
-        "energy": energy_entry(orbit.energy) if unconserved(orbit) else orbit.energy,
-        "expected": {k: {"value": v[0], "tolerance": v[1]} for k, v in orbit.expected.items()},
-        "certificate": certificate_to_document(orbit.certificate),
-    }
-    document: dict[str, Any] = {"format": FORMAT, "version": VERSION}
-    document |= {name: walked(in_words.get(name, getattr(orbit, name)), plain_numbers) for name in ENTRIES}
-    if orbit.shift:
-        document["shift"] = dict(orbit.shift)
-    if orbit.control is not None:
-        document["control"] = walked(dict(orbit.control), plain_numbers)
+    document: dict[str, Any] = {"format": FORMAT, "version": VERSION, **entries_of(orbit, Orbit)}
+    if not unconserved(orbit):
+        document["energy"] = plain_numbers(orbit.energy)  # nan is no energy of a mechanical system
     document["record"] = digest(document)
     return document if orbit.proof is None else document | {"proof": dict(orbit.proof)}
 
@@ -226,19 +249,9 @@ def refuse_controlled(orbit: Any, what: str) -> None:
                          "again with other pins and limits (of.Control)")  # fmt: skip
 
 
-def energy_entry(energy: float) -> float | None:
-    """What files say of an energy (J): null where none is conserved, which is nan in memory."""
-    return None if np.isnan(energy) else float(energy)
-
-
-def energy_of(entry: float | None) -> float:
-    """The energy (J) of a file's entry, the way back from `energy_entry`."""
-    return float("nan") if entry is None else float(entry)
-
-
 def level(energy: float | None) -> float:
     """An energy (J), as recorded or in memory, to sort and to measure by: 0 where none is conserved."""
-    return float(np.nan_to_num(energy_of(energy)))
+    return 0.0 if energy is None else float(np.nan_to_num(energy))
 
 
 def unconserved(orbit: Orbit) -> bool:
@@ -250,10 +263,6 @@ DIGESTED = (
     "system", "state", "period", "energy", "action", "closure", "symmetry", "winding",
     "floquet_multipliers", "pair_defect", "stability", "unfolding", "tolerance", "nodes", "expected",
 )  # fmt: skip
-
-
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else float(value)
 
 
 def system_at(system: Mapping[str, Any], values: Mapping[str, float]) -> Mapping[str, Any]:
@@ -395,41 +404,20 @@ def orbit_from_document(
 ) -> Orbit:
     """An Orbit out of a checked document, with its dense samples where they are given."""
     try:
-        state = np.asarray(document["state"], float)
-        multipliers = np.asarray([complex(re, im) for re, im in document["floquet_multipliers"]], complex)
-        entry = document.get("certificate") or {}
-        checks = tuple(Check(**{**check, "value": _number(check["value"])}) for check in entry.get("checks", []))
-        closure = _number(entry.get("closure", document["closure"]))  # which 0.1 wrote only beside the certificate
-        certificate = Certificate(checks, float(entry.get("scale", 1.0)), closure) if checks else None
-        expected = {k: (float(v["value"]), float(v["tolerance"])) for k, v in (document.get("expected") or {}).items()}
-        n, tolerance = state.size // 2, float(document.get("tolerance", 1e-12))
-        described = {"period", "energy", "action", *document["system"], *document["system"].get("arguments", {})}
-        described |= {f"{SHIFT}{name}" for name in document.get("shift") or {}}
-        energy = energy_of(document["energy"])
-        if np.isnan(energy) and len(document.get("winding") or ()) != state.size:
-            raise ValueError("energy of a mechanical system is missing")
-        if not 0 < tolerance < 1 or not all({name, name.rstrip("0123456789")} & described for name in expected):
-            raise ValueError(f"tolerance {tolerance} not between 0 and 1, or expected of an unknown quantity")
-        return Orbit(
-            name=document["name"], system=document["system"], state=state,
-            period=float(document["period"]), energy=energy,
-            action=float(document["action"]), closure=float(document["closure"]),
-            symmetry=document["symmetry"],
-            winding=tuple(int(k) for k in document.get("winding") or [0] * n),
-            floquet_multipliers=multipliers, pair_defect=float(document.get("pair_defect", 0.0)),
-            stability=document["stability"], unfolding=tuple(float(s) for s in document.get("unfolding", ())),
-            nodes=np.asarray(document.get("nodes") or [document["state"]], float),
-            times=np.zeros(0) if times is None else times,
-            samples=np.zeros((0, state.size)) if samples is None else samples, tolerance=tolerance,
-            expected=expected, certificate=certificate,
-            provenance=dict(document.get("provenance") or {}), title=str(document.get("title", "")),
-            source=str(document.get("source", "")), record=document.get("record"),
-            shift={str(name): float(by) for name, by in (document.get("shift") or {}).items()},
-            control=control_entry(document.get("control"), state.size),
-            proof=dict(document["proof"]) if isinstance(document.get("proof"), Mapping) else None,
-        )  # fmt: skip
+        size = len(document["state"])
+        usual = {
+            "winding": [0] * (size // 2), "nodes": [document["state"]], "pair_defect": 0.0, "unfolding": [],
+            "tolerance": 1e-12,
+        }  # fmt: skip
+        told = {name: entry for name, entry in document.items() if entry or name not in OFTEN_EMPTY}
+        told |= {"times": np.zeros(0) if times is None else times,
+                 "samples": np.zeros((0, size)) if samples is None else samples}  # fmt: skip
+        if "certificate" in told:  # 0.1 wrote the closure only beside it
+            told["certificate"] = {"closure": document["closure"]} | dict(told["certificate"])
+        orbit: Orbit = typed(Orbit, usual | told, "")
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
         raise InputError(f"orbit document: malformed entry ({error}); run the problem again") from error
+    return orbit
 
 
 def _orbits(entries: Any, where: str) -> tuple[Orbit, ...]:

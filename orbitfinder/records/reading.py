@@ -248,21 +248,27 @@ def typed(kind: Any, value: Any, where: str) -> Any:
     does not know are left out, those with a default may be missing. `_check` of a dataclass, if it has one, raises
     `ValueError` about its field unless what was read belongs together.
     """
+    reader, of = _reader(kind)
+    return reader(of, value, where)
+
+
+@lru_cache(1000)
+def _reader(kind: Any) -> tuple[Callable[[Any, Any, str], Any], Any]:
+    """What reads values of a kind, and what is given to it first: the kinds within, of a dataclass itself."""
     if dataclasses.is_dataclass(kind):
-        return _record(kind, value, where)
-    reader = _READERS.get(typing.get_origin(kind) or kind)
-    if reader is None:
-        raise TypeError(f"{where}: no reader for {kind}")
-    return reader(typing.get_args(kind), value, where)
+        return _record, kind
+    return _READERS[typing.get_origin(kind) or kind], typing.get_args(kind)
 
 
 def _record(kind: Any, value: Any, where: str) -> Any:
-    entries, known = _table((str, Any), value, where), hints(kind)
+    entries, known, told = _table((str, Any), value, where), hints(kind), {}
     for one in dataclasses.fields(kind):
-        if one.name not in entries and one.default is one.default_factory is dataclasses.MISSING:
-            raise ValueError(f"{where}.{one.name}: missing".lstrip("."))
-    told = {name: entry for name, entry in entries.items() if name in known}
-    made = kind(**{name: typed(known[name], entry, f"{where}.{name}".lstrip(".")) for name, entry in told.items()})
+        place = f"{where}.{one.name}".lstrip(".")
+        if one.name in entries:
+            told[one.name] = typed(known[one.name], entries[one.name], place)
+        elif one.default is one.default_factory is dataclasses.MISSING:
+            raise ValueError(f"{place}: missing")
+    made = kind(**told)
     if check := getattr(made, "_check", None):
         try:
             check()
@@ -315,6 +321,8 @@ def _complex(_: Any, value: Any, where: str) -> complex:
 def _table(of: tuple[Any, ...], value: Any, where: str) -> dict[str, Any]:
     if not isinstance(value, Mapping):
         raise _wrong(where, "a table", value)
+    if of == (str, Any):
+        return dict(value)
     return {of[0](key): typed(of[1], entry, f"{where}.{key}".lstrip(".")) for key, entry in value.items()}
 
 
