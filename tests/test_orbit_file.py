@@ -164,7 +164,7 @@ def test_a_missing_entry_is_named(written, name):
 @pytest.mark.parametrize("name", REQUIRED)
 def test_an_entry_of_the_wrong_kind_is_named(written, name):
     """true instead of a number, text, list or object is an InputError with the entry's name."""
-    with pytest.raises(InputError, match=f"{name}: has the wrong kind"):
+    with pytest.raises(InputError, match=f"{name}: expected .+, got True"):
         load_orbit(edit(written, **{name: True}))
 
 

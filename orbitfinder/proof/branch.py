@@ -67,9 +67,8 @@ from orbitfinder.proof.theorem import (
     unknowns_at,
 )
 from orbitfinder.proof.trajectory import Trajectory, horizon, minimal_period, moves, positive_mass, trajectory
-from orbitfinder.records.codec import plain
+from orbitfinder.records.codec import Codec, plain
 from orbitfinder.records.family import Family, FamilyPoint
-from orbitfinder.records.reading import json_file, read_as
 
 ROUGH = Settings(order=12, bits=80, tolerance=1e-14)
 """How the centres of a branch's boxes are found"""
@@ -516,10 +515,7 @@ def branch_document(branch: Branch) -> dict[str, Any]:
 
 def read_branch(path: Path) -> Branch:
     """A branch-proof.json. Raises `InputError`."""
-    document = json_file(path, "branch-proof.json", AGAIN)
-    if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
-        raise InputError(f"{path}: format: expected {FORMAT!r} version {VERSION}; {AGAIN}")
-    found = read_as(Record, document, str(path), AGAIN)
+    found = Codec(Record, "branch-proof", "`orbitfinder prove`", AGAIN, version=VERSION).load(path)
     model = build_model(dict(found.system))
     symmetry = named(found.symmetry, model)
     size = model.degrees_of_freedom

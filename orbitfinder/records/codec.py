@@ -117,11 +117,22 @@ def plain(value: Any) -> Any:
     return entries_of(value) if dataclasses.is_dataclass(value) else plain_numbers(value)
 
 
+def check_format(document: Any, wanted: str, version: int, where: str, give: str, again: str) -> dict[str, Any]:
+    """The same document, if it is of the format and version that are wanted, or `InputError`."""
+    if not isinstance(document, dict):
+        raise InputError(f"{where}: format: expected an object, got {type(document).__name__}; {give}")
+    if document.get("format") != wanted:
+        raise InputError(f"{where}: format: expected {wanted!r}, got {document.get('format')!r}; {give}")
+    if document.get("version") != version:
+        raise InputError(f"{where}: version: this orbitfinder reads {version}, got {document.get('version')!r}; "
+                         f"use the orbitfinder that wrote it, or {again}")  # fmt: skip
+    return document
+
+
 @dataclass(frozen=True)
 class Codec(Generic[Record]):
     """How records of a `kind` are written and read: `name` is that of the format, `maker` the command that writes
-    them, `again` what to do about a damaged file; `alone`: it may be without its .npz.
-    """
+    them, `again` what to do about a damaged file; `alone`: it may be without its .npz."""
 
     kind: Callable[..., Record]
     name: str
@@ -160,8 +171,9 @@ class Codec(Generic[Record]):
     def load(self, path: str | Path) -> Record:
         """The record of a file. Raises `InputError`: for another format or version, and for anything damaged."""
         source = Path(path)
-        document, beside = json_file(source, f"{self.name}.json", self.again), source.with_suffix(".npz")
-        self._check_format(document, source)
+        give = f"give a {self.name}.json, which {self.maker} writes"
+        found, beside = json_file(source, f"{self.name}.json", self.again), source.with_suffix(".npz")
+        document = check_format(found, self.format, self.version, str(source), give, self.again)
         dense = self._dense()
         entries = {name: entry for name, entry in document.items() if name not in dense}
         if dense and (beside.exists() or not self.alone):
@@ -176,16 +188,3 @@ class Codec(Generic[Record]):
     def _dense(self) -> dict[str, Filed]:
         """What is in the .npz."""
         return {one.name: one.filed for one in layout(self.kind) if one.filed is not None and one.filed.dense}
-
-    def _check_format(self, document: Any, source: Path) -> None:
-        found = document if isinstance(document, Mapping) else {}
-        if found.get("format") != self.format:
-            raise InputError(
-                f"{source}: format: expected {self.format!r} of version {self.version}, got {found.get('format')!r}; "
-                f"give a {self.name}.json, which {self.maker} writes"
-            )
-        if found.get("version") != self.version:
-            raise InputError(
-                f"{source}: version: this orbitfinder reads {self.version}, got {found.get('version')!r}; "
-                f"use the orbitfinder that wrote it, or {self.again}"
-            )

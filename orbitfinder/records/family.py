@@ -19,7 +19,7 @@ import numpy as np
 from orbitfinder._runtime import notebook as display
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError, plural
-from orbitfinder.records.codec import Complexes, Filed, Unknown, layout, plain
+from orbitfinder.records.codec import Complexes, Filed, Unknown, check_format, entries_of, layout, plain
 from orbitfinder.records.journal import append_line, read_lines
 from orbitfinder.records.orbit import Orbit, system_at
 from orbitfinder.records.reading import (
@@ -417,8 +417,8 @@ def _journal(path: Path, entries: Sequence[Mapping[str, Any]], sealed: bool) -> 
     if not entries:
         return None
     header, batches = entries[0], []
-    if header.get("format") != FORMAT or header.get("version") != VERSION:
-        raise InputError(f"{path}: format: expected {FORMAT!r} version {VERSION}; delete the file to start again")
+    anew = "delete the file to start again"
+    check_format(header, FORMAT, VERSION, str(path), anew, anew)
     for number, entry in enumerate(entries, start=1):
         try:
             if number == 1:
@@ -427,7 +427,7 @@ def _journal(path: Path, entries: Sequence[Mapping[str, Any]], sealed: bool) -> 
             else:
                 batches.append(typed(Batch, entry, ""))
         except ValueError as error:
-            raise InputError(f"{path}: line {number}: {error}; delete the file to start again") from error
+            raise InputError(f"{path}: line {number}: {error}; {anew}") from error
     return Journal(header, tuple(batches), sealed)
 
 
@@ -455,18 +455,8 @@ def family_to_document(family: Family) -> dict[str, Any]:
         also = {family.parameter: point.value} | dict(point.free)
         points.append(entry | {key: value for key, value in also.items() if key not in entry})
     events = [{k: v for k, v in plain(event).items() if k not in DENSE} for event in family.events]
-    return {
-        "format": FORMAT,
-        "version": VERSION,
-        "name": family.name,
-        "system": dict(family.system),
-        "parameter": family.parameter,
-        "points": points,
-        "events": events,
-        "ends": [plain(end) for end in family.ends],
-        "curve": plain(family.curve),
-        "source": plain(family.source),
-    }
+    rest = entries_of(replace(family, points=(), events=()))
+    return {"format": FORMAT, "version": VERSION, **rest, "points": points, "events": events}
 
 
 def save_family(family: Family, folder: Path) -> Path:
@@ -514,29 +504,27 @@ def load_family(path: str | Path) -> Family:
         'short'
     """
     source = Path(path)
-    document = json_file(source, "family.json", AGAIN)
-    if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
-        raise InputError(f"{source}: format: expected {FORMAT!r} version {VERSION}; give a family.json")
+    found = json_file(source, "family.json", AGAIN)
+    document = check_format(found, FORMAT, VERSION, str(source), "give a family.json", AGAIN)
     record = document.pop("record", None)
     if (record is not None or "dense" in document) and record != content_digest(document):
         raise InputError(f"{source}: record: its digest is another, so the file was edited or damaged; {AGAIN}")
-    found = read_as(_Document, document, str(source), AGAIN)
-    if not found.points:
+    about = read_as(_Document, document, str(source), AGAIN)
+    if not about.points:
         raise InputError(f"{source}: points: none; {AGAIN}")
-    dense = _read_dense(source.with_suffix(".npz"), found.dense)
+    dense = _read_dense(source.with_suffix(".npz"), about.dense)
     try:
-        points = _with_dense(dense, "point", FamilyPoint, found.points)
-        events = _with_dense(dense, "event", Event, found.events)
+        points = _with_dense(dense, "point", FamilyPoint, about.points)
+        events = _with_dense(dense, "event", Event, about.events)
         if len({one.state.size for one in (*points, *events)}) > 1:
             raise ValueError("state: not of one size in all points and events")
     except ValueError as error:
         raise InputError(f"{source}: {error}; {AGAIN}") from error
     try:
-        about = found.name, found.system, found.curve
-        known = tuple(situated(one, k, *about) for k, one in enumerate(points))
+        known = tuple(situated(one, k, about.name, about.system, about.curve) for k, one in enumerate(points))
     except (TypeError, ValueError, IndexError, OverflowError) as error:
         raise InputError(f"{source}: curve or system: {error}; {AGAIN}") from error
-    return Family(found.name, found.system, found.parameter, known, events, found.ends, found.curve, found.source)
+    return Family(about.name, about.system, about.parameter, known, events, about.ends, about.curve, about.source)
 
 
 def _read_dense(path: Path, expected: str) -> dict[str, np.ndarray]:

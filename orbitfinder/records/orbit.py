@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import NoneType
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -13,7 +12,7 @@ import numpy as np
 from orbitfinder._runtime import notebook as display
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError
-from orbitfinder.records.codec import Complexes, Dense, Filed, Unknown, entries_of
+from orbitfinder.records.codec import Complexes, Dense, Filed, Unknown, check_format, entries_of
 from orbitfinder.records.control import check_control
 from orbitfinder.records.reading import (
     arrays,
@@ -340,7 +339,9 @@ def save_orbit(orbit: Orbit, path: str | Path) -> Path:
 def read_orbit(source: Path) -> Orbit:
     """The Orbit of an orbit.json (and orbit.npz if it is there). Raises `InputError` on anything unreadable."""
     document = read_document(source)
-    return orbit_from_document(document, *dense_samples(source.with_suffix(".npz"), len(document["state"])))
+    orbit = orbit_from_document(document)
+    times, samples = dense_samples(source.with_suffix(".npz"), orbit.state.size)
+    return replace(orbit, times=times, samples=samples)
 
 
 def dense_samples(path: Path, size: int) -> tuple[np.ndarray, np.ndarray]:
@@ -364,30 +365,10 @@ def read_document(source: Path) -> dict[str, Any]:
 
 
 def check_document(document: Any, where: str) -> dict[str, Any]:
-    """An orbit document with every required entry of the right kind, or `InputError`."""
-    one = f"give an orbit.json, or one orbit of the file: {where}#0"
-    if not isinstance(document, dict):
-        remedy = one if isinstance(document, list) and document else "give an orbit.json"
-        raise InputError(f"{where}: format: expected an object, got {type(document).__name__}; {remedy}")
-    if document.get("format") != FORMAT:
-        remedy = one if "points" in document else "give an orbit.json"
-        raise InputError(f"{where}: format: expected {FORMAT!r}, got {document.get('format')!r}; {remedy}")
-    if document.get("version") != VERSION:
-        raise InputError(
-            f"{where}: version: this orbitfinder reads {VERSION}, got {document.get('version')!r}; "
-            "use the orbitfinder that wrote it, or run the problem again"
-        )
-    kinds: dict[str, type | tuple[type, ...]] = {
-        "name": str, "system": dict, "state": list, "period": (int, float), "energy": (int, float, NoneType),
-        "action": (int, float), "closure": (int, float), "symmetry": str, "stability": str,
-        "floquet_multipliers": list,
-    }  # fmt: skip
-    for name, kind in kinds.items():
-        if name not in document:
-            raise InputError(f"{where}: {name}: missing; the file is truncated, run the problem again")
-        if not isinstance(document[name], kind) or isinstance(document[name], bool):
-            raise InputError(f"{where}: {name}: has the wrong kind of value; run the problem again")
-    return document
+    """The same document, if it is one of an orbit, or `InputError`; what is in it `orbit_from_document` reads."""
+    several = isinstance(document, (list, dict)) and document and (isinstance(document, list) or "points" in document)
+    give = f"give an orbit.json{f', or one orbit of the file: {where}#0' if several else ''}"
+    return check_format(document, FORMAT, VERSION, where, give, AGAIN)
 
 
 def orbit_in(document: Any, where: str) -> Orbit:
@@ -399,24 +380,19 @@ def orbit_in(document: Any, where: str) -> Orbit:
         raise InputError(f"{where}: {error}") from error
 
 
-def orbit_from_document(
-    document: Mapping[str, Any], times: np.ndarray | None = None, samples: np.ndarray | None = None
-) -> Orbit:
-    """An Orbit out of a checked document, with its dense samples where they are given."""
+def orbit_from_document(document: Mapping[str, Any]) -> Orbit:
+    """An Orbit out of a checked document, without samples."""
+    told = {name: entry for name, entry in document.items() if entry or name not in OFTEN_EMPTY}
     try:
-        size = len(document["state"])
-        usual = {
-            "winding": [0] * (size // 2), "nodes": [document["state"]], "pair_defect": 0.0, "unfolding": [],
-            "tolerance": 1e-12,
-        }  # fmt: skip
-        told = {name: entry for name, entry in document.items() if entry or name not in OFTEN_EMPTY}
-        told |= {"times": np.zeros(0) if times is None else times,
-                 "samples": np.zeros((0, size)) if samples is None else samples}  # fmt: skip
+        size = np.size(told.get("state", ()))
+        usual = {"winding": [0] * (size // 2), "nodes": [told.get("state")], "pair_defect": 0.0, "unfolding": [],
+                 "tolerance": 1e-12}  # fmt: skip
         if "certificate" in told:  # 0.1 wrote the closure only beside it
             told["certificate"] = {"closure": document["closure"]} | dict(told["certificate"])
-        orbit: Orbit = typed(Orbit, usual | told, "")
+        dense = {"times": np.zeros(0), "samples": np.zeros((0, size))}
+        orbit: Orbit = typed(Orbit, usual | told | dense, "")
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
-        raise InputError(f"orbit document: malformed entry ({error}); run the problem again") from error
+        raise InputError(f"orbit document: malformed entry ({error}); {AGAIN}") from error
     return orbit
 
 
