@@ -262,10 +262,12 @@ def _reader(kind: Any) -> tuple[Callable[[Any, Any, str], Any], Any]:
 
 def _record(kind: Any, value: Any, where: str) -> Any:
     entries, known, told = _table((str, Any), value, where), hints(kind), {}
+    called = getattr(kind, "_called", {})
     for one in dataclasses.fields(kind):
-        place = f"{where}.{one.name}".lstrip(".")
-        if one.name in entries:
-            told[one.name] = typed(known[one.name], entries[one.name], place)
+        name = one.name if one.name in entries else called.get(one.name, one.name)
+        place = f"{where}.{name}".lstrip(".")
+        if name in entries:
+            told[one.name] = typed(known[one.name], entries[name], place)
         elif one.default is one.default_factory is dataclasses.MISSING:
             raise ValueError(f"{place}: missing")
     made = kind(**told)
