@@ -42,8 +42,7 @@ from orbitfinder.orbits.closure import extents_of
 from orbitfinder.orbits.evidence import Hamiltonian
 from orbitfinder.orbits.refine import Refiner
 from orbitfinder.orbits.section import Surface, solved_component, surface
-from orbitfinder.records.codec import entry_of
-from orbitfinder.records.family import plain
+from orbitfinder.records.codec import entries_of, plain
 from orbitfinder.records.journal import checkpoints
 from orbitfinder.records.manifold import Connection, End
 from orbitfinder.records.orbit import Certificate, Check, Orbit
@@ -562,7 +561,7 @@ def follow_connection(
         raise InputError("orbit: of another system than the connection; give the orbits that it joins")
     orbits, found = (orbit,) if other is None else (orbit, other), [connection]
     joined = [(one.state, one.period, one.symmetry) for one in orbits]
-    request = plain({"name": label, "connection": entry_of(connection), "orbits": joined})
+    request = plain({"name": label, "connection": entries_of(connection), "orbits": joined})
     path, refiners = None if out is None else Path(out) / label / "connection.jsonl", list[Refiner]()
     with checkpoints(path, request, _read) as journal:
         known = dict(journal.known)
@@ -586,7 +585,7 @@ def _entry(levels: tuple[float, ...], found: Connection | str) -> dict[str, Any]
     if isinstance(found, str):
         return {"energies": levels, "end": found}
     motion = {"times": found.times, "samples": found.samples}
-    return dict(plain({"energies": levels, "connection": entry_of(found), **motion}))
+    return dict(plain({"energies": levels, "connection": entries_of(found), **motion}))
 
 
 def _read(line: Mapping[str, Any]) -> tuple[tuple[float, ...], Connection | str]:

@@ -26,7 +26,7 @@ from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.constrained import constraint_rows, tangent_basis
 from orbitfinder.mechanics.model import Model, constraint_of, vector_field
 from orbitfinder.mechanics.newton import closed, least_norm
-from orbitfinder.records.controller import Basin, Controller, Returned, controller_to_document
+from orbitfinder.records.controller import CODEC, Basin, Controller, Returned
 from orbitfinder.records.journal import checkpoints, fill, packed, unpacked
 from orbitfinder.records.reading import content_digest
 
@@ -110,7 +110,7 @@ def basin(
     far, most = np.zeros((2, len(pushed)))  # in this period, in all
     peak, power = np.zeros((2, len(pushed), len(controller.actuators)))
     path = None if out is None else Path(out) / controller.name / "controller.jsonl"
-    tried = content_digest(controller_to_document(replace(controller, basin=None)))
+    tried = content_digest(CODEC.document(replace(controller, basin=None)))
     request = {"controller": tried, "sizes": [*map(float, sizes)], "disturbances": disturbances, "rate": rate,
                "noise": float(noise), "seed": seed}  # fmt: skip
 

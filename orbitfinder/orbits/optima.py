@@ -31,7 +31,8 @@ from orbitfinder.loops.stationary import VIOLATED, Point, Stationary, Varying, m
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.control import IPOPT_TOLERANCE, recorded
-from orbitfinder.records.family import End, plain
+from orbitfinder.records.codec import plain
+from orbitfinder.records.family import End
 from orbitfinder.records.journal import Checkpoints, checkpoints
 from orbitfinder.records.optima import Change, Optima
 from orbitfinder.records.orbit import Orbit, orbit_in, orbit_to_document

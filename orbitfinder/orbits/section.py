@@ -31,7 +31,7 @@ from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, check_states, energy, vector_field, wrapped
 from orbitfinder.mechanics.scales import surroundings
-from orbitfinder.records.family import plain
+from orbitfinder.records.codec import plain
 from orbitfinder.records.journal import checkpoints, packed, unpacked
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.section import Section

@@ -38,7 +38,7 @@ from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.refine import Refiner
-from orbitfinder.records.family import plain
+from orbitfinder.records.codec import plain
 from orbitfinder.records.journal import Checkpoints, checkpoints, packed, unpacked
 from orbitfinder.records.orbit import SHARE, Orbit, check_document, orbit_from_document, orbit_to_document
 from orbitfinder.records.reading import typed
@@ -237,7 +237,7 @@ def _read(entry: Mapping[str, Any], sizes: tuple[tuple[int], ...]) -> Origin | _
         return line
     document = check_document(entry["orbit"], "orbit")
     samples = unpacked(entry["samples"], 1 + len(document["state"]))
-    orbit = replace(orbit_from_document(document, samples[:, 0], samples[:, 1:]), record=None)
+    orbit = replace(orbit_from_document(document), times=samples[:, 0], samples=samples[:, 1:], record=None)
     return replace(line, row=replace(line.row, orbit=orbit))
 
 
