@@ -61,6 +61,9 @@ SWITCH = Switch()
 )
 @click.option("--until", type=FINITE, default=None, help="Stop when the parameter reaches this value.")
 @click.option("--at", default="", metavar="V,V,...", help="Compute points exactly at these values of the parameter.")
+@click.option(
+    "--stop", multiple=True, metavar="NAME=V", help="End where a number that the problem's [watch] names is V."
+)
 @click.option("--points", default=300, show_default=True, type=click.IntRange(1, 1_000_000), help="Points each way.")
 @click.option(
     "--direction", type=click.Choice(("both", "forward", "backward", "away")), default=None,
@@ -128,6 +131,7 @@ def continue_(file: Path, parameter: str | None, at: str, points: int, out: Path
             family = follow_family(
                 origin, parameter, until=chosen["until"], at=values, settings=settings, out=out, name=name,
                 model=model, progress=_reporter(shown, name, parameter, points, chosen["until"]),
+                stop=_stops(chosen["stop"]),
             )  # fmt: skip
             places = [k for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
             _listed(family, places, shown)
@@ -210,8 +214,8 @@ def _optima(
 
     if parameter is None or (chosen["until"] is None and not values):
         raise InputError("--parameter: of a controlled problem say along what, and how far: --parameter NAME --until V")
-    for name in ("direction", "resolve"):
-        if chosen[name] is not None:
+    for name in ("direction", "resolve", "stop"):
+        if chosen[name]:
             raise InputError(f"--{name}: not for controlled problems; --until and --at say where to go")
     folder = out / checked_name(chosen["name"] or problem.name, "name", "give another --name")
     check_writable(folder)
@@ -256,16 +260,25 @@ def summary(family: Family) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def numbers(text: str) -> tuple[float, ...]:
+def _stops(given: Sequence[str]) -> dict[str, float]:
+    """Values of watched numbers by name; `InputError` for what is not NAME=VALUE."""
+    pairs = [one.partition("=") for one in given]
+    for name, mark, value in pairs:
+        if not mark or len(numbers(value, "--stop")) != 1:
+            raise InputError(f"--stop: {name + mark + value!r} is not NAME=VALUE; give one number, such as peak=2.0")
+    return {name.strip(): numbers(value)[0] for name, _, value in pairs}
+
+
+def numbers(text: str, where: str = "--at") -> tuple[float, ...]:
     """Values of a comma-separated list; `InputError` names the one that is no number."""
     found = []
     for word in filter(None, (part.strip() for part in text.split(","))):
         try:
             found.append(float(word))
         except ValueError as error:
-            raise InputError(f"--at: {word!r} is not a number; give values separated by commas") from error
+            raise InputError(f"{where}: {word!r} is not a number; give values separated by commas") from error
         if not math.isfinite(found[-1]):
-            raise InputError(f"--at: {word!r} is not finite; give values that the family can reach")
+            raise InputError(f"{where}: {word!r} is not finite; give values that the family can reach")
     return tuple(found)
 
 

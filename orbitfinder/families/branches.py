@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.families.motion import full_samples
 from orbitfinder.families.point import FamilySettings, parameter_value, shift_at, unknowns_of
 from orbitfinder.families.run import parameter_slopes
 from orbitfinder.families.stability import spectrum
@@ -29,7 +30,6 @@ from orbitfinder.families.start import (
     curve_at,
     curve_of,
     fitted,
-    full_samples,
     reformulated,
     return_gaps,
     symmetry_of,
@@ -429,6 +429,7 @@ def branches(
     starts = switch(curve, chosen, settings)
     if not starts:
         raise ConvergenceError(f"{family.name}: no branch was found at event {event} ({described(family, event)})")
+    starts = [replace(one, curve=replace(one.curve, watch=curve.watch)) for one in starts]
     return [
         Branch(start, family.name, chosen, event, k, f"{family.name}-{event}-{k}") for k, start in enumerate(starts, 1)
     ]

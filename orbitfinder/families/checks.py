@@ -23,6 +23,7 @@ from orbitfinder.families.changes import margins
 from orbitfinder.families.codimension_two import is_centre, tests
 from orbitfinder.families.critical import Critical, discriminant, levelled, torus_pair
 from orbitfinder.families.doubling import bending
+from orbitfinder.families.motion import parameters_at
 from orbitfinder.families.passages import index_levels
 from orbitfinder.families.point import freed, parameter_value, shift_at, unknowns_of
 from orbitfinder.integrate.dop853 import ReferenceSettings
@@ -30,6 +31,7 @@ from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, plane, scaled, tangent
 from orbitfinder.loops.mesh import remeshed
 from orbitfinder.loops.symmetry import turned
+from orbitfinder.loops.watch import arcs, numbers, unsure
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.orbits.evidence import COARSER, VARIED, Tour, tour
 from orbitfinder.orbits.floquet import ERROR_FLOOR, analyse, judged
@@ -123,8 +125,27 @@ class Look:
         return bool((roots[nearest].real - level) * np.sign(level) > 0 or np.any(outside))
 
     def value(self, name: str) -> float:
-        """The energy, the period, a momentum or a parameter."""
+        """The energy, the period, a momentum, a parameter, or a watched number of the motion gone round."""
+        if name in self.curve.watch:
+            return self.watched[name]
         return parameter_value(self.curve, self.found.place, name)
+
+    @cached_property
+    def watched(self) -> dict[str, float]:
+        """The watched numbers of the motion gone round."""
+        return self._numbers(*self.tour.motion)
+
+    @cached_property
+    def unsure(self) -> dict[str, float]:
+        """How well they are known: by motions as wrong as an orbit may be, and with half as many samples."""
+        times, states = self.tour.motion
+        few = np.concatenate([np.union1d(range(one.start, one.stop, 2), one.stop - 1) for one in arcs(times)])
+        parameters, half = parameters_at(self.curve, self.found.place), self._numbers(times[few], states[few])
+        wrong = unsure(self.curve.watch, times, states, parameters, CLOSURE + self.tour.closes.gap)
+        return {name: abs(half[name] - value) + SAFETY * wrong[name] for name, value in self.watched.items()}
+
+    def _numbers(self, times: np.ndarray, states: np.ndarray) -> dict[str, float]:
+        return numbers(self.curve.watch, times, states, parameters_at(self.curve, self.found.place))
 
 
 def _known(found: Tour) -> Tour:
@@ -251,6 +272,18 @@ def _turn(sides: Sides, event: Event) -> Reading:
     return sides.turning(event.detail)
 
 
+def _watched(sides: Sides, event: Event) -> Reading:
+    """A watched number is extremal."""
+    check_known(sides.here.curve, event.detail)
+    return sides.turning(event.detail)
+
+
+def check_known(curve: Curve, name: str) -> None:
+    """`ConvergenceError` for a number that no file says how to compute."""
+    if name not in curve.watch:
+        raise ConvergenceError(f"watch.{name} is not known; state it as text, a function of Python goes into no file")
+
+
 def _pair(look: Look) -> float:
     return torus_pair(look.about.roots)[0] - 1.0
 
@@ -364,6 +397,7 @@ def _cusp(sides: Sides, _: Event) -> Reading:
 
 CHECKS: dict[str, Callable[[Sides, Event], Reading]] = {
     "fold": _fold, "turn": _turn, "torus": _torus, "collision": _collision, "stability_change": _stability,
+    "extremum": _watched,
     **dict.fromkeys(("branch_point", "period_doubling", "resonance"), _passage),
     **dict.fromkeys(("grazing", "cycle_change", "holds"), _margin),
     **dict.fromkeys(("strong_resonance", "fold_doubling", "fold_torus", "doubling_torus", "degenerate_doubling"),
@@ -456,5 +490,6 @@ def _kept(curve: Curve, events: Sequence[Event], step: float) -> Iterator[Event]
             yield replace(event, check=found)
         else:
             logging.getLogger(__name__).warning(
-                "a %s was seen at %.12g and is none: %s", event.kind.replace("_", " "), event.parameter, what
-            )
+                "%s %s was seen at %.12g and is none: %s", "an" if event.kind[0] in "ei" else "a",
+                event.kind.replace("_", " "), event.parameter, what,
+            )  # fmt: skip

@@ -126,7 +126,7 @@ def curve_start(
     sizes = np.linalg.svd(scaled(curve, at_place(curve, place))[0])[1]
     test = Critical(chosen.kind, names, chosen.detail, chosen.order, chosen.multiplier)
     test = replace(test, margin=_grazed(curve, at_place(curve, place), chosen)) if chosen.kind == "grazing" else test
-    curve = replace(curve, test=test, degenerate=bool(sizes[-1] < LOST * sizes[-2]))
+    curve = replace(curve, test=test, degenerate=bool(sizes[-1] < LOST * sizes[-2]), watch=base.watch)
     if test.kind == "branch_point" and test.multiplier.real > 0 and not curve.degenerate:
         raise InputError(
             f"event: the branch point {described(family, number)} lasts only while nothing disturbs it, and one of "

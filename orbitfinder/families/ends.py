@@ -11,11 +11,12 @@ from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.joins import EVEN, Kept, agrees, approaching, end_of, passed, solved
 from orbitfinder.families.minimal import dead_point
+from orbitfinder.families.motion import full_samples
 from orbitfinder.families.passages import LOCATION
 from orbitfinder.families.point import LEAST, extents, freed, parameter_value
 from orbitfinder.families.rest import Rest, can_rest, rest_of, vanishing
 from orbitfinder.families.run import Interval, Run, Step, portrait
-from orbitfinder.families.start import full_samples, return_gaps
+from orbitfinder.families.start import return_gaps
 from orbitfinder.loops.continued import Curve, Solution, correct
 from orbitfinder.loops.loop import Condition
 from orbitfinder.loops.symmetry import NONE, beside, named, recognise

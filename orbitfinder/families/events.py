@@ -12,11 +12,13 @@ Collisions come first: passages are counted between them, where indices keep the
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError
+from orbitfinder.families.motion import rises, watched
 from orbitfinder.families.passages import (
     UNTOLD,
     Measure,
@@ -40,6 +42,8 @@ CRITICAL = ("branch_point", "period_doubling", "torus")
 """Kinds at which a multiplier leaves or enters the unit circle."""
 TURNED = ("fold", "turn")
 """Kinds at which something is extremal: what a family is told by, then a multiplier is at +1, or the period."""
+EXTREMAL = (*TURNED, "extremum")
+"""... or a number that is watched."""
 ROUNDS = 4
 """How often collisions are looked for again after orbits between them were seen."""
 
@@ -62,6 +66,20 @@ def folds(interval: Interval) -> Iterator[Test]:
     for name in p.physical or (*(one for one in swept if one not in {each.name for each in kept}), "period"):
         if interval.first.slopes[name] * interval.last.slopes[name] < 0:
             yield Test("fold" if name in bifurcates else "turn", name, _slope(name))
+
+
+def extrema(interval: Interval) -> Iterator[Test]:
+    """Where a watched number is extremal in the interval."""
+    known: dict[float, dict[str, float]] = {}
+
+    def slope(name: str, sample: Sample) -> float:
+        if sample.distance not in known:
+            known[sample.distance] = rises(interval.curve, sample.found, sample.whole)
+        return known[sample.distance][name]
+
+    for name in interval.curve.watch:
+        if slope(name, interval.first) * slope(name, interval.last) < 0:
+            yield Test("extremum", name, partial(slope, name))
 
 
 def bifurcations(interval: Interval, most: int) -> list[tuple[Sample, Test]]:
@@ -97,6 +115,7 @@ def find_events(interval: Interval, settings: FamilySettings) -> list[Event]:
     found = [(p, t) for p, t in found if not (t.kind == "branch_point" and _near(p.distance, turns))]
     found = [(p, t) for p, t in found if t.kind != "branch_point" or _told(interval)]
     found += _changes(interval, found)
+    found += [(located(interval, test.measure, 0.0, interval.length), test) for test in extrema(interval)]
     events = [event_at(interval.curve, sample, test, settings.parameter) for sample, test in found]
     return sorted(events, key=lambda event: event.arclength)
 
@@ -135,6 +154,7 @@ def event_at(curve: Curve, sample: Sample, test: Test, parameter: str) -> Event:
         tangent=sample.head,
         symmetry=curve.equations.symmetry.name,
         free=freed(curve, place),
+        watch=watched(curve, sample.found),
     )
 
 

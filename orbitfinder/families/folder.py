@@ -26,6 +26,7 @@ from orbitfinder.integrate.equations import prepare
 from orbitfinder.loops.continued import Curve
 from orbitfinder.loops.problem import Problem
 from orbitfinder.loops.symmetry import turned
+from orbitfinder.loops.watch import Number, as_recorded, check_stop, watches
 from orbitfinder.mechanics.catalogue import REMADE, build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.evidence import ClosureCheck
@@ -42,6 +43,8 @@ from orbitfinder.records.family import (
     Journal,
     append,
     assemble,
+    number_of,
+    reached,
     read_journal,
     restored,
     save_family,
@@ -73,6 +76,8 @@ def follow_family(
     points: int | None = None,
     model: Model | None = None,
     progress: Progress | None = None,
+    watch: Mapping[str, str | Number] | None = None,
+    stop: Mapping[str, float] | None = None,
 ) -> Family:
     """Follow the family of an orbit in a parameter.
 
@@ -92,6 +97,11 @@ def follow_family(
         points: the most in each direction, those of the settings if None.
         model: needed only for a system that no file describes.
         progress: called with each point and event.
+        watch: numbers of each orbit by name, those of the Problem if None: text of states, parameters, max(), min() and
+            mean() over the motion, such as "max(x)", or a function of times (k, s), states (k x d) and parameters by
+            name. A motion is known at 960 equal times at least, to the fourth order of their distance; max() and min()
+            are its own, between them.
+        stop: values of watched numbers at which the family ends.
 
     Returns:
         A Family: points, events, and why it ended.
@@ -121,27 +131,32 @@ def follow_family(
     if out is not None and not label:
         raise InputError("name: missing; a family that starts from a branch needs a name")
     folder = None if out is None else Path(out) / label
-    request = _request(origin, settings, at)
+    watch, stop = _watched(origin, watch), stop or {}
+    check_stop(stop, watch)
+    request = _request(origin, settings, at, watch)
     with contextlib.nullcontext() if folder is None else locks.alone_in(folder):
         journal = None if folder is None else read_journal(folder)
         born = origin.event.parameter if isinstance(origin, Branch) and isinstance(origin.number, int) else None
         if journal is None or {**journal.header.get("request", {}), "until": None} != {**request, "until": None}:
             start = _started(origin, settings, model)
-            curve = start.curve
+            curve = replace(start.curve, watch=watches(watch, start.curve.equations.model))
+            start = replace(start, curve=curve)
             journal = Journal(_header(label, start, settings, request, _source(origin)), ())
             if folder is not None:
                 begin_journal(folder / JOURNAL, plain(journal.header))
         else:
             assert folder is not None
             curve = curve_of(journal.header["curve"], _model_of(origin, journal, model), settings)
+            curve = replace(curve, watch=watches(watch, curve.equations.model))
             if isinstance(origin, Branch):  # with what else vanishes along a curve of bifurcations
                 curve = replace(curve, test=origin.start.curve.test, degenerate=origin.start.curve.degenerate)
             if not journal.sealed and settings.certify:
                 _check_again(journal, curve, folder)
         runs = _runs(journal, settings, (until, tuple(map(float, at))), born)
         if folder is not None:
-            journal = _reopened(folder, journal, {sign: stop for sign, stop, _ in runs})
-        return _finish(folder, journal, curve, settings, runs, progress)
+            named = {sign: {} if value is None else {settings.parameter: value} for sign, value, _ in runs}
+            journal = _reopened(folder, journal, {sign: goals | dict(stop) for sign, goals in named.items()})
+        return _finish(folder, journal, curve, settings, runs, stop, progress)
 
 
 def _read(path: str | Path) -> Orbit:
@@ -164,6 +179,16 @@ def parameter_of(origin: Any) -> str:
     """What a family is followed in when nothing is said: the physical parameter that its start has freed, or energy."""
     start = origin.start if isinstance(origin, Branch) else origin
     return next(iter(start.curve.equations.physical), "energy") if isinstance(start, Start) else "energy"
+
+
+def _watched(origin: Any, watch: Mapping[str, str | Number] | None) -> Mapping[str, str | Number]:
+    """What is watched: as given, or else of a Problem what it states, of a branch what its family's file states."""
+    if watch is not None:
+        return watch
+    start = origin.start if isinstance(origin, Branch) else origin
+    if isinstance(start, Start):
+        return {name: one.entry if isinstance(one.entry, str) else one.of for name, one in start.curve.watch.items()}
+    return getattr(origin, "watch", {})
 
 
 def _independent(curve: Curve, settings: FamilySettings) -> ClosureCheck | None:
@@ -228,16 +253,20 @@ def _source(origin: Orbit | Problem | Start | Branch) -> dict[str, Any]:
     return {"kind": kind, "name": getattr(origin, "name", "")}
 
 
-def _reopened(folder: Path, journal: Journal, stops: Mapping[int, float | None]) -> Journal:
+def _reopened(folder: Path, journal: Journal, stops: Mapping[int, Mapping[str, float]]) -> Journal:
     """The journal as far as it leads to where each direction shall stop, which may be elsewhere than before."""
     origin: FamilyPoint = restored(FamilyPoint, journal.header["origin"])
-    kept, last = list[Batch](), dict.fromkeys(stops, origin.value)
+    kept, last = list[Batch](), dict[int, FamilyPoint].fromkeys(stops, origin)
     for batch in journal.batches:
-        side, stop = batch.direction, stops.get(batch.direction)
-        met = [point.value for point in batch.points if point.role != "at"]
-        passed = stop is not None and any((last.get(side, stop) - stop) * (value - stop) <= 0 for value in met)
-        ended = batch.end is not None and batch.end.kind == "target" and met[-1] != stop
-        if side not in last or ended or (passed and met[-1] != stop):
+        side, goals = batch.direction, stops.get(batch.direction, {})
+        met = [point for point in batch.points if point.role != "at"]
+        there = batch.end is not None and batch.end.reason in [reached(*goal) for goal in goals.items()]
+        passed = side in last and any(
+            (number_of(last[side], name) - value) * (number_of(one, name) - value) <= 0
+            for name, value in goals.items() for many in (met, batch.events) for one in many
+        )  # fmt: skip
+        ended = batch.end is not None and batch.end.kind == "target"
+        if side not in last or ((ended or passed) and not there):
             last.pop(side, None)  # and what comes after it in this direction
             continue
         kept.append(batch)
@@ -248,7 +277,10 @@ def _reopened(folder: Path, journal: Journal, stops: Mapping[int, float | None])
     return replace(journal, batches=tuple(kept))
 
 
-def _request(origin: Orbit | Problem | Start | Branch, settings: FamilySettings, at: Sequence[float]) -> dict[str, Any]:
+def _request(
+    origin: Orbit | Problem | Start | Branch, settings: FamilySettings, at: Sequence[float],
+    watch: Mapping[str, str | Number],
+) -> dict[str, Any]:  # fmt: skip
     """What decides whether a journal answers the same question; the number of points and where it ends may differ."""
     head: Any
     if isinstance(origin, Branch):
@@ -260,7 +292,8 @@ def _request(origin: Orbit | Problem | Start | Branch, settings: FamilySettings,
     else:
         head = [*map(float, origin.guess.state), float(origin.guess.period), plain(origin.pin), origin.symmetry]
     chosen = {key: value for key, value in plain(settings).items() if key != "points"}
-    return {"origin": plain(head), "settings": chosen, "at": [float(value) for value in at]}
+    more = {"watch": {name: as_recorded(one) for name, one in watch.items()}} if watch else {}
+    return {"origin": plain(head), "settings": chosen, "at": [float(value) for value in at], **more}
 
 
 def _header(
@@ -337,13 +370,14 @@ def _finish(
     curve: Curve,
     settings: FamilySettings,
     runs: Sequence[Asked],
+    stop: Mapping[str, float],
     progress: Progress | None,
 ) -> Family:
     """Follow what is left in each direction, journalling every step where there is a folder."""
     origin: FamilyPoint = restored(FamilyPoint, journal.header["origin"])
     curve, check = in_scales(curve, origin), _independent(curve, settings)
     batches = list(journal.batches)
-    for sign, stop, exact in runs:
+    for sign, until, exact in runs:
         done, end = journal.steps(sign), journal.end(sign)
         if end is not None and not (end.kind == "point limit" and len(done) < settings.points):
             continue
@@ -351,7 +385,7 @@ def _finish(
             break  # a closed family has one direction
         last = done[-1][0] if done else origin
         try:
-            for batch in follow(Run(curve, settings, sign, origin, check, stop, exact), done):
+            for batch in follow(Run(curve, settings, sign, origin, check, until, exact, stop), done):
                 reached = [one for one in batch.points if one.role == "step"][-1:]
                 step = abs(reached[0].arclength - last.arclength) if reached else last.step
                 batch, last = checked(curve, batch, step), (*reached, last)[0]

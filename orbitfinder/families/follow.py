@@ -10,16 +10,18 @@ import logging
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
 
-from orbitfinder.continuation.follow import walked
+from orbitfinder.continuation.follow import walked, zero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.changes import first_lost, test_of
 from orbitfinder.families.codimension_two import find_special, left_circle
 from orbitfinder.families.ends import approach, end_at, end_of_failure, merged, returned, shortest_step
-from orbitfinder.families.events import TURNED, event_at, find_events
+from orbitfinder.families.events import EXTREMAL, TURNED, event_at, find_events
+from orbitfinder.families.motion import watched
 from orbitfinder.families.passages import avoided
 from orbitfinder.families.point import FamilySettings, make_point, parameter_value
 from orbitfinder.families.run import (
@@ -38,7 +40,7 @@ from orbitfinder.families.stability import Spectrum
 from orbitfinder.loops.continued import Solution, advanced, correct, distance, plane, tangent
 from orbitfinder.loops.mesh import carried, refined, regraded, settled
 from orbitfinder.loops.problem import pinned
-from orbitfinder.records.family import Batch, End, Event, FamilyPoint, Standing
+from orbitfinder.records.family import Batch, End, Event, FamilyPoint, Standing, reached
 
 SHORTEST_SEARCH = 1e-3
 """Steps longer than this are repeated at half their length when an event in them cannot be located."""
@@ -52,6 +54,8 @@ ECHO = 1e-2
 """Arclength before a junction of two families within which nothing else is reported."""
 LEAST_STRETCHED = 1e-4
 """A step as short as this may change the period by more than `longest_stretch`: the saddle is reached in the end."""
+ROUND_OFF = 1e-15
+"""Arclength within which a watched number is met"""
 Member = TypeVar("Member", FamilyPoint, Event)
 
 
@@ -166,14 +170,12 @@ def _batch(run: Run, before: Step, after: Step, last: Sample) -> Batch:
     interval, ended = make_interval(run.curve, before.sample, last), end_at(run, before, after)
     found = _events(interval, settings)
     events = [_placed(event, run, origin) for event in found]
-    folds = [event.arclength for event in found if event.kind in TURNED and event.detail == settings.parameter]
-    wanted = (value for value in run.at if value != run.origin.value)
-    points = [point for value in wanted for point in exact_points(run, before, interval, value, folds, "at")]
-    final = [] if run.until is None else exact_points(run, before, interval, run.until, folds, "end")
+    points, final = _exactly(run, before, interval, found)
     if final:
-        end = End("target", f"reached {settings.parameter} = {run.until!r}")
-        reach = abs(final[0].arclength - origin.arclength)
-        kept = [*_within(points, origin, reach), final[0]]
+        goal, there = min(final, key=lambda one: abs(one[1].arclength))
+        end = End("target", reached(*goal))
+        reach = abs(there.arclength - origin.arclength)
+        kept = [*_within(points, origin, reach), there]
         return Batch(run.direction, _ordered(kept), tuple(_within(events, origin, reach)), end)
     if ended is not None and ended.kind in ("equilibrium", "relative equilibrium"):
         return Batch(run.direction, (), (), ended)
@@ -199,22 +201,26 @@ def _cut(run: Run, before: Step, last: Sample) -> Batch | None:
     sample, margin = lost
     event = _placed(event_at(run.curve, sample, test_of(margin), name), run, origin)
     reach = sample.distance
-    wanted = [(one, "at") for one in run.at if one != run.origin.value]
-    wanted += [] if run.until is None else [(run.until, "end")]
-    points = [
-        point
-        for value, role in wanted
-        for point in exact_points(run, before, interval, value, [], role)
-        if abs(point.arclength - origin.arclength) <= reach
-    ]
-    if any(point.role == "end" for point in points):
+    points, final = _exactly(run, before, interval, [])
+    if _within([point for _, point in final], origin, reach):
         return None
     events: list[Event] = []
     if reach > 0:
         until = make_interval(run.curve, before.sample, interval.sample((1 - ECHO) * reach))
         events = [_placed(one, run, origin) for one in _events(until, run.settings)]
     end = End(margin.kind, f"{margin.what} beyond {name} = {event.parameter:.12g}")
-    return Batch(run.direction, _ordered(points), (*events, event), end)
+    return Batch(run.direction, _ordered(_within(points, origin, reach)), (*events, event), end)
+
+
+def _exactly(
+    run: Run, before: Step, interval: Interval, events: Sequence[Event]
+) -> tuple[list[FamilyPoint], list[tuple[tuple[str, float], FamilyPoint]]]:
+    """The points of an interval that are asked for, and those at which the run ends, with what is reached there."""
+    name = run.settings.parameter
+    wanted = (value for value in run.at if value != run.origin.value)
+    points = [point for one in wanted for point in exact_points(run, before, interval, (name, one), events, "at")]
+    return points, [(one, each) for one in run.goals.items()
+                    for each in exact_points(run, before, interval, one, events, "end")[:1]]  # fmt: skip
 
 
 def _events(interval: Interval, settings: FamilySettings) -> list[Event]:
@@ -245,25 +251,37 @@ def _ordered(points: list[FamilyPoint]) -> tuple[FamilyPoint, ...]:
 
 
 def exact_points(
-    run: Run, before: Step, interval: Interval, value: float, folds: list[float], role: str
+    run: Run, before: Step, interval: Interval, goal: tuple[str, float], events: Sequence[Event], role: str
 ) -> list[FamilyPoint]:
-    """The points of an interval at which the parameter has exactly this value."""
-    curve, name, first = run.curve, run.settings.parameter, interval.first
-    edges = [0.0, *folds, interval.length]
-    levels = [parameter_value(curve, interval.guess(edge), name) for edge in edges]
-    points = []
+    """The points of an interval at which the parameter, or a watched number, has exactly this value."""
+    curve, (name, value), first = run.curve, goal, interval.first
+    turns = [event.arclength for event in events if event.kind in EXTREMAL and event.detail == name]
+    edges, points = [0.0, *turns, interval.length], []
+    level = partial(_level, interval, name)
+    levels = [level(edge) for edge in edges]
     for a, b, low, high in zip(edges[:-1], edges[1:], levels[:-1], levels[1:], strict=True):
         if (low - value) * (high - value) > 0 or low in (value, high):
             continue
-        found = _solve_level(run, interval, a + (b - a) * (value - low) / (high - low), value)
-        whole, along = tangent(curve, found, first.whole), ahead(curve, first, found)
-        sample = make_sample(curve, along, found, whole, interval.indices(along))
+        if name in curve.watch:
+            sample = interval.sample(zero(lambda d: level(d) - value, a, b, ROUND_OFF))
+        else:
+            found = _solve_level(run, interval, a + (b - a) * (value - low) / (high - low), value)
+            whole, along = tangent(curve, found, first.whole), ahead(curve, first, found)
+            sample = make_sample(curve, along, found, whole, interval.indices(along))
         where: dict[str, Any] = {
-            "index": before.point.index, "arclength": before.point.arclength + run.direction * along,
+            "index": before.point.index, "arclength": before.point.arclength + run.direction * sample.distance,
             "step": before.point.step, "role": role, "indices": sample.indices,
         }  # fmt: skip
-        points.append(make_point(curve, found, sample.head, name, run.check, about=sample.about, **where))
+        parameter = run.settings.parameter
+        points.append(make_point(curve, sample.found, sample.head, parameter, run.check, about=sample.about, **where))
     return points
+
+
+def _level(interval: Interval, name: str, distance: float) -> float:
+    """A watched number at a distance into an interval, or about what the parameter is there."""
+    if name in interval.curve.watch:
+        return watched(interval.curve, interval.sample(distance).found)[name]
+    return parameter_value(interval.curve, interval.guess(distance), name)
 
 
 def _solve_level(run: Run, interval: Interval, near: float, value: float) -> Solution:

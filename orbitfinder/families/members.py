@@ -9,9 +9,10 @@ from typing import TypeVar
 import numpy as np
 
 from orbitfinder.errors import InputError
+from orbitfinder.families.motion import full_samples
 from orbitfinder.families.point import FamilySettings, shift_at, unknowns_of
 from orbitfinder.families.stability import spectrum
-from orbitfinder.families.start import curve_of, full_samples
+from orbitfinder.families.start import curve_of
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.continued import Curve, at_place

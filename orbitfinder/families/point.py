@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError
+from orbitfinder.families.motion import watched
 from orbitfinder.families.stability import Spectrum, spectrum, transitions
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
@@ -136,6 +137,7 @@ def make_point(
         shooting_nodes=place.nodes,
         mesh=place.mesh,
         tangent=along,
+        watch=watched(curve, found),
         **where,
     )
 

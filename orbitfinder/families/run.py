@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -50,6 +50,12 @@ class Run:
     check: ClosureCheck | None = None
     until: float | None = None
     at: tuple[float, ...] = ()
+    stop: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def goals(self) -> dict[str, float]:
+        """Where it ends: the value of the parameter and those of watched numbers, by name."""
+        return ({} if self.until is None else {self.settings.parameter: self.until}) | dict(self.stop)
 
 
 @dataclass(frozen=True)

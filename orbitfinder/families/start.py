@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,12 +11,13 @@ from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.families.minimal import minimal_problem
+from orbitfinder.families.motion import SAMPLES, full_samples
 from orbitfinder.families.point import FamilySettings, length, parameter_value
 from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.continued import Curve, Solution, begun, correct, kernel, make_curve
 from orbitfinder.loops.loop import Condition, Equations, Unknowns
-from orbitfinder.loops.mesh import arc_states, carried, remeshed, settled
+from orbitfinder.loops.mesh import carried, remeshed, settled
 from orbitfinder.loops.problem import Guess, Problem, clock, clocked, pinned
 from orbitfinder.loops.scales import Scales
 from orbitfinder.loops.symmetry import (
@@ -34,6 +34,7 @@ from orbitfinder.loops.symmetry import (
     shifts_of,
     symmetries_of,
 )
+from orbitfinder.loops.watch import watches
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.find import find_orbit, natural_pin
@@ -45,7 +46,6 @@ FIRST_STEPS = 160
 """Runge-Kutta steps in one period of a guess, before there is an error estimate to go by."""
 LOOKS = (40, 160, 640)
 """... in one segment, to see where a motion goes"""
-SAMPLES = 512
 MOST_COVERS = 30
 """A guess may go round its orbit so many times;"""
 NEAR, COVERED = 0.2, 1e-5
@@ -258,7 +258,8 @@ def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -
     if known.period is not None:
         conditions += (pinned(equations, "period", known.period),)
     scales = Scales.head(known.weights, equations.size)
-    return Curve(equations, known.constant, conditions, weights=known.weights, scales=scales)
+    watch = watches({name: one for name, one in known.watch.items() if isinstance(one, str)}, model)
+    return Curve(equations, known.constant, conditions, weights=known.weights, scales=scales, watch=watch)
 
 
 def entry_of(curve: Curve) -> dict[str, Any]:
@@ -266,7 +267,8 @@ def entry_of(curve: Curve) -> dict[str, Any]:
     held = [[one.quantity, one.value] for one in curve.conditions if one.normal is None]
     period = next((one.value for one in curve.conditions if one.normal is not None and one.quantity is None), None)
     relative = list(shifting(curve.equations.symmetry, curve.equations.model))
-    more = {"cycles": curve.cycles, "relative": relative}
+    watch = {name: one.entry for name, one in curve.watch.items()}
+    more = {"cycles": curve.cycles, "relative": relative, "watch": watch}
     return {"held": held, "period": period} | {name: value for name, value in more.items() if value}
 
 
@@ -284,6 +286,8 @@ class CurveEntry:
     """periods of the forcing in one period, 0 without a forcing"""
     relative: tuple[str, ...] = ()
     """cyclic coordinates along which the orbits come back shifted"""
+    watch: Mapping[str, Any] = field(default_factory=dict)
+    """the texts of watched numbers by name, of functions their names"""
 
 
 def _own_aim(curve: Curve, place: Unknowns, name: str = "") -> Condition:
@@ -356,42 +360,6 @@ def _symmetric_instant(curve: Curve, motion: CubicHermiteSpline, symmetry: Symme
     speeds = (motion(near, 1) * clock) @ rows.T
     instants = near - (away(near) * speeds).sum(axis=1) / np.maximum((speeds**2).sum(axis=1), 1e-300)
     return float(instants[np.abs(away(instants)).max(axis=1).argmin()])
-
-
-def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
-    """Times (s) and states at equal times over the whole period, unfolded by the formulation's symmetry."""
-    p, place = curve.equations, found.place
-    if p.links:
-        return _linked_samples(curve, found, count)
-    each = -(-count // len(place.nodes))
-    if each > place.steps:
-        mesh = np.concatenate([[0.0], *[np.linspace(a, b, each + 1)[1:] for a, b in pairwise(place.edges)]])
-        states = p.march.states(place.nodes, mesh, place.tail)
-    else:  # what took so many steps is not known from fewer
-        mesh, states = place.mesh, found.march.states
-    mesh, states = p.symmetry.whole(mesh, states, curve.constant)
-    times, moments = np.linspace(0.0, place.period, count + 1), mesh * place.period
-    slopes = p.march.rates(states, place.tail, moments)
-    if not np.all(np.isfinite(slopes)):
-        raise IntegrationError("the motion is not finite between its nodes")
-    return times, CubicHermiteSpline(moments, states, slopes)(times)
-
-
-def _linked_samples(curve: Curve, found: Solution, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The same of a hybrid orbit; at an event the state after it."""
-    p, place = curve.equations, found.place
-    arcs = p.links.count
-    steps = (place.mesh.size - 1) // arcs
-    ends = place.period * np.cumsum(p.links.shares(place.free))
-    begins, pieces = np.concatenate([[0.0], ends[:-1]]), []
-    times = np.linspace(0.0, place.period, count + 1)
-    for k, (begin, end) in enumerate(zip(begins, ends, strict=True)):
-        states = arc_states(found, arcs, k)
-        mesh = place.mesh[k * steps : (k + 1) * steps + 1] * arcs - k
-        slopes = p.march.arcs[k].rates(states, place.tail) * place.period / arcs
-        own = times[(times >= begin) & ((times < end) if k < arcs - 1 else (times <= place.period))]
-        pieces.append(CubicHermiteSpline(mesh, states, slopes)((own - begin) / (end - begin)))
-    return times, np.vstack(pieces)
 
 
 def return_gaps(states: np.ndarray, parts: int) -> np.ndarray:

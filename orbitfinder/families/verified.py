@@ -10,8 +10,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from orbitfinder._runtime import interrupt
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
-from orbitfinder.families.checks import ALIKE, Look, reading, settled_on
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, plural
+from orbitfinder.families.checks import ALIKE, Look, check_known, reading, settled_on
 from orbitfinder.families.critical import critical_of, levelled
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.start import curve_of
@@ -38,7 +38,10 @@ GROWN = 1.5
 
 
 def verified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
-    """Every event and then every end of a family in words, each with its check made again. Raises `InputError`."""
+    """Every event, every end and every watched number of a family in words, each with its check made again.
+
+    Raises `InputError`.
+    """
     curve = _in_scales(family, family_curve(family, model))
     for k, event in enumerate(family.events):
         interrupt.check()
@@ -48,6 +51,33 @@ def verified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
         if len(family.ends) == 1 and family.points[-1].arclength == 0:
             at = family.points[0]
         yield f"end {k}", _end(family, curve, end, at)
+    for name in family.points[0].watch:
+        yield f"watch.{name} of {plural(len(family.points), 'orbit')}", _column(family, curve, name)
+
+
+def _column(family: Family, curve: Curve, name: str) -> Check:
+    """A watched number of all orbits that are known well enough, where it is most wrong."""
+    worst = Check("watch", 0.0, 0.0, True)
+    for k, one in enumerate(family.points):
+        interrupt.check()
+        found = _watch(curve, one, name) if one.scale <= UNKNOWN else worst
+        if not found.passed or found.value / max(found.tolerance, 1e-300) >= worst.value / max(worst.tolerance, 1e-300):
+            worst = replace(found, note=found.note or f"at point {k}")
+        if not found.passed:
+            break
+    return worst
+
+
+def _watch(curve: Curve, one: FamilyPoint | Event, name: str) -> Check:
+    """A watched number of an orbit as recorded, against the motion gone round."""
+    try:
+        check_known(curve, name)
+        look = Look(curve, settled_on(curve, one))
+        off, allowed = abs(look.watched[name] - one.watch.get(name, np.nan)), look.unsure[name]
+    except (ConvergenceError, IntegrationError) as error:
+        return Check("watch", float("nan"), 0.0, False, str(error))
+    note = "" if off <= allowed else f"watch.{name} is {look.watched[name]:.15g}, recorded {one.watch.get(name)}"
+    return Check("watch", off, allowed, not note, note)
 
 
 def family_curve(family: Family, model: Model) -> Curve:
@@ -112,6 +142,9 @@ def _told(family: Family, curve: Curve, event: Event, change: float, exchanged: 
             raise ConvergenceError(f"{name} is {found:.15g} there, recorded {value:.15g}")
     if event.symmetry != curve.equations.symmetry.name:
         raise ConvergenceError(f"symmetry {event.symmetry} is not the family's")
+    for name in family.points[0].watch:
+        if not (known := _watch(curve, _alone(event), name)).passed:
+            raise ConvergenceError(known.note)
 
 
 def _end(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
@@ -121,6 +154,8 @@ def _end(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
             return _joined(curve, end, joined)
         if end.kind == "target":
             wanted = float(end.reason.rpartition("=")[2]) if parameter is None else float(parameter)
+            if (number := end.reason.removeprefix("reached ").rpartition(" = ")[0]) in at.watch:
+                return replace(_watch(curve, replace(at, watch={number: wanted}), number), name=end.kind)
             off = min(abs(number_of(one, family.parameter) - wanted) for one in (family.points[0], family.points[-1]))
             return Check(end.kind, off, ROUNDED * abs(wanted), off <= ROUNDED * abs(wanted), end.reason)
         if end.kind in ("equilibrium", "hopf"):
@@ -185,6 +220,7 @@ def point_checks(family: Family, number: int, found: Certificate, model: Model) 
     checks = [
         Check("value", off, ROUNDED, off <= ROUNDED, f"of {family.parameter}"),
         Check("root", float(point.root), float(root), point.root == root, "of the map that indices are of"),
+        *(replace(_watch(curve, point, name), name=f"watch.{name}") for name in point.watch),
     ]
     if point.scale <= UNKNOWN:
         try:

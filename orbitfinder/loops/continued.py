@@ -6,7 +6,7 @@ kernel, the tangent of the family (Muñoz-Almaraz et al., Physica D 181 (2003) 1
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
@@ -19,6 +19,7 @@ from orbitfinder.loops.condensed import Broyden, Factors
 from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns, beyond
 from orbitfinder.loops.problem import clocked
 from orbitfinder.loops.scales import Scales, sizes
+from orbitfinder.loops.watch import Watch
 from orbitfinder.mechanics.scales import parameter_sizes, snapped
 
 NEWTON_READY = 1e-11
@@ -61,6 +62,8 @@ class Curve(Loop):
     scales: Scales = field(kw_only=True)
     test: Callable[[Curve, Solution], float] | None = field(default=None, kw_only=True)
     degenerate: bool = field(default=False, kw_only=True)
+    watch: Mapping[str, Watch] = field(default_factory=dict, kw_only=True)
+    """numbers of its orbits that a user watches"""
 
     @cached_property
     def shares(self) -> np.ndarray:

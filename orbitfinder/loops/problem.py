@@ -25,6 +25,7 @@ from orbitfinder.loops.conditions import (
 from orbitfinder.loops.control import Control
 from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns
 from orbitfinder.loops.symmetry import Shift, Symmetry, beside, knowing, named, related, shifts_of, time_dependent
+from orbitfinder.loops.watch import Number, watches
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.chain import maximal_states
 from orbitfinder.mechanics.controls import actuated, check_constant
@@ -135,6 +136,7 @@ class Problem(Shown):
         relative: cyclic coordinates (or conserved momenta of other shifts) along which the orbit need not come back.
         control: how the model's controls vary in time, and at what cost: `of.find_orbit` then finds the motion that
             costs least.
+        watch: numbers of each orbit of its family by name (see `of.follow_family`).
 
     Raises:
         InputError: for names that the model has not and values that cannot be; the count is checked when it is
@@ -170,6 +172,7 @@ class Problem(Shown):
     phase_condition: Expression | None = None
     relative: tuple[str, ...] = ()
     control: Control | None = None
+    watch: Mapping[str, str | Number] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -354,6 +357,8 @@ def _check(problem: Problem) -> None:
     for name in problem.free:
         model.parameter_index(name)
     check_constant(model, problem.free)
+    if model.constraint is None:  # a linkage's family is followed in other coordinates
+        watches(problem.watch, model)
     for one in problem.pin:
         check_pin(model, one)
         if one.name in model.state_names[:n] and symmetry.held(n)[model.state_index(one.name)]:

@@ -28,23 +28,28 @@ _OPERATIONS: dict[type[ast.AST], Callable[..., Any]] = {
 }  # fmt: skip
 
 
-def expression(text: str, known: Mapping[str, Any], where: str) -> Any:
-    """The value of a text in these names (numbers or symbols); `InputError` begins with `where`."""
+def expression(
+    text: str, known: Mapping[str, Any], where: str, calls: Mapping[str, Callable[[Any], Any]] | None = None
+) -> Any:
+    """The value of a text in these names (numbers or symbols) and with further `calls` of one argument; `InputError`
+    begins with `where`."""
     if not isinstance(text, str) or not text.strip() or len(text) > LONGEST:
         raise InputError(f"{where}: must be an expression as text, such as 'torque1**2', got {str(text)[:40]!r}")
     try:
         tree = ast.parse(text.strip().replace("^", "**"), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise InputError(f"{where}: {text!r} is no expression ({error}); write it as 'torque1**2 + theta1'") from None
-    return _value(tree.body, known, where, 0)
+    return _value(tree.body, known, where, 0, FUNCTIONS | dict(calls or {}))
 
 
-def _value(node: ast.AST, known: Mapping[str, Any], where: str, depth: int) -> Any:
+def _value(
+    node: ast.AST, known: Mapping[str, Any], where: str, depth: int, calls: Mapping[str, Callable[..., Any]]
+) -> Any:
     """The value of a part of the text, a real and finite one where it is a number."""
     if depth > DEEPEST:
         raise InputError(f"{where}: nested too deeply; write it in fewer brackets")
     try:
-        found = _worked_out(node, known, where, depth)
+        found = _worked_out(node, known, where, depth, calls)
     except InputError:
         raise
     except (ArithmeticError, ValueError):
@@ -55,7 +60,12 @@ def _value(node: ast.AST, known: Mapping[str, Any], where: str, depth: int) -> A
     return found
 
 
-def _worked_out(node: ast.AST, known: Mapping[str, Any], where: str, depth: int) -> Any:
+def _worked_out(
+    node: ast.AST, known: Mapping[str, Any], where: str, depth: int, calls: Mapping[str, Callable[..., Any]]
+) -> Any:
+    def value(part: ast.AST) -> Any:
+        return _value(part, known, where, depth + 1, calls)
+
     if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)) and not isinstance(node.value, bool):
         return float(node.value)
     if isinstance(node, ast.Name):
@@ -66,14 +76,14 @@ def _worked_out(node: ast.AST, known: Mapping[str, Any], where: str, depth: int)
             raise InputError(f"{where}: unknown name {node.id!r}{closest(node.id, known)}; known are {listed}")
         return known[node.id]
     if isinstance(node, ast.BinOp) and type(node.op) in _OPERATIONS:
-        return _OPERATIONS[type(node.op)](*(_value(one, known, where, depth + 1) for one in (node.left, node.right)))
+        return _OPERATIONS[type(node.op)](value(node.left), value(node.right))
     if isinstance(node, ast.UnaryOp) and type(node.op) in _OPERATIONS:
-        return _OPERATIONS[type(node.op)](_value(node.operand, known, where, depth + 1))
+        return _OPERATIONS[type(node.op)](value(node.operand))
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
         name = node.func.id
-        if name in FUNCTIONS and len(node.args) == 1 + (name == "atan2"):
-            return FUNCTIONS[name](*(_value(one, known, where, depth + 1) for one in node.args))
+        if name in calls and len(node.args) == 1 + (name == "atan2"):
+            return calls[name](*map(value, node.args))
     raise InputError(
         f"{where}: {ast.unparse(node)[:60]!r} is not allowed; use numbers, names, + - * / **, brackets and "
-        f"{', '.join(FUNCTIONS)}"
+        f"{', '.join(calls)}"
     )

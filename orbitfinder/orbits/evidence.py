@@ -451,6 +451,8 @@ class Tour:
     half: np.ndarray | None = None
     basis: np.ndarray | None = None
     divergence: Callable[[], tuple[float, float]] = lambda: (0.0, 0.0)
+    motion: tuple[np.ndarray, np.ndarray] = (np.zeros(0), np.zeros((0, 0)))
+    """times (k) and states (k x d) of the period"""
 
     @property
     def root(self) -> int:
@@ -521,7 +523,7 @@ def tour(
         closure, pieces, motion.gradients * units, motion.directions / units,
         symplectic(model), units, half,
         tangent_basis(motion.constraints * units) if motion.constraints.size else None,
-        partial(_divergence, model, motion, units),
+        partial(_divergence, model, motion, units), (motion.times, motion.states),
     )  # fmt: skip
 
 

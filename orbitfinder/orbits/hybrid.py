@@ -211,7 +211,9 @@ def hybrid_tour(model: Model, state: np.ndarray, period: float, turns: np.ndarra
     slopes = invariant_gradients(model)(state).full().reshape(-1, units.size) * units
     rate = Automaton.about(model, state, period).field(found.arcs[0].mode)(0.0, np.asarray(state, float)) / units
     paired = found.floquet.indices.size > 0
-    return Tour(found.closes, [found.monodromy * units / units[:, None]], slopes, rate[None], paired, units)
+    motion = np.concatenate([arc.times for arc in found.arcs]), np.vstack([arc.states for arc in found.arcs])
+    monodromy = [found.monodromy * units / units[:, None]]
+    return Tour(found.closes, monodromy, slopes, rate[None], paired, units, motion=motion)
 
 
 def retraced(equations: Equations, found: Solution) -> Solution:

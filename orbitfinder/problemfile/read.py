@@ -214,6 +214,7 @@ def _problem(name: str, model: Model, guess: Guess, table: ProblemTable) -> Prob
         bounds={key: (float(low), float(high)) for key, (low, high) in find.bounds.items()},
         expected=_expected(table, model),
         control=_control(table.control),
+        watch=table.watch,
         name=name,
         title=table.title,
         source=table.source,

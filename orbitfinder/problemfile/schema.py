@@ -587,6 +587,10 @@ class ProblemTable(Table):
     guess: GuessTable | None = Field(None, description="where the search starts")
     find: FindTable = Field(FindTable(), description="which orbit is meant")
     control: ControlTable | None = Field(None, description="how controls vary in time; the motion of least cost")
+    watch: dict[str, Line] = Field(
+        {}, description="numbers of each orbit of a family by name: text of states, parameters, the period and max(), "
+        "min() and mean() over the motion, such as peak = 'max(theta1)'; `continue --stop peak=1.5` ends there",
+    )  # fmt: skip
     search: SearchTable | None = Field(None, description="what `orbitfinder search` looks for")
     simulate: SimulateTable = Field(SimulateTable(), description="what `orbitfinder simulate` does")
     expected: ExpectedTable = Field(ExpectedTable(), description="numbers that the orbit must reproduce")

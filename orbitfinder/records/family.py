@@ -72,7 +72,7 @@ class FamilyPoint(Orbit):
         "mesh", "tangent", "step", "role", "wall_time", "defect", "multiplier_errors", "multiplier_method", "certified",
     )  # fmt: skip
     _called = CALLED
-    _sparse = ("shift", "multiplier_errors", "multiplier_method")
+    _sparse = ("shift", "multiplier_errors", "multiplier_method", "watch")
 
     index: int
     arclength: float
@@ -95,6 +95,8 @@ class FamilyPoint(Orbit):
     """one of `METHODS`"""
     certified: bool = False
     """whether it has every check of a certificate and not only those of its closure"""
+    watch: Mapping[str, float] = field(default_factory=dict)
+    """the numbers that the user watches, by name"""
     curve: Mapping[str, Any] = field(default_factory=dict)
     """what rebuilds the equations of its family"""
 
@@ -116,9 +118,9 @@ class Event(Shown):
     """Something that happens between two points, located on the family.
 
     `kind`: fold | turn (of the period or of a momentum) | branch_point | period_doubling | torus | resonance |
-    collision | stability_change, of hybrid systems grazing | cycle_change | holds; along a curve of bifurcations in two
-    parameters cusp | isola_centre | transcritical | strong_resonance | fold_doubling | fold_torus | doubling_torus |
-    degenerate_doubling.
+    collision | stability_change | extremum (of a watched number), of hybrid systems grazing | cycle_change | holds;
+    along a curve of bifurcations in two parameters cusp | isola_centre | transcritical | strong_resonance |
+    fold_doubling | fold_torus | doubling_torus | degenerate_doubling.
     `detail` says what exactly (of what the fold is, q of the resonance, what changed);
     `multiplier` is the critical multiplier of the root map, `order` the number of periods after which the branch
     closes.
@@ -126,7 +128,7 @@ class Event(Shown):
 
     __repr__ = brief("kind", "detail", "parameter", "period", "index")
     _called = CALLED
-    _sparse = ("check",)
+    _sparse = ("check", "watch")
 
     kind: str
     index: int
@@ -146,6 +148,7 @@ class Event(Shown):
     certified: bool = False
     check: Reading | None = None
     """by its definition (see `families.checks`); none in older files"""
+    watch: Mapping[str, float] = field(default_factory=dict)
 
     def _check(self) -> None:
         _check_place(self)
@@ -176,6 +179,11 @@ class End:
     period: float | None = None
     error: float | None = None
     joined: Mapping[str, Any] | None = None
+
+
+def reached(name: str, value: float) -> str:
+    """The reason of an end at a value that was asked for."""
+    return f"reached {name} = {value!r}"
 
 
 UNITS = {"energy": "J", "period": "s"}
@@ -217,9 +225,9 @@ class Batch:
 class Family(Shown):
     """Orbits joined by arclength, ordered along the curve, with events and the reason of each end.
 
-    `values(name)` is one number of every point, `places` what varies at every point and then at every event, `counts`
-    how many are closed and certified. A curve of bifurcations has two `parameters`, of which the first is its
-    `parameter`.
+    `values(name)` is one number of every point (a watched one too), `places` what varies at every point and then at
+    every event, `counts` how many are closed and certified. A curve of bifurcations has two `parameters`, of which the
+    first is its `parameter`.
 
     Args:
         name: a word for files.
@@ -254,7 +262,7 @@ class Family(Shown):
 
     def values(self, name: str) -> np.ndarray:
         """One number of every point as an array, in order along the family."""
-        return np.asarray([getattr(point, name) for point in self.points])
+        return np.asarray([value_of(point, name) for point in self.points])
 
     @property
     def unit(self) -> str:
@@ -299,12 +307,18 @@ class Family(Shown):
         return display.stage(self)
 
 
+def value_of(one: FamilyPoint | Event, name: str) -> Any:
+    """A watched number, or any other entry, of a point or event."""
+    return one.watch[name] if name in one.watch else getattr(one, name)
+
+
 def number_of(one: FamilyPoint | Event, name: str) -> float:
-    """The value of a freed parameter, or else the energy or the period, of a point or event; of another its value."""
+    """A watched number or the value of a freed parameter, or else the energy or the period, of a point or event; of
+    another its value."""
     if name in one.free:
         return float(one.free[name])
-    if name in ("energy", "period"):
-        return float(getattr(one, name))
+    if name in (*one.watch, "energy", "period"):
+        return float(value_of(one, name))
     return one.value if isinstance(one, FamilyPoint) else one.parameter
 
 

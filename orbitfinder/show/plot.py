@@ -333,15 +333,16 @@ def energy_error(orbit: Orbit, model: Model) -> Figure:
 STABLE, UNSTABLE = COLOURS[0], COLOURS[1]
 """Colours of the stretches of one family"""
 EVENT_COLOURS = {
-    "fold": "#7B3294", "turn": "#C2A5CF", "branch_point": "#000000", "period_doubling": "#B2182B", "torus": "#01665E",
-    "resonance": "#8C8C8C", "collision": "#8C510A", "stability_change": "#4D4D4D",
+    "fold": "#7B3294", "turn": "#C2A5CF", "extremum": "#E7298A", "branch_point": "#000000",
+    "period_doubling": "#B2182B", "torus": "#01665E", "resonance": "#8C8C8C", "collision": "#8C510A",
+    "stability_change": "#4D4D4D",
 }  # fmt: skip
 """Colour of each kind of event, none of them a family's; of the others black"""
 MARKERS = {
-    "fold": "v", "turn": "1", "branch_point": "o", "period_doubling": "s", "torus": "P", "resonance": ".",
-    "collision": "x", "stability_change": "D", "grazing": "*", "cycle_change": "X", "holds": "X", "cusp": "^",
-    "isola_centre": "h", "transcritical": "d", "strong_resonance": "p", "fold_doubling": "D", "fold_torus": "<",
-    "doubling_torus": ">", "degenerate_doubling": "H",
+    "fold": "v", "turn": "1", "extremum": "2", "branch_point": "o", "period_doubling": "s", "torus": "P",
+    "resonance": ".", "collision": "x", "stability_change": "D", "grazing": "*", "cycle_change": "X", "holds": "X",
+    "cusp": "^", "isola_centre": "h", "transcritical": "d", "strong_resonance": "p", "fold_doubling": "D",
+    "fold_torus": "<", "doubling_torus": ">", "degenerate_doubling": "H",
 }  # fmt: skip
 """Marker of each kind of event."""
 SIZES = {"resonance": 3.5, "stability_change": 9.0}

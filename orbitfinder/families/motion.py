@@ -1,0 +1,98 @@
+"""The motion of an orbit of a family over its whole period, and what a user watches of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from orbitfinder.errors import IntegrationError
+from orbitfinder.integrate.march import divided
+from orbitfinder.loops.continued import Curve, Solution
+from orbitfinder.loops.loop import Unknowns
+from orbitfinder.loops.mesh import arc_states
+from orbitfinder.loops.watch import numbers, unsure
+
+SAMPLES = 512
+WATCHED = 960
+"""Intervals of a period in which a watched motion is known at least"""
+STEP = 3e-5
+"""Half of a central difference of a watched number, in the metric: its error and round-off are both some 1e-10"""
+ROUGH, ROUND_OFF = 1e-9, 2e-15
+"""By a motion so much off, relative, it is seen what a number makes of errors; and how large those are"""
+
+
+def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
+    """Times (s) and states at equal times over the whole period, unfolded by the formulation's symmetry."""
+    p, place = curve.equations, found.place
+    if p.links:
+        return _linked_samples(curve, found, count)
+    each = -(-count // len(place.nodes))
+    if each > place.steps:
+        mesh = np.concatenate([[0.0], *[np.linspace(a, b, each + 1)[1:] for a, b in pairwise(place.edges)]])
+        states = p.march.states(place.nodes, mesh, place.tail)
+    else:  # what took so many steps is not known from fewer
+        mesh, states = place.mesh, found.march.states
+    mesh, states = p.symmetry.whole(mesh, states, curve.constant)
+    times, moments = np.linspace(0.0, place.period, count + 1), mesh * place.period
+    slopes = p.march.rates(states, place.tail, moments)
+    if not np.all(np.isfinite(slopes)):
+        raise IntegrationError("the motion is not finite between its nodes")
+    return times, CubicHermiteSpline(moments, states, slopes)(times)
+
+
+def _linked_samples(curve: Curve, found: Solution, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The same of a hybrid orbit; at an event the state after it."""
+    p, place = curve.equations, found.place
+    arcs = p.links.count
+    steps = (place.mesh.size - 1) // arcs
+    ends = place.period * np.cumsum(p.links.shares(place.free))
+    begins, pieces = np.concatenate([[0.0], ends[:-1]]), []
+    times = np.linspace(0.0, place.period, count + 1)
+    for k, (begin, end) in enumerate(zip(begins, ends, strict=True)):
+        states = arc_states(found, arcs, k)
+        mesh = place.mesh[k * steps : (k + 1) * steps + 1] * arcs - k
+        slopes = p.march.arcs[k].rates(states, place.tail) * place.period / arcs
+        own = times[(times >= begin) & ((times < end) if k < arcs - 1 else (times <= place.period))]
+        pieces.append(CubicHermiteSpline(mesh, states, slopes)((own - begin) / (end - begin)))
+    return times, np.vstack(pieces)
+
+
+def watched(curve: Curve, found: Solution) -> dict[str, float]:
+    """The watched numbers of an orbit, kept with it. Raises `ConvergenceError` where one is not finite."""
+    if curve.watch and not curve.watch.keys() <= found.kept.keys():
+        found.kept.update(numbers(curve.watch, *_motion(curve, found), parameters_at(curve, found.place)))
+    return {name: found.kept[name] for name in curve.watch}
+
+
+def rises(curve: Curve, found: Solution, whole: np.ndarray) -> dict[str, float]:
+    """The derivatives of the watched numbers along a direction over w, 0 where they are round-off."""
+    sides = [replace(found, place=found.place.moved(step * whole)) for step in (-STEP, STEP)]
+    before, after = (watched(curve, replace(one, kept={})) for one in sides)
+    known = unsure(curve.watch, *_motion(curve, found), parameters_at(curve, found.place), ROUGH)
+    changes = {name: after[name] - before[name] for name in curve.watch}
+    sure = {name: abs(one) > ROUND_OFF / ROUGH * known[name] for name, one in changes.items()}
+    return {name: sure[name] * one / (2 * STEP) for name, one in changes.items()}
+
+
+def parameters_at(curve: Curve, w: Unknowns) -> dict[str, float]:
+    """All physical parameters by name."""
+    model = curve.equations.model
+    values = zip(model.parameter_names, map(float, model.parameter_values), strict=True)
+    return dict(values) | dict(zip(curve.equations.free, map(float, w.free), strict=True))
+
+
+def _motion(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states of a period from a place, whatever was marched there; of a hybrid orbit events twice."""
+    p, w = curve.equations, found.place
+    if not p.links:
+        return full_samples(curve, found, max(WATCHED, (w.steps + 1) * len(w.nodes)))
+    arcs, w = p.links.count, w.on(divided(w.mesh, -(-WATCHED // (w.mesh.size - 1))))
+    found, steps = replace(found, place=w, march=p.varied(w, states=True)), (w.mesh.size - 1) // arcs
+    ends = w.period * np.append(0.0, np.cumsum(p.links.shares(w.free)))
+    meshes = [w.mesh[k * steps : (k + 1) * steps + 1] for k in range(arcs)]
+    shares = [(one - one[0]) / np.ptp(one) for one in meshes]
+    times = np.concatenate([(1 - s) * a + s * b for s, (a, b) in zip(shares, pairwise(ends), strict=True)])
+    return times, np.vstack([arc_states(found, arcs, k) for k in range(arcs)])

@@ -1,0 +1,151 @@
+"""A number of an orbit of a user's own: text such as "max(x) - min(x)", or a function of its motion.
+
+A motion is times (k, s), whole period, and states (k x d) there; where a hybrid one jumps, its time stands twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from itertools import pairwise
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.polynomial import Polynomial
+from scipy.integrate import simpson
+
+from orbitfinder.errors import ConvergenceError, InputError, closest
+from orbitfinder.loops.control import named
+from orbitfinder.mechanics.expression import expression
+from orbitfinder.mechanics.model import Model
+from orbitfinder.records.family import FamilyPoint
+
+Number = Callable[[np.ndarray, np.ndarray, Mapping[str, float]], float]
+"""What makes a number of times, states and parameters by name"""
+DRAWS = 3
+ABOUT = 3
+"""Samples on each side of a largest one, through which the polynomial goes that tells the motion's own maximum"""
+
+
+@dataclass(frozen=True)
+class Watch:
+    """A watched number, and the `entry` by which files know it: its text, or the name of a function."""
+
+    entry: Any
+    of: Number
+
+
+def watches(given: Mapping[str, str | Number], model: Model) -> dict[str, Watch]:
+    """What is watched, by name. Raises `InputError` for what is no number of a motion of this model."""
+    taken = {*model.state_names, *model.parameter_names, *(one.name for one in fields(FamilyPoint))}
+    found = {}
+    for name, one in given.items():
+        if not name.isidentifier() or name in taken:
+            raise InputError(f"watch.{name}: no name for a number, or one that orbits have already; choose another")
+        found[name] = Watch(as_recorded(one), one if callable(one) else _stated(one, model, f"watch.{name}"))
+    return found
+
+
+def as_recorded(given: str | Number) -> Any:
+    """What files say of a number: its text, or the name of the function."""
+    if not callable(given):
+        return given
+    return {"function": f"{given.__module__}.{getattr(given, '__qualname__', type(given).__name__)}"}
+
+
+def check_stop(stop: Mapping[str, float], watch: Mapping[str, Any]) -> None:
+    """`InputError` for values of what is not watched, and for what is no number."""
+    for name, value in stop.items():
+        if name not in watch:
+            known = ", ".join(watch) or "nothing; give watch"
+            raise InputError(f"stop.{name}: not watched{closest(name, watch)}; watched is {known}")
+        if not isinstance(value, (int, float)) or not np.isfinite(value):
+            raise InputError(f"stop.{name}: must be a finite number, got {value!r}; give one that the family reaches")
+
+
+def numbers(
+    watch: Mapping[str, Watch], times: np.ndarray, states: np.ndarray, parameters: Mapping[str, float]
+) -> dict[str, float]:
+    """The watched numbers of a motion. Raises `ConvergenceError` where one is not finite."""
+    found = {name: float(one.of(times, states, parameters)) for name, one in watch.items()}
+    for name, value in found.items():
+        if not np.isfinite(value):
+            raise ConvergenceError(f"watch.{name}: {value} there, and no finite number")
+    return found
+
+
+def unsure(
+    watch: Mapping[str, Watch], times: np.ndarray, states: np.ndarray, parameters: Mapping[str, float], share: float
+) -> dict[str, float]:
+    """What errors of such a share of a motion's sizes make of its numbers, the most in some draws."""
+    known, found = numbers(watch, times, states, parameters), dict.fromkeys(watch, 0.0)
+    random, wrong = np.random.default_rng(0), share * np.abs(states).max(axis=0)
+    for _ in range(DRAWS):
+        noise = wrong * (random.normal(size=states.shape) + random.normal(size=states.shape[1]))
+        other = numbers(watch, times, states + noise, parameters)
+        found = {name: max(most, abs(other[name] - known[name])) for name, most in found.items()}
+    return found
+
+
+def arcs(times: np.ndarray) -> list[slice]:
+    """The parts of a motion between its jumps."""
+    cuts = [0, *np.flatnonzero(np.diff(times) == 0) + 1, len(times)]
+    return [slice(a, b) for a, b in pairwise(cuts)]
+
+
+def _stated(text: str, model: Model, where: str) -> Number:
+    """The number of a text in which max(), min() and mean() are over the motion."""
+    x, p, period = ca.SX.sym("x", len(model.state_names)), ca.SX.sym("p", len(model.parameter_names)), ca.SX.sym("T")
+    reductions = list[tuple[Callable[[np.ndarray, np.ndarray], float], Any, Any]]()
+
+    def over(reduce: Callable[[np.ndarray, np.ndarray], float]) -> Callable[[Any], Any]:
+        def reduced(inner: Any) -> Any:
+            reductions.append((reduce, inner, ca.SX.sym("r")))
+            return reductions[-1][2]
+
+        return reduced
+
+    calls = {"max": over(_greatest), "min": over(lambda t, y: -_greatest(t, -y)), "mean": over(_mean)}
+    outer = ca.SX(expression(text, named(model, x, p, period), where, calls))
+    if ca.depends_on(outer, x):
+        raise InputError(f"{where}: {text!r} varies along an orbit; put what does into max(), min() or mean()")
+    known = ca.vertcat(ca.SX(0, 1), *(one for _, _, one in reductions))
+    given = [x, p, period, known]
+    inner = [ca.Function("inner", given, [one]) for _, one, _ in reductions]
+    last = ca.Function("outer", given, [outer])
+
+    def of(times: np.ndarray, states: np.ndarray, parameters: Mapping[str, float]) -> float:
+        values = np.zeros(len(reductions))
+        about = np.array([parameters[name] for name in model.parameter_names]), times[-1] - times[0]
+        for k, (reduce, _, _) in enumerate(reductions):  # each may be in terms of those before it
+            values[k] = reduce(times, inner[k](states.T, *about, values).full().ravel())
+        return float(last(states[0], *about, values))
+
+    return of
+
+
+def _mean(times: np.ndarray, values: np.ndarray) -> float:
+    """The mean over the period, to the fourth order of the samples, or of whatever order where values are periodic."""
+    return float(sum(simpson(values[one], x=times[one]) for one in arcs(times)) / (times[-1] - times[0]))
+
+
+def _greatest(times: np.ndarray, values: np.ndarray) -> float:
+    """The largest value of a motion between its samples, to their seventh order."""
+    return max(_top(times[one], values[one]) for one in arcs(times))
+
+
+def _top(times: np.ndarray, values: np.ndarray) -> float:
+    """The same of an arc: polynomials are looked at about every sample that may be next to the largest value."""
+    last, largest = len(times) - 1, float(values.max())
+    left, right = np.append(values[1], values[:-1]), np.append(values[1:], values[-2])
+    high = (values > left) & (values >= right) & (2 * values - np.minimum(left, right) >= largest)
+    for k in map(int, np.flatnonzero(high)):
+        first = max(0, min(k - ABOUT, last - 2 * ABOUT))
+        here = slice(first, first + 2 * ABOUT + 1)
+        course = Polynomial.fit(times[here], values[here], min(2 * ABOUT, len(times[here]) - 1))
+        turns = course.deriv().roots()
+        low, top = times[max(k - 1, 0)], times[min(k + 1, last)]
+        inside = turns.real[(turns.imag == 0) & (low < turns.real) & (turns.real < top)]
+        largest = max([largest, *map(float, course(inside))])
+    return largest

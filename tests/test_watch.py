@@ -1,0 +1,235 @@
+"""What a user watches of an orbit: a column, a stop and an event, by closed forms; in files, after a kill, verified."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from orbitfinder.cli.group import cli
+from orbitfinder.errors import InputError
+from orbitfinder.families.branches import branches
+from orbitfinder.families.folder import follow_family
+from orbitfinder.families.point import FamilySettings
+from orbitfinder.families.verified import verified
+from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.loops.watch import watches
+from orbitfinder.mechanics.library import forced_duffing
+from orbitfinder.problemfile.read import load_problem
+from orbitfinder.records.family import load_family
+from orbitfinder.records.reading import content_digest
+
+PROBLEMS = Path(__file__).parents[1] / "problems"
+FORWARD = FamilySettings(directions="forward")
+FORCE, DAMPING = 0.7, 0.2
+PEAK = np.sqrt(1 - DAMPING**2 / 2)
+LINE = """
+[system]
+kind = "python"
+function = "forced_duffing"
+arguments = { stiffness = 1.0, cubic = 0.0, damping = 0.2, force = 0.7, frequency = 0.5 }
+[guess]
+state = [0.9, 0.1]
+period = 12.5
+[watch]
+peak = "max(x)"
+"""
+
+
+def line(frequency=0.5, **more):
+    """x'' + c x' + x = F cos w t."""
+    model = forced_duffing(1.0, 0.0, DAMPING, FORCE, frequency)
+    return Problem(model, Guess([0.9, 0.1], 2 * np.pi / frequency), name="line", **more)
+
+
+def amplitude(w):
+    """That of its motion."""
+    return FORCE / np.sqrt((1 - w**2) ** 2 + (DAMPING * w) ** 2)
+
+
+def largest(times, states, parameters):
+    """The same number by a function: at equal times, so that a parabola through three tells its maximum."""
+    x, k = states[:, 0], int(np.argmax(states[1:-1, 0])) + 1
+    a, b, c = x[k - 1 : k + 2]
+    return b + (a - c) ** 2 / (8 * (2 * b - a - c)) + 0.0 * parameters["force"]
+
+
+@pytest.fixture(scope="module")
+def resonance(tmp_path_factory):
+    """The linear resonance curve with its amplitude, its range and the mean of its squared velocity."""
+    folder = tmp_path_factory.mktemp("watch")
+    watch = {"peak": "max(x)", "spread": "max(x) - min(x)", "power": "damping * mean((xdot - mean(xdot))^2)"}
+    return follow_family(line(), "frequency", until=2.0, watch=watch, out=folder, settings=FORWARD), folder / "line"
+
+
+@pytest.fixture(scope="module")
+def crest(tmp_path_factory):
+    """The folder of a few orbits about the largest amplitude."""
+    folder = tmp_path_factory.mktemp("crest")
+    follow_family(line(0.97, watch={"peak": "max(x)"}), "frequency", until=1.0, out=folder, settings=FORWARD)
+    done = CliRunner().invoke(cli, ["verify", str(folder / "line" / "family.json")])
+    assert done.exit_code == 0 and "watch.peak of" in done.output, done.output
+    return folder / "line"
+
+
+def test_columns_are_the_closed_forms(resonance):
+    family, folder = resonance
+    w = family.values("value")
+    assert np.allclose(family.values("peak"), amplitude(w), rtol=2e-12, atol=0)
+    assert np.allclose(family.values("spread"), 2 * amplitude(w), rtol=2e-12, atol=0)
+    assert np.allclose(family.values("power"), DAMPING * (w * amplitude(w)) ** 2 / 2, rtol=2e-12, atol=0)
+    again = load_family(folder / "family.json")
+    assert [one.watch for one in (*again.points, *again.events)] == [
+        one.watch for one in (*family.points, *family.events)
+    ]
+
+
+def test_events_are_where_the_numbers_are_extremal(resonance):
+    """The amplitude is largest at sqrt(1 - c^2 / 2), the velocity at 1; and nothing else happens."""
+    family, _ = resonance
+    found = {event.detail: event for event in family.events}
+    assert [event.kind for event in family.events] == ["extremum"] * 3 and found.keys() == set(family.points[0].watch)
+    for name, place in {"peak": PEAK, "spread": PEAK, "power": 1.0}.items():
+        assert found[name].parameter == pytest.approx(place, abs=1e-9) and found[name].check.passed
+        assert found[name].certified
+    assert found["peak"].watch["peak"] == pytest.approx(amplitude(PEAK), rel=1e-11)
+
+
+def test_a_stop_is_an_end(tmp_path):
+    """Where the amplitude is 2, to round-off, and after it 3, going on; a stop beyond the largest is never met."""
+    for wanted in (2.0, 3.0):
+        family = follow_family(
+            line(watch={"peak": "max(x)"}), "frequency", stop={"peak": wanted}, out=tmp_path, settings=FORWARD
+        )
+        last = family.points[-1]
+        assert [end.kind for end in family.ends] == ["target"] and last.role == "end" and last.certified
+        assert abs(last.watch["peak"] - wanted) < 1e-14 and abs(amplitude(last.value) - wanted) < 1e-11
+        assert not family.events and all(check.passed for _, check in verified(family, line().model))
+    begun = line(watch={"peak": "max(x)"})
+    assert follow_family(begun, "frequency", until=1.2, stop={"peak": 4.0}).points[-1].value == 1.2
+    settings = FamilySettings(directions="forward", longest_step=3.0, sharpest_turn=1.5, longest_stretch=1.0)
+    over = follow_family(begun, "frequency", until=1.2, stop={"peak": 3.51763}, settings=settings)
+    assert over.points[-1].watch["peak"] == pytest.approx(3.51763, abs=1e-14) and over.points[-1].value < PEAK
+
+
+def test_a_function_is_as_good_as_text():
+    """But it goes into no file, so that nobody can verify what it says."""
+    family = follow_family(line(), "frequency", until=1.1, watch={"peak": largest}, settings=FORWARD)
+    assert np.allclose(family.values("peak"), amplitude(family.values("value")), rtol=1e-9)
+    (event,) = family.events
+    assert event.parameter == pytest.approx(PEAK, abs=1e-4)
+    assert family.curve["watch"] == {"peak": {"function": "test_watch.largest"}}
+    wrong = [check for _, check in verified(family, line().model) if not check.passed]
+    assert len(wrong) == 2 and all("state it as text" in check.note for check in wrong)
+
+
+@pytest.mark.parametrize("entry", ["points", "events", "ends"])
+def test_a_planted_number_is_rejected(crest, tmp_path, entry):
+    """In a point, at an event, and what the family is said to have reached."""
+    document = json.loads((crest / "family.json").read_text())
+    if entry == "ends":
+        document["ends"][0]["reason"] = "reached peak = 0.3"
+    else:
+        document[entry][0]["watch"]["peak"] *= 1 + 1e-8
+    document["record"] = content_digest({name: one for name, one in document.items() if name != "record"})
+    for name in ("family.json", "family.npz"):
+        (tmp_path / name).write_bytes((crest / name).read_bytes())
+    (tmp_path / "family.json").write_text(json.dumps(document))
+    done = CliRunner().invoke(cli, ["verify", str(tmp_path / "family.json")])
+    assert done.exit_code == 1 and "watch.peak is" in done.output
+    one = CliRunner().invoke(cli, ["verify", f"{tmp_path / 'family.json'}#0"])
+    assert one.exit_code == (entry == "points") and "watch.peak" in one.output
+
+
+def test_it_is_kept_over_a_kill(tmp_path):
+    """The same to the last bit; and another family where something else is watched."""
+    problem = line(watch={"peak": "max(x)"})
+
+    def stopped(batch, left=[18]):  # noqa: B006
+        left[0] -= 1
+        if not left[0]:
+            raise KeyboardInterrupt
+
+    given = {"until": 1.1, "settings": FORWARD}
+    with pytest.raises(KeyboardInterrupt):
+        follow_family(problem, "frequency", out=tmp_path / "killed", progress=stopped, **given)
+    for name in ("killed", "whole"):
+        follow_family(problem, "frequency", out=tmp_path / name, **given)
+    killed, whole = (load_family(tmp_path / name / "line" / "family.json") for name in ("killed", "whole"))
+    assert [one.watch for one in killed.points] == [one.watch for one in whole.points]
+    assert [one.parameter for one in killed.events] == [one.parameter for one in whole.events] != []
+    other = follow_family(problem, "frequency", out=tmp_path / "whole", watch={"low": "min(x)"}, **given)
+    assert other.points[0].watch.keys() == {"low"}
+
+
+def test_symmetric_and_hybrid_motions():
+    """A quarter of a period stands for the whole: the pendulum's amplitude and its largest rate; arcs between jumps."""
+    swing = load_problem(PROBLEMS / "examples" / "pendulum-2rad.toml")
+    watch = {"top": "max(theta1)", "rate": "max(theta1dot)", "middle": "mean(theta1)"}
+    family = follow_family(swing, "energy", until=4.0, watch=watch, settings=FamilySettings(points=12))
+    energies = family.values("energy")
+    assert family.curve["symmetry"] == "brake+reflection" and not family.events
+    assert np.allclose(family.values("top"), np.arccos(-energies / 4.9), rtol=1e-12)
+    assert np.allclose(family.values("rate"), np.sqrt(6 * (energies + 4.9)), rtol=1e-12)
+    assert np.abs(family.values("middle")).max() < 1e-14
+    ball = load_problem(PROBLEMS / "hybrid" / "bouncing-ball.toml")
+    settings = FamilySettings(directions="forward", points=3)
+    family = follow_family(ball, "frequency", watch={"top": "max(y)", "fall": "min(v)"}, settings=settings)
+    for one in family.points:  # a parabola between two impacts, of a motion whose state is right after the first
+        assert one.watch["top"] == pytest.approx(one.state[0] + one.state[1] ** 2 / 2, rel=1e-12)
+    assert all(check.passed for _, check in verified(family, ball.model))
+
+
+def test_a_branch_watches_what_its_family_does():
+    lorenz = load_problem(PROBLEMS / "families" / "lorenz-doubling.toml")
+    family = follow_family(lorenz, "rho", until=225.0, watch={"top": "max(z)"})
+    place = next(k for k, one in enumerate(family.events) if one.kind == "period_doubling")
+    (branch, *_) = branches(family, place)
+    found = follow_family(branch, points=2)
+    assert found.points[0].watch["top"] == pytest.approx(family.events[place].watch["top"], rel=1e-2)
+
+
+def test_from_a_problem_file(tmp_path):
+    path = tmp_path / "line.toml"
+    path.write_text(LINE)
+    command = ["continue", str(path), "--parameter", "frequency", "--direction", "forward", "--no-figures"]
+    done = CliRunner().invoke(cli, [*command, "--stop", "peak=2.0", "--out", str(tmp_path)])
+    assert done.exit_code == 0 and "ended: target (reached peak = 2.0)" in done.output
+    assert load_family(tmp_path / "line" / "family.json").points[-1].watch["peak"] == pytest.approx(2.0, abs=1e-14)
+    for wrong, said in (("peek=2", "did you mean 'peak'"), ("peak", "is not NAME=VALUE"), ("peak=x", "not a number")):
+        done = CliRunner().invoke(cli, [*command, "--stop", wrong])
+        assert done.exit_code == 2 and "stop" in done.output and said in done.output
+
+
+@pytest.mark.parametrize(
+    "name, text, said",
+    [
+        ("peak", "max(y)", "watch.peak: unknown name 'y'; known are"),
+        ("peak", "x", "watch.peak: 'x' varies along an orbit; put what does into max(), min() or mean()"),
+        ("peak", "__import__('os')", "watch.peak: \"__import__('os')\" is not allowed"),
+        ("peak", "max(x, 1)", "watch.peak: 'max(x, 1)' is not allowed"),
+        ("peak", "", "watch.peak: must be an expression"),
+        ("period", "max(x)", "watch.period: no name for a number"),
+        ("a b", "max(x)", "watch.a b: no name for a number"),
+    ],
+)
+def test_mistakes_are_named(name, text, said):
+    with pytest.raises(InputError) as raised:
+        line(watch={name: text})
+    assert str(raised.value).startswith(said)
+
+
+def test_maxima_lie_between_samples():
+    """Of a motion at 61 times a period to nine digits, wherever it begins, and of each arc."""
+    model = line().model
+    top = watches({"top": "max(x)", "low": "min(x)", "one": "2^2"}, model)
+    parameters = dict(zip(model.parameter_names, model.parameter_values, strict=True))
+    times = np.linspace(0.0, 2 * np.pi, 61)
+    for phase in np.linspace(0.0, 1.0, 12):
+        states = np.column_stack([np.cos(times + phase), -np.sin(times + phase)])
+        assert top["top"].of(times, states, parameters) == pytest.approx(1.0, abs=1e-9)
+        assert top["low"].of(times, states, parameters) == pytest.approx(-1.0, abs=1e-9)
+    halves, jumped = np.append(times, times + times[-1]), np.vstack([states, states + 5.0])
+    assert top["top"].of(halves, jumped, parameters) == pytest.approx(6.0, abs=1e-9)
+    assert top["one"].of(times, states, parameters) == 4.0
