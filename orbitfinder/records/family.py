@@ -70,6 +70,7 @@ class FamilyPoint(Orbit):
         "state", "period", "energy", "action", "closure", "symmetry", "floquet_multipliers", "pair_defect", "stability",
         "unfolding", "shift", "index", "arclength", "value", "scale", "krein", "indices", "root", "free", "nodes",
         "mesh", "tangent", "step", "role", "wall_time", "defect", "multiplier_errors", "multiplier_method", "certified",
+        "watch",
     )  # fmt: skip
     _called = CALLED
     _sparse = ("shift", "multiplier_errors", "multiplier_method", "watch")
