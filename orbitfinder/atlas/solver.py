@@ -24,10 +24,10 @@ import numpy as np
 from scipy.optimize import brentq
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.integrate.equations import invariant_gradients
 from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.loop import Equations, Loop, Unknowns
 from orbitfinder.loops.problem import Problem, loop_of
+from orbitfinder.loops.scales import Measures
 from orbitfinder.mechanics.newton import Settings, Solver, chord, full, largest
 
 FINER = 3
@@ -75,12 +75,11 @@ class Stalled(ConvergenceError):
 
 @dataclass(frozen=True)
 class Scaled:
-    """The loop of one start, the longest step of its marches (s), what unknowns and rows are measured in."""
+    """The loop of one start, the longest step of its marches (s), what all is measured in."""
 
     loop: Loop
     step: float
-    columns: np.ndarray
-    rows: np.ndarray
+    measures: Measures
     periods: tuple[float, float]
     units: tuple[float, ...] = ()
 
@@ -104,45 +103,25 @@ def scaled(
 
     A first-order system's states (d) are scaled by their units alone.
     """
+    n, loop = problem.model.degrees_of_freedom, loop_of(problem, equations, w, None, problem.pin)
     if problem.model.rates is not None:
-        return _scaled_alone(problem, equations, step, w, periods, units, clock)
-    n, count = problem.model.degrees_of_freedom, len(w.nodes)
-    lengths = units[:n]
-    rate = max(float(np.sqrt(np.mean((w.nodes[:, n:] / lengths) ** 2))), 2 * np.pi / problem.guess.period)
-    node = np.concatenate([lengths, rate * lengths])
-    loop = loop_of(problem, equations, w, None, problem.pin)
-    lowest = float(problem.model.potential(w.nodes[0, :n], problem.model.parameter_values))
-    moving = 2.0 * float(problem.model.kinetic(w.nodes[0, :n], node[n:], problem.model.parameter_values))
-    span = max(abs(problem.pin[0].value - lowest), 0.1 * abs(problem.pin[0].value), 1e-3 * min(1.0, moving))
-    first, last = problem.boundary.rows(n)
-    boundary = (np.maximum(np.abs(first), np.abs(last)) * node).max(axis=1)
-    phases = np.full(len(loop.normals), rate)
-    if np.any(units != 1.0):
-        phases = np.linalg.norm(loop.normals * node, axis=1)
-    return Scaled(
-        loop, step,
-        columns=w.joined(node, problem.guess.period, 1.0 / clock, np.zeros(0)),
-        rows=np.concatenate([np.tile(node, count - 1), boundary, phases, [span]]), periods=periods,
-        units=tuple(units),
-    )  # fmt: skip
+        measures = Measures.of(loop, w, w.joined(units, problem.guess.period, 1.0 / clock, np.zeros(0)))
+        return Scaled(loop, step, measures, periods, tuple(units))
+    rate = max(float(np.sqrt(np.mean((w.nodes[:, n:] / units[:n]) ** 2))), 2 * np.pi / problem.guess.period)
+    node = np.concatenate([units[:n], rate * units[:n]])
+    measures = Measures.of(loop, w, w.joined(node, problem.guess.period, 1.0 / clock, np.zeros(0)))
+    first, phases, _ = np.split(measures.rows, [measures.rows.size - len(loop.normals) - 1, measures.rows.size - 1])
+    phases = np.full(phases.size, rate) if np.all(units == 1.0) else phases
+    rows = np.concatenate([first, phases, [_span(problem, w.nodes[0, :n], node[n:])]])
+    return Scaled(loop, step, replace(measures, rows=rows), periods, tuple(units))
 
 
-def _scaled_alone(
-    problem: Problem, equations: Equations, step: float, w: Unknowns, periods: tuple[float, float], units: np.ndarray,
-    clock: float,
-) -> Scaled:  # fmt: skip
-    loop = loop_of(problem, equations, w, None, problem.pin)
-    first, last = problem.boundary.rows(problem.model.degrees_of_freedom)
-    slope = invariant_gradients(problem.model)(w.nodes[0]).full()
-    return Scaled(
-        loop, step,
-        columns=w.joined(units, problem.guess.period, 1.0 / clock, np.zeros(0)),
-        rows=np.concatenate([
-            np.tile(units, len(w.nodes) - 1), (np.maximum(np.abs(first), np.abs(last)) * units).max(axis=1),
-            np.linalg.norm(loop.normals * units, axis=1),
-            [max(float(np.linalg.norm(slope[0] * units)), 1e-300) for _ in problem.pin],
-        ]), periods=periods, units=tuple(units),
-    )  # fmt: skip
+def _span(problem: Problem, q: np.ndarray, v: np.ndarray) -> float:
+    """What an energy is measured in (J): how far it is above the potential at q, which may be hardly at all."""
+    model, level = problem.model, problem.pin[0].value
+    lowest = float(model.potential(q, model.parameter_values))
+    moving = 2.0 * float(model.kinetic(q, v, model.parameter_values))
+    return max(abs(level - lowest), 0.1 * abs(level), 1e-3 * min(1.0, moving))
 
 
 def linearised(one: Scaled, w: Unknowns) -> tuple[np.ndarray, np.ndarray]:
@@ -150,22 +129,21 @@ def linearised(one: Scaled, w: Unknowns) -> tuple[np.ndarray, np.ndarray]:
     w = one.at(w)
     path = one.loop.equations.varied(w)
     jacobian = one.loop.linearised(w, path).matrix()
-    return one.loop.rows(w, path.ends) / one.rows, jacobian * one.columns / one.rows[:, None]
+    return one.loop.rows(w, path.ends) / one.measures.rows, one.measures.matrix(jacobian)
 
 
 def moved(one: Scaled, w: Unknowns, step: np.ndarray) -> Unknowns:
     """The unknowns after a scaled step, the period kept in range."""
-    after = w.moved(step * one.columns)
+    after = w.moved(step * one.measures.columns)
     return replace(after, period=float(np.clip(after.period, *one.periods)))
 
 
 def bounded(one: Scaled, w: Unknowns) -> Unknowns:
     """The unknowns, if rates and unfolding are within bounds; `IntegrationError` otherwise."""
-    total = w.nodes.size
     n = 0 if one.loop.equations.model.rates is not None else w.nodes.shape[1] // 2
-    fast = float(np.abs(w.nodes[:, n:] / one.columns[n : w.nodes.shape[1]]).max()) > LARGEST_RATE
-    damped = np.abs(w.unfolding / one.columns[total + 1 : total + 1 + w.unfolding.size])
-    if fast or float(damped.max(initial=0.0)) > LARGEST_UNFOLDING:
+    sizes = w.at(one.measures.columns)
+    fast = float(np.abs(w.nodes[:, n:] / sizes.nodes[:, n:]).max()) > LARGEST_RATE
+    if fast or float(np.abs(w.unfolding / sizes.unfolding).max(initial=0.0)) > LARGEST_UNFOLDING:
         raise IntegrationError("out of bounds", time=0.0, state=w.nodes[0])
     return w
 
@@ -227,18 +205,17 @@ def damped_step(jacobian: np.ndarray, residual: np.ndarray, damping: float) -> n
 
 def polished(one: Scaled, w: Unknowns, jacobian: np.ndarray) -> Unknowns:
     """w to round-off, by chord steps with an accurate residual, on the mesh that it needs; `Stalled` above 1e-10."""
-    equations = one.loop.equations
+    equations, measures = one.loop.equations, one.measures
 
     def rows(w: Unknowns, ends: np.ndarray) -> np.ndarray:
-        return np.asarray(one.loop.rows(w, ends) / one.rows)
+        return np.asarray(one.loop.rows(w, ends) / measures.rows)
 
     def solver(jacobian: np.ndarray) -> Solver:
         inverse = np.linalg.pinv(jacobian, rcond=1e-13)
-        return lambda rows: -(inverse @ rows) * one.columns
+        return lambda rows: -(inverse @ rows) * measures.columns
 
     def renewed(w: Unknowns) -> Solver:
-        matrix = one.loop.linearised(w, equations.varied(w)).matrix()
-        return solver(matrix * one.columns / one.rows[:, None])
+        return solver(measures.matrix(one.loop.linearised(w, equations.varied(w)).matrix()))
 
     w = replace(one, step=one.step / FINER).at(w)
     ends, mesh = equations.march.refined_ends(w.nodes, w.mesh, w.tail, one.units)

@@ -18,7 +18,7 @@ from orbitfinder.integrate.march import Varied
 from orbitfinder.loops.condensed import Broyden, Factors
 from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns, beyond
 from orbitfinder.loops.problem import clocked
-from orbitfinder.loops.scales import Scales, sizes
+from orbitfinder.loops.scales import Measures, Scales, sizes
 from orbitfinder.loops.watch import Watch
 from orbitfinder.mechanics.scales import parameter_sizes, snapped
 
@@ -159,10 +159,12 @@ def begun(curve: Curve, found: Solution, along: np.ndarray) -> tuple[Curve, np.n
     return curve, tangent(curve, found, along)
 
 
-def _row_units(curve: Curve, w: Unknowns, slopes: np.ndarray | None = None) -> np.ndarray:
-    """What each row is measured in, a test's and then an aim's last, unknowns being measured as the metric does."""
-    units = curve.row_units(w, curve.scales.columns(w), slopes)
-    return units if curve.test is None else np.insert(units, len(units) - (slopes is not None), TESTED)
+def _measures(curve: Curve, w: Unknowns, slopes: np.ndarray | None = None) -> Measures:
+    """What unknowns are measured in by the metric, and with that the rows, a test's and then an aim's last."""
+    found = Measures.of(curve, w, curve.scales.columns(w), slopes)
+    if curve.test is None:
+        return found
+    return replace(found, rows=np.insert(found.rows, found.rows.size - (slopes is not None), TESTED))
 
 
 def _all_rows(curve: Curve, w: Unknowns, ends: np.ndarray, aim: Condition, lost: np.ndarray) -> np.ndarray:
@@ -220,7 +222,7 @@ def correct(
     same = reference is not None and np.array_equal(reference.edges, guess.edges)
     family, curve = curve, curve.through(reference if same and reference is not None else guess)
     slopes = curve.slopes(guess, (*curve.conditions, aim))
-    w, previous, units, lost = guess, np.inf, _row_units(curve, guess, slopes), curve.lost(guess, (aim,), slopes)
+    w, previous, units, lost = guess, np.inf, _measures(curve, guess, slopes).rows, curve.lost(guess, (aim,), slopes)
     border, patience = (None, 2) if curve.test is None else (Border(curve, slope), 5)
     if slope is not None and border is None:
         w = _approached(curve, guess, aim, np.vstack([slope, slopes[-1]]), (units, lost))
@@ -347,9 +349,8 @@ def scaled(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _measured(curve: Curve, w: Unknowns, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    columns = curve.scales.columns(w)
-    rows = _row_units(curve.through(w), w)[: len(jacobian)]
-    return jacobian * columns / rows[:, None], columns
+    measures = _measures(curve.through(w), w)
+    return measures.matrix(jacobian), measures.columns
 
 
 def distance(curve: Curve, one: Unknowns, other: Unknowns) -> float:

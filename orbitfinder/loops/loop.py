@@ -491,24 +491,10 @@ class Loop:
             inner,
         )
 
-    def row_units(self, w: Unknowns, columns: np.ndarray, slopes: np.ndarray | None = None) -> np.ndarray:
-        """What each row is measured in, those of aims last, where w is measured in `columns`.
-
-        `slopes` are those of the conditions and aims, by default of the conditions alone.
-        """
-        unit, (first, last) = columns[: self.equations.size], self.equations.boundary
-        boundary = np.maximum(np.abs(first) * unit, np.abs(last) * unit).max(axis=1)
-        phases = np.linalg.norm(self.normals * columns[: self.normals.shape[1]], axis=1)
-        slopes = self.slopes(w, self.conditions) if slopes is None else slopes
-        named, count = np.linalg.norm(slopes * columns, axis=1), len(self.conditions)
-        units = [np.tile(unit, len(w.nodes) - 1), boundary, phases, named[:count]]
-        units += [self.equations.links.units(w, unit), named[count:]]
-        return np.asarray(np.maximum(np.concatenate(units), 1e-300))
-
     def lost(self, w: Unknowns, aims: Sequence[Condition] = (), slopes: np.ndarray | None = None) -> np.ndarray:
         """What of each row near w may be round-off, those of aims last: where an energy is large beside its changes.
 
-        Told for conditions by the sizes of their terms; 0 of all other rows. `slopes` as in `row_units`.
+        Told for conditions by the sizes of their terms; 0 of all other rows. `slopes` are those of conditions and aims.
         """
         chosen, count = (*self.conditions, *aims), len(self.conditions)
         values = np.abs(np.array([one.value for one in chosen]))

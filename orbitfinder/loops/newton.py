@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,10 +9,10 @@ import numpy as np
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied, divided
-from orbitfinder.loops.condensed import Linearised, eliminated
+from orbitfinder.loops.condensed import eliminated
 from orbitfinder.loops.loop import NONE_SUCH, Loop, Unknowns, beyond
+from orbitfinder.loops.scales import Measures
 from orbitfinder.mechanics.newton import Settings, Solved, Solver, chord, full
-from orbitfinder.mechanics.scales import WIDE, snapped
 
 
 @dataclass(frozen=True)
@@ -41,61 +40,6 @@ class NewtonSettings(Settings):
     most_doublings: int = 7
 
 
-EVEN = WIDE**0.5
-"""What changes by less than this is measured in 1."""
-
-
-@dataclass(frozen=True)
-class Units:
-    """What a loop is measured in: states (d), the tail (T, s, free), the closing rows, and after those the guards."""
-
-    state: np.ndarray
-    tail: np.ndarray
-    closing: np.ndarray
-    guards: int = 0
-
-    @classmethod
-    def of(cls, loop: Loop, w: Unknowns, state: Sequence[float]) -> Units | None:
-        """Those of a loop near w whose states are measured in `state` (d), or nowhere in anything but 1 where empty.
-
-        A condition is measured in what a unit of the unknowns changes in it, if that is far from 1.
-        """
-        if not len(state):
-            changes = np.linalg.norm(loop.slopes(w, loop.conditions), axis=1)
-            if np.all((changes > 1 / EVEN) & (changes < EVEN)):
-                return None
-        size, free, known = w.nodes.shape[1], np.where(w.free == 0, 1.0, np.abs(w.free)), np.asarray(state, float)
-        node = known if known.size else np.ones(size)
-        clock = float(snapped(w.period / (2 * np.pi))) if known.size else 1.0
-        columns = w.joined(node, clock, 1.0 / clock, snapped(free))
-        rows = loop.row_units(w, columns)[(len(w.nodes) - 1) * size :]
-        guards = loop.equations.links.count if loop.equations.links else 0
-        closing, named = np.split(rows, [size + len(loop.normals)])
-        rows = np.append(
-            snapped(closing), snapped(named, 2.0 if guards else WIDE)
-        )  # a machine's steps are damped by all
-        return cls(node, np.concatenate([[clock], np.full(w.unfolding.size, 1.0 / clock), snapped(free)]), rows, guards)
-
-    def rows(self, segments: int) -> np.ndarray:
-        """Those of all rows."""
-        return np.concatenate([np.tile(self.state, segments - 1), self.closing])
-
-    def measured(self, system: Linearised) -> Linearised:
-        """A linearised loop in these units."""
-        state, cut, inner = self.state, self.closing.size - self.guards, system.inner
-        closing, guards = self.closing[:cut, None], self.closing[cut:, None]
-        if inner is not None:
-            inner = inner[0], inner[1] * state / guards, inner[2] * self.tail / guards
-        return Linearised(
-            system.transitions * state / state[:, None],
-            system.columns * self.tail / state[:, None],
-            system.first * np.tile(state, system.first.shape[1] // state.size) / closing,
-            system.last * state / closing,
-            system.tail * self.tail / closing,
-            inner,
-        )
-
-
 @dataclass(frozen=True)
 class Refined(Shown):
     """A refined orbit: state (2n), period (s), nodes (N x 2n), unfolding, freed parameters, turns (n), residual.
@@ -119,13 +63,13 @@ class Refined(Shown):
 
 
 class Newton:
-    """One run of the iteration on a loop, in its units; counts its marches of states and of states and derivatives.
+    """One run of the iteration on a loop, as measured; counts its marches of states and of states and derivatives.
 
     `best` is the smallest norm of the rows on the way to the last digits.
     """
 
-    def __init__(self, loop: Loop, settings: NewtonSettings, units: Units | None = None) -> None:
-        self.loop, self.settings, self.units = loop, settings, units
+    def __init__(self, loop: Loop, settings: NewtonSettings, measures: Measures) -> None:
+        self.loop, self.settings, self.measures = loop, settings, measures
         self.marches, self.jacobians, self.growth, self.best = 0, 0, 1.0, np.inf
         self._lost = NONE_SUCH
 
@@ -170,7 +114,7 @@ class Newton:
 
     def _finish(self, w: Unknowns, solver: Solver) -> tuple[Unknowns, float]:
         """Chord steps on ever finer marches until twice as many steps confirm the residual, then to round-off."""
-        scale = max(1.0, float(np.abs(w.nodes if self.units is None else w.nodes / self.units.state).max()))
+        scale = max(1.0, float(np.abs(w.nodes / w.at(self.measures.columns).nodes).max()))
         rows = self._rows(w)
         for _ in range(self.settings.most_doublings):
             found = self._chord(w, rows, solver, self.settings.rough)
@@ -196,8 +140,7 @@ class Newton:
 
     def _measured(self, w: Unknowns, ends: np.ndarray) -> np.ndarray:
         """The rows of w in their units."""
-        rows = beyond(self.loop.rows(w, ends), self._lost)
-        return rows if self.units is None else rows / self.units.rows(len(w.nodes))
+        return np.asarray(beyond(self.loop.rows(w, ends), self._lost) / self.measures.rows)
 
     def _varied(self, w: Unknowns) -> Varied | None:
         """The integration of w, None where it fails."""
@@ -208,11 +151,7 @@ class Newton:
             return None
 
     def _solver(self, w: Unknowns, path: Varied) -> Solver:
-        system, units = self.loop.linearised(w, path), self.units
-        if units is None:
-            self.growth = max(1.0, float(np.abs(path.transitions).max()))
-            return eliminated(system)
-        system = units.measured(system)
+        system = self.measures.linearised(self.loop.linearised(w, path))
         self.growth = max(1.0, float(np.abs(system.transitions).max()))
-        step, columns = eliminated(system), np.concatenate([np.tile(units.state, len(w.nodes)), units.tail])
-        return lambda rows: step(rows) * columns
+        step = eliminated(system)
+        return lambda rows: step(rows) * self.measures.columns

@@ -1,4 +1,4 @@
-"""What the unknowns of a loop are measured in, and with that how far apart two motions are: the one definition.
+"""What the unknowns and the rows of a loop are measured in, and how far apart two motions are: the one definition.
 
     <a, b> = sum_k m_k a_k . S^-2 b_k + a_T b_T / T^2 + sum_p a_p b_p / p_s^2
 
@@ -12,13 +12,15 @@ by a tenth of its size. Nothing here has a unit of its own.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbitfinder.loops.loop import Unknowns
+from orbitfinder.loops.condensed import Linearised
+from orbitfinder.loops.loop import Loop, Unknowns
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.scales import STILL
+from orbitfinder.mechanics.scales import STILL, WIDE, snapped
 
 LEAST_SHARE = 0.1
 """A component that hardly moves is measured in this share: of what it has moved in a family, of what others do."""
@@ -80,6 +82,72 @@ class Scales:
         weights[: w.nodes.size] *= np.repeat(w.shares, w.nodes.shape[1])
         weights[w.nodes.size + 1 : weights.size - w.free.size] = 0.0
         return np.asarray(weights)
+
+
+EVEN = WIDE**0.5
+"""What changes by less than this is measured in 1."""
+
+
+@dataclass(frozen=True)
+class Measures:
+    """What the unknowns of a loop are measured in, a vector over w, and its rows: in what a unit of those changes."""
+
+    columns: np.ndarray
+    rows: np.ndarray
+
+    @classmethod
+    def plain(cls, loop: Loop, w: Unknowns) -> Measures:
+        """1 of everything."""
+        return cls(np.ones(w.vector.size), np.ones(loop.lost(w).size))
+
+    @classmethod
+    def of(cls, loop: Loop, w: Unknowns, columns: np.ndarray, slopes: np.ndarray | None = None) -> Measures:
+        """Those of a loop at w, rows of aims last; `slopes` of conditions and aims, by default of conditions alone."""
+        unit, (first, last), normals = columns[: loop.equations.size], loop.equations.boundary, loop.normals
+        boundary = np.maximum(np.abs(first) * unit, np.abs(last) * unit).max(axis=1)
+        phases = np.linalg.norm(normals * columns[: normals.shape[1]], axis=1)
+        slopes = loop.slopes(w, loop.conditions) if slopes is None else slopes
+        named, aims = np.split(np.linalg.norm(slopes * columns, axis=1), [len(loop.conditions)])
+        nodes, guards = np.tile(unit, len(w.nodes) - 1), loop.equations.links.units(w, unit)
+        return cls(columns, np.maximum(np.concatenate([nodes, boundary, phases, named, guards, aims]), 1e-300))
+
+    @classmethod
+    def rounded(cls, loop: Loop, w: Unknowns, state: Sequence[float]) -> Measures:
+        """The same in powers of 256, so that no digit is lost, near those of a `state` (d), empty where that is all 1.
+
+        A condition is then measured in 1 unless a unit of the unknowns changes it by far more or less; a machine's,
+        whose steps are damped by the norm of all rows, in powers of 2.
+        """
+        size, node, clock = w.nodes.shape[1], np.asarray(state, float), float(snapped(w.period / (2 * np.pi)))
+        if not node.size:
+            changes, node, clock = np.linalg.norm(loop.slopes(w, loop.conditions), axis=1), np.ones(size), 1.0
+            if np.all((changes > 1 / EVEN) & (changes < EVEN)):
+                return cls.plain(loop, w)
+        found = cls.of(loop, w, w.joined(node, clock, 1.0 / clock, snapped(np.abs(w.free))))
+        ends = (len(w.nodes) - 1) * size + np.array([0, size + len(loop.normals)])
+        defects, closing, named = np.split(found.rows, ends)
+        rounded = snapped(named, 2.0 if loop.equations.links else WIDE)
+        return cls(found.columns, np.concatenate([defects, snapped(closing), rounded]))
+
+    def matrix(self, jacobian: np.ndarray) -> np.ndarray:
+        """The derivatives of the first of the rows, measured."""
+        return np.asarray(jacobian * self.columns / self.rows[: len(jacobian), None])
+
+    def linearised(self, system: Linearised) -> Linearised:
+        """A linearised loop, measured."""
+        (count, size, _), inner = system.transitions.shape, system.inner
+        state, tail = self.columns[:size], self.columns[count * size :]
+        closing, guards = np.split(self.rows[(count - 1) * size :, None], [len(system.tail)])
+        if inner is not None:
+            inner = inner[0], inner[1] * state / guards, inner[2] * tail / guards
+        return Linearised(
+            system.transitions * state / state[:, None],
+            system.columns * tail / state[:, None],
+            system.first * self.columns[: system.first.shape[1]] / closing,
+            system.last * state / closing,
+            system.tail * tail / closing,
+            inner,
+        )
 
 
 HARMONIC = 8.0**0.5

@@ -35,6 +35,7 @@ from orbitfinder.loops.ipopt import Callback, Progress, SolveSettings
 from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.newton import Newton, NewtonSettings
 from orbitfinder.loops.problem import Problem, loop_of
+from orbitfinder.loops.scales import Measures
 from orbitfinder.loops.symmetry import QUARTER
 from orbitfinder.mechanics.chain_lagrange import ChainLagrange, is_long
 from orbitfinder.orbits.certify import certified
@@ -174,7 +175,8 @@ def shot(
     """
     problem, equations = chain.problem, chain.equations
     w = equations.unknowns(_at_rest(start), period, chain.mesh(FRACTION, period, NEWTON_PHASE))
-    newton = Newton(loop_of(problem, equations, w, None, problem.pin), SHOOTING)
+    loop = loop_of(problem, equations, w, None, problem.pin)
+    newton = Newton(loop, SHOOTING, Measures.plain(loop, w))
     try:
         w, residual = newton.solve(w, equations.varied(w))
     except ConvergenceError:

@@ -20,7 +20,7 @@ from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.loop import Equations, Unknowns
-from orbitfinder.loops.newton import Newton, NewtonSettings, Refined, Units
+from orbitfinder.loops.newton import Newton, NewtonSettings, Refined
 from orbitfinder.loops.problem import (
     Guess,
     Problem,
@@ -31,6 +31,7 @@ from orbitfinder.loops.problem import (
     segments_needed,
     without_choice,
 )
+from orbitfinder.loops.scales import Measures
 from orbitfinder.loops.shooting import units_of
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.catalogue import with_parameters
@@ -120,7 +121,7 @@ class Refiner(Shown):
         path = self.equations.varied(w)
         loop = loop_of(self.problem, self.equations, w, path.ends[-1], pins)
         scales = measured_in(self.problem.model, w.nodes, w.period)
-        newton = Newton(loop, self.settings, Units.of(loop, w, scales))
+        newton = Newton(loop, self.settings, Measures.rounded(loop, w, scales))
         w, residual = newton.solve(w, path)
         if not residual < self.settings.converged:
             raise ConvergenceError(
