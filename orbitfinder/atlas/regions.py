@@ -18,7 +18,7 @@ from orbitfinder.integrate.dop853 import ReferenceSettings, integrate, vector_fi
 from orbitfinder.integrate.equations import accelerations
 from orbitfinder.loops.symmetry import Involution
 from orbitfinder.mechanics.model import Model, energy
-from orbitfinder.mechanics.scales import given_lengths, snapped
+from orbitfinder.mechanics.scales import alike, given_or
 
 DRAWN = 48
 """States from which equilibria, and later attractors, are looked for"""
@@ -171,14 +171,12 @@ class Attractor:
 
 def measured(model: Model, sizes: np.ndarray) -> np.ndarray:
     """Lengths (d): those given, 1 of angles, else powers of 2 near the sizes, 1 within a factor of 16 of it."""
-    known, given = np.where(sizes > 0, sizes, 1.0), given_lengths(model)
-    found = np.where(model.angular | (snapped(known) == 1.0), 1.0, snapped(known, 2.0))
-    return np.where(np.isnan(given), found, given)
+    return given_or(model, alike(sizes))
 
 
 def random_states(model: Model) -> list[np.ndarray]:
     """Seeded states (d) about 0, near and far, in the lengths given."""
-    random, given = np.random.default_rng(0), np.nan_to_num(given_lengths(model), nan=1.0)
+    random, given = np.random.default_rng(0), given_or(model, np.ones(model.degrees_of_freedom))
     far = (1.0, 4.0, 16.0, 0.25)
     return [given * far[k % len(far)] * random.normal(size=given.size) for k in range(DRAWN)]
 

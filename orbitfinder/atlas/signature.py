@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from orbitfinder.integrate.cvodes import build_flow
-from orbitfinder.loops.scales import alone
 from orbitfinder.loops.symmetry import USUAL
 from orbitfinder.mechanics.hybrid import as_recorded
 from orbitfinder.mechanics.model import Model, wrapped
+from orbitfinder.mechanics.scales import alone
 from orbitfinder.orbits.closure import between
 from orbitfinder.orbits.course import course, sampled
 from orbitfinder.orbits.measure import dense

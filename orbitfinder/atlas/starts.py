@@ -39,7 +39,7 @@ from orbitfinder.loops.symmetry import (
     with_mirrors,
 )
 from orbitfinder.mechanics.model import Model, wrapped
-from orbitfinder.mechanics.scales import given_lengths, snapped
+from orbitfinder.mechanics.scales import alike, given_lengths, given_or, snapped
 
 CYCLES = 3
 """Cycles of a hybrid system that an orbit goes through at most unless told otherwise."""
@@ -216,8 +216,8 @@ def shell_lengths(model: Model, place: np.ndarray, energy: float) -> np.ndarray:
         above = (float(model.potential(q, model.parameter_values)) > energy for q in trials)
         first = next((i for i, one in enumerate(above) if one), None)
         size = 1.0 if first is None else REACHES[first // 2]
-        found[k] = size if snapped(size) != 1.0 else 1.0
-    return np.where(np.isnan(given), found, given)
+        found[k] = alike(size)
+    return given_or(model, found)
 
 
 def possible(name: str, known: Sequence[str]) -> bool:

@@ -37,8 +37,8 @@ from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, energy, vector_field, wrapped
 from orbitfinder.mechanics.newton import Settings, Solver, full
+from orbitfinder.mechanics.scales import extents_of
 from orbitfinder.orbits.certify import certify
-from orbitfinder.orbits.closure import extents_of
 from orbitfinder.orbits.evidence import Hamiltonian
 from orbitfinder.orbits.refine import Refiner
 from orbitfinder.orbits.section import Surface, solved_component, surface

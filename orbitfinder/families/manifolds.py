@@ -34,7 +34,7 @@ from orbitfinder.integrate.equations import invariant_gradients
 from orbitfinder.integrate.rk8 import variational_field
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, vector_field, wrapped
-from orbitfinder.orbits.closure import extents_of
+from orbitfinder.mechanics.scales import extents_of
 from orbitfinder.orbits.floquet import complement, generated
 from orbitfinder.orbits.section import Surface, nodes_of, pierced, surface
 from orbitfinder.records.manifold import Manifold, reach

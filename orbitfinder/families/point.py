@@ -14,10 +14,8 @@ from orbitfinder.families.stability import Spectrum, spectrum, transitions
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.problem import pinned
-from orbitfinder.loops.scales import alone
 from orbitfinder.loops.symmetry import shifting, turned
-from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.scales import lengths
+from orbitfinder.mechanics.scales import alone, shared
 from orbitfinder.orbits.closure import carried
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.records.family import CLOSURE, Event, FamilyPoint
@@ -197,18 +195,10 @@ def freed(curve: Curve, place: Unknowns) -> dict[str, float]:
     return dict(zip(curve.equations.free, map(float, place.free), strict=True))
 
 
-def length(model: Model, states: np.ndarray) -> np.ndarray:
-    """What coordinates (n) are measured in (see `mechanics.scales.lengths`); of a first-order state each by itself."""
-    if model.rates is None:
-        return lengths(model, states)
-    return np.where(model.angular, 1.0, alone(np.ptp(states, axis=0), model.angular))
-
-
 def extents(curve: Curve, states: np.ndarray) -> np.ndarray:
     """The scale (2n) of every component of a motion (k x 2n): the largest extent of coordinates, and of rates."""
-    n, angular = curve.shares.size, curve.equations.model.angular
-    if n == states.shape[1]:
-        return np.asarray(np.maximum(alone(np.ptp(states, axis=0), angular), LEAST * np.abs(states).max(axis=0)))
-    parts = [part / curve.shares for part in (states[:, :n], states[:, n:]) if part.size]
-    sizes = [max(float(np.ptp(one, axis=0).max()), LEAST * float(np.abs(one).max()), 1e-300) for one in parts]
-    return np.concatenate([size * curve.shares for size in sizes])
+    angular, moved, least = curve.equations.model.angular, np.ptp(states, axis=0), LEAST * np.abs(states).max(axis=0)
+    if angular.size == moved.size:
+        return np.asarray(np.maximum(alone(moved, angular), least))
+    shares = np.tile(curve.shares, 2)
+    return np.asarray(shared(np.maximum(moved, least) / shares, angular) * shares)

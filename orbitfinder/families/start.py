@@ -12,7 +12,7 @@ from scipy.interpolate import CubicHermiteSpline
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.families.motion import SAMPLES, full_samples
-from orbitfinder.families.point import FamilySettings, length, parameter_value
+from orbitfinder.families.point import FamilySettings, parameter_value
 from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.continued import Curve, Solution, begun, correct, kernel, make_curve
@@ -37,6 +37,7 @@ from orbitfinder.loops.symmetry import (
 from orbitfinder.loops.watch import watches
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import lengths
 from orbitfinder.orbits.find import find_orbit, natural_pin
 from orbitfinder.orbits.hybrid import first_unknowns
 from orbitfinder.records.orbit import Orbit, refuse_controlled
@@ -213,7 +214,7 @@ def curve_at(
     cycles = max(1, round(place.period / float(values[-1]))) if model.forced else 0
     kept = dict.fromkeys((*held, *alone))
     fixed = clock(equations, cycles) + tuple(pinned(equations, one, known[one]) for one in kept if one in known)
-    return make_curve(equations, constant, place, fixed, length(model, states), whole_motion)
+    return make_curve(equations, constant, place, fixed, lengths(model, states), whole_motion)
 
 
 def ungenerated(model: Model) -> tuple[str, ...]:

@@ -29,8 +29,7 @@ from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.scales import parameter_sizes
-from orbitfinder.orbits.closure import extents_of
+from orbitfinder.mechanics.scales import extents_of, parameter_sizes
 from orbitfinder.orbits.section import Surface
 from orbitfinder.records.codec import entries_of
 from orbitfinder.records.orbit import Certificate, Check, Orbit

@@ -20,10 +20,8 @@ import numpy as np
 from orbitfinder.loops.condensed import Linearised
 from orbitfinder.loops.loop import Loop, Unknowns
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.scales import STILL, WIDE, snapped
+from orbitfinder.mechanics.scales import LEAST_SHARE, WIDE, alone, snapped
 
-LEAST_SHARE = 0.1
-"""A component that hardly moves is measured in this share: of what it has moved in a family, of what others do."""
 UNMOVED = 1e-6
 """A direction of unit length that moves the motion by less than this does not move it."""
 
@@ -169,19 +167,3 @@ def sizes(model: Model, lengths: np.ndarray, states: np.ndarray, period: float) 
     if not (np.isfinite(far) and far > 0.0):
         far, fast = 1.0, 1.0 / clock
     return np.concatenate([far * lengths, fast * lengths])
-
-
-def alone(moved: np.ndarray, angular: np.ndarray | None = None) -> np.ndarray:
-    """Extents (d) of a first-order motion from how far its components moved, none of them 0.
-
-    Each may have a unit of its own; what hardly moves at all is measured in a tenth of what the others do, `angular`
-    ones by themselves: a clock of 2 pi says nothing of what a nanometre is.
-    """
-    if angular is not None and 0 < angular.sum() < angular.size:
-        found = np.ones(moved.shape)
-        found[angular], found[~angular] = alone(moved[angular]), alone(moved[~angular])
-        return found
-    largest = float(moved.max(initial=0.0))
-    if not (np.isfinite(largest) and largest > 0.0):
-        return np.ones(moved.shape)
-    return np.where(moved > STILL * largest, moved, LEAST_SHARE * largest)

@@ -24,7 +24,7 @@ from scipy.interpolate import CubicHermiteSpline, PPoly
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.constrained import allowed_velocities
 from orbitfinder.mechanics.model import Invariant, Model, wrapped
-from orbitfinder.mechanics.scales import masses_of, proportions, snapped, surroundings
+from orbitfinder.mechanics.scales import masses_of, proportions, shared, snapped, surroundings
 
 RECOGNITION = 1e-6
 """A symmetry holds when its defect is below this, relative to the motion's extent."""
@@ -317,7 +317,7 @@ class Symmetry:
         constant = self.constants(angles, states[0], states[-1]) * where
         if self.first_order and not self.reverses:
             constant = np.where(angles, 2 * np.pi * np.round(gap / (2 * np.pi)), 0.0)
-        units = (np.abs(last) * _moved(states, n)).max(axis=1)
+        units = (np.abs(last) * _moved(states, angles)).max(axis=1)
         return float((np.abs(gap - constant) / np.where(kept, units, 1.0))[kept].max())
 
     def root(
@@ -685,7 +685,7 @@ def has(one: Involution, times: np.ndarray, states: np.ndarray, angles: np.ndarr
     """Whether samples over a period have a symmetry, wherever in it they begin."""
     if one.sense < 0:
         return _mirrored(one, times, states, angles)
-    return bool(np.all(half_period_gaps(one, states, angles) <= RECOGNITION * _moved(states, angles.size)))
+    return bool(np.all(half_period_gaps(one, states, angles) <= RECOGNITION * _moved(states, angles)))
 
 
 def half_period_gaps(one: Involution, states: np.ndarray, angles: np.ndarray) -> np.ndarray:
@@ -701,34 +701,30 @@ def off_centre(one: Involution, states: np.ndarray, angles: Sequence[bool] | np.
     return np.asarray(wrapped(gaps / fixed.share, fixed.turning(angles)) * fixed.share)
 
 
-def _moved(states: np.ndarray, n: int) -> np.ndarray:
-    """What components (d) move (k x d), none 0: all coordinates (n) the most of them, all rates, if any, too.
-
-    A first-order system's components may have units of their own, so that each is measured by itself.
-    """
+def _moved(states: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """What components (d) move (k x d) beside each other, of a first-order system at least `STILL` of the largest."""
     extent = np.ptp(states, axis=0)
-    if n == extent.size:
-        return np.asarray(np.maximum(extent, max(STILL * float(extent.max()), 1e-300)))
-    return np.repeat(np.maximum([extent[:n].max(), extent[n:].max()], 1e-300), n)
+    least = STILL * extent.max() if angles.size == extent.size else 0.0
+    return shared(np.maximum(extent, least), angles)
 
 
 def _first_order(states: np.ndarray, known: Sequence[Involution], angles: np.ndarray) -> str:
     """The name of the symmetry, of the known ones, that states (k+1 x d) of a first-order system over T have."""
     found: list[Involution] = []
     for one in known:
-        holds = _reversed(one, states) if one.sense < 0 else has(one, np.zeros(0), states, angles)
+        holds = _reversed(one, states, angles) if one.sense < 0 else has(one, np.zeros(0), states, angles)
         if holds and one.sense not in {each.sense for each in found}:
             found.append(one)
     return Symmetry(tuple(sorted(found, key=lambda one: one.sense)), True).name
 
 
-def _reversed(one: Involution, states: np.ndarray) -> bool:
+def _reversed(one: Involution, states: np.ndarray, angles: np.ndarray) -> bool:
     """Whether x(t0 + t) = S x(t0 - t) for some t0: about it harmonics are c = S conj(c).
 
     The phase of the largest harmonic leaves twice as many candidates for t0 as its number.
     """
     drift = np.linspace(0, 1, len(states))[:, None] * (states[-1] - states[0])
-    harmonics = np.fft.rfft((states - drift)[:-1] / _moved(states, states.shape[1]), axis=0) / (len(states) - 1)
+    harmonics = np.fft.rfft((states - drift)[:-1] / _moved(states, angles), axis=0) / (len(states) - 1)
     order, matrix = np.arange(len(harmonics))[:, None], one.matrix(states.shape[1])
     partner = harmonics @ matrix.T
     k, i = np.unravel_index(int(np.abs(harmonics[1:] * partner[1:]).argmax()), harmonics[1:].shape)
@@ -746,7 +742,7 @@ def _mirrored(one: Involution, times: np.ndarray, states: np.ndarray, angles: np
     rows = _fixed(one, n).rows
     spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
     rates = spline.derivative()
-    sizes = np.repeat([np.ptp(states[:, :n], axis=0).max(), np.abs(states[:, n:]).max()], n)
+    sizes = shared(np.append(np.ptp(states[:, :n], axis=0), np.abs(states[:, n:]).max(axis=0)), angles)
     units = np.maximum((np.abs(rows) * sizes).max(axis=1), 1e-300)  # of coordinates and of rates
     coordinate = np.any(rows[:, :n] != 0, axis=1)
     moved = states @ rows.T

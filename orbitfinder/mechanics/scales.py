@@ -27,6 +27,9 @@ ALIKE = 16.0
 STILL = 1e-12
 """A component of a first-order state that is less than this share of another is its round-off, not of smaller units."""
 
+LEAST_SHARE = 0.1
+"""A component that hardly moves is measured in this share: of what others do, of what it has moved in a family."""
+
 WIDE = 2.0**16
 """Conditions that change by less than 256 with the unknowns, such as energies in J, are rows as they are."""
 
@@ -93,6 +96,17 @@ def given_lengths(model: Model) -> np.ndarray:
     return np.where(model.angular, np.nan, found)
 
 
+def given_or(model: Model, found: np.ndarray) -> np.ndarray:
+    """The sizes (n) that the user gives coordinates, else those found; 1 of angles."""
+    given = given_lengths(model)
+    return np.where(np.isnan(given), np.where(model.angular, 1.0, found), given)
+
+
+def alike(sizes: np.ndarray | float) -> np.ndarray:
+    """The powers of 2 nearest to sizes, 1 where they are within a factor of 16 of it."""
+    return np.where(snapped(sizes) == 1.0, 1.0, snapped(sizes, 2.0))
+
+
 def proportions(model: Model, state: np.ndarray) -> np.ndarray:
     """L_i (n) of the coordinates, in rad where there are angles, else relative to that of the heaviest coordinate.
 
@@ -100,21 +114,23 @@ def proportions(model: Model, state: np.ndarray) -> np.ndarray:
     """
     if model.angular.all():
         return np.ones(model.degrees_of_freedom)
-    given = given_lengths(model)
     if model.rates is not None:
-        return np.asarray(np.nan_to_num(given, nan=1.0))
+        return given_or(model, np.ones(model.degrees_of_freedom))
     masses = masses_of(model.kinetic, state, model)
     known = np.isfinite(masses) & (masses > 0)
     turning = model.angular & known
     reference = masses[turning if turning.any() else known].max(initial=0.0)
     ratios = np.sqrt(np.where(known, reference / np.where(known, masses, 1.0), 1.0))
-    ratios = np.where((ratios < 1 / ALIKE) | (ratios > ALIKE), snapped(ratios, 2.0), 1.0)
-    ratios = np.where(model.angular, 1.0, ratios)
-    return np.where(np.isnan(given), ratios, given)
+    return given_or(model, alike(ratios))
 
 
 def lengths(model: Model, states: np.ndarray) -> np.ndarray:
-    """What coordinates (n) are measured in along a motion (k x 2n): its largest extent where there are no angles."""
+    """What coordinates (n) are measured in along a motion (k x 2n): its largest extent where there are no angles.
+
+    Those of a first-order system each by itself.
+    """
+    if model.rates is not None:
+        return np.where(model.angular, 1.0, alone(np.ptp(states, axis=0), model.angular))
     parts, n = proportions(model, states[0]), model.degrees_of_freedom
     if model.angular.any():
         return parts
@@ -126,9 +142,8 @@ def surroundings(model: Model, place: np.ndarray) -> tuple[np.ndarray, float]:
 
     Lengths given, else a power of 256 near |q|; sqrt(length / acceleration), also as such a power.
     """
-    given, plain = given_lengths(model), ~model.angular
-    size = float(snapped(np.abs(place[plain]).max(initial=0.0)))
-    found = np.where(plain, np.where(np.isnan(given), size, given), 1.0)
+    size = float(snapped(np.abs(place[~model.angular]).max(initial=0.0)))
+    found = given_or(model, np.full(place.size, size))
     there = np.append(place + 0.3 * found, np.zeros(len(model.state_names) - place.size))
     pace = np.abs(_pushed(model, there, place.size) / found).max()
     return found, float(1.0 / snapped(pace if model.rates is not None else np.sqrt(pace)))
@@ -140,11 +155,9 @@ def _pushed(model: Model, state: np.ndarray, n: int) -> np.ndarray:
     return np.asarray(np.nan_to_num(found, nan=0.0, posinf=0.0, neginf=0.0))
 
 
-def _alone(sizes: np.ndarray, angular: np.ndarray) -> tuple[float, ...]:
-    """The units of a first-order state (d): each component by itself, that at 0 as the largest, of angles or others."""
-    largest = np.where(angular, sizes[angular].max(initial=0.0), sizes[~angular].max(initial=0.0))
-    units = snapped(np.where(sizes > STILL * largest, sizes, largest))
-    return () if np.all(units == 1.0) else tuple(float(one) for one in units)
+def unless_one(units: np.ndarray) -> tuple[float, ...]:
+    """Units (d) as they are handed to an integrator: () where all are 1."""
+    return () if np.all(units == 1.0) else tuple(map(float, units))
 
 
 def units_of(model: Model, states: np.ndarray, period: float) -> tuple[float, ...]:
@@ -158,7 +171,8 @@ def units_of(model: Model, states: np.ndarray, period: float) -> tuple[float, ..
         return ()
     largest = np.abs(states).max(axis=0)
     if model.rates is not None:
-        return _alone(np.maximum(largest, clock * np.abs(_pushed(model, states[0], n))), model.angular)
+        sizes = np.maximum(largest, clock * np.abs(_pushed(model, states[0], n)))
+        return unless_one(snapped(alone(sizes, model.angular, 1.0)))
     parts, turning = proportions(model, states[0]), model.angular
     found = np.maximum(largest[:n], largest[n:] * clock) / parts
     if turning.all() and 1 / ALIKE < clock < ALIKE and 1 / ALIKE < found.max() < ALIKE:
@@ -169,8 +183,56 @@ def units_of(model: Model, states: np.ndarray, period: float) -> tuple[float, ..
             size = (np.abs(_pushed(model, states[0], n)) * clock**2 / parts)[group].max()
         found[group] = size
     found = snapped(found * parts)
-    units = np.concatenate([found, found / snapped(clock)])
-    return () if np.all(units == 1.0) else tuple(float(one) for one in units)
+    return unless_one(np.concatenate([found, found / snapped(clock)]))
+
+
+def extents_of(model: Model, states: np.ndarray, period: float) -> np.ndarray:
+    """Extents (d) of a motion of a Model (k x d) over its period."""
+    masses = np.zeros(0) if model.rates is not None else masses_of(model.kinetic, states[0], model)
+    return extents(np.ptp(states, axis=0), masses, period, model.angular)
+
+
+def extents(moved: np.ndarray, masses: np.ndarray, period: float, angular: np.ndarray | None = None) -> np.ndarray:
+    """Extents (2n) of coordinates and rates from how far they moved, none of them 0; without masses `alone`.
+
+    What moves less than a tenth of the length L_i, m_i L_i^2 / tau = the largest m q v of all, tau = T / 2 pi,
+    is measured in that tenth: `masses` are the diagonal of the mass matrix (n).
+    """
+    if not masses.size:
+        return alone(moved, angular)
+    far, fast = np.split(moved, 2)
+    clock, weights = period / (2 * np.pi), np.maximum(masses, 1e-300)
+    # what turns steadily has moved, although its rate has not changed
+    action = float(np.max(weights * far * np.maximum(fast, far / period)))
+    if not (np.isfinite(action) and action > 0.0):
+        return np.repeat([1.0, 1.0 / clock], masses.size)
+    least = LEAST_SHARE * np.sqrt(action * clock / weights)
+    return np.asarray(np.maximum(moved, np.concatenate([least, least / clock])))
+
+
+def shared(moved: np.ndarray, angular: np.ndarray) -> np.ndarray:
+    """What the components of a state (d) move beside each other, none of them 0: all coordinates (n) what the most of
+    them does, and so all rates; of a first-order system each `alone`."""
+    n = angular.size
+    if n == moved.size:
+        return alone(moved, angular)
+    return np.repeat(np.maximum([moved[:n].max(), moved[n:].max()], 1e-300), n)
+
+
+def alone(moved: np.ndarray, angular: np.ndarray | None = None, share: float = LEAST_SHARE) -> np.ndarray:
+    """Extents (d) of a first-order motion from how far its components moved, none of them 0.
+
+    Each may have a unit of its own; what hardly moves at all is measured in a share of what the others do, `angular`
+    ones by themselves: a clock of 2 pi says nothing of what a nanometre is.
+    """
+    if angular is not None and 0 < angular.sum() < angular.size:
+        found = np.ones(moved.shape)
+        found[angular], found[~angular] = alone(moved[angular], None, share), alone(moved[~angular], None, share)
+        return found
+    largest = float(moved.max(initial=0.0))
+    if not (np.isfinite(largest) and largest > 0.0):
+        return np.ones(moved.shape)
+    return np.where(moved > STILL * largest, moved, share * largest)
 
 
 def parameter_sizes(model: Model, names: Sequence[str], values: np.ndarray, least: float = 1e-3) -> np.ndarray:

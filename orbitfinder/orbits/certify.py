@@ -14,22 +14,13 @@ from orbitfinder.integrate.automaton import Arc
 from orbitfinder.integrate.dop853 import rates_of, vector_field
 from orbitfinder.integrate.equations import accelerations, invariant_gradients
 from orbitfinder.integrate.evaluate import one_thread
-from orbitfinder.loops.scales import alone
 from orbitfinder.loops.symmetry import NONE, beside, knowing, recognise, shifts_of, symmetries_of, symplectic, turned
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.hybrid import as_recorded
 from orbitfinder.mechanics.model import Invariant, Model, counted, energy, wrapped
+from orbitfinder.mechanics.scales import extents
 from orbitfinder.orbits.between import early_return, overlooked
-from orbitfinder.orbits.closure import (
-    EPSILON,
-    LARGEST_SCALE,
-    ROUND_OFF,
-    Closure,
-    between,
-    extents,
-    shift,
-    shift_along,
-)
+from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, Closure, between, shift, shift_along
 from orbitfinder.orbits.control import ControlledEvidence, gather_controlled
 from orbitfinder.orbits.evidence import VARIED, Evidence, constraint_defect, gather, native_closure, second_closure
 from orbitfinder.orbits.floquet import Floquet
@@ -563,11 +554,8 @@ def return_distances(times: np.ndarray, states: np.ndarray, angles: np.ndarray, 
     States between samples come from a periodic spline of the deviation; the certificate integrates to T/k.
     """
     there = between(times, states, angles.size, times[-1] / np.asarray(covers, float))
-    moved, n = np.ptp(states, axis=0), angles.size
-    if n < moved.size:
-        units = np.concatenate(extents(moved[:n], moved[n:], np.ones(n), float(times[-1])))
-    else:
-        units = alone(moved, angles)
+    masses = np.ones(angles.size if angles.size < states.shape[1] else 0)
+    units = extents(np.ptp(states, axis=0), masses, float(times[-1]), angles)
     return [float(one) for one in np.abs(wrapped(there - states[0], angles) / units).max(axis=1)]
 
 

@@ -20,10 +20,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from orbitfinder.loops.scales import LEAST_SHARE, alone
 from orbitfinder.loops.symmetry import shifts_of
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.scales import masses_of
 
 EPSILON = float(np.finfo(float).eps)
 LARGEST_SCALE = 1e6
@@ -43,21 +41,6 @@ class Closure:
     amplification: float
     distance: float
     worst: tuple[float, float]
-
-
-def extents(moved: np.ndarray, rushed: np.ndarray, masses: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """Extents of coordinates and rates (n each) from how far they moved, none of them 0.
-
-    What moves less than a tenth of the length L_i, m_i L_i^2 / tau = the largest m q v of all, tau = T / 2 pi,
-    is measured in that tenth: `masses` are the diagonal of the mass matrix (n).
-    """
-    clock, weights = period / (2 * np.pi), np.maximum(masses, 1e-300)
-    # what turns steadily has moved, although its rate has not changed
-    action = float(np.max(weights * moved * np.maximum(rushed, moved / period)))
-    if not (np.isfinite(action) and action > 0.0):
-        return np.ones(moved.shape), np.full(moved.shape, 1.0 / clock)
-    lengths = LEAST_SHARE * np.sqrt(action * clock / weights)
-    return np.maximum(moved, lengths), np.maximum(rushed, lengths / clock)
 
 
 def closes(gap: np.ndarray, transitions: Sequence[np.ndarray], sizes: np.ndarray, rate: np.ndarray | None) -> Closure:
@@ -116,14 +99,6 @@ def _distance(gap: np.ndarray, monodromy: np.ndarray, rate: np.ndarray | None, r
     beyond = np.maximum(np.abs(left.T @ gap) - round_off, 0.0)
     steps = np.divide(beyond, singular, out=np.where(beyond > 0, np.inf, 0.0), where=singular > 0)
     return float(np.linalg.norm(steps))
-
-
-def extents_of(model: Model, states: np.ndarray, period: float) -> np.ndarray:
-    """Extents (2n) of a motion of a Model (k x 2n) over its period."""
-    if model.rates is not None:
-        return alone(np.ptp(states, axis=0), model.angular)
-    moved, rushed = np.split(np.ptp(states, axis=0), 2)
-    return np.concatenate(extents(moved, rushed, masses_of(model.kinetic, states[0], model), period))
 
 
 def shift_along(

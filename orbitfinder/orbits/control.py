@@ -35,8 +35,9 @@ from orbitfinder.loops.symmetry import named, related, shifts_of
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.controls import actuated
 from orbitfinder.mechanics.model import Model, energy, wrapped
+from orbitfinder.mechanics.scales import extents_of
 from orbitfinder.orbits.between import LOOKS, MOST_LOOKS, overlooked
-from orbitfinder.orbits.closure import Closure, closes, extents_of, shift, shift_along
+from orbitfinder.orbits.closure import Closure, closes, shift, shift_along
 from orbitfinder.orbits.floquet import Floquet, analyse
 from orbitfinder.orbits.measure import provenance
 from orbitfinder.records.orbit import SHARE, Orbit

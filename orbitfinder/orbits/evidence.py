@@ -37,14 +37,13 @@ from orbitfinder.integrate.dop853 import (
 )
 from orbitfinder.integrate.equations import accelerations, hamilton, invariant_gradients
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
-from orbitfinder.loops.scales import alone
 from orbitfinder.loops.symmetry import Involution, symplectic
 from orbitfinder.mechanics.catalogue import REMADE, with_parameters
 from orbitfinder.mechanics.chain_lagrange import ChainLagrange, chain_lagrange, is_long
 from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.model import Model, constraint_of, energies
-from orbitfinder.mechanics.scales import masses_of, snapped
-from orbitfinder.orbits.closure import Closure, closes, extents, extents_of, gap, shift
+from orbitfinder.mechanics.scales import alone, extents, extents_of, masses_of, snapped
+from orbitfinder.orbits.closure import Closure, closes, gap, shift
 from orbitfinder.orbits.floquet import Floquet, analyse, complement, generated, reduce_monodromy, symplectic_unit
 
 SAMPLES = 512
@@ -216,11 +215,12 @@ def units_of(
         return np.ones(start.size)
     units = in_momenta(first, masses, period, angular)
     path = integrate_in(units, field, start, np.linspace(0.0, period, 65), ROUGH)
-    return known_in(in_momenta(np.ptp(path, axis=0), masses, period, angular), path)
+    return known_in(path, masses, period, angular)
 
 
-def known_in(units: np.ndarray, path: np.ndarray) -> np.ndarray:
-    """Units (m) of a motion (k x m), none of them near the round-off of what it is measured from."""
+def known_in(path: np.ndarray, masses: np.ndarray, period: float, angular: np.ndarray | None) -> np.ndarray:
+    """`in_momenta` of a motion (k x m), nothing near the round-off of what it is measured from."""
+    units = in_momenta(np.ptp(path, axis=0), masses, period, angular)
     return np.asarray(np.maximum(units, KNOWN * np.abs(path).max(axis=0)))
 
 
@@ -228,9 +228,9 @@ def in_momenta(moved: np.ndarray, masses: np.ndarray, period: float, angular: np
     """`extents` in (q, p) of what moved so far in (q, p); without masses, of a first-order system, `alone`."""
     if not masses.size:
         return alone(moved, angular)
-    places, momenta = np.split(moved, 2)
-    lengths, speeds = extents(places, momenta / np.maximum(masses, 1e-300), masses, period)
-    return np.concatenate([lengths, np.where(masses > 0, masses, 1.0) * speeds])
+    weights = np.append(np.ones(masses.size), masses)
+    found = extents(moved / np.maximum(weights, 1e-300), masses, period)
+    return np.asarray(np.where(weights > 0, weights, 1.0) * found)
 
 
 def _pieces(
@@ -505,7 +505,7 @@ def tour(
     given = model, state, period, turns, moments, TIGHTEST
     motion = chain_motion(*given) if long else canonical_motion(*given, varied)
     path = motion.path
-    units = known_in(in_momenta(np.ptp(path, axis=0), motion.masses, period, model.angular), path)
+    units = known_in(path, motion.masses, period, model.angular)
     sizes = np.maximum(np.abs(path).max(axis=0) / units, 1.0)
     pieces = [piece * units[None, :] / units[:, None] for piece in motion.transitions]
     missed = (path[-1] - path[0] - shift(motion.turns, units.size)) / units

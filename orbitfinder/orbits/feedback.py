@@ -25,7 +25,8 @@ from orbitfinder.integrate.march import March, uniform
 from orbitfinder.mechanics.catalogue import REBUILDABLE, build_model
 from orbitfinder.mechanics.controls import TORQUE, Limits, checked_limits
 from orbitfinder.mechanics.model import Model, vector_field
-from orbitfinder.orbits.closure import extents_of, shift
+from orbitfinder.mechanics.scales import extents_of
+from orbitfinder.orbits.closure import shift
 from orbitfinder.orbits.measure import versions
 from orbitfinder.orbits.riccati import periodic
 from orbitfinder.orbits.transverse import EFFORT, STEPS, Reference, authority

@@ -42,8 +42,9 @@ from orbitfinder.loops.shooting import Shooting, far_end, transcribe, units_of
 from orbitfinder.loops.symmetry import off_centre
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import extents_of
 from orbitfinder.orbits.certify import certified
-from orbitfinder.orbits.closure import between, extents_of, gap
+from orbitfinder.orbits.closure import between, gap
 from orbitfinder.orbits.control import find_controlled
 from orbitfinder.orbits.long_chain import find_long_chain, suits
 from orbitfinder.orbits.measure import dense, measure, provenance, shift_of

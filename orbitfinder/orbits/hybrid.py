@@ -33,9 +33,9 @@ from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.hybrid import Hybrid, Transition
 from orbitfinder.mechanics.model import Model, energy
-from orbitfinder.mechanics.scales import snapped
+from orbitfinder.mechanics.scales import extents_of, snapped
 from orbitfinder.orbits.between import overlooked, risen
-from orbitfinder.orbits.closure import Closure, closes, extents_of, gap, shift
+from orbitfinder.orbits.closure import Closure, closes, gap, shift
 from orbitfinder.orbits.evidence import CHECKED, ClosureCheck, Tour
 from orbitfinder.orbits.floquet import AREA, Floquet, analyse, reduce_monodromy
 from orbitfinder.records.orbit import Orbit

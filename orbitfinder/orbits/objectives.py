@@ -28,6 +28,7 @@ from orbitfinder.loops.shooting import Shooting, transcribe
 from orbitfinder.loops.symmetry import symplectic
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import shared
 from orbitfinder.orbits.measure import dense, full_period
 from orbitfinder.records.orbit import Orbit
 
@@ -169,13 +170,9 @@ def _stopped(shooting: Shooting, w: np.ndarray) -> str:
 
 def _extents(shooting: Shooting, w: np.ndarray) -> np.ndarray:
     """How far each unknown may sensibly move: the motion's extents, the period, the parameters' own sizes."""
-    found = shooting.at(w)
-    node = np.maximum(np.ptp(found.nodes, axis=0), np.abs(found.nodes).max(axis=0) / 2)
-    if shooting.problem.model.rates is None:
-        n = node.size // 2
-        places, rates = float(node[:n].max()), float(node[n:].max())
-        node = np.repeat([places, max(rates, places / found.period)], n)
-    node = np.where(node > 0, node, max(float(node.max()), 1e-300))
+    found, angular = shooting.at(w), shooting.problem.model.angular
+    node = shared(np.maximum(np.ptp(found.nodes, axis=0), np.abs(found.nodes).max(axis=0) / 2), angular)
+    node[angular.size :] = np.maximum(node[angular.size :], node[: node.size - angular.size] / found.period)
     free = np.maximum(np.abs(found.free), 1e-3)
     return np.asarray(found.joined(node, found.period, np.inf, free) / shooting.units)
 

@@ -16,10 +16,10 @@ import numpy as np
 
 from orbitfinder.errors import IntegrationError, OrbitfinderError
 from orbitfinder.integrate.rk8 import march
-from orbitfinder.loops.scales import alone
 from orbitfinder.loops.symmetry import NONE, named, symmetries_of
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model, energies, positions, vector_field
+from orbitfinder.mechanics.scales import shared
 from orbitfinder.orbits.closure import between
 from orbitfinder.orbits.course import Course, course, sampled
 from orbitfinder.records.family import Event, FamilyPoint
@@ -472,14 +472,9 @@ def histories(motion: Motion) -> dict[str, Any]:
     As many samples as the page's curves through them need to be good to SMOOTH of the extent, at most 960. Of a
     hybrid motion `jumps` are the samples after which it jumps; after the last, where nothing turns, to the first.
     """
-    n, size = len(motion.angles), motion.states.shape[1]
     extent = np.ptp(motion.states, axis=0)
     # a component that stands still must not have its round-off sampled
-    if n < size:
-        among = np.repeat([extent[:n].max(), extent[n:].max()], n)
-    else:
-        among = alone(extent, np.asarray(motion.angles, bool))
-    extent = np.maximum(extent, 1e-3 * among + 1e-12)
+    extent = np.maximum(extent, 1e-3 * shared(extent, np.asarray(motion.angles, bool)) + 1e-12)
     for count in (240, 360, 480, 960) if motion.course is None else (960,):
         states = motion.at(2 * count + 1, endpoint=True)
         turned = states[-1] - states[0]  # whole turns of running orbits
