@@ -249,3 +249,14 @@ def test_newton_is_written_once():
         loops = [node for node in ast.walk(tree) if iterates(node)]
         found |= {module for loop in loops if calls(loop.body) & solving}
     assert found == set(ITERATIONS)
+
+
+def test_what_guards_a_quotient_is_said_once():
+    """`nonzero`, `size_of` and `relative` say what a size of 0 is; nobody writes a number of his own for it."""
+    written = {
+        module
+        for module, tree in MODULES.items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant) and isinstance(node.value, float) and 0 < node.value < 1e-200
+    }
+    assert written == {"_runtime.sizes"}

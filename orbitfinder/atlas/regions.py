@@ -86,7 +86,7 @@ class Level:
         if np.all(np.isnan(met)):
             raise InputError(f"energy: no state of energy {level:.9g} is found about equilibria; give another energy")
         sizes = np.nanmin(np.reshape(np.append(met, np.full(place.size, 1e300)), (-1, place.size)), axis=0)
-        return replace(one, lengths=measured(model, np.where(sizes < 1e300, sizes, 1.0)))
+        return replace(one, lengths=given_or(model, alike(np.where(sizes < 1e300, sizes, 1.0))))
 
     def drawn(self, random: np.random.Generator) -> np.ndarray:
         """Where a ray in a random direction, from near one of the places, first meets the level."""
@@ -156,7 +156,7 @@ class Attractor:
                 "its orbits from a guess"
             )
         sizes = np.max([np.ptp(path, axis=0) for path in kept], axis=0) / 4
-        return cls(model.angular, np.vstack(kept), measured(model, sizes))
+        return cls(model.angular, np.vstack(kept), given_or(model, alike(sizes)))
 
     def drawn(self, random: np.random.Generator) -> np.ndarray:
         """A state on an attractor, half of them moved away from it."""
@@ -167,11 +167,6 @@ class Attractor:
         """Such a state, put into the fixed set."""
         x, signs = self.drawn(random), np.broadcast_to(one.signs, self.lengths.size)
         return np.asarray(np.where(signs < 0, np.pi * self.angles * random.integers(0, 2, signs.size), x))
-
-
-def measured(model: Model, sizes: np.ndarray) -> np.ndarray:
-    """Lengths (d): those given, 1 of angles, else powers of 2 near the sizes, 1 within a factor of 16 of it."""
-    return given_or(model, alike(sizes))
 
 
 def random_states(model: Model) -> list[np.ndarray]:

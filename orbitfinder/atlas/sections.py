@@ -14,6 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from orbitfinder._runtime.sizes import LEAST
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.integrate.automaton import Automaton
 from orbitfinder.integrate.dop853 import ReferenceSettings
@@ -145,7 +146,7 @@ class Section:
 
         def phi(x: np.ndarray, near: bool) -> tuple[np.ndarray, np.ndarray]:
             after, held, by, slopes = (part.T for part in self._after(x, p))
-            sizes = np.maximum(np.abs(slopes * width).max(axis=1), 1e-300 if near else np.abs(level))
+            sizes = np.maximum(np.abs(slopes * width).max(axis=1), LEAST if near else np.abs(level))
             miss, slopes = (held.ravel() - level) / sizes, slopes / sizes[:, None]
             if not near:
                 return miss, slopes

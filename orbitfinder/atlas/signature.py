@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.loops.symmetry import USUAL
 from orbitfinder.mechanics.hybrid import as_recorded
@@ -203,10 +204,10 @@ def _extents(loop: np.ndarray, angles: Sequence[bool]) -> np.ndarray:
     sizes = np.concatenate([np.ptp(loop[:, :n], axis=0), np.abs(loop[:, n:]).max(axis=0)])
     lengths = float(np.abs(loop[:, :n])[:, ~turning].max(initial=0.0))
     bent, stretched = (float(sizes[:n][group].max(initial=0.0)) for group in (turning, ~turning))
-    beside = LEAST * min(stretched / max(lengths, 1e-300), 1.0), LEAST * lengths * min(bent, 1.0)
+    beside = LEAST * min(stretched / nonzero(lengths), 1.0), LEAST * lengths * min(bent, 1.0)
     for group, least in ((turning, beside[0]), (~turning, beside[1])):
         for half, floor in ((sizes[:n], least), (sizes[n:], 0.0)):
-            half[group] = max(float(half[group].max(initial=0.0)), floor, 1e-300)
+            half[group] = nonzero(max(float(half[group].max(initial=0.0)), floor))
     clock = float(np.max(sizes[n:] / sizes[:n]))
     sizes[n:] = np.maximum(sizes[n:], LEAST * clock * sizes[:n])
     return np.concatenate([np.where(turning, np.minimum(sizes[:n], np.pi), sizes[:n]), sizes[n:]])
@@ -235,7 +236,7 @@ def _phase(first: Signature, path: Callable[[np.ndarray], np.ndarray], moment: f
         before, here, after = path(np.array([moment - apart, moment, moment + apart]))
         chord = wrapped(after - before, first.angles) / scale / 2
         gap = wrapped(first.loop[0] - here, first.angles) / scale
-        step = float(chord @ gap / max(float(chord @ chord), 1e-300))
+        step = float(chord @ gap / nonzero(chord @ chord))
         moment += apart * float(np.clip(step, -4.0, 4.0))
     return moment
 

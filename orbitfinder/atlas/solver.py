@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import brentq
 
+from orbitfinder._runtime.sizes import size_of
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.loop import Equations, Loop, Unknowns
@@ -200,7 +201,7 @@ def damped_step(jacobian: np.ndarray, residual: np.ndarray, damping: float) -> n
             step = np.linalg.lstsq(jacobian, -residual, rcond=1e-13)[0]
     except np.linalg.LinAlgError as error:
         raise ConvergenceError("singular equations") from error
-    return np.asarray(step * min(1.0, LARGEST_STEP / max(float(np.abs(step).max()), 1e-300)))
+    return np.asarray(step * min(1.0, LARGEST_STEP / size_of(step)))
 
 
 def polished(one: Scaled, w: Unknowns, jacobian: np.ndarray) -> Unknowns:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.optimize import brentq
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.atlas.regions import Region, region_of
 from orbitfinder.atlas.sections import TURNS as TURNED
 from orbitfinder.atlas.sections import Section
@@ -39,7 +40,7 @@ from orbitfinder.loops.symmetry import (
     with_mirrors,
 )
 from orbitfinder.mechanics.model import Model, wrapped
-from orbitfinder.mechanics.scales import alike, given_lengths, given_or, snapped
+from orbitfinder.mechanics.scales import alike, given_lengths, given_or, snapped, unless_one
 
 CYCLES = 3
 """Cycles of a hybrid system that an orbit goes through at most unless told otherwise."""
@@ -168,8 +169,7 @@ def context_of(model: Model, target: Target) -> Context:
         strategies=(*(name for name in TURNS if possible(name, known)), *own, *(own if len(own) == 1 else ())),
         declared=own, lengths=lengths,
     )  # fmt: skip
-    units = tuple(map(float, one.units)) if np.any(one.units != 1.0) else ()
-    flows = {name: build_flow(model, (), kinds, units=units) for name, kinds in unfolded.items()}
+    flows = {name: build_flow(model, (), kinds, units=unless_one(one.units)) for name, kinds in unfolded.items()}
     return replace(one, flows=flows, step=calibrated(one))
 
 
@@ -180,8 +180,7 @@ def _alone(model: Model, target: Target) -> Context:
     place = region.drawn(np.random.default_rng(0))
     own = {f"{DECLARED}{one.name}": one for one in involutions(model) if Symmetry((one,), True).held_by(model, place)}
     chosen = {NONE.name: ALONE} | {one.name: Symmetry((one,), True) for one in own.values()}
-    unfolded = {name: one.unfolded(model) for name, one in chosen.items()}
-    units = tuple(map(float, region.lengths)) if np.any(region.lengths != 1.0) else ()
+    units, unfolded = unless_one(region.lengths), {name: one.unfolded(model) for name, one in chosen.items()}
     one = Context(
         model, target,
         equations={name: Equations(model, one, alone=True) for name, one in chosen.items()},
@@ -324,7 +323,7 @@ def potential(context: Context, q: np.ndarray) -> float:
 def on_shell(context: Context, q: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """The state (2n) at q with velocity along `direction` and the target's energy."""
     kinetic = float(context.model.kinetic(q, direction, context.model.parameter_values))
-    size = np.sqrt((context.target.energy - potential(context, q)) / max(kinetic, 1e-300))
+    size = np.sqrt((context.target.energy - potential(context, q)) / nonzero(kinetic))
     return np.concatenate([q, size * direction])
 
 
@@ -417,7 +416,7 @@ def boundary_gap(context: Context, symmetry: str, states: np.ndarray) -> np.ndar
     n, angular, states = context.model.degrees_of_freedom, context.model.angular, states / context.sizes
     if context.region is not None:
         return _gap_alone(context.declared.get(symmetry), states, angular)
-    rate = max(float(np.sqrt(np.mean(states[:, n:] ** 2))), 1e-300)
+    rate = nonzero(np.sqrt(np.mean(states[:, n:] ** 2)))
     if symmetry == REVERSAL.name or symmetry in context.declared:
         known = (context.declared[symmetry],) if symmetry in context.declared else REVERSAL.maps
         scaled = states / np.repeat([1.0, rate], n)

@@ -137,7 +137,7 @@ def mapped(found: Section, model: Model, duration: float, written: list[Path]) -
 
 def _level(energy: float, orbit: Orbit | Torus) -> bool:
     """Whether an orbit or a torus has the energy of a section, or there is none."""
-    return energy != energy or abs(energy - orbit.energy) <= 1e-9 * max(abs(energy), 1e-300)
+    return energy != energy or abs(energy - orbit.energy) <= 1e-9 * abs(energy)
 
 
 def limits(given: tuple[str, ...]) -> dict[str, tuple[float, ...]]:

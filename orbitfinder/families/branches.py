@@ -18,6 +18,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from orbitfinder._runtime.notebook import brief
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.motion import full_samples
 from orbitfinder.families.point import FamilySettings, parameter_value, shift_at, unknowns_of
@@ -298,7 +299,7 @@ def _foot(points: np.ndarray, curve: np.ndarray) -> np.ndarray:
     for shift in (-1, 0):
         low = np.clip(nearest + shift, 0, len(curve) - 2)
         along = curve[low + 1] - curve[low]
-        share = np.sum((points - curve[low]) * along, axis=1) / np.maximum(np.sum(along**2, axis=1), 1e-300)
+        share = np.sum((points - curve[low]) * along, axis=1) / nonzero(np.sum(along**2, axis=1))
         foot = curve[low] + np.clip(share, 0.0, 1.0)[:, None] * along
         nearer = np.linalg.norm(points - foot, axis=1) < np.linalg.norm(points - found, axis=1)
         found[nearer] = foot[nearer]

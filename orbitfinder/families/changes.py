@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
+from orbitfinder._runtime.sizes import size_of
 from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.passages import Test, located
@@ -172,7 +173,7 @@ class _Watched:
     @property
     def range(self) -> float:
         """The largest height in size."""
-        return max(float(np.abs(self.heights).max()), 1e-300)
+        return size_of(self.heights)
 
     @property
     def below(self) -> bool:

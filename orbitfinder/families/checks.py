@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.changes import margins
 from orbitfinder.families.codimension_two import is_centre, tests
@@ -386,8 +387,8 @@ def _cusp(sides: Sides, _: Event) -> Reading:
     sizes = np.array([sides.here.curve.scales.free[model.index(one)] if one in model else 1.0 for one in names])
     low, middle, high = np.array([sides.values(one) for one in names]).T / sizes
     bent, across = high - 2 * middle + low, high - low
-    scale = sides.apart / (sides.step * max(float(np.linalg.norm(bent)), 1e-300))
-    along = bent / max(float(np.linalg.norm(bent)), 1e-300)
+    scale = sides.apart / (sides.step * nonzero(float(np.linalg.norm(bent))))
+    along = bent / nonzero(float(np.linalg.norm(bent)))
     value, aside = -0.5 * float(across @ along) * scale, across - (across @ along) * along
     known = 4 * np.finfo(float).eps + max(one.tour.closes.distance for one in (sides.before, sides.here, sides.after))
     error = SHARP + float(np.abs([low, high]).max()) * known * scale

@@ -16,6 +16,7 @@ from math import gcd
 
 import numpy as np
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.families.critical import REAL, Critical, doubled, levelled, multipliers, nearest_pair, torus_pair
 from orbitfinder.families.doubling import bending, can_bend
 from orbitfinder.families.events import event_at
@@ -158,7 +159,7 @@ def _turns(interval: Interval) -> Iterator[tuple[Sample, Test]]:
     """Cusps, and places where the parameter that folds is extremal along a curve of folds."""
     one = _critical(interval)
     ends = np.array([slopes(sample, one.parameters) for sample in (interval.first, interval.last)])
-    sizes = np.maximum(np.abs(ends).max(axis=0), 1e-300)
+    sizes = nonzero(np.abs(ends).max(axis=0))
     ends = ends / sizes
     if ends[0] @ ends[1] < 0:
         across = (ends[0] / np.linalg.norm(ends[0]) - ends[1] / np.linalg.norm(ends[1])) / sizes

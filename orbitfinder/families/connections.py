@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.continuation.follow import Known, reached
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.manifolds import Local, ManifoldSettings, Part, grown, local_manifold, surface_of
 from orbitfinder.integrate.crossings import FINE
@@ -179,7 +180,7 @@ def _check_section(found: Surface, orbit: Orbit, goal: Orbit) -> None:
     if goal.system != orbit.system:
         raise InputError("other: an orbit of another system; connections join orbits of one")
     here, there = energy(model, orbit.state), energy(model, goal.state)
-    if held and abs(here - there) > 1e-9 * max(abs(here), abs(there), 1e-300):
+    if held and abs(here - there) > 1e-9 * max(abs(here), abs(there)):
         raise InputError(
             f"other: its energy is {there!r}, that of the first {here!r}; motions keep theirs, find both at one energy"
         )
@@ -341,7 +342,7 @@ def _own(chain: Chain) -> float:
 
 def _met(found: Surface, state: np.ndarray, other: Connection) -> bool:
     """Whether a crossing is one of a connection that is known."""
-    units = np.maximum(np.ptp(other.states, axis=0), 1e-300)
+    units = nonzero(np.ptp(other.states, axis=0))
     return bool(np.abs(wrapped(other.states - state, found.model.angular) / units).max(axis=1).min() <= SAME_POINT)
 
 
@@ -464,7 +465,7 @@ def _end_checks(connection: Connection, model: Model, evidence: _Evidence) -> It
     yield _most("local", max(off), LINEAR, "of the first and the last crossing off the local manifolds, in extents")
     if model.conservative:
         level = np.array([energy(model, x) for x in (*connection.states, *(one.state for one in ends))])
-        spread = float(np.ptp(level)) / max(abs(level[0]), 1e-300)
+        spread = float(np.ptp(level)) / nonzero(abs(level[0]))
         yield _most("energy", spread, LEVEL, "of all crossings and both orbits, relative")
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.families.critical import Critical
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
@@ -55,7 +56,7 @@ def _bending(curve: Curve, found: Solution) -> float:
     second = (-p2 + 16 * p1 - 30 * here + 16 * n1 - n2) / (12 * h**2)
     third = (-p3 + 8 * p2 - 13 * p1 + 13 * n1 - 8 * n2 + n3) / (8 * h**3)
     r = np.linalg.solve(np.eye(len(matrix)) - matrix, second)
-    e = r / max(float(np.linalg.norm(r)), 1e-300)
+    e = r / nonzero(float(np.linalg.norm(r)))
     both = returned(h * np.array([q + e, -q - e, q - e, e - q]))
     mixed = (both[0] + both[1] - both[2] - both[3]) * float(np.linalg.norm(r)) / (4 * h**2)
     return float(p @ third) / 6 + float(p @ mixed) / 2

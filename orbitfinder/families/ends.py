@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.joins import EVEN, Kept, agrees, approaching, end_of, passed, solved
@@ -245,7 +246,7 @@ def _canard(run: Run, step: Step, failure: str) -> End | None:
     values, periods = step.portraits[:, 1 + k], step.portraits[:, 0]
     apart = np.abs(values - values[-1]) > EXPLODED * np.ptp(values)
     first = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
-    sizes = np.maximum(step.portraits[first:, -run.curve.equations.size :], 1e-300)
+    sizes = nonzero(step.portraits[first:, -run.curve.equations.size :])
     period, size = (float(np.max(np.ptp(one, axis=0) / one.max(axis=0))) for one in (periods[first:, None], sizes))
     if values.size - first < FEWEST_STEPS or max(period, size) < EXPLOSION:
         return None
@@ -286,7 +287,7 @@ def shortest_step(run: Run, step: Step) -> float:
 def _settled(origin: FamilyPoint, before: FamilyPoint, after: FamilyPoint) -> bool:
     """Whether the period grows without the energy changing any more, of orbits that are very unstable."""
     stretch = float(np.log(after.period / before.period))
-    change = abs(after.energy - before.energy) / max(stretch, 1e-300)
+    change = abs(after.energy - before.energy) / nonzero(stretch)
     return after.scale > UNDECIDED and stretch > 0 and change < SETTLED * abs(after.energy - origin.energy)
 
 

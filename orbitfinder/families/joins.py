@@ -14,6 +14,7 @@ from math import gcd
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.branches import symmetric
 from orbitfinder.families.critical import Critical
@@ -121,7 +122,7 @@ def _beside(curve: Curve, states: np.ndarray) -> Iterator[tuple[Kept, np.ndarray
     away, angles = (states - states.mean(axis=0)) / curve.units, curve.equations.model.angular
     for kept in joinable(curve):
         gaps = kept.gaps(states, angles) / curve.units
-        yield kept, gaps, float(np.sqrt((gaps**2).mean() / max((away**2).mean(), 1e-300)))
+        yield kept, gaps, float(np.sqrt((gaps**2).mean() / nonzero((away**2).mean())))
 
 
 def _held(curve: Curve, kept: Kept, states: np.ndarray) -> bool:

@@ -28,6 +28,7 @@ from functools import cached_property
 import numpy as np
 
 from orbitfinder._runtime.notebook import brief
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, plural
 from orbitfinder.integrate.crossings import FINE, SEEN, Crossings, Passing, Plane
 from orbitfinder.integrate.equations import invariant_gradients
@@ -133,7 +134,7 @@ class Local:
                 break
             place *= max(0.5 * min(1.0, (accuracy / error) ** 0.5) * 1.9, 0.05) if np.isfinite(error) else 0.1
         half = self.error(place / 2)
-        order = np.log2(max(error, 1e-300) / max(half, 1e-300))
+        order = np.log2(nonzero(error) / nonzero(half))
         if not (error <= ROUND_OFF * 10 or order >= SECOND_ORDER) or not np.isfinite(error):
             raise ConvergenceError(
                 f"displacement: {error:.2g} off the manifold at {place:.2g} and {half:.2g} at half of it, not of "

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.families.point import parameter_value
 from orbitfinder.families.run import Sample
 from orbitfinder.loops.continued import Curve, Solution, advanced
@@ -119,7 +120,7 @@ class _Extended:
         self.start = np.concatenate([y, [1.0], v.real, v.imag])
         rest = self.at(self.start)
         held = curve.slopes(rest, curve.conditions) * rest.joined(units, rest.period, 0.0, self.sizes[self.size :])
-        self.held = np.maximum(np.abs(held).max(axis=1, initial=0.0), 1e-300)
+        self.held = nonzero(np.abs(held).max(axis=1, initial=0.0))
 
     def at(self, z: np.ndarray) -> Unknowns:
         """The equilibrium as an orbit of one node."""

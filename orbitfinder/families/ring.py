@@ -25,6 +25,7 @@ from typing import TypeVar
 import numpy as np
 import scipy.linalg
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.continuation.problem import plane, solved
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied
@@ -182,7 +183,7 @@ class Ring:
         places = 2 * np.pi * np.arange(len(w.curve)) / len(w.curve)
         along = at_angles(w.curve, places, derivative=True) / self.units
         chosen = [along] if self.forced else [self.rates(w), along]
-        rows = [(one / self.units / max(float(np.linalg.norm(one)), 1e-300)).ravel() for one in chosen]
+        rows = [(one / self.units / nonzero(float(np.linalg.norm(one)))).ravel() for one in chosen]
         return np.pad(rows, ((0, 0), (0, 2 + w.free.size)))
 
     def aim(self, w: Turned, name: str, value: float) -> tuple[float, np.ndarray]:
@@ -194,7 +195,7 @@ class Ring:
             return float((w.vector[place] - value) * slope[place]), slope
         found, by_state, by_free = p.quantities_at(Unknowns(first, w.period, np.zeros(0), w.free, np.zeros(2)))
         slope[: first.size], slope[w.curve.size + 2 :] = by_state[p.energy], by_free[p.energy]
-        size = max(float(np.linalg.norm(by_state[p.energy] * self.units)), 1e-300)
+        size = nonzero(float(np.linalg.norm(by_state[p.energy] * self.units)))
         return float(found[p.energy] - value) / size, slope / size
 
     def value(self, w: Turned, name: str) -> float:
@@ -251,7 +252,7 @@ class Ring:
 def unresolved(curve: np.ndarray) -> float:
     """The largest of the highest sixth of the harmonics, relative to the largest of all but the mean."""
     waves, sizes = np.abs(harmonics(len(curve))), np.abs(coefficients(curve)).max(axis=1)
-    return float(sizes[waves > 5 * waves.max() // 6].max() / max(sizes[waves > 0].max(), 1e-300))
+    return float(sizes[waves > 5 * waves.max() // 6].max() / nonzero(sizes[waves > 0].max()))
 
 
 class Factored:

@@ -10,6 +10,7 @@ from math import gcd
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.integrate.march import QUANTUM
 from orbitfinder.loops.continued import Curve, Solution
@@ -76,7 +77,7 @@ class Spectrum:
         except np.linalg.LinAlgError:  # as of several multipliers that resets have made 0
             return np.ones(self.values.size)
         with np.errstate(over="ignore"):
-            sizes = np.maximum(np.abs(self.values), 1e-300)
+            sizes = nonzero(np.abs(self.values))
             return np.asarray(max(missed, ACCURACY) * np.linalg.norm(self.reduced) * left / sizes)
 
     @property

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.families.motion import SAMPLES, full_samples
@@ -105,7 +106,7 @@ def cover_of(curve: Curve, found: Solution) -> int:
     if curve.equations.links or curve.equations.model.forced:
         return 1
     rough = full_samples(curve, found)[1]
-    extents = np.maximum(np.ptp(rough, axis=0), 1e-300)
+    extents = nonzero(np.ptp(rough, axis=0))
     for covers in (k for k in range(MOST_COVERS, 1, -1) if (return_gaps(rough, k) < NEAR * extents).all()):
         states = full_samples(curve, found, -(-SAMPLES // covers) * covers)[1]
         if (return_gaps(states, covers) < COVERED * extents).all():
@@ -359,7 +360,7 @@ def _symmetric_instant(curve: Curve, motion: CubicHermiteSpline, symmetry: Symme
     sizes = np.abs(away(times[:-1])).max(axis=1)
     near = times[:-1][(sizes <= np.roll(sizes, 1)) & (sizes <= np.roll(sizes, -1))]
     speeds = (motion(near, 1) * clock) @ rows.T
-    instants = near - (away(near) * speeds).sum(axis=1) / np.maximum((speeds**2).sum(axis=1), 1e-300)
+    instants = near - (away(near) * speeds).sum(axis=1) / nonzero((speeds**2).sum(axis=1))
     return float(instants[np.abs(away(instants)).max(axis=1).argmin()])
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from orbitfinder._runtime import locks
 from orbitfinder._runtime.keeping import STOPPED, finished
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.continuation.follow import Curve, Goals, Pace, Trace, follow, towards
 from orbitfinder.continuation.problem import Point, plane, solved
 from orbitfinder.errors import ConvergenceError, InputError, closest
@@ -381,7 +382,7 @@ def strip(curve: np.ndarray) -> float:
     waves, sizes = harmonics(len(curve)), np.abs(coefficients(curve)).max(axis=1)
     largest = np.array([sizes[np.abs(waves) >= k].max() for k in range(1, waves.max() + 1)])
     clear = np.arange(max(3, np.flatnonzero(largest > 10 * CLEAN * largest[0])[-1] + 1))
-    return float(-np.polyfit(clear, np.log(np.maximum(largest[clear], 1e-300)), 1)[0])
+    return float(-np.polyfit(clear, np.log(nonzero(largest[clear])), 1)[0])
 
 
 def _inner(name: str, value: float) -> float:
@@ -486,7 +487,7 @@ def certify_torus(torus: Torus, model: Model) -> Torus:
     period = float(own.forcing_period(own.parameter_values)) if own.forced else 0.0  # type: ignore[misc]
     times = np.linspace(0.0, torus.period, 33)
     longest = torus.period / STEPS_PER_PERIOD
-    scale = np.maximum(np.abs(starts).max(axis=0), 1e-300)
+    scale = nonzero(np.abs(starts).max(axis=0))
     units = np.where(scale > 1e-9 * scale.max(), scale, scale.max())
     paths = np.array([integrate_in(units, field, one, times, longest_step=longest) for one in starts])
     extents = extents_of(own, paths.reshape(-1, torus.curve.shape[1]), torus.period)
@@ -496,7 +497,7 @@ def certify_torus(torus: Torus, model: Model) -> Torus:
     along = at_angles(torus.curve, angles, derivative=True) / extents
     flow = np.array([field(0.0, one) for one in starts]) / extents
     norms = np.linalg.norm(along, axis=1) * np.linalg.norm(flow, axis=1)
-    across = np.sqrt(np.maximum(0.0, 1.0 - (np.sum(along * flow, axis=1) / np.maximum(norms, 1e-300)) ** 2))
+    across = np.sqrt(np.maximum(0.0, 1.0 - (np.sum(along * flow, axis=1) / nonzero(norms)) ** 2))
     size = float((np.ptp(torus.curve, axis=0) / extents).max())
     near = resonance(torus.rotation, len(torus.curve))
     checks = [
@@ -538,4 +539,4 @@ def _spread(model: Model, states: np.ndarray, energy: float) -> float:
     kinetic = model.along(model.kinetic, states.T[:n], states.T[n:]).ravel()
     potential = model.along(model.potential, states.T[:n]).ravel()
     size = np.abs(kinetic).max() if model.rates is None else np.abs(potential).max()
-    return float(np.abs(kinetic + potential - energy).max() / max(float(size), 1e-300))
+    return float(np.abs(kinetic + potential - energy).max() / nonzero(size))

@@ -215,7 +215,7 @@ def point_checks(family: Family, number: int, found: Certificate, model: Model) 
     curve = family_curve(family, model)
     look = Look(curve, settled_on(curve, point))
     value = look.value(family.parameter)
-    off = abs(point.value - value) / max(abs(value), 1e-300) if value else abs(point.value)
+    off = abs(point.value - value) / abs(value) if value else abs(point.value)
     root = 1 if curve.equations.symmetry.forward is None else 2
     checks = [
         Check("value", off, ROUNDED, off <= ROUNDED, f"of {family.parameter}"),

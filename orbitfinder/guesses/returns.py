@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError, plural
 from orbitfinder.guesses.modes import normal_mode, normal_modes
 from orbitfinder.integrate.cvodes import build_flow, sample
@@ -52,7 +53,7 @@ def close_returns(
     times, states = _regular(np.asarray(times, float), np.asarray(states, float))
     step, wrapping = float(times[1] - times[0]), np.zeros(states.shape[1], bool)
     wrapping[: len(angles)] = angles
-    extent = np.maximum(np.ptp(states, axis=0), 1e-300)
+    extent = nonzero(np.ptp(states, axis=0))
     extent = np.where(wrapping, np.minimum(extent, np.pi), extent)
     span = times[-1] - times[0]
     lags = np.arange(1, int(min(longest or span / 2, span / 2) / step) + 1)

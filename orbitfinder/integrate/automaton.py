@@ -17,6 +17,7 @@ from scipy.integrate import DOP853
 from scipy.optimize import brentq
 
 from orbitfinder._runtime import limit
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.dop853 import (
     SECOND,
@@ -186,7 +187,7 @@ class Automaton:
         field, leaving, settings, units = self.field(mode), self.hybrid.leaving(mode), self.settings, self.units
         solver = DOP853(
             scaled(field, units), 0.0, x / units, until - t, rtol=settings.relative_tolerance,
-            atol=settings.absolute_tolerance, max_step=max(self.longest, 1e-300),
+            atol=settings.absolute_tolerance, max_step=nonzero(self.longest),
         )  # fmt: skip
         self._asked = []
         guards = [self._watch(one.guard, one.direction, field, x, by in ("", one.name)) for one in leaving]
@@ -215,7 +216,7 @@ class Automaton:
             spent, path = np.concatenate(times), np.vstack(states)
             if len(spent) > 2 and t + spent[-2] == t + spent[-1]:  # the event where a step ended is one moment
                 spent, path = np.delete(spent, -2), np.delete(path, -2, axis=0)
-            margins = tuple((name, -one.most / max(one.range, 1e-300)) for name, one in holds.items())
+            margins = tuple((name, -one.most / nonzero(one.range)) for name, one in holds.items())
             if found is None:
                 return Arc(mode, t + spent, path, None, path[-1], 0.0, margins)
             return self._ended(mode, leaving[which], t, spent, path, guards[which].range, margins)
@@ -309,14 +310,14 @@ class Automaton:
         slope = self._rate(one, self.field(mode), float(times[-1]), end) * one.direction
         impulse, lost = (None if f is None else float(self.value(f, end)[0]) for f in (one.impulse, one.lost))
         return Arc(
-            mode, start + times, states, one.name, self.value(one.reset, end), slope * times[-1] / max(span, 1e-300),
+            mode, start + times, states, one.name, self.value(one.reset, end), slope * times[-1] / nonzero(span),
             margins, impulse, lost, self._decided(states),
         )  # fmt: skip
 
     def _decided(self, states: np.ndarray) -> float:
         """How far from their change of mind the answers were on which crossings count."""
         sizes = {one.name: max(abs(float(self.value(one.allowed, x)[0])) for x in states) for one, _ in self._asked}
-        return min((value / max(sizes[one.name], 1e-300) for one, value in self._asked), default=np.inf)
+        return min((value / nonzero(sizes[one.name]) for one, value in self._asked), default=np.inf)
 
 
 Seen = tuple[float, float, float]
@@ -344,7 +345,7 @@ def recognised(model: Model, state: np.ndarray, period: float) -> tuple[str, ...
         if arc.ended_by is None:
             break
         found.append(arc)
-        extent = np.maximum(np.ptp(np.vstack([one.states for one in found]), axis=0), 1e-300)
+        extent = nonzero(np.ptp(np.vstack([one.states for one in found]), axis=0))
         away = np.abs(wrapped(arc.after - state, model.angular))
         off = max(float((away / extent).max()), abs(float(arc.times[-1]) / period - 1))
         if hybrid.transition(arc.ended_by).target == hybrid.first.name and off < nearest[0]:

@@ -21,6 +21,7 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder._runtime import limit
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.compiled import compiled
 from orbitfinder.integrate.parallel import STAGES, Lanes
@@ -221,7 +222,7 @@ class _Run:
     def _first(self) -> np.ndarray:
         """A first length for each motion: what takes it a hundredth of a unit."""
         pace = np.abs(self.rates / self.of.units).max(axis=1, initial=0.0)
-        return np.asarray(np.minimum(0.01 / np.maximum(pace, 1e-300), 0.01 * self.longest))
+        return np.asarray(np.minimum(0.01 / nonzero(pace), 0.01 * self.longest))
 
     def _watched(self, times: np.ndarray, states: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The plane's component and its rate forwards in time; time itself counts from where it began."""

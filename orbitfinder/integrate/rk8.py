@@ -16,6 +16,7 @@ import numpy as np
 from scipy.integrate import DOP853
 
 from orbitfinder._runtime import limit
+from orbitfinder._runtime.sizes import LEAST
 from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.compiled import compiled, interpreted_seconds
 
@@ -40,7 +41,7 @@ def one_step(field: ca.Function, symbol: Any, error: bool = False) -> ca.Functio
         return ca.Function("step", [z, p], [after])
     stages.append(field(after[0], after[1:], s, free))
     fifth, third = h * _combined(DOP853.E5, stages), h * _combined(DOP853.E3, stages)
-    return ca.Function("error", [z, p], [fifth**2 / ca.sqrt(fifth**2 + 0.01 * third**2 + 1e-300)])
+    return ca.Function("error", [z, p], [fifth**2 / ca.sqrt(fifth**2 + 0.01 * third**2 + LEAST)])
 
 
 def _combined(weights: np.ndarray, stages: list[Any]) -> Any:

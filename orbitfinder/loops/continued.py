@@ -13,6 +13,7 @@ from typing import Self
 
 import numpy as np
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied
 from orbitfinder.loops.condensed import Broyden, Factors
@@ -127,16 +128,15 @@ def make_curve(
     equations: Equations,
     constant: np.ndarray,
     w: Unknowns,
-    conditions: tuple[Condition, ...] = (),
-    unit: np.ndarray | float = 1.0,
-    states: np.ndarray | None = None,
+    conditions: tuple[Condition, ...],
+    unit: np.ndarray,
+    states: np.ndarray,
 ) -> Curve:
     """The curve through (or near) w, along whose first motion there are `states` (k x d).
 
-    `unit` is what coordinates (n) are measured in (see `point.length`).
+    `unit` is what coordinates (n) are measured in (see `mechanics.scales.lengths`).
     """
-    n = equations.model.degrees_of_freedom
-    lengths = np.tile(np.broadcast_to(unit, n), equations.size // n)
+    lengths = np.tile(unit, equations.size // unit.size)
     relative = parameter_sizes(equations.model, equations.free, w.free)
     with np.errstate(over="ignore"):  # what comes of a period that is too small is said where it is integrated
         pace = np.square(1.0 / w.period)
@@ -144,8 +144,6 @@ def make_curve(
         [clocked(equations.model, w.period / (2 * np.pi)) ** 2 / lengths**2, [pace], 1.0 / relative**2]
     )
     curve = Curve(equations, constant, conditions, weights=weights, scales=Scales.head(weights, equations.size))
-    if states is None:
-        return curve
     return replace(curve, scales=Scales.of(sizes(equations.model, curve.shares, states, w.period), w, relative))
 
 
@@ -296,7 +294,7 @@ class Border:
             row = self._row * columns
             told = across if length**2 > ACROSS * (moved @ moved) else moved
             change = self._value - (before[1] if before else self._value)
-            row = row + (change - row @ moved) / max(told @ told, 1e-300) * told
+            row = row + (change - row @ moved) / nonzero(told @ told) * told
         self._row = np.asarray(row / columns)
         return self._row
 
@@ -318,7 +316,7 @@ class Border:
 def _left_free(curve: Curve, w: Unknowns, jacobian: np.ndarray) -> np.ndarray:
     """An orthonormal basis (k x whole), in units of the metric, of the kernel of all rows but the test and the aim."""
     if curve.degenerate:
-        return np.asarray(np.linalg.svd(_measured(curve, w, jacobian)[0])[2][len(jacobian) - 1 :])
+        return np.asarray(np.linalg.svd(_measures(curve.through(w), w).matrix(jacobian))[2][len(jacobian) - 1 :])
     matrix = jacobian * curve.scales.columns(w)  # what rows are measured in does not change their kernel
     return np.asarray(np.linalg.qr(matrix.T, mode="complete")[0][:, len(matrix) :].T)
 
@@ -332,7 +330,7 @@ def _solved(curve: Curve, w: Unknowns, matrix: np.ndarray, right: np.ndarray) ->
             return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-12)[0])
     columns = curve.scales.columns(w)
     measured = matrix * columns
-    rows = np.maximum(np.linalg.norm(measured, axis=1), 1e-300)
+    rows = nonzero(np.linalg.norm(measured, axis=1))
     left, sizes, across = np.linalg.svd(measured / rows[:, None])
     return np.asarray(columns * (across[:-1].T @ ((left.T @ (right / rows))[:-1] / sizes[:-1])))
 
@@ -345,12 +343,8 @@ def plane(curve: Curve, w: Unknowns, along: np.ndarray, ahead: float = 0.0) -> C
 
 def scaled(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
     """The Jacobian of all rows but the aim in units of the metric, and those of its columns."""
-    return _measured(curve, found.place, found.jacobian)
-
-
-def _measured(curve: Curve, w: Unknowns, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    measures = _measures(curve.through(w), w)
-    return measures.matrix(jacobian), measures.columns
+    measures = _measures(curve.through(found.place), found.place)
+    return measures.matrix(found.jacobian), measures.columns
 
 
 def distance(curve: Curve, one: Unknowns, other: Unknowns) -> float:

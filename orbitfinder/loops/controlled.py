@@ -23,6 +23,7 @@ from scipy.sparse.linalg import splu
 
 from orbitfinder._runtime import limit
 from orbitfinder._runtime.quiet import captured
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.integrate.rk8 import one_step
 from orbitfinder.loops.control import Basis, Control, Task, stated
@@ -425,7 +426,7 @@ class Program:
             arc = self.parts.arc(k)
             own = _built(self.parts, arc, self.control.method)(node, h, w.unfolding, given, points[k])[0].full()[:, -1]
             fine = _built(finer, arc, "shooting")(node, h, w.unfolding, given, [])[0].full()[:, -1]
-            worst = max(worst, float((np.abs(fine - own) / np.maximum(size, 1e-300)).max()))
+            worst = max(worst, float((np.abs(fine - own) / nonzero(size)).max()))
         return worst
 
 
@@ -622,7 +623,7 @@ def _closed(stated: Statement, at: np.ndarray) -> np.ndarray:
     def correction(at: np.ndarray) -> np.ndarray:
         left, slope = function(at)
         matrix = slope.sparse().tocsr()
-        sizes = np.maximum(np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=1)).ravel()), 1e-300)
+        sizes = nonzero(np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=1)).ravel()))
         matrix, left = diags(1.0 / sizes) @ matrix, left.full().ravel() / sizes
         square = (matrix @ matrix.T + SINGULAR * identity(len(chosen))).tocsc()
         return -np.asarray(matrix.T @ splu(square).solve(left))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from orbitfinder._runtime.sizes import relative
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.cvodes import integration_error, sundials
 from orbitfinder.loops.problem import Problem, clocked
@@ -121,7 +122,7 @@ def _turning(shooting: Shooting, w: np.ndarray) -> str:
         along = np.column_stack([one.generator(node[:n], node[n:], p).full() for one in turns])  # type: ignore[misc]
         rate = shooting.flow.field(0.0, node, 0 * found.unfolding, found.free).full().ravel()
         missed = rate - along @ np.linalg.lstsq(along, rate, rcond=None)[0]
-        left = max(left, float(np.abs(missed).max() / max(np.abs(rate).max(), 1e-300)))
+        left = max(left, relative(missed, rate))
     return " and ".join(one.name for one in turns) if left < STEADY else ""
 
 

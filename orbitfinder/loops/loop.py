@@ -25,6 +25,7 @@ from typing import Any, Self
 import casadi as ca
 import numpy as np
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.integrate.evaluate import Buffered
 from orbitfinder.integrate.march import March, Marches, Varied
 from orbitfinder.loops.condensed import Inner, Linearised
@@ -300,7 +301,7 @@ class Equations:
         for one in self._generators:
             found.append(np.array([one(x[:n], x[n:], values).full().ravel() for x in nodes]))
         rows = np.array([(one * weights).ravel() for one in found]).reshape(len(found), nodes.size)
-        return np.asarray(rows / np.maximum(np.linalg.norm(rows * sizes.ravel(), axis=1, keepdims=True), 1e-300))
+        return np.asarray(rows / nonzero(np.linalg.norm(rows * sizes.ravel(), axis=1, keepdims=True)))
 
 
 class Links:

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.loops.condensed import Linearised
 from orbitfinder.loops.loop import Loop, Unknowns
 from orbitfinder.mechanics.model import Model
@@ -107,7 +108,7 @@ class Measures:
         slopes = loop.slopes(w, loop.conditions) if slopes is None else slopes
         named, aims = np.split(np.linalg.norm(slopes * columns, axis=1), [len(loop.conditions)])
         nodes, guards = np.tile(unit, len(w.nodes) - 1), loop.equations.links.units(w, unit)
-        return cls(columns, np.maximum(np.concatenate([nodes, boundary, phases, named, guards, aims]), 1e-300))
+        return cls(columns, nonzero(np.concatenate([nodes, boundary, phases, named, guards, aims])))
 
     @classmethod
     def rounded(cls, loop: Loop, w: Unknowns, state: Sequence[float]) -> Measures:

@@ -103,7 +103,8 @@ def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) ->
         sizes = _sizes(equalities, (w, given), start, guess, flow)
     else:
         sizes = np.ones(lost.size)
-        sizes[own.size - len(loop.conditions) : own.size] = _pin_sizes(loop, guess)
+        steepest = np.abs(loop.slopes(guess, loop.conditions)).max(axis=1)  # of a large mass by over 256
+        sizes[own.size - len(loop.conditions) : own.size] = scales.snapped(steepest, scales.WIDE)
     sizes = np.maximum(sizes, lost / RESOLVED)
     rows = ca.Function("rows", [w, given], [equalities if np.all(sizes == 1.0) else equalities / ca.DM(sizes)])
     limits, low, high = _inequalities(problem, known)
@@ -153,12 +154,6 @@ def _sizes(rows: ca.MX, inputs: tuple[ca.MX, ca.MX], start: np.ndarray, guess: U
     slopes = ca.Function("slopes", [w, ends], [both])
     size = np.abs(slopes(start, np.roll(guess.nodes, -1, axis=0).T).full()).max(axis=1)
     return np.where(np.isfinite(size) & (size > 0), size, 1.0)
-
-
-def _pin_sizes(loop: Loop, guess: Unknowns) -> np.ndarray:
-    """The same of the loop's conditions where units are 1: 1, unless one changes by over 256 (of a large mass)."""
-    steepest = np.abs(loop.slopes(guess, loop.conditions)).max(axis=1)
-    return scales.snapped(steepest, scales.WIDE)
 
 
 def _variables(problem: Problem, flow: Flow, parts: list[ca.MX], tail: list[ca.MX], ends: ca.MX) -> Variables:

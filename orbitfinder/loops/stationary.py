@@ -25,6 +25,7 @@ from scipy.optimize import lsq_linear
 from scipy.sparse import bmat, csc_matrix, csr_matrix, diags
 from scipy.sparse.linalg import splu
 
+from orbitfinder._runtime.sizes import nonzero, size_of
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.loops.controlled import Program, Solution, Statement, stated_program
 from orbitfinder.mechanics.model import vector_field
@@ -95,9 +96,9 @@ class Stationary:
         begin = np.append(own, varying.value) if self.extra or program.parts.varied else own
         self.sizes = self._sizes(solution, begin)
         f, slope, _, jacobian = self._first(begin[:n])
-        self.unit = max(float(np.abs(slope.full().ravel() * self.sizes[:n]).max()), abs(float(f)), 1e-300)
+        self.unit = nonzero(max(float(np.abs(slope.full().ravel() * self.sizes[:n]).max()), abs(float(f))))
         scaled = self._columns(jacobian)
-        self.heights = np.maximum(np.sqrt(np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel()), 1e-300)
+        self.heights = nonzero(np.sqrt(np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel()))
         self.begin = begin / self.sizes
 
     def _drift(self, first: int) -> np.ndarray:
@@ -122,14 +123,14 @@ class Stationary:
         w, program = solution.unknowns, self.program
         model, count = program.parts.mode(0), len(w.nodes)
         extents = np.ptp(w.nodes, axis=0)
-        extents = np.maximum(extents, max(1e-3 * float(extents.max()), 1e-300))
+        extents = np.maximum(extents, nonzero(1e-3 * float(extents.max())))
         names = program.parts.model.controls
         by_u = ca.MX.sym("u", len(names))
         rate = vector_field(model, names)(0.0, w.nodes[0], ca.DM(0, 1), by_u)
         ease = np.abs(ca.Function("ease", [by_u], [ca.jacobian(rate, by_u)])(0.0).full())
-        natural = 2 * np.pi / w.period / np.maximum((ease / extents[:, None]).max(axis=0), 1e-300)
+        natural = 2 * np.pi / w.period / nonzero((ease / extents[:, None]).max(axis=0))
         sizes = [np.tile(extents * np.sqrt(count), count), [w.period], np.ones(w.unfolding.size)]
-        sizes.append(np.maximum(np.abs(w.free), 1e-300))
+        sizes.append(nonzero(np.abs(w.free)))
         for k, row in enumerate(solution.coefficients):
             own = max(float(np.abs(row).max()), STILL * float(natural[k]) if natural[k] < 1e100 else 1.0)
             sizes.append(np.full(program.shapes[k].shape[1], own * np.sqrt(program.shapes[k].shape[1])))
@@ -255,7 +256,7 @@ class Stationary:
         below, above = (rows - low) / self.heights, (high - rows) / self.heights
         found, sides = np.minimum(below, above), np.where(below < above, -1, 1)
         found[self.low == self.high] = np.inf
-        size = max(float(np.abs(point.y).max(initial=0.0)), 1e-300)
+        size = size_of(point.y)
         for k, side in point.active.items():
             found[k], sides[k] = (np.inf, 0) if side == 0 else (side * point.y[k] / size, side)
         return found, sides
@@ -271,7 +272,7 @@ class Stationary:
             if not names:
                 continue
             columns = jacobian[names].toarray()[:, others].T
-            columns /= np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+            columns /= nonzero(np.linalg.norm(columns, axis=0))
             left = columns - basis @ (basis.T @ columns)
             left -= basis @ (basis.T @ left)
             q, r, order = qr(left, mode="economic", pivoting=True)
@@ -313,14 +314,14 @@ class Stationary:
         """Active constraints without those whose multipliers, of the right signs, are 0."""
         sides = np.array(list(active.values()))
         y = self._fitted(point, active)[list(active)]
-        if np.all(y * sides > VIOLATED * np.abs(y).max(initial=1e-300), where=sides != 0):
+        if np.all(y * sides > VIOLATED * size_of(y), where=sides != 0):
             return active
         _, gradient, _, jacobian = self.values(point.z)
         others = np.delete(np.arange(point.z.size), self.place)
         matrix = jacobian[list(active)].toarray()[:, others].T
         low, high = np.where(sides > 0, 0.0, -np.inf), np.where(sides < 0, 0.0, np.inf)
         y = lsq_linear(matrix, -gradient[others], (low, high), method="bvls").x
-        kept = (sides == 0) | (y * sides > VIOLATED * np.abs(y).max(initial=1e-300))
+        kept = (sides == 0) | (y * sides > VIOLATED * size_of(y))
         return {k: side for (k, side), one in zip(active.items(), kept, strict=True) if one}
 
     def descents(self, point: Point) -> int:
@@ -331,7 +332,7 @@ class Stationary:
         hessian, a = matrix[:count][:, others].toarray(), matrix[count:][:, others].toarray()
         space = qr(a.T, mode="full")[0][:, chosen.size :]
         values = np.linalg.eigvalsh(space.T @ hessian @ space)
-        return int(np.sum(values < -NEGATIVE * np.abs(values).max(initial=1e-300)))
+        return int(np.sum(values < -NEGATIVE * size_of(values)))
 
     def solution(self, point: Point) -> Solution:
         """The point as a solution of the program, theta left out where it is no freed parameter of the problem."""

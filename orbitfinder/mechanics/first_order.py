@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder._runtime.arguments import checked
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.controls import Limits, with_controls
 from orbitfinder.mechanics.model import Invariant, Model
@@ -364,8 +365,8 @@ def _check_independent(invariants: Sequence[Invariant], symbols: _Symbols) -> No
 
 def _balanced(slopes: np.ndarray) -> np.ndarray:
     """Gradients (columns) with components, then columns, of size 1: whatever units both have."""
-    rows = slopes / np.maximum(np.abs(slopes).max(axis=1, initial=0.0, keepdims=True), 1e-300)
-    return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300))
+    rows = slopes / nonzero(np.abs(slopes).max(axis=1, initial=0.0, keepdims=True))
+    return np.asarray(rows / nonzero(np.linalg.norm(rows, axis=0)))
 
 
 COMMUTES = 1e-9

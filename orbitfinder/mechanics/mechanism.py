@@ -24,6 +24,7 @@ import casadi as ca
 import numpy as np
 from scipy.linalg import qr
 
+from orbitfinder._runtime.sizes import size_of
 from orbitfinder.errors import InputError, closest, plural
 from orbitfinder.mechanics.constrained import RANK_TOLERANCE, constrained_model
 from orbitfinder.mechanics.controls import divided
@@ -1269,7 +1270,7 @@ class _Closings:
 def independent_rows(matrix: np.ndarray) -> list[int]:
     """Rows of a matrix that are no combination of earlier ones."""
     basis, kept = np.zeros((0, matrix.shape[1])), list[int]()
-    size = max(float(np.abs(matrix).max(initial=0.0)), 1e-300)
+    size = size_of(matrix)
     for k, row in enumerate(matrix):
         rest = row - basis.T @ (basis @ row)
         rest -= basis.T @ (basis @ rest)

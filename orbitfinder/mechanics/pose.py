@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from orbitfinder._runtime.sizes import LEAST, nonzero, size_of
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.constrained import allowed_velocities
 from orbitfinder.mechanics.mechanism import closed_near
@@ -38,9 +39,9 @@ def pulled(model: Model, state: np.ndarray, point: int, place: np.ndarray) -> np
         slopes, ways = _slopes(model, q, units)
         reach, damping = slopes[point] @ slopes[point].T, damping / SOFTER
         while damping < HARDEST:
-            damped = reach + (damping * np.trace(reach) + 1e-300) * np.eye(2)
+            damped = reach + (damping * np.trace(reach) + LEAST) * np.eye(2)
             step = ways @ (slopes[point].T @ np.linalg.solve(damped, missed))
-            step *= units * min(1.0, LONGEST / max(float(np.abs(step).max()), 1e-300))
+            step *= units * min(1.0, LONGEST / size_of(step))
             trial = _assembled(model, q + step, units)
             left = place - _seen(model, trial[None])[0, point]
             if np.hypot(*left) < away * (1 - NEAR):
@@ -64,7 +65,7 @@ def thrown(model: Model, state: np.ndarray, point: int, velocity: np.ndarray) ->
     slopes, ways = _slopes(model, q, units)
     moved = np.linalg.pinv(slopes[_checked(slopes, point)], rcond=1e-3) @ velocity
     speed = float(np.hypot(*(slopes @ moved).T).max())
-    slower = min(1.0, FASTEST * float(np.hypot(*velocity)) / max(speed, 1e-300))
+    slower = min(1.0, FASTEST * float(np.hypot(*velocity)) / nonzero(speed))
     return np.concatenate([q, slower * units * (ways @ moved)])
 
 
@@ -74,7 +75,7 @@ def movable(model: Model, state: np.ndarray) -> list[int]:
         return []
     q = np.array(state[: model.degrees_of_freedom], float)
     sizes = np.abs(_slopes(model, q, surroundings(model, q)[0])[0]).max(axis=(1, 2))
-    return [int(k) for k in np.flatnonzero(sizes > SMALL * max(float(sizes.max()), 1e-300))]
+    return [int(k) for k in np.flatnonzero(sizes > SMALL * sizes.max())]
 
 
 def _checked(points: np.ndarray, point: int) -> int:

@@ -523,7 +523,7 @@ def _word(name: str) -> str:
 def _listed(numbers: Iterable[float]) -> list[float]:
     """Numbers without what the turning of axes leaves of round-off."""
     values = np.array(list(numbers), float)
-    values[np.abs(values) < 1e-15 * max(float(np.abs(values).max(initial=0.0)), 1e-300)] = 0.0
+    values[np.abs(values) < 1e-15 * np.abs(values).max(initial=0.0)] = 0.0
     return [float(f"{one:.{DIGITS}g}") for one in values]
 
 

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.model import Model
 
@@ -134,7 +135,7 @@ def lengths(model: Model, states: np.ndarray) -> np.ndarray:
     parts, n = proportions(model, states[0]), model.degrees_of_freedom
     if model.angular.any():
         return parts
-    return parts * max(float((np.ptp(states[:, :n], axis=0) / parts).max()), 1e-300)
+    return np.asarray(parts * nonzero((np.ptp(states[:, :n], axis=0) / parts).max()))
 
 
 def surroundings(model: Model, place: np.ndarray) -> tuple[np.ndarray, float]:
@@ -201,7 +202,7 @@ def extents(moved: np.ndarray, masses: np.ndarray, period: float, angular: np.nd
     if not masses.size:
         return alone(moved, angular)
     far, fast = np.split(moved, 2)
-    clock, weights = period / (2 * np.pi), np.maximum(masses, 1e-300)
+    clock, weights = period / (2 * np.pi), nonzero(masses)
     # what turns steadily has moved, although its rate has not changed
     action = float(np.max(weights * far * np.maximum(fast, far / period)))
     if not (np.isfinite(action) and action > 0.0):
@@ -216,7 +217,7 @@ def shared(moved: np.ndarray, angular: np.ndarray) -> np.ndarray:
     n = angular.size
     if n == moved.size:
         return alone(moved, angular)
-    return np.repeat(np.maximum([moved[:n].max(), moved[n:].max()], 1e-300), n)
+    return np.repeat(nonzero(np.array([moved[:n].max(), moved[n:].max()])), n)
 
 
 def alone(moved: np.ndarray, angular: np.ndarray | None = None, share: float = LEAST_SHARE) -> np.ndarray:

@@ -141,7 +141,7 @@ def _beyond(method: Any, lagrangian: ca.SX, reader: _Reader, controls: Sequence[
         p = np.where(np.array(reader.values) == 0, 1.0, reader.values) * random.uniform(0.5, 1.5, len(reader.values))
         mass, differs, force, more = (one.full() for one in tried(random.uniform(), q, v, p))
         worst = max(worst, float(np.abs(differs).max() / np.abs(mass).max()))
-        there |= bool(np.abs(more).max() > AGREE * max(float(np.abs(force).max()), 1e-300))
+        there |= bool(np.abs(more).max() > AGREE * np.abs(force).max())
     if worst > AGREE:
         raise InputError(
             f"method: its mass matrix differs from that of its energies by {worst:.2g} of it; are bodies missing, or "

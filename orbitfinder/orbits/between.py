@@ -7,6 +7,7 @@ from math import gcd
 
 import numpy as np
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.dop853 import Trace, integrate
 
@@ -84,7 +85,7 @@ def _returns(trace: Trace) -> tuple[np.ndarray, np.ndarray]:
         there = trace.at(moments)
         rate = trace.rates(moments, there) - trace.drift / period
         away = there - y[begin] - (moments - times[begin])[:, None] / period * trace.drift
-        step = (away * rate).sum(axis=1) / np.maximum((rate * rate).sum(axis=1), 1e-300)
+        step = (away * rate).sum(axis=1) / nonzero((rate * rate).sum(axis=1))
         lag = np.clip(lag - step, first - room, first + room)
     polished = np.abs(away).max(axis=1) if k.size else np.zeros(0)
     lag = lag % period

@@ -9,6 +9,7 @@ from math import gcd
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from orbitfinder._runtime.sizes import LEAST, nonzero, relative, size_of
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.integrate.automaton import Arc
 from orbitfinder.integrate.dop853 import rates_of, vector_field
@@ -173,7 +174,7 @@ def _judged(orbit: Orbit, model: Model, allowed: Tolerances, better: bool = Fals
         *_premises(near, whole, orbit.shift),
         _minimal_period(near, apart, allowed.cover, evidence),
         _resolution(evidence),
-        _at_least("not_equilibrium", _motion(evidence, model), allowed.motion, _moving(model, orbit)),
+        _at_least("not_equilibrium", _extent(evidence.states, model), allowed.motion, _moving(model, orbit)),
         _at_most("trivial_multipliers", evidence.trivial, kept, "flow and gradients are kept")
         if model.invariants or not model.forced
         else None,
@@ -333,8 +334,8 @@ def _controlled_record_checks(
         np.inf if orbit.nodes.shape != found.nodes.shape else np.abs((orbit.nodes - found.nodes) / found.extents).max()
     )
     checks = [
-        _at_most("action", abs(orbit.action - found.action) / max(abs(found.action), 1e-300), room, RECORDED),
-        _at_most("energy", abs(orbit.energy - level) / max(abs(level), 1e-300), allowed.record, RECORDED)
+        _at_most("action", relative(orbit.action - found.action, found.action), room, RECORDED),
+        _at_most("energy", relative(orbit.energy - level, level), allowed.record, RECORDED)
         if np.isfinite(level) or np.isfinite(orbit.energy)
         else None,
         _at_most("recorded_closure", abs(orbit.closure - found.closure) / size, allowed.closure * scale, RECORDED),
@@ -427,9 +428,9 @@ def _hybrid_record_checks(
         off, held = abs(orbit.closure - evidence.closes.gap), orbit.tolerance
     room = allowed.record + 10 * evidence.closes.gap
     found = energy(model, orbit.state)
-    bulk = max(abs(evidence.action), 1e-300)
+    bulk = nonzero(abs(evidence.action))
     checks = [
-        _at_most("energy", abs(orbit.energy - found) / max(abs(found), 1e-300), allowed.record, RECORDED)
+        _at_most("energy", relative(orbit.energy - found, found), allowed.record, RECORDED)
         if np.isfinite(found) or np.isfinite(orbit.energy)
         else None,
         _at_most("action", abs(orbit.action - evidence.action) / bulk, room, RECORDED),
@@ -485,16 +486,12 @@ def _moving(model: Model, orbit: Orbit) -> str:
     return "extent of the motion" + (f"; a {more}" if more else "")
 
 
-def _motion(evidence: Evidence, model: Model) -> float:
-    """Extent of the coordinates, of angles or of others, relative to their size."""
-    return _extent(evidence.states, model)
-
-
 def _extent(states: np.ndarray, model: Model) -> float:
+    """Extent of the coordinates, of angles or of others, relative to their size."""
     n = model.degrees_of_freedom
     places, angular = states[:, :n], model.angular
     groups = [places[:, angular], places[:, ~angular]]
-    return max(float(np.ptp(group, axis=0).max() / max(np.abs(group).max(), 1e-300)) for group in groups if group.size)
+    return max(float(np.ptp(group, axis=0).max() / size_of(group)) for group in groups if group.size)
 
 
 def _forcing_check(orbit: Orbit, model: Model) -> Check | None:
@@ -643,7 +640,7 @@ def _multiplier_distance(orbit: Orbit, floquet: Floquet) -> float:
         return 0.0
     largest = np.abs(found).max()
     apart = np.abs(recorded[:, None] - found[None, :])
-    split = np.abs(found - 1.0 / np.where(found == 0, 1e-300, found))[None, :]
+    split = np.abs(found - 1.0 / np.where(found == 0, LEAST, found))[None, :]
     distance = apart / np.maximum(1.0, np.abs(found))[None, :] * np.minimum(1.0, (split + apart) / MEETING)
     rows, columns = linear_sum_assignment(np.minimum(distance, 1e6 * max(1.0, largest)))
     return float(distance[rows, columns].max())
@@ -782,7 +779,7 @@ class _Nearby:
             values = self._constants(one, self.along[:: max(1, len(self.along) // 64)])
             varied = self._constants(one, self.along[:1] + self.units * (self.rows - self.rows.mean(axis=0) + 1e-3))
             varied = varied[np.isfinite(varied)]  # beside the motion there may be none, as of a logarithm
-            size = float(np.abs(varied - values[0]).max(initial=1e-300))
+            size = size_of(varied - values[0])
             lost = ROUNDED * float(np.abs([*values, *varied]).max())
             if np.ptp(values) - lost > DRIFT * size:
                 slopes = invariant_gradients(self.model)(self.along[0]).full()[k]

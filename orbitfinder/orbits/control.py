@@ -25,6 +25,7 @@ import casadi as ca
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError
 from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, Trace, integrate
 from orbitfinder.loops.control import Basis, Control, Task
@@ -587,7 +588,7 @@ class _Fit:
 
     def _violated(self, name: str, value: np.ndarray, one: Task, size: float = 0.0) -> None:
         bounds = [abs(bound) for bound in (one.low, one.high) if np.isfinite(bound)]
-        size = max(*bounds, size, float(np.ptp(value)), 1e-300)
+        size = nonzero(max(*bounds, size, float(np.ptp(value))))
         worst = float(np.maximum(one.low - value, value - one.high).max()) / size
         self.violations[name] = max(self.violations.get(name, 0.0), worst)
 
@@ -605,7 +606,7 @@ class _Fit:
         functions = [self._watched((one,), arc) for arc in range(max(self.parts.basis.arcs, 1))]
         found = [float(functions[self._arc(k)](*self._place(k, 0), self.motion.period)[0])
                  for k in range(self.parts.basis.intervals)]  # fmt: skip
-        return max(float(np.ptp(found)), 1e-300)
+        return nonzero(float(np.ptp(found)))
 
     def _mean_side(self, one: Task, number: int) -> int:
         total = self._integral(1 + number) / self.motion.period
@@ -636,7 +637,7 @@ class _Fit:
         everything = np.vstack(values)
         for task, one in enumerate(parts.always):
             self._violated(f"{one.expression} always", everything[:, task], one)
-            size = max(float(np.ptp(everything[:, task])), 1e-300)
+            size = nonzero(np.ptp(everything[:, task]))
             for segment in range(parts.basis.intervals):
                 for j in range(parts.steps + 1):
                     value = float(values[segment][j * SAMPLES, task])
@@ -849,7 +850,7 @@ class _Fit:
             rows.append(period_row[None] * motion.period)
             labels.append("period")
         for k, name in enumerate(parts.free):
-            row = by_free[k] * max(abs(motion.free[k]), 1e-300)
+            row = by_free[k] * nonzero(abs(motion.free[k]))
             if name in plan.held:
                 row[place[f"held {name}"]] += 1.0
             rows.append(row[None])
@@ -872,17 +873,17 @@ class _Fit:
             x, u = piece[0, : self.parts.size], np.zeros(len(self.parts.model.controls))
             _, idle, by_u, _ = (one.full() for one in self.motion.hessian[0](x, u, self.motion.free))
             strong = np.abs(by_u / self.units[:, None]).max(axis=0)
-            large = 2 * np.pi / self.motion.period / np.maximum(strong, 1e-300)
+            large = 2 * np.pi / self.motion.period / nonzero(strong)
             costs = self.motion.hessian[0](x, np.where(strong > 0, large, 0.0), self.motion.free)[1].full()
             found = max(found, abs(float(costs[0, 0] - idle[0, 0])))
         return found * SMALL * (1.0 if self.parts.control.average else self.motion.period)
 
     def _judge(self, rows: np.ndarray, labels: list[str], integral: float) -> None:
         matrix, right = rows[:, :-1], -rows[:, -1]
-        size = max(abs(self.cost), abs(integral) / (self.motion.period if self.parts.control.average else 1.0),
-                   self._reference(), 1e-300)  # fmt: skip
+        mean = abs(integral) / (self.motion.period if self.parts.control.average else 1.0)
+        size = nonzero(max(abs(self.cost), mean, self._reference()))
         self.size = size
-        widths = np.maximum(np.abs(matrix).max(axis=0, initial=0.0), 1e-300)
+        widths = nonzero(np.abs(matrix).max(axis=0, initial=0.0))
         y = np.linalg.lstsq(matrix / widths, right, rcond=1e-13)[0]
         signs = np.array(self.signs)
         wrong = (signs != 0) & (y * signs < -1e-9 * size)
@@ -919,9 +920,9 @@ class _Fit:
             slopes.append(np.abs(weights @ cost_by_u + costate @ by_u).max(initial=0.0))
             terms.append(np.abs(costate @ by_u).max(initial=0.0))
         self.start = fraction * (self.costates[0] @ self.y)
-        self.pointwise = float(max(slopes) / max(max(terms), 1e-300))
+        self.pointwise = float(max(slopes) / nonzero(max(terms)))
         arcs = np.array_split(np.array(levels), max(parts.basis.arcs, 1))
-        self.drift = float(max(np.ptp(one) for one in arcs) / max(max(pieces), 1e-300))
+        self.drift = float(max(np.ptp(one) for one in arcs) / nonzero(max(pieces)))
 
 
 def _side_of(one: Task, value: float, size: float) -> int:

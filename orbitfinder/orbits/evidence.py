@@ -23,6 +23,7 @@ from functools import partial
 import numpy as np
 from scipy.integrate import simpson, trapezoid
 
+from orbitfinder._runtime.sizes import nonzero, relative
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.dop853 import (
     SECOND,
@@ -229,7 +230,7 @@ def in_momenta(moved: np.ndarray, masses: np.ndarray, period: float, angular: np
     if not masses.size:
         return alone(moved, angular)
     weights = np.append(np.ones(masses.size), masses)
-    found = extents(moved / np.maximum(weights, 1e-300), masses, period)
+    found = extents(moved / nonzero(weights), masses, period)
     return np.asarray(np.where(weights > 0, weights, 1.0) * found)
 
 
@@ -270,7 +271,7 @@ def chain_motion(
     closed, n = chain_lagrange(model), turns.size
     masses = np.diag(closed.coupling)
     units = units_of(closed.field, state, masses, period) / np.concatenate([np.ones(n), masses])
-    longest = min(period / STEPS_PER_PERIOD, LONGEST_PHASE / float(np.sqrt(max(closed.squared[-1], 1e-300))))
+    longest = min(period / STEPS_PER_PERIOD, LONGEST_PHASE / float(np.sqrt(nonzero(closed.squared[-1]))))
     states = integrate_in(units, closed.field, state, moments, settings, longest, traces := list[Trace]())
     even = states[np.searchsorted(moments, evenly(period))]
     reflected = np.abs((even[SAMPLES // 2] + state) / units).max() <= REFLECTED
@@ -371,9 +372,13 @@ def _measured(
     basis = tangent_basis(motion.constraints * units) if motion.constraints.size else np.eye(units.size)
     inner, gradients, directions = basis.T @ monodromy @ basis, gradients @ basis, directions @ basis
     scale = max(1.0, float(np.abs(inner).max()))
+    trivial = (
+        relative(directions @ inner.T - directions, directions),
+        relative(gradients @ inner - gradients, gradients),
+    )
     kinetic, potential = energies(model, states)
     total = kinetic + potential
-    exchanged = max(float(np.ptp(potential)) + float(kinetic.max()), 1e-3 * float(np.abs(potential).max()), 1e-300)
+    exchanged = nonzero(max(float(np.ptp(potential)) + float(kinetic.max()), 1e-3 * float(np.abs(potential).max())))
     if model.rates is not None:
         exchanged = _variable(model, states, units)
     return Evidence(
@@ -389,7 +394,7 @@ def _measured(
         growth=growth,
         varied=varied,
         norm=float(np.linalg.norm(monodromy)),
-        trivial=max(_off(directions @ inner.T, directions), _off(gradients @ inner, gradients)) / scale,
+        trivial=max(trivial) / scale,
         symplectic=_asymplectic(inner, basis, units) / scale**2 if model.canonical else 0.0,
         floquet=analyse(reduce_monodromy(inner, gradients, directions), conservative=symplectic(model)),
         reached=motion.states[np.searchsorted(motion.times, moments)],
@@ -426,11 +431,6 @@ def _products(pieces: Sequence[np.ndarray]) -> tuple[np.ndarray, float, float]:
             whole = piece @ whole
             norms[begin, end] = np.linalg.norm(whole)
     return whole, float(norms.max()), float((norms[:, -1] * norms[0]).max())
-
-
-def _off(found: np.ndarray, wanted: np.ndarray) -> float:
-    """How far rows are from what they should be, relative."""
-    return float(np.abs(found - wanted).max() / max(np.abs(wanted).max(), 1e-300)) if wanted.size else 0.0
 
 
 @dataclass(frozen=True)

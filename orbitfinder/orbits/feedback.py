@@ -19,6 +19,7 @@ from scipy.linalg import eig
 from scipy.optimize import linear_sum_assignment
 
 from orbitfinder._runtime import __version__
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError, closest
 from orbitfinder.exports.controller import law_of
 from orbitfinder.integrate.march import March, uniform
@@ -270,7 +271,7 @@ def _interpolates(found: Controller) -> bool:
     gains = found.gains.reshape(len(rows), m, d) * found.units
     tallest = np.repeat(np.abs(gains).max(axis=(0, 2)), d)
     errors[:, : d + m] /= sizes[: d + m]
-    errors[:, d + m :] *= sizes[d + m :] / np.maximum(tallest, 1e-300)
+    errors[:, d + m :] *= sizes[d + m :] / nonzero(tallest)
     return bool(errors.max() <= INTERPOLATED)
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.mechanics.model import Model
 
 ERROR_FACTOR = 30.0
@@ -64,7 +65,7 @@ def complement(gradients: np.ndarray, directions: np.ndarray) -> np.ndarray:
     if not removed.size:  # forced: nothing is trivial
         return np.eye(removed.shape[1])
     scale = np.linalg.norm(removed, axis=1, keepdims=True)
-    _, singular, rows = np.linalg.svd(removed / np.maximum(scale, 1e-300))  # at an equilibrium the flow is 0
+    _, singular, rows = np.linalg.svd(removed / nonzero(scale))  # at an equilibrium the flow is 0
     return np.asarray(rows[int(np.sum(singular > 1e-10 * singular[0])) :].T)
 
 
@@ -108,7 +109,7 @@ def reciprocal_pairs(multipliers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _conservative_verdict(indices: np.ndarray, defects: np.ndarray) -> str:
     """An error e of the matrix makes |mu_1 mu_2 - 1| about |mu_1 + mu_2| e and the index wrong by about e."""
     sizes = np.abs(indices)
-    error = ERROR_FACTOR * float((defects * np.minimum(sizes, 4.0 / np.maximum(sizes, 1e-300))).max(initial=0.0))
+    error = ERROR_FACTOR * float((defects * np.minimum(sizes, 4.0 / nonzero(sizes))).max(initial=0.0))
     error = max(error, ERROR_FLOOR)
     outside = np.where(np.abs(indices.imag) > error, np.abs(indices.imag), np.abs(indices.real) - 2.0)
     if np.any(outside > error):

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError
 from orbitfinder.integrate.crossings import Crossings, Plane
 from orbitfinder.integrate.evaluate import one_thread
@@ -74,7 +75,7 @@ class FrequencyMap(Shown):
         """The largest change of a frequency (k) from half to half, relative to the largest frequency."""
         change = np.where(np.isnan(self.frequencies), 0.0, np.abs(self.later - self.frequencies)).max(axis=1)
         size = np.nan_to_num(np.abs(self.frequencies)).max(axis=1)
-        return np.asarray(np.where(size > 0, change / np.maximum(size, 1e-300), np.nan))
+        return np.asarray(np.where(size > 0, change / nonzero(size), np.nan))
 
 
 @one_thread()
@@ -164,7 +165,7 @@ def _measured(values: np.ndarray) -> np.ndarray:
     """Values (... x m) without their mean, in units of their size."""
     weights = _window(values.shape[-1])
     away = values - (values @ weights)[..., None] / weights.sum()
-    return np.asarray(away / np.maximum(np.sqrt(away**2 @ weights / weights.sum()), 1e-300)[..., None])
+    return np.asarray(away / nonzero(np.sqrt(away**2 @ weights / weights.sum()))[..., None])
 
 
 def _window(count: int) -> np.ndarray:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder._runtime.sizes import nonzero, relative
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.automaton import Arc, Automaton
 from orbitfinder.integrate.dop853 import (
@@ -184,7 +185,7 @@ def gather_hybrid(model: Model, state: np.ndarray, period: float, turns: np.ndar
     slopes = invariant_gradients(model)(state).full().reshape(-1, units.size) * units
     found = closes((end - state - shift(turns, units.size)) / units, scaled, sizes, rate * period)
     size = max(1.0, float(np.abs(whole).max()))
-    kept = [_off(whole @ rate, rate), *(_off(row @ whole, row) for row in slopes)]
+    kept = [relative(whole @ rate - rate, rate), *(relative(row @ whole - row, row) for row in slopes)]
     drift, balance = _energies(model, arcs)
     return HybridEvidence(
         arcs=tuple(arcs),
@@ -222,7 +223,7 @@ def retraced(equations: Equations, found: Solution) -> Solution:
     model = with_parameters(equations.model, dict(zip(equations.free, map(float, w.free), strict=True)))
     automaton, arcs, states, ends = Automaton(model), links.count, list[np.ndarray](), found.march.ends.copy()
     steps, x, last = (w.mesh.size - 1) // arcs, w.nodes[0], links.ends(len(w.nodes))
-    units = snapped(np.maximum(np.ptp(found.march.states, axis=0), 1e-300))
+    units = snapped(nonzero(np.ptp(found.march.states, axis=0)))
     for k, ((mode, one), share) in enumerate(zip(model.hybrid.arcs, links.shares(w.free), strict=True)):
         times = (w.mesh[k * steps : (k + 1) * steps + 1] * arcs - k) * share * w.period
         path = automaton.path(mode.name, x, times, CHECKED, units)
@@ -275,10 +276,6 @@ def second_gap(model: Model, state: np.ndarray, period: float, turns: np.ndarray
     return gap(state, arcs[-1].after, turns, units)
 
 
-def _off(found: np.ndarray, wanted: np.ndarray) -> float:
-    return float(np.abs(found - wanted).max() / max(float(np.abs(wanted).max()), 1e-300))
-
-
 def _variations(automaton: Automaton, arcs: Sequence[Arc]) -> tuple[list[np.ndarray], float]:
     """State-transition matrices of pieces of all arcs, the last of each through its event; and the action."""
     found, action, units = list[np.ndarray](), 0.0, automaton.units
@@ -305,9 +302,7 @@ def _energies(model: Model, arcs: Sequence[Arc]) -> tuple[float, float]:
     """The largest drift of the energy in an arc without forces, and the largest error of the energy lost in an impact,
     both relative to the energy exchanged."""
     drift = balance = 0.0
-    exchanged = 1e-300
-    for arc in arcs:
-        exchanged = max(exchanged, *(_kinetic(model, arc.mode, x) for x in arc.states))
+    exchanged = nonzero(max(_kinetic(model, arc.mode, x) for arc in arcs for x in arc.states))
     for arc in arcs:
         own = model.hybrid.mode(arc.mode).model
         if own.forces is not None or own.rates is not None:

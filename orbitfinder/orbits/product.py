@@ -19,6 +19,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from orbitfinder._runtime.sizes import LEAST
+
 SEPARATED = 30.0
 """Eigenvalues that differ in size by this are told apart by a pass round the product; nearer ones share a block"""
 SETTLED = 1e-14
@@ -119,7 +121,7 @@ def product(factors: Sequence[np.ndarray] | np.ndarray) -> Product:
             upper.append(triangle)
         seam = frames[0].T @ frame
         below = np.array([np.abs(seam[k:, :k]).max() for k in range(1, size)])
-        sizes = np.log(np.abs(np.diagonal(upper, axis1=1, axis2=2)) + 1e-300).sum(axis=0)
+        sizes = np.log(np.abs(np.diagonal(upper, axis1=1, axis2=2)) + LEAST).sum(axis=0)
         apart = -np.diff(sizes) > np.log(SEPARATED)
         worst = float(below[apart].max(initial=0.0))
         best, since = (worst, 0) if worst < best else (best, since + 1)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from orbitfinder._runtime.sizes import size_of
 from orbitfinder.integrate.equations import accelerations
 from orbitfinder.loops.symmetry import shifts_of
 from orbitfinder.mechanics.model import Model
@@ -28,7 +29,7 @@ def steady(model: Model, state: np.ndarray, period: float) -> dict[str, float]:
         return {}
     rate = accelerations(model)(0.0, state).full().ravel()
     found = np.linalg.lstsq(along.T, rate, rcond=None)[0]
-    speed = max(float(np.abs(rate[:n]).max()), 1e-300)
+    speed = size_of(rate[:n])
     missed = np.abs(rate - along.T @ found) / np.where(np.arange(state.size) < n, speed, 2 * np.pi * speed / period)
     if not missed.max() <= STEADY:
         return {}

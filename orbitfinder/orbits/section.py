@@ -21,6 +21,7 @@ import numpy as np
 
 from orbitfinder._runtime.keeping import finished
 from orbitfinder._runtime.notebook import brief
+from orbitfinder._runtime.sizes import LEAST, nonzero
 from orbitfinder.errors import InputError, IntegrationError, closest
 from orbitfinder.integrate.automaton import Automaton
 from orbitfinder.integrate.crossings import FINE, SEEN, Crossings, Passing, Plane, Track
@@ -129,7 +130,7 @@ class Surface:
                 steps = np.linalg.pinv(rows) @ np.nan_to_num(missed)[:, :, None]
                 found = found - weights * steps[:, :, 0]
             missed, slopes = self.invariants(found)
-            sizes = np.abs(slopes * found[:, None, :]).sum(axis=2) + np.abs(list(self.levels.values())) + 1e-300
+            sizes = np.abs(slopes * found[:, None, :]).sum(axis=2) + np.abs(list(self.levels.values())) + LEAST
             good = np.isfinite(found).all(axis=1) & (np.abs(missed) <= HELD * 10 * sizes).all(axis=1)
         return np.where(good[:, None], found, np.nan)
 
@@ -565,7 +566,7 @@ def nodes_of(found: Surface, orbit: Orbit) -> np.ndarray:
         for node, begin in zip(nodes, spans, strict=True)
     ]  # fmt: skip
     gaps = wrapped(np.array(ends) - np.roll(nodes, -1, axis=0), found.model.angular)
-    return nodes if np.abs(gaps / np.maximum(np.abs(nodes).max(axis=0), 1e-300)).max() <= LINKED else orbit.state[None]
+    return nodes if np.abs(gaps / nonzero(np.abs(nodes).max(axis=0))).max() <= LINKED else orbit.state[None]
 
 
 def pierced(found: Surface, orbit: Orbit) -> Pierced:

@@ -21,6 +21,7 @@ from orbitfinder._runtime import limit as limited
 from orbitfinder._runtime import processes
 from orbitfinder._runtime.keeping import finished
 from orbitfinder._runtime.notebook import Shown, brief
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.continuation.follow import Known, reached
 from orbitfinder.errors import (
     ConvergenceError,
@@ -346,7 +347,7 @@ class _Study:
         (past, before), (place, here) = self._way[0], self._way[-1]
         nodes, period, free = here.nodes, here.period, here.free
         if len(self._way) > 1 and before.nodes.shape == nodes.shape:
-            share = float(np.linalg.norm(goal - place) / max(float(np.linalg.norm(place - past)), 1e-300))
+            share = float(np.linalg.norm(goal - place) / nonzero(float(np.linalg.norm(place - past))))
             share *= 1.0 if (goal - place) @ (place - past) > 0 else -1.0
             if abs(share) <= 2.0:
                 nodes = nodes + share * (nodes - before.nodes)
@@ -372,10 +373,10 @@ def _away(expected: np.ndarray, found: np.ndarray, period: float) -> float:
     """How far nodes (N x d) are from those expected, coordinates by their size, rates by that of either in a period."""
     moved, size = np.abs(found - expected).max(axis=0), np.abs(expected).max(axis=0)
     if size.size % 2:
-        return float(moved.max() / max(size.max(), 1e-300))
+        return float(moved.max() / nonzero(size.max()))
     (moved, rushed), (places, rates) = np.split(moved, 2), np.split(size, 2)
-    speed = max(rates.max(), places.max() * 2 * np.pi / period, 1e-300)
-    return float(max(moved.max() / max(places.max(), 1e-300), rushed.max() / speed))
+    speed = nonzero(max(rates.max(), places.max() * 2 * np.pi / period))
+    return float(max(moved.max() / nonzero(places.max()), rushed.max() / speed))
 
 
 def _shared(study: _Study, workers: int, folder: str | Path | None) -> Iterator[tuple[int, _Visit, bool]]:

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime import __version__
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.loops.symmetry import named
 from orbitfinder.mechanics.catalogue import build_model
@@ -201,7 +202,7 @@ def scaled(found: Checked | None) -> float:
     """How much wider (or narrower) than a piece the next one may be: what is left out grows with e to the D + 1."""
     if found is None:
         return 0.4
-    wanted = (WANTED / max(fill(found), 1e-300)) ** (1.0 / (DEGREE + 1))
+    wanted = (WANTED / nonzero(fill(found))) ** (1.0 / (DEGREE + 1))
     return float(np.clip(wanted, 0.3, 2.0 if found.proved else 0.8))
 
 

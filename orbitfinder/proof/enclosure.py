@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime import limit
+from orbitfinder._runtime.sizes import LEAST, nonzero
 from orbitfinder.errors import IntegrationError
 from orbitfinder.proof.balls import (
     Vector,
@@ -98,7 +99,7 @@ def horner(series: Sequence[Any], time: Any) -> Any:
 
 def find_step(field: Field, found: Solution, begin: float, trial: float, settings: Settings) -> tuple[Step, float]:
     """A step of the solutions `found` whose remainder is within tolerance, and the length to try next."""
-    largest = max(magnitude([one[-1] for one in found.states]), 1e-300)
+    largest = nonzero(magnitude([one[-1] for one in found.states]))
     h = min(_rounded(min(trial, (settings.tolerance / largest) ** (1.0 / settings.order))), 1.0 - begin)
     while h >= settings.shortest or (h > 0 and begin + h == 1.0):
         rest = state_remainder(field, found, arb(h), settings.order)
@@ -106,7 +107,7 @@ def find_step(field: Field, found: Solution, begin: float, trial: float, setting
             h = _rounded(0.6 * h)
             continue
         error = radius(rest) * h ** (settings.order + 1)
-        ratio = 0.9 * (settings.tolerance / max(error, 1e-300)) ** (1.0 / (settings.order + 1))
+        ratio = 0.9 * (settings.tolerance / nonzero(error)) ** (1.0 / (settings.order + 1))
         if error <= settings.tolerance:
             return Step(begin, h, found.states, rest, list(found.z[-2:])), h * min(max(ratio, 1.0), 1.5)
         h = _rounded(h * min(max(ratio, 0.3), 0.9))
@@ -130,7 +131,7 @@ def state_remainder(field: Field, found: Solution, h: Any, order: int) -> Vector
             return None
         if inside(trial, image):
             return image
-        trial = [arb(x.mid(), 1.5 * arb(x.rad()) + abs(x).upper() * 2.0**-10 + 1e-300) for x in image]
+        trial = [arb(x.mid(), 1.5 * arb(x.rad()) + abs(x).upper() * 2.0**-10 + LEAST) for x in image]
     return None
 
 
@@ -177,7 +178,7 @@ def transition_remainder(
         image = _transition_image(field, found, blocks, slopes, forcing, trial, span, order)
         if inside(trial.entries()[: -d - 2], image.entries()[: -d - 2]):
             return trial
-        grown = [arb(x.mid(), 1.5 * arb(x.rad()) + abs(x).upper() * 2.0**-10 + 1e-300)
+        grown = [arb(x.mid(), 1.5 * arb(x.rad()) + abs(x).upper() * 2.0**-10 + LEAST)
                  for x in image.entries()[: -d - 2]]  # fmt: skip
         trial = arb_mat(d + 1, d + 2, grown + [arb(0)] * (d + 2))
     raise IntegrationError(
@@ -310,7 +311,7 @@ def moved_derivatives(old: Cloud, flow: Any) -> Cloud:
 
 def orthogonal(matrix: Any, weights: np.ndarray) -> Any:
     """A nearly orthogonal frame whose first axis follows the column with the largest weighted length."""
-    columns = floats(matrix) * np.maximum(weights, weights.max(initial=0.0) * 1e-12 + 1e-300)
+    columns = floats(matrix) * np.maximum(weights, weights.max(initial=0.0) * 1e-12 + LEAST)
     scale = np.abs(columns).max(initial=0.0)
     if not np.isfinite(scale) or scale == 0.0:
         return identity(matrix.nrows())

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.proof.balls import Vector, arb, arb_mat, block, column, exact, floats, inside, magnitude, midpoints
 from orbitfinder.proof.enclosure import Settings, Step, cloud, horner, integrate
@@ -166,7 +167,7 @@ def step_length(series: list[Vector], left: float, settings: Settings) -> float:
     order = len(series[0]) - 1
     last, before = (magnitude([one[k] for one in series]) for k in (-1, -2))
     largest = max(last, before ** (order / (order - 1)))
-    h = 0.9 * (settings.tolerance / max(largest, 1e-300)) ** (1.0 / order)
+    h = 0.9 * (settings.tolerance / nonzero(largest)) ** (1.0 / order)
     return min(left, float(int(min(h, 1.0) * 2.0**40) * 2.0**-40))
 
 

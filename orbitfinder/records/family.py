@@ -274,7 +274,7 @@ class Family(Shown):
     def by_energy(self) -> bool:
         """Whether the energy is an axis to draw it over: it changes, or nothing but it and the period does."""
         energies = self.values("energy")
-        alike = np.ptp(energies) <= ALIKE * max(float(np.abs(energies).max()), 1e-300)
+        alike = np.ptp(energies) <= ALIKE * np.abs(energies).max()
         return bool(self.unit) or (bool(np.isfinite(energies).all()) and not alike)
 
     @property

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.records.codec import Codec, Dense, Endless, Unknown
 from orbitfinder.records.orbit import Certified
 from orbitfinder.records.reading import write_atomically
@@ -73,14 +74,14 @@ class Manifold(Shown):
 
     def reach(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
         """Least and greatest values of components, but for what is far out, as beside collisions: see `reach`."""
-        logs = np.log(np.maximum(np.abs(self.places), 1e-300))
+        logs = np.log(nonzero(np.abs(self.places)))
         steps = np.abs(np.diff(logs, append=logs[-1:])) * (np.diff(self.pieces, append=-1) == 0)
         return reach(self.states[:, [self.state_names.index(name) for name in names]], steps)
 
     @property
     def order(self) -> float:
         """Order of the displacement's error as measured; 2 where the manifold is curved."""
-        return float(np.log2(max(self.error, 1e-300) / max(self.error_at_half, 1e-300)))
+        return float(np.log2(nonzero(self.error) / nonzero(self.error_at_half)))
 
 
 MANIFOLD = Codec(Manifold, "manifold", "`orbitfinder manifold`", "make it again")

@@ -18,6 +18,7 @@ from PIL import Image, ImageColor, ImageDraw, ImageFont
 from scipy.interpolate import CubicSpline
 
 from orbitfinder._runtime.notebook import brief
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError
 from orbitfinder.families.members import whole
 from orbitfinder.mechanics.catalogue import build_model
@@ -143,7 +144,7 @@ def portrait(model: Model, states: np.ndarray) -> np.ndarray:
     """Positions (k x 2 x 1) of a first-order state (k x d) in the first of its planes, each component in its extent."""
     across, up = model.planes[0]
     shown = states[:, [up, across]] * [-1.0, 1.0]
-    return np.asarray((shown / np.maximum(np.ptp(shown, axis=0), 1e-300))[:, :, None])
+    return np.asarray((shown / nonzero(np.ptp(shown, axis=0)))[:, :, None])
 
 
 def simulation_clip(

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.atlas.report import discovery
 from orbitfinder.atlas.store import Atlas, Filter, Row
 from orbitfinder.errors import InputError, plural
@@ -176,7 +177,7 @@ def controls(orbit: Orbit) -> Figure:
     for axes, name, column in zip(panels, names, values.T, strict=True):
         axes.plot(times, column, color=COLOURS[0], linewidth=1.3)
         for bound in limits.get(name, ()):
-            if np.isfinite(bound) and abs(bound) <= 3 * max(float(np.abs(column).max()), 1e-300):
+            if np.isfinite(bound) and abs(bound) <= 3 * np.abs(column).max():
                 axes.axhline(bound, color="0.5", linewidth=0.7, linestyle="--")
         dress(axes, "time (s)" if axes is panels[-1] else "", name)
     panels[-1].set_xlim(0.0, orbit.period)
@@ -586,7 +587,7 @@ def multipliers_along(family: Family) -> Figure:
     upper, lower = figure.subplots(2, 1, sharex=True) if paired else (figure.subplots(), None)
     values = family.values("value")
     sizes = np.abs(np.stack([point.floquet_multipliers for point in family.points]))
-    upper.semilogy(values, np.maximum(sizes, 1e-300), ".", color=COLOURS[0], markersize=3)
+    upper.semilogy(values, nonzero(sizes), ".", color=COLOURS[0], markersize=3)
     if lower is None:
         upper.axhline(1.0, color="0.5", linewidth=0.7)
         dress(upper, axis_name(family), "|multiplier|")

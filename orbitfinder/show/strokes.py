@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from orbitfinder._runtime.sizes import nonzero
+
 Strokes = Sequence[tuple[str, tuple[int, ...]]]
 COILS, WIDTH, SIDES = 8, 0.018, 40
 """Coils of a spring; half the width of springs, sliders and pivots over the extent of the picture; sides of a disc"""
@@ -38,7 +40,7 @@ def _outline(kind: str, at: np.ndarray, half: float) -> np.ndarray:
 def _spring(begin: np.ndarray, end: np.ndarray, half: float) -> np.ndarray:
     """A zigzag between two points with a straight piece at either end."""
     along = end - begin
-    length = max(float(np.linalg.norm(along)), 1e-300)
+    length = nonzero(float(np.linalg.norm(along)))
     across = np.array([-along[1], along[0]]) * (half / length)
     places = np.concatenate([[0.0], np.linspace(0.15, 0.85, 2 * COILS + 1), [1.0]])
     sides = np.concatenate([[0.0, 0.0], np.resize([1.0, -1.0], 2 * COILS - 1), [0.0, 0.0]])

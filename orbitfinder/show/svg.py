@@ -11,6 +11,7 @@ from html import escape
 
 import numpy as np
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.families.members import response
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Event, Family, FamilyPoint
@@ -62,7 +63,7 @@ class Axes:
     def place(self, points: np.ndarray) -> np.ndarray:
         """Points (..., 2) of the plane as pixels."""
         room = np.array([self.width - LEFT - AROUND, self.height - BELOW - AROUND])
-        share = (points - self.low) / np.maximum(self.high - self.low, 1e-300)
+        share = (points - self.low) / nonzero(self.high - self.low)
         return np.asarray([LEFT, self.height - BELOW] + share * room * [1, -1])
 
     @property
@@ -90,7 +91,7 @@ class Axes:
 
 def ticks(low: float, high: float, most: int) -> list[tuple[float, str]]:
     """Round numbers from low to high, at most `most` and where possible two, and how they are written."""
-    span = max(float(high - low), 1e-300)
+    span = nonzero(high - low)
     for power in (np.floor(np.log10(span)) + k for k in (-1, 0, 1)):
         for step in (one * 10.0**power for one in (1, 2, 5)):
             first, last = np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9)
@@ -246,7 +247,7 @@ def unit_circle(multipliers: np.ndarray, label: str, size: int = 150) -> str:
     """Multipliers in the plane beside the unit circle; those further out sit on the rim, hollow."""
     reach = 1.6
     inside = np.abs(multipliers) <= reach
-    drawn = np.where(inside, multipliers, reach * multipliers / np.maximum(np.abs(multipliers), 1e-300))
+    drawn = np.where(inside, multipliers, reach * multipliers / nonzero(np.abs(multipliers)))
     scale, half = (size / 2 - 8) / reach, size / 2
     dots = "".join(
         f'<circle cx="{half + z.real * scale:.1f}" cy="{half - z.imag * scale:.1f}" r="3.5" stroke="{TIP}" '

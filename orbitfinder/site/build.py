@@ -14,6 +14,7 @@ import numpy as np
 
 from orbitfinder._runtime import __version__
 from orbitfinder._runtime.caches import Kept
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import plural
 from orbitfinder.mechanics.scales import units
 from orbitfinder.records.family import Family
@@ -226,9 +227,9 @@ def _closest(here: tuple[float, float, float], link: Link) -> str:
     curve = np.array([one[1:] for one in link.curve])
     if len(curve) < 2:
         return ""
-    unit = np.maximum(np.ptp(curve, axis=0), 1e-300)
+    unit = nonzero(np.ptp(curve, axis=0))
     begin, steps, aim = curve[:-1] / unit, np.diff(curve, axis=0) / unit, np.array(here) / unit
-    share = np.clip(((aim - begin) * steps).sum(axis=1) / np.maximum((steps**2).sum(axis=1), 1e-300), 0.0, 1.0)
+    share = np.clip(((aim - begin) * steps).sum(axis=1) / nonzero((steps**2).sum(axis=1)), 0.0, 1.0)
     apart = np.abs(begin + share[:, None] * steps - aim).max(axis=1)
     k = int(apart.argmin())
     return f"#{link.curve[k + int(share[k] > 0.5)][0]}" if apart[k] < NEAR else ""

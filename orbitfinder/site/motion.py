@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder._runtime.sizes import size_of
 from orbitfinder.errors import IntegrationError, OrbitfinderError
 from orbitfinder.integrate.rk8 import march
 from orbitfinder.loops.symmetry import NONE, named, symmetries_of
@@ -153,12 +154,12 @@ class Simulator:
         scales = np.maximum(extent, 1e-3 * extent.max())
         away = scales * np.cos(1.0 + np.arange(state.size))
         for _ in range(2):
-            away *= TINY / max(np.abs(away / scales).max(), 1e-300)
+            away *= TINY / size_of(away / scales)
             path = _path(field, state + away, period)
             if path is None:
                 return None
             away = path[-1] - path[0] + away
-        path = _path(field, state + away * (OFF / max(np.abs(away / scales).max(), 1e-300)), TURNS * period)
+        path = _path(field, state + away * (OFF / size_of(away / scales)), TURNS * period)
         if path is None or np.abs(path[:, state.size // 2 :]).max() > 1e3 * np.abs(motion.states).max():
             return None
         return replace(_motion(model, np.linspace(0.0, TURNS * period, len(path)), path, TURNS * period), drifts=True)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import plural
 from orbitfinder.families.branches import SWITCHABLE
 from orbitfinder.families.members import response
@@ -274,7 +275,7 @@ def spread(points: Sequence[FamilyPoint], most: int) -> list[int]:
     if len(points) <= most:
         return list(range(len(points)))
     table = np.array([[one.energy, 1.0 / one.period, one.arclength] for one in points])
-    steps = np.linalg.norm(np.diff(table / np.maximum(np.ptp(table, axis=0), 1e-300), axis=0), axis=1)
+    steps = np.linalg.norm(np.diff(table / nonzero(np.ptp(table, axis=0)), axis=0), axis=1)
     length = np.concatenate([[0.0], np.cumsum(steps)])
     wanted = np.linspace(0.0, length[-1], most)
     return sorted({int(np.abs(length - one).argmin()) for one in wanted} | {0, len(points) - 1})

@@ -66,7 +66,7 @@ def _belongs(one: Any, section: Section) -> bool:
     """Whether a record is of a section's system, and of its energy where it has one itself."""
     energy = getattr(one, "energy", float("nan"))
     level = energy == energy and section.energy == section.energy
-    near = not level or abs(energy - section.energy) <= LEVEL * max(abs(energy), 1e-300)
+    near = not level or abs(energy - section.energy) <= LEVEL * abs(energy)
     return dict(one.system) == dict(section.system) and near
 
 
@@ -163,7 +163,7 @@ def _laid(one: Manifold | Connection | Any, section: Section, surface: Surface) 
 def _same_level(torus: Torus, section: Section) -> bool:
     if not (np.isfinite(torus.energy) and np.isfinite(section.energy)):
         return True
-    return abs(torus.energy - section.energy) <= LEVEL * max(abs(section.energy), 1e-300)
+    return abs(torus.energy - section.energy) <= LEVEL * abs(section.energy)
 
 
 def _curve(kind: str, name: str, points: np.ndarray) -> dict[str, Any]:
