@@ -171,7 +171,7 @@ class Attractor:
 
 def random_states(model: Model) -> list[np.ndarray]:
     """Seeded states (d) about 0, near and far, in the lengths given."""
-    random, given = np.random.default_rng(0), given_or(model, np.ones(model.degrees_of_freedom))
+    random, given = np.random.default_rng(0), given_or(model, 1.0)
     far = (1.0, 4.0, 16.0, 0.25)
     return [given * far[k % len(far)] * random.normal(size=given.size) for k in range(DRAWN)]
 

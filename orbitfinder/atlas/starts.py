@@ -40,7 +40,7 @@ from orbitfinder.loops.symmetry import (
     with_mirrors,
 )
 from orbitfinder.mechanics.model import Model, wrapped
-from orbitfinder.mechanics.scales import alike, given_lengths, given_or, snapped, unless_one
+from orbitfinder.mechanics.scales import alike, given_or, snapped, unless_one
 
 CYCLES = 3
 """Cycles of a hybrid system that an orbit goes through at most unless told otherwise."""
@@ -207,9 +207,9 @@ def shell_lengths(model: Model, place: np.ndarray, energy: float) -> np.ndarray:
 
     These are powers of 2, 1 where they are within a factor of 16 of it or V never comes to E.
     """
-    found, given = np.ones(place.size), given_lengths(model)
+    found = np.ones(place.size)
     for k, unit in enumerate(np.eye(place.size)):
-        if model.angular[k] or not np.isnan(given[k]):
+        if model.angular[k]:
             continue
         trials = (place + sign * size * unit for size in REACHES for sign in (-1, 1))
         above = (float(model.potential(q, model.parameter_values)) > energy for q in trials)

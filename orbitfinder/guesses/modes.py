@@ -30,7 +30,7 @@ from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.linkage import assemble, check_regular, dimensions, linkage_state
 from orbitfinder.mechanics.mechanism import mechanism_state
 from orbitfinder.mechanics.model import Model, counted, vector_field, wrapped
-from orbitfinder.mechanics.scales import given_lengths, snapped
+from orbitfinder.mechanics.scales import given_or, snapped
 
 DESCENTS = 16
 FLAT = 1e-4
@@ -90,7 +90,7 @@ def reach_of(model: Model) -> np.ndarray:
 
 def sizes(model: Model) -> np.ndarray:
     """Sizes (n) of coordinates before there is any motion: those given, else 1."""
-    return np.asarray(np.nan_to_num(given_lengths(model), nan=1.0))
+    return given_or(model, 1.0)
 
 
 def equilibrium(model: Model) -> np.ndarray:

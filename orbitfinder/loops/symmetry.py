@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, PPoly
 
-from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.constrained import allowed_velocities
 from orbitfinder.mechanics.model import Invariant, Model, wrapped
@@ -744,7 +743,7 @@ def _mirrored(one: Involution, times: np.ndarray, states: np.ndarray, angles: np
     spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
     rates = spline.derivative()
     sizes = shared(np.append(np.ptp(states[:, :n], axis=0), np.abs(states[:, n:]).max(axis=0)), angles)
-    units = nonzero((np.abs(rows) * sizes).max(axis=1))  # of coordinates and of rates
+    units = (np.abs(rows) * sizes).max(axis=1)  # of coordinates and of rates
     coordinate = np.any(rows[:, :n] != 0, axis=1)
     moved = states @ rows.T
     leading = int((np.where(coordinate, np.ptp(moved, axis=0), np.abs(moved).max(axis=0)) / units).argmax())

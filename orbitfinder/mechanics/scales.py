@@ -90,17 +90,11 @@ def with_scales(model: Model, scales: Mapping[str, float] | None) -> Model:
     return replace(model, scales=given, system={**model.system, "scales": given})
 
 
-def given_lengths(model: Model) -> np.ndarray:
-    """The sizes (n) that the user gives coordinates, nan for the others."""
-    names, common = model.state_names[: model.degrees_of_freedom], model.scales.get("length", np.nan)
-    found = np.array([model.scales.get(name, common) for name in names], float)
-    return np.where(model.angular, np.nan, found)
-
-
-def given_or(model: Model, found: np.ndarray) -> np.ndarray:
+def given_or(model: Model, found: np.ndarray | float) -> np.ndarray:
     """The sizes (n) that the user gives coordinates, else those found; 1 of angles."""
-    given = given_lengths(model)
-    return np.where(np.isnan(given), np.where(model.angular, 1.0, found), given)
+    names, common = model.state_names[: model.degrees_of_freedom], model.scales.get("length", np.nan)
+    given = np.array([model.scales.get(name, common) for name in names], float)
+    return np.where(model.angular, 1.0, np.where(np.isnan(given), found, given))
 
 
 def alike(sizes: np.ndarray | float) -> np.ndarray:
@@ -116,7 +110,7 @@ def proportions(model: Model, state: np.ndarray) -> np.ndarray:
     if model.angular.all():
         return np.ones(model.degrees_of_freedom)
     if model.rates is not None:
-        return given_or(model, np.ones(model.degrees_of_freedom))
+        return given_or(model, 1.0)
     masses = masses_of(model.kinetic, state, model)
     known = np.isfinite(masses) & (masses > 0)
     turning = model.angular & known
@@ -143,8 +137,7 @@ def surroundings(model: Model, place: np.ndarray) -> tuple[np.ndarray, float]:
 
     Lengths given, else a power of 256 near |q|; sqrt(length / acceleration), also as such a power.
     """
-    size = float(snapped(np.abs(place[~model.angular]).max(initial=0.0)))
-    found = given_or(model, np.full(place.size, size))
+    found = given_or(model, snapped(np.abs(place[~model.angular]).max(initial=0.0)))
     there = np.append(place + 0.3 * found, np.zeros(len(model.state_names) - place.size))
     pace = np.abs(_pushed(model, there, place.size) / found).max()
     return found, float(1.0 / snapped(pace if model.rates is not None else np.sqrt(pace)))
@@ -176,8 +169,6 @@ def units_of(model: Model, states: np.ndarray, period: float) -> tuple[float, ..
         return unless_one(snapped(alone(sizes, model.angular, 1.0)))
     parts, turning = proportions(model, states[0]), model.angular
     found = np.maximum(largest[:n], largest[n:] * clock) / parts
-    if turning.all() and 1 / ALIKE < clock < ALIKE and 1 / ALIKE < found.max() < ALIKE:
-        return ()
     for group in (turning, ~turning):
         size = found[group].max(initial=0.0)
         if group.any() and not size > 0:
@@ -226,14 +217,10 @@ def alone(moved: np.ndarray, angular: np.ndarray | None = None, share: float = L
     Each may have a unit of its own; what hardly moves at all is measured in a share of what the others do, `angular`
     ones by themselves: a clock of 2 pi says nothing of what a nanometre is.
     """
-    if angular is not None and 0 < angular.sum() < angular.size:
-        found = np.ones(moved.shape)
-        found[angular], found[~angular] = alone(moved[angular], None, share), alone(moved[~angular], None, share)
-        return found
-    largest = float(moved.max(initial=0.0))
-    if not (np.isfinite(largest) and largest > 0.0):
-        return np.ones(moved.shape)
-    return np.where(moved > STILL * largest, moved, share * largest)
+    turning = np.zeros(moved.size, bool) if angular is None else angular
+    largest = np.where(turning, moved[turning].max(initial=0.0), moved[~turning].max(initial=0.0))
+    found = np.where(moved > STILL * largest, moved, share * largest)
+    return np.where(np.isfinite(largest) & (largest > 0.0), found, 1.0)
 
 
 def parameter_sizes(model: Model, names: Sequence[str], values: np.ndarray, least: float = 1e-3) -> np.ndarray:

@@ -43,13 +43,14 @@ class Closure:
     worst: tuple[float, float]
 
 
-def closes(gap: np.ndarray, transitions: Sequence[np.ndarray], sizes: np.ndarray, rate: np.ndarray | None) -> Closure:
-    """The `Closure` of a loop from its gap (m), the state-transition matrices of its pieces, and f T (m) or None, or
-    whatever else may be corrected (m x k).
+def closes(gap: np.ndarray, transitions: Sequence[np.ndarray], states: np.ndarray, rate: np.ndarray | None) -> Closure:
+    """The `Closure` of a loop from its gap (m), the state-transition matrices of its pieces, its states (k x m), and
+    f T (m) or None, or whatever else may be corrected (m x k).
 
-    All in extents of the motion; `sizes` (m) are those of the state's components, `rate` is None where the
-    period is prescribed. Components that nothing else drives close by themselves, to their own A.
+    All in extents of the motion; `rate` is None where the period is prescribed. Components that nothing else drives
+    close by themselves, to their own A.
     """
+    sizes = np.maximum(np.abs(states).max(axis=0), 1.0)  # of the components, R
     found = _together(gap, transitions, sizes, rate)
     parts = [found]
     for own in _closed(transitions, sizes):

@@ -367,14 +367,13 @@ def gather_controlled(
     end, other = motion.reset(last, pieces[-1][-1, :d]), motion.reset(last, second[-1][-1, :d])
     states = np.vstack([piece[:, :d] for piece in pieces])
     units = extents_of(model, states, period)
-    sizes = np.maximum(np.abs(states).max(axis=0) / units, 1.0)
     shifted = shift_along(model, relative, np.asarray(state, float), end, turns)
     apart = shift(turns, d)
     for name, by in shifted.items():
         apart[: len(turns)] += by * _direction(model, name)
     fitted = _Fit(motion, pieces, units)
     scaled = [one * units / units[:, None] for one in fitted.transitions]
-    closed = closes((end - state - apart) / units, scaled, sizes, _reach(motion, pieces, scaled, units))
+    closed = closes((end - state - apart) / units, scaled, states / units, _reach(motion, pieces, scaled, units))
     monodromy = np.eye(d)
     for one in scaled:
         monodromy = one @ monodromy

@@ -363,11 +363,10 @@ def _measured(
     at = np.searchsorted(motion.times, evenly(period))
     path, states = motion.path[at], motion.states[at]
     units = in_momenta(np.ptp(path, axis=0), motion.masses, period)
-    sizes = np.maximum(np.abs(path).max(axis=0) / units, 1.0)
     pieces = [piece * units[None, :] / units[:, None] for piece in motion.transitions]
     gradients, directions = motion.gradients * units, motion.directions / units
     missed = (path[-1] - path[0] - shift(motion.turns, units.size)) / units
-    found = closes(missed, pieces, sizes, None if model.forced else motion.rate * period / units)
+    found = closes(missed, pieces, path / units, None if model.forced else motion.rate * period / units)
     monodromy, growth, varied = _products(pieces)
     basis = tangent_basis(motion.constraints * units) if motion.constraints.size else np.eye(units.size)
     inner, gradients, directions = basis.T @ monodromy @ basis, gradients @ basis, directions @ basis
@@ -506,11 +505,10 @@ def tour(
     motion = chain_motion(*given) if long else canonical_motion(*given, varied)
     path = motion.path
     units = known_in(path, motion.masses, period, model.angular)
-    sizes = np.maximum(np.abs(path).max(axis=0) / units, 1.0)
     pieces = [piece * units[None, :] / units[:, None] for piece in motion.transitions]
     missed = (path[-1] - path[0] - shift(motion.turns, units.size)) / units
     rate = None if model.forced else motion.rate * period / units
-    closure, half = closes(missed, pieces, sizes, rate), None
+    closure, half = closes(missed, pieces, path / units, rate), None
     if beside is not None and closure.gap > GROWN and not long:
         told, apart = _beside(model, motion, units, *beside, varied)
         motion = told if apart <= GROWN else motion

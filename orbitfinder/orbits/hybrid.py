@@ -174,7 +174,6 @@ def gather_hybrid(model: Model, state: np.ndarray, period: float, turns: np.ndar
     period, end = float(arcs[-1].times[-1]), arcs[-1].after
     states = np.vstack([arc.states for arc in arcs])
     units = extents_of(model, states, period)
-    sizes = np.maximum(np.abs(states).max(axis=0) / units, 1.0)
     automaton = Automaton.about(model, state, period)
     pieces, action = _variations(automaton, arcs)
     scaled = [piece * units / units[:, None] for piece in pieces]
@@ -183,7 +182,7 @@ def gather_hybrid(model: Model, state: np.ndarray, period: float, turns: np.ndar
         whole = piece @ whole
     rate = automaton.field(arcs[0].mode)(0.0, np.asarray(state, float)) / units
     slopes = invariant_gradients(model)(state).full().reshape(-1, units.size) * units
-    found = closes((end - state - shift(turns, units.size)) / units, scaled, sizes, rate * period)
+    found = closes((end - state - shift(turns, units.size)) / units, scaled, states / units, rate * period)
     size = max(1.0, float(np.abs(whole).max()))
     kept = [relative(whole @ rate - rate, rate), *(relative(row @ whole - row, row) for row in slopes)]
     drift, balance = _energies(model, arcs)
