@@ -319,7 +319,8 @@ def _nearest(lengths: np.ndarray, ground: np.ndarray, fixed: Mapping[int, float]
         theta[k] = angle
 
     def phi(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return np.array([np.cos(theta), np.sin(theta)]) @ lengths - ground, closure_jacobian(lengths, theta)
+        slopes = closure_jacobian(lengths, theta)  # each bar a quarter turn ahead
+        return slopes[::-1].sum(axis=1) * (1.0, -1.0) - ground, slopes
 
     found = closed(phi, theta, loose, size=float(lengths.sum()), settings=CLOSING)
     if found.converged:

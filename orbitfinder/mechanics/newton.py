@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from math import isfinite
+from math import isfinite, nan
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -181,8 +181,9 @@ def closed(
         nonlocal size
         gaps, slopes = phi(q)
         slopes = slopes * measures
-        size = max(size, largest(slopes))
-        return gaps / size, lambda rows: least_norm(slopes, rows * size, settings.cutoff)
+        steep = largest(slopes)
+        size = max(size, steep) if isfinite(steep) else nan
+        return gaps / size, lambda _: np.linalg.lstsq(slopes, -gaps, rcond=settings.cutoff)[0]
 
     return full(q, linearised, settings, lambda q, step: q + measures * step)
 
