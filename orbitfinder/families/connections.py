@@ -27,8 +27,8 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.continuation.follow import Known, reached
 from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.continuation.follow import Known, reached
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.manifolds import Local, ManifoldSettings, Part, grown, local_manifold, surface_of
 from orbitfinder.integrate.crossings import FINE

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from orbitfinder._runtime import interrupt
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, plural
 from orbitfinder.families.checks import ALIKE, Look, check_known, reading, settled_on
 from orbitfinder.families.critical import critical_of, levelled
@@ -61,7 +62,7 @@ def _column(family: Family, curve: Curve, name: str) -> Check:
     for k, one in enumerate(family.points):
         interrupt.check()
         found = _watch(curve, one, name) if one.scale <= UNKNOWN else worst
-        if not found.passed or found.value / max(found.tolerance, 1e-300) >= worst.value / max(worst.tolerance, 1e-300):
+        if not found.passed or found.value / nonzero(found.tolerance) >= worst.value / nonzero(worst.tolerance):
             worst = replace(found, note=found.note or f"at point {k}")
         if not found.passed:
             break
