@@ -294,10 +294,10 @@ def first_order_modes(
     def slopes(x: np.ndarray) -> np.ndarray:
         return np.asarray(slope(0.0, x, [], [], 0)[1].full())
 
-    rest = newton.equilibrium(lambda x: (rates(x), slopes(x)), place, newton.largest(place) or 1.0)
-    found, matrix, left = rest.w, slopes(rest.w), rates(rest.w)
+    found = root(rates, place, jac=slopes, tol=1e-14).x  # a trust region comes to equilibria that Newton's leaps miss
+    matrix, left = slopes(found), rates(found)
     size = np.abs(matrix) @ np.maximum(np.abs(found), np.abs(found - place))
-    if not (rest.converged and np.all(np.abs(left) <= AT_REST * np.maximum(size, size.max()))):
+    if not np.all(np.abs(left) <= AT_REST * np.maximum(size, size.max())):
         raise InputError(f"guess.equilibrium: none is found from {place.tolist()}; give a state nearer to it")
     values, vectors = np.linalg.eig(matrix)
     turning = np.flatnonzero(values.imag > np.sqrt(OSCILLATES) * np.abs(values).max(initial=0.0))
