@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from test_mutations import edited, garbled, written
 
 import orbitfinder as of
 from orbitfinder.atlas.store import Atlas
@@ -174,6 +175,23 @@ def test_every_reader_takes_its_own_files_and_refuses_the_others(records):
             except InputError as error:
                 assert "\n" not in str(error) and len(str(error)) > 30
     assert set(KINDS) - set(read) == {"branch-proof", "atlas", "export", "empty export", "tori#", "journal", "text"}
+
+
+@pytest.mark.parametrize("kind", ["optima", "tori", "section", "manifold", "connection", "controller"])
+def test_damaged_records_are_read_or_refused_in_a_sentence(kind, records, tmp_path):
+    load, path = next(one for one in LOADERS if one.__name__ == f"load_{kind}"), tmp_path / "record.json"
+    data, beside, read = records[kind].read_bytes(), records[kind].with_suffix(".npz"), 0
+    if beside.exists():
+        path.with_suffix(".npz").write_bytes(beside.read_bytes())
+    for number in range(60):
+        random = np.random.default_rng([number, 30])
+        as_bytes = random.random() < 0.3
+        path.write_bytes(garbled(data, random) if as_bytes else written(edited(json.loads(data), random)))
+        try:
+            read += bool(repr(load(path)))
+        except InputError as error:
+            assert "\n" not in str(error) and str(tmp_path) in str(error)
+    assert 0 < read < 30
 
 
 GIVEN = {

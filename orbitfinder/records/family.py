@@ -49,6 +49,16 @@ ALIKE = 1e-6
 """Change of the energies of a family, relative to them, below which they are no axis"""
 
 
+def _check_place(member: Any) -> None:
+    """`ValueError` unless a point or an event is an orbit whose nodes are on its mesh."""
+    size, nodes, mesh = member.state.size, member.shooting_nodes, member.mesh
+    if member.state.ndim != 1 or not size or not member.period > 0:
+        raise ValueError(f"state: {plural(size, 'number')}, period {member.period}: no orbit")
+    rising = mesh.ndim == 1 and mesh.size > len(nodes) and bool(np.all(np.diff(mesh) > 0))
+    if nodes.size and (nodes.shape[1:] != (size,) or not rising or (mesh.size - 1) % len(nodes)):
+        raise ValueError("nodes: do not fit the state or the mesh")
+
+
 @dataclass(frozen=True, kw_only=True)
 class FamilyPoint(Orbit):
     """An Orbit and its place on a family: the `index`-th point, at an `arclength` and a `value` of the parameter.
@@ -101,8 +111,7 @@ class FamilyPoint(Orbit):
     curve: Mapping[str, Any] = field(default_factory=dict)
     """what rebuilds the equations of its family"""
 
-    def _check(self) -> None:
-        _check_place(self)
+    _check = _check_place
 
 
 @dataclass(frozen=True)
@@ -151,17 +160,7 @@ class Event(Shown):
     """by its definition (see `families.checks`); none in older files"""
     watch: Mapping[str, float] = field(default_factory=dict)
 
-    def _check(self) -> None:
-        _check_place(self)
-
-
-def _check_place(member: FamilyPoint | Event) -> None:
-    size, nodes, mesh = member.state.size, member.shooting_nodes, member.mesh
-    if member.state.ndim != 1 or not size or not member.period > 0:
-        raise ValueError(f"state: {plural(size, 'number')}, period {member.period}: no orbit")
-    rising = mesh.ndim == 1 and mesh.size > len(nodes) and bool(np.all(np.diff(mesh) > 0))
-    if nodes.size and (nodes.shape[1:] != (size,) or not rising or (mesh.size - 1) % len(nodes)):
-        raise ValueError("nodes: do not fit the state or the mesh")
+    _check = _check_place
 
 
 @dataclass(frozen=True)

@@ -53,12 +53,10 @@ def load_orbit(path: str | Path) -> Orbit:
     if number is None:
         return read_orbit(file)
     kind = kind_of(file)
-    if kind == "family":
-        point: Orbit = _chosen(load_family(file).points, number, path)
+    if kind in ("family", "optima"):
+        several = load_family(file) if kind == "family" else load_optima(file)
+        point: Orbit = _chosen(several.points, number, path)
         return point
-    if kind == "optima":
-        optimum: Orbit = _chosen(load_optima(file).points, number, path)
-        return optimum
     if kind == "export":
         return orbit_in(_chosen(json_file(file, "atlas export", AGAIN), number, path), str(path))
     if kind == "atlas":
