@@ -338,8 +338,7 @@ def save_orbit(orbit: Orbit, path: str | Path) -> Path:
 
 def read_orbit(source: Path) -> Orbit:
     """The Orbit of an orbit.json (and orbit.npz if it is there). Raises `InputError` on anything unreadable."""
-    document = read_document(source)
-    orbit = orbit_from_document(document)
+    orbit = orbit_in(json_file(source, "orbit.json", AGAIN), str(source))
     times, samples = dense_samples(source.with_suffix(".npz"), orbit.state.size)
     return replace(orbit, times=times, samples=samples)
 
@@ -388,7 +387,7 @@ def orbit_from_document(document: Mapping[str, Any]) -> Orbit:
         usual = {"winding": [0] * (size // 2), "nodes": [told.get("state")], "pair_defect": 0.0, "unfolding": [],
                  "tolerance": 1e-12}  # fmt: skip
         if "certificate" in told:  # 0.1 wrote the closure only beside it
-            told["certificate"] = {"closure": document["closure"]} | dict(told["certificate"])
+            told["certificate"] = {"closure": document.get("closure")} | dict(told["certificate"])
         dense = {"times": np.zeros(0), "samples": np.zeros((0, size))}
         orbit: Orbit = typed(Orbit, usual | told | dense, "")
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
