@@ -19,7 +19,7 @@ import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.families.motion import rises, watched
+from orbitfinder.families.motion import noise, rises, watched
 from orbitfinder.families.passages import (
     UNTOLD,
     Measure,
@@ -79,7 +79,8 @@ def extrema(interval: Interval) -> Iterator[Test]:
         return known[sample.distance][name]
 
     for name in interval.curve.watch:
-        if slope(name, interval.first) * slope(name, interval.last) < 0:
+        ends = [slope(name, sample) for sample in (interval.first, interval.last)]
+        if ends[0] * ends[1] < 0 and max(np.abs(ends)) > noise(interval.curve, interval.first.found)[name]:
             yield Test("extremum", name, partial(slope, name))
 
 

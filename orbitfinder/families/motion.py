@@ -68,13 +68,16 @@ def watched(curve: Curve, found: Solution) -> dict[str, float]:
 
 
 def rises(curve: Curve, found: Solution, whole: np.ndarray) -> dict[str, float]:
-    """The derivatives of the watched numbers along a direction over w, 0 where they are round-off."""
-    sides = [replace(found, place=found.place.moved(step * whole)) for step in (-STEP, STEP)]
-    before, after = (watched(curve, replace(one, kept={})) for one in sides)
-    known = unsure(curve.watch, *_motion(curve, found), parameters_at(curve, found.place), ROUGH)
-    changes = {name: after[name] - before[name] for name in curve.watch}
-    sure = {name: abs(one) > ROUND_OFF / ROUGH * known[name] for name, one in changes.items()}
-    return {name: sure[name] * one / (2 * STEP) for name, one in changes.items()}
+    """The derivatives of the watched numbers along a direction over w."""
+    sides = (replace(found, place=found.place.moved(step * whole), kept={}) for step in (-STEP, STEP))
+    before, after = (watched(curve, one) for one in sides)
+    return {name: (after[name] - before[name]) / (2 * STEP) for name in curve.watch}
+
+
+def noise(curve: Curve, found: Solution) -> dict[str, float]:
+    """What round-off makes of these derivatives."""
+    wrong = unsure(curve.watch, *_motion(curve, found), parameters_at(curve, found.place), ROUGH)
+    return {name: ROUND_OFF / ROUGH * one / STEP for name, one in wrong.items()}
 
 
 def parameters_at(curve: Curve, w: Unknowns) -> dict[str, float]:

@@ -52,7 +52,7 @@ def verified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
         if len(family.ends) == 1 and family.points[-1].arclength == 0:
             at = family.points[0]
         yield f"end {k}", _end(family, curve, end, at)
-    for name in family.points[0].watch:
+    for name in dict.fromkeys(name for one in family.points for name in one.watch):
         yield f"watch.{name} of {plural(len(family.points), 'orbit')}", _column(family, curve, name)
 
 
@@ -62,7 +62,7 @@ def _column(family: Family, curve: Curve, name: str) -> Check:
     for k, one in enumerate(family.points):
         interrupt.check()
         found = _watch(curve, one, name) if one.scale <= UNKNOWN else worst
-        if not found.passed or found.value / nonzero(found.tolerance) >= worst.value / nonzero(worst.tolerance):
+        if not found.passed or found.value * worst.tolerance >= worst.value * found.tolerance:
             worst = replace(found, note=found.note or f"at point {k}")
         if not found.passed:
             break
@@ -143,7 +143,7 @@ def _told(family: Family, curve: Curve, event: Event, change: float, exchanged: 
             raise ConvergenceError(f"{name} is {found:.15g} there, recorded {value:.15g}")
     if event.symmetry != curve.equations.symmetry.name:
         raise ConvergenceError(f"symmetry {event.symmetry} is not the family's")
-    for name in family.points[0].watch:
+    for name in {**family.curve.get("watch", {}), **event.watch}:
         if not (known := _watch(curve, _alone(event), name)).passed:
             raise ConvergenceError(known.note)
 
