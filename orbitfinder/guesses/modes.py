@@ -85,17 +85,12 @@ def minima(model: Model) -> list[np.ndarray]:
 
 def reach_of(model: Model) -> np.ndarray:
     """How far (n) from an equilibrium positions are drawn: half a turn, or twice the length given, else 2."""
-    return np.asarray(np.where(model.angular, np.pi, 2.0 * sizes(model)))
-
-
-def sizes(model: Model) -> np.ndarray:
-    """Sizes (n) of coordinates before there is any motion: those given, else 1."""
-    return given_or(model, 1.0)
+    return np.asarray(np.where(model.angular, np.pi, 2.0 * given_or(model, 1.0)))
 
 
 def equilibrium(model: Model) -> np.ndarray:
     """Coordinates (n) of the minimum of the potential nearest to q = 0, of a mechanism to its pose."""
-    n, units = model.degrees_of_freedom, sizes(model)
+    n, units = model.degrees_of_freedom, given_or(model, 1.0)
     pose = model.system.get("pose", {})
     from_here = np.array([pose.get(name, 0.0) for name in model.state_names[:n]])
 
@@ -219,7 +214,7 @@ def normal_modes(
             f"guess.mode: the energies have no second derivatives at {place.tolist()}, or not in double precision; "
             "give the coordinates of an equilibrium, or a state and a period"
         )
-    units = sizes(model)
+    units = given_or(model, 1.0)
     stiff = np.abs(k * units[:, None] * units).max()
     if np.abs(force * units[:, None]).max() > 1e-9 * max(float(stiff), float(snapped(stiff))):
         raise InputError(f"guess.mode: {place.tolist()} is not an equilibrium; give the coordinates of one")
@@ -382,7 +377,7 @@ def mode_problem(
     `mode` counts the oscillating modes of the equilibrium from 1, slowest first; without an `amplitude` it is 0.02 rad,
     or 0.02 of the length given. Raises `InputError`.
     """
-    amplitude = AMPLITUDE * float(sizes(model).max()) if amplitude is None else amplitude
+    amplitude = AMPLITUDE * float(given_or(model, 1.0).max()) if amplitude is None else amplitude
     found = oscillating(normal_modes(model, equilibrium)[0])
     modes = f"{plural(found.size, 'oscillating mode')} out of {model.degrees_of_freedom}"
     _check_mode(mode, found.size, f"this equilibrium has {modes}", "mode")

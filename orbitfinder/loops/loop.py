@@ -204,8 +204,7 @@ class Equations:
     @cached_property
     def boundary(self) -> tuple[np.ndarray, np.ndarray]:
         """P B0 and P B1 (r x d)."""
-        first, last = self.symmetry.rows(self.model.degrees_of_freedom)
-        return (first, last) if self.asked is None else (self.asked @ first, self.asked @ last)
+        return self.symmetry.boundary(self.model.degrees_of_freedom)
 
     @cached_property
     def asked(self) -> np.ndarray | None:

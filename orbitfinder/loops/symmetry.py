@@ -218,6 +218,11 @@ class Symmetry:
             return np.concatenate([begin, begin + _fixed(first, n).rows @ travelled if first == last else 0 * begin])
         return np.concatenate([begin, nearest(last, end)])
 
+    def boundary(self, n: int) -> tuple[np.ndarray, np.ndarray]:
+        """The `rows` (r x 2n) that are `asked`."""
+        (first, last), asked = self.rows(n), self.asked(n)
+        return (first, last) if asked is None else (asked @ first, asked @ last)
+
     def asked(self, n: int) -> np.ndarray | None:
         """The combinations (r x 2n) of the rows that no shift along `relative` changes; None where all are asked."""
         return _asked(self, n) if self.relative else None

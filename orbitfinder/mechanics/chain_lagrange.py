@@ -16,7 +16,6 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.linalg.lapack import dposv, dpotrs
 
-from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.model import Model
 
@@ -177,6 +176,6 @@ def _check(found: ChainLagrange, model: Model) -> None:
     for x in random.normal(0.0, 1.0, (3, 2 * n)):
         kinetic, potential = (float(part[0]) for part in found.energies(x))
         wanted = float(model.kinetic(x[:n], x[n:], values)), float(model.potential(x[:n], values))
-        size = nonzero(np.abs(found.weights).sum())
-        if not max(abs(kinetic - wanted[0]) / abs(wanted[0]), abs(potential + rest - wanted[1]) / size) < AGREEMENT:
+        far, size = abs(potential + rest - wanted[1]), float(np.abs(found.weights).sum())
+        if not (abs(kinetic - wanted[0]) < AGREEMENT * abs(wanted[0]) and far <= AGREEMENT * size):
             raise InputError("system: the energies are not those of an open planar chain in absolute angles")

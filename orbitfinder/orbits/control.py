@@ -531,7 +531,7 @@ class _Fit:
         self.signs: list[int] = []
         self.violations: dict[str, float] = {}
         self.transitions: list[np.ndarray] = []
-        self.first, self.last = self._boundary()
+        self.first, self.last = motion.parts.symmetry.boundary(motion.parts.model.degrees_of_freedom)
         basis, parts = self.parts.basis, self.parts
         self.active = self._actives()
         for k in range(len(self.first)):
@@ -560,12 +560,6 @@ class _Fit:
     def _unknown(self, name: str, sign: int) -> None:
         self.names.append(name)
         self.signs.append(sign)
-
-    def _boundary(self) -> tuple[np.ndarray, np.ndarray]:
-        symmetry, n = self.parts.symmetry, self.parts.model.degrees_of_freedom
-        first, last = symmetry.rows(n)
-        asked = symmetry.asked(n)
-        return (first, last) if asked is None else (asked @ first, asked @ last)
 
     def _arc(self, segment: int) -> int:
         return self.parts.arc(segment)

@@ -43,7 +43,7 @@ from orbitfinder.mechanics.catalogue import REMADE, with_parameters
 from orbitfinder.mechanics.chain_lagrange import ChainLagrange, chain_lagrange, is_long
 from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.model import Model, constraint_of, energies
-from orbitfinder.mechanics.scales import alone, extents, extents_of, masses_of, snapped
+from orbitfinder.mechanics.scales import extents, extents_of, masses_of, snapped
 from orbitfinder.orbits.closure import Closure, closes, gap, shift
 from orbitfinder.orbits.floquet import Floquet, analyse, complement, generated, reduce_monodromy, symplectic_unit
 
@@ -227,10 +227,8 @@ def known_in(path: np.ndarray, masses: np.ndarray, period: float, angular: np.nd
 
 def in_momenta(moved: np.ndarray, masses: np.ndarray, period: float, angular: np.ndarray | None = None) -> np.ndarray:
     """`extents` in (q, p) of what moved so far in (q, p); without masses, of a first-order system, `alone`."""
-    if not masses.size:
-        return alone(moved, angular)
-    weights = np.append(np.ones(masses.size), masses)
-    found = extents(moved / nonzero(weights), masses, period)
+    weights = np.append(np.ones(moved.size - masses.size), masses)
+    found = extents(moved / nonzero(weights), masses, period, angular)
     return np.asarray(np.where(weights > 0, weights, 1.0) * found)
 
 
