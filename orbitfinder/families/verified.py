@@ -10,7 +10,6 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from orbitfinder._runtime import interrupt
-from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, plural
 from orbitfinder.families.checks import ALIKE, Look, check_known, reading, settled_on
 from orbitfinder.families.critical import critical_of, levelled

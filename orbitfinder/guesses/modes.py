@@ -19,6 +19,7 @@ from itertools import product
 
 import numpy as np
 from scipy.linalg import eigh
+from scipy.optimize import root
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import InputError, plural
