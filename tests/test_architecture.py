@@ -251,6 +251,33 @@ def test_newton_is_written_once():
     assert found == set(ITERATIONS)
 
 
+BRACKETS = {
+    "continuation.follow": "the one: where something vanishes within a step of what is followed",
+    "integrate.automaton": "the events of a motion",
+    "atlas.starts": "where a ray meets an energy",
+    "atlas.regions": "where a ray meets an energy",
+    "mechanics.library": "the collinear points of the restricted problem",
+}
+HALVED = {
+    "continuation.follow": "the one: steps of what is followed",
+    "atlas.solver": "the valley of a nearly degenerate orbit, which is left on either side",
+    "loops.polish": "pieces of a motion that is integrated",
+}
+
+
+def test_brackets_are_closed_and_steps_halved_in_one_place():
+    """Of what is followed; whatever else does so has its reason."""
+    brackets, halved = set(), set()
+    for module, tree in MODULES.items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Call) and calls([node]) & {"brentq", "bisect", "toms748", "root_scalar"}:
+                brackets.add(module)
+            value = node.value if isinstance(node, ast.AugAssign) else None
+            if isinstance(value, ast.Constant) and (type(node.op), value.value) in ((ast.Div, 2), (ast.Mult, 0.5)):
+                halved.add(module)
+    assert brackets == set(BRACKETS) and halved == set(HALVED)
+
+
 def test_what_guards_a_quotient_is_said_once():
     """`nonzero`, `size_of` and `relative` say what a size of 0 is; nobody writes a number of his own for it."""
     written = {

@@ -65,7 +65,8 @@ RUNS = {
     ),
 }  # fmt: skip
 """The command of each kind, the file that it makes, and commands that come before"""
-LONG = ("workers", "stabilise")
+QUICK = ("curve", "sweep", "torus")
+"""Those that are killed once in the ordinary run; all are in the slow one"""
 
 
 def started(words, folder):
@@ -97,7 +98,7 @@ def made(folder, file):
     return documents
 
 
-@pytest.mark.parametrize("kind", sorted({*RUNS} - {*LONG}))
+@pytest.mark.parametrize("kind", QUICK)
 def test_killed_once(kind, tmp_path):
     """As soon as the journal has a few lines."""
     killed(kind, tmp_path, kills=1, seed=0)

@@ -21,9 +21,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import brentq
 
 from orbitfinder._runtime.sizes import size_of
+from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.loop import Equations, Loop, Unknowns
@@ -59,7 +59,6 @@ LONGEST, SHORTEST = 0.3, 1e-3
 REGULAR = Settings(floor=0.0, converged=0.0, round_off=0.0, most_evaluations=6, patience=0, progress=1.0)
 """How the regular equations are solved: given up where what is left of them grows"""
 MOST_TRIALS = 60
-MOST_ROOT_STEPS = 20
 SLACK = 1e-3
 """The regular equations hold when they are smaller than |mu| by this."""
 ROUND_OFF = 3e-13
@@ -322,5 +321,5 @@ def crossed(one: Scaled, first: Point, second: Point, length: float) -> Point:
         value = met[share].mu
         return 0.0 if abs(value) < ROUND_OFF else value
 
-    root = brentq(mu, 0.0, length, xtol=1e-13, maxiter=MOST_ROOT_STEPS, disp=False)
+    root = zero(mu, 0.0, length, 1e-13)
     return met.get(root) or corrected(one, first, root)
