@@ -75,7 +75,7 @@ def test_an_orbit_without_energy_goes_to_a_file_and_back(tmp_path):
     assert of.certify(again).passed
     changed = json.loads(path.read_text()) | {"winding": [0]}
     path.write_text(json.dumps(changed))
-    with pytest.raises(InputError, match="energy of a mechanical system is missing"):
+    with pytest.raises(InputError, match="energy: missing, that of a mechanical system"):
         of.load_orbit(path)
 
 
