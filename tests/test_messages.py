@@ -297,7 +297,7 @@ EDITS = {
     "state-huge": ({"state": [1e308, 0.0]}, "beyond"),
     "winding": ({"winding": [0, 0]}, "2 in winding"),
     "unfolding": ({"unfolding": ["x"]}, "malformed"),
-    "expected": ({"expected": {"colour": {"value": 1.0, "tolerance": 1.0}}}, "'colour' is nothing that an orbit of this system has"),
+    "expected": ({"expected": {"colour": {"value": 1.0, "tolerance": 1.0}}}, "'colour' is nothing that an orbit"),
     "provenance": ({"provenance": 3}, "malformed"),
     "kind": ({"system": {"kind": "x"}}, "'x'"),
     "system-key": ({"system": {"kind": "chain", "links": 1, "colour": 2}}, "colour"),
