@@ -24,17 +24,20 @@ from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
 from orbitfinder.families.run import Run, first_point
 from orbitfinder.families.stability import Spectrum, matching
 from orbitfinder.families.start import begin, curve_of
+from orbitfinder.families.verified import verified
 from orbitfinder.guesses.modes import equilibria, mode_problem, normal_modes, oscillating
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.loops.condensed import Linearised
 from orbitfinder.loops.continued import at_place, correct, plane, tangent
 from orbitfinder.loops.mesh import between, carried
 from orbitfinder.loops.problem import Problem
+from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.orbits.evidence import ClosureCheck, tour
 from orbitfinder.orbits.floquet import judged
 from orbitfinder.orbits.measure import multipliers
 from orbitfinder.records.family import family_to_document, load_family, plain, read_journal
+from orbitfinder.records.store import load_orbit
 
 DATA = Path(__file__).parent / "data"
 FAMILIES = Path(__file__).parents[1] / "results" / "families"
@@ -267,6 +270,7 @@ from orbitfinder.families.folder import follow_family
 from orbitfinder.guesses.modes import mode_problem
 from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
 from orbitfinder.integrate.cvodes import build_flow
+from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import chain
 settings = FamilySettings(directions="forward", longest_step={step})
 follow_family(mode_problem(chain(2), 1), points={points}, out={out!r}, settings=settings)
@@ -338,19 +342,31 @@ def told(family):
     return json.loads(json.dumps(plain([document, points])))
 
 
-@pytest.mark.parametrize("stops", [(-3.0, -1.0), (-3.0, None), (None, -3.0), (-1.0, -3.0), (-3.0, -3.0)])
+@pytest.mark.parametrize("stops", [(-2.0, 1.0), (-2.0, None), (None, -2.0), (1.0, -2.0), (-2.0, -2.0)])
 def test_goes_on_to_another_end(stops, tmp_path):
     """Farther or less far: what is known stays as it is, to the last bit, and is not computed again."""
-    ask = {"points": 12, "settings": FamilySettings(directions="forward"), "at": (-3.5,)}
-    problem, steps = mode_problem(chain(1), 1), []
+    ask = {"points": 14, "settings": FamilySettings(directions="forward"), "at": (-2.5,)}
+    problem, steps = mode_problem(chain(1), 1, 1.0), []
     follow_family(problem, out=tmp_path / "on", until=stops[0], **ask)
     (journal,) = (tmp_path / "on").glob("*/family.jsonl")
     known = journal.read_bytes().splitlines()
     found = follow_family(problem, out=tmp_path / "on", until=stops[1], progress=steps.append, **ask)
     assert told(found) == told(follow_family(problem, until=stops[1], **ask))
+    assert [one.kind for one in found.ends] == ["point limit" if stops[1] is None else "target"]
+    assert [one.role for one in found.points].count("at") == 1
     lines = journal.read_bytes().splitlines()
     kept = sum(one in known for one in lines[1:])
     assert len(steps) == len(lines) - 1 - kept and kept > 3
+
+
+def test_events_near_a_parameter_of_zero_stay_where_a_family_goes_on(tmp_path):
+    """Events of a run that was stopped before them, and of its file alone, are measured as any other's."""
+    orbit = load_orbit(Path(__file__).parents[1] / "results" / "gallery" / "van-der-pol" / "orbit.json")
+    for points in (3, 14):
+        family = follow_family(orbit, "damping", points=points, out=tmp_path)
+    assert [one.kind for one in family.events] == ["branch_point", "stability_change"]
+    assert abs(family.events[0].parameter) < 1e-9
+    assert all(check.passed for _, check in verified(family, build_model(family.system)))
 
 
 @pytest.fixture(scope="module")
