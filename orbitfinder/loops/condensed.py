@@ -19,7 +19,7 @@ from scipy.linalg.lapack import dgetrf, dgetrs
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
-from orbitfinder.mechanics.newton import Solver
+from orbitfinder.mechanics.newton import Solver, least_squares
 
 LARGEST_PRODUCT = 1e8
 CUTOFF = 1e-13
@@ -86,10 +86,11 @@ def eliminated(system: Linearised) -> Solver:
         product, columns = transition @ product, transition @ columns + own
     if not np.abs(product).max() <= LARGEST_PRODUCT:
         whole = system.matrix()
-        return lambda rows: -np.linalg.lstsq(whole, rows, rcond=CUTOFF)[0]
+        shortest = least_squares(whole, CUTOFF)
+        return lambda rows: -shortest(rows)
     matrix = np.hstack([head + system.last @ product, system.last @ columns + tail])
     matrix = np.vstack([matrix, inner]) if len(inner) else matrix
-    solved = _solver(matrix) if len(inner) else _least(matrix)
+    solved = _solver(matrix) if len(inner) else least_squares(matrix, CUTOFF)
 
     def solve(rows: np.ndarray) -> np.ndarray:
         defects, closing = rows[: (count - 1) * size].reshape(-1, size), rows[(count - 1) * size :]
@@ -113,16 +114,12 @@ def eliminated(system: Linearised) -> Solver:
     return solve
 
 
-def _least(matrix: np.ndarray) -> Solver:
-    return lambda rows: np.asarray(np.linalg.lstsq(matrix, rows, rcond=CUTOFF)[0])
-
-
 def _solver(matrix: np.ndarray) -> Solver:
     """A square matrix factorised once, any other solved by least squares."""
     try:
         return Factors(matrix).solve
     except np.linalg.LinAlgError:
-        return _least(matrix)
+        return least_squares(matrix, CUTOFF)
 
 
 class Factors:

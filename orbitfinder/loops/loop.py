@@ -87,7 +87,9 @@ class Unknowns:
         count, size = self.nodes.shape
         cut, last = count * size, vector.size - self.free.size
         nodes = vector[:cut].reshape(count, size)
-        return Unknowns(nodes, float(vector[cut]), vector[cut + 1 : last], vector[last:], self.mesh)
+        found = Unknowns(nodes, float(vector[cut]), vector[cut + 1 : last], vector[last:], self.mesh)
+        found.__dict__.update(vector=vector, tail=vector[cut:])  # known already
+        return found
 
     def symbols(self) -> tuple[list[ca.MX], list[ca.MX]]:
         """Symbols of CasADi for the nodes and for T, s and free, which stacked stand for the vector."""
@@ -500,9 +502,18 @@ class Loop:
         values = np.abs(np.array([one.value for one in chosen]))
         slopes = self.slopes(w, chosen) if slopes is None else slopes
         named = ROUND_OFF * (np.abs(slopes) @ np.abs(w.vector) + 2 * values)
-        before = (len(w.nodes) - 1) * w.nodes.shape[1] + len(self.equations.boundary[0]) + len(self.normals)
-        guards = np.zeros(self.equations.links.count if self.equations.links else 0)
-        return np.concatenate([np.zeros(before), named[:count], guards, named[count:]])
+        return np.concatenate([np.zeros(self._unnamed(w)), named[:count], np.zeros(self._guards), named[count:]])
+
+    def size(self, w: Unknowns) -> int:
+        """How many rows there are, those of aims not counted."""
+        return self._unnamed(w) + len(self.conditions) + self._guards
+
+    def _unnamed(self, w: Unknowns) -> int:
+        return (len(w.nodes) - 1) * w.nodes.shape[1] + len(self.equations.boundary[0]) + len(self.normals)
+
+    @property
+    def _guards(self) -> int:
+        return self.equations.links.count if self.equations.links else 0
 
     def values(self, w: Unknowns, conditions: Sequence[Condition]) -> np.ndarray:
         """The residuals of conditions."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -38,6 +39,16 @@ class NewtonSettings(Settings):
     converged: float = 1e-8
     most_evaluations: int = 30
     most_doublings: int = 7
+
+    @cached_property
+    def approach(self) -> NewtonSettings:
+        """Those of the halved steps on the coarse march."""
+        return replace(self, floor=self.handover, converged=self.handover, halving=True)
+
+    @cached_property
+    def unconfirmed(self) -> NewtonSettings:
+        """Those of chord steps on a march that is still to be confirmed."""
+        return replace(self, floor=self.rough)
 
 
 @dataclass(frozen=True)
@@ -101,8 +112,7 @@ class Newton:
             solvers.append(solver)
             return rows, shortened
 
-        until = replace(chosen, floor=chosen.handover, converged=chosen.handover, halving=True)
-        found = full(w, linearised, until, Unknowns.moved, lambda rows: float(np.linalg.norm(rows)))
+        found = full(w, linearised, chosen.approach, Unknowns.moved, lambda rows: float(np.linalg.norm(rows)))
         if found.converged:
             return found.w.moved(found.solver(found.rows)), solvers[-1]
         if not found.rows.size:
@@ -117,22 +127,22 @@ class Newton:
         scale = max(1.0, float(np.abs(w.nodes / w.at(self.measures.columns).nodes).max()))
         rows = self._rows(w)
         for _ in range(self.settings.most_doublings):
-            found = self._chord(w, rows, solver, self.settings.rough)
+            found = self._chord(w, rows, solver, self.settings.unconfirmed)
             solver, coarse = found.solver, found.rows
-            w = replace(found.w, mesh=divided(found.w.mesh, 2))
+            w = found.w.on(divided(found.w.mesh, 2))
             rows = self._rows(w)
             if np.abs(rows - coarse).max() <= self.settings.agreement * scale:
                 break
         floor = self.settings.floor * scale * max(10.0, self.growth)
-        found = self._chord(w, rows, solver, floor)
+        found = self._chord(w, rows, solver, replace(self.settings, floor=floor))
         return found.w, found.size
 
-    def _chord(self, w: Unknowns, rows: np.ndarray, solver: Solver, floor: float) -> Solved[Unknowns]:
+    def _chord(self, w: Unknowns, rows: np.ndarray, solver: Solver, settings: Settings) -> Solved[Unknowns]:
         def renewed(w: Unknowns) -> Solver:
             self.jacobians += 1
             return self._solver(w, self.loop.equations.varied(w))
 
-        return chord(w, rows, solver, (self._rows, renewed), replace(self.settings, floor=floor), Unknowns.moved)
+        return chord(w, rows, solver, (self._rows, renewed), settings, Unknowns.moved)
 
     def _rows(self, w: Unknowns) -> np.ndarray:
         self.marches += 1

@@ -14,6 +14,7 @@ from math import isfinite, nan
 from typing import Any, Generic, TypeVar
 
 import numpy as np
+from scipy.linalg.lapack import dgelsd, dgelsd_lwork
 from scipy.optimize import minimize
 
 from orbitfinder._runtime import limit
@@ -75,11 +76,30 @@ def largest(rows: np.ndarray) -> float:
     return float(np.abs(rows).max(initial=0.0))
 
 
+def least_squares(slopes: np.ndarray, cutoff: float = Settings.cutoff) -> Solver:
+    """What gives for rows the shortest x that leaves least of slopes x - rows, by LAPACK itself.
+
+    NumPy's way to it takes as long again. Raises `LinAlgError` where the singular values do not converge.
+    """
+    count, size = slopes.shape
+    work, whole, _ = dgelsd_lwork(count, size, 1)
+
+    def solve(rows: np.ndarray) -> np.ndarray:
+        right = np.zeros(max(count, size))
+        right[:count] = rows
+        found, _, _, fault = dgelsd(slopes, right, int(work), whole, cutoff, overwrite_b=True)
+        if fault:
+            raise np.linalg.LinAlgError("the singular values do not converge")
+        return np.asarray(found[:size])
+
+    return solve
+
+
 def least_norm(slopes: np.ndarray, rows: np.ndarray, cutoff: float = Settings.cutoff) -> np.ndarray:
     """The shortest step that removes rows, or leaves least of them; nan where they are no numbers."""
     if not isfinite(float(rows.sum()) + float(slopes.sum())):
         return np.full(slopes.shape[1], np.nan)  # LAPACK may never return from them
-    return np.asarray(np.linalg.lstsq(slopes, -rows, rcond=cutoff)[0])
+    return least_squares(slopes, cutoff)(-rows)
 
 
 def full(
@@ -183,7 +203,7 @@ def closed(
         slopes = slopes * measures
         steep = largest(slopes)
         size = max(size, steep) if isfinite(steep) else nan
-        return gaps / size, lambda _: np.linalg.lstsq(slopes, -gaps, rcond=settings.cutoff)[0]
+        return gaps / size, lambda _: least_squares(slopes, settings.cutoff)(-gaps)
 
     return full(q, linearised, settings, lambda q, step: q + measures * step)
 
