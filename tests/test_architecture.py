@@ -210,7 +210,7 @@ def test_every_kind_of_event_has_a_check():
     assert set(MARKERS) == set(CHECKS)
 
 
-SOLVERS = {"solve", "lstsq", "pinv", "splu", "spsolve", "least_norm"}
+SOLVERS = {"solve", "lstsq", "pinv", "splu", "spsolve", "least_norm", "least_squares"}
 """What a step of Newton's method is solved with"""
 ITERATIONS = {
     "mechanics.newton": "the one: whole, chord and halved steps, closures, equilibria",
