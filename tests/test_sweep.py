@@ -140,6 +140,14 @@ def test_processes_find_the_same(duffing):
     )
 
 
+def test_processes_know_what_an_orbit_closes_up_to():
+    """A swinging spring that turns on by 167 degrees a period: no process finds it without `relative`."""
+    problem = of.load_problem("problems/gallery/swinging-spring-turning.toml")
+    shared = of.sweep(problem, energy=[-8.1, -8.0], workers=2)
+    assert shared.certified == 2, [row.reason for row in shared.rows]
+    assert shared.orbits[1].shift["phi"] == pytest.approx(2.9086764287065, rel=1e-11)
+
+
 @pytest.mark.parametrize(
     ("ask", "said"),
     [

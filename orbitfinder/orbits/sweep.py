@@ -37,6 +37,8 @@ from orbitfinder.loops.conditions import Pin, check_pin, is_parameter
 from orbitfinder.loops.newton import Refined
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import alone, proportions
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.refine import Refiner
 from orbitfinder.records.codec import plain
@@ -364,17 +366,19 @@ class _Study:
         found = self.refiner.refine(guess, asked)
         if guess is None or guess.states is None:
             return found
-        if max(_away(guess.states, found.nodes, guess.period), abs(found.period / guess.period - 1)) > ELSEWHERE:
+        away = _away(self.base.model, guess.states, found.nodes, guess.period)
+        if max(away, abs(found.period / guess.period - 1)) > ELSEWHERE:
             raise ConvergenceError("Newton's method leads to another orbit")
         return found
 
 
-def _away(expected: np.ndarray, found: np.ndarray, period: float) -> float:
+def _away(model: Model, expected: np.ndarray, found: np.ndarray, period: float) -> float:
     """How far nodes (N x d) are from those expected, coordinates by their size, rates by that of either in a period."""
     moved, size = np.abs(found - expected).max(axis=0), np.abs(expected).max(axis=0)
-    if size.size % 2:
-        return float(moved.max() / nonzero(size.max()))
-    (moved, rushed), (places, rates) = np.split(moved, 2), np.split(size, 2)
+    if model.rates is not None:
+        return float((moved / alone(size, model.angular)).max())
+    units = np.tile(proportions(model, expected[0]), 2)
+    (moved, rushed), (places, rates) = np.split(moved / units, 2), np.split(size / units, 2)
     speed = nonzero(max(rates.max(), places.max() * 2 * np.pi / period))
     return float(max(moved.max() / nonzero(places.max()), rushed.max() / speed))
 
@@ -418,11 +422,8 @@ DONE = "done"
 def _described(study: _Study) -> dict[str, Any]:
     """What a process needs besides the system: the problem at its own orbit, as plain values."""
     base, problem = study.base, study.problem
-    names = ("symmetry", "segments", "tolerance", "name", "title", "source")
-    return {
-        "guess": Guess(base.guess.state, base.guess.period), "pin": problem.pin, "winding": base.winding,
-        "free": problem.free, **{name: getattr(problem, name) for name in names},
-    }  # fmt: skip
+    asked = {name: getattr(problem, name) for name in ASKED}
+    return {**asked, "guess": Guess(base.guess.state, base.guess.period), "winding": base.winding}
 
 
 def _serve(pipe: Connection, wanted: tuple[Any, ...]) -> None:
