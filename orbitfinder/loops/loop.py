@@ -509,7 +509,7 @@ class Loop:
         return self._unnamed(w) + len(self.conditions) + self._guards
 
     def _unnamed(self, w: Unknowns) -> int:
-        return (len(w.nodes) - 1) * w.nodes.shape[1] + len(self.equations.boundary[0]) + len(self.normals)
+        return (len(w.nodes) - 1) * self.equations.size + len(self.equations.boundary[0]) + len(self.normals)
 
     @property
     def _guards(self) -> int:
