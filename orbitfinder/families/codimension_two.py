@@ -17,7 +17,7 @@ from math import gcd
 import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.families.critical import REAL, Critical, doubled, levelled, multipliers, nearest_pair, torus_pair
+from orbitfinder.families.critical import REAL, Critical, doubled, levelled, nearest_pair, torus_pair
 from orbitfinder.families.doubling import bending, can_bend
 from orbitfinder.families.events import event_at
 from orbitfinder.families.passages import Measure, Test, located
@@ -116,7 +116,7 @@ def _resonances(one: Critical, root: int) -> Iterator[Test]:
 
     def total(sample: Sample) -> float:
         if one.kind == "torus":
-            return torus_pair(multipliers(sample.about))[1]
+            return torus_pair(sample.about.multipliers)[1]
         return float(np.mean(nearest_pair(sample.indices)).real)
 
     for order in (1, 2, 3, 4):
@@ -136,7 +136,7 @@ def _less(measure: Measure, level: float) -> Measure:
 
 
 def _beside(mu: float) -> Measure:
-    return lambda sample: levelled(torus_pair(multipliers(sample.about))[2], mu)
+    return lambda sample: levelled(torus_pair(sample.about.multipliers)[2], mu)
 
 
 @dataclass(frozen=True)

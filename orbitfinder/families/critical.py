@@ -65,7 +65,7 @@ class Critical:
 
     def roots(self, about: Spectrum) -> tuple[np.ndarray, float]:
         """Indices (conservative) or multipliers of an orbit, and the value that one of them has along the curve."""
-        return about.indices if about.conservative else multipliers(about), self.level(about.conservative)
+        return about.indices if about.conservative else about.multipliers, self.level(about.conservative)
 
     @property
     def entry(self) -> dict[str, Any]:
@@ -85,11 +85,6 @@ def critical_of(entry: Mapping[str, Any]) -> Critical:
         str(entry["kind"]), (str(first), str(second)), str(entry["detail"]), int(entry["order"]), complex(re, im),
         None if margin is None else (int(margin[0]), str(margin[1]), str(margin[2])),
     )  # fmt: skip
-
-
-def multipliers(about: Spectrum) -> np.ndarray:
-    """The non-trivial multipliers of the root map."""
-    return np.linalg.eigvals(about.reduced).astype(complex)
 
 
 def levelled(roots: np.ndarray, level: float) -> float:

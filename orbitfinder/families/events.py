@@ -193,7 +193,7 @@ DEEPEST = 6
 
 def multipliers(sample: Sample) -> np.ndarray:
     """Multipliers of the root map, the largest modulus first."""
-    values = np.linalg.eigvals(sample.about.reduced).astype(complex)
+    values = sample.about.multipliers
     return values[np.argsort(-np.abs(values), kind="stable")]
 
 

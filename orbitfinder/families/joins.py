@@ -109,8 +109,16 @@ def joinable(curve: Curve) -> list[Kept]:
     return parts + [Kept(count, one) for one in forward for count in (1, 2)]
 
 
-def sampled(curve: Curve, place: Unknowns, states: np.ndarray) -> np.ndarray:
-    """States at equal times over the whole period, of those at the mesh."""
+def sampled(curve: Curve, found: Solution) -> np.ndarray:
+    """States at equal times over the whole period of an orbit."""
+    if "samples" not in found.kept:
+        found.kept["samples"] = _sampled(curve, found.place, found.march.states)
+    samples: np.ndarray = found.kept["samples"]
+    return samples
+
+
+def _sampled(curve: Curve, place: Unknowns, states: np.ndarray) -> np.ndarray:
+    """The same of states at the mesh."""
     p = curve.equations
     mesh, states = p.symmetry.whole(place.mesh, states, curve.constant)
     slopes = p.march.rates(states, place.tail, mesh * place.period) * place.period
@@ -138,12 +146,12 @@ def _held(curve: Curve, kept: Kept, states: np.ndarray) -> bool:
 def approaching(curve: Curve, sample: Sample, length: float) -> Iterator[tuple[Kept, float, float]]:
     """The families that might be joined: what they keep, how far ahead, and how far the orbit is beside them."""
     found = sample.found
-    here = sampled(curve, found.place, found.march.states)
+    here = sampled(curve, found)
     near = [one for one in _beside(curve, here) if BESIDE[0] < one[2] < BESIDE[1] and _held(curve, one[0], here)]
     if not near:
         return
     place, path = predicted(curve, sample, length)
-    states = sampled(curve, place, path)
+    states = _sampled(curve, place, path)
     for kept, gaps, size in near:
         later = kept.gaps(states, curve.equations.model.angular) / curve.units
         share = float((later * gaps).sum() / (gaps**2).sum())
@@ -153,7 +161,7 @@ def approaching(curve: Curve, sample: Sample, length: float) -> Iterator[tuple[K
 
 def passed(curve: Curve, before: Solution, after: Solution) -> bool:
     """Whether a family was joined between two orbits: the second one keeps what the first did not, or is its image."""
-    one, other = (sampled(curve, each.place, each.march.states) for each in (before, after))
+    one, other = sampled(curve, before), sampled(curve, after)
     for (kept, here, size), (_, there, left) in zip(_beside(curve, one), _beside(curve, other), strict=True):
         sizes = float(np.linalg.norm(here) * np.linalg.norm(there))
         turned = BESIDE[0] < min(size, left) and max(size, left) < BESIDE[1] and (here * there).sum() < -0.5 * sizes
@@ -184,7 +192,7 @@ def _beside_join(curve: Curve, found: Solution, kept: Kept) -> Start | None:
     symmetry = p.symmetry
     if kept.one is not None and kept.parts == 2:
         symmetry = called(replace(symmetry, maps=(kept.one,)), p.model)
-    states = kept.joined(sampled(curve, place, found.march.states), p.model.angular)
+    states = kept.joined(sampled(curve, found), p.model.angular)
     if not symmetry.held_by(p.model, states[0], max(curve.cycles // kept.covers, 1)):
         return None
     equations = Equations(p.model, symmetry, p.free, action=True)

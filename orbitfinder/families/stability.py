@@ -64,6 +64,11 @@ class Spectrum:
         return METHODS[self.chain is not None]
 
     @cached_property
+    def multipliers(self) -> np.ndarray:
+        """The non-trivial multipliers of the root map, not to be written to."""
+        return np.linalg.eigvals(self.reduced).astype(complex)
+
+    @cached_property
     def root_errors(self) -> np.ndarray:
         """Estimated relative error of each of the `values`: what errors of the matrices make of it, to first order.
 

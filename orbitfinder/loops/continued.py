@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -120,8 +120,8 @@ class Solution:
     """how far, in the family's metric, the place is from where `march` was made: Newton's last step"""
     marched: Unknowns | None = None
     """where `march` was made, if that is not the place"""
-    kept: dict[str, float] = field(default_factory=dict, compare=False, repr=False)
-    """numbers that were read off it and take long"""
+    kept: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
+    """what was read off it and takes long"""
 
 
 def make_curve(
