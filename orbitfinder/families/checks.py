@@ -104,7 +104,9 @@ class Look:
     def _read(self, reduced: np.ndarray) -> Any:
         values, pairs = np.linalg.eigvals(reduced).astype(complex), self.tour.conservative
         roots = judged(values).indices if pairs else values
-        return SimpleNamespace(reduced=reduced, indices=roots, roots=roots, conservative=pairs, root=self.tour.root)
+        return SimpleNamespace(
+            reduced=reduced, multipliers=values, indices=roots, roots=roots, conservative=pairs, root=self.tour.root
+        )
 
     @property
     def indices(self) -> np.ndarray:

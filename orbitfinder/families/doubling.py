@@ -40,7 +40,7 @@ def bending(curve: Curve, found: Solution) -> float:
     """The coefficient c of a doubling, q of unit length in the curve's units; of one orbit found once."""
     if "bending" not in found.kept:
         found.kept["bending"] = _bending(curve, found)
-    return found.kept["bending"]
+    return float(found.kept["bending"])
 
 
 def _bending(curve: Curve, found: Solution) -> float:
