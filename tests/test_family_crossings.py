@@ -39,7 +39,10 @@ class Planted(Interval):
 def read(family, s, root):
     """What is read at one map."""
     matrix = family(s)
-    about = SimpleNamespace(root=root, reduced=matrix, floquet=analyse(matrix, False), conservative=False, blur=0.0)
+    values, floquet = np.linalg.eigvals(matrix).astype(complex), analyse(matrix, False)
+    about = SimpleNamespace(
+        root=root, reduced=matrix, multipliers=values, floquet=floquet, conservative=False, blur=0.0
+    )
     return Sample(s, None, None, about, NONE, NONE, {})
 
 
