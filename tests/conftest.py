@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import sqlite3
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -136,9 +137,12 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory):
-    """Compiled functions go to a folder of this run, not to the user's cache."""
+    """Compiled functions go to a folder of this run, which its processes share, not to the user's cache."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "cache"
+    folder.mkdir(mode=0o700, exist_ok=True)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ORBITFINDER_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("ORBITFINDER_CACHE", str(folder))
         yield
 
 
