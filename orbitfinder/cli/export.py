@@ -10,7 +10,7 @@ import click
 from orbitfinder._runtime import interrupt
 from orbitfinder.cli.atlas import chosen, filters
 from orbitfinder.cli.console import Progress, display
-from orbitfinder.cli.jobs import check_writable, named_orbits
+from orbitfinder.cli.jobs import check_writable, named_records
 from orbitfinder.cli.options import FILES, FINITE, SYSTEM_TRUST, orbit_files, out_option, text, trust_option
 from orbitfinder.errors import InputError, plural
 
@@ -32,12 +32,10 @@ def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> N
       orbitfinder export orbits/triple-1/orbit.json --to csv
       orbitfinder export orbits/triple-1/orbit.json --to auto -o auto
     """
-    from orbitfinder.exports.write import export_orbit
-
-    for file, orbit, model in named_orbits(files, trust, out=out):
+    for file, record, model, exported in named_records(files, "export", trust, out):
         folder = file.parent if out is None else out
         check_writable(folder)
-        for written in export_orbit(orbit, to, folder, model):
+        for written in exported(record, to, folder, model):
             click.echo(str(written))
 
 
@@ -59,20 +57,20 @@ def plot(files: tuple[Path, ...], out: Path | None, together: bool, level: float
       orbitfinder plot families/triple-mode-2/family.json
       orbitfinder plot families/*/family.json --together -o figures
     """
-    from orbitfinder.show.plot import save_figures, save_frequency_energy
+    from orbitfinder.show.plot import save_frequency_energy
 
-    drawn = named_orbits(files, trust, families=True, out=None if together else out)
+    drawn = named_records(files, "plot", trust, None if together else out)
     if together or level is not None:
-        families = [one for _, one, _ in drawn]
+        families = [record for _, record, *_ in drawn]
         folder = files[0].parent if out is None else out
         check_writable(folder)
         click.echo(str(save_frequency_energy(families, folder / "families.png", level)))
         return
-    for file, one, model in drawn:
-        beside = file.parent if file.exists() else file.parent / one.name
-        folder = beside if out is None else (out if len(drawn) == 1 else out / one.name)
+    for file, record, model, figures in drawn:
+        beside = file.parent if file.exists() else file.parent / record.name
+        folder = beside if out is None else (out if len(drawn) == 1 else out / record.name)
         check_writable(folder)
-        for written in save_figures(one, folder, model):
+        for written in figures(record, folder, model):
             click.echo(str(written))
 
 
@@ -95,18 +93,18 @@ def animate(files: tuple[Path, ...], out: Path | None, trust: bool, **chosen: An
       orbitfinder animate orbits/triple-1/orbit.json
       orbitfinder animate orbits/triple-1/orbit.json -o triple-1.mp4 --slow 4 --dark
     """
-    from orbitfinder.show.animate import check_suffix, orbit_clip, save_animation, settings_for
+    from orbitfinder.show.animate import check_suffix, save_animation, settings_for
 
     single = out if out is not None and out.suffix and not out.is_dir() else None
     if single is not None:
         check_suffix(single)
         if len(files) > 1:
             raise InputError(f"--out: {out} is one file for {plural(len(files), 'orbit')}; name a folder")
-    for file, orbit, model in named_orbits(files, trust, out=out):
-        target = single or (out or file.parent) / f"{orbit.name}.gif"
+    for file, record, model, clip in named_records(files, "animate", trust, out):
+        target = single or (out or file.parent) / f"{record.name}.gif"
         check_writable(target.parent)
         settings = settings_for(target, **chosen)
-        click.echo(str(save_animation(orbit_clip(orbit, model, settings), target, settings)))
+        click.echo(str(save_animation(clip(record, model, settings), target, settings)))
 
 
 SPEAK_EVERY = 2.0

@@ -11,15 +11,14 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime import __version__
-from orbitfinder.atlas.store import Atlas, Filter, load_orbit
+from orbitfinder.atlas.store import Atlas, Filter
 from orbitfinder.errors import InputError, OrbitfinderError, plural
 from orbitfinder.families.members import whole
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certify
-from orbitfinder.records.family import FORMAT as FAMILY
 from orbitfinder.records.family import Family, load_family
-from orbitfinder.records.manifold import Connection, Manifold, load_connection, load_manifold
+from orbitfinder.records.manifold import Connection, Manifold
 from orbitfinder.records.orbit import (
     AGAIN,
     certificate_to_document,
@@ -30,21 +29,16 @@ from orbitfinder.records.orbit import (
     orbit_to_document,
     unconserved,
 )
-from orbitfinder.records.orbit import FORMAT as ORBIT
 from orbitfinder.records.reading import json_file
+from orbitfinder.records.registry import DATABASES, answer, kind_of, load, load_orbit, member
 from orbitfinder.records.section import Section, load_section
-from orbitfinder.records.store import DATABASES, kind_of, member
-from orbitfinder.records.torus import Tori, load_tori
+from orbitfinder.records.torus import Tori
 
 MOST_ITEMS = 500
 """Orbits of an atlas that are shown, evenly chosen in order of energy."""
 EMPTY = "holds no orbit; search into the atlas first, or give another file"
 NAMES = ("orbit.json", "family.json", "section.json")
 Laid = Manifold | Connection | Tori
-LAID: Mapping[str, Callable[[Path], Laid]] = {
-    "manifold": load_manifold, "connection": load_connection, "tori": load_tori,
-}  # fmt: skip
-"""What is drawn in a section's page, by its format"""
 
 
 @dataclass(frozen=True)
@@ -112,7 +106,7 @@ def gather(paths: Sequence[Path], chosen: Filter | None = None, trust: bool = Fa
             if (place := file.resolve()) not in seen:
                 seen.add(place)
                 found.trusted += [place.parent] if trust else []
-                _take(file, found, chosen or Filter())
+                answer("page", file)(found, file, chosen or Filter())
     for one in found.laid:
         if all(dict(one.system) != dict(section.system) for section in found.sections):
             raise InputError(f"{one.name}: is drawn in the page of a section of its system, and none is given; give "
@@ -149,39 +143,44 @@ def _holds_results(file: Path) -> bool:
     return single and kind_of(file) in ("orbit", "family")
 
 
-def _take(file: Path, found: Gathered, chosen: Filter) -> None:
+def add_orbit(found: Gathered, file: Path, _: Filter) -> None:
+    """An orbit.json, or FILE#K."""
     if member(file)[1] is not None:
         one = load_orbit(file)
         one = whole(one, found.model(one.system))
         found.orbits.append(replace(_orbit(orbit_to_document(one), str(file)), dense=(one.times, one.samples)))
         return
-    if file.suffix in DATABASES:
-        found.atlases.append(_from_database(file, chosen))
-        return
-    if (kind := kind_of(file)) == "section":
-        found.sections.append(load_section(file))
-        return
-    if kind in LAID:
-        found.laid.append(LAID[kind](file))
-        return
     document = json_file(file, "result file", AGAIN)
-    if isinstance(document, list):
-        if chosen != Filter():
-            raise InputError(f"{file}: an export, of which nothing is chosen again; give the database (*.sqlite)")
-        found.atlases.append(_from_export(document, file))
-    elif isinstance(document, dict) and document.get("format") == FAMILY:
-        found.families.append(load_family(file))
-    elif isinstance(document, dict) and document.get("format") == ORBIT:
-        orbit = _orbit(document, str(file))
-        times, samples = dense_samples(file.with_suffix(".npz"), len(document["state"]))
-        found.orbits.append(OrbitFile(orbit.document, orbit.text, (times, samples) if times.size else None))
-    else:
-        given = document.get("format") if isinstance(document, dict) else type(document).__name__
-        raise InputError(
-            f"{file}: format: {given!r} is not an orbit, a family or an atlas export; give orbit.json, "
-            "family.json, the JSON of `orbitfinder atlas export`, or an atlas database"
-            + (f", or one orbit of the file: {file}#0" if kind == "optima" else "")
-        )
+    orbit = _orbit(document, str(file))
+    times, samples = dense_samples(file.with_suffix(".npz"), len(document["state"]))
+    found.orbits.append(replace(orbit, dense=(times, samples) if times.size else None))
+
+
+def add_family(found: Gathered, file: Path, _: Filter) -> None:
+    """A family.json."""
+    found.families.append(load_family(file))
+
+
+def add_section(found: Gathered, file: Path, _: Filter) -> None:
+    """A section.json."""
+    found.sections.append(load_section(file))
+
+
+def add_laid(found: Gathered, file: Path, _: Filter) -> None:
+    """What is drawn in a section's page."""
+    found.laid.append(load(file))
+
+
+def add_export(found: Gathered, file: Path, chosen: Filter) -> None:
+    """The JSON export of an atlas."""
+    if chosen != Filter():
+        raise InputError(f"{file}: an export, of which nothing is chosen again; give the database (*.sqlite)")
+    found.atlases.append(_listed(load(file), file))
+
+
+def add_optima(found: Gathered, file: Path, _: Filter) -> None:
+    """Optima, as orbits beside each other."""
+    found.atlases.append(_listed([orbit_to_document(one) for one in load(file)], file))
 
 
 def _orbit(document: Any, where: str) -> OrbitFile:
@@ -199,8 +198,8 @@ def _orbit(document: Any, where: str) -> OrbitFile:
         raise InputError(f"{where}: holds a number that is not finite; run the problem again") from error
 
 
-def _from_export(entries: Sequence[Any], file: Path) -> AtlasFile:
-    """The atlas of a JSON list of orbit documents."""
+def _listed(entries: Sequence[Any], file: Path) -> AtlasFile:
+    """The atlas of a list of orbit documents."""
     if not entries:
         raise InputError(f"{file}: {EMPTY}")
     orbits = [_orbit(entry, f"{file}[{k}]") for k, entry in enumerate(entries)]
@@ -213,7 +212,7 @@ def _order(energy: float | None, period: float) -> tuple[float, float]:
     return float(f"{level(energy):.9g}"), float(period)
 
 
-def _from_database(file: Path, wanted: Filter) -> AtlasFile:
+def add_atlas(found: Gathered, file: Path, wanted: Filter) -> None:
     """The orbits of a database that are wanted. Raises `InputError`."""
     if not file.is_file():
         raise InputError(f"{file}: no such file; check the path")
@@ -225,7 +224,7 @@ def _from_database(file: Path, wanted: Filter) -> AtlasFile:
             raise InputError(f"{file}: {none}")
         chosen = [rows[k].id for k in evenly(len(rows), MOST_ITEMS)]
         orbits = tuple((number, _orbit(atlas.document(number), f"{file}: orbit {number}")) for number in chosen)
-    return AtlasFile(file.stem, len(rows), orbits, file.name, held)
+    found.atlases.append(AtlasFile(file.stem, len(rows), orbits, file.name, held))
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,75 @@
+"""The pictures that `plot` draws of optima, sections, manifolds, connections, controllers and atlases."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from orbitfinder.atlas.store import Atlas
+from orbitfinder.mechanics.model import Model
+from orbitfinder.records.controller import Controller
+from orbitfinder.records.manifold import Connection, Manifold
+from orbitfinder.records.optima import Optima
+from orbitfinder.records.section import Section
+from orbitfinder.show.optima import save_optima_figure
+from orbitfinder.show.plot import axis, save_atlas_figures
+from orbitfinder.show.sections import draw_manifolds, draw_section
+from orbitfinder.show.style import dress, new_figure, save_png
+
+
+def optima_figures(optima: Optima, folder: Path, _: Model) -> list[Path]:
+    """`optima.png`: what they cost along their parameter."""
+    return [save_optima_figure(optima, folder)]
+
+
+def atlas_figures(atlas: Atlas, folder: Path, _: Model) -> list[Path]:
+    """The three figures of an atlas, which is closed after."""
+    with atlas:
+        return save_atlas_figures(atlas, folder)
+
+
+def section_figures(section: Section, folder: Path, model: Model) -> list[Path]:
+    """`returns.png`: the section without what else may lie in it."""
+    return [draw_section(section, folder / "returns.png", model=model)]
+
+
+def manifold_figures(manifold: Manifold, folder: Path, model: Model) -> list[Path]:
+    """`manifold-WHICH.png`: its curves on the section, or its tube."""
+    target = folder / f"manifold-{manifold.which}.png"
+    if manifold.kind == "curves":
+        return [draw_section(None, target, manifolds=[manifold], model=model)]
+    return [draw_manifolds([manifold], target, model=model)]
+
+
+def connection_figures(connection: Connection, folder: Path, model: Model) -> list[Path]:
+    """`connection.png`: its crossings of the section."""
+    return [draw_section(None, folder / "connection.png", connections=[connection], model=model)]
+
+
+def controller_figures(controller: Controller, folder: Path, model: Model) -> list[Path]:
+    """`controller.png`: its gains over a period, and the multipliers without and with it."""
+    return [save_png(controller_figure(controller, model), folder / "controller.png")]
+
+
+def controller_figure(controller: Controller, model: Model) -> Figure:
+    """Gains over a period, one panel an actuator, and multipliers beside the unit circle, without and with control."""
+    verdict = "stabilised" if controller.stabilised else "NOT stabilised"
+    count = len(controller.actuators)
+    figure = new_figure(4.0 * (count + 1), 4.2, controller.name, f"{verdict} by {', '.join(controller.actuators)}")
+    *gains, plane = figure.subplots(1, count + 1)
+    times = np.linspace(0.0, controller.period, len(controller.gains))
+    for axes, name, rows in zip(gains, controller.actuators, np.split(controller.gains, count, axis=1), strict=True):
+        for k, row in enumerate(rows.T):
+            axes.plot(times, row, linewidth=1.0, label=axis(model, k))
+        dress(axes, "time (s)" if controller.clock else "place on the orbit (s)", f"gains of {name}")
+        axes.legend(loc="best", frameon=False, fontsize=7)
+    turn = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 200))
+    plane.plot(turn.real, turn.imag, color="0.7", linewidth=0.8)
+    for mark, words, found in (("x", "without", controller.open_loop), ("o", "with", controller.multipliers)):
+        plane.plot(found.real, found.imag, mark, markersize=5, label=f"{words} control", fillstyle="none")
+    plane.set_aspect("equal", adjustable="datalim")
+    dress(plane, "Re", "Im")
+    plane.legend(loc="best", frameon=False, fontsize=7)
+    return figure
