@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,17 +19,7 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certify
 from orbitfinder.records.family import Family, load_family
 from orbitfinder.records.manifold import Connection, Manifold
-from orbitfinder.records.orbit import (
-    AGAIN,
-    certificate_to_document,
-    dense_samples,
-    level,
-    orbit_from_document,
-    orbit_in,
-    orbit_to_document,
-    unconserved,
-)
-from orbitfinder.records.reading import json_file
+from orbitfinder.records.orbit import Check, Orbit, level, orbit_in, orbit_to_document, read_document, unconserved
 from orbitfinder.records.registry import DATABASES, answer, kind_of, load, load_orbit, member
 from orbitfinder.records.section import Section, load_section
 from orbitfinder.records.torus import Tori
@@ -43,11 +33,16 @@ Laid = Manifold | Connection | Tori
 
 @dataclass(frozen=True)
 class OrbitFile:
-    """A checked orbit document, its file's text compactly, and its dense samples where they are kept."""
+    """An orbit, its document, and that compactly as text."""
 
+    orbit: Orbit
     document: Mapping[str, Any]
     text: str
-    dense: tuple[np.ndarray, np.ndarray] | None = None
+
+    @property
+    def dense(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Times and samples, where they are kept."""
+        return (self.orbit.times, self.orbit.samples) if self.orbit.times.size else None
 
 
 @dataclass(frozen=True)
@@ -145,15 +140,13 @@ def _holds_results(file: Path) -> bool:
 
 def add_orbit(found: Gathered, file: Path, _: Filter) -> None:
     """An orbit.json, or FILE#K."""
-    if member(file)[1] is not None:
-        one = load_orbit(file)
-        one = whole(one, found.model(one.system))
-        found.orbits.append(replace(_orbit(orbit_to_document(one), str(file)), dense=(one.times, one.samples)))
-        return
-    document = json_file(file, "result file", AGAIN)
-    orbit = _orbit(document, str(file))
-    times, samples = dense_samples(file.with_suffix(".npz"), len(document["state"]))
-    found.orbits.append(replace(orbit, dense=(times, samples) if times.size else None))
+    orbit = load_orbit(file)
+    if member(file)[1] is None:
+        document = read_document(file)
+    else:
+        orbit = whole(orbit, found.model(orbit.system))
+        document = orbit_to_document(orbit)
+    found.orbits.append(_checked(orbit, document, str(file)))
 
 
 def add_family(found: Gathered, file: Path, _: Filter) -> None:
@@ -185,7 +178,10 @@ def add_optima(found: Gathered, file: Path, _: Filter) -> None:
 
 def _orbit(document: Any, where: str) -> OrbitFile:
     """One orbit document, checked by building an Orbit from it."""
-    orbit = orbit_in(document, where)
+    return _checked(orbit_in(document, where), document, where)
+
+
+def _checked(orbit: Orbit, document: Mapping[str, Any], where: str) -> OrbitFile:
     size = orbit.state.size
     if orbit.state.ndim != 1 or not size or (size % 2 and len(orbit.winding) != size):
         raise InputError(f"{where}: state: {plural(size, 'number')}; coordinates and then as many velocities")
@@ -193,7 +189,7 @@ def _orbit(document: Any, where: str) -> OrbitFile:
     if not np.all(np.isfinite(numbers)) or orbit.period <= 0:
         raise InputError(f"{where}: period, energy or state is not finite or not positive; run the problem again")
     try:
-        return OrbitFile(document, json.dumps(document, separators=(",", ":"), allow_nan=False))
+        return OrbitFile(orbit, document, json.dumps(document, separators=(",", ":"), allow_nan=False))
     except ValueError as error:
         raise InputError(f"{where}: holds a number that is not finite; run the problem again") from error
 
@@ -231,14 +227,13 @@ def add_atlas(found: Gathered, file: Path, wanted: Filter) -> None:
 class Verdict:
     """The checks of an orbit, recomputed here or, where `unchecked` says why not, as its file has them."""
 
-    checks: Sequence[Mapping[str, Any]]
-    passed: bool
+    checks: tuple[Check, ...]
     unchecked: str = ""
 
     @property
     def certified(self) -> bool | None:
         """True or False by what was recomputed; None where nothing was."""
-        return None if self.unchecked else self.passed
+        return None if self.unchecked else all(check.passed for check in self.checks)
 
     @property
     def words(self) -> str:
@@ -252,33 +247,24 @@ class Verdict:
     @property
     def failures(self) -> str:
         """Names of the checks that failed."""
-        return ", ".join(str(check.get("name", "")).replace("_", " ") for check in self.checks if not check["passed"])
+        return ", ".join(check.name.replace("_", " ") for check in self.checks if not check.passed)
 
 
-def judged(document: Mapping[str, Any], model_of: Callable[[Mapping[str, Any]], Model] = build_model) -> Verdict:
+def judged(orbit: Orbit, model_of: Callable[[Mapping[str, Any]], Model] = build_model) -> Verdict:
     """The certificate of an orbit, recomputed as `orbitfinder verify` does."""
-    orbit = orbit_from_document(document)
     try:
         model = model_of(orbit.system)
     except OrbitfinderError as error:
-        return recorded(document, str(error))
+        return recorded(orbit, str(error))
     if (orbit.state.shape, len(orbit.winding)) != ((len(model.state_names),), model.degrees_of_freedom):
-        return Verdict([_failed("record", "state or winding does not belong to the system")], False)
+        return Verdict((Check("record", 0.0, 0.0, False, "state or winding does not belong to the system"),))
     try:
-        found = certificate_to_document(certify(orbit, model))
+        return Verdict(certify(orbit, model).checks)
     except OrbitfinderError as error:
-        return Verdict([_failed("record", str(error))], False)
-    return Verdict(found["checks"], found["passed"])
+        return Verdict((Check("record", 0.0, 0.0, False, str(error)),))
 
 
-def _failed(name: str, note: str) -> dict[str, Any]:
-    return {"name": name, "value": None, "tolerance": None, "passed": False, "note": note}
-
-
-def recorded(document: Mapping[str, Any], why: str) -> Verdict:
+def recorded(orbit: Orbit, why: str) -> Verdict:
     """What the file says."""
-    found = document.get("certificate")
-    listed = found.get("checks") if isinstance(found, Mapping) else None
-    checks = [one for one in listed or () if isinstance(one, Mapping)] if isinstance(listed, list) else []
-    told = [dict(one) | {"passed": one.get("passed") is True} for one in checks]
-    return Verdict(told, False, " ".join(why.split()).rstrip("."))
+    checks = () if orbit.certificate is None else orbit.certificate.checks
+    return Verdict(checks, " ".join(why.split()).rstrip("."))
