@@ -28,7 +28,6 @@ from orbitfinder.orbits.floquet import STABILITIES
 from orbitfinder.records.orbit import (
     Orbit,
     orbit_from_document,
-    orbit_in,
     orbit_to_document,
     recorded_proof,
     refuse_controlled,
@@ -399,7 +398,7 @@ def proved(document: Mapping[str, Any]) -> str:
 def unpacked(data: bytes, where: str) -> dict[str, Any]:
     """The document that `compressed` packed; `InputError` when it is damaged."""
     document: dict[str, Any] = json_document(inflated(data, where, RESTORE), where, RESTORE)
-    orbit_in(document, where)
+    orbit_from_document(document, where)
     return document
 
 

@@ -13,7 +13,7 @@ import click
 from orbitfinder._runtime import interrupt
 from orbitfinder._runtime.keeping import kept
 from orbitfinder.cli.console import Display, Progress, display
-from orbitfinder.cli.jobs import check_writable, named_orbit, whole_family
+from orbitfinder.cli.jobs import check_writable, named_orbits, whole_family
 from orbitfinder.cli.options import (
     FILES,
     FINITE,
@@ -294,7 +294,8 @@ def origin_of(file: Path, trust: bool, switch: int | str | None = None, branch: 
         return _branch_of(file, trust, switch, branch), None
     if switch is not None:
         raise InputError(f"--switch: {file} is not a family.json; give the family.json that the event is in")
-    return named_orbit(file, trust, pictured=False)
+    ((_, orbit, model),) = named_orbits([file], trust, pictured=False)
+    return orbit, model
 
 
 def curve_of(file: Path, parameter: str | None, chosen: Mapping[str, Any]) -> Locus:

@@ -10,9 +10,10 @@ import click
 from orbitfinder._runtime import interrupt
 from orbitfinder.cli.atlas import chosen, filters
 from orbitfinder.cli.console import Progress, display
-from orbitfinder.cli.jobs import check_writable, named_records
+from orbitfinder.cli.jobs import check_writable, named_orbits
 from orbitfinder.cli.options import FILES, FINITE, SYSTEM_TRUST, orbit_files, out_option, text, trust_option
 from orbitfinder.errors import InputError, plural
+from orbitfinder.records.registry import answer
 
 
 @click.command()
@@ -32,10 +33,10 @@ def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> N
       orbitfinder export orbits/triple-1/orbit.json --to csv
       orbitfinder export orbits/triple-1/orbit.json --to auto -o auto
     """
-    for file, record, model, exported in named_records(files, "export", trust, out):
+    for file, record, model in named_orbits(files, trust, verb="export", out=out):
         folder = file.parent if out is None else out
         check_writable(folder)
-        for written in exported(record, to, folder, model):
+        for written in answer("export", file)(record, to, folder, model):
             click.echo(str(written))
 
 
@@ -59,18 +60,18 @@ def plot(files: tuple[Path, ...], out: Path | None, together: bool, level: float
     """
     from orbitfinder.show.plot import save_frequency_energy
 
-    drawn = named_records(files, "plot", trust, None if together else out)
+    drawn = named_orbits(files, trust, verb="plot", out=None if together else out)
     if together or level is not None:
-        families = [record for _, record, *_ in drawn]
+        families = [record for _, record, _ in drawn]
         folder = files[0].parent if out is None else out
         check_writable(folder)
         click.echo(str(save_frequency_energy(families, folder / "families.png", level)))
         return
-    for file, record, model, figures in drawn:
+    for file, record, model in drawn:
         beside = file.parent if file.exists() else file.parent / record.name
         folder = beside if out is None else (out if len(drawn) == 1 else out / record.name)
         check_writable(folder)
-        for written in figures(record, folder, model):
+        for written in answer("plot", file)(record, folder, model):
             click.echo(str(written))
 
 
@@ -100,11 +101,11 @@ def animate(files: tuple[Path, ...], out: Path | None, trust: bool, **chosen: An
         check_suffix(single)
         if len(files) > 1:
             raise InputError(f"--out: {out} is one file for {plural(len(files), 'orbit')}; name a folder")
-    for file, record, model, clip in named_records(files, "animate", trust, out):
+    for file, record, model in named_orbits(files, trust, verb="animate", out=out):
         target = single or (out or file.parent) / f"{record.name}.gif"
         check_writable(target.parent)
         settings = settings_for(target, **chosen)
-        click.echo(str(save_animation(clip(record, model, settings), target, settings)))
+        click.echo(str(save_animation(answer("animate", file)(record, model, settings), target, settings)))
 
 
 SPEAK_EVERY = 2.0

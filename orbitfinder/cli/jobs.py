@@ -23,7 +23,7 @@ from orbitfinder._runtime.limit import limited
 from orbitfinder.cli.console import Display, Progress
 from orbitfinder.errors import InputError, OrbitfinderError, plural
 from orbitfinder.records.orbit import Certificate, Orbit, save_orbit
-from orbitfinder.records.registry import answer, kind_of, load, load_orbit, member
+from orbitfinder.records.registry import kind_of, load, load_orbit, member, taken
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -227,38 +227,30 @@ def orbit_and_model(
     return record, model
 
 
-def named_orbit(file: Path, trust: bool, pictured: bool = True) -> tuple[Orbit, Model]:
-    """The orbit of FILE or FILE#K and its system's model, named as files may be."""
-    from orbitfinder.problemfile.read import checked_name
-
-    orbit, model = orbit_and_model(file, trust, pictured)
-    checked_name(orbit.name, f"{file}: name")
-    return orbit, model
-
-
 def whole_family(file: Path) -> bool:
     """Whether a file is a family.json, and not FILE#K."""
     return file.suffix == ".json" and member(file)[1] is None and kind_of(file) == "family"
 
 
-def named_records(
-    files: Sequence[Path], verb: str, trust: bool, out: Path | None = None
-) -> list[tuple[Path, Any, Model, Callable[..., Any]]]:
-    """What a verb works on and what answers it: all read, and named as files may be, before anything is written.
+def named_orbits(
+    files: Sequence[Path], trust: bool, pictured: bool = True, verb: str = "", out: Path | None = None
+) -> list[tuple[Path, Any, Model]]:
+    """What a command works on: all read, and named as files may be, before anything is written.
 
-    `InputError` for what the verb does not take, and for two of one name that go to one folder, which is `out` or that
-    of their file.
+    Orbits, or what a `verb` takes. `InputError` for anything else, and for two of one name that go to one folder, which
+    is `out` or that of their file.
     """
     from orbitfinder.problemfile.read import checked_name
 
-    found, seen = list[tuple[Path, Any, "Model", Any]](), dict[tuple[Path, str], Path]()
+    found, seen = list[tuple[Path, Any, "Model"]](), dict[tuple[Path, str], Path]()
     for file in files:
-        answers = answer(verb, file)
-        record, model = orbit_and_model(file, trust, True, load)
-        found.append((file, record, model, answers))
+        if verb:
+            taken(verb, file)
+        record, model = orbit_and_model(file, trust, pictured, load if verb else load_orbit)
         checked_name(record.name, f"{file}: name")
         if (other := seen.setdefault((out or file.parent, record.name), file)) != file:
             raise InputError(f"--out: {other} and {file} are both named {record.name!r}; give them one at a time")
+        found.append((file, record, model))
     return found
 
 

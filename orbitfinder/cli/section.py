@@ -10,7 +10,7 @@ import click
 from orbitfinder._runtime import interrupt
 from orbitfinder._runtime.keeping import kept
 from orbitfinder.cli.continue_ import numbers, origin_of
-from orbitfinder.cli.jobs import check_writable, named_orbit, orbit_and_model
+from orbitfinder.cli.jobs import check_writable, named_orbits, orbit_and_model
 from orbitfinder.cli.options import FILES, FINITE, Decorator, finish, json_option, out_option, text, trust_option
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.orbit import Orbit
@@ -193,7 +193,7 @@ def manifold(file: Path, which: str, out: Path, trust: bool, plane: str | None, 
     from orbitfinder.records.manifold import save_manifold
     from orbitfinder.show.sections import draw_manifolds, draw_section
 
-    orbit, model = named_orbit(file, trust)
+    ((_, orbit, model),) = named_orbits([file], trust)
     folder = out / orbit.name
     check_writable(folder)
     made, written = [], []
@@ -251,8 +251,8 @@ def connect(file: Path, other: Path | None, near: str, returns: int, most: int, 
     from orbitfinder.records.manifold import Connection, load_connection, save_connection
     from orbitfinder.show.sections import draw_section
 
-    orbit, model = named_orbit(file, trust)
-    goal: Orbit | None = None if other is None else named_orbit(other, trust)[0]
+    ((_, orbit, model),) = named_orbits([file], trust)
+    goal: Orbit | None = None if other is None else named_orbits([other], trust)[0][1]
     if (known is None) != (not numbers(at)):
         raise InputError("--at: goes with --follow; give the connection and the energies to follow it to")
     start = None if known is None else load_connection(known)

@@ -9,7 +9,7 @@ import click
 
 from orbitfinder._runtime.keeping import finished, kept
 from orbitfinder.cli.console import note
-from orbitfinder.cli.jobs import check_writable, named_orbit
+from orbitfinder.cli.jobs import check_writable, orbit_and_model
 from orbitfinder.cli.options import (
     FILES,
     FINITE,
@@ -78,10 +78,12 @@ def stabilise(
     from orbitfinder.mechanics.catalogue import REBUILDABLE
     from orbitfinder.orbits.basin import basin
     from orbitfinder.orbits.feedback import stabilise as stabilised
+    from orbitfinder.problemfile.read import checked_name
     from orbitfinder.records.codec import entries_of
     from orbitfinder.records.controller import save_controller
 
-    orbit, model = named_orbit(file, trust)
+    orbit, model = orbit_and_model(file, trust, pictured=True)
+    checked_name(orbit.name, f"{file}: name")
     folder = out / orbit.name
     check_writable(folder)
     chosen = [*(f"torque{one:g}" for one in motors), *named] or None

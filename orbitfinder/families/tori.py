@@ -473,13 +473,6 @@ def torus_value(torus: Torus, name: str) -> float:
     return float(torus.free[name]) if name in torus.free else float(getattr(torus, name))
 
 
-def certify_last(tori: Tori, model: Model) -> Certificate:
-    """The Certificate of the last torus of some, made again."""
-    found = certify_torus(tori.tori[-1], model).certificate
-    assert found is not None
-    return found
-
-
 def certify_torus(torus: Torus, model: Model) -> Torus:
     """The Torus with its Certificate: DOP853 from angles between the states, nothing of the solver's taken on trust.
 

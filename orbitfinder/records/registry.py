@@ -19,7 +19,7 @@ from orbitfinder.records.controller import load_controller
 from orbitfinder.records.family import load_family
 from orbitfinder.records.manifold import load_connection, load_manifold
 from orbitfinder.records.optima import load_optima
-from orbitfinder.records.orbit import AGAIN, Orbit, orbit_in, read_orbit
+from orbitfinder.records.orbit import AGAIN, Orbit, orbit_from_document, read_orbit
 from orbitfinder.records.reading import file_head, json_file
 from orbitfinder.records.section import load_section
 from orbitfinder.records.torus import Tori, load_tori
@@ -47,7 +47,7 @@ class Kind:
         plot: (record, folder, model) -> the pictures that were written.
         animate: (record, model, settings) -> a Clip.
         export: (record, to, folder, model) -> the files that were written.
-        page: (what is gathered, path, filter): what a site is made of, with it.
+        page: (what is gathered, path, filter), which adds it, or the name of the list there that it joins.
         studio: the field of what the studio opens that it is.
     """
 
@@ -75,6 +75,10 @@ def _each(found: Tori) -> list[Tori]:
     return [replace(found, tori=(torus,)) for torus in found.tori]
 
 
+def _certified_torus(found: Tori, model: Any) -> Any:
+    return loaded("families.tori:certify_torus")(found.tori[-1], model).certificate
+
+
 KINDS = {
     "orbit": Kind(
         "an orbit", read_orbit, verify="orbits.certify:certify",
@@ -83,7 +87,7 @@ KINDS = {
     ),
     "family": Kind(
         "a family", load_family, attrgetter("points"),
-        verify="families.verified:verified", plot="show.plot:save_figures", page="site.gather:add_family",
+        verify="families.verified:verified", plot="show.plot:save_figures", page="families",
         studio="family",
     ),
     "atlas": Kind(
@@ -99,17 +103,17 @@ KINDS = {
         plot="show.figures:optima_figures", page="site.gather:add_optima",
     ),
     "tori": Kind(
-        "a family of tori", load_tori, _each, holds="tori", apart=True, verify="families.tori:certify_last",
-        plot="show.tori:save_torus_figures", page="site.gather:add_laid",
+        "a family of tori", load_tori, _each, holds="tori", apart=True, verify=_certified_torus,
+        plot="show.tori:save_torus_figures", page="laid",
     ),
     "section": Kind(
         "a section", load_section, plot="show.figures:section_figures",
-        page="site.gather:add_section",
+        page="sections",
     ),
-    "manifold": Kind("a manifold", load_manifold, plot="show.figures:manifold_figures", page="site.gather:add_laid"),
+    "manifold": Kind("a manifold", load_manifold, plot="show.figures:section_figures", page="laid"),
     "connection": Kind(
         "a connection", load_connection, verify="families.connections:certify_connection",
-        plot="show.figures:connection_figures", page="site.gather:add_laid",
+        plot="show.figures:section_figures", page="laid",
     ),
     "controller": Kind(
         "a controller", load_controller,
@@ -159,19 +163,19 @@ def load(path: str | Path) -> Any:
     file, number = member(path)
     kind = KINDS[kind_of(file) or "orbit"]
     if number is None:
-        return _loaded(kind.read)(file)
+        return loaded(kind.read)(file)
     if kind.parts is None:
-        return _loaded(kind.one)(file, number)
-    parts = kind.parts(_loaded(kind.read)(file))
+        return loaded(kind.one)(file, number)
+    parts = kind.parts(loaded(kind.read)(file))
     if number >= len(parts):
         what = "torus" if kind.holds == "tori" else kind.holds
         raise InputError(f"{path}: #{number}: no such {what} in the file; give a number from 0 to {len(parts) - 1}")
-    return orbit_in(parts[number], str(path)) if isinstance(parts[number], dict) else parts[number]
+    return orbit_from_document(parts[number], str(path)) if isinstance(parts[number], dict) else parts[number]
 
 
 def answer(verb: str, path: str | Path) -> Callable[..., Any]:
     """What answers one of `VERBS` about FILE or FILE#K. `InputError` says what takes the file where nothing does."""
-    return _loaded(taken(verb, path))
+    return loaded(taken(verb, path))
 
 
 def taken(verb: str, path: str | Path) -> Answer:
@@ -195,11 +199,12 @@ def shown(path: str | Path) -> tuple[str, Mapping[str, Any]]:
     """The kind of FILE or FILE#K, and what it holds, in short (see `outline`)."""
     name, kind = held(path)
     record = load(path)
-    found: Mapping[str, Any] = outline(_loaded(kind.facts)(record) if kind.facts else record)
+    found: Mapping[str, Any] = outline(loaded(kind.facts)(record) if kind.facts else record)
     return name, found
 
 
-def _loaded(named: Answer) -> Callable[..., Any]:
+def loaded(named: Answer) -> Callable[..., Any]:
+    """What is named, its module imported."""
     if callable(named):
         return named
     module, _, name = named.partition(":")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.mechanics.model import Model
@@ -30,31 +29,20 @@ def atlas_figures(atlas: Atlas, folder: Path, _: Model) -> list[Path]:
         return save_atlas_figures(atlas, folder)
 
 
-def section_figures(section: Section, folder: Path, model: Model) -> list[Path]:
-    """`returns.png`: the section without what else may lie in it."""
-    return [draw_section(section, folder / "returns.png", model=model)]
-
-
-def manifold_figures(manifold: Manifold, folder: Path, model: Model) -> list[Path]:
-    """`manifold-WHICH.png`: its curves on the section, or its tube."""
-    target = folder / f"manifold-{manifold.which}.png"
-    if manifold.kind == "curves":
-        return [draw_section(None, target, manifolds=[manifold], model=model)]
-    return [draw_manifolds([manifold], target, model=model)]
-
-
-def connection_figures(connection: Connection, folder: Path, model: Model) -> list[Path]:
-    """`connection.png`: its crossings of the section."""
-    return [draw_section(None, folder / "connection.png", connections=[connection], model=model)]
+def section_figures(record: Section | Manifold | Connection, folder: Path, model: Model) -> list[Path]:
+    """`returns.png` of a section, `manifold-WHICH.png` of curves on one or a tube, `connection.png` of crossings."""
+    if isinstance(record, Section):
+        return [draw_section(record, folder / "returns.png", model=model)]
+    if isinstance(record, Connection):
+        return [draw_section(None, folder / "connection.png", connections=[record], model=model)]
+    target = folder / f"manifold-{record.which}.png"
+    if record.kind == "curves":
+        return [draw_section(None, target, manifolds=[record], model=model)]
+    return [draw_manifolds([record], target, model=model)]
 
 
 def controller_figures(controller: Controller, folder: Path, model: Model) -> list[Path]:
-    """`controller.png`: its gains over a period, and the multipliers without and with it."""
-    return [save_png(controller_figure(controller, model), folder / "controller.png")]
-
-
-def controller_figure(controller: Controller, model: Model) -> Figure:
-    """Gains over a period, one panel an actuator, and multipliers beside the unit circle, without and with control."""
+    """`controller.png`: gains over a period, a panel an actuator, and the multipliers without and with control."""
     verdict = "stabilised" if controller.stabilised else "NOT stabilised"
     count = len(controller.actuators)
     figure = new_figure(4.0 * (count + 1), 4.2, controller.name, f"{verdict} by {', '.join(controller.actuators)}")
@@ -72,4 +60,4 @@ def controller_figure(controller: Controller, model: Model) -> Figure:
     plane.set_aspect("equal", adjustable="datalim")
     dress(plane, "Re", "Im")
     plane.legend(loc="best", frameon=False, fontsize=7)
-    return figure
+    return [save_png(figure, folder / "controller.png")]

@@ -17,11 +17,19 @@ from orbitfinder.families.members import whole
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certify
-from orbitfinder.records.family import Family, load_family
+from orbitfinder.records.family import Family
 from orbitfinder.records.manifold import Connection, Manifold
-from orbitfinder.records.orbit import Check, Orbit, level, orbit_in, orbit_to_document, read_document, unconserved
-from orbitfinder.records.registry import DATABASES, answer, kind_of, load, load_orbit, member
-from orbitfinder.records.section import Section, load_section
+from orbitfinder.records.orbit import (
+    Check,
+    Orbit,
+    level,
+    orbit_from_document,
+    orbit_to_document,
+    read_document,
+    unconserved,
+)
+from orbitfinder.records.registry import DATABASES, answer, kind_of, load, load_orbit, member, taken
+from orbitfinder.records.section import Section
 from orbitfinder.records.torus import Tori
 
 MOST_ITEMS = 500
@@ -101,7 +109,10 @@ def gather(paths: Sequence[Path], chosen: Filter | None = None, trust: bool = Fa
             if (place := file.resolve()) not in seen:
                 seen.add(place)
                 found.trusted += [place.parent] if trust else []
-                answer("page", file)(found, file, chosen or Filter())
+                if (joined := taken("page", file)) in vars(found):
+                    vars(found)[joined].append(load(file))
+                else:
+                    answer("page", file)(found, file, chosen or Filter())
     for one in found.laid:
         if all(dict(one.system) != dict(section.system) for section in found.sections):
             raise InputError(f"{one.name}: is drawn in the page of a section of its system, and none is given; give "
@@ -149,21 +160,6 @@ def add_orbit(found: Gathered, file: Path, _: Filter) -> None:
     found.orbits.append(_checked(orbit, document, str(file)))
 
 
-def add_family(found: Gathered, file: Path, _: Filter) -> None:
-    """A family.json."""
-    found.families.append(load_family(file))
-
-
-def add_section(found: Gathered, file: Path, _: Filter) -> None:
-    """A section.json."""
-    found.sections.append(load_section(file))
-
-
-def add_laid(found: Gathered, file: Path, _: Filter) -> None:
-    """What is drawn in a section's page."""
-    found.laid.append(load(file))
-
-
 def add_export(found: Gathered, file: Path, chosen: Filter) -> None:
     """The JSON export of an atlas."""
     if chosen != Filter():
@@ -178,7 +174,7 @@ def add_optima(found: Gathered, file: Path, _: Filter) -> None:
 
 def _orbit(document: Any, where: str) -> OrbitFile:
     """One orbit document, checked by building an Orbit from it."""
-    return _checked(orbit_in(document, where), document, where)
+    return _checked(orbit_from_document(document, where), document, where)
 
 
 def _checked(orbit: Orbit, document: Mapping[str, Any], where: str) -> OrbitFile:
