@@ -26,6 +26,7 @@ def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> N
 
     csv: times and states, as `csv` in [guess] reads them. auto: NAME.f90, c.NAME and NAME.dat for AUTO-07p
     (then: @r NAME). julia: NAME.jl for BifurcationKit.jl. c: the right-hand side in plain C.
+    Of a controller.json csv are its gains, c itself in C and Python.
     FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas.
 
     \b
@@ -50,7 +51,8 @@ def plot(files: tuple[Path, ...], out: Path | None, together: bool, level: float
     """Draw the figures of each ORBIT.json: histories, phase portraits, configurations, energy.
 
     FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas. Of a whole FAMILY.json the figures
-    are those that `continue` draws: frequency and energy, multipliers, a gallery of its orbits.
+    are those that `continue` draws: frequency and energy, multipliers, a gallery of its orbits. Tori, optima, sections,
+    manifolds, connections, controllers and atlases have figures of their own.
 
     \b
     Examples:
@@ -131,9 +133,10 @@ def page(
 ) -> None:
     """Make a static site from any mixture of orbits, families and atlases.
 
-    PATH is an orbit.json, a family.json, an atlas (database or JSON export), or a folder that holds
-    such files; FILE#K is one point of a family (from 0) or orbit of an atlas. --stability, --symmetry,
-    --energy and --period choose orbits of atlas databases. The site opens from disk: no network, no server.
+    PATH is an orbit.json, a family.json, an atlas (database or JSON export), an optima.json, a section.json and
+    what lies in it (manifolds, connections, tori), or a folder that holds such files; FILE#K is one point of a
+    family (from 0) or orbit of an atlas. --stability, --symmetry, --energy and --period choose orbits of atlas
+    databases. The site opens from disk: no network, no server.
 
     \b
     Examples:

@@ -121,7 +121,7 @@ KINDS = {
         export="exports.controller:export_program",
     ),
     "branch-proof": Kind(
-        "a proof of a family's branch", "proof.branch:read_branch", facts="proof.branch:branch_document"
+        "a proof of a family's branch (`verify --proof` replays it)", "proof.branch:read_branch", facts="proof.branch:branch_document"
     ),
 }  # fmt: skip
 """Every kind by its format; others may join"""
