@@ -121,12 +121,6 @@ def summarise(atlas: Atlas, searches: Sequence[int] | None = None) -> Summary:
     )
 
 
-def atlas_facts(atlas: Atlas) -> dict[str, Any]:
-    """What is shown of an atlas, which is closed after: its system and what its searches found."""
-    with atlas:
-        return {"system": atlas.system, **summarise(atlas).document()}
-
-
 def stratified(atlas: Atlas, where: str, values: Sequence[int]) -> tuple[Stratum, ...]:
     """The orbits that some starts met, by energy and symmetry; those without symmetry even where none was met."""
     joined = f"starts JOIN searches ON searches.id = starts.search WHERE {where}"

@@ -75,24 +75,20 @@ def _each(found: Tori) -> list[Tori]:
     return [replace(found, tori=(torus,)) for torus in found.tori]
 
 
-def _certified_torus(found: Tori, model: Any) -> Any:
-    return loaded("families.tori:certify_torus")(found.tori[-1], model).certificate
-
-
 KINDS = {
     "orbit": Kind(
-        "an orbit", read_orbit, verify="orbits.certify:certify",
-        plot="show.plot:save_figures", animate="show.animate:orbit_clip", export="exports.write:export_orbit",
-        page="site.gather:add_orbit", studio="orbit",
+        "an orbit", read_orbit, verify="orbits.certify:certify", plot="show.plot:save_figures",
+        animate="show.animate:orbit_clip", export="exports.write:export_orbit", page="site.gather:add_orbit",
+        studio="orbit",
     ),
     "family": Kind(
-        "a family", load_family, attrgetter("points"),
-        verify="families.verified:verified", plot="show.plot:save_figures", page="families",
-        studio="family",
+        "a family", load_family, attrgetter("points"), verify="families.verified:verified",
+        plot="show.plot:save_figures", page="families", studio="family",
     ),
     "atlas": Kind(
-        "an atlas", "atlas.store:Atlas", one="atlas.store:stored", first=1, facts="atlas.report:atlas_facts",
-        plot="show.figures:atlas_figures", page="site.gather:add_atlas", studio="atlas",
+        "an atlas", "atlas.store:Atlas", one="atlas.store:stored", first=1, page="site.gather:add_atlas",
+        facts=lambda atlas: {"system": atlas.system, **loaded("atlas.report:summarise")(atlas).document()},
+        plot=lambda atlas, folder, _: loaded("show.plot:save_atlas_figures")(atlas, folder), studio="atlas",
     ),
     "export": Kind(
         "an export of an atlas", lambda path: json_file(path, "atlas export", AGAIN), list,
@@ -100,28 +96,26 @@ KINDS = {
     ),
     "optima": Kind(
         "a family of optima", load_optima, attrgetter("points"), apart=True, verify="orbits.certify:certify",
-        plot="show.figures:optima_figures", page="site.gather:add_optima",
+        plot=lambda optima, folder, _: [loaded("show.optima:save_optima_figure")(optima, folder)],
+        page="site.gather:add_optima",
     ),
     "tori": Kind(
-        "a family of tori", load_tori, _each, holds="tori", apart=True, verify=_certified_torus,
-        plot="show.tori:save_torus_figures", page="laid",
+        "a family of tori", load_tori, _each, holds="tori", apart=True, plot="show.tori:save_torus_figures",
+        verify=lambda tori, model: loaded("families.tori:certify_torus")(tori.tori[-1], model).certificate, page="laid",
     ),
-    "section": Kind(
-        "a section", load_section, plot="show.figures:section_figures",
-        page="sections",
-    ),
+    "section": Kind("a section", load_section, plot="show.figures:section_figures", page="sections"),
     "manifold": Kind("a manifold", load_manifold, plot="show.figures:section_figures", page="laid"),
     "connection": Kind(
         "a connection", load_connection, verify="families.connections:certify_connection",
         plot="show.figures:section_figures", page="laid",
     ),
     "controller": Kind(
-        "a controller", load_controller,
-        verify="orbits.feedback:certify_controller", plot="show.figures:controller_figures",
-        export="exports.controller:export_program",
+        "a controller", load_controller, verify="orbits.feedback:certify_controller",
+        plot="show.figures:controller_figures", export="exports.controller:export_program",
     ),
     "branch-proof": Kind(
-        "a proof of a family's branch (`verify --proof` replays it)", "proof.branch:read_branch", facts="proof.branch:branch_document"
+        "a proof of a family's branch (`verify --proof` replays it)", "proof.branch:read_branch",
+        facts="proof.branch:branch_document",
     ),
 }  # fmt: skip
 """Every kind by its format; others may join"""

@@ -1,4 +1,4 @@
-"""The pictures that `plot` draws of optima, sections, manifolds, connections, controllers and atlases."""
+"""The pictures that `plot` draws of sections, manifolds, connections and controllers."""
 
 from __future__ import annotations
 
@@ -6,27 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from orbitfinder.atlas.store import Atlas
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.controller import Controller
 from orbitfinder.records.manifold import Connection, Manifold
-from orbitfinder.records.optima import Optima
 from orbitfinder.records.section import Section
-from orbitfinder.show.optima import save_optima_figure
-from orbitfinder.show.plot import axis, save_atlas_figures
+from orbitfinder.show.plot import axis
 from orbitfinder.show.sections import draw_manifolds, draw_section
 from orbitfinder.show.style import dress, new_figure, save_png
-
-
-def optima_figures(optima: Optima, folder: Path, _: Model) -> list[Path]:
-    """`optima.png`: what they cost along their parameter."""
-    return [save_optima_figure(optima, folder)]
-
-
-def atlas_figures(atlas: Atlas, folder: Path, _: Model) -> list[Path]:
-    """The three figures of an atlas, which is closed after."""
-    with atlas:
-        return save_atlas_figures(atlas, folder)
 
 
 def section_figures(record: Section | Manifold | Connection, folder: Path, model: Model) -> list[Path]:
