@@ -28,7 +28,7 @@ from orbitfinder.problemfile.write import orbit_text
 from orbitfinder.records.family import plain, restored
 from orbitfinder.records.manifold import End
 from orbitfinder.records.orbit import digest, orbit_from_document, orbit_to_document
-from orbitfinder.records.registry import VERBS, answer, load_orbit, taken
+from orbitfinder.records.registry import VERBS, load_orbit, taken
 from orbitfinder.show import html
 from orbitfinder.site import gather, text
 from orbitfinder.site.build import Settings, build_site
@@ -161,10 +161,10 @@ def test_a_verb_answers_or_says_what_the_record_is_for(kind, records):
     answered = {verb for verb in VERBS if kind in TAKEN[verb]}
     for verb in VERBS:
         if verb in answered:
-            assert answer(verb, records[kind]) if verb != "studio" else taken(verb, records[kind])
+            assert taken(verb, records[kind])
         else:
             with pytest.raises(InputError, match=f"which `{verb}` does not take; .*; this file is for show") as caught:
-                answer(verb, records[kind])
+                taken(verb, records[kind])
             assert all(verb in str(caught.value).rpartition("for")[2] for verb in answered)
 
 
