@@ -112,7 +112,7 @@ def changelog(_: str) -> str:
 
 def orbit(file: str) -> str:
     """An orbit of the repository as notebooks show it, moving."""
-    from orbitfinder.records.store import load_orbit
+    from orbitfinder.records.registry import load_orbit
     from orbitfinder.show.html import orbit_html
 
     return orbit_html(load_orbit(ROOT / file))

@@ -343,7 +343,7 @@ def numbers(entry: Entry) -> str:
 @cache
 def record(entry: Entry) -> Any:
     """The orbit of a problem file."""
-    from orbitfinder.records.store import load_orbit
+    from orbitfinder.records.registry import load_orbit
 
     assert entry.record is not None
     return load_orbit(entry.record)

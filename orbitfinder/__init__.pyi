@@ -12,7 +12,6 @@ from .atlas.merge import merge_atlases as merge_atlases
 from .atlas.search import search as search
 from .atlas.store import Atlas as Atlas
 from .atlas.store import Filter as Filter
-from .atlas.store import load_orbit as load_orbit
 from .exports.controller import export_controller as export_controller
 from .exports.write import export_orbit as export_orbit
 from .families.branches import switch_branch as switch_branch
@@ -78,6 +77,7 @@ from .records.optima import save_optima as save_optima
 from .records.orbit import Certificate as Certificate
 from .records.orbit import Orbit as Orbit
 from .records.orbit import save_orbit as save_orbit
+from .records.registry import load_orbit as load_orbit
 from .records.torus import Tori as Tori
 from .records.torus import Torus as Torus
 from .records.torus import load_tori as load_tori

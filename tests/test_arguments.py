@@ -248,7 +248,7 @@ def test_what_a_file_says_is_not_an_option(tmp_path):
     wrong = tmp_path / "orbit.json"
     wrong.write_text(Path(ORBIT_FILE).read_text().replace('"brake"', "7"))
     said = CliRunner().invoke(cli, ["prove", str(wrong), "--symmetry", "brake"]).stderr
-    named = f"Error: {wrong}: orbit document: malformed entry (symmetry: expected text, got 7)"
+    named = f"Error: {wrong}: malformed entry (symmetry: expected text, got 7)"
     assert said.startswith((named, "Error: proofs need python-flint"))
 
 

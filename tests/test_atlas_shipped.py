@@ -13,8 +13,9 @@ import pytest
 from orbitfinder.atlas.export import FIELDS
 from orbitfinder.atlas.signature import in_words, same_orbit, signature_of
 from orbitfinder.atlas.store import Atlas
-from orbitfinder.cli.jobs import verify_file
+from orbitfinder.cli.jobs import orbit_and_model
 from orbitfinder.mechanics.hybrid import as_recorded
+from orbitfinder.orbits.certify import certify
 
 ROOT = Path(__file__).parents[1]
 PLACE = ROOT / "results" / "atlas"
@@ -49,7 +50,7 @@ def verified(file, number, folder):
     path = folder / f"{file.stem}-{number}.json"
     with Atlas(file) as atlas:
         path.write_text(json.dumps(atlas.document(number)))
-    return verify_file(path)[1].failures
+    return certify(*orbit_and_model(path)).failures
 
 
 def again(atlas, number):

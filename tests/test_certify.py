@@ -15,7 +15,7 @@ from orbitfinder.orbits import evidence
 from orbitfinder.orbits.certify import Tolerances, certify
 from orbitfinder.orbits.evidence import gather
 from orbitfinder.records.orbit import Orbit, save_orbit
-from orbitfinder.records.store import load_orbit
+from orbitfinder.records.registry import load_orbit
 
 NAMES = ["triple-1", "triple-2", "quadruple-1", "quadruple-2"]
 

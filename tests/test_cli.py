@@ -16,7 +16,7 @@ from orbitfinder.cli.group import cli
 from orbitfinder.cli.jobs import check_writable, one_line
 from orbitfinder.records.orbit import save_orbit
 from orbitfinder.records.reading import finite
-from orbitfinder.records.store import load_orbit
+from orbitfinder.records.registry import load_orbit
 
 ROOT = Path(__file__).parents[1]
 TRIPLE = ROOT / "problems" / "report" / "triple-1.toml"
@@ -391,7 +391,7 @@ def test_json_has_null_for_what_is_no_number():
 
 
 COMPUTING = {"run", "verify", "simulate", "guess", "sweep", "continue", "search", "prove", "refine", "reproduce",
-             "connect", "doctor", "manifold", "section", "stabilise", "torus"}  # fmt: skip
+             "connect", "doctor", "manifold", "section", "show", "stabilise", "torus"}  # fmt: skip
 
 
 def test_every_computing_command_answers_in_json_and_every_out_has_its_letter():

@@ -37,7 +37,7 @@ from orbitfinder.orbits.evidence import ClosureCheck, tour
 from orbitfinder.orbits.floquet import judged
 from orbitfinder.orbits.measure import multipliers
 from orbitfinder.records.family import family_to_document, load_family, plain, read_journal
-from orbitfinder.records.store import load_orbit
+from orbitfinder.records.registry import load_orbit
 
 DATA = Path(__file__).parent / "data"
 FAMILIES = Path(__file__).parents[1] / "results" / "families"

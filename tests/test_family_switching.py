@@ -17,7 +17,7 @@ from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.start import begin
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.records.family import family_to_document, load_family
-from orbitfinder.records.store import load_orbit
+from orbitfinder.records.registry import load_orbit
 
 ROOT = Path(__file__).parents[1]
 FAMILIES = ROOT / "problems" / "families"

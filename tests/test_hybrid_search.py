@@ -11,10 +11,11 @@ import orbitfinder as of
 from orbitfinder.atlas.sections import Section
 from orbitfinder.atlas.signature import distance, same_orbit, signature_of
 from orbitfinder.atlas.starts import Target, context_of, make_start
-from orbitfinder.atlas.store import Atlas, load_orbit
+from orbitfinder.atlas.store import Atlas
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.mechanics.model import energy
+from orbitfinder.records.registry import load_orbit
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "benchmarks"))

@@ -39,7 +39,7 @@ from orbitfinder.records.family import JOURNAL, assemble, load_family, read_jour
 from orbitfinder.records.journal import SEAL, seal
 from orbitfinder.records.orbit import digest
 from orbitfinder.records.reading import content_digest
-from orbitfinder.records.store import load_orbit
+from orbitfinder.records.registry import load_orbit
 from orbitfinder.site.gather import gather
 
 ROOT = Path(__file__).parents[1]

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 import orbitfinder as of
-from orbitfinder.atlas.store import Atlas, load_orbit
+from orbitfinder.atlas.store import Atlas
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.families.members import whole
@@ -18,10 +18,9 @@ from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import energy
 from orbitfinder.orbits.certify import certify
-from orbitfinder.records import store
 from orbitfinder.records.family import FamilyPoint, load_family, save_family, situated
 from orbitfinder.records.orbit import Orbit, save_orbit, system_at
-from orbitfinder.records.store import kind_of, member
+from orbitfinder.records.registry import kind_of, load_orbit, member
 
 RESULTS = Path(__file__).parents[1] / "results"
 FAMILIES = sorted(RESULTS.glob("families/*/family.json"))
@@ -64,7 +63,7 @@ def test_an_orbit_without_samples_is_drawn(tmp_path):
 
 
 def test_an_atlas_is_asked_for_one_of_its_orbits():
-    assert "an atlas database; give one orbit of it by its id: " in run("verify", ATLAS, code=2)
+    assert f"one orbit of the file: {ATLAS}#1" in run("verify", ATLAS, code=2)
     with pytest.raises(InputError, match=r"triple\.sqlite#1"):
         of.load_orbit(ATLAS)
 
@@ -229,10 +228,7 @@ def test_orbits_of_an_atlas_have_numbers(tmp_path):
     (tmp_path / "atlas.json").write_text(json.dumps(documents))
     assert load_orbit(tmp_path / "atlas.json#0").record == wanted.record
     assert of.load_orbit(f"{ATLAS}#5").record == wanted.record
-    with pytest.raises(InputError, match=r"an atlas database; give its orbit: load_orbit\('.*triple.sqlite#5'\)"):
-        store.load_orbit(f"{ATLAS}#5")
-    with pytest.raises(InputError, match=r"give its orbit: load_orbit"):
-        of.follow_family(f"{ATLAS}#5")
+    assert load_orbit(Path(f"{ATLAS}#5")).record == wanted.record
 
 
 @pytest.mark.parametrize(
@@ -254,7 +250,9 @@ def test_a_number_that_is_none_is_refused(verb, path, said):
 
 
 def test_one_orbit_of_a_family_is_exported_by_its_number():
-    assert f"give an orbit.json, or one orbit of the file: {LENGTHS}#0" in run("export", "--to", "csv", LENGTHS, code=2)
+    assert f"give an orbit, a controller, or one orbit of the file: {LENGTHS}#0" in run(
+        "export", "--to", "csv", LENGTHS, code=2
+    )
 
 
 @pytest.mark.parametrize("path", [f"{QUICK[0]}#40", f"{ATLAS}#5"], ids=["family", "atlas"])

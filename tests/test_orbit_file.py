@@ -13,7 +13,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.orbits.certify import certify
 from orbitfinder.records.orbit import Certificate, Check, Orbit, digest, orbit_to_document, save_orbit
 from orbitfinder.records.reading import write_atomically
-from orbitfinder.records.store import load_orbit
+from orbitfinder.records.registry import load_orbit
 
 
 def awkward_orbit(seed: int = 0) -> Orbit:

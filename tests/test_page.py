@@ -17,7 +17,7 @@ from jinja2 import UndefinedError
 
 from orbitfinder import systems
 from orbitfinder._runtime import locks
-from orbitfinder.atlas.store import Atlas, Filter, load_orbit
+from orbitfinder.atlas.store import Atlas, Filter
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError, plural
 from orbitfinder.families.folder import follow_family
@@ -32,6 +32,7 @@ from orbitfinder.problemfile.read import load_problem
 from orbitfinder.problemfile.write import orbit_name, orbit_text, toml
 from orbitfinder.records.family import Event, load_family
 from orbitfinder.records.orbit import asked, orbit_to_document
+from orbitfinder.records.registry import load_orbit
 from orbitfinder.site import writing
 from orbitfinder.site.build import Settings, build_site
 from orbitfinder.site.gather import evenly, gather
@@ -306,8 +307,8 @@ def test_every_point_of_a_family_says_how_a_command_takes_it(site, material, mon
     ("content", "message"),
     [
         ("{", "truncated or corrupt JSON"),
-        ("7", "'int' is not an orbit, a family or an atlas export"),
-        ('{"format": "something"}', "'something' is not an orbit"),
+        ("7", "expected an object, got int; give an orbit.json"),
+        ('{"format": "something"}', "got 'something'; give an orbit.json"),
         ('[{"format": "orbitfinder/orbit"}]', r"file.json\[0\]: version: this orbitfinder reads 1"),
         (json.dumps(document() | {"period": -1.0}), "not finite or not positive"),
         (json.dumps(document() | {"state": [1, 2, 3, 4, 5]}), "5 numbers; coordinates and then as many velocities"),

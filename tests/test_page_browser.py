@@ -14,7 +14,7 @@ import orbitfinder as of
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.section import section
 from orbitfinder.records.family import load_family
-from orbitfinder.records.store import load_orbit
+from orbitfinder.records.registry import load_orbit
 from orbitfinder.site.build import Settings, build_site
 from orbitfinder.site.gather import gather
 from orbitfinder.site.writing import write_site

@@ -19,7 +19,8 @@ from test_mutations import edited, garbled, written
 import orbitfinder as of
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.cli.group import cli
-from orbitfinder.cli.jobs import orbit_and_model, verify_file
+from orbitfinder.cli.jobs import orbit_and_model
+from orbitfinder.cli.verify import verified
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.mechanics.expression import expression
 from orbitfinder.mechanics.scales import units
@@ -27,7 +28,7 @@ from orbitfinder.problemfile.write import orbit_text
 from orbitfinder.records.family import plain, restored
 from orbitfinder.records.manifold import End
 from orbitfinder.records.orbit import digest, orbit_from_document, orbit_to_document
-from orbitfinder.records.store import load_orbit
+from orbitfinder.records.registry import VERBS, load_orbit, taken
 from orbitfinder.show import html
 from orbitfinder.site import gather, text
 from orbitfinder.site.build import Settings, build_site
@@ -52,8 +53,16 @@ SHIPPED = {
 MADE = ("export", "export#", "empty export", "optima", "optima#", "tori", "tori#", "section", "manifold", "connection",
         "controller", "journal", "text")  # fmt: skip
 KINDS = (*SHIPPED, *MADE)
+ORBITS = {kind for kind in (*SHIPPED, "export#", "optima#") if kind not in ("branch-proof", "family", "atlas")}
+TAKEN = {
+    "verify": ORBITS | {"family", "optima", "tori", "tori#", "connection", "controller"},
+    "plot": ORBITS | {"family", "atlas", "optima", "tori", "tori#", "section", "manifold", "connection", "controller"},
+    "animate": ORBITS, "export": ORBITS | {"controller"}, "studio": ORBITS | {"family", "atlas"},
+    "page": {*KINDS} - {"branch-proof", "controller", "journal", "text"},
+}  # fmt: skip
+"""What a verb answers; of anything else it says in one sentence what takes it"""
 PAGES = {"orbit", "forced", "first-order", "hybrid", "mechanism", "control", "proof", "family", "family#", "atlas",
-         "atlas#", "export", "export#", "optima#", "section"}  # fmt: skip
+         "atlas#", "export", "export#", "optima", "optima#", "section"}  # fmt: skip
 """What a page can be made of, and the studio opens but for exports and sections"""
 
 
@@ -97,7 +106,8 @@ DEAR = ("families.folder.follow_family", "families.branches.switch_branch", "fam
         "orbits.section.section", "orbits.feedback.stabilise", "atlas.search.search", "orbits.sweep.sweep",
         "proof.theorem.prove", "proof.theorem.refine")  # fmt: skip
 COMMANDS = {
-    "verify": "verify FILE", "plot": "plot FILE -o OUT", "animate": "animate FILE -o OUT --size 64 --fps 1",
+    "show": "show FILE", "verify": "verify FILE", "plot": "plot FILE -o OUT",
+    "animate": "animate FILE -o OUT --size 64 --fps 1",
     "csv": "export FILE --to csv -o OUT", "auto": "export FILE --to auto -o OUT",
     "julia": "export FILE --to julia -o OUT", "c": "export FILE --to c -o OUT",
     "page": "page FILE -o OUT --no-verify --atlas-pages 1", "continue": "continue FILE --points 1 -o OUT",
@@ -109,7 +119,7 @@ COMMANDS = {
     "atlas show": "atlas show FILE 1", "atlas report": "atlas report FILE",
     "atlas export": "atlas export FILE --to json -o OUT/e.json", "atlas merge": "atlas merge FILE --atlas OUT/m.sqlite",
 }  # fmt: skip
-SAYS = ("verify", "prove", "refine", "guess", "atlas list", "atlas show", "atlas report")
+SAYS = ("show", "verify", "prove", "refine", "guess", "atlas list", "atlas show", "atlas report")
 """Commands whose answer is what they print"""
 
 
@@ -146,6 +156,18 @@ def test_every_command_answers_or_refuses_in_a_sentence(kind, records, tmp_path,
     assert not wrong
 
 
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("journal", "text")])
+def test_a_verb_answers_or_says_what_the_record_is_for(kind, records):
+    answered = {verb for verb in VERBS if kind in TAKEN[verb]}
+    for verb in VERBS:
+        if verb in answered:
+            assert taken(verb, records[kind])
+        else:
+            with pytest.raises(InputError, match=f"which `{verb}` does not take; .*; this file is for show") as caught:
+                taken(verb, records[kind])
+            assert all(verb in str(caught.value).rpartition("for")[2] for verb in answered)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_page_and_the_studio_have_something_to_show_or_say_what_they_take(kind, records):
     if kind in PAGES:
@@ -155,7 +177,7 @@ def test_a_page_and_the_studio_have_something_to_show_or_say_what_they_take(kind
         with pytest.raises(InputError) as caught:
             gather.gather([records[kind]])
         assert "\n" not in str(caught.value) and len(str(caught.value)) > 40
-    if kind in PAGES - {"export", "section"}:
+    if kind in PAGES - {"export", "optima", "section"}:
         assert opened(records[kind]).state.size
     else:
         with pytest.raises(InputError):
@@ -301,7 +323,7 @@ def test_what_a_controlled_orbit_says_of_its_control_is_read_by_its_types_and_sh
     document["record"] = digest(document)
     file = tmp_path / "orbit.json"
     file.write_text(json.dumps(document))
-    for use in (orbit_and_model, verify_file):
+    for use in (orbit_and_model, lambda file: verified(file, False)):
         with pytest.raises(InputError, match=f"{entry}.*run the problem again"):
             use(file)
 

@@ -23,7 +23,7 @@ from orbitfinder.proof.record import entry, write_entry
 from orbitfinder.proof.theorem import Options, prove, refine, settings_for
 from orbitfinder.proof.trajectory import stability
 from orbitfinder.records.orbit import digest, save_orbit
-from orbitfinder.records.store import load_orbit
+from orbitfinder.records.registry import load_orbit
 
 pytestmark = pytest.mark.needs("proof")
 ROOT = Path(__file__).parents[1]

@@ -13,7 +13,7 @@ from orbitfinder.atlas.store import Atlas
 from orbitfinder.cli.group import cli
 from orbitfinder.proof.record import read_entry, replay
 from orbitfinder.records.orbit import digest
-from orbitfinder.records.store import load_orbit
+from orbitfinder.records.registry import load_orbit
 
 pytestmark = pytest.mark.needs("proof")
 RESULTS = Path(__file__).parents[1] / "results"

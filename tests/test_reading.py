@@ -24,7 +24,7 @@ from orbitfinder.records.family import JOURNAL, load_family, read_journal
 from orbitfinder.records.journal import SEAL
 from orbitfinder.records.orbit import save_orbit
 from orbitfinder.records.reading import inflated, json_document
-from orbitfinder.records.store import load_orbit
+from orbitfinder.records.registry import load_orbit
 
 ROOT = Path(__file__).parents[1]
 FORWARD = FamilySettings(directions="forward")

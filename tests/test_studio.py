@@ -26,7 +26,7 @@ from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.records.family import load_family
-from orbitfinder.records.store import load_orbit
+from orbitfinder.records.registry import load_orbit
 from orbitfinder.studio.films import draggable, pose, pullable, view
 from orbitfinder.studio.plots import clicked, section_figure
 from orbitfinder.studio.serve import MOST_TABS, free_port, redirect
@@ -157,7 +157,7 @@ def test_what_a_chain_shows_can_be_dragged():
     "file, message",
     [
         ("thing.py", "the studio runs no Python files"),
-        ("atlas.json", "the studio opens a problem file, an orbit.json, a family.json or an atlas"),
+        ("atlas.json", "which `studio` does not take; give an orbit, a family, an atlas, or one orbit of the file"),
         ("missing.toml", "missing.toml"),
     ],
 )

@@ -17,7 +17,7 @@ from orbitfinder.mechanics.model import energy
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.records.orbit import save_orbit
-from orbitfinder.records.store import load_orbit
+from orbitfinder.records.registry import load_orbit
 from orbitfinder.systems import FUNCTIONS
 
 

@@ -70,10 +70,14 @@ _names: dict[Callable[[Any], str], tuple[str, ...]] = {}
 """The attributes that each `brief` shows"""
 
 
+def chosen(value: Any) -> tuple[str, ...]:
+    """The attributes that the one line of a value shows."""
+    return _names.get(getattr(type(value), "__repr__"), ())  # noqa: B009 - of the class, not bound
+
+
 def facts(value: Any) -> list[tuple[str, str]]:
     """What the one line of a value names, and the texts."""
-    names = _names.get(getattr(type(value), "__repr__"), ())  # noqa: B009 - of the class, not bound
-    found = [(name.replace("_", " "), _short(getattr(value, name, None)).strip("'")) for name in names]
+    found = [(name.replace("_", " "), _short(getattr(value, name, None)).strip("'")) for name in chosen(value)]
     return [(name, text) for name, text in found if text not in ("", "nan")]
 
 

@@ -25,17 +25,14 @@ from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.orbits.floquet import STABILITIES
-from orbitfinder.records import store
 from orbitfinder.records.orbit import (
     Orbit,
     orbit_from_document,
-    orbit_in,
     orbit_to_document,
     recorded_proof,
     refuse_controlled,
 )
 from orbitfinder.records.reading import LARGEST_INTEGER, inflated, is_number, json_document, read_as, walked
-from orbitfinder.records.store import kind_of, member
 
 RESTORE = "restore a copy of the atlas"
 LOOPS_KEPT = 4096
@@ -255,6 +252,11 @@ class Atlas(Shown):
         return True
 
     @property
+    def name(self) -> str:
+        """That of its file."""
+        return self.path.stem
+
+    @property
     def model(self) -> Model:
         """The Model of the atlas's system."""
         if self._model is None:
@@ -377,28 +379,9 @@ class Atlas(Shown):
         return number, known is None
 
 
-def load_orbit(path: str | Path) -> Orbit:
-    """Read an orbit.json, or one of many orbits in a file.
-
-    Args:
-        path: an orbit.json (and orbit.npz if it is there), or FILE#K: point K of a family.json or orbit K of an atlas
-            export, counted from 0 as in the file's list, or orbit K of an atlas, by its id.
-
-    Returns:
-        An Orbit.
-
-    Raises:
-        InputError: on anything unreadable, edited or damaged.
-
-    Examples:
-        >>> _ = of.save_orbit(orbit, "orbit.json")
-        >>> of.load_orbit("orbit.json").period == orbit.period
-        True
-    """
-    file, number = member(path)
-    if number is None or kind_of(file) != "atlas":
-        return store.load_orbit(path)
-    with Atlas(file) as atlas:
+def stored(path: Path, number: int) -> Orbit:
+    """An orbit of an atlas by its id. Raises `InputError`."""
+    with Atlas(path) as atlas:
         return atlas.orbit(number)
 
 
@@ -415,7 +398,7 @@ def proved(document: Mapping[str, Any]) -> str:
 def unpacked(data: bytes, where: str) -> dict[str, Any]:
     """The document that `compressed` packed; `InputError` when it is damaged."""
     document: dict[str, Any] = json_document(inflated(data, where, RESTORE), where, RESTORE)
-    orbit_in(document, where)
+    orbit_from_document(document, where)
     return document
 
 

@@ -28,7 +28,7 @@ from orbitfinder.cli.options import (
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.family import UNITS, Batch, Event, Family, load_family, number_of
 from orbitfinder.records.orbit import Orbit
-from orbitfinder.records.store import member
+from orbitfinder.records.registry import member
 
 if TYPE_CHECKING:
     from orbitfinder.families.branches import Branch

@@ -13,6 +13,7 @@ from orbitfinder.cli.console import Progress, display
 from orbitfinder.cli.jobs import check_writable, named_orbits
 from orbitfinder.cli.options import FILES, FINITE, SYSTEM_TRUST, orbit_files, out_option, text, trust_option
 from orbitfinder.errors import InputError, plural
+from orbitfinder.records.registry import answer
 
 
 @click.command()
@@ -25,6 +26,7 @@ def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> N
 
     csv: times and states, as `csv` in [guess] reads them. auto: NAME.f90, c.NAME and NAME.dat for AUTO-07p
     (then: @r NAME). julia: NAME.jl for BifurcationKit.jl. c: the right-hand side in plain C.
+    Of a controller.json csv are its gains, c itself in C and Python.
     FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas.
 
     \b
@@ -32,12 +34,10 @@ def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> N
       orbitfinder export orbits/triple-1/orbit.json --to csv
       orbitfinder export orbits/triple-1/orbit.json --to auto -o auto
     """
-    from orbitfinder.exports.write import export_orbit
-
-    for file, orbit, model in named_orbits(files, trust, out=out):
+    for file, record, model in named_orbits(files, trust, verb="export", out=out):
         folder = file.parent if out is None else out
         check_writable(folder)
-        for written in export_orbit(orbit, to, folder, model):
+        for written in answer("export", file)(record, to, folder, model):
             click.echo(str(written))
 
 
@@ -51,7 +51,8 @@ def plot(files: tuple[Path, ...], out: Path | None, together: bool, level: float
     """Draw the figures of each ORBIT.json: histories, phase portraits, configurations, energy.
 
     FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas. Of a whole FAMILY.json the figures
-    are those that `continue` draws: frequency and energy, multipliers, a gallery of its orbits.
+    are those that `continue` draws: frequency and energy, multipliers, a gallery of its orbits. Tori, optima, sections,
+    manifolds, connections, controllers and atlases have figures of their own.
 
     \b
     Examples:
@@ -59,20 +60,20 @@ def plot(files: tuple[Path, ...], out: Path | None, together: bool, level: float
       orbitfinder plot families/triple-mode-2/family.json
       orbitfinder plot families/*/family.json --together -o figures
     """
-    from orbitfinder.show.plot import save_figures, save_frequency_energy
+    from orbitfinder.show.plot import save_frequency_energy
 
-    drawn = named_orbits(files, trust, families=True, out=None if together else out)
+    drawn = named_orbits(files, trust, verb="plot", out=None if together else out)
     if together or level is not None:
-        families = [one for _, one, _ in drawn]
+        families = [record for _, record, _ in drawn]
         folder = files[0].parent if out is None else out
         check_writable(folder)
         click.echo(str(save_frequency_energy(families, folder / "families.png", level)))
         return
-    for file, one, model in drawn:
-        beside = file.parent if file.exists() else file.parent / one.name
-        folder = beside if out is None else (out if len(drawn) == 1 else out / one.name)
+    for file, record, model in drawn:
+        beside = file.parent if file.exists() else file.parent / record.name
+        folder = beside if out is None else (out if len(drawn) == 1 else out / record.name)
         check_writable(folder)
-        for written in save_figures(one, folder, model):
+        for written in answer("plot", file)(record, folder, model):
             click.echo(str(written))
 
 
@@ -95,18 +96,18 @@ def animate(files: tuple[Path, ...], out: Path | None, trust: bool, **chosen: An
       orbitfinder animate orbits/triple-1/orbit.json
       orbitfinder animate orbits/triple-1/orbit.json -o triple-1.mp4 --slow 4 --dark
     """
-    from orbitfinder.show.animate import check_suffix, orbit_clip, save_animation, settings_for
+    from orbitfinder.show.animate import check_suffix, save_animation, settings_for
 
     single = out if out is not None and out.suffix and not out.is_dir() else None
     if single is not None:
         check_suffix(single)
         if len(files) > 1:
             raise InputError(f"--out: {out} is one file for {plural(len(files), 'orbit')}; name a folder")
-    for file, orbit, model in named_orbits(files, trust, out=out):
-        target = single or (out or file.parent) / f"{orbit.name}.gif"
+    for file, record, model in named_orbits(files, trust, verb="animate", out=out):
+        target = single or (out or file.parent) / f"{record.name}.gif"
         check_writable(target.parent)
         settings = settings_for(target, **chosen)
-        click.echo(str(save_animation(orbit_clip(orbit, model, settings), target, settings)))
+        click.echo(str(save_animation(answer("animate", file)(record, model, settings), target, settings)))
 
 
 SPEAK_EVERY = 2.0
@@ -132,9 +133,10 @@ def page(
 ) -> None:
     """Make a static site from any mixture of orbits, families and atlases.
 
-    PATH is an orbit.json, a family.json, an atlas (database or JSON export), or a folder that holds
-    such files; FILE#K is one point of a family (from 0) or orbit of an atlas. --stability, --symmetry,
-    --energy and --period choose orbits of atlas databases. The site opens from disk: no network, no server.
+    PATH is an orbit.json, a family.json, an atlas (database or JSON export), an optima.json, a section.json and
+    what lies in it (manifolds, connections, tori), or a folder that holds such files; FILE#K is one point of a
+    family (from 0) or orbit of an atlas. --stability, --symmetry, --energy and --period choose orbits of atlas
+    databases. The site opens from disk: no network, no server.
 
     \b
     Examples:

@@ -35,6 +35,7 @@ from orbitfinder.cli.problems import problems
 from orbitfinder.cli.run import reproduce, run, simulate
 from orbitfinder.cli.search import search
 from orbitfinder.cli.section import connect, manifold, section
+from orbitfinder.cli.show import show
 from orbitfinder.cli.stabilise import stabilise
 from orbitfinder.cli.studio import studio
 from orbitfinder.cli.sweep import sweep
@@ -55,7 +56,7 @@ PURPOSES = {
     "Follow": ("continue", "torus", "manifold", "connect"),
     "Prove": ("verify", "prove", "refine"),
     "Use": ("stabilise", "export"),
-    "Look": ("studio", "plot", "animate", "page", "reproduce"),
+    "Look": ("show", "studio", "plot", "animate", "page", "reproduce"),
     "This program": ("doctor", "completion"),
 }
 """The commands by what they are for, in the order in which they are used"""
@@ -164,6 +165,6 @@ def cli() -> None:
 
 for command in (
     problems, run, verify, simulate, init, guess, sweep, continue_, section, manifold, connect, torus, stabilise,
-    search, atlas, prove, refine, export, plot, animate, page, studio, reproduce, doctor, completion,
+    search, atlas, prove, refine, export, show, plot, animate, page, studio, reproduce, doctor, completion,
 ):  # fmt: skip
     cli.add_command(command)

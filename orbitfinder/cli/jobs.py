@@ -10,7 +10,7 @@ import contextlib
 import os
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -22,9 +22,8 @@ from orbitfinder._runtime import interrupt, processes, streams
 from orbitfinder._runtime.limit import limited
 from orbitfinder.cli.console import Display, Progress
 from orbitfinder.errors import InputError, OrbitfinderError, plural
-from orbitfinder.records.family import load_family
 from orbitfinder.records.orbit import Certificate, Orbit, save_orbit
-from orbitfinder.records.store import kind_of, member
+from orbitfinder.records.registry import kind_of, load, load_orbit, member, taken
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -206,37 +205,26 @@ def explained(certificate: Certificate | None) -> str:
     )
 
 
-def verify_file(file: Path, trust: bool = False) -> tuple[Orbit, Certificate]:
-    """An orbit and its certificate, recomputed from its file alone. `InputError` names the file.
-
-    With `trust` a system made by a foreign Python function is rebuilt by calling it again.
-    """
-    from orbitfinder.orbits.certify import certify
-
-    try:
-        orbit, model = orbit_and_model(file, trust)
-        return orbit, certify(orbit, model)
-    except InputError as error:
-        where = "" if str(file).split("#")[0] in str(error) else f"{file}: "
-        raise InputError(f"{where}{error}") from error
-
-
-def orbit_and_model(file: Path, trust: bool = False, pictured: bool = False) -> tuple[Orbit, Model]:
+def orbit_and_model(
+    file: Path, trust: bool = False, pictured: bool = False, read: Callable[[Path], Any] = load_orbit
+) -> tuple[Any, Model]:
     """The orbit of FILE or FILE#K, whose entries belong together, and its system's model; the way in of every command.
 
-    `pictured`: with samples, also where one orbit of a file has none of its own.
+    `pictured`: with samples, also where one orbit of a file has none of its own. `read=load`: whatever record it is.
+    `InputError` names the file.
     """
-    from orbitfinder.atlas.store import load_orbit
+    from orbitfinder.families.members import whole
     from orbitfinder.mechanics.catalogue import build_model
 
-    orbit = load_orbit(file)
-    model = build_model(orbit.system, file.parent if trust else None)
-    check_consistent(orbit, model)
-    if pictured and not file.exists():
-        from orbitfinder.families.members import whole
-
-        orbit = whole(orbit, model)
-    return orbit, model
+    try:
+        record = read(file)
+        model = build_model(record.system, file.parent.resolve() if trust else None)
+        if isinstance(record, Orbit):
+            check_consistent(record, model)
+            record = whole(record, model) if pictured and not file.exists() else record
+    except InputError as error:
+        raise error if str(file).split("#")[0] in str(error) else InputError(f"{file}: {error}") from error
+    return record, model
 
 
 def whole_family(file: Path) -> bool:
@@ -245,27 +233,24 @@ def whole_family(file: Path) -> bool:
 
 
 def named_orbits(
-    files: Sequence[Path], trust: bool, pictured: bool = True, families: bool = False, out: Path | None = None
+    files: Sequence[Path], trust: bool, pictured: bool = True, verb: str = "", out: Path | None = None
 ) -> list[tuple[Path, Any, Model]]:
-    """What `plot`, `animate` and `export` work on: all read, and named as files may be, before anything is written.
+    """What a command works on: all read, and named as files may be, before anything is written.
 
-    With `families` a family.json stands for its Family. `InputError` for two of one name that go to one folder, which
+    Orbits, or what a `verb` takes. `InputError` for anything else, and for two of one name that go to one folder, which
     is `out` or that of their file.
     """
-    from orbitfinder.mechanics.catalogue import build_model
     from orbitfinder.problemfile.read import checked_name
 
     found, seen = list[tuple[Path, Any, "Model"]](), dict[tuple[Path, str], Path]()
     for file in files:
-        if families and whole_family(file):
-            family = load_family(file)
-            found.append((file, family, build_model(family.system, file.parent if trust else None)))
-        else:
-            found.append((file, *orbit_and_model(file, trust, pictured)))
-        name = found[-1][1].name
-        checked_name(name, f"{file}: name")
-        if (other := seen.setdefault((out or file.parent, name), file)) != file:
-            raise InputError(f"--out: {other} and {file} are both named {name!r}; give them one at a time")
+        if verb:
+            taken(verb, file)
+        record, model = orbit_and_model(file, trust, pictured, load if verb else load_orbit)
+        checked_name(record.name, f"{file}: name")
+        if (other := seen.setdefault((out or file.parent, record.name), file)) != file:
+            raise InputError(f"--out: {other} and {file} are both named {record.name!r}; give them one at a time")
+        found.append((file, record, model))
     return found
 
 

@@ -10,11 +10,11 @@ import click
 from orbitfinder._runtime import interrupt
 from orbitfinder._runtime.keeping import kept
 from orbitfinder.cli.continue_ import numbers, origin_of
-from orbitfinder.cli.jobs import check_writable, named_orbits
+from orbitfinder.cli.jobs import check_writable, named_orbits, orbit_and_model
 from orbitfinder.cli.options import FILES, FINITE, Decorator, finish, json_option, out_option, text, trust_option
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.orbit import Orbit
-from orbitfinder.records.store import kind_of
+from orbitfinder.records.registry import held, load, load_orbit
 
 if TYPE_CHECKING:
     from orbitfinder.mechanics.model import Model
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from orbitfinder.records.torus import Torus
 
 DIRECTIONS = {"growing": 1, "falling": -1, "both": 0}
+WITH = {"orbit": "orbits", "manifold": "manifolds", "connection": "connections", "tori": "tori"}
+"""What a section is drawn with, by its kind"""
 MODULES = "Execute Python problem files and modules; only what you have read."
 
 
@@ -156,19 +158,11 @@ def limits(given: tuple[str, ...]) -> dict[str, tuple[float, ...]]:
 
 def drawn(files: tuple[Path, ...], trust: bool) -> dict[str, list[Any]]:
     """Orbits, manifolds, connections and tori of files, by what each says that it is."""
-    from orbitfinder.cli.torus import tori_of
-    from orbitfinder.records.manifold import load_connection, load_manifold
-
-    found: dict[str, list[Any]] = {"orbits": [], "manifolds": [], "connections": [], "tori": []}
+    found: dict[str, list[Any]] = {name: [] for name in WITH.values()}
     for file in files:
-        if (tori := tori_of(file)) is not None:
-            found["tori"] += tori.tori
-        elif file.exists() and kind_of(file) == "manifold":
-            found["manifolds"].append(load_manifold(file))
-        elif file.exists() and kind_of(file) == "connection":
-            found["connections"].append(load_connection(file))
-        else:
-            found["orbits"].append(named_orbits([file], trust)[0][1])
+        kind = held(file)[0]
+        record, _ = orbit_and_model(file, trust, True, load if kind in WITH else load_orbit)
+        found[WITH[kind]] += record.tori if kind == "tori" else [record]
     return found
 
 

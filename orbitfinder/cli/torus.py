@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,8 +13,8 @@ from orbitfinder.cli.console import display
 from orbitfinder.cli.options import FILES, FINITE, compile_option, finish, json_option, out_option, text, trust_option
 from orbitfinder.errors import InputError
 from orbitfinder.records.orbit import certificate_to_document
-from orbitfinder.records.store import kind_of, member
-from orbitfinder.records.torus import Tori, Torus, load_tori, save_tori
+from orbitfinder.records.registry import held, load, load_orbit
+from orbitfinder.records.torus import Tori, Torus, save_tori
 
 if TYPE_CHECKING:
     from orbitfinder.mechanics.model import Model
@@ -74,7 +73,7 @@ def torus(
                 name=label, settings=TorusSettings(points=points, most_states=states), out=out,
             )  # fmt: skip
             written = [save_tori(found, folder / "tori.json")]
-    written += save_torus_figures(found, model, folder) if figures else []
+    written += save_torus_figures(found, folder, model) if figures else []
     reached = until is None or abs(torus_value(found.tori[-1], found.parameter) - until) <= 1e-9 * max(1.0, abs(until))
     for one in found.tori[-1:]:
         text(f"T = {one.period:.12g} s, {one.rotation:.12g} turns a return, energy {one.energy:.12g}")
@@ -93,24 +92,10 @@ def torus(
 def _origin(file: Path, trust: bool) -> tuple[Orbit | Torus, Model, str]:
     """What the tori begin with, its Model, and a name for them."""
     from orbitfinder.cli.jobs import orbit_and_model
-    from orbitfinder.mechanics.catalogue import build_model
 
-    if (found := tori_of(file)) is None:
-        orbit, model = orbit_and_model(file, trust)
-        return orbit, model, f"{orbit.name}-tori"
-    if len(found.tori) > 1:
-        raise InputError(f"file: {file} holds {len(found.tori)} tori; give one of them, {file}#{len(found.tori) - 1}")
-    return found.tori[0], build_model(found.system, file.parent.resolve() if trust else None), f"{found.name}-on"
-
-
-def tori_of(file: Path) -> Tori | None:
-    """The Tori of a tori.json, or of TORI.json#K that one; None for other files."""
-    path, number = member(file)
-    if not path.is_file() or kind_of(path) != "tori":
-        return None
-    found = load_tori(path)
-    if number is None:
-        return found
-    if number >= len(found.tori):
-        raise InputError(f"{file}: #{number}: no such torus in the file; give a number from 0 to {len(found.tori) - 1}")
-    return replace(found, tori=(found.tori[number],))
+    record, model = orbit_and_model(file, trust, read=load if held(file)[0] == "tori" else load_orbit)
+    if not isinstance(record, Tori):
+        return record, model, f"{record.name}-tori"
+    if len(record.tori) > 1:
+        raise InputError(f"file: {file} holds {len(record.tori)} tori; give one of them, {file}#{len(record.tori) - 1}")
+    return record.tori[0], model, f"{record.name}-on"

@@ -10,7 +10,7 @@ import click
 
 from orbitfinder._runtime import interrupt
 from orbitfinder.cli.console import note
-from orbitfinder.cli.jobs import check_writable, one_line, verify_file, whole_family
+from orbitfinder.cli.jobs import check_writable, one_line, orbit_and_model
 from orbitfinder.cli.options import (
     FILES,
     FINITE,
@@ -22,15 +22,14 @@ from orbitfinder.cli.options import (
     text,
     trust_option,
 )  # fmt: skip
-from orbitfinder.cli.torus import tori_of
 from orbitfinder.errors import InputError, plural
-from orbitfinder.records.orbit import Certificate, asked, certificate_to_document
-from orbitfinder.records.store import kind_of, member
+from orbitfinder.records.orbit import Certificate, Check, asked, certificate_to_document
+from orbitfinder.records.registry import answer, held, kind_of, load, load_orbit, member
 
 if TYPE_CHECKING:
     from orbitfinder.proof.branch import Branch
     from orbitfinder.proof.theorem import Proof, Refined
-    from orbitfinder.records.torus import Tori
+    from orbitfinder.records.family import Family
 
 
 @click.command()
@@ -45,7 +44,7 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
     every file passed; 1: some failed, and are named. The equations of a system that a Python module
     of yours makes are that module's; it is run only with --trust. FILE#K is point K of a family.json,
     counted from 0, or orbit K of an atlas; without #K all events and ends of a
-    family.json are checked by their definitions; tori of a tori.json, a controller.json and a connection too.
+    family.json are checked by their definitions; tori of a tori.json, optima, a controller.json and a connection too.
 
     \b
     Examples:
@@ -56,21 +55,13 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
       orbitfinder verify --proof families/triple-mode-2/branch-proof.json
     """
     results = []
-    for file in files:
-        if proof and file.name == BRANCH:
+    for file in (one for given in files for one in _each(given)):
+        if proof and held(file)[0] == "branch-proof":
             results.append({"file": str(file)} | verify_branch(file, trust))
             text(f"{file}: {results[-1]['message']}")
             continue
-        if whole_family(file):
-            results.append(verified_family(file, trust))
-            continue
-        if (found := tori_of(file)) is not None:
-            results += verified_tori(file, found, trust)
-            continue
-        name, certificate = _certified(file, trust)
+        results.append(verified(file, trust))
         interrupt.check()
-        results.append({"file": str(file), "name": name} | certificate_to_document(certificate))
-        _print_certificate(f"{file} ({name})", certificate)
         if proof:
             results[-1]["proof"] = verify_proof(file, trust)
             text(f"  {results[-1]['proof']['message']}")
@@ -78,39 +69,37 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
     finish("verify", {"passed": passed, "results": results}, passed)
 
 
-def _certified(file: Path, trust: bool) -> tuple[str, Certificate]:
-    """Name and recomputed certificate of an orbit, a controller or a connection."""
-    from orbitfinder.families.connections import certify_connection
+def _each(file: Path) -> list[Path]:
+    """FILE, or FILE#K of each of the tori or optima that are verified one by one."""
+    kind = held(file)[1]
+    if kind.parts is None or not kind.apart or member(file)[1] is not None:
+        return [file]
+    return [Path(f"{file}#{k}") for k in range(len(kind.parts(load(file))))]
+
+
+def verified(file: Path, trust: bool) -> dict[str, Any]:
+    """What of FILE or FILE#K was checked again, from the file alone."""
     from orbitfinder.families.verified import point_checks
     from orbitfinder.mechanics.catalogue import build_model
-    from orbitfinder.orbits.feedback import certify_controller
-    from orbitfinder.records.controller import load_controller
-    from orbitfinder.records.family import FamilyPoint, load_family
-    from orbitfinder.records.manifold import load_connection
+    from orbitfinder.records.family import Family, FamilyPoint, load_family
 
-    folder = file.parent.resolve() if trust else None
-    match kind_of(file) if file.is_file() else "":
-        case "controller":
-            held = load_controller(file)
-            return held.name, certify_controller(held, build_model(held.system, folder))
-        case "connection":
-            joined = load_connection(file)
-            return joined.name, certify_connection(joined, build_model(joined.system, folder))
-    orbit, certificate = verify_file(file, trust)
-    if isinstance(orbit, FamilyPoint):
+    answers = answer("verify", file)
+    record, model = orbit_and_model(file, trust, read=load)
+    try:
+        found = answers(record, model)
+        if isinstance(record, Family):
+            return _family(file, record, list(found))
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from error
+    if isinstance(record, FamilyPoint):
         family = load_family(member(file)[0])
-        certificate = point_checks(family, orbit.index, certificate, build_model(family.system, folder))
-    return orbit.name, certificate
+        found = point_checks(family, record.index, found, build_model(family.system, file.parent if trust else None))
+    _print_certificate(f"{file} ({record.name})", found)
+    return {"file": str(file), "name": record.name} | certificate_to_document(found)
 
 
-def verified_family(file: Path, trust: bool) -> dict[str, Any]:
+def _family(file: Path, family: Family, found: list[tuple[str, Check]]) -> dict[str, Any]:
     """The checks of all events and ends of a family, made again."""
-    from orbitfinder.families.verified import verified
-    from orbitfinder.mechanics.catalogue import build_model
-    from orbitfinder.records.family import load_family
-
-    family = load_family(file)
-    found = list(verified(family, build_model(family.system, file.parent.resolve() if trust else None)))
     wrong = [f"{where}: {check.name}" for where, check in found if not check.passed]
     for where, check in found:
         verdict = "passed" if check.passed else f"FAILED  {one_line(check.note)}"
@@ -119,22 +108,6 @@ def verified_family(file: Path, trust: bool) -> dict[str, Any]:
     text(f"{file} ({family.name}): {what} {'verified' if not wrong else f'REJECTED by {len(wrong)}'}")
     checks = [{"where": where} | dataclasses.asdict(check) for where, check in found]
     return {"file": str(file), "name": family.name, "passed": not wrong, "checks": checks}
-
-
-def verified_tori(file: Path, found: Tori, trust: bool) -> list[dict[str, Any]]:
-    """The certificates of tori, recomputed."""
-    from orbitfinder.families.tori import certify_torus
-    from orbitfinder.mechanics.catalogue import build_model
-
-    model, results = build_model(found.system, file.parent.resolve() if trust else None), []
-    for k, one in enumerate(found.tori):
-        certificate = certify_torus(one, model).certificate
-        interrupt.check()
-        assert certificate is not None
-        where = f"{member(file)[0]}#{k}" if member(file)[1] is None else str(file)
-        results.append({"file": where, "name": found.name} | certificate_to_document(certificate))
-        _print_certificate(f"{where} ({found.name})", certificate)
-    return results
 
 
 def _print_certificate(heading: str, certificate: Certificate) -> None:
@@ -194,7 +167,7 @@ def prove(
     if low is not None or high is not None:
         _prove_branch(files, low, high, record, trust, given)
         return
-    from orbitfinder.atlas.store import Atlas, load_orbit
+    from orbitfinder.atlas.store import Atlas
     from orbitfinder.proof.record import checked, entry, write_entry
     from orbitfinder.proof.theorem import Options, provable_model
     from orbitfinder.proof.theorem import prove as proved
@@ -318,7 +291,6 @@ def _print_proof(heading: str, proof: Proof) -> None:
 
 def verify_proof(file: Path, trust: bool = False) -> dict[str, Any]:
     """Replay the proof recorded in a file: `passed`, and `message`, one sentence."""
-    from orbitfinder.atlas.store import load_orbit
     from orbitfinder.proof.record import read_entry, replay
     from orbitfinder.proof.theorem import provable_model
 
@@ -353,7 +325,6 @@ def refine(
       orbitfinder refine orbits/triple-1/orbit.json --digits 50
       orbitfinder refine orbits/triple-1/orbit.json --digits 50 --order 80 --bits 300
     """
-    from orbitfinder.atlas.store import load_orbit
     from orbitfinder.proof.theorem import provable_model, settings_for
     from orbitfinder.proof.theorem import refine as refined
 

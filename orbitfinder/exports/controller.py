@@ -59,6 +59,13 @@ def export_controller(controller: Controller, folder: str | Path, model: Model |
     return [target / name for name in files]
 
 
+def export_program(controller: Controller, to: str, folder: str | Path, model: Model | None = None) -> list[Path]:
+    """What `export --to` writes of a controller: csv, its gains; c, itself in C, with the same in Python."""
+    if to not in ("csv", "c"):
+        raise InputError(f"to: {to} files hold no controller; use csv for its gains, c for itself in C and Python")
+    return [path for path in export_controller(controller, folder, model) if (path.suffix == ".csv") == (to == "csv")]
+
+
 def csv_text(controller: Controller, states: tuple[str, ...]) -> str:
     """A header line, then t (s), x*, u* and K row after row at each node."""
     header = ["t", *states, *controller.actuators, *(f"K_{u}_{x}" for u in controller.actuators for x in states)]

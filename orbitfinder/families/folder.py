@@ -51,7 +51,7 @@ from orbitfinder.records.family import (
 )
 from orbitfinder.records.journal import begin_journal
 from orbitfinder.records.orbit import Orbit
-from orbitfinder.records.store import load_orbit
+from orbitfinder.records.registry import load_orbit
 
 SAVE_EVERY = 50
 """Steps between two rewritings of family.json while a family grows."""

@@ -35,7 +35,7 @@ from orbitfinder.records.codec import plain
 from orbitfinder.records.family import End
 from orbitfinder.records.journal import Checkpoints, checkpoints
 from orbitfinder.records.optima import Change, Optima
-from orbitfinder.records.orbit import Orbit, orbit_in, orbit_to_document
+from orbitfinder.records.orbit import Orbit, orbit_from_document, orbit_to_document
 from orbitfinder.records.reading import typed
 
 PACE = Pace(first=0.02, shortest=2e-7, longest=0.3, points=200, bend=0.9, growth=1.6)
@@ -275,7 +275,7 @@ class _Walk:
         self.lines = len(known)
         while following := [k for k, line in enumerate(known) if line.after == self.last and self._holds(line)]:
             line = known[following[0]]
-            orbit = None if line.orbit is None else orbit_in(line.orbit, str(self.journal.path))
+            orbit = None if line.orbit is None else orbit_from_document(line.orbit, str(self.journal.path))
             self._take(following[0], line, orbit)
         if self.last < 0:
             assert self.problem.control is not None

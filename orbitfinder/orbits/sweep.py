@@ -43,7 +43,7 @@ from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.refine import Refiner
 from orbitfinder.records.codec import plain
 from orbitfinder.records.journal import Checkpoints, checkpoints, packed, unpacked
-from orbitfinder.records.orbit import SHARE, Orbit, check_document, orbit_from_document, orbit_to_document
+from orbitfinder.records.orbit import SHARE, Orbit, orbit_from_document, orbit_to_document
 from orbitfinder.records.reading import typed
 
 LIMIT = 3600.0
@@ -238,9 +238,9 @@ def _read(entry: Mapping[str, Any], sizes: tuple[tuple[int], ...]) -> Origin | _
             raise ValueError("way: no orbits of this problem")
     if "orbit" not in entry:
         return line
-    document = check_document(entry["orbit"], "orbit")
-    samples = unpacked(entry["samples"], 1 + len(document["state"]))
-    orbit = replace(orbit_from_document(document), times=samples[:, 0], samples=samples[:, 1:], record=None)
+    orbit = orbit_from_document(entry["orbit"], "orbit")
+    samples = unpacked(entry["samples"], 1 + orbit.state.size)
+    orbit = replace(orbit, times=samples[:, 0], samples=samples[:, 1:], record=None)
     return replace(line, row=replace(line.row, orbit=orbit))
 
 

@@ -19,6 +19,7 @@ from typing import Annotated, Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
+from orbitfinder._runtime.notebook import chosen
 from orbitfinder.errors import InputError
 from orbitfinder.records.reading import (
     arrays,
@@ -115,6 +116,28 @@ def plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [plain(entry) for entry in value]
     return entries_of(value) if dataclasses.is_dataclass(value) else plain_numbers(value)
+
+
+MOST = 24
+"""Numbers of an array, and of a list of numbers or of records that can be certified, that an outline shows"""
+
+
+def outline(value: Any, whole: bool = True) -> Any:
+    """What a record holds, in plain numbers: its entries, those of records within it that their one line names, large
+    arrays and long lists by their sizes; what is empty is left out."""
+    if dataclasses.is_dataclass(value):
+        names = chosen(value) if not whole and chosen(value) else [one.field for one in layout(value.__class__)]
+        value = {name: getattr(value, name, None) for name in (["counts", *names, "proof"] if whole else names)}
+    if isinstance(value, Mapping):
+        table = {str(name): outline(entry, False) for name, entry in value.items()}
+        return {name: entry for name, entry in table.items() if entry == entry and entry not in (None, "", [], {})}
+    if isinstance(value, np.ndarray) and value.size > MOST:
+        return " x ".join(map(str, value.shape))
+    if isinstance(value, (list, tuple)):
+        long = len(value) > MOST and (hasattr(value[0], "certificate") or not dataclasses.is_dataclass(value[0]))
+        known = [outline(entry, False) for entry in value[: MOST if long else None]]
+        return [*known, f"and {len(value) - MOST} more"] if long else known
+    return plain(value)
 
 
 def check_format(document: Any, wanted: str, version: int, where: str, give: str, again: str) -> dict[str, Any]:

@@ -26,7 +26,6 @@ from orbitfinder.records.reading import (
     arrays,
     content_digest,
     json_file,
-    read_as,
     typed,
     write_json,
     write_npz,
@@ -208,6 +207,10 @@ def _members(kind: type[FamilyPoint] | type[Event]) -> Filed:
     return Filed(list, read)
 
 
+Points = Annotated[tuple[FamilyPoint, ...], _members(FamilyPoint)]
+Events = Annotated[tuple[Event, ...], _members(Event)]
+
+
 @dataclass(frozen=True)
 class Batch:
     """Everything one step adds; written to the journal as one line, so that it is kept or lost as a whole."""
@@ -215,8 +218,8 @@ class Batch:
     __repr__ = brief("direction", "points", "events", "end")
 
     direction: int
-    points: Annotated[tuple[FamilyPoint, ...], _members(FamilyPoint)] = ()
-    events: Annotated[tuple[Event, ...], _members(Event)] = ()
+    points: Points = ()
+    events: Events = ()
     end: End | None = None
     standing: Standing | None = None
 
@@ -254,11 +257,18 @@ class Family(Shown):
     name: str
     system: Mapping[str, Any]
     parameter: str
-    points: tuple[FamilyPoint, ...]
-    events: tuple[Event, ...]
+    points: Points
+    events: Events
     ends: tuple[End, ...]
     curve: Mapping[str, Any] = field(default_factory=dict)
     source: Mapping[str, Any] = field(default_factory=dict)
+
+    def _check(self) -> None:
+        if not self.points:
+            raise ValueError("points: none")
+        members: tuple[FamilyPoint | Event, ...] = (*self.points, *self.events)
+        if len({one.state.size for one in members}) > 1:
+            raise ValueError("state: not of one size in all points and events")
 
     def values(self, name: str) -> np.ndarray:
         """One number of every point as an array, in order along the family."""
@@ -382,35 +392,18 @@ def _turns(curve: Mapping[str, Any], size: int) -> tuple[int, ...]:
     return tuple(int(k) for k in np.round(turned))
 
 
-@dataclass(frozen=True, kw_only=True)
-class _About:
-    """What the files of a family say of all of it."""
+@dataclass(frozen=True)
+class _Header:
+    """The first line of a journal."""
 
     name: str
     system: Mapping[str, Any]
     parameter: str
-    curve: Mapping[str, Any] = field(default_factory=dict)
-    source: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Header(_About):
-    """The first line of a journal."""
-
     origin: Mapping[str, Any]
     curve: Mapping[str, Any]
+    source: Mapping[str, Any] = field(default_factory=dict)
     request: Mapping[str, Any] = field(default_factory=dict)
     away: int = 1
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Document(_About):
-    """A family.json."""
-
-    points: tuple[Mapping[str, Any], ...]
-    events: tuple[Mapping[str, Any], ...]
-    ends: tuple[End, ...]
-    dense: str = ""
 
 
 def append(folder: Path, batch: Batch) -> None:
@@ -523,22 +516,19 @@ def load_family(path: str | Path) -> Family:
     record = document.pop("record", None)
     if (record is not None or "dense" in document) and record != content_digest(document):
         raise InputError(f"{source}: record: its digest is another, so the file was edited or damaged; {AGAIN}")
-    about = read_as(_Document, document, str(source), AGAIN)
-    if not about.points:
-        raise InputError(f"{source}: points: none; {AGAIN}")
-    dense = _read_dense(source.with_suffix(".npz"), about.dense)
+    dense = _read_dense(source.with_suffix(".npz"), str(document.get("dense", "")))
     try:
-        points = _with_dense(dense, "point", FamilyPoint, about.points)
-        events = _with_dense(dense, "event", Event, about.events)
-        if len({one.state.size for one in (*points, *events)}) > 1:
-            raise ValueError("state: not of one size in all points and events")
+        for kind in ("point", "event"):
+            if f"{kind}s" in document:
+                _put_back(dense, kind, document)
+        family: Family = typed(Family, document, "")
     except ValueError as error:
         raise InputError(f"{source}: {error}; {AGAIN}") from error
+    about = family.name, family.system, family.curve
     try:
-        known = tuple(situated(one, k, about.name, about.system, about.curve) for k, one in enumerate(points))
+        return replace(family, points=tuple(situated(one, k, *about) for k, one in enumerate(family.points)))
     except (TypeError, ValueError, IndexError, OverflowError) as error:
         raise InputError(f"{source}: curve or system: {error}; {AGAIN}") from error
-    return Family(about.name, about.system, about.parameter, known, events, about.ends, about.curve, about.source)
 
 
 def _read_dense(path: Path, expected: str) -> dict[str, np.ndarray]:
@@ -551,20 +541,15 @@ def _read_dense(path: Path, expected: str) -> dict[str, np.ndarray]:
     return dense
 
 
-def _with_dense(
-    dense: Mapping[str, np.ndarray], kind: str, type_: Any, entries: Sequence[Mapping[str, Any]]
-) -> tuple[Any, ...]:
-    """Points or events with the arrays of family.npz put back."""
+def _put_back(dense: Mapping[str, np.ndarray], kind: str, document: dict[str, Any]) -> None:
+    """Give the points or events of a document the arrays of family.npz."""
+    entries = document[f"{kind}s"] = list(typed(tuple[dict[str, Any], ...], document[f"{kind}s"], f"{kind}s"))
     split = {name: _pieces(dense, f"{kind}_{name}", len(entries)) for name in DENSE}
-    found = []
     for k, entry in enumerate(entries):
-        numbers = {name: pieces[k] for name, pieces in split.items()}
         size = len(entry["state"]) if isinstance(entry.get("state"), list) else 0
-        if not size or numbers["nodes"].size % size:
+        if not size or split["nodes"][k].size % size:
             raise ValueError(f"{kind}s[{k}].state: missing, or its size does not divide the nodes")
-        numbers["nodes"] = numbers["nodes"].reshape(-1, size)
-        found.append(restored(type_, {**entry, **numbers}, f"{kind}s[{k}]"))
-    return tuple(found)
+        entry |= {name: pieces[k] for name, pieces in split.items()} | {"nodes": split["nodes"][k].reshape(-1, size)}
 
 
 def _pieces(dense: Mapping[str, np.ndarray], name: str, count: int) -> list[np.ndarray]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -59,6 +60,11 @@ class Optima(Shown):
     descents: tuple[int, ...]
     changes: tuple[Change, ...] = ()
     end: str = ""
+
+    @property
+    def system(self) -> Mapping[str, Any]:
+        """What rebuilds the model of the first point."""
+        return self.points[0].system
 
     @property
     def costs(self) -> np.ndarray:

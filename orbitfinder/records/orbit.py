@@ -338,7 +338,7 @@ def save_orbit(orbit: Orbit, path: str | Path) -> Path:
 
 def read_orbit(source: Path) -> Orbit:
     """The Orbit of an orbit.json (and orbit.npz if it is there). Raises `InputError` on anything unreadable."""
-    orbit = orbit_in(json_file(source, "orbit.json", AGAIN), str(source))
+    orbit = orbit_from_document(json_file(source, "orbit.json", AGAIN), str(source))
     times, samples = dense_samples(source.with_suffix(".npz"), orbit.state.size)
     return replace(orbit, times=times, samples=samples)
 
@@ -370,17 +370,9 @@ def check_document(document: Any, where: str) -> dict[str, Any]:
     return check_format(document, FORMAT, VERSION, where, give, AGAIN)
 
 
-def orbit_in(document: Any, where: str) -> Orbit:
+def orbit_from_document(document: Any, where: str = "orbit document") -> Orbit:
     """The Orbit of an orbit document, without samples; `InputError` names where the document is from."""
-    checked = check_document(document, where)
-    try:
-        return orbit_from_document(checked)
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from error
-
-
-def orbit_from_document(document: Mapping[str, Any]) -> Orbit:
-    """An Orbit out of a checked document, without samples."""
+    document = check_document(document, where)
     told = {name: entry for name, entry in document.items() if entry or name not in OFTEN_EMPTY}
     try:
         size = np.size(told.get("state", ()))
@@ -391,12 +383,13 @@ def orbit_from_document(document: Mapping[str, Any]) -> Orbit:
         dense = {"times": np.zeros(0), "samples": np.zeros((0, size))}
         orbit: Orbit = typed(Orbit, usual | told | dense, "")
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
-        raise InputError(f"orbit document: malformed entry ({error}); {AGAIN}") from error
+        raise InputError(f"{where}: malformed entry ({error}); {AGAIN}") from error
     return orbit
 
 
 def _orbits(entries: Any, where: str) -> tuple[Orbit, ...]:
-    return tuple(orbit_in(one, f"{where}[{k}]") for k, one in enumerate(typed(tuple[Any, ...], entries, where)))
+    several = typed(tuple[Any, ...], entries, where)
+    return tuple(orbit_from_document(one, f"{where}[{k}]") for k, one in enumerate(several))
 
 
 Orbits = Annotated[tuple[Orbit, ...], Filed(lambda orbits: [orbit_to_document(one) for one in orbits], _orbits)]

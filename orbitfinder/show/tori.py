@@ -21,7 +21,7 @@ ANGLES = np.linspace(0.0, 2 * np.pi, 400)
 WORDS = {"rotation": "rotation number (turns a return)", "energy": "energy (J)"}
 
 
-def save_torus_figures(tori: Tori, model: Model, folder: str | Path) -> list[Path]:
+def save_torus_figures(tori: Tori, folder: str | Path, model: Model) -> list[Path]:
     """Write `torus.png` of the last torus and, of several, `tori.png`; returns their paths."""
     figures = {"torus": torus_figure(tori.tori[-1], model, tori.name)}
     if len(tori.tori) > 1:

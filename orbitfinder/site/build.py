@@ -192,7 +192,7 @@ def _judged(entries: Sequence[Entry], judge: Callable[..., Verdict], tell: Progr
     """The entries with their verdicts, those of equal records found once."""
     found, known = list[Entry](), Kept[Verdict](max(1, len(entries)))
     for entry in entries:
-        found.append(replace(entry, verdict=known(entry.file.text, partial(judge, entry.document))))
+        found.append(replace(entry, verdict=known(entry.file.text, partial(judge, entry.file.orbit))))
         tell(f"orbit {len(found)} of {len(entries)} judged")
     return found
 

@@ -4,56 +4,53 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from orbitfinder._runtime import __version__
-from orbitfinder.atlas.store import Atlas, Filter, load_orbit
+from orbitfinder.atlas.store import Atlas, Filter
 from orbitfinder.errors import InputError, OrbitfinderError, plural
 from orbitfinder.families.members import whole
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certify
-from orbitfinder.records.family import FORMAT as FAMILY
-from orbitfinder.records.family import Family, load_family
-from orbitfinder.records.manifold import Connection, Manifold, load_connection, load_manifold
+from orbitfinder.records.family import Family
+from orbitfinder.records.manifold import Connection, Manifold
 from orbitfinder.records.orbit import (
-    AGAIN,
-    certificate_to_document,
-    dense_samples,
+    Check,
+    Orbit,
     level,
     orbit_from_document,
-    orbit_in,
     orbit_to_document,
+    read_document,
     unconserved,
 )
-from orbitfinder.records.orbit import FORMAT as ORBIT
-from orbitfinder.records.reading import json_file
-from orbitfinder.records.section import Section, load_section
-from orbitfinder.records.store import DATABASES, kind_of, member
-from orbitfinder.records.torus import Tori, load_tori
+from orbitfinder.records.registry import DATABASES, answer, kind_of, load, load_orbit, member, taken
+from orbitfinder.records.section import Section
+from orbitfinder.records.torus import Tori
 
 MOST_ITEMS = 500
 """Orbits of an atlas that are shown, evenly chosen in order of energy."""
 EMPTY = "holds no orbit; search into the atlas first, or give another file"
 NAMES = ("orbit.json", "family.json", "section.json")
 Laid = Manifold | Connection | Tori
-LAID: Mapping[str, Callable[[Path], Laid]] = {
-    "manifold": load_manifold, "connection": load_connection, "tori": load_tori,
-}  # fmt: skip
-"""What is drawn in a section's page, by its format"""
 
 
 @dataclass(frozen=True)
 class OrbitFile:
-    """A checked orbit document, its file's text compactly, and its dense samples where they are kept."""
+    """An orbit, its document, and that compactly as text."""
 
+    orbit: Orbit
     document: Mapping[str, Any]
     text: str
-    dense: tuple[np.ndarray, np.ndarray] | None = None
+
+    @property
+    def dense(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Times and samples, where they are kept."""
+        return (self.orbit.times, self.orbit.samples) if self.orbit.times.size else None
 
 
 @dataclass(frozen=True)
@@ -112,7 +109,10 @@ def gather(paths: Sequence[Path], chosen: Filter | None = None, trust: bool = Fa
             if (place := file.resolve()) not in seen:
                 seen.add(place)
                 found.trusted += [place.parent] if trust else []
-                _take(file, found, chosen or Filter())
+                if (joined := taken("page", file)) in vars(found):
+                    vars(found)[joined].append(load(file))
+                else:
+                    answer("page", file)(found, file, chosen or Filter())
     for one in found.laid:
         if all(dict(one.system) != dict(section.system) for section in found.sections):
             raise InputError(f"{one.name}: is drawn in the page of a section of its system, and none is given; give "
@@ -149,44 +149,35 @@ def _holds_results(file: Path) -> bool:
     return single and kind_of(file) in ("orbit", "family")
 
 
-def _take(file: Path, found: Gathered, chosen: Filter) -> None:
-    if member(file)[1] is not None:
-        one = load_orbit(file)
-        one = whole(one, found.model(one.system))
-        found.orbits.append(replace(_orbit(orbit_to_document(one), str(file)), dense=(one.times, one.samples)))
-        return
-    if file.suffix in DATABASES:
-        found.atlases.append(_from_database(file, chosen))
-        return
-    if (kind := kind_of(file)) == "section":
-        found.sections.append(load_section(file))
-        return
-    if kind in LAID:
-        found.laid.append(LAID[kind](file))
-        return
-    document = json_file(file, "result file", AGAIN)
-    if isinstance(document, list):
-        if chosen != Filter():
-            raise InputError(f"{file}: an export, of which nothing is chosen again; give the database (*.sqlite)")
-        found.atlases.append(_from_export(document, file))
-    elif isinstance(document, dict) and document.get("format") == FAMILY:
-        found.families.append(load_family(file))
-    elif isinstance(document, dict) and document.get("format") == ORBIT:
-        orbit = _orbit(document, str(file))
-        times, samples = dense_samples(file.with_suffix(".npz"), len(document["state"]))
-        found.orbits.append(OrbitFile(orbit.document, orbit.text, (times, samples) if times.size else None))
+def add_orbit(found: Gathered, file: Path, _: Filter) -> None:
+    """An orbit.json, or FILE#K."""
+    orbit = load_orbit(file)
+    if member(file)[1] is None:
+        document = read_document(file)
     else:
-        given = document.get("format") if isinstance(document, dict) else type(document).__name__
-        raise InputError(
-            f"{file}: format: {given!r} is not an orbit, a family or an atlas export; give orbit.json, "
-            "family.json, the JSON of `orbitfinder atlas export`, or an atlas database"
-            + (f", or one orbit of the file: {file}#0" if kind == "optima" else "")
-        )
+        orbit = whole(orbit, found.model(orbit.system))
+        document = orbit_to_document(orbit)
+    found.orbits.append(_checked(orbit, document, str(file)))
+
+
+def add_export(found: Gathered, file: Path, chosen: Filter) -> None:
+    """The JSON export of an atlas."""
+    if chosen != Filter():
+        raise InputError(f"{file}: an export, of which nothing is chosen again; give the database (*.sqlite)")
+    found.atlases.append(_listed(load(file), file))
+
+
+def add_optima(found: Gathered, file: Path, _: Filter) -> None:
+    """Optima, as orbits beside each other."""
+    found.atlases.append(_listed([orbit_to_document(one) for one in load(file)], file))
 
 
 def _orbit(document: Any, where: str) -> OrbitFile:
     """One orbit document, checked by building an Orbit from it."""
-    orbit = orbit_in(document, where)
+    return _checked(orbit_from_document(document, where), document, where)
+
+
+def _checked(orbit: Orbit, document: Mapping[str, Any], where: str) -> OrbitFile:
     size = orbit.state.size
     if orbit.state.ndim != 1 or not size or (size % 2 and len(orbit.winding) != size):
         raise InputError(f"{where}: state: {plural(size, 'number')}; coordinates and then as many velocities")
@@ -194,13 +185,13 @@ def _orbit(document: Any, where: str) -> OrbitFile:
     if not np.all(np.isfinite(numbers)) or orbit.period <= 0:
         raise InputError(f"{where}: period, energy or state is not finite or not positive; run the problem again")
     try:
-        return OrbitFile(document, json.dumps(document, separators=(",", ":"), allow_nan=False))
+        return OrbitFile(orbit, document, json.dumps(document, separators=(",", ":"), allow_nan=False))
     except ValueError as error:
         raise InputError(f"{where}: holds a number that is not finite; run the problem again") from error
 
 
-def _from_export(entries: Sequence[Any], file: Path) -> AtlasFile:
-    """The atlas of a JSON list of orbit documents."""
+def _listed(entries: Sequence[Any], file: Path) -> AtlasFile:
+    """The atlas of a list of orbit documents."""
     if not entries:
         raise InputError(f"{file}: {EMPTY}")
     orbits = [_orbit(entry, f"{file}[{k}]") for k, entry in enumerate(entries)]
@@ -213,7 +204,7 @@ def _order(energy: float | None, period: float) -> tuple[float, float]:
     return float(f"{level(energy):.9g}"), float(period)
 
 
-def _from_database(file: Path, wanted: Filter) -> AtlasFile:
+def add_atlas(found: Gathered, file: Path, wanted: Filter) -> None:
     """The orbits of a database that are wanted. Raises `InputError`."""
     if not file.is_file():
         raise InputError(f"{file}: no such file; check the path")
@@ -225,21 +216,20 @@ def _from_database(file: Path, wanted: Filter) -> AtlasFile:
             raise InputError(f"{file}: {none}")
         chosen = [rows[k].id for k in evenly(len(rows), MOST_ITEMS)]
         orbits = tuple((number, _orbit(atlas.document(number), f"{file}: orbit {number}")) for number in chosen)
-    return AtlasFile(file.stem, len(rows), orbits, file.name, held)
+    found.atlases.append(AtlasFile(file.stem, len(rows), orbits, file.name, held))
 
 
 @dataclass(frozen=True)
 class Verdict:
     """The checks of an orbit, recomputed here or, where `unchecked` says why not, as its file has them."""
 
-    checks: Sequence[Mapping[str, Any]]
-    passed: bool
+    checks: tuple[Check, ...]
     unchecked: str = ""
 
     @property
     def certified(self) -> bool | None:
         """True or False by what was recomputed; None where nothing was."""
-        return None if self.unchecked else self.passed
+        return None if self.unchecked else all(check.passed for check in self.checks)
 
     @property
     def words(self) -> str:
@@ -253,33 +243,24 @@ class Verdict:
     @property
     def failures(self) -> str:
         """Names of the checks that failed."""
-        return ", ".join(str(check.get("name", "")).replace("_", " ") for check in self.checks if not check["passed"])
+        return ", ".join(check.name.replace("_", " ") for check in self.checks if not check.passed)
 
 
-def judged(document: Mapping[str, Any], model_of: Callable[[Mapping[str, Any]], Model] = build_model) -> Verdict:
+def judged(orbit: Orbit, model_of: Callable[[Mapping[str, Any]], Model] = build_model) -> Verdict:
     """The certificate of an orbit, recomputed as `orbitfinder verify` does."""
-    orbit = orbit_from_document(document)
     try:
         model = model_of(orbit.system)
     except OrbitfinderError as error:
-        return recorded(document, str(error))
+        return recorded(orbit, str(error))
     if (orbit.state.shape, len(orbit.winding)) != ((len(model.state_names),), model.degrees_of_freedom):
-        return Verdict([_failed("record", "state or winding does not belong to the system")], False)
+        return Verdict((Check("record", 0.0, 0.0, False, "state or winding does not belong to the system"),))
     try:
-        found = certificate_to_document(certify(orbit, model))
+        return Verdict(certify(orbit, model).checks)
     except OrbitfinderError as error:
-        return Verdict([_failed("record", str(error))], False)
-    return Verdict(found["checks"], found["passed"])
+        return Verdict((Check("record", 0.0, 0.0, False, str(error)),))
 
 
-def _failed(name: str, note: str) -> dict[str, Any]:
-    return {"name": name, "value": None, "tolerance": None, "passed": False, "note": note}
-
-
-def recorded(document: Mapping[str, Any], why: str) -> Verdict:
+def recorded(orbit: Orbit, why: str) -> Verdict:
     """What the file says."""
-    found = document.get("certificate")
-    listed = found.get("checks") if isinstance(found, Mapping) else None
-    checks = [one for one in listed or () if isinstance(one, Mapping)] if isinstance(listed, list) else []
-    told = [dict(one) | {"passed": one.get("passed") is True} for one in checks]
-    return Verdict(told, False, " ".join(why.split()).rstrip("."))
+    checks = () if orbit.certificate is None else orbit.certificate.checks
+    return Verdict(checks, " ".join(why.split()).rstrip("."))

@@ -17,7 +17,7 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import SI, units
 from orbitfinder.problemfile.write import orbit_name, orbit_text
 from orbitfinder.records.family import Event, Family, FamilyPoint
-from orbitfinder.records.orbit import asked, level, recorded_proof
+from orbitfinder.records.orbit import Check, asked, level, recorded_proof
 from orbitfinder.site.gather import AtlasFile, OrbitFile, Verdict, evenly
 from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import Motion, Simulator, framed, histories, packed
@@ -33,7 +33,7 @@ from orbitfinder.site.text import (
 
 MOST_PORTRAITS = 6
 """Phase portraits on an orbit page; of more coordinates these many are chosen evenly."""
-UNJUDGED = Verdict((), False, "this orbit has no page of its own")
+UNJUDGED = Verdict((), "this orbit has no page of its own")
 
 
 @dataclass(frozen=True)
@@ -169,17 +169,15 @@ def _multipliers(document: Mapping[str, Any]) -> list[tuple[float, float, float,
     return [(re, im, abs(complex(re, im)), float(np.degrees(np.angle(complex(re, im))))) for re, im in pairs]
 
 
-def _check(check: Mapping[str, Any]) -> dict[str, Any]:
+def _check(check: Check) -> dict[str, Any]:
     """A check for reading: its name, what was found and asked, whether it passed, and its note."""
-    name, passed = str(check.get("name", "")), check.get("passed") is True
-    sense = asked(name, check.get("tolerance"))
-    yes = "yes" if passed else "no"
+    sense = asked(check.name, check.tolerance)
     return {
-        "name": name.replace("_", " "),
-        "found": number(check.get("value"), 3) if sense else yes,
-        "asked": f"{sense} {number(check.get('tolerance'), 3)}" if sense else "yes",
-        "passed": passed,
-        "note": str(check.get("note", "")).replace("Phi^T J Phi = J", SYMPLECTIC),
+        "name": check.name.replace("_", " "),
+        "found": number(check.value, 3) if sense else "yes" if check.passed else "no",
+        "asked": f"{sense} {number(check.tolerance, 3)}" if sense else "yes",
+        "passed": check.passed,
+        "note": check.note.replace("Phi^T J Phi = J", SYMPLECTIC),
     }
 
 

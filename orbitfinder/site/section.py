@@ -12,7 +12,7 @@ from orbitfinder.families.tori import crossed
 from orbitfinder.mechanics.model import Model, positions, wrapped
 from orbitfinder.orbits.section import Surface, named_surface, pierced
 from orbitfinder.records.manifold import Connection, Manifold
-from orbitfinder.records.orbit import Orbit, orbit_in
+from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.section import Section
 from orbitfinder.records.torus import Torus
 from orbitfinder.site.gather import Gathered, evenly
@@ -119,8 +119,7 @@ def _packed(model: Model, path: np.ndarray, span: float) -> dict[str, Any] | Non
 def _orbits(section: Section, model: Model, found: Gathered) -> list[dict[str, Any]]:
     """The orbits of the section's system and energy, as items: their crossings and their motion."""
     items = []
-    for file in found.orbits:
-        orbit = orbit_in(file.document, str(file.document["name"]))
+    for orbit in (file.orbit for file in found.orbits):
         if not _belongs(orbit, section):
             continue
         surface = named_surface(model, section.plane, section.axes, state=orbit.state)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.atlas.report import summarise
-from orbitfinder.atlas.store import Atlas, Row, load_orbit
+from orbitfinder.atlas.store import Atlas, Row
 from orbitfinder.errors import InputError, plural
 from orbitfinder.families.branches import SWITCHABLE
 from orbitfinder.families.minimal import minimal_problem
@@ -33,7 +33,7 @@ from orbitfinder.records.family import JOURNAL, Family, load_family, read_journa
 from orbitfinder.records.family import assemble as assembled
 from orbitfinder.records.orbit import Orbit, orbit_to_document
 from orbitfinder.records.reading import file_bytes, write_atomically
-from orbitfinder.records.store import kind_of, member
+from orbitfinder.records.registry import kind_of, load_orbit, member, taken
 from orbitfinder.site.text import mechanism
 
 SWINGS = 8.0
@@ -89,20 +89,16 @@ def _path(file: Path, named: str) -> str:
 
 def _recorded(file: Path) -> Opened:
     """An orbit, or the first one of a family.json or an atlas."""
-    kind, number = kind_of(member(file)[0]), member(file)[1]
-    if kind not in (("orbit", "family", "atlas") if number is None else ("family", "atlas", "optima", "export")):
-        one = f", or one orbit of the file: {file}#0" if kind in ("optima", "export") else ""
-        raise InputError(f"{file}: the studio opens a problem file, an orbit.json, a family.json or an atlas{one}")
-    if kind == "family" and number is None:
+    field = str(taken("studio", file))
+    if field == "family":
         family = load_family(file)
         orbit: Orbit = family.points[0]
-        name, place = family.name, {"family": file}
-    elif kind == "atlas" and number is None:
-        orbit, name, place = load_orbit(f"{file}#{_rows(file)[0].id}"), file.stem, {"atlas": file}
+        name = family.name
     else:
-        orbit = load_orbit(file)
-        name, place = orbit.name, {"orbit": file}
-    return Opened(build_model(orbit.system), orbit.state, SWINGS * orbit.period, name, **place)  # type: ignore[arg-type]
+        orbit = load_orbit(file if field == "orbit" else f"{file}#{_rows(file)[0].id}")
+        name = orbit.name if field == "orbit" else file.stem
+    place: dict[str, Any] = {field: file}
+    return Opened(build_model(orbit.system), orbit.state, SWINGS * orbit.period, name, **place)
 
 
 def _rows(atlas: Path) -> list[Row]:

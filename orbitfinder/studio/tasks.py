@@ -13,7 +13,6 @@ import numpy as np
 
 from orbitfinder.atlas.choose import solve
 from orbitfinder.atlas.search import Statistics, search
-from orbitfinder.atlas.store import load_orbit
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.branches import branches
 from orbitfinder.families.folder import follow_family
@@ -32,6 +31,7 @@ from orbitfinder.orbits.simulate import SAMPLES_PER_SECOND, simulate
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.records.family import Batch, Event, Family, FamilyPoint, read_journal
 from orbitfinder.records.orbit import Orbit, orbit_to_document, save_orbit, system_at
+from orbitfinder.records.registry import load_orbit
 from orbitfinder.records.section import Section
 from orbitfinder.site.motion import Simulator, packed
 from orbitfinder.studio.films import film, pose, view

@@ -1,0 +1,68 @@
+"""The command `show`: what any record holds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from orbitfinder.cli.options import FILES, finish, json_option, text
+from orbitfinder.records.registry import KINDS, answers_of, held, shown
+
+
+@click.command()
+@click.argument("files", nargs=-1, required=True, type=FILES, metavar="FILE|FILE#K...")
+@json_option
+def show(files: tuple[Path, ...]) -> None:
+    """Show what each FILE holds, whatever record it is: numbers, events with how each is followed, ends, counts.
+
+    An orbit, a family, an atlas, optima, tori, a section, a manifold, a connection, a controller, a proof of a branch.
+    FILE#K is one orbit or torus of it. Nothing is computed: it is what the file says, and `verify` checks it.
+
+    \b
+    Examples:
+      orbitfinder show orbits/triple-1/orbit.json
+      orbitfinder show families/triple-mode-2/family.json
+      orbitfinder show sections/*/section.json --json
+    """
+    results = []
+    for file in files:
+        kind, found = shown(file)
+        _followed(found)
+        results.append({"file": str(file), "kind": kind, **found})
+        text(f"{file}: {KINDS[kind].words}")
+        for line in _lines(found):
+            text(line)
+        text(f"  for {', '.join(answers_of(held(file)[1]))}")
+    finish("show", {"results": results})
+
+
+def _followed(found: Mapping[str, Any]) -> None:
+    """Say of the events of a family with which options `continue FILE` follows each."""
+    from orbitfinder.families.branches import SWITCHABLE
+    from orbitfinder.families.curves import FOLLOWED
+
+    for k, event in enumerate(found.get("events", ())):
+        ways = {f"--switch {k}": SWITCHABLE, f"--curve {k} --parameters A,B": FOLLOWED}
+        event["follow"] = [way for way, kinds in ways.items() if event["kind"] in kinds]
+
+
+def _lines(found: Mapping[str, Any], margin: str = "  ") -> Iterator[str]:
+    """A line for each entry, those of lists of tables below it."""
+    for name, value in found.items():
+        rows = value if isinstance(value, list) and any(isinstance(one, Mapping) for one in value) else ()
+        yield f"{margin}{name.replace('_', ' '):<20}{'' if rows else _words(value)}".rstrip()
+        for k, row in enumerate(rows):
+            yield f"{margin}{k:>6}  {_words(row)}"
+
+
+def _words(value: Any) -> str:
+    """A value in a line."""
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name.replace('_', ' ')} {_words(one)}" for name, one in value.items() if one != [])
+    if isinstance(value, list):
+        inner = ", ".join(map(_words, value))
+        return f"[{inner}]" if value and isinstance(value[0], float) else inner
+    return f"{value:.12g}" if isinstance(value, float) else str(value)

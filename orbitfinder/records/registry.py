@@ -1,0 +1,232 @@
+"""What files hold: every kind of record, what reads it, what FILE#K is of it, and what answers each verb about it.
+
+Answers stand in rooms above this one, so they are named here, "module:function", and loaded when they are asked.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import import_module
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+from orbitfinder.errors import InputError
+from orbitfinder.records.codec import outline
+from orbitfinder.records.controller import load_controller
+from orbitfinder.records.family import load_family
+from orbitfinder.records.manifold import load_connection, load_manifold
+from orbitfinder.records.optima import load_optima
+from orbitfinder.records.orbit import AGAIN, Orbit, orbit_from_document, read_orbit
+from orbitfinder.records.reading import file_head, json_file
+from orbitfinder.records.section import load_section
+from orbitfinder.records.torus import Tori, load_tori
+
+DATABASES = (".sqlite", ".sqlite3", ".db")
+OURS = re.compile(rb'\s*(?:(\[)|\{[^\[{]*?"format"\s*:\s*"orbitfinder/([\w-]+)")')
+HEAD = 400
+"""Bytes of a file in which its format is said"""
+Answer = str | Callable[..., Any]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of record. What is "" has no answer, and is refused in a sentence.
+
+    Args:
+        words: what one is called.
+        read: (path) -> the record.
+        parts: (record) -> those that FILE#K names, counted from 0; or `one`, (path, K) -> that one.
+        holds: the kind of these.
+        first: the least K.
+        apart: whether they are verified one by one.
+        facts: (record) -> what is shown of it, where that is not what its entries say.
+        verify: (record, model) -> its Certificate, or of a family each check with where it is made.
+        plot: (record, folder, model) -> the pictures that were written.
+        animate: (record, model, settings) -> a Clip.
+        export: (record, to, folder, model) -> the files that were written.
+        page: (what is gathered, path, filter), which adds it, or the name of the list there that it joins.
+        studio: the field of what the studio opens that it is.
+    """
+
+    words: str
+    read: Answer
+    parts: Callable[[Any], Sequence[Any]] | None = None
+    one: Answer = ""
+    holds: str = "orbit"
+    first: int = 0
+    apart: bool = False
+    facts: Answer = ""
+    verify: Answer = ""
+    plot: Answer = ""
+    animate: Answer = ""
+    export: Answer = ""
+    page: Answer = ""
+    studio: str = ""
+
+
+VERBS = ("verify", "plot", "animate", "export", "page", "studio")
+"""What not every kind answers; every one is shown"""
+
+
+def _each(found: Tori) -> list[Tori]:
+    return [replace(found, tori=(torus,)) for torus in found.tori]
+
+
+KINDS = {
+    "orbit": Kind(
+        "an orbit", read_orbit, verify="orbits.certify:certify", plot="show.plot:save_figures",
+        animate="show.animate:orbit_clip", export="exports.write:export_orbit", page="site.gather:add_orbit",
+        studio="orbit",
+    ),
+    "family": Kind(
+        "a family", load_family, attrgetter("points"), verify="families.verified:verified",
+        plot="show.plot:save_figures", page="families", studio="family",
+    ),
+    "atlas": Kind(
+        "an atlas", "atlas.store:Atlas", one="atlas.store:stored", first=1, page="site.gather:add_atlas",
+        facts=lambda atlas: {"system": atlas.system, **loaded("atlas.report:summarise")(atlas).document()},
+        plot=lambda atlas, folder, _: loaded("show.plot:save_atlas_figures")(atlas, folder), studio="atlas",
+    ),
+    "export": Kind(
+        "an export of an atlas", lambda path: json_file(path, "atlas export", AGAIN), list,
+        facts=lambda entries: {"orbits": len(entries)}, page="site.gather:add_export",
+    ),
+    "optima": Kind(
+        "a family of optima", load_optima, attrgetter("points"), apart=True, verify="orbits.certify:certify",
+        plot=lambda optima, folder, _: [loaded("show.optima:save_optima_figure")(optima, folder)],
+        page="site.gather:add_optima",
+    ),
+    "tori": Kind(
+        "a family of tori", load_tori, _each, holds="tori", apart=True, plot="show.tori:save_torus_figures",
+        verify=lambda tori, model: loaded("families.tori:certify_torus")(tori.tori[-1], model).certificate, page="laid",
+    ),
+    "section": Kind("a section", load_section, plot="show.figures:section_figures", page="sections"),
+    "manifold": Kind("a manifold", load_manifold, plot="show.figures:section_figures", page="laid"),
+    "connection": Kind(
+        "a connection", load_connection, verify="families.connections:certify_connection",
+        plot="show.figures:section_figures", page="laid",
+    ),
+    "controller": Kind(
+        "a controller", load_controller, verify="orbits.feedback:certify_controller",
+        plot="show.figures:controller_figures", export="exports.controller:export_program",
+    ),
+    "branch-proof": Kind(
+        "a proof of a family's branch (`verify --proof` replays it)", "proof.branch:read_branch",
+        facts="proof.branch:branch_document",
+    ),
+}  # fmt: skip
+"""Every kind by its format; others may join"""
+
+
+def kind_of(file: Path) -> str:
+    """What a file holds, by its name and its first bytes: one of `KINDS`, or nothing."""
+    if file.suffix in DATABASES:
+        return "atlas"
+    found = OURS.match(file_head(file, HEAD))
+    kind = "" if found is None else "export" if found[1] else found[2].decode()
+    return kind if kind in KINDS else ""
+
+
+def member(path: str | Path) -> tuple[Path, int | None]:
+    """The file and the number in FILE#K; no number where there is none, or where a file has that very name."""
+    name, mark, number = Path(path).name.rpartition("#")
+    if not mark or Path(path).exists():
+        return Path(path), None
+    if not (number.isascii() and number.isdigit()):
+        raise InputError(f"{path}: #{number}: not a whole number from 0; give FILE#K, such as {name}#0")
+    return Path(path).with_name(name), int(number)
+
+
+def held(path: str | Path) -> tuple[str, Kind]:
+    """The kind of FILE or FILE#K and its name; what is no record of ours is read, and refused, as an orbit."""
+    file, number = member(path)
+    name = kind_of(file) or "orbit"
+    if number is not None and not (KINDS[name].parts or KINDS[name].one):
+        raise InputError(f"{path}: #{number}: not a family or an atlas, of which orbits have numbers; "
+                         f"leave #{number} out")  # fmt: skip
+    name = name if number is None else KINDS[name].holds
+    return name, KINDS[name]
+
+
+def load(path: str | Path) -> Any:
+    """The record of FILE or FILE#K. Raises `InputError`."""
+    held(path)
+    file, number = member(path)
+    kind = KINDS[kind_of(file) or "orbit"]
+    if number is None:
+        return loaded(kind.read)(file)
+    if kind.parts is None:
+        return loaded(kind.one)(file, number)
+    parts = kind.parts(loaded(kind.read)(file))
+    if number >= len(parts):
+        what = "torus" if kind.holds == "tori" else kind.holds
+        raise InputError(f"{path}: #{number}: no such {what} in the file; give a number from 0 to {len(parts) - 1}")
+    return orbit_from_document(parts[number], str(path)) if isinstance(parts[number], dict) else parts[number]
+
+
+def answer(verb: str, path: str | Path) -> Callable[..., Any]:
+    """What answers one of `VERBS` about FILE or FILE#K. `InputError` says what takes the file where nothing does."""
+    return loaded(taken(verb, path))
+
+
+def taken(verb: str, path: str | Path) -> Answer:
+    """The same, as its kind names it."""
+    _, kind = held(path)
+    if found := getattr(kind, verb):
+        return found  # type: ignore[no-any-return]
+    several = kind.parts or kind.one
+    one = f", or one orbit of the file: {path}#{kind.first}" if several and kind.holds == "orbit" else ""
+    takes = ", ".join(each.words for each in KINDS.values() if getattr(each, verb))
+    raise InputError(f"{path}: {kind.words}, which `{verb}` does not take; give {takes}{one}; "
+                     f"this file is for {', '.join(answers_of(kind))}")  # fmt: skip
+
+
+def answers_of(kind: Kind) -> list[str]:
+    """The verbs that a kind answers."""
+    return ["show", *(verb for verb in VERBS if getattr(kind, verb))]
+
+
+def shown(path: str | Path) -> tuple[str, Mapping[str, Any]]:
+    """The kind of FILE or FILE#K, and what it holds, in short (see `outline`)."""
+    name, kind = held(path)
+    record = load(path)
+    found: Mapping[str, Any] = outline(loaded(kind.facts)(record) if kind.facts else record)
+    return name, found
+
+
+def loaded(named: Answer) -> Callable[..., Any]:
+    """What is named, its module imported."""
+    if callable(named):
+        return named
+    module, _, name = named.partition(":")
+    return getattr(import_module(f"orbitfinder.{module}"), name)  # type: ignore[no-any-return]
+
+
+def load_orbit(path: str | Path) -> Orbit:
+    """Read an orbit.json, or one of many orbits in a file.
+
+    Args:
+        path: an orbit.json (and orbit.npz if it is there), or FILE#K: point K of a family.json or orbit K of an atlas
+            export, counted from 0 as in the file's list, or orbit K of an atlas, by its id.
+
+    Returns:
+        An Orbit.
+
+    Raises:
+        InputError: on anything unreadable, edited or damaged.
+
+    Examples:
+        >>> _ = of.save_orbit(orbit, "orbit.json")
+        >>> of.load_orbit("orbit.json").period == orbit.period
+        True
+    """
+    file, number = member(path)
+    if number is None and file.suffix in DATABASES and file.is_file():
+        raise InputError(f"{path}: an atlas database; give one orbit of it by its id: {path}#1")
+    if number is not None and held(path)[0] != "orbit":
+        raise InputError(f"{path}: {held(path)[1].words}, not an orbit; give an orbit.json")
+    found: Orbit = read_orbit(file) if number is None else load(path)
+    return found

@@ -1,0 +1,49 @@
+"""The pictures that `plot` draws of sections, manifolds, connections and controllers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from orbitfinder.mechanics.model import Model
+from orbitfinder.records.controller import Controller
+from orbitfinder.records.manifold import Connection, Manifold
+from orbitfinder.records.section import Section
+from orbitfinder.show.plot import axis
+from orbitfinder.show.sections import draw_manifolds, draw_section
+from orbitfinder.show.style import dress, new_figure, save_png
+
+
+def section_figures(record: Section | Manifold | Connection, folder: Path, model: Model) -> list[Path]:
+    """`returns.png` of a section, `manifold-WHICH.png` of curves on one or a tube, `connection.png` of crossings."""
+    if isinstance(record, Section):
+        return [draw_section(record, folder / "returns.png", model=model)]
+    if isinstance(record, Connection):
+        return [draw_section(None, folder / "connection.png", connections=[record], model=model)]
+    target = folder / f"manifold-{record.which}.png"
+    if record.kind == "curves":
+        return [draw_section(None, target, manifolds=[record], model=model)]
+    return [draw_manifolds([record], target, model=model)]
+
+
+def controller_figures(controller: Controller, folder: Path, model: Model) -> list[Path]:
+    """`controller.png`: gains over a period, a panel an actuator, and the multipliers without and with control."""
+    verdict = "stabilised" if controller.stabilised else "NOT stabilised"
+    count = len(controller.actuators)
+    figure = new_figure(4.0 * (count + 1), 4.2, controller.name, f"{verdict} by {', '.join(controller.actuators)}")
+    *gains, plane = figure.subplots(1, count + 1)
+    times = np.linspace(0.0, controller.period, len(controller.gains))
+    for axes, name, rows in zip(gains, controller.actuators, np.split(controller.gains, count, axis=1), strict=True):
+        for k, row in enumerate(rows.T):
+            axes.plot(times, row, linewidth=1.0, label=axis(model, k))
+        dress(axes, "time (s)" if controller.clock else "place on the orbit (s)", f"gains of {name}")
+        axes.legend(loc="best", frameon=False, fontsize=7)
+    turn = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 200))
+    plane.plot(turn.real, turn.imag, color="0.7", linewidth=0.8)
+    for mark, words, found in (("x", "without", controller.open_loop), ("o", "with", controller.multipliers)):
+        plane.plot(found.real, found.imag, mark, markersize=5, label=f"{words} control", fillstyle="none")
+    plane.set_aspect("equal", adjustable="datalim")
+    dress(plane, "Re", "Im")
+    plane.legend(loc="best", frameon=False, fontsize=7)
+    return [save_png(figure, folder / "controller.png")]
