@@ -201,7 +201,7 @@ def test_progress_in_words():
 
 
 def test_ranges_may_be_open():
-    read = cataloguing.interval("period")
+    read = cataloguing.interval
     assert read(None, None, "1,") == (1.0, float("inf")) and read(None, None, ",2") == (-float("inf"), 2.0)
     assert read(None, None, None) is None
 
