@@ -17,7 +17,7 @@ from orbitfinder.errors import InputError, plural
 
 if TYPE_CHECKING:
     from orbitfinder.atlas.report import Summary
-    from orbitfinder.atlas.search import Limits, Statistics
+    from orbitfinder.atlas.search import Statistics
     from orbitfinder.problemfile.read import ProblemFile
 
 SPEAK_EVERY = 5.0
@@ -69,20 +69,16 @@ def search(file: Path, book: Path, budget: float | None, starts: int | None, tru
     """
     lasts, folder = "" if budget is None else f" {budget:g} s,", file.parent.resolve() if trust else None
     with display(f"{file}: searching,{lasts} seed {how['seed']}, into {book}", SPEAK_EVERY, REFRESH_EVERY) as shown:
-        from orbitfinder.atlas.search import DEFAULT_BUDGET, Limits
-        from orbitfinder.atlas.shard import shard_from
         from orbitfinder.problemfile.read import load_problem_file, read_toml
 
-        budget = DEFAULT_BUDGET if starts is None and budget is None else budget
         if file.suffix != ".py" and "search" not in read_toml(file):  # before the modes of a long chain are computed
             raise InputError(f"{file}: {MISSING}")
         loaded = load_problem_file(file, trust)
         energies, periods = wanted(loaded)
-        limits = Limits(starts, None if budget is None else budget / len(energies or [0.0]), shard_from(how["shard"]))
 
         def report(energy: float, tally: Statistics) -> None:
             interrupt.check()
-            shown.show(progress(energy, tally, limits, bool(loaded.model.invariants)))
+            shown.show(progress(energy, tally, bool(loaded.model.invariants)))
 
         found = of.search(loaded.model, energies, periods, book, starts=starts, budget=budget, folder=folder,
                           progress=report, **how, **sections(loaded))  # fmt: skip
@@ -130,9 +126,9 @@ def sections(loaded: ProblemFile) -> dict[str, Any]:
     return {key: one for key, one in loaded.document.get("search", {}).items() if key in ("section", "cycles")}
 
 
-def progress(energy: float, tally: Statistics, limits: Limits, conserved: bool = True) -> Progress:
+def progress(energy: float, tally: Statistics, conserved: bool = True) -> Progress:
     """How far a search has come."""
-    made, failed, left = tally.before + tally.done, sum(tally.failures.values()), tally.left(limits)
+    made, failed, left = tally.before + tally.done, sum(tally.failures.values()), tally.left
     rate, remaining = f"{tally.done / max(tally.elapsed, 1e-9):.1f}", "" if left is None else f"{left:.0f} s"
     line = (
         f"{level(energy, conserved)}: {plural(made, 'start')}, {plural(tally.hits, 'hit')}, {tally.new} new, "
