@@ -19,6 +19,7 @@ import click
 from click.core import ParameterSource
 
 from orbitfinder._runtime.limit import limited
+from orbitfinder._runtime.processes import children_see
 from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.records.reading import finite
 
@@ -191,16 +192,7 @@ def _remember_compile(context: click.Context, _: click.Parameter, value: str | N
     """Put the mode where worker processes find it too, for as long as the command runs."""
     if value is None:
         return
-    before = os.environ.get(COMPILE_VARIABLE)
-    os.environ[COMPILE_VARIABLE] = value
-
-    def restore() -> None:
-        if before is None:
-            os.environ.pop(COMPILE_VARIABLE, None)
-        else:
-            os.environ[COMPILE_VARIABLE] = before
-
-    context.call_on_close(restore)
+    context.with_resource(children_see({COMPILE_VARIABLE: value}))
     if value == "on":
         with limited(context.params.get("limit")):
             from orbitfinder.integrate.compiled import available
