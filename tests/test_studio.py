@@ -271,7 +271,7 @@ def test_a_search_that_is_killed_keeps_what_it_found_and_goes_on(tasks, session,
         pass
 
     def die(at):
-        if at.starts >= 2:
+        if at.made >= 2:
             raise KilledError
 
     monkeypatch.setattr("orbitfinder.studio.tasks.SPEAK_EVERY", 0.0)

@@ -75,6 +75,11 @@ class Statistics:
     limits: Limits = Limits()
 
     @property
+    def made(self) -> int:
+        """Starts that are in the atlas by now."""
+        return self.before + self.done
+
+    @property
     def elapsed(self) -> float:
         """Seconds since it began, or that it took."""
         return (time.monotonic() if self.ended is None else self.ended) - self.began
@@ -85,8 +90,7 @@ class Statistics:
         limits = self.limits
         found = [] if limits.budget is None else [max(0.0, limits.budget - self.elapsed)]
         if limits.starts is not None and self.done:
-            made = self.before + self.done
-            found.append(max(0, (limits.shard or WHOLE).count(limits.starts) - made) * self.elapsed / self.done)
+            found.append(max(0, (limits.shard or WHOLE).count(limits.starts) - self.made) * self.elapsed / self.done)
         return min(found) if found else None
 
 

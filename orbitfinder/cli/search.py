@@ -128,7 +128,7 @@ def sections(loaded: ProblemFile) -> dict[str, Any]:
 
 def progress(energy: float, tally: Statistics, conserved: bool = True) -> Progress:
     """How far a search has come."""
-    made, failed, left = tally.before + tally.done, sum(tally.failures.values()), tally.left
+    made, failed, left = tally.made, sum(tally.failures.values()), tally.left
     rate, remaining = f"{tally.done / max(tally.elapsed, 1e-9):.1f}", "" if left is None else f"{left:.0f} s"
     line = (
         f"{level(energy, conserved)}: {plural(made, 'start')}, {plural(tally.hits, 'hit')}, {tally.new} new, "

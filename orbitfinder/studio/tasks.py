@@ -90,14 +90,6 @@ class Cut:
     crossings: np.ndarray
 
 
-@dataclass(frozen=True)
-class Count:
-    """How far a search has come: starts made and orbits in its atlas."""
-
-    starts: int
-    orbits: int
-
-
 class Tasks:
     """The tasks of one process, which keeps what the next one may use again; `say` tells how a task gets on."""
 
@@ -163,16 +155,15 @@ class Tasks:
         self, system: Mapping[str, Any], energy: float | None, periods: tuple[float, float], budget: float, atlas: Path
     ) -> int:
         """Search for orbits for a time (s) and keep them in an atlas: what `orbitfinder search` does; its starts."""
-        last, starts = [0.0], [0]
+        last = [0.0]
 
         def report(_: float, at: Statistics) -> None:
-            starts[0] = at.before + at.done
             if time.monotonic() - last[0] > SPEAK_EVERY:
                 last[0] = time.monotonic()
-                self._say(Count(starts[0], at.orbits))
+                self._say(at)
 
-        search(self.model(system), energy, periods, atlas, budget=budget, workers=0, progress=report)
-        return starts[0]
+        found = search(self.model(system), energy, periods, atlas, budget=budget, workers=0, progress=report)
+        return sum(at.made for _, at in found.tallies)
 
     def found(self, file: Path, out: Path) -> Found:
         """The orbit of a problem file, in OUT/NAME/orbit.json where it is certified: what `orbitfinder run` does."""
