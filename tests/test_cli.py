@@ -1,5 +1,6 @@
 """The command line: exit codes, what is written where, what goes to which stream, interrupts."""
 
+import inspect
 import json
 import os
 import signal
@@ -12,11 +13,14 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.cli.jobs import check_writable, one_line
+from orbitfinder.problemfile.proposals import propose
 from orbitfinder.records.orbit import save_orbit
 from orbitfinder.records.reading import finite
 from orbitfinder.records.registry import load_orbit
+from orbitfinder.site.build import Settings
 
 ROOT = Path(__file__).parents[1]
 TRIPLE = ROOT / "problems" / "report" / "triple-1.toml"
@@ -399,6 +403,22 @@ def test_every_computing_command_answers_in_json_and_every_out_has_its_letter():
     options = {name: {word for one in command.params for word in one.opts} for name, command in cli.commands.items()}
     assert {name for name, words in options.items() if "--json" in words} == COMPUTING
     assert all("-o" in words for words in options.values() if "--out" in words)
+
+
+def test_options_begin_with_the_defaults_of_what_they_are_passed_on_to():
+    """A number or switch of a command has the default of the library's parameter or setting of its name."""
+    asked = {
+        "torus": (of.follow_tori, of.TorusSettings), "continue": (of.FamilySettings,), "section": (of.section,),
+        "manifold": (of.manifold,), "connect": (of.connect,), "sweep": (of.sweep,), "search": (of.search,),
+        "stabilise": (of.basin,), "guess": (propose,), "page": (Settings,),
+    }  # fmt: skip
+    shown, known = {}, {}
+    for name, functions in asked.items():
+        parameters = {key: one for function in functions for key, one in inspect.signature(function).parameters.items()}
+        for one in cli.commands[name].params:
+            if isinstance(one.default, int | float) and one.name in parameters:
+                shown[name, one.name], known[name, one.name] = one.default, parameters[one.name].default
+    assert len(shown) > 20 and shown == known
 
 
 def test_continue_answers_in_json(tmp_path):

@@ -425,7 +425,7 @@ def test_the_command(pendulum_orbit, tmp_path):
     found = json.loads(run(*given, "--motors", "1", "--sizes", "0.1", "--json")[0])
     assert found["stabilised"] and found["basin"]["rows"][0]["count"] == 2 and found["authority"]["torque1"] > 0
     assert "actuators: 'torque7' is none" in run("stabilise", file, "--motors", "7", "--out", tmp_path, code=2)[1]
-    assert "--motors: 'a' are no numbers" in run("stabilise", file, "--motors", "a", "--out", tmp_path, code=2)[1]
+    assert "--motors: 'a' is not a number" in run("stabilise", file, "--motors", "a", "--out", tmp_path, code=2)[1]
 
 
 @pytest.mark.slow

@@ -182,12 +182,12 @@ def test_durations(text, value):
 
 def test_progress_in_words():
     """A line and a table say starts, hits, new, known, failures, rate and time left."""
-    tally = Statistics(done=10, hits=6, new=4, duplicates=2, orbits=9, begun_at=5, before=5)
+    tally = Statistics(done=10, hits=6, new=4, duplicates=2, orbits=9, begun_at=5, before=5,
+                       limits=Limits(starts=35, budget=60.0))  # fmt: skip
     tally.failures["iteration limit"] = 4
     tally.began = time.monotonic() - 2.0
-    limits = Limits(starts=35, budget=60.0)
-    assert tally.left(limits) == pytest.approx(4.0, abs=0.2)
-    told = searching.progress(-30.0, tally, limits)
+    assert tally.left == pytest.approx(4.0, abs=0.2)
+    told = searching.progress(-30.0, tally)
     assert told.line.startswith("-30 J: 15 starts, 6 hits, 4 new, 2 known, 4 failed, 9 orbits in the atlas, 5")
     assert told.line.endswith("s left")
     assert len(told.rows) == 9 and ("failed: iteration limit", "4") in told.rows
@@ -201,7 +201,7 @@ def test_progress_in_words():
 
 
 def test_ranges_may_be_open():
-    read = cataloguing.interval("period")
+    read = cataloguing.interval
     assert read(None, None, "1,") == (1.0, float("inf")) and read(None, None, ",2") == (-float("inf"), 2.0)
     assert read(None, None, None) is None
 

@@ -31,7 +31,7 @@ from orbitfinder.studio.films import draggable, pose, pullable, view
 from orbitfinder.studio.plots import clicked, section_figure
 from orbitfinder.studio.serve import MOST_TABS, free_port, redirect
 from orbitfinder.studio.session import Session, leaving, opened, parameters
-from orbitfinder.studio.tasks import Return, Tasks
+from orbitfinder.studio.tasks import Tasks
 from orbitfinder.studio.worker import RefusedError, StoppedError, Worker
 
 ROOT = Path(__file__).parents[1]
@@ -55,10 +55,10 @@ def test_close_returns_are_ranked_by_miss_times_period_cubed(tasks, session):
     run = tasks.simulated(dict(session.model.system), [0.3, 0.4, 0.0, 0.0], 20.0)
     assert run.energy == pytest.approx(energy(session.model, np.array([0.3, 0.4, 0, 0])), rel=1e-12)
     assert run.change < 1e-9 * abs(run.energy)
-    ranks = [one.miss * one.period**3 for one in run.returns]
+    ranks = [one.distance * one.period**3 for one in run.returns]
     assert len(ranks) > 3 and ranks == sorted(ranks)
-    assert run.returns[0].miss > min(one.miss for one in run.returns)  # the nearest is not the most promising here
-    assert Return((0.0,), 2.0, 0.5).rank == 4.0
+    nearest = min(one.distance for one in run.returns)
+    assert run.returns[0].distance > nearest  # which is not the most promising here
 
 
 def test_what_is_found_saved_and_found_again_is_one_orbit(tasks, session, tmp_path, monkeypatch):
@@ -271,7 +271,7 @@ def test_a_search_that_is_killed_keeps_what_it_found_and_goes_on(tasks, session,
         pass
 
     def die(at):
-        if at.starts >= 2:
+        if at.made >= 2:
             raise KilledError
 
     monkeypatch.setattr("orbitfinder.studio.tasks.SPEAK_EVERY", 0.0)

@@ -246,7 +246,7 @@ def test_at_a_fixed_rotation_number_and_the_file(golden, tmp_path):
     for one, other in zip(found.tori, again.tori, strict=True):
         assert np.array_equal(one.curve, other.curve) and one.period == other.period
         assert one.certificate.checks == other.certificate.checks
-    assert [path.name for path in save_torus_figures(found, model, tmp_path)] == ["torus.png", "tori.png"]
+    assert [path.name for path in save_torus_figures(found, tmp_path, model)] == ["torus.png", "tori.png"]
     (tmp_path / "bad.json").write_text((tmp_path / "tori.json").read_text().replace('"curve"', '"carve"'))
     with pytest.raises(InputError, match=r"bad.json: malformed entry \(tori\[0\].curve: missing\); compute the tori"):
         of.load_tori(tmp_path / "bad.json")

@@ -72,18 +72,25 @@ class Statistics:
     before: int = 0
     """how many starts were in the atlas before it"""
     ended: float | None = None
+    limits: Limits = Limits()
+
+    @property
+    def made(self) -> int:
+        """Starts that are in the atlas by now."""
+        return self.before + self.done
 
     @property
     def elapsed(self) -> float:
         """Seconds since it began, or that it took."""
         return (time.monotonic() if self.ended is None else self.ended) - self.began
 
-    def left(self, limits: Limits) -> float | None:
+    @property
+    def left(self) -> float | None:
         """Seconds that are left, as far as one can tell."""
+        limits = self.limits
         found = [] if limits.budget is None else [max(0.0, limits.budget - self.elapsed)]
         if limits.starts is not None and self.done:
-            made = self.before + self.done
-            found.append(max(0, (limits.shard or WHOLE).count(limits.starts) - made) * self.elapsed / self.done)
+            found.append(max(0, (limits.shard or WHOLE).count(limits.starts) - self.made) * self.elapsed / self.done)
         return min(found) if found else None
 
 
@@ -152,7 +159,7 @@ class Search:
         self._under_way = 0
         self._answers: dict[int, Attempt] = {}
         made = atlas.select([int], "SELECT count(*) FROM starts WHERE search = ?", [self.id])[0][0]
-        self.statistics = Statistics(orbits=len(atlas), begun_at=self._next, before=made)
+        self.statistics = Statistics(orbits=len(atlas), begun_at=self._next, before=made, limits=limits)
 
     def run(self, workers: Workers) -> Statistics:
         """Hand out, judge and write until a limit is reached; starts under way are waited for."""

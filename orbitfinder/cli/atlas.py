@@ -6,28 +6,27 @@ import math
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+import orbitfinder as of
 from orbitfinder.cli.jobs import check_writable
 from orbitfinder.cli.options import (
     FILES,
     finish,
     json_option,
     on_terminal,
+    option,
     out_option,
     print_json,
     text,
-    trust_option,
+    usual,
     wants_json,
 )
 from orbitfinder.cli.search import print_summary
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.reading import write_atomically
-
-if TYPE_CHECKING:
-    from orbitfinder.atlas.store import Filter
 
 WIDE = 103
 """Columns of a terminal from which on the whole table of an atlas fits"""
@@ -35,39 +34,32 @@ BOOK = click.argument("book", type=FILES, metavar="FILE.sqlite")
 TRUST = "Import the Python function of the system, from beside the atlas or installed, for the names of its state."
 
 
-def interval(name: str) -> Callable[[click.Context, click.Parameter, str | None], tuple[float, float] | None]:
-    """A callback that reads `low,high`; either may be left out."""
-
-    def read(_: click.Context, __: click.Parameter, text: str | None) -> tuple[float, float] | None:
-        if text is None:
-            return None
-        words = text.split(",")
-        try:
-            low, high = (float(word) if word.strip() else None for word in words)
-        except ValueError as error:
-            raise InputError(f"--{name}: {text!r} is no range; give low,high, either may be left out") from error
-        return -math.inf if low is None else low, math.inf if high is None else high
-
-    return read
+def interval(_: click.Context, parameter: click.Parameter, text: str | None) -> tuple[float, float] | None:
+    """What `low,high` says; either may be left out."""
+    if text is None:
+        return None
+    try:
+        low, high = (float(word) if word.strip() else None for word in text.split(","))
+    except ValueError as error:
+        raise InputError(f"--{parameter.name}: {text!r} is no range; give low,high, either may be left out") from error
+    return -math.inf if low is None else low, math.inf if high is None else high
 
 
 def filters(command: Callable[..., Any]) -> Callable[..., Any]:
     """The options that choose orbits of an atlas."""
-    for option in (
-        click.option("--symmetry", multiple=True, help="Only this symmetry, such as brake; may be repeated."),
-        click.option("--stability", multiple=True, help="Only elliptic, unstable or marginal; may be repeated."),
-        click.option("--energy", callback=interval("energy"), metavar="LOW,HIGH", help="Range of energies in J."),
-        click.option("--period", callback=interval("period"), metavar="LOW,HIGH", help="Range of periods in s."),
+    for add in (
+        option("symmetry", "Only this symmetry, such as brake; may be repeated.", multiple=True),
+        option("stability", "Only elliptic, unstable or marginal; may be repeated.", multiple=True),
+        option("energy", "Range of energies in J.", callback=interval, metavar="LOW,HIGH"),
+        option("period", "Range of periods in s.", callback=interval, metavar="LOW,HIGH"),
     ):
-        command = option(command)
+        command = add(command)
     return command
 
 
-def chosen(options: dict[str, Any]) -> Filter:
+def chosen(options: dict[str, Any]) -> of.Filter:
     """The filter that those options make."""
-    from orbitfinder.atlas.store import Filter
-
-    return Filter(**{name: options[name] for name in ("period", "energy", "stability", "symmetry")})
+    return of.Filter(**{name: options[name] for name in ("period", "energy", "stability", "symmetry")})
 
 
 @click.group(name="atlas")
@@ -83,7 +75,7 @@ def atlas() -> None:
 @atlas.command(name="list")
 @BOOK
 @filters
-@click.option("--order", default="energy, period", show_default=True, help="Columns to sort by; DESC reverses.")
+@option("order", "Columns to sort by; DESC reverses.", "energy, period")
 @json_option
 def list_orbits(book: Path, order: str, **options: Any) -> None:
     """List the orbits of an atlas, one a line.
@@ -93,9 +85,7 @@ def list_orbits(book: Path, order: str, **options: Any) -> None:
       orbitfinder atlas list triple.sqlite --stability elliptic
       orbitfinder atlas list triple.sqlite --period ,3 --order "instability"
     """
-    from orbitfinder.atlas.store import Atlas
-
-    with Atlas(book) as opened:
+    with of.Atlas(book) as opened:
         rows = opened.rows(chosen(options), order)
     wide = not on_terminal() or shutil.get_terminal_size().columns > WIDE
     action, closure = (f" {'action (J s)':>13}", f" {'closure':>9}") if wide else ("", "")
@@ -114,8 +104,7 @@ def list_orbits(book: Path, order: str, **options: Any) -> None:
 @atlas.command()
 @BOOK
 @click.argument("number", type=int, metavar="ID")
-@trust_option(TRUST)
-@json_option
+@usual(trust=TRUST)
 def show(book: Path, number: int, trust: bool) -> None:
     """Show one orbit by its id; with --json its orbit.json document.
 
@@ -123,9 +112,9 @@ def show(book: Path, number: int, trust: bool) -> None:
     Example:
       orbitfinder atlas show triple.sqlite 12 --json > orbit.json && orbitfinder verify orbit.json
     """
-    from orbitfinder.atlas.store import Atlas, named_state, proved
+    from orbitfinder.atlas.store import named_state, proved
 
-    with Atlas(book, trusted=book.parent if trust else None) as opened:
+    with of.Atlas(book, trusted=book.parent if trust else None) as opened:
         document = opened.document(number)
         names = None if wants_json() else opened.model.state_names
         row = opened.row(number)
@@ -162,9 +151,8 @@ def report(book: Path) -> None:
       orbitfinder atlas report triple.sqlite
     """
     from orbitfinder.atlas.report import summarise
-    from orbitfinder.atlas.store import Atlas
 
-    with Atlas(book) as opened:
+    with of.Atlas(book) as opened:
         summary = summarise(opened)
     text(f"{book}: {plural(summary.orbits, 'distinct certified orbit')} of {plural(summary.starts, 'start')}")
     print_summary(summary)
@@ -173,13 +161,9 @@ def report(book: Path) -> None:
 
 @atlas.command()
 @BOOK
-@click.option(
-    "--to", "kind", type=click.Choice(["json", "csv", "parquet"]), default="json", show_default=True,
-    help="What to write.",
-)  # fmt: skip
-@out_option("File to write; standard output when left out.")
+@option("to kind", "What to write.", "json", ("json", "csv", "parquet"))
 @filters
-@trust_option(TRUST)
+@usual("File to write; standard output when left out.", trust=TRUST, json=False)
 def export(book: Path, kind: str, out: Path | None, trust: bool, **options: Any) -> None:
     """Write orbits as a JSON list of orbit documents, or as a table in CSV or Parquet.
 
@@ -191,11 +175,10 @@ def export(book: Path, kind: str, out: Path | None, trust: bool, **options: Any)
       orbitfinder atlas export triple.sqlite --stability elliptic > elliptic.json
     """
     from orbitfinder.atlas.export import exported
-    from orbitfinder.atlas.store import Atlas
 
     if out is None and kind == "parquet":
         raise InputError("--out: missing; a Parquet file is not text, name it with -o FILE.parquet")
-    with Atlas(book, trusted=book.parent if trust else None) as opened:
+    with of.Atlas(book, trusted=book.parent if trust else None) as opened:
         data = exported(opened, kind, chosen(options))
     if out is None:
         click.echo(data, nl=False)
@@ -209,8 +192,8 @@ def export(book: Path, kind: str, out: Path | None, trust: bool, **options: Any)
 
 @atlas.command()
 @BOOK
-@out_option("Folder for the figures; this one by default.", default=Path())
 @filters
+@out_option("Folder for the figures; this one by default.", default=Path())
 def plot(book: Path, out: Path, **options: Any) -> None:
     """Draw energy against period with stability, the histogram of instability and the discovery curve.
 
@@ -218,11 +201,10 @@ def plot(book: Path, out: Path, **options: Any) -> None:
     Example:
       orbitfinder atlas plot triple.sqlite -o figures
     """
-    from orbitfinder.atlas.store import Atlas
     from orbitfinder.show.plot import save_atlas_figures
 
     check_writable(out)
-    with Atlas(book) as opened:
+    with of.Atlas(book) as opened:
         written = save_atlas_figures(opened, out, chosen(options))
     for path in written:
         click.echo(str(path))
@@ -230,10 +212,9 @@ def plot(book: Path, out: Path, **options: Any) -> None:
 
 @atlas.command()
 @click.argument("books", type=FILES, nargs=-1, required=True, metavar="FILE.sqlite...")
-@click.option("--atlas", "out", required=True, type=FILES, metavar="OUT.sqlite", help="Where all of them go.")
-@click.option("--union", is_flag=True, help="Also of searches that have nothing in common but the system.")
-@trust_option(TRUST)
-@json_option
+@option("atlas out", "Where all of them go.", kind=FILES, required=True, metavar="OUT.sqlite")
+@option("union", "Also of searches that have nothing in common but the system.", kind=bool)
+@usual(trust=TRUST)
 def merge(books: tuple[Path, ...], out: Path, union: bool, trust: bool) -> None:
     """Put several atlases of one system, such as the shards of a search, into one.
 
@@ -244,9 +225,7 @@ def merge(books: tuple[Path, ...], out: Path, union: bool, trust: bool) -> None:
     Example:
       orbitfinder atlas merge triple-*.sqlite --atlas triple.sqlite
     """
-    from orbitfinder.atlas.merge import merge_atlases
-
-    merged = merge_atlases(list(books), out, union=union, trusted=books[0].parent if trust else None)
+    merged = of.merge_atlases(list(books), out, union=union, trusted=books[0].parent if trust else None)
     text(f"{out}: {plural(merged.orbits, 'distinct certified orbit')} of {plural(merged.starts, 'start')}")
     for one in merged.searches:
         lost = f", {one.missing} between them are missing (the same search makes them)" if one.missing else ""

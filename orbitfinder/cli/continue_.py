@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -10,33 +9,22 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import orbitfinder as of
 from orbitfinder._runtime import interrupt
 from orbitfinder._runtime.keeping import kept
 from orbitfinder.cli.console import Display, Progress, display
-from orbitfinder.cli.jobs import check_writable, named_orbits, whole_family
-from orbitfinder.cli.options import (
-    FILES,
-    FINITE,
-    compile_option,
-    finish,
-    json_option,
-    next_step,
-    out_option,
-    text,
-    trust_option,
-)
+from orbitfinder.cli.jobs import folder_of, model_of, named_orbits, whole_family
+from orbitfinder.cli.options import FILES, FINITE, NUMBERS, finish, next_step, numbers, option, text, usual
 from orbitfinder.errors import InputError, plural
-from orbitfinder.records.family import UNITS, Batch, Event, Family, load_family, number_of
-from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.family import UNITS, Batch, Event, number_of
 from orbitfinder.records.registry import member
 
 if TYPE_CHECKING:
     from orbitfinder.families.branches import Branch
     from orbitfinder.families.curves import Locus
-    from orbitfinder.loops.problem import Problem
-    from orbitfinder.mechanics.model import Model
 
-    Origin = Orbit | Problem | Branch
+    Origin = of.Orbit | of.Problem | Branch
+    Modelled = tuple[Origin, of.Model | None]
 
 
 class Switch(click.ParamType):  # type: ignore[type-arg]
@@ -51,44 +39,29 @@ class Switch(click.ParamType):  # type: ignore[type-arg]
         return value if value in ("start", "end") else int(value)
 
 
-SWITCH = Switch()
-
-
 @click.command(name="continue")
 @click.argument("file", type=FILES, metavar="FILE|ORBIT.json|FAMILY.json")
-@click.option(
-    "--parameter", default=None, help="energy, period or a physical parameter.  [default: energy, or a branch's own]"
+@option("parameter", "energy, period or a physical parameter.  [default: energy, or a branch's own]")
+@option("until", "Stop when the parameter reaches this value.", kind=FINITE)
+@option("at", "Compute points exactly at these values of the parameter.", "", NUMBERS, metavar="V,V,...")
+@option("stop", "End where a number that the problem's [watch] names is V.", multiple=True, metavar="NAME=V")
+@option("points", "Points each way.", 300, (1, 1_000_000))
+@option(
+    "direction",
+    "Both ways, the parameter growing or falling, or away from a branch's birth.  [default: both, or away]",
+    kind=("both", "forward", "backward", "away"),
 )
-@click.option("--until", type=FINITE, default=None, help="Stop when the parameter reaches this value.")
-@click.option("--at", default="", metavar="V,V,...", help="Compute points exactly at these values of the parameter.")
-@click.option(
-    "--stop", multiple=True, metavar="NAME=V", help="End where a number that the problem's [watch] names is V."
-)
-@click.option("--points", default=300, show_default=True, type=click.IntRange(1, 1_000_000), help="Points each way.")
-@click.option(
-    "--direction", type=click.Choice(("both", "forward", "backward", "away")), default=None,
-    help="Both ways, the parameter growing or falling, or away from a branch's birth.  [default: both, or away]",
-)  # fmt: skip
-@click.option(
-    "--switch", "event", type=SWITCH, metavar="EVENT|start|end",
-    help="Switch at the event with this index, or to the family that is joined at that end.",
-)  # fmt: skip
-@click.option(
-    "--curve", type=click.IntRange(0), metavar="EVENT", help="Follow the event with this index in two parameters."
-)
-@click.option("--parameters", default=None, metavar="A,B", help="The two parameters of --curve.")
-@click.option("--branch", type=click.IntRange(1), default=1, show_default=True, help="Which of the branches there.")
-@click.option(
-    "--resolve", type=click.FloatRange(1e-6, 0.15), default=None, metavar="ARCLENGTH",
-    help="Follow avoided crossings this narrow instead of stepping over them.  [default: 0.02]",
-)  # fmt: skip
-@click.option("--name", default=None, help="Name of the family; the problem's, orbit's or branch's when left out.")
-@out_option("Folder for DIR/<name>/family.json.", default="families", show_default=True)
-@click.option("--figures/--no-figures", default=True, show_default=True, help="Draw the family.")
-@compile_option
-@trust_option("Execute Python problem files and modules; only what you have read.")
-@json_option
-def continue_(file: Path, parameter: str | None, at: str, points: int, out: Path, **chosen: Any) -> None:
+@option("switch event", "Switch at the event with this index, or to the family that is joined at that end.",
+        kind=Switch(), metavar="EVENT|start|end")  # fmt: skip
+@option("curve", "Follow the event with this index in two parameters.", kind=(0,), metavar="EVENT")
+@option("parameters", "The two parameters of --curve.", metavar="A,B")
+@option("branch", "Which of the branches there.", 1, (1,))
+@option("resolve", "Follow avoided crossings this narrow instead of stepping over them.  [default: 0.02]",
+        kind=click.FloatRange(1e-6, 0.15), metavar="ARCLENGTH")  # fmt: skip
+@option("name", "Name of the family; the problem's, orbit's or branch's when left out.")
+@usual("Folder for DIR/<name>/family.json.", "families", figures="Draw the family.", compiled=True,
+       trust="Execute Python problem files and modules; only what you have read.")  # fmt: skip
+def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: int, out: Path, **chosen: Any) -> None:
     """Follow the family of orbits through an ORBIT.json, the orbit of a problem FILE, or from an event of a FAMILY.json
     a branch (--switch), or the event itself in two parameters (--curve); --switch start|end goes on along the family
     that is joined at that end.
@@ -107,18 +80,15 @@ def continue_(file: Path, parameter: str | None, at: str, points: int, out: Path
       orbitfinder continue families/triple-mode-2/family.json --switch 10 --until -36
       orbitfinder continue families/duffing-resonance/family.json --curve 0 --parameters force,frequency
     """
-    values = numbers(at)
     directions = chosen["direction"] or ("away" if isinstance(chosen["event"], int) else "both")
     narrowest = {} if chosen["resolve"] is None else {"narrowest": chosen["resolve"]}
     with display(f"{file}: reading") as shown:
         from orbitfinder.families.branches import SWITCHABLE
         from orbitfinder.families.curves import Locus
-        from orbitfinder.families.folder import follow_family, parameter_of
-        from orbitfinder.families.point import FamilySettings
-        from orbitfinder.problemfile.read import checked_name
+        from orbitfinder.families.folder import parameter_of
 
         _asked_where(file, chosen, shown)
-        settings = FamilySettings(directions=directions, points=points, **narrowest)
+        settings = of.FamilySettings(directions=directions, points=points, **narrowest)
         if chosen["curve"] is None and chosen["parameters"] is None:
             origin, model = origin_of(file, chosen["trust"], chosen["event"], chosen["branch"])
         else:
@@ -126,24 +96,23 @@ def continue_(file: Path, parameter: str | None, at: str, points: int, out: Path
         family, places = None, list[int]()
         if getattr(origin, "guess", None) is None or getattr(origin, "control", None) is None:
             parameter = parameter or (origin.parameters[0] if isinstance(origin, Locus) else parameter_of(origin))
-            name = checked_name(chosen["name"] or origin.name, "name", "give another --name")
-            check_writable(out / name)
-            family = follow_family(
-                origin, parameter, until=chosen["until"], at=values, settings=settings, out=out, name=name,
+            name = folder_of(out, chosen["name"] or origin.name, *NAMED).name
+            family = of.follow_family(
+                origin, parameter, until=chosen["until"], at=at, settings=settings, out=out, name=name,
                 model=model, progress=_reporter(shown, name, parameter, points, chosen["until"]),
                 stop=_stops(chosen["stop"]),
             )  # fmt: skip
             places = [k for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
             _listed(family, places, shown)
     if family is None:
-        _optima(origin, parameter, values, points, out, chosen)
+        _optima(origin, parameter, at, points, out, chosen)
         return
     folder = out / family.name
-    written = _drawn(family, folder, model_in(origin, model, family)) if chosen["figures"] else []
+    written = of.save_figures(family, folder, model_in(origin, model, family)) if chosen["figures"] else []
     text(f"{folder / 'family.json'}: {family.counts}")
     for end in family.ends:
         text(f"  ended: {end.kind} ({end.reason})")
-    for k in (asked := reached(family, values)):
+    for k in (asked := reached(family, at)):
         point = family.points[k]
         where = f"{family.parameter} {with_unit(point.value, family.parameter)}: {folder / 'family.json'}#{k}"
         text(f"  {where}, period {point.period:.9g} s, {point.stability}, symmetry {point.symmetry}")
@@ -153,10 +122,14 @@ def continue_(file: Path, parameter: str | None, at: str, points: int, out: Path
         next_step("continue", folder / "family.json", "--switch", places[0])
     else:
         next_step("page", folder, "-o site")
-    finish("continue", summary(family) | {"at": asked, "written": [str(folder / "family.json"), *map(str, written)]})
+    finish("continue", summary(family) | {"at": asked, "written": [folder / "family.json", *written]})
 
 
-def reached(family: Family, values: Sequence[float]) -> list[int]:
+NAMED = ("name", "give another --name")
+"""Where a name that cannot be a folder's comes from, and what to do about it"""
+
+
+def reached(family: of.Family, values: Sequence[float]) -> list[int]:
     """The numbers of the points at which the parameter has one of the values that were asked for."""
     near = 1e-9 * max((abs(one.value) for one in family.points), default=0.0)
     return [k for k, one in enumerate(family.points) if any(abs(one.value - value) <= near for value in values)]
@@ -166,7 +139,7 @@ MOST_LISTED, LAST_EVENTS = 20, 6
 """Events that are listed at the end with their indices, and that the live panel shows"""
 
 
-def _listed(family: Family, places: list[int], shown: Display, most: int = MOST_LISTED) -> None:
+def _listed(family: of.Family, places: list[int], shown: Display, most: int = MOST_LISTED) -> None:
     """The events that branches leave at, with the numbers that --switch takes."""
     for k in places[:most]:
         shown.say(f"--switch {k}: {event_words(family.events[k], family.parameter)}")
@@ -180,16 +153,10 @@ def _asked_where(file: Path, chosen: Mapping[str, Any], shown: Display) -> None:
         return
     from orbitfinder.families.branches import SWITCHABLE, counted
 
-    family = load_family(file)
+    family = of.load_family(file)
     places = [k for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
     _listed(family, places, shown, len(places))
     raise InputError(f"--switch: missing; give the event to leave {family.name} at: {counted(places) or 'none'}")
-
-
-def _drawn(family: Family, folder: Path, model: Model) -> list[Path]:
-    from orbitfinder.show.plot import save_figures
-
-    return save_figures(family, folder, model)
 
 
 def event_words(event: Event, parameter: str) -> str:
@@ -207,45 +174,37 @@ def _optima(
     problem: Any, parameter: str | None, values: tuple[float, ...], points: int, out: Path, chosen: Mapping[str, Any]
 ) -> None:
     """The family of optima of a controlled problem."""
-    from orbitfinder.orbits.optima import follow_optima
-    from orbitfinder.problemfile.read import checked_name
-    from orbitfinder.records.optima import save_optima
-    from orbitfinder.show.optima import save_optima_figure
-
     if parameter is None or (chosen["until"] is None and not values):
         raise InputError("--parameter: of a controlled problem say along what, and how far: --parameter NAME --until V")
     for name in ("direction", "resolve", "stop"):
         if chosen[name]:
             raise InputError(f"--{name}: not for controlled problems; --until and --at say where to go")
-    folder = out / checked_name(chosen["name"] or problem.name, "name", "give another --name")
-    check_writable(folder)
-    with display(f"{problem.name}: along {parameter}") as shown:
+    folder = folder_of(out, chosen["name"] or problem.name, *NAMED)
+    target = folder / "optima.json"
+    with display(f"{problem.name}: along {parameter}") as shown, kept(target, of.save_optima):
 
-        def report(value: float, orbit: Orbit) -> None:
-            interrupt.check()
+        def report(value: float, orbit: of.Orbit) -> None:
             cost = float((orbit.control or {})["cost"])
             shown.say(f"{parameter} {value:.9g}, cost {cost:.9g}, period {orbit.period:.9g} s, {orbit.stability}")
 
-        with kept(folder / "optima.json", save_optima):
-            found = follow_optima(
-                problem, parameter, values, until=chosen["until"], points=points, progress=report, name=folder.name,
-                out=out,
-            )  # fmt: skip
-            written = [save_optima(found, folder / "optima.json")]
-    written += [save_optima_figure(found, folder)] if chosen["figures"] else []
+        found = of.follow_optima(
+            problem, parameter, values, until=chosen["until"], points=points, progress=report, name=folder.name, out=out
+        )
+        written = [of.save_optima(found, target)]
+    written += [of.save_optima_figure(found, folder)] if chosen["figures"] else []
     text(f"{written[0]}: {found.counts}")
     for one in found.changes:
         text(f"  {one.kind} at {parameter} {one.value:.12g}, cost {one.cost:.9g}: {one.detail}")
     text(f"  ended: {found.end}")
-    changes = [vars(one) for one in found.changes]
     document = {
         "name": folder.name, "parameter": parameter, "values": found.values.tolist(), "costs": found.costs.tolist(),
-        "descents": list(found.descents), "changes": changes, "end": found.end, "written": list(map(str, written)),
+        "descents": list(found.descents), "changes": list(map(vars, found.changes)), "end": found.end,
+        "written": written,
     }  # fmt: skip
     finish("continue", document, all(one.certificate is not None and one.certificate.passed for one in found.points))
 
 
-def summary(family: Family) -> dict[str, Any]:
+def summary(family: of.Family) -> dict[str, Any]:
     """What `--json` says of a family; its points are in family.json."""
     events = [
         {"kind": one.kind, "detail": one.detail, family.parameter: one.parameter, "period": one.period,
@@ -266,30 +225,15 @@ def _stops(given: Sequence[str]) -> dict[str, float]:
     for name, mark, value in pairs:
         if not mark or len(numbers(value, "--stop")) != 1:
             raise InputError(f"--stop: {name + mark + value!r} is not NAME=VALUE; give one number, such as peak=2.0")
-    return {name.strip(): numbers(value)[0] for name, _, value in pairs}
+    return {name.strip(): numbers(value, "--stop")[0] for name, _, value in pairs}
 
 
-def numbers(text: str, where: str = "--at") -> tuple[float, ...]:
-    """Values of a comma-separated list; `InputError` names the one that is no number."""
-    found = []
-    for word in filter(None, (part.strip() for part in text.split(","))):
-        try:
-            found.append(float(word))
-        except ValueError as error:
-            raise InputError(f"{where}: {word!r} is not a number; give values separated by commas") from error
-        if not math.isfinite(found[-1]):
-            raise InputError(f"{where}: {word!r} is not finite; give values that the family can reach")
-    return tuple(found)
-
-
-def origin_of(file: Path, trust: bool, switch: int | str | None = None, branch: int = 1) -> tuple[Origin, Model | None]:
+def origin_of(file: Path, trust: bool, switch: int | str | None = None, branch: int = 1) -> Modelled:
     """The Orbit of an orbit.json or FILE#K, the Branch of a family.json, or the Problem of a file, with its model."""
-    from orbitfinder.problemfile.read import load_problem
-
     if file.suffix != ".json" and member(file)[1] is None:
         if switch is not None:
             raise InputError("--switch: goes with a family.json; continue the problem first, then switch there")
-        return load_problem(file, trust), None
+        return of.load_problem(file, trust), None
     if whole_family(file):
         return _branch_of(file, trust, switch, branch), None
     if switch is not None:
@@ -301,7 +245,6 @@ def origin_of(file: Path, trust: bool, switch: int | str | None = None, branch: 
 def curve_of(file: Path, parameter: str | None, chosen: Mapping[str, Any]) -> Locus:
     """The start of a curve of bifurcations from a family.json. `InputError` for options that do not go together."""
     from orbitfinder.families.curves import curve_start
-    from orbitfinder.mechanics.catalogue import build_model
 
     if not whole_family(file):
         raise InputError(f"--curve: {file} is not a family.json; give the family.json that the event is in")
@@ -311,28 +254,26 @@ def curve_of(file: Path, parameter: str | None, chosen: Mapping[str, Any]) -> Lo
     if parameter is not None or chosen["event"] is not None:
         raise InputError("--curve: goes without --parameter and --switch; name the two parameters in --parameters A,B")
     names = tuple(part.strip() for part in chosen["parameters"].split(",") if part.strip())
-    family = load_family(file)
-    model = build_model(family.system, file.parent if chosen["trust"] else None)
-    return curve_start(family, chosen["curve"], names, model=model)
+    family = of.load_family(file)
+    return curve_start(family, chosen["curve"], names, model=model_of(family, file, chosen["trust"]))
 
 
 def _branch_of(file: Path, trust: bool, switch: int | str | None, branch: int) -> Branch:
-    from orbitfinder.families.branches import SWITCHABLE, switch_branch
-    from orbitfinder.mechanics.catalogue import build_model
+    from orbitfinder.families.branches import SWITCHABLE
 
-    family = load_family(file)
+    family = of.load_family(file)
     if switch is None:
         raise InputError(f"{file}: a whole family; give one orbit of it, such as {file}#0")
     known = isinstance(switch, str) or (0 <= switch < len(family.events) and family.events[switch].kind in SWITCHABLE)
     try:
-        return switch_branch(file, switch, branch, model=build_model(family.system, file.parent if trust else None))
+        return of.switch_branch(file, switch, branch, model=model_of(family, file, trust))
     except InputError as error:
         if known:
             raise
         raise InputError(f"{error}; orbitfinder continue {file} lists them") from error
 
 
-def model_in(origin: Origin, model: Model | None, family: Family) -> Model:
+def model_in(origin: Origin, model: of.Model | None, family: of.Family) -> of.Model:
     """The model that a family's points belong to: a linkage's is minimal."""
     from orbitfinder.families.branches import Branch
     from orbitfinder.mechanics.catalogue import build_model

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import os
 import platform
+import re
 import shutil
 import sys
 import tempfile
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
+from importlib import import_module
 from pathlib import Path
 
 import click
 
+import orbitfinder as of
 from orbitfinder._runtime import __version__
 from orbitfinder.cli.options import finish, json_option, text
 
@@ -21,6 +26,8 @@ WIDTH, INDENT = 80, 31
 """Columns of the report, and where what was found begins"""
 OK, NOTE, MISSING, BROKEN = "ok", "note", "missing", "BROKEN"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "firefox")
+AGAIN = "pip install --force-reinstall orbitfinder"
+WHEEL = "install the casadi wheel from the package index; system packages often lack plugins"
 PLUGINS = {"cvodes": "integrator", "idas": "integrator", "ipopt": "nlpsol"}
 EXTRAS = {
     "mp4": "animate -o FILE.mp4", "proof": "prove and refine", "cluster": "search --scheduler (Dask)",
@@ -60,45 +67,39 @@ def essential() -> Iterator[Finding]:
         "casadi", "numpy", "scipy", "matplotlib", "pillow", "click", "pydantic", "rich", "threadpoolctl",
         "platformdirs", "jinja2", "lazy_loader",
     ):  # fmt: skip
-        yield _package(name)
-    yield from _plugins()
+        yield _asked(name, partial(_package, name), "cannot be imported: ", AGAIN)
+    for name, kind in PLUGINS.items():
+        yield _asked(f"casadi {name}", partial(_plugin, name, kind), "cannot be asked for: ", WHEEL)
     yield _main_job()
 
 
-def _package(name: str) -> Finding:
-    """An installed distribution that can be imported."""
-    from importlib import import_module, metadata
-
-    again = "pip install --force-reinstall orbitfinder"
+def _asked(name: str, ask: Callable[[], tuple[object, str]], trouble: str, remedy: str) -> Finding:
+    """What an essential part answers, or that it cannot be asked: a broken wheel raises whatever its loader makes."""
     try:
-        import_module({"pillow": "PIL"}.get(name, name))
-        return Finding(name, OK, metadata.version(name))
-    except Exception as error:  # a broken wheel raises whatever its loader makes of it
-        return Finding(name, BROKEN, f"cannot be imported: {type(error).__name__}: {error}", again)
+        fine, detail = ask()
+    except Exception as error:
+        fine, detail = False, f"{trouble}{type(error).__name__}: {error}"
+    return finding(name, fine, detail, remedy, BROKEN)
 
 
-def _plugins() -> Iterator[Finding]:
-    """The solvers that CasADi loads at run time; a wheel has them, some system packages do not."""
-    from importlib import import_module
+def _package(name: str) -> tuple[object, str]:
+    """An installed distribution that can be imported, and its version."""
+    from importlib import metadata
 
-    remedy = "install the casadi wheel from the package index; system packages often lack plugins"
-    for name, kind in PLUGINS.items():
-        try:
-            there = bool(getattr(import_module("casadi"), f"has_{kind}")(name))
-            detail = "plugin loads" if there else "plugin missing"
-        except Exception as error:
-            there, detail = False, f"cannot be asked for: {type(error).__name__}: {error}"
-        yield finding(f"casadi {name}", there, detail, remedy, BROKEN)
+    import_module({"pillow": "PIL"}.get(name, name))
+    return True, metadata.version(name)
+
+
+def _plugin(name: str, kind: str) -> tuple[object, str]:
+    """A solver that CasADi loads at run time; a wheel has it, some system packages do not."""
+    there = bool(getattr(import_module("casadi"), f"has_{kind}")(name))
+    return there, "plugin loads" if there else "plugin missing"
 
 
 def _main_job() -> Finding:
     """One pendulum swing found and certified, its period compared with the elliptic integral."""
-    import math
-
     try:
         from scipy.special import ellipk
-
-        import orbitfinder as of
 
         exact = 4 * float(ellipk(math.sin(0.5) ** 2)) / math.sqrt(9.8 * 0.5 * 3)
         orbit = of.find_orbit(of.Problem(of.chain(1), of.Guess([1.0, 0.0], 1.8), of.pin(theta1=1.0)))
@@ -116,12 +117,8 @@ def tools() -> Iterator[Finding]:
 
     found, reason = available()
     said = f"{reason or 'runs'} (mode {mode()})"
-    yield finding(
-        "C compiler",
-        found,
-        said,
-        "install gcc or clang for compiled equations; without one everything runs interpreted",
-    )
+    remedy = "install gcc or clang for compiled equations; without one everything runs interpreted"
+    yield finding("C compiler", found, said, remedy)
     yield _cache()
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     remedy = "any browser opens the pages; headless Chromium is needed for their tests only"
@@ -162,7 +159,6 @@ def extras() -> Iterator[Finding]:
 
 def declared_extras() -> dict[str, list[str]]:
     """Extra -> distributions, as the installed metadata declares them."""
-    import re
     from importlib import metadata
 
     found: dict[str, list[str]] = {}

@@ -11,16 +11,15 @@ from orbitfinder._runtime import interrupt
 from orbitfinder.cli.atlas import chosen, filters
 from orbitfinder.cli.console import Progress, display
 from orbitfinder.cli.jobs import check_writable, named_orbits
-from orbitfinder.cli.options import FILES, FINITE, SYSTEM_TRUST, orbit_files, out_option, text, trust_option
+from orbitfinder.cli.options import FILES, FINITE, SYSTEM_TRUST, option, orbit_files, out_option, text, usual
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.registry import answer
 
 
 @click.command()
 @orbit_files
-@click.option("--to", required=True, type=click.Choice(["csv", "auto", "julia", "c"]), help="What to write.")
-@out_option("Folder for the files; default: beside each ORBIT.json.")
-@trust_option(SYSTEM_TRUST)
+@option("to", "What to write.", kind=("csv", "auto", "julia", "c"), required=True)
+@usual("Folder for the files; default: beside each ORBIT.json.", trust=SYSTEM_TRUST, json=False)
 def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> None:
     """Write each ORBIT.json for another program.
 
@@ -43,10 +42,9 @@ def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> N
 
 @click.command()
 @click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json|FAMILY.json|FILE#K...")
-@out_option("Folder for the figures; default: beside each file.")
-@click.option("--together", is_flag=True, help="Draw families in one picture, families.png.")
-@click.option("--level", type=FINITE, metavar="J", help="Draw the logarithm of the energy's distance from this one.")
-@trust_option(SYSTEM_TRUST)
+@option("together", "Draw families in one picture, families.png.", kind=bool)
+@option("level", "Draw the logarithm of the energy's distance from this one.", kind=FINITE, metavar="J")
+@usual("Folder for the figures; default: beside each file.", trust=SYSTEM_TRUST, json=False)
 def plot(files: tuple[Path, ...], out: Path | None, together: bool, level: float | None, trust: bool) -> None:
     """Draw the figures of each ORBIT.json: histories, phase portraits, configurations, energy.
 
@@ -79,13 +77,12 @@ def plot(files: tuple[Path, ...], out: Path | None, together: bool, level: float
 
 @click.command()
 @orbit_files
-@out_option("A .gif or .mp4 file (one orbit), or a folder; default: beside each file.")
-@click.option("--size", "pixels", type=click.IntRange(64, 4320), help="Pixels on a side.  [default: 360, .mp4 1080]")
-@click.option("--fps", "rate", type=click.IntRange(1, 240), help="Frames a second.  [default: 25, .mp4 60]")
-@click.option("--periods", type=click.IntRange(1, 1000), help="Periods shown.  [default: few that loop in real time]")
-@click.option("--slow", type=click.FloatRange(0.01, 1000.0), help="How many times slower than real time.  [default: 1]")
-@click.option("--dark", is_flag=True, help="Light on dark.")
-@trust_option(SYSTEM_TRUST)
+@option("size pixels", "Pixels on a side.  [default: 360, .mp4 1080]", kind=(64, 4320))
+@option("fps rate", "Frames a second.  [default: 25, .mp4 60]", kind=(1, 240))
+@option("periods", "Periods shown.  [default: few that loop in real time]", kind=(1, 1000))
+@option("slow", "How many times slower than real time.  [default: 1]", kind=click.FloatRange(0.01, 1000.0))
+@option("dark", "Light on dark.", kind=bool)
+@usual("A .gif or .mp4 file (one orbit), or a folder; default: beside each file.", trust=SYSTEM_TRUST, json=False)
 def animate(files: tuple[Path, ...], out: Path | None, trust: bool, **chosen: Any) -> None:
     """Animate each ORBIT.json over whole periods, as a GIF (or MP4 with the extra `mp4`).
 
@@ -117,17 +114,13 @@ SPEAK_EVERY = 2.0
 @click.command()
 @click.argument("paths", nargs=-1, required=True, type=FILES, metavar="PATH...")
 @out_option("Folder for the site; of it a former page is replaced.", required=True)
-@click.option("--title", default="Periodic orbits", show_default=True, help="Heading of the gallery.")
-@click.option(
-    "--atlas-pages", default=60, show_default=True, type=click.IntRange(0, 10_000),
-    help="Orbits of each atlas, evenly chosen in energy, that get a card and a page of their own.",
-)  # fmt: skip
-@click.option(
-    "--verify/--no-verify", default=True, show_default=True,
-    help="Recompute the certificate of every orbit that gets a page, or say that it is the file's word.",
-)  # fmt: skip
+@option("title", "Heading of the gallery.", "Periodic orbits")
+@option("atlas-pages", "Orbits of each atlas, evenly chosen in energy, that get a card and a page of their own.", 60,
+        (0, 10_000))  # fmt: skip
+@option("verify/--no-verify", "Recompute the certificate of every orbit that gets a page, or say that it is the file's "
+        "word.", True)  # fmt: skip
 @filters
-@trust_option(SYSTEM_TRUST)
+@usual(trust=SYSTEM_TRUST, json=False)
 def page(
     paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int, verify: bool, trust: bool, **options: Any
 ) -> None:

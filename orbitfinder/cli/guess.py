@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from orbitfinder.cli.options import FILES, finish, json_option, out_option, text, trust_option
+from orbitfinder.cli.options import FILES, finish, option, text, usual
 from orbitfinder.errors import InputError, plural
 
 if TYPE_CHECKING:
@@ -19,13 +19,11 @@ SHOWN = 8
 
 @click.command()
 @click.argument("file", type=FILES)
-@click.option("--duration", type=float, default=None, help="Simulate this long for close returns, in s.")
-@click.option("--count", default=8, show_default=True, type=click.IntRange(1, 100), help="Close returns to show.")
-@click.option("--amplitude", default=0.1, show_default=True, type=float, help="Largest angle of the modes in rad.")
-@out_option("Write a problem file with one of them, the others as comments.")
-@click.option("--pick", default=None, metavar="NAME", help="Which one --out takes, such as mode-2 or return-1.")
-@trust_option()
-@json_option
+@option("duration", "Simulate this long for close returns, in s.", kind=float)
+@option("count", "Close returns to show.", 8, (1, 100))
+@option("amplitude", "Largest angle of the modes in rad.", 0.1, float)
+@option("pick", "Which one --out takes, such as mode-2 or return-1.", metavar="NAME")
+@usual("Write a problem file with one of them, the others as comments.")
 def guess(
     file: Path, duration: float | None, count: int, amplitude: float, out: Path | None, pick: str | None,
     trust: bool,

@@ -120,6 +120,21 @@ def check_writable(folder: Path, option: str = "--out") -> None:
         ) from error
 
 
+def folder_of(out: Path, name: str, *why: str) -> Path:
+    """The folder in --out of what has a name; `InputError` unless it is a name and files can be created there."""
+    from orbitfinder.problemfile.read import checked_name
+
+    check_writable(folder := out / checked_name(name, *why))
+    return folder
+
+
+def model_of(record: Any, file: Path, trust: bool) -> Model:
+    """The Model of the system of a record that was read from a file; with `trust` modules beside it may make it."""
+    from orbitfinder.mechanics.catalogue import build_model
+
+    return build_model(record.system, file.parent.resolve() if trust else None)
+
+
 def _gone_if_empty(folder: Path) -> None:
     with contextlib.suppress(OSError):
         folder.rmdir()

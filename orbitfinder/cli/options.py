@@ -19,6 +19,7 @@ import click
 from click.core import ParameterSource
 
 from orbitfinder._runtime.limit import limited
+from orbitfinder._runtime.processes import children_see
 from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.records.reading import finite
 
@@ -38,7 +39,28 @@ class Finite(click.types.FloatParamType):
         return number
 
 
-FINITE = Finite()
+def numbers(text: str, where: str) -> tuple[float, ...]:
+    """Values of a comma-separated list; `InputError` names the one that is no number."""
+    found = []
+    for word in filter(None, (part.strip() for part in text.split(","))):
+        try:
+            found.append(float(word))
+        except ValueError as error:
+            raise InputError(f"{where}: {word!r} is not a number; give values separated by commas") from error
+        if not math.isfinite(found[-1]):
+            raise InputError(f"{where}: {word!r} is not finite; give finite values")
+    return tuple(found)
+
+
+class Numbers(click.types.StringParamType):
+    """Numbers between commas."""
+
+    def convert(self, value: Any, param: click.Parameter | None, _: click.Context | None) -> Any:
+        """The numbers. Raises `InputError`."""
+        return numbers(value, param.opts[-1] if param else "") if isinstance(value, str) else value
+
+
+FINITE, NUMBERS = Finite(), Numbers()
 JSON_KEY = "orbitfinder.json"
 """Where the context keeps whether --json was given: an error is then printed as JSON too"""
 COMPILE_VARIABLE = "ORBITFINDER_COMPILE"
@@ -153,7 +175,7 @@ def finish(kind: str, document: Mapping[str, Any], passed: bool = True) -> None:
 
 def print_json(document: Any) -> None:
     """One JSON document on standard output, null for what JSON has no number for."""
-    click.echo(json.dumps(finite(document), indent=1, allow_nan=False))
+    click.echo(json.dumps(finite(document), indent=1, allow_nan=False, default=os.fspath))
 
 
 def out_option(what: str, **more: Any) -> Decorator:
@@ -170,16 +192,7 @@ def _remember_compile(context: click.Context, _: click.Parameter, value: str | N
     """Put the mode where worker processes find it too, for as long as the command runs."""
     if value is None:
         return
-    before = os.environ.get(COMPILE_VARIABLE)
-    os.environ[COMPILE_VARIABLE] = value
-
-    def restore() -> None:
-        if before is None:
-            os.environ.pop(COMPILE_VARIABLE, None)
-        else:
-            os.environ[COMPILE_VARIABLE] = before
-
-    context.call_on_close(restore)
+    context.with_resource(children_see({COMPILE_VARIABLE: value}))
     if value == "on":
         with limited(context.params.get("limit")):
             from orbitfinder.integrate.compiled import available
@@ -193,6 +206,32 @@ compile_option: Decorator = click.option(
     "--compile", "compile_mode", type=click.Choice(("on", "off", "auto")), default=None, expose_value=False,
     callback=_remember_compile, help="Compiled equations: always, never, or where it pays (auto, the default).",
 )  # fmt: skip
+
+
+def option(name: str, what: str, default: Any = None, kind: Any = None, **more: Any) -> Decorator:
+    """An option, its help and default, which is shown where there is one.
+
+    `kind` is a type, bool for a switch, a range of whole numbers (least,) or (least, most), or words to choose from.
+    """
+    if isinstance(kind, tuple | list):
+        kind = click.Choice(list(kind)) if isinstance(kind[0], str) else click.IntRange(*kind)
+    names = [f"--{one}" for one in name.split()[:1]] + name.split()[1:]
+    more |= {"is_flag": True} if kind is bool else {"type": kind}
+    more |= {} if default is None else {"default": default, "show_default": default != ""}
+    return click.option(*names, help=what, **more)
+
+
+def usual(
+    out: str = "", into: Any = None, *, figures: str = "", compiled: bool = False, trust: str = TRUST, json: bool = True
+) -> Decorator:
+    """The options that most commands have: --out, --figures, --compile, --trust and --json, those that apply."""
+    chosen: list[Decorator] = []
+    if out:
+        chosen.append(out_option(out, default=into, show_default=into is not None))
+    if figures:
+        chosen.append(option("figures/--no-figures", figures, True))
+    chosen += [compile_option] * compiled + [trust_option(trust)] * bool(trust) + [json_option] * json
+    return lambda command: functools.reduce(lambda run, add: add(run), reversed(chosen), command)
 
 
 def limit_option(default: float | None = None, each: str = "") -> click.Option:

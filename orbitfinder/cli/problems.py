@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orbitfinder.cli.options import finish, json_option, next_step, out_option, text
+from orbitfinder.cli.options import finish, json_option, next_step, option, text, usual
 from orbitfinder.errors import InputError, closest, plural
 
 if TYPE_CHECKING:
@@ -76,9 +76,8 @@ def show(name: str) -> None:
 
 @problems.command()
 @click.argument("names", nargs=-1, required=True, metavar="NAME|KIND|all...")
-@out_option("The folder that gets a folder for each kind.", default=Path("problems"), show_default=True)
-@click.option("--force", is_flag=True, help="Overwrite files that are there already and differ.")
-@json_option
+@option("force", "Overwrite files that are there already and differ.", kind=bool)
+@usual("The folder that gets a folder for each kind.", Path("problems"), trust="")
 def copy(names: tuple[str, ...], out: Path, force: bool) -> None:
     """Copy problem files, with what they name, to problems/KIND/: one NAME, one KIND or all.
 
@@ -97,4 +96,4 @@ def copy(names: tuple[str, ...], out: Path, force: bool) -> None:
     if len(written) > 20:
         text(f"{plural(len(written), 'problem file')} written to {out}")
     next_step(found[0].command, written[0], *(["--trust"] if written[0].suffix == ".py" else []))
-    finish("copies", {"written": [str(path) for path in written]})
+    finish("copies", {"written": written})

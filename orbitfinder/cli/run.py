@@ -2,24 +2,15 @@
 
 from __future__ import annotations
 
-import math
 import time
 from pathlib import Path
 
 import click
 
+import orbitfinder as of
 from orbitfinder.cli.console import display
-from orbitfinder.cli.jobs import Outcome, check_writable, prepare, run_jobs
-from orbitfinder.cli.options import (
-    FILES,
-    compile_option,
-    finish,
-    json_option,
-    next_step,
-    out_option,
-    text,
-    trust_option,
-)
+from orbitfinder.cli.jobs import Outcome, check_writable, folder_of, prepare, run_jobs
+from orbitfinder.cli.options import FILES, finish, next_step, option, text, usual
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.reading import write_atomically
 
@@ -29,12 +20,8 @@ SHOWN_EVENTS = 20
 
 @click.command()
 @click.argument("files", nargs=-1, required=True, type=FILES, metavar="FILE...")
-@out_option("Folder for DIR/<name>/orbit.json.", default="orbits", show_default=True)
-@click.option("--jobs", default=1, show_default=True, type=click.IntRange(1, 256), help="Processes side by side.")
-@click.option("--figures/--no-figures", default=True, show_default=True, help="Draw the certified orbits.")
-@compile_option
-@trust_option()
-@json_option
+@option("jobs", "Processes side by side.", 1, (1, 256))
+@usual("Folder for DIR/<name>/orbit.json.", "orbits", figures="Draw the certified orbits.", compiled=True)
 def run(files: tuple[Path, ...], out: Path, jobs: int, figures: bool, limit: float | None, trust: bool) -> None:
     """Find and certify the orbit of each problem FILE.
 
@@ -87,10 +74,8 @@ def _print_outcome(outcome: Outcome, width: int) -> None:
 
 @click.command()
 @click.argument("file", type=FILES)
-@click.option("--duration", type=float, default=None, help="Time in s; default: [simulate] duration or 10.")
-@out_option("Write DIR/<name>/simulation.csv.")
-@trust_option()
-@json_option
+@option("duration", "Time in s; default: [simulate] duration or 10.", kind=float)
+@usual("Write DIR/<name>/simulation.csv.")
 def simulate(file: Path, duration: float | None, out: Path | None, trust: bool) -> None:
     """Simulate the system of a problem FILE from its state and report what becomes of the energy.
 
@@ -100,19 +85,14 @@ def simulate(file: Path, duration: float | None, out: Path | None, trust: bool) 
       orbitfinder simulate problems/examples/double.toml --out runs
     """
     from orbitfinder.exports.write import csv_text
-    from orbitfinder.orbits.simulate import simulate as simulated
     from orbitfinder.problemfile.read import load_problem_file
 
     loaded = load_problem_file(file, trust)
     if out is not None:
-        check_writable(out)
-        check_writable(out / loaded.name)
-    span = loaded.duration if duration is None else duration
-    if not (math.isfinite(span) and span > 0):
-        raise InputError(f"--duration: must be positive and finite, got {span}; give a time in s")
+        folder_of(out, loaded.name)
     if loaded.start is None:
         raise InputError(f"{file}: simulate.state: missing; give it, or a [guess] to start from")
-    result = simulated(loaded.model, loaded.start, span)
+    result = of.simulate(loaded.model, loaded.start, loaded.duration if duration is None else duration)
     document = {"name": loaded.name} | result.document()
     kind, more = ("drift", "") if result.conserved else ("change", ", which this system does not conserve")
     text(f"{loaded.name}: {result.times[-1]:g} s simulated")
@@ -128,16 +108,14 @@ def simulate(file: Path, duration: float | None, out: Path | None, trust: bool) 
     if out is not None:
         written = out / loaded.name / "simulation.csv"
         write_atomically(written, csv_text(result.state_names, result.times, result.states).encode())
-        document["written"] = str(written)
+        document["written"] = written
         text(f"  {written}")
     finish("simulation", document)
 
 
 @click.command()
-@out_option("Folder for the page and figures.", default="results/report", show_default=True)
-@click.option("--fresh", is_flag=True, help="Compute every part again, also those already finished.")
-@compile_option
-@json_option
+@option("fresh", "Compute every part again, also those already finished.", kind=bool)
+@usual("Folder for the page and figures.", "results/report", compiled=True, trust="")
 def reproduce(out: Path, fresh: bool) -> None:
     """Reproduce the whole MATLAB report: figures, orbits, animations and a page beside it.
 

@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import orbitfinder as of
 from orbitfinder._runtime import interrupt
 from orbitfinder.cli.console import Progress, display
-from orbitfinder.cli.options import FILES, compile_option, finish, json_option, next_step, text, trust_option
+from orbitfinder.cli.options import FILES, finish, next_step, option, text, usual
 from orbitfinder.errors import InputError, plural
 
 if TYPE_CHECKING:
     from orbitfinder.atlas.report import Summary
-    from orbitfinder.atlas.search import Limits, Statistics
+    from orbitfinder.atlas.search import Statistics
     from orbitfinder.problemfile.read import ProblemFile
 
 SPEAK_EVERY = 5.0
@@ -45,18 +46,14 @@ def _budget(_: click.Context, __: click.Parameter, text: str | None) -> float | 
 
 @click.command()
 @click.argument("file", type=FILES, metavar="FILE")
-@click.option("--atlas", "book", required=True, type=FILES, metavar="FILE.sqlite", help="Where the orbits are kept.")
-@click.option("--budget", callback=_budget, metavar="TIME", help="Stop after this time, such as 60s, 10m; default 60s.")
-@click.option("--starts", type=click.IntRange(0), help="Stop when this many starts have been made in all.")
-@click.option("--seed", default=0, show_default=True, type=click.IntRange(0, 2**63 - 1), help="Chooses the starts.")
-@click.option("--workers", default=2, show_default=True, type=click.IntRange(0, 256), help="Processes; 0: no other.")
-@click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler, such as tcp://head:8786, instead of processes.")
-@click.option(
-    "--shard", metavar="K/N", help="Make every N-th start only, from the K-th; auto: by the Slurm array that runs it."
-)
-@trust_option("Import the Python function of the system; only for files you have read.")
-@compile_option
-@json_option
+@option("atlas book", "Where the orbits are kept.", kind=FILES, required=True, metavar="FILE.sqlite")
+@option("budget", "Stop after this time, such as 60s, 10m; default 60s.", callback=_budget, metavar="TIME")
+@option("starts", "Stop when this many starts have been made in all.", kind=(0,))
+@option("seed", "Chooses the starts.", 0, (0, 2**63 - 1))
+@option("workers", "Processes; 0: no other.", 2, (0, 256))
+@option("scheduler", "Dask scheduler, such as tcp://head:8786, instead of processes.", metavar="ADDRESS")
+@option("shard", "Make every N-th start only, from the K-th; auto: by the Slurm array that runs it.", metavar="K/N")
+@usual(compiled=True, trust="Import the Python function of the system; only for files you have read.")
 def search(file: Path, book: Path, budget: float | None, starts: int | None, trust: bool, **how: Any) -> None:
     """Search for all periodic orbits of the system of a problem FILE, at its energies and periods.
 
@@ -72,24 +69,19 @@ def search(file: Path, book: Path, budget: float | None, starts: int | None, tru
     """
     lasts, folder = "" if budget is None else f" {budget:g} s,", file.parent.resolve() if trust else None
     with display(f"{file}: searching,{lasts} seed {how['seed']}, into {book}", SPEAK_EVERY, REFRESH_EVERY) as shown:
-        from orbitfinder.atlas.search import DEFAULT_BUDGET, Limits
-        from orbitfinder.atlas.search import search as run
-        from orbitfinder.atlas.shard import shard_from
         from orbitfinder.problemfile.read import load_problem_file, read_toml
 
-        budget = DEFAULT_BUDGET if starts is None and budget is None else budget
         if file.suffix != ".py" and "search" not in read_toml(file):  # before the modes of a long chain are computed
             raise InputError(f"{file}: {MISSING}")
         loaded = load_problem_file(file, trust)
         energies, periods = wanted(loaded)
-        limits = Limits(starts, None if budget is None else budget / len(energies or [0.0]), shard_from(how["shard"]))
 
         def report(energy: float, tally: Statistics) -> None:
             interrupt.check()
-            shown.show(progress(energy, tally, limits, bool(loaded.model.invariants)))
+            shown.show(progress(energy, tally, bool(loaded.model.invariants)))
 
-        found = run(loaded.model, energies, periods, book, starts=starts, budget=budget, folder=folder,
-                    progress=report, **how, **sections(loaded))  # fmt: skip
+        found = of.search(loaded.model, energies, periods, book, starts=starts, budget=budget, folder=folder,
+                          progress=report, **how, **sections(loaded))  # fmt: skip
     for energy, tally in found.tallies:
         text(
             f"{level(energy, bool(loaded.model.invariants))}: {plural(tally.done, 'start')} in {tally.elapsed:.1f} s, "
@@ -134,9 +126,9 @@ def sections(loaded: ProblemFile) -> dict[str, Any]:
     return {key: one for key, one in loaded.document.get("search", {}).items() if key in ("section", "cycles")}
 
 
-def progress(energy: float, tally: Statistics, limits: Limits, conserved: bool = True) -> Progress:
+def progress(energy: float, tally: Statistics, conserved: bool = True) -> Progress:
     """How far a search has come."""
-    made, failed, left = tally.before + tally.done, sum(tally.failures.values()), tally.left(limits)
+    made, failed, left = tally.made, sum(tally.failures.values()), tally.left
     rate, remaining = f"{tally.done / max(tally.elapsed, 1e-9):.1f}", "" if left is None else f"{left:.0f} s"
     line = (
         f"{level(energy, conserved)}: {plural(made, 'start')}, {plural(tally.hits, 'hit')}, {tally.new} new, "

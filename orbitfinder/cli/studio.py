@@ -7,15 +7,14 @@ from pathlib import Path
 import click
 
 from orbitfinder.cli.jobs import check_writable
-from orbitfinder.cli.options import FILES, compile_option, out_option
+from orbitfinder.cli.options import FILES, option, usual
 
 
 @click.command()
 @click.argument("file", type=FILES, required=False, metavar="[FILE]")
-@out_option("Folder that Save writes to.", default="studio", show_default=True)
-@click.option("--port", type=click.IntRange(1, 65535), default=None, help="Port; default: the first free one.")
-@click.option("--browser/--no-browser", default=True, show_default=True, help="Open the page in a browser.")
-@compile_option
+@option("port", "Port; default: the first free one.", kind=(1, 65535))
+@option("browser/--no-browser", "Open the page in a browser.", True)
+@usual("Folder that Save writes to.", "studio", compiled=True, trust="", json=False)
 def studio(file: Path | None, out: Path, port: int | None, browser: bool) -> None:
     """Drag, find, follow and save orbits on a page of this computer.
 

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 import click
 import numpy as np
 
-from orbitfinder._runtime import interrupt
+import orbitfinder as of
 from orbitfinder._runtime.keeping import kept
 from orbitfinder._runtime.limit import limited
 from orbitfinder.cli.console import display
-from orbitfinder.cli.options import FILES, compile_option, finish, json_option, out_option, text, trust_option
+from orbitfinder.cli.jobs import folder_of
+from orbitfinder.cli.options import FILES, finish, option, text, usual
 from orbitfinder.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,16 +24,14 @@ MOST_VALUES = 1_000_000
 
 @click.command()
 @click.argument("file", type=FILES, metavar="FILE")
-@click.option(
-    "--parameter", "given", multiple=True, required=True, metavar="NAME=FROM:TO:COUNT",
-    help="A physical parameter, or what the problem pins, and its values; or NAME=V,V,...; several change together.",
+@option(
+    "parameter given",
+    "A physical parameter, or what the problem pins, and its values; or NAME=V,V,...; several change together.",
+    multiple=True, required=True, metavar="NAME=FROM:TO:COUNT",
 )  # fmt: skip
-@click.option("--workers", default=1, show_default=True, type=click.IntRange(1, 256), help="Processes side by side.")
-@out_option("Folder for DIR/<name>/sweep.csv, sweep.json and orbits.", default="sweeps", show_default=True)
-@click.option("--orbits/--no-orbits", default=True, show_default=True, help="Write each orbit too, DIR/<name>/K/.")
-@compile_option
-@trust_option()
-@json_option
+@option("workers", "Processes side by side.", 1, (1, 256))
+@option("orbits/--no-orbits", "Write each orbit too, DIR/<name>/K/.", True)
+@usual("Folder for DIR/<name>/sweep.csv, sweep.json and orbits.", "sweeps", compiled=True)
 def sweep(
     file: Path, given: tuple[str, ...], workers: int, out: Path, orbits: bool, limit: float | None, trust: bool
 ) -> None:
@@ -51,41 +50,33 @@ def sweep(
         raise InputError("--parameter: the same name twice; give each once")
     with limited(limit):
         from orbitfinder.atlas.export import as_csv
-        from orbitfinder.cli.jobs import check_writable
-        from orbitfinder.orbits.sweep import sweep as swept
         from orbitfinder.problemfile.read import load_problem_file
-        from orbitfinder.records.orbit import save_orbit
         from orbitfinder.records.reading import finite, write_atomically, write_json
 
         def save(found: Sweep, path: Path) -> list[Path]:
             """The table and, in the folder that goes with it, the orbits; all of the files."""
             home = path.parent if path.stem == "sweep" else path.with_suffix("")
-            files = [home / one.name / "orbit.json" for one in found.orbits if orbits]
-            for target, one in zip(files, found.orbits, strict=False):
-                save_orbit(one, target)
+            files = [of.save_orbit(one, home / one.name / "orbit.json") for one in found.orbits if orbits]
             write_atomically(path.with_suffix(".csv"), as_csv(list(found.records[0]), found.records))
             return [path.with_suffix(".csv"), write_json(path, finite(found.records)), *files]
 
-        loaded = load_problem_file(file, trust)
-        folder = out / loaded.wanted.name
-        check_writable(folder)
-        with kept(folder / "sweep.json", save), display(f"{loaded.wanted.name}: {', '.join(values)} by turns") as shown:
+        problem = load_problem_file(file, trust).wanted
+        folder = folder_of(out, problem.name)
+        with kept(folder / "sweep.json", save), display(f"{problem.name}: {', '.join(values)} by turns") as shown:
 
             def report(row: Row, done: int, total: int) -> None:
-                interrupt.check()
                 place = ", ".join(f"{name} = {value:.6g}" for name, value in row.values.items())
                 shown.say(f"{done} of {total}: {place}, {said(row)}")
 
-            found = swept(loaded.wanted, values, workers=workers, limit=None, progress=report, out=out,
-                          folder=file.parent.resolve() if trust else None)  # fmt: skip
+            found = of.sweep(problem, values, workers=workers, limit=None, progress=report, out=out,
+                             folder=file.parent.resolve() if trust else None)  # fmt: skip
     written = save(found, folder / "sweep.json")
-    records = found.records
     for row in found.rows:
         if not row.certified:
             text(", ".join(f"{name} = {value:.9g}" for name, value in row.values.items()) + f": {row.reason}")
-    text(f"{written[0]}: {found.certified} of {len(records)} certified, {found.seconds:.1f} s")
-    document = {"name": loaded.wanted.name, "rows": records, "written": [str(one) for one in written]}
-    finish("sweep", document, found.certified == len(records))
+    text(f"{written[0]}: {found.certified} of {len(found.rows)} certified, {found.seconds:.1f} s")
+    document = {"name": problem.name, "rows": found.records, "written": written}
+    finish("sweep", document, found.certified == len(found.rows))
 
 
 def said(row: Row) -> str:

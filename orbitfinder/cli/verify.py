@@ -11,17 +11,7 @@ import click
 from orbitfinder._runtime import interrupt
 from orbitfinder.cli.console import note
 from orbitfinder.cli.jobs import check_writable, one_line, orbit_and_model
-from orbitfinder.cli.options import (
-    FILES,
-    FINITE,
-    SYSTEM_TRUST,
-    Decorator,
-    finish,
-    json_option,
-    orbit_files,
-    text,
-    trust_option,
-)  # fmt: skip
+from orbitfinder.cli.options import FILES, FINITE, SYSTEM_TRUST, Decorator, finish, option, orbit_files, text, usual
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.orbit import Certificate, Check, asked, certificate_to_document
 from orbitfinder.records.registry import answer, held, kind_of, load, load_orbit, member
@@ -34,9 +24,8 @@ if TYPE_CHECKING:
 
 @click.command()
 @orbit_files
-@click.option("--proof", is_flag=True, help="Replay the recorded proof of each file too (see `orbitfinder prove`).")
-@trust_option()
-@json_option
+@option("proof", "Replay the recorded proof of each file too (see `orbitfinder prove`).", kind=bool)
+@usual()
 def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
     """Recompute the certificate of each ORBIT.json from the file alone.
 
@@ -134,21 +123,20 @@ def _symmetry(context: click.Context, parameter: click.Parameter, name: str | No
 def symmetry_option(what: str) -> Decorator:
     """The option --symmetry, its help saying what it chooses."""
     known = "[none|reflection|brake|reversal|brake+reflection]"
-    return click.option("--symmetry", default=None, callback=_symmetry, metavar=known, help=what)
+    return option("symmetry", what, callback=_symmetry, metavar=known)
 
 
 @click.command()
 @orbit_files
 @symmetry_option("Prove in this symmetry; default: the recorded one. none: unique among all near.")
-@click.option("--segments", type=int, default=None, help="Shooting segments; default: by the largest multiplier.")
-@click.option("--order", type=int, default=None, help="Order of the Taylor series.  [default: 20]")
-@click.option("--bits", type=int, default=None, help="Precision of the ball arithmetic.  [default: 106]")
-@click.option("--tolerance", type=FINITE, default=None, help="Remainder allowed in one step.  [default: 1e-18]")
-@click.option("--record/--no-record", default=True, show_default=True, help="Write the proof into the ORBIT.json.")
-@click.option("--from", "low", type=FINITE, default=None, help="Of a FAMILY.json: prove it from this energy (J) ...")
-@click.option("--to", "high", type=FINITE, default=None, help="... to this one, and its events in between.")
-@trust_option(SYSTEM_TRUST)
-@json_option
+@option("segments", "Shooting segments; default: by the largest multiplier.", kind=int)
+@option("order", "Order of the Taylor series.  [default: 20]", kind=int)
+@option("bits", "Precision of the ball arithmetic.  [default: 106]", kind=int)
+@option("tolerance", "Remainder allowed in one step.  [default: 1e-18]", kind=FINITE)
+@option("record/--no-record", "Write the proof into the ORBIT.json.", True)
+@option("from low", "Of a FAMILY.json: prove it from this energy (J) ...", kind=FINITE)
+@option("to high", "... to this one, and its events in between.", kind=FINITE)
+@usual(trust=SYSTEM_TRUST)
 def prove(
     files: tuple[Path, ...], record: bool, low: float | None, high: float | None, trust: bool, **given: Any
 ) -> None:
@@ -305,13 +293,12 @@ def verify_proof(file: Path, trust: bool = False) -> dict[str, Any]:
 
 @click.command()
 @click.argument("file", type=FILES, metavar="ORBIT.json")
-@click.option("--digits", default=50, show_default=True, type=int, help="Decimal places wanted.")
-@click.option("--order", type=int, default=None, help="Order of the Taylor series; default: by the digits.")
-@click.option("--bits", type=int, default=None, help="Precision of the arithmetic; default: by the digits.")
+@option("digits", "Decimal places wanted.", 50)
+@option("order", "Order of the Taylor series; default: by the digits.", kind=int)
+@option("bits", "Precision of the arithmetic; default: by the digits.", kind=int)
 @symmetry_option("Default: the recorded one.")
-@click.option("--enclose/--no-enclose", default=True, show_default=True, help="Prove the digits; slower.")
-@trust_option(SYSTEM_TRUST)
-@json_option
+@option("enclose/--no-enclose", "Prove the digits; slower.", True)
+@usual(trust=SYSTEM_TRUST)
 def refine(
     file: Path, digits: int, order: int | None, bits: int | None, symmetry: str | None, enclose: bool, trust: bool,
 ) -> None:  # fmt: skip

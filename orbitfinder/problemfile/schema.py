@@ -43,10 +43,18 @@ def _printable(text: str) -> str:
     return text
 
 
+def _increasing(ends: list[float]) -> list[float]:
+    if len(ends) != 2 or not ends[0] < ends[1]:
+        what = "must be [smallest, largest] with smallest below largest, got {v}"
+        raise PydanticCustomError("range", what, {"v": str(ends)[:60]})
+    return ends
+
+
 PerLink = Annotated[float | list[float], BeforeValidator(_numbers("with one number per link"))]
 Energies = Annotated[float | list[float], BeforeValidator(_numbers("of numbers"))]
 Line = Annotated[str, Field(max_length=300), AfterValidator(_printable)]
 Positive = Annotated[float, Field(gt=0)]
+Range = Annotated[list[float], AfterValidator(_increasing)]
 Limits = dict[str, Positive | Annotated[list[float], Field(min_length=2, max_length=2)]]
 LIMITS = "how far controls may go: the greatest magnitude, or [lowest, highest], by name, such as { torque1 = 5.0 }"
 
@@ -451,7 +459,7 @@ class FindTable(Table):
         description="the coordinate of max_amplitude or min_peak_rate, such as theta2; the one that moves most when "
         "left out",
     )
-    bounds: dict[str, list[float]] = Field(
+    bounds: dict[str, Range] = Field(
         {},
         description="ranges [smallest, largest] of the period (s), the energy (J), freed parameters or state "
         "components at t = 0, such as { period = [1.5, 3.0], length3 = [0.5, 2.0] }",
@@ -463,46 +471,21 @@ class FindTable(Table):
     )  # fmt: skip
     seed: int = Field(0, ge=0, description="seed of those searches; the same seed gives the same orbit")
 
-    @model_validator(mode="after")
-    def _ranges(self) -> FindTable:
-        for name, ends in self.bounds.items():
-            if len(ends) != 2 or not ends[0] < ends[1]:
-                raise PydanticCustomError(
-                    "period", "bounds.{n}: must be [smallest, largest] with smallest below largest, got {v}",
-                    {"n": name, "v": str(ends)[:60]},
-                )  # fmt: skip
-        return self
-
 
 class SearchTable(Table):
     """What `orbitfinder search` looks for."""
 
-    period: list[Positive] = Field(
-        min_length=2, max_length=2, description="smallest and largest minimal period wanted, in s"
+    period: Annotated[list[Positive], Field(min_length=2, max_length=2), AfterValidator(_increasing)] = Field(
+        description="smallest and largest minimal period wanted, in s"
     )
     energy: Energies | None = Field(
         None, description="energy of the orbits wanted in J, one number or a list; find.pin.energy when left out"
     )
-    section: dict[str, list[float]] = Field(
+    section: dict[str, Range] = Field(
         {}, description="hybrid systems: ranges of the state right after the event that ends the cycle, by component, "
         "such as `{ v = [-1.5, 0.0], phase = [0.0, 6.2832] }`; others follow from the event"
     )  # fmt: skip
     cycles: int = Field(3, ge=1, le=64, description="hybrid systems: how many cycles an orbit goes through at most")
-
-    @model_validator(mode="after")
-    def _ordered(self) -> SearchTable:
-        if self.period[0] >= self.period[1]:
-            raise PydanticCustomError(
-                "period", "period: must be [smallest, largest] with smallest below largest, got {v}",
-                {"v": str(self.period)},
-            )  # fmt: skip
-        for name, ends in self.section.items():
-            if len(ends) != 2 or not ends[0] < ends[1]:
-                raise PydanticCustomError(
-                    "section", "section.{n}: must be [smallest, largest] with smallest below largest, got {v}",
-                    {"n": name, "v": str(ends)[:60]},
-                )  # fmt: skip
-        return self
 
 
 class SimulateTable(Table):
@@ -622,8 +605,8 @@ def sentence(fault: Mapping[str, Any], document: Mapping[str, Any]) -> str:
         return f"{where}.kind: {fault['msg']}"
     if fault["type"] == "name":
         return f"{where}: {fault['msg']}, got {shortened(repr(fault['input']))}; choose another name"
-    if fault["type"] == "period":
-        return f"{where}.{fault['msg']}"
+    if fault["type"] == "range":
+        return f"{where}: {fault['msg']}"
     if fault["type"] == "guess" or not description:
         return f"{where}: {fault['msg']}" if names else str(fault["msg"]).replace(" is missing;", ": missing;")
     if fault["type"] == "finite_number":

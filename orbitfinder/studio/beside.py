@@ -9,12 +9,13 @@ from typing import Any
 
 from nicegui import ui
 
+from orbitfinder.atlas.search import Statistics
 from orbitfinder.atlas.store import Row
 from orbitfinder.errors import InputError, plural
 from orbitfinder.studio import plots
 from orbitfinder.studio.desk import Desk
 from orbitfinder.studio.session import SWINGS, Item
-from orbitfinder.studio.tasks import Count, Cut
+from orbitfinder.studio.tasks import Cut
 from orbitfinder.studio.worker import StoppedError, Worker
 
 BUDGET = 60.0
@@ -140,8 +141,8 @@ class SearchPanel:
             said += f"; {plural(len(item.atlas), 'orbit')} in {atlas}"
         self._about.set_text(said)
 
-    def _counted(self, name: str, atlas: Path, at: Count) -> None:
-        self._about.set_text(f"{name}: {plural(at.starts, 'start')}, {plural(at.orbits, 'orbit')}")
+    def _counted(self, name: str, atlas: Path, at: Statistics) -> None:
+        self._about.set_text(f"{name}: {plural(at.made, 'start')}, {plural(at.orbits, 'orbit')}")
         if at.orbits != self._count or name != self._listed:
             self._refresh(name, atlas)
 

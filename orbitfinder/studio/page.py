@@ -16,6 +16,7 @@ from nicegui import ui
 
 from orbitfinder import site
 from orbitfinder.errors import InputError, OrbitfinderError, plural
+from orbitfinder.guesses.returns import CloseReturn
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import energy
 from orbitfinder.records.family import Family, FamilyPoint
@@ -26,7 +27,7 @@ from orbitfinder.studio.beside import SearchPanel, SectionPanel
 from orbitfinder.studio.desk import Desk, Source
 from orbitfinder.studio.films import draggable, pullable
 from orbitfinder.studio.session import Item, Session, leaving, parameters
-from orbitfinder.studio.tasks import Film, Found, Return, Simulated, Step
+from orbitfinder.studio.tasks import Film, Found, Simulated, Step
 from orbitfinder.studio.worker import RefusedError, StoppedError
 
 ASSETS = Path(__file__).parent / "assets"
@@ -58,7 +59,7 @@ class Page(Desk):
         super().__init__(session, taken)
         self.assets = assets
         self.state = [float(one) for one in session.opened.state]
-        self.returns: tuple[Return, ...] = ()
+        self.returns: tuple[CloseReturn, ...] = ()
         self.picked: int | None = None
         self.orbit: Orbit | None = None
         self.item: Item | None = None

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.errors import InputError
+from orbitfinder.guesses.returns import CloseReturn
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.site.text import coordinate
-from orbitfinder.studio.tasks import Cut, Return
+from orbitfinder.studio.tasks import Cut
 
 STABLE, UNSTABLE, MARK, OTHER = "#0072b2", "#d55e00", "#008060", "#8a94a0"
 MOTIONS = (STABLE, UNSTABLE, "#7a3e9d", "#8a6d00")
@@ -39,13 +40,13 @@ def _figure(data: list[dict[str, Any]], across: str, up: str, dark: bool, log: b
     return {"data": data, "layout": layout, "config": {"displayModeBar": False, "responsive": True}}
 
 
-def returns_figure(returns: Sequence[Return], picked: int | None, dark: bool) -> dict[str, Any]:
+def returns_figure(returns: Sequence[CloseReturn], picked: int | None, dark: bool) -> dict[str, Any]:
     """Period against miss; the more promising, the larger the dot."""
     sizes = [22 if k == 0 else max(9, 18 - 2 * k) for k in range(len(returns))]
     colours = [MARK if k == picked else STABLE for k in range(len(returns))]
-    hover = [f"return {k + 1}: T = {one.period:.4g} s, miss {one.miss:.2g}" for k, one in enumerate(returns)]
+    hover = [f"return {k + 1}: T = {one.period:.4g} s, miss {one.distance:.2g}" for k, one in enumerate(returns)]
     data = [{
-        "x": [one.period for one in returns], "y": [max(one.miss, 1e-12) for one in returns], "mode": "markers",
+        "x": [one.period for one in returns], "y": [max(one.distance, 1e-12) for one in returns], "mode": "markers",
         "marker": {"size": sizes, "color": colours, "opacity": 0.9}, "hovertext": hover, "hoverinfo": "text",
     }]  # fmt: skip
     return _figure(data, "period T, s", "miss, of the extent", dark, log=True)

@@ -18,7 +18,7 @@ from orbitfinder.families.branches import branches
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.members import whole
 from orbitfinder.families.point import FamilySettings
-from orbitfinder.guesses.returns import close_returns
+from orbitfinder.guesses.returns import CloseReturn, close_returns
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.ipopt import Progress
 from orbitfinder.loops.problem import Guess, Problem
@@ -51,31 +51,17 @@ SPEAK_EVERY = 0.25
 
 
 @dataclass(frozen=True)
-class Return:
-    """A state whose motion nearly closes after a period (s); `miss` is relative to the motion's extent.
-
-    The nearest returns are often long and belong to no orbit: they are ranked by miss times period^3.
-    """
-
-    state: tuple[float, ...]
-    period: float
-    miss: float
-
-    @property
-    def rank(self) -> float:
-        """Smaller is more promising."""
-        return self.miss * self.period**3
-
-
-@dataclass(frozen=True)
 class Simulated:
-    """A motion on the stage, its energy (J, None where there is none), what became of it, its close returns."""
+    """A motion on the stage, its energy (J, None where there is none), what became of it, its close returns.
+
+    The nearest returns are often long and belong to no orbit: they are ordered by distance times period^3.
+    """
 
     film: Film
     view: Mapping[str, list[float]]
     energy: float | None
     change: float
-    returns: tuple[Return, ...]
+    returns: tuple[CloseReturn, ...]
 
 
 @dataclass(frozen=True)
@@ -104,14 +90,6 @@ class Cut:
     crossings: np.ndarray
 
 
-@dataclass(frozen=True)
-class Count:
-    """How far a search has come: starts made and orbits in its atlas."""
-
-    starts: int
-    orbits: int
-
-
 class Tasks:
     """The tasks of one process, which keeps what the next one may use again; `say` tells how a task gets on."""
 
@@ -131,13 +109,13 @@ class Tasks:
         count = int(np.clip(duration * SAMPLES_PER_SECOND, LEAST_SAMPLES, MOST_SAMPLES))
         run = simulate(model, np.asarray(state, float), duration, count)
         energy = float(run.energy[0]) if np.isfinite(run.energy[0]) else None
-        returns = tuple[Return, ...]()
+        returns = list[CloseReturn]()
         if model.hybrid is None and np.ptp(run.states, axis=0).max() > 0:
-            near = close_returns(run.times, run.states, model.angles, RETURNS)
-            returns = tuple(Return(tuple(map(float, one.state)), float(one.period), one.distance) for one in near)
+            returns = close_returns(run.times, run.states, model.angles, RETURNS)
+            returns.sort(key=lambda one: one.distance * one.period**3)
         shown = film(model, run.times, run.states)
         change = run.change if energy is not None else float("nan")
-        return Simulated(shown, view(model, run.states), energy, change, tuple(sorted(returns, key=lambda r: r.rank)))
+        return Simulated(shown, view(model, run.states), energy, change, tuple(returns))
 
     def later(self, system: Mapping[str, Any], state: list[float], duration: float) -> list[float]:
         """The state (d) that a motion has come to after a time (s)."""
@@ -177,16 +155,15 @@ class Tasks:
         self, system: Mapping[str, Any], energy: float | None, periods: tuple[float, float], budget: float, atlas: Path
     ) -> int:
         """Search for orbits for a time (s) and keep them in an atlas: what `orbitfinder search` does; its starts."""
-        last, starts = [0.0], [0]
+        last = [0.0]
 
         def report(_: float, at: Statistics) -> None:
-            starts[0] = at.before + at.done
             if time.monotonic() - last[0] > SPEAK_EVERY:
                 last[0] = time.monotonic()
-                self._say(Count(starts[0], at.orbits))
+                self._say(at)
 
-        search(self.model(system), energy, periods, atlas, budget=budget, workers=0, progress=report)
-        return starts[0]
+        found = search(self.model(system), energy, periods, atlas, budget=budget, workers=0, progress=report)
+        return sum(at.made for _, at in found.tallies)
 
     def found(self, file: Path, out: Path) -> Found:
         """The orbit of a problem file, in OUT/NAME/orbit.json where it is certified: what `orbitfinder run` does."""
