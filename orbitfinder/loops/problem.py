@@ -49,7 +49,7 @@ class Guess(Shown):
     Args:
         state: at t = 0 (2n; d of a first-order system).
         period: T in s.
-        times: of a trajectory (k, from 0 to T); without one the start is simulated from `state`.
+        times: of a trajectory (k, from 0 to T; at events twice, or not); else the start is simulated from `state`.
         states: of that trajectory (k x 2n).
         free: where freed physical parameters start, by name; otherwise at the model's own values.
 

@@ -268,10 +268,9 @@ def instability(model: Model) -> Callable[[Variables], ca.MX]:
     others = len(model.state_names) - trivial
     if others < 1:
         raise InputError("objective: this system has no non-trivial Floquet multipliers; min_instability has no sense")
-    paired = model.hybrid is None and symplectic(model)  # resets need not keep areas
-    if paired and others == 2:
+    if symplectic(model) and others == 2 and model.hybrid is None:  # resets need not keep areas
         return lambda variables: (0.5 * (ca.trace(variables.monodromy) - trivial)) ** 2
-    largest = _Largest(len(model.state_names), trivial, paired)
+    largest = _Largest(len(model.state_names), trivial, symplectic(model) and model.hybrid is None)
     return lambda variables: largest(variables.monodromy)
 
 

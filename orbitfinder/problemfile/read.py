@@ -378,8 +378,7 @@ def _state(model: Model, state: list[float]) -> np.ndarray:
 
 
 def read_trajectory(folder: Path, name: str, size: int, events: bool = False) -> Guess:
-    """A Guess from a CSV file in `folder` (or below it): columns t, in which `events` may stand twice, then `size`
-    states; its time span is the period."""
+    """A Guess from a CSV file in `folder` or below: columns t (twice at `events`) and `size` states, over a period."""
     try:
         base = folder.resolve()
         source = (base / name).resolve()
