@@ -288,3 +288,19 @@ def test_a_sweep_of_mirrored_orbits_goes_warm():
     for force, row in zip((1.0, 1.05, 1.1), swept.rows, strict=True):
         assert row.orbit.symmetry == "mirror" and row.orbit.certificate.passed
         assert min(np.abs(np.array(one) - row.orbit.state[1:]).max() for one in exact(force)) < 1e-10
+
+
+def test_half_of_a_cycle_may_have_several_arcs(mirrored):
+    """The same motion with its passages through the middle as events; the trace of the whole through both halves."""
+    modes, hits, _ = between_walls().hybrid.given
+    middle = [of.Transition(name, "free", "free", guard=lambda x, p: x.x, direction=way)
+              for name, way in (("down", -1), ("up", 1))]  # fmt: skip
+    model = of.hybrid(modes, [*hits, *middle], ["down", "left", "up", "right"])
+    problem = walls(model, symmetry="mirror")
+    assert problem.count().unknowns["durations of arcs"] == 1
+    orbit = of.find_orbit(problem)
+    assert orbit.certificate.passed and np.allclose(orbit.state, mirrored.state, atol=1e-12)
+    trace = of.Constraint(lambda v: ca.trace(v.monodromy), 0.5, 0.5, name="trace")
+    orbit = of.find_orbit(replace(problem, free=("force",), constraints=(trace,), segments=2))
+    assert orbit.certificate.passed and sum(orbit.floquet_multipliers) == pytest.approx(0.5 - 1.0, abs=1e-6)
+    assert min(np.abs(np.array(one) - orbit.state[1:]).max() for one in exact(orbit.provenance["free"]["force"])) < 1e-9
