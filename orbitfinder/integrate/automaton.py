@@ -51,8 +51,6 @@ TOGETHER = 1e-9
 """Share of an arc within which two events are simultaneous"""
 RETURN = 0.5
 """Share of the motion's extents, and of the period, within which a motion is back near its start"""
-LATE = 0.5
-"""Share of the time between two samples by which an event may be late where a trajectory says that one is"""
 ROUND_OFF = 1e-12
 """A guard this small, relative to how it changes along the arc, is 0"""
 
@@ -343,31 +341,34 @@ def _root(rising: Callable[[float], float], before: float, after: float) -> floa
 def arcs_along(model: Model, times: np.ndarray, states: np.ndarray) -> list[Arc]:
     """The arcs of a trajectory (k and k x d) over a period that begins right after the event that ends the cycle.
 
-    An event is where the motion simulated from one sample to the next meets a guard; where a time stands twice, and at
-    the end, it may be a little late. One more arc goes on from the end to the next event, where there is one.
+    An event is where a time stands twice; where none does, where the motion simulated from one sample to the next meets
+    a guard, the last perhaps a little later. One more arc goes on from there to the next event, where there is one.
     """
     hybrid, automaton = model.hybrid, Automaton.about(model, states[0], float(np.ptp(times)), SECOND)
     mode, clock, path, found = hybrid.first.name, [times[0]], [states[0]], list[Arc]()
-    spans = np.append(np.diff(times), 0.0)
+    spans, twice = np.append(np.diff(times), 0.0), np.flatnonzero(np.diff(times) == 0) + 1
+    for own, rows in zip(np.split(times, twice), np.split(states, twice), strict=True) if twice.size else ():
+        values = [(automaton.value(one.guard, rows[-1])[0], one) for one in hybrid.leaving(mode)]
+        one = min(values, key=lambda each: abs(each[0]) / nonzero(abs(automaton.rate(each[1], rows[-1]))))[1]
+        found.append(Arc(mode, own, rows, one.name, automaton.value(one.reset, rows[-1])))
+        mode = one.target
+    if found:
+        return found
 
     def met(begin: float, until: float, most: int = MOST_EVENTS) -> float:
         """How late after a moment the last event is that the motion from the newest state meets, 0 without one."""
         nonlocal mode, clock, path
         late = 0.0
-        for arc in automaton.arcs(path[-1], mode, until, most):
-            if arc.ended_by is not None:
-                late = float(arc.times[-1])
-                before, moment = arc.states[-1], begin + late
-                found.append(Arc(mode, np.array([*clock, moment]), np.vstack([*path, before]), arc.ended_by, arc.after))
-                mode, clock, path = hybrid.transition(arc.ended_by).target, [moment], [arc.after]
-            if late >= until / (1 + LATE):
-                break
+        for arc in (arc for arc in automaton.arcs(path[-1], mode, until, most) if arc.ended_by is not None):
+            late, before = float(arc.times[-1]), arc.states[-1]
+            own = np.array([*clock, begin + late])
+            found.append(Arc(mode, own, np.vstack([*path, before]), arc.ended_by, arc.after))
+            mode, clock, path = hybrid.transition(str(arc.ended_by)).target, [begin + late], [arc.after]
         return late
 
-    for moment, span, next_span, row in zip(times, spans, spans[1:], states[1:], strict=False):
-        if span == 0:
-            clock, path = [moment], [row]
-        elif met(moment, span * (1 + (TOGETHER if next_span else LATE))) < span * (1 - TOGETHER):
+    for moment, span, more, row in zip(times, spans, spans[1:], states[1:], strict=False):
+        late = met(moment, span * (1 + TOGETHER)) if more else met(moment, span * (1 + RETURN), 1)
+        if late < span * (1 - TOGETHER):
             clock, path = [*clock, moment + span], [*path, row]
     if len(path) > 1 or not found:
         met(times[-1], float(np.ptp(times)), 1)
