@@ -90,6 +90,8 @@ class Flow:
     field: ca.Function
     units: tuple[float, ...] = ()
     """what CVODES measures the state (2n) in, so that its tolerances fit; () is 1 everywhere"""
+    later: tuple[Flow, ...] = ()
+    """those of the arcs after the first, of a hybrid orbit"""
 
     @cached_property
     def derivatives(self) -> ca.Function:

@@ -30,7 +30,7 @@ from orbitfinder.loops.control import Basis, Control, Task, stated
 from orbitfinder.loops.loop import Equations, Loop, Unknowns
 from orbitfinder.loops.problem import Problem, boundary_constants, guessed_nodes, pinned
 from orbitfinder.loops.symmetry import Symmetry
-from orbitfinder.mechanics.hybrid import share
+from orbitfinder.mechanics.hybrid import freed, share
 from orbitfinder.mechanics.model import Model, vector_field
 from orbitfinder.mechanics.newton import Settings, stepped
 
@@ -273,8 +273,7 @@ def arranged(model: Model, symmetry: Symmetry, free: tuple[str, ...], control: C
         raise InputError(f"control.intervals: must be even with this symmetry, got {control.intervals}")
     part = count // 2 if signs else count
     basis = Basis(control.shape, part, control.harmonics, arcs, 0.5 if signs else 1.0, signs)
-    shares = () if not arcs else tuple(f"share_{k + 1}" for k in range(arcs - 1))
-    return Arrangement(model, control, symmetry, basis, (*free, *shares), steps)
+    return Arrangement(model, control, symmetry, basis, freed(model, free), steps)
 
 
 @lru_cache(maxsize=32)

@@ -11,7 +11,6 @@ from scipy.optimize import linear_sum_assignment
 
 from orbitfinder._runtime.sizes import LEAST, nonzero, relative, size_of
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
-from orbitfinder.integrate.automaton import Arc
 from orbitfinder.integrate.dop853 import rates_of, vector_field
 from orbitfinder.integrate.equations import accelerations, invariant_gradients
 from orbitfinder.integrate.evaluate import one_thread
@@ -30,6 +29,7 @@ from orbitfinder.orbits.hybrid import (
     gather_hybrid,
     held,
     off_motion,
+    repeats,
     second_gap,
     turned_further,
     unseen,
@@ -217,9 +217,10 @@ def _model_of(orbit: Orbit, model: Model | None) -> Model:
     return as_recorded(model or build_model(orbit.system), orbit.system)
 
 
-def _hybrid_certificate(orbit: Orbit, model: Model, turns: np.ndarray, allowed: Tolerances) -> Certificate:
+def _hybrid_certificate(orbit: Orbit, model: Model, whole: np.ndarray, allowed: Tolerances) -> Certificate:
     """The certificate of a hybrid orbit: its automaton simulated, all guards watched, from the state alone."""
     assert model.hybrid is not None
+    turns = turned(model, whole, orbit.shift)
     try:
         evidence = gather_hybrid(model, orbit.state, orbit.period, turns)
         second = second_gap(model, orbit.state, orbit.period, turns, evidence.extents)
@@ -237,7 +238,7 @@ def _hybrid_certificate(orbit: Orbit, model: Model, turns: np.ndarray, allowed: 
         _at_most("recorded_period", lasted, asked * scale, "time of the last event / recorded period - 1"),
         _at_most("energy_drift", evidence.drift, allowed.energy_drift + found.gap, "in arcs without forces"),
         _at_most("energy_balance", evidence.balance, allowed.energy_drift + found.gap, "energy lost in impacts"),
-        _cycle_check(evidence.arcs, orbit, reached, evidence.extents, max(allowed.cover, TOLD_APART * found.gap)),
+        _cycle_check(evidence, turns, reached, max(allowed.cover, TOLD_APART * found.gap)),
         _at_least("not_equilibrium", _extent(evidence.states, model), allowed.motion, "extent of the motion"),
         _hybrid_resolution(model, evidence),
         _at_least("transversal", evidence.transversal, allowed.transversal, "least rate of a guard, relative"),
@@ -249,10 +250,9 @@ def _hybrid_certificate(orbit: Orbit, model: Model, turns: np.ndarray, allowed: 
         _at_most("trivial_multipliers", evidence.trivial, allowed.trivial, "flow and gradients are kept"),
         _at_most("unfolding", orbit.period * max(map(abs, orbit.unfolding), default=0.0),
                  allowed.unfolding + 10 * found.gap, "back at 0, per period") if any(orbit.unfolding) else None,
-        *_hybrid_record_checks(orbit, evidence, model, allowed, scale),
+        *_hybrid_record_checks(orbit, evidence, model, turns, allowed, scale),
         *_expected_checks(orbit, model),
-        Check("shift", 1.0, 0.0, False, "hybrid orbits shift along nothing") if orbit.shift else None,
-        *_hybrid_premises(model, evidence, turns),
+        *_hybrid_premises(orbit, model, evidence),
         *_hybrid_pictures(orbit, model, evidence),
         *(Check("ignored", 0.0, 0.0, True, text) for text in model.hybrid.ignored),
     ]  # fmt: skip
@@ -370,16 +370,19 @@ def _costate_off(orbit: Orbit, found: ControlledEvidence) -> float:
     return float(max([*np.abs((claimed - found.costate) * found.extents) / found.cost_size, *apart]))
 
 
-def _hybrid_premises(model: Model, evidence: HybridEvidence, turns: np.ndarray) -> Iterator[Check]:
-    """What turns is an angle, and modes, guards and resets are the same where all have turned as in some periods."""
+def _hybrid_premises(orbit: Orbit, model: Model, evidence: HybridEvidence) -> Iterator[Check]:
+    """What turns is an angle, and modes, guards and resets are the same where all has moved on as in some periods."""
+    turns, along = np.asarray(orbit.winding), orbit.shift
     names = ", ".join(model.state_names[k] for k in np.flatnonzero(turns))
     for k in np.flatnonzero(turns * ~model.angular):
         note = f"{model.state_names[k]} turns and is not an angle"
         yield Check("winding", float(abs(turns[k])), 0.0, False, note)
-    if names:
-        by = shift(turns, evidence.extents.size)
-        found = max(turned_further(model, evidence.arcs, k * by) for k in TURNS[1:5])
-        yield _at_most("winding", found, EXACT, f"modes, guards and resets with {names} turned on")
+    ways = ("winding", turns, names, "turned"), ("cyclic", turned(model, 0 * turns, along), ", ".join(along), "shifted")
+    for name, gone, known, how in ways:
+        if known:
+            by = shift(gone, evidence.extents.size)
+            found = max(turned_further(model, evidence.arcs, k * by) for k in TURNS[1:5])
+            yield _at_most(name, found, EXACT, f"modes, guards and resets with {known} {how} on")
 
 
 def _hybrid_resolution(model: Model, evidence: HybridEvidence) -> Check:
@@ -402,49 +405,57 @@ def _hybrid_pictures(orbit: Orbit, model: Model, evidence: HybridEvidence) -> It
         yield _at_most("samples", away, room, "off the recomputed motion")
 
 
-def _cycle_check(
-    arcs: Sequence[Arc], orbit: Orbit, reached: np.ndarray, units: np.ndarray, tolerance: float
-) -> Check | None:
+def _cycle_check(evidence: HybridEvidence, turns: np.ndarray, reached: np.ndarray, tolerance: float) -> Check | None:
     """The recorded cycle is gone through once: no earlier event brings the motion back to its beginning."""
+    arcs, units = evidence.arcs, evidence.extents
     names = [arc.ended_by for arc in arcs]
     count = len(names)
     shorter = [k for k in range(1, count) if count % k == 0 and names[:k] * (count // k) == names]
     if not shorter:
         return None
-    turned = 2 * np.pi * np.array(shorter)[:, None] / count * np.asarray(orbit.winding)
-    back = reached[np.array(shorter) - 1] - orbit.state
+    turned = 2 * np.pi * np.array(shorter)[:, None] / count * turns
+    back = reached[np.array(shorter) - 1] - arcs[0].states[0]
     back[:, : turned.shape[1]] -= turned
     far = np.abs(back / units).max(axis=1)
     return _at_least("minimal_cycle", far.min(), tolerance, f"nearest early return after {shorter[int(far.argmin())]}")
 
 
 def _hybrid_record_checks(
-    orbit: Orbit, evidence: HybridEvidence, model: Model, allowed: Tolerances, scale: float
+    orbit: Orbit, evidence: HybridEvidence, model: Model, turns: np.ndarray, allowed: Tolerances, scale: float
 ) -> list[Check]:
     """What the record of a hybrid orbit claims against what was recomputed."""
-    off = abs(orbit.closure - evidence.closure) / float(evidence.extents.max())
-    held = min(orbit.tolerance, allowed.closure)
-    if isinstance(orbit, FamilyPoint):  # its closure is relative, and by an integration over durations that are told
-        off, held = abs(orbit.closure - evidence.closes.gap), orbit.tolerance
-    room = allowed.record + 10 * evidence.closes.gap
     found = energy(model, orbit.state)
-    bulk = nonzero(abs(evidence.action))
-    checks = [
-        _at_most("energy", relative(orbit.energy - found, found), allowed.record, RECORDED)
-        if np.isfinite(found) or np.isfinite(orbit.energy)
-        else None,
-        _at_most("action", abs(orbit.action - evidence.action) / bulk, room, RECORDED),
-        _at_most("recorded_closure", off, held * scale, RECORDED),
-        _at_most("floquet_multipliers", _multiplier_distance(orbit, evidence.floquet), allowed.multipliers, "relative"),
-        _same("stability", orbit.stability, evidence.floquet.stability),
-        _same("symmetry", orbit.symmetry, NONE.name),
-        _at_most("pair_defect", abs(orbit.pair_defect - evidence.floquet.pair_defect), allowed.multipliers, RECORDED)
-        if orbit.pair_defect != evidence.floquet.pair_defect
-        else None,
-    ]
+    energetic = np.isfinite(found) or np.isfinite(orbit.energy)
+    level = relative(orbit.energy - found, found) if energetic else None
+    checks = _claims(orbit, evidence, allowed, scale, level, nonzero(abs(evidence.action)))
+    had = repeats(model, orbit.symmetry, evidence, turns)
+    checks.append(_same("symmetry", orbit.symmetry, orbit.symmetry if had else NONE.name))
+    if orbit.pair_defect != evidence.floquet.pair_defect:
+        off = abs(orbit.pair_defect - evidence.floquet.pair_defect)
+        checks.append(_at_most("pair_defect", off, allowed.multipliers, RECORDED))
     if orbit.record is not None:
         checks.append(_same("record", orbit.record, digest(orbit_to_document(orbit))))
-    return [check for check in checks if check]
+    return checks
+
+
+def _claims(
+    orbit: Orbit, evidence: Evidence | HybridEvidence, allowed: Tolerances, scale: float, off: float | None, bulk: float
+) -> list[Check]:
+    """What a record claims of its motion, its energy, if any, being off by so much; actions are beside `bulk`.
+
+    A family's closure is relative, and by an integration over told durations, or one that stops where it is enough.
+    """
+    closure, held = abs(orbit.closure - evidence.closure) / float(evidence.extents.max()), allowed.closure
+    if isinstance(orbit, FamilyPoint):
+        closure, held = abs(orbit.closure - evidence.closes.gap), orbit.tolerance
+    room = allowed.record + 10 * evidence.closes.gap
+    return [
+        *([] if off is None else [_at_most("energy", off, allowed.record, RECORDED)]),
+        _at_most("action", abs(orbit.action - evidence.action) / bulk, room, RECORDED),
+        _at_most("recorded_closure", closure, min(orbit.tolerance, held) * scale, RECORDED),
+        _at_most("floquet_multipliers", _multiplier_distance(orbit, evidence.floquet), allowed.multipliers, "relative"),
+        _same("stability", orbit.stability, evidence.floquet.stability),
+    ]
 
 
 def _turns(orbit: Orbit, model: Model) -> np.ndarray:
@@ -573,21 +584,10 @@ def _record_checks(orbit: Orbit, evidence: Evidence, model: Model, allowed: Tole
     if model.hamiltonian:  # momenta far from 0 cancel round the loop
         half = orbit.state.size // 2
         bulk = max(bulk, float(np.abs(evidence.states[:, half:]).max(axis=0) @ evidence.extents[:half]))
-    closure = abs(orbit.closure - evidence.closure) / float(evidence.extents.max())
-    held = min(orbit.tolerance, allowed.closure)
-    if isinstance(orbit, FamilyPoint):  # its closure is relative, and by an integration that stops where it is enough
-        closure, held = abs(orbit.closure - evidence.closes.gap), orbit.tolerance
-    room = allowed.record + 10 * evidence.closes.gap
     energetic = np.isfinite(orbit.energy) or np.isfinite(evidence.energy)
-    level = abs(orbit.energy - evidence.energy) / evidence.exchanged
-    checks = [
-        *([_at_most("energy", level, allowed.record, RECORDED)] if energetic else []),
-        _at_most("action", abs(orbit.action - evidence.action) / bulk, room, RECORDED),
-        _at_most("recorded_closure", closure, held * scale, RECORDED),
-        _at_most("floquet_multipliers", _multiplier_distance(orbit, evidence.floquet), allowed.multipliers, "relative"),
-        _same("stability", orbit.stability, evidence.floquet.stability),
-        _same_symmetry(orbit, evidence, model),
-    ]
+    level = abs(orbit.energy - evidence.energy) / evidence.exchanged if energetic else None
+    checks = _claims(orbit, evidence, allowed, scale, level, bulk)
+    checks.append(_same_symmetry(orbit, evidence, model))
     # mu and 1/mu of a matrix that takes up a few relative errors of the integration under way: |Phi| times what they
     # grow to
     paired, known = symplectic(model), PAIRED * VARIED.relative_tolerance * evidence.varied * evidence.norm
@@ -599,6 +599,7 @@ def _record_checks(orbit: Orbit, evidence: Evidence, model: Model, allowed: Tole
         ends, turns = (evidence.states[0], evidence.states[-1]), np.asarray(orbit.winding)
         there = shift_along(model, orbit.shift, *ends, turns)
         off = max(abs(there[name] - by) for name, by in orbit.shift.items()) / float(evidence.extents.max())
+        held = orbit.tolerance if isinstance(orbit, FamilyPoint) else min(orbit.tolerance, allowed.closure)
         checks.append(_at_most("shift", off, held * scale, "recorded - recomputed, in extents of the motion"))
     if orbit.record is not None:
         checks.append(_same("record", orbit.record, digest(orbit_to_document(orbit))))

@@ -305,7 +305,7 @@ def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
             f"guess.{linkage_keys[0]}: is for linkages and mechanisms only; give state and period, mode or csv"
         )
     if given.csv is not None:
-        return read_trajectory(folder, given.csv, len(model.state_names))
+        return read_trajectory(folder, given.csv, len(model.state_names), model.hybrid is not None)
     if given.mode is not None and given.amplitude is not None:
         if isinstance(given.mode, int) and isinstance(given.amplitude, float):
             return normal_mode(model, given.mode, given.amplitude, _rest(model, given.equilibrium))
@@ -377,8 +377,8 @@ def _state(model: Model, state: list[float]) -> np.ndarray:
     return maximal_states(model, numbers) if numbers.size == 2 * (model.degrees_of_freedom // 3) else numbers
 
 
-def read_trajectory(folder: Path, name: str, size: int) -> Guess:
-    """A Guess from a CSV file in `folder` (or below it): columns t, then `size` states; its time span is the period."""
+def read_trajectory(folder: Path, name: str, size: int, events: bool = False) -> Guess:
+    """A Guess from a CSV file in `folder` or below: columns t (twice at `events`) and `size` states, over a period."""
     try:
         base = folder.resolve()
         source = (base / name).resolve()
@@ -392,12 +392,12 @@ def read_trajectory(folder: Path, name: str, size: int) -> Guess:
         raise InputError(f"guess.csv: {name!r} is not UTF-8 text; save it as plain CSV") from error
     except InputError as error:
         raise InputError(f"guess.csv: {error}") from error
-    table = _numbers(name, lines, size)
+    table = _numbers(name, lines, size, events)
     times = table[:, 0] - table[0, 0]
     return Guess(table[0, 1:].copy(), float(times[-1]), times, table[:, 1:])
 
 
-def _numbers(name: str, lines: list[str], size: int) -> np.ndarray:
+def _numbers(name: str, lines: list[str], size: int, events: bool) -> np.ndarray:
     rows: list[list[float]] = []
     for number, line in enumerate(lines, start=1):
         if not line.strip():
@@ -420,6 +420,6 @@ def _numbers(name: str, lines: list[str], size: int) -> np.ndarray:
         )
     if not np.all(np.isfinite(table)):
         raise InputError(f"guess.csv: {name!r} must be finite; replace NaN and infinity by numbers")
-    if np.any(np.diff(table[:, 0]) <= 0):
+    if np.any((spans := np.diff(table[:, 0])) < 0) or (np.any(spans == 0) and not events):
         raise InputError(f"guess.csv: {name!r}: times must increase from row to row; sort them")
     return table

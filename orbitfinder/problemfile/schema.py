@@ -427,7 +427,8 @@ class FindTable(Table):
     symmetry: Annotated[str, AfterValidator(_known_symmetry)] = Field(
         "none",
         description="symmetry imposed on the orbit: none, brake, reflection, reversal (q(-t) = -q(t), running orbits "
-        "included), brake+reflection, or one that a Python system declares or has (mirror of restricted_three_body)",
+        "included), brake+reflection, or one that a Python system declares or has (mirror of restricted_three_body); "
+        "of a hybrid system one that takes half of the events of its cycle to the other half",
     )
     winding: list[int] | None = Field(
         None, description="whole turns of each coordinate in one period, one whole number per coordinate"
@@ -452,7 +453,7 @@ class FindTable(Table):
         "nearest",
         description="what chooses among the orbits that the pins leave: nearest to the guess, min_instability "
         "(smallest spectral radius of the monodromy), max_amplitude (largest value of a coordinate) or min_peak_rate "
-        "(smallest peak of its rate)",
+        "(smallest peak of its rate); the last two not of hybrid systems",
     )
     coordinate: str | None = Field(
         None,
