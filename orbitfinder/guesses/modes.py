@@ -14,6 +14,7 @@ are those of Z^T (d2L/dtheta2) Z u = w^2 Z^T M Z u, Z a basis of the null space 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import product
 
@@ -27,17 +28,14 @@ from orbitfinder.integrate.equations import at_rest, linearised, under_constrain
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import QUARTER, declared
 from orbitfinder.mechanics import newton
+from orbitfinder.mechanics.catalogue import system_kind
 from orbitfinder.mechanics.constrained import tangent_basis
-from orbitfinder.mechanics.linkage import assemble, check_regular, dimensions, linkage_state
-from orbitfinder.mechanics.mechanism import mechanism_state
 from orbitfinder.mechanics.model import Model, counted, vector_field, wrapped
 from orbitfinder.mechanics.scales import given_or, snapped
 
 DESCENTS = 16
 FLAT = 1e-4
 """Slope (J per rad or m) at which a descent has reached a minimum; only its energy is asked for."""
-STARTS = 24
-"""Assemblies, drawn with a fixed seed, from which the lowest equilibrium is looked for."""
 SHORT = replace(newton.RESTING, longest=0.3, cutoff=1e-15)
 """How an equilibrium under constraints is found, whose forces have units of their own; steps in rad or m"""
 AT_REST = 1e-10
@@ -48,7 +46,7 @@ ELLIPSE = 64
 
 def equilibria(model: Model) -> list[np.ndarray]:
     """The 2^n equilibria of a chain, every link hanging or upright, hanging first. Raises `InputError`."""
-    if model.system.get("kind") != "chain":
+    if not system_kind(model.system).pendulum:
         raise InputError("equilibria: known in advance for chains only; give the equilibrium's coordinates")
     return [np.pi * np.array(choice, float) for choice in product((0, 1), repeat=model.degrees_of_freedom)]
 
@@ -122,31 +120,26 @@ def linkage_equilibrium(model: Model, guess: Sequence[float] | np.ndarray | None
     loops they are its coordinates, and it is minimised from the pose alone. Raises `InputError` when Newton's method
     finds none.
     """
+    starts, found = system_kind(model.system).loops.starts(model, guess), []
     if guess is not None:
-        return _stationary(model, np.asarray(guess, float))
-    if model.system.get("kind") != "linkage":
-        return _stationary(model, _descended(model, mechanism_state(model)[: model.degrees_of_freedom]))
-    lengths, ground = dimensions(model)
-    random = np.random.default_rng(0)
-    found = []
-    for _ in range(STARTS):
-        start = np.arctan2(ground[1], ground[0]) + random.uniform(-np.pi, np.pi, lengths.size)
-        try:
-            theta = _stationary(model, _descended(model, assemble(model, {}, guess=start)))
-        except InputError:
-            continue
-        found.append((float(under_constraints(model).potential(theta)), theta))
+        return _stationary(model, starts[0])
+    if len(starts) == 1:
+        return _stationary(model, _descended(model, starts[0]))
+    for start in starts:
+        with suppress(InputError):
+            q = _stationary(model, _descended(model, start))
+            found.append((float(under_constraints(model).potential(q)), q))
     if not found:
         raise InputError("linkage: no equilibrium found; give angles near one as guess=")
-    theta = min(found, key=lambda entry: entry[0])[1]
-    return wrapped(theta, np.ones(theta.size, bool))
+    q = min(found, key=lambda entry: entry[0])[1]
+    return wrapped(q, np.ones(q.size, bool))
 
 
 def stationary_terms(model: Model, theta: np.ndarray) -> tuple[np.ndarray, ...]:
     """(grad L, phi) for the mu of least |grad L|, J, d2L/dtheta2 and M at link angles (n)."""
     rest = under_constraints(model)
     if theta.shape != (rest.size,):
-        raise InputError(f"equilibrium: shape {theta.shape} for {rest.size} bars; give the angle of each, in rad")
+        raise InputError(f"guess.equilibrium: {plural(theta.size, 'angle')} for {rest.size} bars; give one per bar")
     slope, jacobian, gap = (part.full() for part in rest.first(theta))
     forces = np.linalg.lstsq(jacobian.T, -slope, rcond=None)[0]
     residual = np.vstack([slope + jacobian.T @ forces, gap]).ravel()
@@ -161,12 +154,11 @@ def _stationary(model: Model, start: np.ndarray) -> np.ndarray:
         corner = np.zeros((len(jacobian), len(jacobian)))
         return residual, np.block([[hessian, jacobian.T], [jacobian, corner]])
 
-    found, kind = newton.equilibrium(linearised, start, settings=SHORT), model.system.get("kind")
+    found = newton.equilibrium(linearised, start, settings=SHORT)
     if not found.converged:
         near = np.array2string(start, precision=4)
-        raise InputError(f"{kind}: no equilibrium found near {near}; give other angles")
-    if kind == "linkage":
-        check_regular(dimensions(model)[0], found.w)
+        raise InputError(f"{model.system.get('kind')}: no equilibrium found near {near}; give other angles")
+    system_kind(model.system).loops.check(model, found.w)
     return found.w
 
 
@@ -230,7 +222,7 @@ def _place(model: Model, given: Sequence[float] | np.ndarray | None) -> np.ndarr
     """The equilibrium given; without one q = 0, of a mechanism the nearest to its pose."""
     if given is not None:
         return np.asarray(given, float)
-    return equilibrium(model) if model.system.get("kind") == "mechanism" else np.zeros(model.degrees_of_freedom)
+    return equilibrium(model) if system_kind(model.system).drawn else np.zeros(model.degrees_of_freedom)
 
 
 def normal_mode(
@@ -413,8 +405,6 @@ def linkage_mode(
         raise InputError(f"guess.mode: mode {mode} does not oscillate (squared frequency {squared[mode - 1]:.3g})")
     shape = shapes[:, mode - 1]
     moved = theta + amplitude * shape / shape[np.abs(shape).argmax()]
-    if model.system.get("kind") == "linkage":
-        state = linkage_state(model, assemble(model, {}, guess=moved))
-    else:
-        state = mechanism_state(model, near=moved)
-    return Guess(state, 2 * np.pi / float(np.sqrt(squared[mode - 1])))
+    return Guess(
+        system_kind(model.system).loops.state(model, near=moved), 2 * np.pi / float(np.sqrt(squared[mode - 1]))
+    )

@@ -7,7 +7,8 @@ ground is not counted as a bar here: three links make a four-bar. It has n - 2 d
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -24,12 +25,18 @@ from orbitfinder.mechanics.chain import (
     maximal_chain,
     maximal_states,
 )
-from orbitfinder.mechanics.constrained import RANK_TOLERANCE
+from orbitfinder.mechanics.constrained import RANK_TOLERANCE, Loops, with_rates
 from orbitfinder.mechanics.controls import Limits
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import Baumgarte, Model, check_state, constraint_of
 from orbitfinder.mechanics.newton import Settings, closed
 
+LEAST_SINE = 0.05
+"""|sin| of the angle between the two dependent bars below which they count as being in line."""
+STARTS = 24
+"""Assemblies, drawn with a fixed seed, from which the lowest equilibrium is looked for."""
+SPREAD = 1.0
+"""rad, of the bars of a linkage that is put together somewhere: from this to its negative"""
 DEFAULT_BAUMGARTE = Baumgarte(10.0, 10.0)
 """1/s; phi decays within a few tenths of a second, much faster than a linkage of metres moves"""
 CLOSING = Settings(floor=1e-13, round_off=1e-13, converged=1e-13, longest=0.5)
@@ -246,6 +253,29 @@ def linkage_rates(model: Model, theta: np.ndarray, known: Mapping[str, float]) -
     return rates
 
 
+def _put_together(
+    model: Model, known: Any = None, rates: Any = None, near: np.ndarray | None = None, branch: int | None = None
+) -> np.ndarray:
+    """The state (6n) at some angles (see `assemble`) and rates (see `linkage_rates`; at rest without)."""
+    if known is None and near is None:
+        near = np.linspace(SPREAD, -SPREAD, dimensions(model)[0].size)
+    theta = assemble(model, known or {}, branch, near)
+    return linkage_state(model, theta, linkage_rates(model, theta, rates) if rates else None)
+
+
+def _assemblies(model: Model, near: Sequence[float] | None) -> list[np.ndarray]:
+    """Angles (n each) as given, or of many assemblies."""
+    if near is not None:
+        return [np.asarray(near, float)]
+    lengths, ground = dimensions(model)
+    random, found = np.random.default_rng(0), []
+    for _ in range(STARTS):
+        start = np.arctan2(ground[1], ground[0]) + random.uniform(-np.pi, np.pi, lengths.size)
+        with suppress(InputError):
+            found.append(assemble(model, {}, guess=start))
+    return found
+
+
 def _by_index(known: Mapping[str, float], stem: str, count: int, suffix: str = "") -> dict[int, float]:
     names = {f"{stem}{i + 1}{suffix}": i for i in range(count)}
     for name, value in known.items():
@@ -368,12 +398,6 @@ def minimal_linkage(model: Model, independent: Sequence[int], branch: int = 1) -
     )
 
 
-def bar_angles(model: Model, independent: Sequence[int], branch: int = 1) -> ca.Function:
-    """theta(u): the angles of all bars from those of the independent ones; see `minimal_linkage`."""
-    u = ca.SX.sym("u", len(independent))
-    return ca.Function("bar_angles", [u], [_bar_angles(model, u, ca.SX(model.parameter_values), independent, branch)])
-
-
 def _bar_angles(model: Model, u: ca.SX, p: ca.SX, independent: Sequence[int], branch: int) -> ca.SX:
     lengths, ground = dimensions(model, p)
     bars = lengths.numel()
@@ -401,3 +425,49 @@ def _symbolic_dyad(gap: ca.SX, first: ca.SX, second: ca.SX, branch: int) -> tupl
     angle = ca.atan2(gap[1], gap[0]) - branch * opening
     elbow = gap - first * ca.vertcat(ca.cos(angle), ca.sin(angle))
     return angle, ca.atan2(elbow[1], elbow[0])
+
+
+def _in_all(model: Model, system: Mapping[str, Any]) -> ca.Function:
+    """(u, udot) -> the native coordinates (3n) and their rates, of the minimal form with this system."""
+    u, p = ca.SX.sym("u", len(system["independent"])), ca.SX(model.parameter_values)
+    theta, lift = _bar_angles(model, u, p, system["independent"], system["branch"]), constraint_of(model).lift
+    assert lift is not None
+    return with_rates(u, lift(theta, 0 * theta, p)[: model.degrees_of_freedom])
+
+
+def _dependent(model: Model, chosen: Sequence[int]) -> tuple[int, int]:
+    """The bars, from 0, that follow from the others."""
+    i, j = (k // 3 for k in _angles(model) if k not in chosen)
+    return i, j
+
+
+def _angles(model: Model) -> range:
+    return range(2, model.degrees_of_freedom, 3)
+
+
+def _margins(model: Model, places: np.ndarray) -> Callable[[Sequence[int]], np.ndarray]:
+    """How far two bars are from being in line."""
+
+    def margins(chosen: Sequence[int]) -> np.ndarray:
+        i, j = _dependent(model, chosen)
+        sine = np.sin(places[:, 3 * j + 2] - places[:, 3 * i + 2])
+        return np.asarray(sine * np.sign(sine[:1]) / LEAST_SINE)
+
+    return margins
+
+
+def _in_line(model: Model, _: np.ndarray, chosen: Sequence[int]) -> str:
+    i, j = _dependent(model, chosen)
+    return f"bars {i + 1} and {j + 1} come into line (a dead point)"
+
+
+def _minimal(model: Model, chosen: Sequence[int], near: np.ndarray) -> Model:
+    i, j = _dependent(model, chosen)
+    branch = 1 if np.sin(near[3 * j + 2] - near[3 * i + 2]) > 0 else -1
+    return minimal_linkage(model, [k // 3 + 1 for k in chosen], branch)
+
+
+LOOPS = Loops(
+    _put_together, _assemblies, _angles, _margins, _in_line, _in_all, _minimal,
+    lambda model, theta: check_regular(dimensions(model)[0], theta),
+)  # fmt: skip

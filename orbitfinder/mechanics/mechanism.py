@@ -26,7 +26,7 @@ from scipy.linalg import qr
 
 from orbitfinder._runtime.sizes import size_of
 from orbitfinder.errors import InputError, closest, plural
-from orbitfinder.mechanics.constrained import RANK_TOLERANCE, constrained_model
+from orbitfinder.mechanics.constrained import RANK_TOLERANCE, Loops, constrained_model, with_rates
 from orbitfinder.mechanics.controls import divided
 from orbitfinder.mechanics.factorise import LinearBalances, acceleration_function, solve_positive_definite
 from orbitfinder.mechanics.lagrange import (
@@ -76,6 +76,8 @@ HOMOTOPY, FINAL = 20, 3
 """Newton steps along the way from the pose to a place, and at the place, of the minimal form"""
 CYCLIC = 1e-13
 """Slope of the Lagrangian, relative to it, of a coordinate that it does not depend on"""
+LEAST_SHARE = 5e-3
+"""Least over largest singular value of the closures' slopes below which a mechanism is at a dead point."""
 MASSLESS = 1e-12
 """Inertia that a coordinate moves, relative to the whole mechanism's, below which it moves nothing"""
 ISOMETRIC = np.array([[1.0, 0.5, 0.5], [0.0, np.sqrt(0.75), -np.sqrt(0.75)]])
@@ -1405,7 +1407,7 @@ def minimal_mechanism(model: Model, independent: Sequence[str], near: np.ndarray
     A. Wehage, E. J. Haug, Journal of Mechanical Design 104 (1982) 247-255. Valid while the closures determine the
     others (no dead point of u). Raises `InputError`.
     """
-    names, n, p = model.state_names[: model.degrees_of_freedom], model.degrees_of_freedom, model.parameter_values
+    names, n = model.state_names[: model.degrees_of_freedom], model.degrees_of_freedom
     freedom = n - len(constraint_of(model).force_names)
     for name in independent:
         if name not in names:
@@ -1416,14 +1418,11 @@ def minimal_mechanism(model: Model, independent: Sequence[str], near: np.ndarray
         )
     chosen = [names.index(name) for name in independent]
     pose = mechanism_state(model, near=near)[:n]
-    slopes = constraint_of(model).jacobian(pose, p).full() * coordinate_units(model)
     rest = [k for k in range(n) if k not in chosen]
-    sizes = np.linalg.svd(slopes[:, rest], compute_uv=False)
-    if sizes[-1] < RANK_TOLERANCE * sizes[0]:
-        weak = int(np.abs(np.linalg.svd(slopes[:, rest])[0][:, -1]).argmax())
+    if _margins(model, pose[None])(chosen)[0] < RANK_TOLERANCE / LEAST_SHARE:
         raise InputError(
-            f"independent: dead point of {', '.join(independent)} at the pose: {joint_of(model, weak)} does not say "
-            f"where {', '.join(names[k] for k in rest)} go; choose other coordinates"
+            f"independent: dead point of {', '.join(independent)} at the pose: {_weakest(model, pose, rest)} does not "
+            f"say where {', '.join(names[k] for k in rest)} go; choose other coordinates"
         )
     return _embedded(model, chosen, rest, pose)
 
@@ -1485,10 +1484,48 @@ def _followed(model: Model, chosen: list[int], rest: list[int], pose: np.ndarray
     return found
 
 
-def all_coordinates(model: Model, system: Table) -> ca.Function:
-    """q(u) (n): all coordinates of a mechanism with loops from the independent ones of its minimal form's system."""
+def _in_all(model: Model, system: Table) -> ca.Function:
+    """(u, udot) -> all coordinates (n) and their rates, of the minimal form with this system."""
     names = model.state_names[: model.degrees_of_freedom]
     chosen = [names.index(name) for name in system["independent"]]
     rest = [k for k in range(len(names)) if k not in chosen]
     pose, u = np.array([system["pose"][name] for name in names]), ca.SX.sym("u", len(chosen))
-    return ca.Function("all", [u], [_followed(model, chosen, rest, pose, u, ca.SX(ca.DM(model.parameter_values)))])
+    return with_rates(u, _followed(model, chosen, rest, pose, u, ca.SX(ca.DM(model.parameter_values))))
+
+
+def _margins(model: Model, places: np.ndarray) -> Callable[[Sequence[int]], np.ndarray]:
+    """The least singular value, over the largest, of the slopes with which the loops' equations hold the others."""
+    rows = model.along(constraint_of(model).jacobian, places.T)
+    slopes = rows.reshape(rows.shape[0], len(places), -1).transpose(1, 0, 2) * coordinate_units(model)
+
+    def margins(chosen: Sequence[int]) -> np.ndarray:
+        values = np.linalg.svd(np.delete(slopes, chosen, axis=2), compute_uv=False)
+        return np.asarray(values[:, -1] / values[:, 0] / LEAST_SHARE)
+
+    return margins
+
+
+def _at_dead_point(model: Model, place: np.ndarray, chosen: Sequence[int]) -> str:
+    names, rest = model.state_names, [k for k in range(place.size) if k not in chosen]
+    return (
+        f"{_weakest(model, place, rest)} no longer says how {', '.join(names[k] for k in rest)} "
+        f"follow from {', '.join(names[k] for k in chosen)} (a dead point)"
+    )
+
+
+def _weakest(model: Model, place: np.ndarray, rest: Sequence[int]) -> str:
+    """The joint whose equation says least about where some coordinates go."""
+    slopes = constraint_of(model).jacobian(place, model.parameter_values).full() * coordinate_units(model)
+    return joint_of(model, int(np.abs(np.linalg.svd(slopes[:, rest])[0][:, -1]).argmax()))
+
+
+def _put_together(model: Model, *given: Any, branch: int | None = None, **more: Any) -> np.ndarray:
+    del branch  # a pose says it
+    return mechanism_state(model, *given, **more)
+
+
+JOINED = Loops(
+    _put_together, lambda model, near: [mechanism_state(model, near=near)[: model.degrees_of_freedom]],
+    lambda model: range(model.degrees_of_freedom), _margins, _at_dead_point, _in_all,
+    lambda model, chosen, near: minimal_mechanism(model, [model.state_names[k] for k in chosen], near),
+)  # fmt: skip

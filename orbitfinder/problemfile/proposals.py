@@ -13,6 +13,7 @@ from orbitfinder.guesses.modes import linkage_equilibrium, linkage_mode, linkage
 from orbitfinder.guesses.returns import close_returns, recurrences
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.loops.problem import Guess
+from orbitfinder.mechanics.catalogue import system_kind
 from orbitfinder.mechanics.model import energy, wrapped
 from orbitfinder.problemfile.read import ProblemFile
 
@@ -107,13 +108,13 @@ def modes(loaded: ProblemFile, amplitude: float) -> list[Proposal]:
     model = loaded.model
     if model.degrees_of_freedom > MOST_COORDINATES:
         raise InputError(f"{model.degrees_of_freedom} coordinates; give mode and amplitude in [guess]")
-    if model.constraint is not None and model.system.get("kind") == "linkage":
-        place = linkage_equilibrium(model)
-        squared, shapes = linkage_modes(model, place)
-    elif model.constraint is not None:
+    if model.constraint is None:
+        place, (squared, shapes) = None, normal_modes(model)
+    elif system_kind(model.system).loops.minimal is None:
         raise InputError("redundant coordinates; give a state and a period")
     else:
-        place, (squared, shapes) = None, normal_modes(model)
+        place = linkage_equilibrium(model)
+        squared, shapes = linkage_modes(model, place)
     found = []
     for k, (rate, shape) in enumerate(zip(squared, shapes.T, strict=True), start=1):
         if rate > 0:

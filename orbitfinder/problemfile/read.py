@@ -25,11 +25,9 @@ from orbitfinder.guesses.returns import first_return, normal_mode_sum, recurrenc
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.control import Control, Task
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.catalogue import PROBLEM, build_model, described
+from orbitfinder.mechanics.catalogue import OTHER, PROBLEM, build_model, described, system_kind
 from orbitfinder.mechanics.chain import maximal_states
-from orbitfinder.mechanics.linkage import assemble, dimensions, linkage_rates, linkage_state
-from orbitfinder.mechanics.mechanism import mechanism_state
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, constraint_of
 from orbitfinder.mechanics.robot import robot
 from orbitfinder.problemfile.schema import (
     SYSTEMS,
@@ -285,7 +283,7 @@ def _load_python(source: Path, trust: bool) -> ProblemFile:
     with _located(source):
         checked_name(made.name)
         made.check_count()
-    if made.model.system.get("kind") == "custom" and source.stem.isidentifier():
+    if system_kind(made.model.system) is OTHER and source.stem.isidentifier():
         made = replace(made, model=replace(made.model, system=described(made.model.system, source.stem, PROBLEM)))
     return ProblemFile(source, made.name, made.model, made, start=made.guess.state)
 
@@ -296,8 +294,9 @@ def _load_python(source: Path, trust: bool) -> ProblemFile:
 
 def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
     """The starting point that a table stands for; `folder` is where its CSV file may be."""
-    drawn = model.system.get("kind") == "mechanism" and (model.constraint is not None or given.angles is not None)
-    if drawn or (model.constraint is not None and model.system.get("kind") == "linkage"):
+    kind = system_kind(model.system)
+    looped = model.constraint is not None or (kind.drawn and given.angles is not None)
+    if looped and kind.loops.minimal is not None:
         return _linkage_guess(given, model, folder)
     linkage_keys = [key for key in ("angles", "branch", "rates") if getattr(given, key) is not None]
     if linkage_keys:
@@ -327,6 +326,7 @@ def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
 
 def _linkage_guess(given: GuessTable, model: Model, folder: Path) -> Guess:
     """The starting point of a linkage or mechanism that a table stands for; a period left out is the first return."""
+    loops = system_kind(model.system).loops
     if given.csv is not None:
         return read_trajectory(folder, given.csv, len(model.state_names))
     if given.mode is not None:
@@ -334,10 +334,12 @@ def _linkage_guess(given: GuessTable, model: Model, folder: Path) -> Guess:
             raise InputError("guess.mode: a linkage takes one mode with one amplitude; give numbers, not lists")
         if isinstance(given.equilibrium, str):
             raise InputError("guess.equilibrium: a linkage's is given by angles near it, one per bar")
-        near = None if given.equilibrium is None else _angles(model, given.equilibrium)
-        found = linkage_mode(model, given.mode, given.amplitude, linkage_equilibrium(model, near))
+        found = linkage_mode(model, given.mode, given.amplitude, linkage_equilibrium(model, given.equilibrium))
         return found if given.period is None else Guess(found.state, given.period)
-    state = _assembled(given, model) if given.angles is not None else _state(model, given.state or [])
+    if given.angles is not None:
+        state = loops.state(model, given.angles, given.rates, branch=given.branch)
+    else:
+        state = _state(model, given.state or [])
     if given.period is None and model.forcing_period is not None:
         return Guess(state, float(model.forcing_period(model.parameter_values)))
     return Guess(state, given.period or first_return(model, state, given.duration))
@@ -353,28 +355,11 @@ def _rest(model: Model, named: list[float] | str | None) -> np.ndarray | None:
     return rest_near(model, model.landmarks[named])
 
 
-def _angles(model: Model, angles: list[float]) -> np.ndarray:
-    if model.system.get("kind") == "mechanism":
-        return mechanism_state(model, near=np.asarray(angles, float))[: model.degrees_of_freedom]
-    bars = dimensions(model)[0].size
-    if len(angles) != bars:
-        raise InputError(f"guess.equilibrium: {plural(len(angles), 'angle')} for {bars} bars; give one per bar")
-    return np.asarray(angles, float)
-
-
-def _assembled(given: GuessTable, model: Model) -> np.ndarray:
-    if model.system.get("kind") == "mechanism":
-        return mechanism_state(model, given.angles, given.rates)
-    theta = assemble(model, given.angles or {}, branch=given.branch)
-    return linkage_state(model, theta, linkage_rates(model, theta, given.rates) if given.rates else None)
-
-
 def _state(model: Model, state: list[float]) -> np.ndarray:
     """A state as given, or lifted from link angles and rates."""
     numbers = np.asarray(state, float)
-    if model.system.get("kind") == "mechanism":
-        return numbers
-    return maximal_states(model, numbers) if numbers.size == 2 * (model.degrees_of_freedom // 3) else numbers
+    lifted = constraint_of(model).lift is not None and numbers.size == 2 * (model.degrees_of_freedom // 3)
+    return maximal_states(model, numbers) if lifted else numbers
 
 
 def read_trajectory(folder: Path, name: str, size: int) -> Guess:
