@@ -139,7 +139,7 @@ def stationary_terms(model: Model, theta: np.ndarray) -> tuple[np.ndarray, ...]:
     """(grad L, phi) for the mu of least |grad L|, J, d2L/dtheta2 and M at link angles (n)."""
     rest = under_constraints(model)
     if theta.shape != (rest.size,):
-        raise InputError(f"guess.equilibrium: {plural(theta.size, 'angle')} for {rest.size} bars; give one per bar")
+        raise InputError(f"equilibrium: {plural(theta.size, 'angle')} for {rest.size} bars; give one per bar")
     slope, jacobian, gap = (part.full() for part in rest.first(theta))
     forces = np.linalg.lstsq(jacobian.T, -slope, rcond=None)[0]
     residual = np.vstack([slope + jacobian.T @ forces, gap]).ravel()
@@ -194,6 +194,8 @@ def normal_modes(
         raise InputError(
             "a first-order system has no masses; give mode, amplitude and equilibrium, or a state and a period"
         )
+    if model.constraint is not None:
+        return linkage_modes(model, equilibrium)
     place = _place(model, equilibrium)
     if place.shape != (n,):
         raise InputError(f"equilibrium: shape {place.shape} for {n} coordinates; give one number each, without rates")
@@ -240,10 +242,19 @@ def normal_mode(
         raise InputError(f"guess.amplitude: must be positive and finite, got {amplitude}; give an angle in rad")
     if model.rates is not None:
         return _first_order_mode(model, mode, amplitude, np.zeros(n) if equilibrium is None else equilibrium)
+    if model.constraint is not None:
+        return linkage_mode(model, mode, amplitude, equilibrium)
     if model.gyroscopic is not None and model.conservative:
         return _gyroscopic_mode(model, mode, amplitude, np.zeros(n) if equilibrium is None else equilibrium)
-    _check_mode(mode, n, f"this system has {plural(n, 'normal mode')}")
-    squared, shapes = normal_modes(model, equilibrium)
+    moved, period = _swung(_place(model, equilibrium), *normal_modes(model, equilibrium), mode, amplitude)
+    return Guess(np.concatenate([moved, np.zeros(n)]), period)
+
+
+def _swung(
+    place: np.ndarray, squared: np.ndarray, shapes: np.ndarray, mode: int, amplitude: float
+) -> tuple[np.ndarray, float]:
+    """The turning point (n) of a mode about a place, and its period. Raises `InputError`."""
+    _check_mode(mode, squared.size, f"this system has {plural(squared.size, 'normal mode')}")
     chosen = float(squared[mode - 1])
     if mode - 1 not in oscillating(squared):
         raise InputError(
@@ -251,9 +262,7 @@ def normal_mode(
             "give a state and a period, or use gravity so that the system hangs"
         )
     shape = shapes[:, mode - 1]
-    largest = shape[np.abs(shape).argmax()]
-    place = _place(model, equilibrium)
-    return Guess(np.concatenate([place + amplitude * shape / largest, np.zeros(n)]), 2 * np.pi / np.sqrt(chosen))
+    return place + amplitude * shape / shape[np.abs(shape).argmax()], float(2 * np.pi / np.sqrt(chosen))
 
 
 def _check_mode(mode: int, count: int, there: str, name: str = "guess.mode") -> None:
@@ -309,6 +318,8 @@ def rest_near(model: Model, place: Sequence[float] | np.ndarray) -> np.ndarray:
     """Coordinates (n) of the equilibrium that Newton's method finds from a place. Raises `InputError`."""
     if model.rates is not None:
         return first_order_modes(model, place)[0]
+    if model.constraint is not None:
+        return linkage_equilibrium(model, place)
     start, slopes = np.asarray(place, float), linearised(model)
     if start.shape != (model.degrees_of_freedom,):
         raise InputError(f"guess.equilibrium: shape {start.shape} for {model.degrees_of_freedom} coordinates")
@@ -397,14 +408,7 @@ def linkage_mode(
 ) -> Guess:
     """Guess on a linear normal mode, at rest at its turning point: `mode` from 1, largest angle `amplitude` (rad)."""
     theta = linkage_equilibrium(model) if equilibrium is None else np.asarray(equilibrium, float)
-    squared, shapes = linkage_modes(model, theta)
-    _check_mode(mode, squared.size, f"this linkage has {plural(squared.size, 'mode')}")
     if not (np.isfinite(amplitude) and amplitude != 0):
         raise InputError(f"guess.amplitude: must be finite and not 0, got {amplitude}; give an angle in rad")
-    if squared[mode - 1] <= 0:
-        raise InputError(f"guess.mode: mode {mode} does not oscillate (squared frequency {squared[mode - 1]:.3g})")
-    shape = shapes[:, mode - 1]
-    moved = theta + amplitude * shape / shape[np.abs(shape).argmax()]
-    return Guess(
-        system_kind(model.system).loops.state(model, near=moved), 2 * np.pi / float(np.sqrt(squared[mode - 1]))
-    )
+    moved, period = _swung(theta, *linkage_modes(model, theta), mode, amplitude)
+    return Guess(system_kind(model.system).loops.state(model, near=moved), period)

@@ -43,6 +43,8 @@ class Kind:
     """the kind of mechanism in two or three words, for captions"""
     described: bool = True
     """whether the description is all that it is made of"""
+    takes: Callable[..., Model] | None = None
+    """the function whose arguments are the keys of a file's table"""
     reread: bool = False
     """whether its description is read again where a parameter changes"""
     pendulum: bool = False
@@ -241,8 +243,12 @@ def _function(system: Mapping[str, Any]) -> str:
 
 KINDS = {
     "python": Kind(python_model, _function, described=False),
-    "chain": Kind(_chain, _pendulum, reread=True, pendulum=True, joints=lambda system: int(system["links"])),
-    "linkage": Kind(_linkage, _bars, reread=True, joints=lambda system: len(system["length"]) + 1, loops=LOOPS),
+    "chain": Kind(
+        _chain, _pendulum, takes=chain, reread=True, pendulum=True, joints=lambda system: int(system["links"])
+    ),
+    "linkage": Kind(
+        _linkage, _bars, takes=linkage, reread=True, joints=lambda system: len(system["length"]) + 1, loops=LOOPS
+    ),
     "mechanism": Kind(_mechanism, _drawn, drawn=True, loops=JOINED),
 }
 OTHER = Kind(_unknown, described=False)

@@ -24,7 +24,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.controls import Limits, divided
 from orbitfinder.mechanics.factorise import LinearBalances, eliminated
 from orbitfinder.mechanics.lagrange import (
@@ -240,6 +240,16 @@ class Loops:
     """(model, chosen, near) -> the minimal form, put together as near a place (n)"""
     check: Callable[[Model, np.ndarray], None] = lambda model, place: None
     """`InputError` where the motion from an equilibrium is not determined"""
+
+
+def by_place(known: Mapping[str, float], names: Sequence[str], what: str, where: str) -> dict[int, float]:
+    """Numbers by name as numbers by place among all names; `InputError` for an unknown name or what is no number."""
+    for name, value in known.items():
+        if name not in names:
+            raise InputError(f"{name}: unknown {what}{closest(name, names)}; this {where} has {', '.join(names)}")
+        if isinstance(value, bool | str) or not np.isfinite(value):
+            raise InputError(f"{name}: must be finite, got {value!r}; give a number")
+    return {list(names).index(name): float(value) for name, value in known.items()}
 
 
 def with_rates(u: ca.SX, q: ca.SX) -> ca.Function:

@@ -25,7 +25,7 @@ from orbitfinder.mechanics.chain import (
     maximal_chain,
     maximal_states,
 )
-from orbitfinder.mechanics.constrained import RANK_TOLERANCE, Loops, with_rates
+from orbitfinder.mechanics.constrained import RANK_TOLERANCE, Loops, by_place, with_rates
 from orbitfinder.mechanics.controls import Limits
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import Baumgarte, Model, check_state, constraint_of
@@ -63,16 +63,17 @@ def linkage(
     upper joint, the last pair on the ground at its pivot. Source: the report, section 3.
 
     Args:
-        length: of each bar, m (n).
-        mass: kg, of all bars or of each.
-        ground: the pivot in which the last bar ends, (down, right) in m.
-        inertia: kg m^2 about the centre of mass; default m l^2 / 12.
-        com: centre of mass as a fraction of the length from the upper joint.
-        gravity: m/s^2.
-        baumgarte: (alpha, beta) in 1/s; chosen from the linkage's own pace unless given.
-        motors: joints with a torque that may vary, as for `of.chain`; joint n + 1 turns the ground against the last
-            bar.
-        limits: of these torques, as for `of.chain`.
+        length: length of the bars in m, positive, 2 to 40 of them in files; three and the ground are a four-bar.
+        mass: mass of the bars in kg, positive, one number or one per bar.
+        ground: position [x, y] in m of the pivot at the end of the last bar, x down, y right; the first is at 0.
+        inertia: inertia of the bars about their centres of mass in kg m^2, m l^2 / 12 when left out.
+        com: centre of mass as a fraction of the length from the upper joint, one number or one per bar.
+        gravity: gravitational acceleration in m/s^2.
+        baumgarte: stabilisation [alpha, beta] of the constraints in 1/s, both positive; 10 each when left out.
+        motors: joints with a motor, whose torque (torque1, ... in N m) may vary in time; 1 is the first pivot, n + 1
+            the last.
+        limits: how far controls may go: the greatest magnitude, or [lowest, highest], by name, such as { torque1 = 5.0
+            }.
 
     Returns:
         A Model with a constraint.
@@ -145,7 +146,8 @@ def check_closable(lengths: np.ndarray, ground: np.ndarray) -> None:
 
 def dimensions(model: Model, parameters: Any = None) -> tuple[Any, Any]:
     """Bar lengths (n) and ground pivot (2) of a linkage, in m, among its values or other `parameters` (symbols)."""
-    if (kind := model.system.get("kind")) != "linkage":
+    if "ground" not in model.system:
+        kind = model.system.get("kind")
         raise InputError(f"model: expected a linkage, got kind {kind!r}; build it with linkage(...)")
     lengths = [model.parameter_index(f"length{i + 1}") for i in range(len(model.system["length"]))]
     ground = [model.parameter_index(name) for name in ("ground1", "ground2")]
@@ -201,7 +203,7 @@ def assemble(
     cannot reach, or at a change-point.
     """
     lengths, ground = dimensions(model)
-    fixed = _by_index(known, "theta", lengths.size)
+    fixed = by_place(known, [f"theta{i + 1}" for i in range(lengths.size)], "angle", "linkage")
     if len(fixed) > lengths.size - 2:
         raise InputError(
             f"assemble: {len(fixed)} angles given, but {lengths.size} bars have {lengths.size - 2} degrees of freedom; "
@@ -232,7 +234,7 @@ def linkage_rates(model: Model, theta: np.ndarray, known: Mapping[str, float]) -
     """
     lengths, _ = dimensions(model)
     angles = np.asarray(theta, float)
-    given = _by_index(known, "theta", lengths.size, "dot")
+    given = by_place(known, [f"theta{i + 1}dot" for i in range(lengths.size)], "rate", "linkage")
     if len(given) != lengths.size - 2:
         raise InputError(
             f"linkage_rates: {len(given)} rates given for {lengths.size - 2} degrees of freedom; give exactly that many"
@@ -274,16 +276,6 @@ def _assemblies(model: Model, near: Sequence[float] | None) -> list[np.ndarray]:
         with suppress(InputError):
             found.append(assemble(model, {}, guess=start))
     return found
-
-
-def _by_index(known: Mapping[str, float], stem: str, count: int, suffix: str = "") -> dict[int, float]:
-    names = {f"{stem}{i + 1}{suffix}": i for i in range(count)}
-    for name, value in known.items():
-        if name not in names:
-            raise InputError(f"{name}: unknown; this linkage has {', '.join(names)}")
-        if not np.isfinite(value):
-            raise InputError(f"{name}: must be finite, got {value!r}")
-    return {names[name]: float(value) for name, value in known.items()}
 
 
 def _dyad(

@@ -20,7 +20,7 @@ from pydantic_core import PydanticCustomError
 
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError, plural
-from orbitfinder.guesses.modes import linkage_equilibrium, linkage_mode, normal_mode, rest_near
+from orbitfinder.guesses.modes import normal_mode, rest_near
 from orbitfinder.guesses.returns import first_return, normal_mode_sum, recurrences
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.control import Control, Task
@@ -143,7 +143,7 @@ def read_toml(source: Path) -> dict[str, Any]:
 def parse(document: Mapping[str, Any], where: str) -> ProblemTable:
     """The checked tables of a document; `InputError` is about all that is wrong, unknown keys last."""
     try:
-        declares = isinstance(system := document.get("system"), Mapping) and system.get("kind") == "python"
+        declares = isinstance(system := document.get("system"), Mapping) and "function" in system
         return ProblemTable.model_validate(document, context={"declares": declares})
     except ValidationError as error:
         faults = error.errors(include_url=False)
@@ -294,12 +294,11 @@ def _load_python(source: Path, trust: bool) -> ProblemFile:
 
 def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
     """The starting point that a table stands for; `folder` is where its CSV file may be."""
-    kind = system_kind(model.system)
+    kind, state = system_kind(model.system), np.asarray(given.state or [], float)
     looped = model.constraint is not None or (kind.drawn and given.angles is not None)
-    if looped and kind.loops.minimal is not None:
-        return _linkage_guess(given, model, folder)
+    looped &= kind.loops.minimal is not None
     linkage_keys = [key for key in ("angles", "branch", "rates") if getattr(given, key) is not None]
-    if linkage_keys:
+    if linkage_keys and not looped:
         raise InputError(
             f"guess.{linkage_keys[0]}: is for linkages and mechanisms only; give state and period, mode or csv"
         )
@@ -308,12 +307,19 @@ def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
     if given.mode is not None and given.amplitude is not None:
         if isinstance(given.mode, int) and isinstance(given.amplitude, float):
             return normal_mode(model, given.mode, given.amplitude, _rest(model, given.equilibrium))
-        if model.rates is not None:
-            raise InputError("guess.mode: a first-order system takes one mode with one amplitude; give numbers")
+        if looped or model.rates is not None:
+            what = "linkage" if looped else "first-order system"
+            raise InputError(f"guess.mode: a {what} takes one mode with one amplitude; give numbers, not lists")
         modes = given.mode if isinstance(given.mode, list) else [given.mode]
         sizes = given.amplitude if isinstance(given.amplitude, list) else [given.amplitude]
         return normal_mode_sum(model, modes, sizes)
-    state = np.asarray(given.state, float)
+    if looped:
+        if given.angles is not None:
+            state = kind.loops.state(model, given.angles, given.rates, branch=given.branch)
+        elif constraint_of(model).lift is not None and state.size == 2 * (model.degrees_of_freedom // 3):
+            state = maximal_states(model, state)
+        forced = None if model.forcing_period is None else float(model.forcing_period(model.parameter_values))
+        return Guess(state, given.period or forced or first_return(model, state, given.duration))
     if given.duration is None:
         return Guess(state, float(given.period or 0.0))
     found = recurrences(model, state, given.duration, 1)
@@ -324,27 +330,6 @@ def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
     return found[0].guess
 
 
-def _linkage_guess(given: GuessTable, model: Model, folder: Path) -> Guess:
-    """The starting point of a linkage or mechanism that a table stands for; a period left out is the first return."""
-    loops = system_kind(model.system).loops
-    if given.csv is not None:
-        return read_trajectory(folder, given.csv, len(model.state_names))
-    if given.mode is not None:
-        if not isinstance(given.mode, int) or not isinstance(given.amplitude, float):
-            raise InputError("guess.mode: a linkage takes one mode with one amplitude; give numbers, not lists")
-        if isinstance(given.equilibrium, str):
-            raise InputError("guess.equilibrium: a linkage's is given by angles near it, one per bar")
-        found = linkage_mode(model, given.mode, given.amplitude, linkage_equilibrium(model, given.equilibrium))
-        return found if given.period is None else Guess(found.state, given.period)
-    if given.angles is not None:
-        state = loops.state(model, given.angles, given.rates, branch=given.branch)
-    else:
-        state = _state(model, given.state or [])
-    if given.period is None and model.forcing_period is not None:
-        return Guess(state, float(model.forcing_period(model.parameter_values)))
-    return Guess(state, given.period or first_return(model, state, given.duration))
-
-
 def _rest(model: Model, named: list[float] | str | None) -> np.ndarray | None:
     """The equilibrium at a landmark or near a place, None where none is given."""
     if named is None or not isinstance(named, str):
@@ -353,13 +338,6 @@ def _rest(model: Model, named: list[float] | str | None) -> np.ndarray | None:
         known = ", ".join(model.landmarks) or "none, give coordinates"
         raise InputError(f"guess.equilibrium: unknown {named!r}; the landmarks of this system are {known}")
     return rest_near(model, model.landmarks[named])
-
-
-def _state(model: Model, state: list[float]) -> np.ndarray:
-    """A state as given, or lifted from link angles and rates."""
-    numbers = np.asarray(state, float)
-    lifted = constraint_of(model).lift is not None and numbers.size == 2 * (model.degrees_of_freedom // 3)
-    return maximal_states(model, numbers) if lifted else numbers
 
 
 def read_trajectory(folder: Path, name: str, size: int) -> Guess:

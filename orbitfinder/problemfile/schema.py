@@ -6,14 +6,26 @@ Sizes that depend on the system (numbers per link, length of a state) are checke
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    create_model,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from orbitfinder.errors import closest, shortened
+from orbitfinder.mechanics.catalogue import KINDS
+from orbitfinder.mechanics.robot import robot
 
 MOST_LINKS = 2000
 """Chains longer than this are refused: their state-transition matrices alone fill the memory."""
@@ -55,7 +67,9 @@ Energies = Annotated[float | list[float], BeforeValidator(_numbers("of numbers")
 Line = Annotated[str, Field(max_length=300), AfterValidator(_printable)]
 Positive = Annotated[float, Field(gt=0)]
 Range = Annotated[list[float], AfterValidator(_increasing)]
-Limits = dict[str, Positive | Annotated[list[float], Field(min_length=2, max_length=2)]]
+Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+Names = list[Line]
+Limits = dict[str, Positive | Pair]
 LIMITS = "how far controls may go: the greatest magnitude, or [lowest, highest], by name, such as { torque1 = 5.0 }"
 
 
@@ -65,63 +79,32 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
-class ChainSystem(Table):
-    """An n-link pendulum hanging from a fixed joint, angles from the downward vertical."""
-
-    kind: Literal["chain"] = Field(description="which system this is")
-    links: int = Field(ge=1, le=MOST_LINKS, description=f"number of links, 1 to {MOST_LINKS}")
-    length: PerLink = Field(1.0, description="length of the links in m, positive, one number or one per link")
-    mass: PerLink = Field(1.0, description="mass of the links in kg, positive, one number or one per link")
-    inertia: PerLink | None = Field(
-        None, description="inertia of the links about their centres of mass in kg m^2, m l^2 / 12 when left out"
-    )
-    com: PerLink = Field(
-        0.5, description="centre of mass as a fraction of the length from the upper joint, one number or one per link"
-    )
-    gravity: float = Field(9.8, description="gravitational acceleration in m/s^2")
-    formulation: str = Field("recursive", description="how the equations are derived; the motion is the same")
-    motors: list[int] | None = Field(
-        None, description="joints with a motor, whose torque (torque1, ... in N m) may vary in time; joint 1 is at the "
-        "ground, joint k turns link k against link k - 1",
-    )  # fmt: skip
-    limits: Limits | None = Field(None, description=LIMITS)
+TYPES: dict[str, Any] = {
+    "int": int, "float": float, "bool": bool, "str": str, "Numbers": PerLink, "Numbers | None": PerLink | None,
+    "Sequence[int]": list[int] | None, "Limits | None": Limits | None,
+    "Sequence[str] | str": Names | Literal["all"] | None,
+    "Mapping[str, float] | float | None": float | dict[str, float] | None,
+    "Mapping[str, float] | None": dict[str, float] | None,
+    "Mapping[str, float] | Sequence[str]": dict[str, float] | Names | None,
+    "Sequence[float] | float | None": float | list[float] | None,
+}  # fmt: skip
+"""What a file takes for what a function takes"""
 
 
-class LinkageSystem(Table):
-    """A closed planar chain of bars between two pivots on the ground, as a native DAE in maximal coordinates."""
+def table_of(kind: str, build: Callable[..., Any], **own: tuple[Any, ...]) -> type[Table]:
+    """The `[system]` table of a function's arguments: their names, defaults, and what its docstring says of them.
 
-    kind: Literal["linkage"] = Field(description="which system this is")
-    length: list[Positive] = Field(
-        min_length=2, max_length=MOST_BARS,
-        description=f"length of the bars in m, positive, 2 to {MOST_BARS} of them; three and the ground are a four-bar",
-    )  # fmt: skip
-    ground: list[float] = Field(
-        min_length=2, max_length=2,
-        description="position [x, y] in m of the pivot at the end of the last bar, x down, y right; the first is at 0",
-    )  # fmt: skip
-    mass: PerLink = Field(1.0, description="mass of the bars in kg, positive, one number or one per bar")
-    inertia: PerLink | None = Field(
-        None, description="inertia of the bars about their centres of mass in kg m^2, m l^2 / 12 when left out"
-    )
-    com: PerLink = Field(
-        0.5, description="centre of mass as a fraction of the length from the upper joint, one number or one per bar"
-    )
-    gravity: float = Field(9.8, description="gravitational acceleration in m/s^2")
-    baumgarte: list[Positive] = Field(
-        [10.0, 10.0], min_length=2, max_length=2,
-        description="stabilisation [alpha, beta] of the constraints in 1/s, both positive",
-    )  # fmt: skip
-    independent: list[int] | None = Field(
-        None, description="bars whose angles are the coordinates, n - 2 of them: the linkage in minimal coordinates"
-    )
-    branch: Literal[1, -1] = Field(
-        1, description="with independent: the sign of sin(theta_j - theta_i) of the other two bars i < j"
-    )
-    motors: list[int] | None = Field(
-        None, description="joints with a motor, whose torque (torque1, ... in N m) may vary in time; 1 is the first "
-        "pivot, n + 1 the last",
-    )  # fmt: skip
-    limits: Limits | None = Field(None, description=LIMITS)
+    `own` is where a file takes something else: type and default, and a description of what is no argument.
+    """
+    text = inspect.getdoc(build) or ""
+    said = dict(re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", text, re.MULTILINE))
+    fields: dict[str, Any] = {"kind": (Literal[kind], Field(description="which system this is"))}
+    for name, one in inspect.signature(build).parameters.items():
+        default = ... if one.default is one.empty else None if one.default == () else one.default
+        taken, default, *_ = own.pop(name, (TYPES.get(one.annotation, Any), default))
+        fields[name] = (taken, Field(default, description=" ".join(said.get(name, "").split()).rstrip(".")))
+    fields |= {name: (taken, Field(default, description=said)) for name, (taken, default, said) in own.items()}
+    return create_model(f"{kind.title()}System", __base__=Table, __doc__=text.partition("\n")[0], **fields)
 
 
 Entry = Annotated[float | str, BeforeValidator(lambda value: float(value) if isinstance(value, int) else value)]
@@ -204,7 +187,7 @@ class MotorTable(Table):
     torque: float = Field(0.0, description="steady torque in N m, or force in N")
     amplitude: Entry = Field(0.0, description="amplitude of what varies, in N m or N")
     phase: Entry = Field(0.0, description="in rad")
-    limit: Positive | Annotated[list[float], Field(min_length=2, max_length=2)] | None = Field(
+    limit: Positive | Pair | None = Field(
         None, description="how far a motor that is a control (without torque and amplitude) may go, in N m or N"
     )
 
@@ -250,29 +233,6 @@ class MechanismSystem(Table):
     )
 
 
-class RobotSystem(Table):
-    """A robot in a URDF or MJCF file, read into a mechanism; needs the extra [robot]."""
-
-    kind: Literal["robot"] = Field(description="which system this is")
-    file: Line = Field(description="the URDF or MJCF file, beside the problem file unless the path says otherwise")
-    locked: dict[str, float] | list[Line] = Field([], description="joints that stay at 0, or at the angles given")
-    stiffness: float | dict[str, float] | None = Field(
-        None, description="springs in all joints, or in each by name (N m/rad, N/m); the file's own when left out"
-    )
-    rest: dict[str, float] = Field({}, description="where springs are at ease, by joint, 0 otherwise")
-    damping: float | dict[str, float] | None = Field(
-        None, description="dampers in all joints, or in each by name; the file's own when left out"
-    )
-    motors: list[Line] | Literal["all"] = Field(
-        [], description="joints with a control torque, within the file's effort"
-    )
-    floating: bool = Field(False, description="the base moves freely instead of being fixed to the ground")
-    gravity: float | list[float] | None = Field(
-        None, description="m/s^2, along the file's -z, or [x, y, z] in the file's axes; the file's own, or 9.80665"
-    )
-    values: dict[str, float] = Field({}, description="physical parameters that replace the file's, such as link3_mass")
-
-
 class PythonSystem(Table):
     """A system made by a Python function: a built-in one, or with `--trust` any installed or neighbouring module's."""
 
@@ -301,9 +261,23 @@ class PythonSystem(Table):
     limits: Limits | None = Field(None, description=LIMITS)
 
 
-SYSTEMS: dict[str, type[Table]] = {"chain": ChainSystem, "linkage": LinkageSystem, "mechanism": MechanismSystem,
-                                    "robot": RobotSystem, "python": PythonSystem}  # fmt: skip
-"""The `[system]` table of each `kind`; a new kind is added here and in `mechanics.catalogue`."""
+OWN: dict[str, dict[str, tuple[Any, ...]]] = {
+    "chain": {"links": (Annotated[int, Field(ge=1, le=MOST_LINKS)], ...)},
+    "linkage": {
+        "length": (Annotated[list[Positive], Field(min_length=2, max_length=MOST_BARS)], ...),
+        "ground": (Annotated[list[float], Field(min_length=2, max_length=2)], ...),
+        "baumgarte": (Annotated[list[Positive], Field(min_length=2, max_length=2)] | None, None),
+        "independent": (list[int] | None, None, "bars whose angles are the coordinates, n - 2 of them: the linkage in "
+                        "minimal coordinates"),
+        "branch": (Literal[1, -1], 1, "with independent: the sign of sin(theta_j - theta_i) of the other bars i < j"),
+    },
+}  # fmt: skip
+"""What files take for arguments of a kind, where that is not what Python takes"""
+SYSTEMS: dict[str, type[Table]] = {
+    **{name: table_of(name, kind.takes, **OWN.get(name, {})) for name, kind in KINDS.items() if kind.takes},
+    "mechanism": MechanismSystem, "robot": table_of("robot", robot, file=(Line, ...)), "python": PythonSystem,
+}  # fmt: skip
+"""The `[system]` table of each `kind`: of what its function takes, see `mechanics.catalogue.KINDS`"""
 
 MOST_SEGMENTS = 1000
 USUAL_SYMMETRIES = ("none", "brake", "reflection", "reversal", "brake+reflection")
