@@ -30,7 +30,6 @@ from orbitfinder.mechanics.chain import maximal_states
 from orbitfinder.mechanics.model import Model, constraint_of
 from orbitfinder.mechanics.robot import robot
 from orbitfinder.problemfile.schema import (
-    SYSTEMS,
     ControlTable,
     FindTable,
     GuessTable,
@@ -38,6 +37,7 @@ from orbitfinder.problemfile.schema import (
     Table,
     check_name,
     sentence,
+    systems,
 )
 from orbitfinder.records.orbit import SHIFT
 from orbitfinder.records.reading import bounded, file_bytes
@@ -159,7 +159,7 @@ def _located(source: Path) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        tables: dict[str, tuple[type[Table], ...]] = {"system": tuple(SYSTEMS.values()), "find": (FindTable,)}
+        tables: dict[str, tuple[type[Table], ...]] = {"system": tuple(systems().values()), "find": (FindTable,)}
         within = (f"{name}." for name, kinds in tables.items() if any(error.field in one.model_fields for one in kinds))
         raise type(error)(f"{source}: {next(within, '')}{error}") from error
 

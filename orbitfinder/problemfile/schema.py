@@ -9,6 +9,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -91,17 +92,16 @@ TYPES: dict[str, Any] = {
 """What a file takes for what a function takes"""
 
 
-def table_of(kind: str, build: Callable[..., Any], **own: tuple[Any, ...]) -> type[Table]:
-    """The `[system]` table of a function's arguments: their names, defaults, and what its docstring says of them.
-
-    `own` is where a file takes something else: type and default, and a description of what is no argument.
-    """
-    text = inspect.getdoc(build) or ""
+@cache
+def table_of(kind: str, build: Callable[..., Any]) -> type[Table]:
+    """The `[system]` table of a function's arguments: their names, defaults, and what its docstring says of them."""
+    text, own = inspect.getdoc(build) or "", dict(OWN.get(kind, {}))
     said = dict(re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", text, re.MULTILINE))
     fields: dict[str, Any] = {"kind": (Literal[kind], Field(description="which system this is"))}
     for name, one in inspect.signature(build).parameters.items():
         default = ... if one.default is one.empty else None if one.default == () else one.default
-        taken, default, *_ = own.pop(name, (TYPES.get(one.annotation, Any), default))
+        known = TYPES.get(getattr(one.annotation, "__name__", one.annotation), Any)
+        taken, default = own.pop(name, (known, default))
         fields[name] = (taken, Field(default, description=" ".join(said.get(name, "").split()).rstrip(".")))
     fields |= {name: (taken, Field(default, description=said)) for name, (taken, default, said) in own.items()}
     return create_model(f"{kind.title()}System", __base__=Table, __doc__=text.partition("\n")[0], **fields)
@@ -262,6 +262,7 @@ class PythonSystem(Table):
 
 
 OWN: dict[str, dict[str, tuple[Any, ...]]] = {
+    "robot": {"file": (Line, ...)},
     "chain": {"links": (Annotated[int, Field(ge=1, le=MOST_LINKS)], ...)},
     "linkage": {
         "length": (Annotated[list[Positive], Field(min_length=2, max_length=MOST_BARS)], ...),
@@ -272,12 +273,15 @@ OWN: dict[str, dict[str, tuple[Any, ...]]] = {
         "branch": (Literal[1, -1], 1, "with independent: the sign of sin(theta_j - theta_i) of the other bars i < j"),
     },
 }  # fmt: skip
-"""What files take for arguments of a kind, where that is not what Python takes"""
-SYSTEMS: dict[str, type[Table]] = {
-    **{name: table_of(name, kind.takes, **OWN.get(name, {})) for name, kind in KINDS.items() if kind.takes},
-    "mechanism": MechanismSystem, "robot": table_of("robot", robot, file=(Line, ...)), "python": PythonSystem,
-}  # fmt: skip
-"""The `[system]` table of each `kind`: of what its function takes, see `mechanics.catalogue.KINDS`"""
+"""Type and default that files take for arguments where that is not what Python takes; of what is no argument also the
+description"""
+
+
+def systems() -> dict[str, type[Table]]:
+    """The `[system]` table of each `kind`: of what its function takes, see `mechanics.catalogue.KINDS`."""
+    made = {name: table_of(name, kind.takes) for name, kind in KINDS.items() if kind.takes}
+    return made | {"mechanism": MechanismSystem, "robot": table_of("robot", robot), "python": PythonSystem}
+
 
 MOST_SEGMENTS = 1000
 USUAL_SYMMETRIES = ("none", "brake", "reflection", "reversal", "brake+reflection")
@@ -309,15 +313,15 @@ Amplitude = Positive | Annotated[list[float], Field(min_length=1, max_length=20)
 def _system_of_its_kind(value: Any) -> Any:
     if not isinstance(value, Mapping):
         raise PydanticCustomError("table", "must be a table")
-    kind, known = value.get("kind"), ", ".join(map(repr, SYSTEMS))
+    kind, known = value.get("kind"), ", ".join(map(repr, systems()))
     if "kind" not in value:
         raise PydanticCustomError("kind", "missing; use one of {known}", {"known": known})
-    if kind not in list(SYSTEMS):
-        hint = closest(str(kind), SYSTEMS)
+    if kind not in list(systems()):
+        hint = closest(str(kind), systems())
         raise PydanticCustomError(
             "kind", "unknown {kind}{hint}; use one of {known}", {"kind": repr(kind), "hint": hint, "known": known}
         )
-    return SYSTEMS[str(kind)].model_validate(value)
+    return systems()[str(kind)].model_validate(value)
 
 
 class GuessTable(Table):
@@ -609,7 +613,7 @@ def _table_and_description(names: list[str], document: Mapping[str, Any]) -> tup
 def _nested(name: str, annotation: Any, document: Mapping[str, Any]) -> type[BaseModel] | None:
     if name == "system":
         system = document.get("system")
-        return SYSTEMS.get(str(system.get("kind"))) if isinstance(system, Mapping) else None
+        return systems().get(str(system.get("kind"))) if isinstance(system, Mapping) else None
     candidates = [annotation, *getattr(annotation, "__args__", ())]
     tables = [one for one in candidates if isinstance(one, type) and issubclass(one, BaseModel)]
     return tables[0] if tables else None
