@@ -215,7 +215,7 @@ def assemble(
     if branch is not None and branch not in (1, -1):
         raise InputError(f"branch: must be +1 or -1, the sign of sin(theta_j - theta_i), got {branch!r}")
     if len(fixed) == lengths.size - 2:
-        theta = _dyad(lengths, ground, fixed, branch, start)
+        theta = _dyad(model, fixed, branch, start)
     elif start is None:
         raise InputError(
             f"assemble: {len(fixed)} angles given for {lengths.size - 2} degrees of freedom; give more, or guess="
@@ -278,30 +278,16 @@ def _assemblies(model: Model, near: Sequence[float] | None) -> list[np.ndarray]:
     return found
 
 
-def _dyad(
-    lengths: np.ndarray, ground: np.ndarray, fixed: Mapping[int, float], branch: int | None, guess: np.ndarray | None
-) -> np.ndarray:
-    """The last two bars i < j as two sides of a triangle whose third side is the gap left by the others.
-
-    gap = l_i e_i + l_j e_j, so the angle at i is arccos((D^2 + l_i^2 - l_j^2) / (2 D l_i)).
-    """
-    theta = np.zeros(lengths.size)
-    gap = np.array(ground)
-    for k, angle in fixed.items():
-        theta[k] = angle
-        gap -= lengths[k] * np.array([np.cos(angle), np.sin(angle)])
+def _dyad(model: Model, fixed: Mapping[int, float], branch: int | None, guess: np.ndarray | None) -> np.ndarray:
+    """The last two bars i < j as two sides of a triangle whose third side is the gap left by the others."""
+    lengths, ground = dimensions(model)
     i, j = (k for k in range(lengths.size) if k not in fixed)
-    distance = float(np.hypot(*gap))
-    _check_reach(lengths, fixed, (i, j), distance)
-    heading = np.arctan2(gap[1], gap[0])
-    cosine = (distance**2 + lengths[i] ** 2 - lengths[j] ** 2) / (2 * distance * lengths[i])
-    opening = np.arccos(np.clip(cosine, -1.0, 1.0))
-    solutions = {}
+    gap = ground - sum(lengths[k] * np.array([np.cos(angle), np.sin(angle)]) for k, angle in fixed.items())
+    _check_reach(lengths, fixed, (i, j), float(np.hypot(*gap)))
+    known, bars, solutions = ca.SX(list(fixed.values())), [k + 1 for k in fixed], {}
     for sign in (1, -1):
-        solution = theta.copy()
-        solution[i] = heading - sign * opening
-        elbow = gap - lengths[i] * np.array([np.cos(solution[i]), np.sin(solution[i])])
-        solution[j] = np.arctan2(elbow[1], elbow[0])
+        found = _bar_angles(model, known, ca.SX(model.parameter_values), bars, sign)
+        solution = ca.evalf(found).full().ravel()
         solutions[sign] = solution if guess is None else _wound(solution, guess, (i, j))
     if branch is not None or guess is None:
         return solutions[branch or 1]
@@ -406,15 +392,17 @@ def _bar_angles(model: Model, u: ca.SX, p: ca.SX, independent: Sequence[int], br
         angles[k] = u[position]
         gap = gap - lengths[k] * ca.vertcat(ca.cos(u[position]), ca.sin(u[position]))
     i, j = rest
-    angles[i], angles[j] = _symbolic_dyad(gap, lengths[i], lengths[j], branch)
+    angles[i], angles[j] = _triangle(gap, lengths[i], lengths[j], branch)
     return ca.vertcat(*angles)
 
 
-def _symbolic_dyad(gap: ca.SX, first: ca.SX, second: ca.SX, branch: int) -> tuple[ca.SX, ca.SX]:
+def _triangle(gap: ca.SX, first: ca.SX, second: ca.SX, branch: int) -> tuple[ca.SX, ca.SX]:
     """Angles of two bars that span a gap (2): heading -+ arccos of the cosine rule, and what is left."""
     distance = ca.norm_2(gap)
-    opening = ca.acos((distance**2 + first**2 - second**2) / (2 * distance * first))
-    angle = ca.atan2(gap[1], gap[0]) - branch * opening
+    cosine = (distance**2 + first**2 - second**2) / (2 * distance * first)
+    if cosine.is_constant():
+        cosine = ca.fmax(ca.fmin(cosine, 1.0), -1.0)  # stretched out, but for round-off
+    angle = ca.atan2(gap[1], gap[0]) - branch * ca.acos(cosine)
     elbow = gap - first * ca.vertcat(ca.cos(angle), ca.sin(angle))
     return angle, ca.atan2(elbow[1], elbow[0])
 
