@@ -249,7 +249,7 @@ KINDS = {
     "linkage": Kind(
         _linkage, _bars, takes=linkage, reread=True, joints=lambda system: len(system["length"]) + 1, loops=LOOPS
     ),
-    "mechanism": Kind(_mechanism, _drawn, drawn=True, loops=JOINED),
+    "mechanism": Kind(_mechanism, _drawn, takes=mechanism, drawn=True, loops=JOINED),
 }
 OTHER = Kind(_unknown, described=False)
 """Models that no file describes"""

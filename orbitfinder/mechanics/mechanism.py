@@ -275,24 +275,25 @@ def mechanism(
 ) -> Model:
     """The Model of a mechanism in the plane or in space, described as drawn: bodies, joints, springs, dampers, motors.
 
-    Joints that reach a new body carry coordinates named like them, in their order; all others close loops. Numbers
-    that are not 0 are physical parameters named after what they belong to, those in `parameters` after themselves
-    ("-length / 2" uses one). SI units, angles in rad.
+    Joints that reach a new body from the ground outwards have coordinates of their name, in their order (`ball1`,
+    `ball2`, `ball3` of a joint `ball` with three); all others close loops, as a native DAE. Each number that is not 0
+    is a physical parameter: `crank_mass`, `crank_inertia`, `crank_com_x`, `pin_1_x` (first point of joint `pin`),
+    `k_stiffness`, `k_length`, `gravity_x`, and those in `parameters` by their own names. SI units, angles in rad.
 
     Args:
-        bodies: {name: mass, inertia (about the centre of mass), com}.
-        joints: {name: kind, between two bodies or the "ground", at = their points, axis}.
-        springs: between points or in a joint, by name.
-        dampers: likewise.
-        motors: torques or forces in a joint.
-        motions: prescribed motions of a joint.
-        gravity: acceleration (m/s^2; x down, y right, z out).
-        dimension: 2 or 3.
-        parameters: numbers that others are expressed in.
-        frequency: rad/s of motors and motions that vary.
-        pose: {coordinate: value} near which loops are assembled.
-        redundant: "refuse" loops' equations that say the same twice, or "drop" them.
-        baumgarte: (alpha, beta) in 1/s of loops' equations.
+        bodies: bodies by name: mass, inertia (about the centre of mass), com.
+        joints: joints by name: kind, between two bodies or the "ground", at = their points, axis.
+        springs: springs by name, between points or in a joint.
+        dampers: dampers by name, likewise.
+        motors: motors by name, torques or forces in a joint.
+        motions: prescribed motions of joints by name.
+        gravity: acceleration in m/s^2, 9.8 down when left out; x down, y right, z out.
+        dimension: 2 in the plane (x down, y right), 3 in space (z towards the eye).
+        parameters: shared numbers by name, for text such as '-length / 2'.
+        frequency: of what varies in time, in rad/s.
+        pose: coordinates near which loops are assembled, 0 otherwise.
+        redundant: what to do with equations that repeat others: refuse, or drop them.
+        baumgarte: stabilisation [alpha, beta] of the loops in 1/s; its own pace.
         values: numbers that replace parameters.
         scales: sizes to measure in, by name.
         drawn: what pictures show beside the bodies.

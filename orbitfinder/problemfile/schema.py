@@ -95,16 +95,18 @@ TYPES: dict[str, Any] = {
 @cache
 def table_of(kind: str, build: Callable[..., Any]) -> type[Table]:
     """The `[system]` table of a function's arguments: their names, defaults, and what its docstring says of them."""
-    text, own = inspect.getdoc(build) or "", dict(OWN.get(kind, {}))
+    text, own = inspect.getdoc(build) or "", OWN.get(kind, {})
     said = dict(re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", text, re.MULTILINE))
     fields: dict[str, Any] = {"kind": (Literal[kind], Field(description="which system this is"))}
     for name, one in inspect.signature(build).parameters.items():
-        default = ... if one.default is one.empty else None if one.default == () else one.default
         known = TYPES.get(getattr(one.annotation, "__name__", one.annotation), Any)
-        taken, default = own.pop(name, (known, default))
-        fields[name] = (taken, Field(default, description=" ".join(said.get(name, "").split()).rstrip(".")))
-    fields |= {name: (taken, Field(default, description=said)) for name, (taken, default, said) in own.items()}
-    return create_model(f"{kind.title()}System", __base__=Table, __doc__=text.partition("\n")[0], **fields)
+        default = ... if one.default is one.empty else None if one.default == () else one.default
+        if (taken := own.get(name, (known, default))) is not None:
+            about = " ".join(said.get(name, "").split()).rstrip(".")
+            fields[name] = (taken[0], Field(taken[1], description=about))
+    more = {name: entry for name, entry in own.items() if entry is not None and len(entry) > 2}
+    fields |= {name: (taken[0], Field(taken[1], description=taken[2])) for name, taken in more.items()}
+    return create_model(f"{kind.title()}System", __base__=Table, __doc__=text.partition("\nArgs:")[0], **fields)
 
 
 Entry = Annotated[float | str, BeforeValidator(lambda value: float(value) if isinstance(value, int) else value)]
@@ -202,37 +204,6 @@ class MotionTable(Table):
     turns: float = Field(0.0, description="whole turns in a period of the forcing")
 
 
-class MechanismSystem(Table):
-    """Bodies, joints, springs, dampers and motors as drawn, in the plane or in space; loops are native DAEs.
-
-    Joints that reach a new body from the ground outwards have coordinates of their name (`ball1`, `ball2`, `ball3` of
-    a joint `ball` with three); the others close loops. Each number that is not 0 is a physical parameter: `crank_mass`,
-    `crank_inertia`, `crank_com_x`, `pin_1_x` (first point of joint `pin`), `k_stiffness`, `k_length`, `gravity_x`.
-    """
-
-    kind: Literal["mechanism"] = Field(description="which system this is")
-    dimension: Literal[2, 3] = Field(2, description="2 in the plane (x down, y right), 3 in space (z towards the eye)")
-    gravity: list[float] | None = Field(None, description="acceleration in m/s^2, 9.8 down when left out")
-    bodies: dict[str, BodyTable] = Field(description="bodies by name")
-    joints: dict[str, JointTable] = Field(description="joints by name")
-    springs: dict[str, SpringTable] | None = Field(None, description="springs by name")
-    dampers: dict[str, DamperTable] | None = Field(None, description="dampers by name")
-    motors: dict[str, MotorTable] | None = Field(None, description="motors by name")
-    motions: dict[str, MotionTable] | None = Field(None, description="prescribed motions by name")
-    frequency: Positive | None = Field(None, description="of what varies in time, in rad/s")
-    parameters: dict[str, float] | None = Field(
-        None, description="shared numbers by name, for text such as '-length / 2'"
-    )
-    pose: dict[str, float] | None = Field(None, description="coordinates near which loops are assembled, 0 otherwise")
-    independent: list[str] | None = Field(
-        None, description="solve in these coordinates, as many as degrees of freedom, instead of as a native DAE"
-    )
-    redundant: Literal["refuse", "drop"] = Field("refuse", description="what to do with equations that repeat others")
-    baumgarte: list[Positive] | None = Field(
-        None, min_length=2, max_length=2, description="stabilisation [alpha, beta] of the loops in 1/s; its own pace"
-    )
-
-
 class PythonSystem(Table):
     """A system made by a Python function: a built-in one, or with `--trust` any installed or neighbouring module's."""
 
@@ -261,7 +232,18 @@ class PythonSystem(Table):
     limits: Limits | None = Field(None, description=LIMITS)
 
 
-OWN: dict[str, dict[str, tuple[Any, ...]]] = {
+OWN: dict[str, dict[str, tuple[Any, ...] | None]] = {
+    "mechanism": {
+        "bodies": (dict[str, BodyTable], ...), "joints": (dict[str, JointTable], ...),
+        "springs": (dict[str, SpringTable] | None, None), "dampers": (dict[str, DamperTable] | None, None),
+        "motors": (dict[str, MotorTable] | None, None), "motions": (dict[str, MotionTable] | None, None),
+        "gravity": (list[float] | None, None), "dimension": (Literal[2, 3], 2), "frequency": (Positive | None, None),
+        "parameters": (dict[str, float] | None, None), "redundant": (Literal["refuse", "drop"], "refuse"),
+        "baumgarte": (Annotated[list[Positive], Field(min_length=2, max_length=2)] | None, None),
+        "values": None, "scales": None, "drawn": None,
+        "independent": (list[str] | None, None, "solve in these coordinates, as many as degrees of freedom, instead of "
+                        "as a native DAE"),
+    },
     "robot": {"file": (Line, ...)},
     "chain": {"links": (Annotated[int, Field(ge=1, le=MOST_LINKS)], ...)},
     "linkage": {
@@ -273,14 +255,14 @@ OWN: dict[str, dict[str, tuple[Any, ...]]] = {
         "branch": (Literal[1, -1], 1, "with independent: the sign of sin(theta_j - theta_i) of the other bars i < j"),
     },
 }  # fmt: skip
-"""Type and default that files take for arguments where that is not what Python takes; of what is no argument also the
-description"""
+"""Type and default that files take for arguments where that is not what Python takes, None of what they do not take; of
+what is no argument also the description"""
 
 
 def systems() -> dict[str, type[Table]]:
     """The `[system]` table of each `kind`: of what its function takes, see `mechanics.catalogue.KINDS`."""
     made = {name: table_of(name, kind.takes) for name, kind in KINDS.items() if kind.takes}
-    return made | {"mechanism": MechanismSystem, "robot": table_of("robot", robot), "python": PythonSystem}
+    return made | {"robot": table_of("robot", robot), "python": PythonSystem}
 
 
 MOST_SEGMENTS = 1000
