@@ -429,8 +429,8 @@ def chain(
             coordinates, reduced to the angles).
         motors: joints with a motor, whose torque (torque1, ... in N m) may vary in time; joint 1 is at the ground,
             joint k turns link k against link k - 1.
-        limits: how far controls may go: the greatest magnitude, or [lowest, highest], by name, such as { torque1 = 5.0
-            }.
+        limits: how far controls may go: the greatest magnitude, or [lowest, highest], by name, such as
+            { torque1 = 5.0 }.
 
     Returns:
         A Model with coordinates theta1, theta2, ... and parameters length1, mass1, ..., gravity.

@@ -72,8 +72,8 @@ def linkage(
         baumgarte: stabilisation [alpha, beta] of the constraints in 1/s, both positive; 10 each when left out.
         motors: joints with a motor, whose torque (torque1, ... in N m) may vary in time; 1 is the first pivot, n + 1
             the last.
-        limits: how far controls may go: the greatest magnitude, or [lowest, highest], by name, such as { torque1 = 5.0
-            }.
+        limits: how far controls may go: the greatest magnitude, or [lowest, highest], by name, such as
+            { torque1 = 5.0 }.
 
     Returns:
         A Model with a constraint.

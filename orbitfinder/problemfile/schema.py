@@ -71,7 +71,6 @@ Range = Annotated[list[float], AfterValidator(_increasing)]
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Names = list[Line]
 Limits = dict[str, Positive | Pair]
-LIMITS = "how far controls may go: the greatest magnitude, or [lowest, highest], by name, such as { torque1 = 5.0 }"
 
 
 class Table(BaseModel):
@@ -229,7 +228,10 @@ class PythonSystem(Table):
     controls: list[Line] | None = Field(
         None, description="physical parameters that may vary in time; the system's own when left out"
     )
-    limits: Limits | None = Field(None, description=LIMITS)
+    limits: Limits | None = Field(
+        None, description="how far controls may go: the greatest magnitude, or [lowest, highest], by name, such as "
+        "{ torque1 = 5.0 }",
+    )  # fmt: skip
 
 
 OWN: dict[str, dict[str, tuple[Any, ...] | None]] = {
