@@ -41,7 +41,7 @@ from orbitfinder.loops.problem import (
 )
 from orbitfinder.loops.shooting import Shooting, far_end, flow_of, transcribe, units_of
 from orbitfinder.loops.symmetry import off_centre
-from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.mechanics.catalogue import system_kind, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import extents_of
 from orbitfinder.orbits.certify import certified
@@ -63,8 +63,6 @@ SECTION = 1e-3
 """Coordinates this near to where an odd motion starts are left to the solver."""
 NEAR_ONE = 1e-3
 """A multiplier this near to +1 may be one of an invariant: a double one is known to the root of its matrix's error."""
-DERIVED = ("chain", "linkage", "mechanism")
-"""Systems whose invariants this library derives; those of all others are tried on a simulation."""
 
 
 def check_invariants(problem: Problem) -> None:
@@ -75,8 +73,8 @@ def check_invariants(problem: Problem) -> None:
     between neighbouring states.
     """
     model = problem.model
-    if not model.invariants or model.constraint is not None or model.system.get("kind") in DERIVED:
-        return
+    if not model.invariants or model.constraint is not None or system_kind(model.system).described:
+        return  # this library has derived them
     n, values = model.degrees_of_freedom, model.parameter_values
     field = vector_field(accelerations(model))
     units = np.asarray(units_of(problem) or np.ones(len(model.state_names)))

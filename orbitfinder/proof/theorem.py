@@ -18,7 +18,7 @@ import numpy as np
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, plural
 from orbitfinder.loops.symmetry import Symmetry, named
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.catalogue import build_model, system_kind
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import Vector, arb, decimal, magnitude, precision, radius
 from orbitfinder.proof.enclosure import Settings
@@ -164,10 +164,8 @@ def chosen_symmetry(orbit: Orbit, model: Model, codes: Programs, asked: str | No
 def provable_model(orbit: Orbit, trusted: Path | None = None) -> Model:
     """The Model of an orbit; of a chain in the formulation with the fewest operations."""
     refuse_controlled(orbit, "prove")
-    system = dict(orbit.system)
-    if system.get("kind") == "chain":
-        system["formulation"] = "recursive"
-    return build_model(system, trusted)
+    quick = {"formulation": "recursive"} if system_kind(orbit.system).pendulum else {}
+    return build_model({**orbit.system, **quick}, trusted)
 
 
 def _prove(
