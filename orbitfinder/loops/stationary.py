@@ -85,21 +85,20 @@ class Stationary:
         asked = np.isfinite(one.lower) | np.isfinite(one.upper)  # limits of controls, bounds that the problem states
         asked[: w.vector.size] = [name in program.problem.bounds for name in self.names[: w.vector.size]]
         self.boxed = np.flatnonzero(asked[:n])
-        self.extra = not varying.unknown
-        self.place = n if self.extra else n - 1 if program.parts.varied else (
+        extra = not varying.unknown
+        self.place = n if extra else n - 1 if program.parts.varied else (
             w.vector.size - w.free.size + program.parts.free.index(varying.unknown))  # fmt: skip
         rows = ca.vertcat(one.rows, one.v[[int(k) for k in self.boxed]])
-        y = ca.MX.sym("y", rows.numel())
-        slopes = [ca.gradient(one.cost, one.v), rows, ca.jacobian(rows, one.v)]
-        self._first = ca.Function("first", [one.v], [one.cost, *slopes])
-        self._second = ca.Function("second", [one.v, y], [ca.hessian(one.cost + ca.dot(y, rows), one.v)[0]])
+        y, z = ca.MX.sym("y", rows.numel()), ca.vertcat(one.v, ca.MX.sym("theta", int(extra)))
+        self._first = ca.Function("first", [z], [one.cost, ca.gradient(one.cost, z), rows, ca.jacobian(rows, z)])
+        self._second = ca.Function("second", [z, y], [ca.hessian(one.cost + ca.dot(y, rows), z)[0]])
         self.low, self.high = (np.concatenate([part, more[self.boxed]])
                                for part, more in ((one.low, one.lower), (one.high, one.upper)))  # fmt: skip
         self.drift = self._drift(w.vector.size)
-        begin = np.append(own, varying.value) if self.extra or program.parts.varied else own
+        begin = np.append(own, varying.value) if extra or program.parts.varied else own
         self.sizes = self._sizes(solution, begin)
-        f, slope, _, jacobian = self._first(begin[:n])
-        self.unit = nonzero(max(float(np.abs(slope.full().ravel() * self.sizes[:n]).max()), abs(float(f))))
+        f, slope, _, jacobian = self._first(begin)
+        self.unit = nonzero(max(float(np.abs(slope.full().ravel() * self.sizes).max()), abs(float(f))))
         scaled = self._columns(jacobian)
         self.heights = nonzero(np.sqrt(np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel()))
         self.begin, self.others = begin / self.sizes, np.delete(np.arange(begin.size), self.place)
@@ -151,17 +150,12 @@ class Stationary:
 
     def _columns(self, jacobian: ca.DM) -> csr_matrix:
         """Derivatives of constraints by z, in its sizes; ranges that go with theta are on this side."""
-        found = csr_matrix(jacobian.sparse())
-        if self.extra:
-            found = csr_matrix(bmat([[found, csr_matrix((found.shape[0], 1))]]))
-        return csr_matrix(found @ diags(self.sizes))
+        return csr_matrix(csr_matrix(jacobian.sparse()) @ diags(self.sizes))
 
     def values(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, csr_matrix]:
         """Cost and its gradient by z; constraints and their derivatives by z, each in units of its first gradient."""
-        n = self.statement.v.numel()
-        f, slope, rows, jacobian = self._first((z * self.sizes)[:n])
-        gradient = np.zeros(z.size)
-        gradient[:n] = slope.full().ravel() * self.sizes[:n] / self.unit
+        f, slope, rows, jacobian = self._first(z * self.sizes)
+        gradient = slope.full().ravel() * self.sizes / self.unit
         return float(f), gradient, rows.full().ravel(), csr_matrix(diags(1.0 / self.heights) @ self._columns(jacobian))
 
     def ends(self, z: np.ndarray) -> np.ndarray:
@@ -188,12 +182,8 @@ class Stationary:
         a = csr_matrix(a)
         whole = np.zeros(self.low.size)
         whole[chosen] = y[chosen] / self.heights[chosen] * self.unit
-        n = self.statement.v.numel()
-        hessian = csr_matrix(self._second((z * self.sizes)[:n], whole).sparse())
-        scale = diags(self.sizes[:n])
-        hessian = csr_matrix(scale @ hessian @ scale / self.unit)
-        if self.extra:
-            hessian = csr_matrix(bmat([[hessian, csr_matrix((n, 1))], [csr_matrix((1, n)), csr_matrix((1, 1))]]))
+        scale = diags(self.sizes)
+        hessian = csr_matrix(scale @ csr_matrix(self._second(z * self.sizes, whole).sparse()) @ scale / self.unit)
         left = gradient + jacobian[chosen].T @ y[chosen]
         residual = np.concatenate([left[self.others], (rows[chosen] - ends) / self.heights[chosen]])
         matrix = bmat([[hessian[self.others], jacobian[chosen].T.tocsr()[self.others]], [a, None]])
