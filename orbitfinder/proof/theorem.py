@@ -247,13 +247,18 @@ def verdict(path: Trajectory) -> Stability:
     return stability(reduced(path, monodromy(path)), path.formulation.conserved)
 
 
+def check_motion(path: Trajectory, model: Model, state: str, along: str) -> None:
+    """`NotProved` where a state could be an equilibrium, or what unfolds the energy need not push along the motion."""
+    if not moves(path):
+        raise NotProved(f"{state} could be an equilibrium")
+    if path.formulation.unfolded and not model.hamiltonian and not positive_mass(path):
+        raise NotProved(f"the mass matrix could not be shown to be positive definite along {along}")
+
+
 def conclusions(orbit: Orbit, model: Model, path: Trajectory, start: Approach, options: Options) -> dict[str, Any]:
     """What follows from the zero: that it is an orbit, the recorded one, its period and multipliers."""
     form = start.formulation
-    if not moves(path):
-        raise NotProved("the state could be an equilibrium")
-    if form.unfolded and not model.hamiltonian and not positive_mass(path):
-        raise NotProved("the mass matrix could not be shown to be positive definite along the orbit")
+    check_motion(path, model, "the state", "the orbit")
     distance, apart = gaps(orbit, path, start, model.angles)
     if not max(distance, apart) <= options.nearness:
         raise NotProved(
