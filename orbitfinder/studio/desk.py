@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
+from functools import wraps
 from typing import Any
 
 from nicegui import ui
@@ -15,6 +16,15 @@ from orbitfinder.mechanics.model import energy
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.studio.session import Session
 from orbitfinder.studio.worker import StoppedError, Worker
+
+
+def button(label: str, then: Callable[..., Any] | None, name: str, look: str = "") -> Any:
+    """A button of the page, found by its name; its `look` in Quasar's words."""
+    return ui.button(label, on_click=then).props(f'no-caps dense {look or ROOMY} id="{name}"')
+
+
+ROOMY = 'padding="4px 16px"'
+"""The look of what is clicked most"""
 
 
 @dataclass(frozen=True)
@@ -43,17 +53,22 @@ class Desk:
         self.source = Source(dict(model.system), [float(one) for one in state], known)
         self.dark = False
 
-    async def told(self, work: Callable[[], Awaitable[Any] | None]) -> None:
-        """Do something; what is refused is a sentence on the page."""
-        try:
-            found = work()
-            if found is not None:
-                await found
-        except StoppedError as error:
-            self.say(str(error).capitalize())
-        except (OrbitfinderError, OSError) as error:
-            self.say(f"{error}")
-            ui.notify(str(error), type="warning", multi_line=True, timeout=8000)
+    def safe(self, work: Callable[..., Awaitable[Any] | None]) -> Callable[..., Awaitable[None]]:
+        """The same, of which what is refused is a sentence on the page."""
+
+        @wraps(work)
+        async def spoken(*arguments: Any) -> None:
+            try:
+                found = work(*arguments)
+                if found is not None:
+                    await found
+            except StoppedError as error:
+                self.say(str(error).capitalize())
+            except (OrbitfinderError, OSError) as error:
+                self.say(f"{error}")
+                ui.notify(str(error), type="warning", multi_line=True, timeout=8000)
+
+        return spoken
 
     def say(self, sentence: str) -> None:
         """Put a sentence on the line of what happens."""
