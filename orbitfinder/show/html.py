@@ -30,7 +30,8 @@ from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.optima import Optima
 from orbitfinder.records.orbit import Certificate, Orbit, asked
 from orbitfinder.records.torus import Tori
-from orbitfinder.show.svg import Axes, curves, diagram, moving_mechanism, moving_portrait, plane_of, ranged, unit_circle
+from orbitfinder.show.diagram import diagram_of
+from orbitfinder.show.svg import curves, diagram, moving_mechanism, moving_portrait, ranged, unit_circle
 
 SAMPLES = 121
 """Points of one period where an object carries no dense samples."""
@@ -317,17 +318,9 @@ def family_html(family: Family) -> str:
     steady = [point for point in family.points if point.scale < STEADY]
     places = sorted({0, len(steady) // 2, len(steady) - 1}) if steady else []
     shown = _members([steady[place] for place in places], "" if family.unit else family.parameter)
-    curve = diagram(family, plane(family)) if family.points else ""
+    curve = diagram(diagram_of(family)) if family.points else ""
     body = f'<div style="{ROW}">{curve}{table(rows)}</div><div style="{ROW}">{shown}</div>'
     return f"<div>{heading(f'Family {family.name}')}{body}</div>"
-
-
-def plane(family: Family) -> tuple[Axes, np.ndarray]:
-    """The axes of a family's diagram and the places of its points and events, see `plane_of`."""
-    try:
-        return plane_of(family, build_model(family.system))
-    except OrbitfinderError:
-        return plane_of(family, None)
 
 
 def _members(points: Sequence[FamilyPoint], parameter: str) -> str:

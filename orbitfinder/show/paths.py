@@ -16,7 +16,7 @@ from orbitfinder.families.members import Motion
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import Orbit
-from orbitfinder.show.style import dress, new_figure
+from orbitfinder.show.style import dress, legend, new_figure
 from orbitfinder.show.svg import COLOURS
 
 NEAR = 0.35
@@ -43,7 +43,7 @@ def path_views(orbit: Orbit, model: Model) -> Figure:
     for axes, (i, j) in views:
         axes.plot(states[:, i], states[:, j], color=COLOURS[0], linewidth=1.3)
         axes.plot(states[0, i], states[0, j], "o", color=COLOURS[1], markersize=5, label="t = 0")
-    _legend(figure, views)
+    legend(figure, views[0][0], "lower right")
     return figure
 
 
@@ -58,7 +58,7 @@ def family_paths(family: Family, shown: Sequence[Motion], model: Model) -> Figur
             axes.plot(one.states[:, i], one.states[:, j], color=colour, linewidth=1.1)
     unit = "" if model.landmarks or not family.unit else f" ({family.unit})"
     figure.colorbar(scale, ax=[axes for axes, _ in views], label=f"{family.parameter}{unit}", shrink=0.85)
-    _legend(figure, views)
+    legend(figure, views[0][0], "lower right")
     return figure
 
 
@@ -96,9 +96,3 @@ def _mark(axes: Any, name: str, across: float, up: float) -> None:
     axes.plot(across, up, "x" if rests else "o", color="0.35" if rests else "black", markersize=6, zorder=1.8)
     offset = {"xytext": (5, 6) if rests else (5, -13), "textcoords": "offset points"}
     axes.annotate(name, (across, up), fontsize=8, color="0.25", parse_math=False, **offset)
-
-
-def _legend(figure: Figure, views: Sequence[tuple[Any, tuple[int, int]]]) -> None:
-    handles, labels = views[0][0].get_legend_handles_labels()
-    if handles:
-        figure.legend(handles, labels, loc="outside lower right", frameon=False)

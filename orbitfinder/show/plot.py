@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +25,9 @@ from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.mechanics.scales import unit_names
 from orbitfinder.mechanics.scales import units as units_of
 from orbitfinder.orbits.course import Course, course_of
-from orbitfinder.records.family import Event, Family, FamilyPoint
+from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import Orbit
+from orbitfinder.show.diagram import LOOKS, Diagram, frequencies
 from orbitfinder.show.paths import family_paths, has_path, path_views
 from orbitfinder.show.strokes import tip
 from orbitfinder.show.style import (
@@ -36,6 +36,7 @@ from orbitfinder.show.style import (
     bare,
     configuration,
     dress,
+    legend,
     line_style,
     new_figure,
     place_labels,
@@ -45,7 +46,7 @@ from orbitfinder.show.style import (
     trail,
     widen,
 )
-from orbitfinder.show.svg import COLOURS, runs
+from orbitfinder.show.svg import COLOURS
 
 SNAPSHOTS = 48
 """Configurations drawn over one period."""
@@ -149,7 +150,7 @@ def time_histories(orbit: Orbit, model: Model) -> Figure:
     lower.set_xlim(0.0, orbit.period)
     mark_events([upper, lower], course)
     if n <= MOST_IN_LEGEND:
-        figure.legend(*upper.get_legend_handles_labels(), loc="outside right center", frameon=False)
+        legend(figure, upper, "right center")
     else:
         _colour_bar(figure, [upper, lower], n)
     return figure
@@ -209,7 +210,7 @@ def _colour_bar(figure: Figure, axes: Any, count: int) -> None:
         scale = ScalarMappable(Normalize(1, count), "cividis")
         figure.colorbar(scale, ax=axes, label="coordinate number", aspect=40)
     else:
-        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right center", frameon=False, ncols=2)
+        legend(figure, axes[0], "right center", ncols=2)
 
 
 def phase_portraits(orbit: Orbit, model: Model) -> Figure:
@@ -245,7 +246,7 @@ def phase_portraits(orbit: Orbit, model: Model) -> Figure:
         axes.margins(0.08)
     for axes in grid[chosen.size :]:
         axes.set_visible(False)
-    figure.legend(*grid[0].get_legend_handles_labels(), loc="outside lower right", frameon=False)
+    legend(figure, grid[0], "lower right")
     return figure
 
 
@@ -280,7 +281,7 @@ def swept_configuration(orbit: Orbit, model: Model) -> Figure:
     if course.grounds(np.zeros(1)) is None:
         widen(axes, np.nanmax(seen) - np.nanmin(seen), float(np.ptp(joints[:, 0])))
     draw_ground(axes, course)
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+    legend(figure, axes, "lower center", ncols=4)
     return figure
 
 
@@ -333,21 +334,6 @@ def energy_error(orbit: Orbit, model: Model) -> Figure:
 
 STABLE, UNSTABLE = COLOURS[0], COLOURS[1]
 """Colours of the stretches of one family"""
-EVENT_COLOURS = {
-    "fold": "#7B3294", "turn": "#C2A5CF", "extremum": "#E7298A", "branch_point": "#000000",
-    "period_doubling": "#B2182B", "torus": "#01665E", "resonance": "#8C8C8C", "collision": "#8C510A",
-    "stability_change": "#4D4D4D",
-}  # fmt: skip
-"""Colour of each kind of event, none of them a family's; of the others black"""
-MARKERS = {
-    "fold": "v", "turn": "1", "extremum": "2", "branch_point": "o", "period_doubling": "s", "torus": "P",
-    "resonance": ".", "collision": "x", "stability_change": "D", "grazing": "*", "cycle_change": "X", "holds": "X",
-    "cusp": "^", "isola_centre": "h", "transcritical": "d", "strong_resonance": "p", "fold_doubling": "D",
-    "fold_torus": "<", "doubling_torus": ">", "degenerate_doubling": "H",
-}  # fmt: skip
-"""Marker of each kind of event."""
-SIZES = {"resonance": 3.5, "stability_change": 9.0}
-"""Sizes of markers that are not as the others': the verdict changes where something else happens as well."""
 
 
 def save_family_figures(family: Family, folder: str | Path, model: Model) -> list[Path]:
@@ -436,24 +422,27 @@ def frequency_energy(
     figure = new_figure(8.0, 5.6, title or f"{names}: frequency and {freed or 'energy'}")
     axes = figure.subplots()
 
-    def place(one: FamilyPoint | Event) -> tuple[float, float]:
-        value = one.value if isinstance(one, FamilyPoint) else one.parameter
-        return (value if freed else away(one.energy)), 1.0 / one.period
-
     def away(energy: float) -> float:
         return energy if level is None else abs(energy - level) or np.nan
 
-    _curves(figure, axes, families, [[*map(place, each.points), *map(place, each.events)] for each in families])
+    distance = "energy (J)" if level is None else f"distance of the energy from {level:g} J (J)"
+    called = axis_name(families[0]) if freed else distance, "frequency (1/s)"
+    drawn = []
+    for each in families:
+        levels = [away(one.energy) for one in each.members]
+        drawn.append(
+            Diagram(each, called, np.column_stack([each.places[:, 0] if freed else levels, frequencies(each)]))
+        )
+    _curves(figure, axes, drawn)
     labels = [(name, away(energy), 1.0 / period) for name, (energy, period) in (marks or {}).items()]
     for _, energy, frequency in labels:
         axes.plot(energy, frequency, "*", color="black", markersize=10, zorder=5)
     if level is not None and not freed:
         axes.set_xscale("log")
-    distance = "energy (J)" if level is None else f"distance of the energy from {level:g} J (J)"
-    dress(axes, axis_name(families[0]) if freed else distance, "frequency (1/s)")
+    dress(axes, *called)
     if len(families) == 1:
-        numbered = [(k, one) for k, one in enumerate(families[0].events) if one.kind in NUMBERED]
-        labels += [(str(k), *place(one)) for k, one in (numbered if len(numbered) <= MOST_NUMBERED else [])]
+        numbered = [k for k, one in enumerate(families[0].events) if one.kind in NUMBERED]
+        labels += [(str(k), *drawn[0].events[k]) for k in (numbered if len(numbered) <= MOST_NUMBERED else [])]
     place_labels(figure, axes, labels)
     return figure
 
@@ -476,19 +465,17 @@ def two_parameters(families: Sequence[Family], title: str | None = None) -> Figu
     figure = new_figure(8.0, 5.6, title or f"{', '.join(one.name for one in families)}: bifurcations in two parameters")
     axes, shown = figure.subplots(), dict[str, Any]()
     for k, one in enumerate(families):
-        colour, test = COLOURS[k % len(COLOURS)], one.curve["test"]
-        at = one.places if one.parameters == names else one.places[:, ::-1]
-        line = axes.plot(*at[: len(one.points)].T, color=colour, linewidth=1.8)[0]
+        drawn = Diagram(one, names[:2], one.places if one.parameters == names else one.places[:, ::-1])  # type: ignore[arg-type]
+        test = one.curve["test"]
+        line = axes.plot(*drawn.points.T, color=COLOURS[k % len(COLOURS)], linewidth=1.8)[0]
         shown.setdefault(f"{test['kind']} {test['detail']}".replace("_", " ").strip(), line)
-        for event, place in zip(one.events, at[len(one.points) :], strict=True):
-            style = {"marker": MARKERS[event.kind], "markersize": 7.0, "linestyle": "none", "color": "black"}
-            mark = axes.plot(*place, **style)[0]
-            said = f"{event.kind} {event.detail}".replace("_", " ").strip()
-            shown.setdefault(event.kind.replace("_", " "), mark)
-            axes.annotate(said, place, fontsize=9, xytext=(7, 7), textcoords="offset points", parse_math=False)
+        for event, place in zip(one.events, drawn.events, strict=True):
+            style = {"marker": LOOKS[event.kind].marker, "markersize": 7.0, "linestyle": "none", "color": "black"}
+            shown.setdefault(event.kind.replace("_", " "), axes.plot(*place, **style)[0])
+            axes.annotate(event.words, place, fontsize=9, xytext=(7, 7), textcoords="offset points", parse_math=False)
     dress(axes, *names)
     axes.margins(0.08)
-    figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=3, frameon=False)
+    legend(figure, shown, "lower center", ncols=3)
     return figure
 
 
@@ -506,57 +493,37 @@ def response(families: Sequence[Family], model: Model, coordinate: str | None = 
     which = most if coordinate is None else names.index(coordinate)
     first = families[0]
     figure = new_figure(8.0, 5.6, f"{', '.join(one.name for one in families)}: response to {first.parameter}")
-    axes = figure.subplots()
-    places = []
-    for family, size in zip(families, sizes, strict=True):
-        values = [*family.values("value"), *(event.parameter for event in family.events)]
-        places.append(list(zip(values, size[:, which].tolist(), strict=True)))
-    _curves(figure, axes, families, places)
-    dress(axes, axis_name(first), f"amplitude of {axis(model, which)}")
+    axes, called = figure.subplots(), (axis_name(first), f"amplitude of {axis(model, which)}")
+    paired = zip(families, sizes, strict=True)
+    _curves(figure, axes, [Diagram(one, called, np.column_stack([one.places, size[:, which]])) for one, size in paired])
+    dress(axes, *called)
     return figure
 
 
-def _curves(
-    figure: Figure, axes: Any, families: Sequence[Family], places: Sequence[Sequence[tuple[float, float]]]
-) -> None:
+def _curves(figure: Figure, axes: Any, diagrams: Sequence[Diagram]) -> None:
     """Each family as a curve through the places of its points, dashed where unstable, and its events marked.
 
-    One place each, the points' first. One family is coloured by stability; of several the later lie on wider ones.
+    One family is coloured by stability; of several the later lie on wider ones.
     """
-    shown: dict[str, Any] = {}
-    for k, (family, found) in enumerate(zip(families, places, strict=True)):
-        at = dict(zip(map(id, (*family.points, *family.events)), found, strict=True))
-        wider = min(3.6, 0.9 * (len(families) - 1 - k))
-        for stable, path in _stretches(family, at):
-            colour = COLOURS[k % len(COLOURS)] if len(families) > 1 else (STABLE if stable else UNSTABLE)
+    shown, many = dict[str, Any](), len(diagrams) > 1
+    for k, drawn in enumerate(diagrams):
+        wider = min(3.6, 0.9 * (len(diagrams) - 1 - k))
+        for stable, path in drawn.stretches:
+            colour = COLOURS[k % len(COLOURS)] if many else (STABLE if stable else UNSTABLE)
             style = {"linestyle": "-" if stable else "--", "linewidth": (1.8 if stable else 1.2) + wider}
-            axes.plot(*zip(*path, strict=True), color=colour, zorder=2 + 0.01 * k, **style)
-            key = {"color": colour if len(families) == 1 else "0.3", "linestyle": style["linestyle"]}
+            axes.plot(*path.T, color=colour, zorder=2 + 0.01 * k, **style)
+            key = {"color": "0.3" if many else colour, "linestyle": style["linestyle"]}
             shown.setdefault("stable" if stable else "unstable", Line2D([], [], **key))
-        for event in family.events:
-            colour, size = EVENT_COLOURS.get(event.kind, "black"), SIZES.get(event.kind, 5.5)
-            face = "white" if event.kind in ("branch_point", "stability_change") else colour
-            style = {"marker": MARKERS[event.kind], "markersize": size, "markerfacecolor": face, "linestyle": "none"}
-            style["zorder"] = 4.0 - size / 10  # what has the same place as another event stays in sight
-            (line,) = axes.plot(*at[id(event)], color=colour, **style)
-            shown.setdefault(event.kind.replace("_", " "), line)
-    if len(families) > 1:
-        names = [Line2D([], [], color=COLOURS[k % len(COLOURS)], linewidth=2.4) for k in range(len(families))]
-        figure.legend(names, [family.name for family in families], loc="outside right upper", frameon=False)
-    if shown:
-        figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=4, frameon=False)
-
-
-def _stretches(family: Family, at: dict[int, tuple[float, float]]) -> list[tuple[bool, list[tuple[float, float]]]]:
-    """The places of stable and unstable stretches, which meet where the stability changes."""
-    changes = [event for event in family.events if event.kind == "stability_change"]
-    stretches = runs(family.points)
-    paths = [[at[id(point)] for point in run] for _, run in stretches]
-    for (one, other), (_, (last, first, *_)) in zip(pairwise(paths), stretches[1:], strict=True):
-        for event in (event for event in changes if last.arclength <= event.arclength <= first.arclength):
-            one.append(at[id(event)])
-            other[0] = at[id(event)]
-    return [(stable, path) for (stable, _), path in zip(stretches, paths, strict=True)]
+        for event, place in zip(drawn.family.events, drawn.events, strict=True):
+            look = LOOKS[event.kind]
+            style = {"marker": look.marker, "markersize": look.size, "linestyle": "none", "color": look.colour}
+            style["markerfacecolor"] = "white" if look.hollow else look.colour
+            style["zorder"] = 4.0 - look.size / 10  # what has the same place as another event stays in sight
+            shown.setdefault(event.kind.replace("_", " "), axes.plot(*place, **style)[0])
+    if many:
+        names = [Line2D([], [], color=COLOURS[k % len(COLOURS)], linewidth=2.4) for k in range(len(diagrams))]
+        legend(figure, dict(zip((one.family.name for one in diagrams), names, strict=True)), "right upper")
+    legend(figure, shown, "lower center", ncols=4)
 
 
 def multipliers_plane(family: Family) -> Figure:
@@ -680,7 +647,7 @@ def energy_period(rows: Sequence[Row]) -> Figure:
             one.set_yscale("log")
             one.set_title(f"{shell:g} J".replace("-", "\N{MINUS SIGN}"), loc="left", fontsize=10)
         dress(one, "period (s)" if one is axes[-1] else "", "energy (J)" if apart else "largest |multiplier|")
-    figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=4, frameon=False)
+    legend(figure, shown, "lower center", ncols=4)
     return figure
 
 

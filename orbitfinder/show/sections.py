@@ -20,7 +20,7 @@ from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.section import Section
 from orbitfinder.records.torus import Torus
 from orbitfinder.show.plot import axis
-from orbitfinder.show.style import dress, new_figure, save_png
+from orbitfinder.show.style import dress, legend, new_figure, save_png
 from orbitfinder.show.svg import COLOURS
 
 CHAOS = "0.62"
@@ -92,7 +92,7 @@ def section_figure(
                   label=f"{orbit.name}: {orbit.stability}", zorder=5)  # fmt: skip
     _limits(axes, model, first.axes, section, manifolds, connections)
     dress(axes, _label(model, across), _label(model, up))
-    _legend(figure, axes)
+    legend(figure, axes, "lower center", ncols=3)
     return figure
 
 
@@ -146,13 +146,6 @@ def _limits(
 def _label(model: Model, i: int) -> str:
     """A component's name with its unit, which systems that mark places have none of."""
     return model.state_names[i] if model.landmarks else axis(model, i)
-
-
-def _legend(figure: Figure, axes: Any) -> None:
-    handles, labels = axes.get_legend_handles_labels()
-    seen = dict(zip(labels, handles, strict=True))
-    if seen:
-        figure.legend(seen.values(), seen.keys(), loc="outside lower center", ncols=min(3, len(seen)), frameon=False)
 
 
 def draw_manifolds(
@@ -211,7 +204,7 @@ def _tubes(
         dress(axes, *labels)
         if max(chosen) < model.degrees_of_freedom and not model.angular.any():
             axes.set_aspect("equal", adjustable="datalim")
-    _legend(figure, axes)
+    legend(figure, axes, "lower center", ncols=3)
     return figure
 
 

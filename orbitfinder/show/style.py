@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -59,6 +59,15 @@ def bare(figure: Figure) -> Figure:
     for text in figure.findobj(Text):
         text.set_text(UNITS.sub("", text.get_text()))
     return figure
+
+
+def legend(figure: Figure, shown: Any, where: str, **more: Any) -> None:
+    """A legend outside a figure: of what is `shown`, by name, or of the axes given; none where nothing has a name."""
+    if not isinstance(shown, Mapping):
+        handles, labels = shown.get_legend_handles_labels()
+        shown = dict(zip(labels, handles, strict=True))
+    if shown:
+        figure.legend(list(shown.values()), list(shown), loc=f"outside {where}", frameon=False, **more)
 
 
 def place_labels(

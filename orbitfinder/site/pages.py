@@ -18,6 +18,7 @@ from orbitfinder.mechanics.scales import SI, units
 from orbitfinder.problemfile.write import orbit_name, orbit_text
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import Check, asked, level, recorded_proof
+from orbitfinder.show.diagram import LOOKS
 from orbitfinder.site.gather import AtlasFile, OrbitFile, Verdict, evenly
 from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import Motion, Simulator, framed, histories, packed
@@ -288,7 +289,7 @@ def _item(
 ) -> dict[str, Any]:
     """A point or an event; `at` is the point itself, or the one before an event, which does not carry all of it."""
     motion, point, event = simulator.member(system, one), one is at, one if isinstance(one, Event) else None
-    words = "" if event is None else f"{event.kind.replace('_', ' ')} {event.detail}".strip()
+    words = "" if event is None else event.words
     return {
         "energy": level(one.energy),
         "period": one.period,
@@ -334,7 +335,11 @@ def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
             "largest": [max(map(abs, point.floquet_multipliers.tolist()), default=1.0) for point in family.points],
         },
         "items": items,
-    }
+        "looks": {
+            kind: [look.symbol, look.series, look.pixels]
+            for kind, look in LOOKS.items() if any(item["kind"] == kind for item in items)
+        },
+    }  # fmt: skip
 
 
 def _response(family: Family, simulator: Simulator) -> tuple[str, dict[int, float]]:
@@ -342,7 +347,7 @@ def _response(family: Family, simulator: Simulator) -> tuple[str, dict[int, floa
 
     Of a curve of bifurcations: the second parameter, and its values.
     """
-    members = [*map(id, family.points), *map(id, family.events)]
+    members = map(id, family.members)
     if len(family.parameters) > 1:
         return family.parameters[1], dict(zip(members, family.places[:, 1].tolist(), strict=True))
     known = simulator.model(family.system)

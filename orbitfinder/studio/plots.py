@@ -58,7 +58,7 @@ def family_figure(
 ) -> dict[str, Any]:  # fmt: skip
     """The chosen family, coloured by stability, its events as diamonds, where one is on it, and the others in grey."""
     calm = [STABLE if one.stability in CALM else UNSTABLE for one in points]
-    words = [f"{k}: {_said(one)}" for k, one in enumerate(events)]
+    words = [f"{k}: {one.words}" for k, one in enumerate(events)]
     data: list[dict[str, Any]] = [
         {"x": [one.value for one in points], "y": [1 / one.period for one in points], "mode": "lines+markers",
          "marker": {"size": 8, "color": calm}, "line": {"color": OTHER, "width": 1},
@@ -92,10 +92,6 @@ def section_figure(cut: Cut | None, dark: bool) -> dict[str, Any]:
          "marker": {"size": 15, "color": "rgba(0,0,0,0)", "line": {"color": MARK, "width": 3}}},
     ]  # fmt: skip
     return _figure(data, across, up, dark)
-
-
-def _said(event: Event) -> str:
-    return f"{event.kind.replace('_', ' ')} {event.detail}".strip()
 
 
 def clicked(event: Mapping[str, Any]) -> tuple[int, int] | None:

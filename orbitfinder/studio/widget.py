@@ -19,7 +19,8 @@ from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit, orbit_to_document
 from orbitfinder.records.reading import finite
 from orbitfinder.show import html
-from orbitfinder.show.svg import diagram
+from orbitfinder.show.diagram import diagram_of
+from orbitfinder.show.svg import diagram, plane_of
 from orbitfinder.site.motion import Motion, Simulator, framed, packed
 from orbitfinder.site.pages import before, pickable
 
@@ -117,11 +118,11 @@ def _shown(value: Orbit | Family, members: list[Orbit | Event]) -> dict[str, Any
     if isinstance(value, Orbit):
         found |= {"title": value.title or value.name, "below": value.source}
     if family is not None:
-        plane = html.plane(family)
-        at = dict(zip(map(id, (*family.points, *family.events)), plane[1].round(1).tolist(), strict=True))
-        for item, one in zip(items, members, strict=True):
-            item["place"] = at[id(one)]
-        found |= {"title": f"Family {family.name}", "diagram": diagram(family, plane)}
+        drawn = diagram_of(family)
+        places = plane_of(drawn).place(drawn.places).round(1).tolist()
+        for item, (kind, k) in zip(items, pickable(family), strict=True):
+            item["place"] = places[k if kind == "point" else len(family.points) + k]
+        found |= {"title": f"Family {family.name}", "diagram": diagram(drawn)}
     frame = framed([item["motion"] for item in items if item["motion"]])
     if frame and family and any(motion.drawn == "mechanism" for motion in motions if motion):
         found["frame"] = frame | {"unit": units(value.system)["length"]}
@@ -157,10 +158,9 @@ def _texts(family: Family | None, one: Orbit | Event) -> dict[str, Any]:
         return {"rows": rows, "circle": html.circle(one), "label": label}
     assert family is not None
     point = before(family, one)
-    words = f"{one.kind.replace('_', ' ')} {one.detail}".strip()
-    rows = [("event", words), ("period", f"{one.period:.12g} s"), ("energy", f"{one.energy:.12g} J"),
+    rows = [("event", one.words), ("period", f"{one.period:.12g} s"), ("energy", f"{one.energy:.12g} J"),
             *_parameter(family, one.parameter), ("stability before", point.stability)]  # fmt: skip
-    return {"rows": rows, "circle": html.circle(point), "label": words}
+    return {"rows": rows, "circle": html.circle(point), "label": one.words}
 
 
 def _parameter(family: Family, value: float) -> list[tuple[str, str]]:
