@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.model import Model, wrapped
 from orbitfinder.orbits.frequencies import FrequencyMap
-from orbitfinder.show.plot import axis
 from orbitfinder.show.style import dress, new_figure, save_png
+from orbitfinder.show.svg import axis
 
 LEAST = -12.0
 """Decimal logarithm of the diffusion below which all have one colour"""

@@ -5,7 +5,6 @@ Everything is inline: no script, no style sheet, no network. Names and titles ar
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Sequence
 from html import escape
 from itertools import zip_longest
@@ -31,7 +30,7 @@ from orbitfinder.records.optima import Optima
 from orbitfinder.records.orbit import Certificate, Orbit, asked
 from orbitfinder.records.torus import Tori
 from orbitfinder.show.diagram import diagram_of
-from orbitfinder.show.svg import curves, diagram, moving_mechanism, moving_portrait, ranged, unit_circle
+from orbitfinder.show.svg import axis, curves, diagram, greek, moving_mechanism, moving_portrait, ranged, unit_circle
 
 SAMPLES = 121
 """Points of one period where an object carries no dense samples."""
@@ -64,8 +63,7 @@ def plain_html(value: Shown, rows: Sequence[tuple[str, str]] = (), pictures: Seq
 
 def model_html(model: Model) -> str:
     """What a Model describes: its coordinates and parameters by name and unit, and what is conserved."""
-    units = unit_names(model)
-    names = [f"{_greek(name)} ({unit})" if unit else name for name, unit in zip(model.state_names, units, strict=False)]
+    names = [axis(model, k, greek) for k in range(len(unit_names(model)))]
     numbered = zip(model.parameter_names, model.parameter_values, strict=True)
     parameters = [f"{name} = {value:.9g}" for name, value in numbered]
     kept = ", ".join(one.name for one in model.invariants) or "nothing"
@@ -103,7 +101,7 @@ def count_html(count: Count) -> str:
 
 def simulation_html(run: Simulation) -> str:
     """What moved, each component over time."""
-    names = [_greek(name) for name in run.state_names[: max(1, len(run.state_names) // 2)]]
+    names = [greek(name) for name in run.state_names[: max(1, len(run.state_names) // 2)]]
     kept = np.unique(np.linspace(0, len(run.times) - 1, 400).round().astype(int))
     lines = [(name, np.column_stack([run.times, run.states[:, k]])[kept]) for k, name in enumerate(names[:6])]
     rows = [("duration", f"{run.times[-1]:.6g} s"), ("samples", str(len(run.times)))]
@@ -236,8 +234,7 @@ class Portrait:
         after = np.searchsorted(evenly(seen), [at for at, _ in seen.events])
         last = len(states) - bool(seen.turned[[across, up]].any())  # after a turn the first is somewhere else
         self.cuts = [int(k) for k in dict.fromkeys(after) if 0 < k <= last]
-        named = [_component(model, k) for k in self.plane]
-        self.names = named[0], named[1]
+        self.names = axis(model, across, greek), axis(model, up, greek)
 
     @property
     def extent(self) -> float:
@@ -260,24 +257,6 @@ def _smooth(seen: Course) -> np.ndarray:
 def range_of(portraits: Sequence[Portrait]) -> tuple[np.ndarray, np.ndarray]:
     """The axes that several portraits share."""
     return ranged(np.vstack([one.places for one in portraits]))
-
-
-def _component(model: Model, k: int) -> str:
-    """What a component of the state is called on an axis, with its unit where that is known."""
-    units = unit_names(model)
-    name, unit = _greek(model.state_names[k]), units[k % len(units)]
-    if model.rates is None and k >= len(units):
-        return f"rate of {_greek(model.state_names[k - len(units)])} ({unit}/s)"
-    return f"{name} ({unit})" if unit else name
-
-
-def _greek(name: str) -> str:
-    """theta3 with its letter and subscript, other names as they are."""
-    found = re.fullmatch(r"theta(\d*)", name)
-    return "\N{GREEK SMALL LETTER THETA}" + found.group(1).translate(LOWERED) if found else name
-
-
-LOWERED = {ord("0") + k: 0x2080 + k for k in range(10)}
 
 
 def _period(orbit: Orbit, model: Model) -> tuple[np.ndarray, np.ndarray]:

@@ -16,7 +16,7 @@ from orbitfinder.families.members import Motion
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import Orbit
-from orbitfinder.show.style import dress, legend, new_figure
+from orbitfinder.show.style import dress, landmark, legend, new_figure
 from orbitfinder.show.svg import COLOURS
 
 NEAR = 0.35
@@ -81,18 +81,10 @@ def _views(
             there = np.array([place[i], place[j]])
             inside = all(low[k] - room <= place[k] <= high[k] + room for k in range(n))
             if inside and all(np.abs(there - other).max() > HIDDEN * extent for other in seen):
-                _mark(axes, name, *there)
+                landmark(axes, name, *there)
                 seen.append(there)
         axes.set_aspect("equal", adjustable="datalim")
         axes.margins(0.08)
         unit = "" if model.landmarks else " (m)"
         dress(axes, f"{model.state_names[i]}{unit}", f"{model.state_names[j]}{unit}")
     return figure, views
-
-
-def _mark(axes: Any, name: str, across: float, up: float) -> None:
-    """A libration point or another place of rest as a cross, a body as a disc, with its name beside it."""
-    rests = name.startswith("L")
-    axes.plot(across, up, "x" if rests else "o", color="0.35" if rests else "black", markersize=6, zorder=1.8)
-    offset = {"xytext": (5, 6) if rests else (5, -13), "textcoords": "offset points"}
-    axes.annotate(name, (across, up), fontsize=8, color="0.25", parse_math=False, **offset)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -46,7 +45,7 @@ from orbitfinder.show.style import (
     trail,
     widen,
 )
-from orbitfinder.show.svg import COLOURS
+from orbitfinder.show.svg import COLOURS, axis, label
 
 SNAPSHOTS = 48
 """Configurations drawn over one period."""
@@ -109,24 +108,9 @@ def heading(orbit: Orbit, what: str) -> tuple[str, str]:
     return orbit.title or orbit.name, f"{what}, T = {orbit.period:.6g} s"
 
 
-def label(name: str) -> str:
-    """A coordinate's name for an axis: theta3 with its subscript, others as they are."""
-    found = re.fullmatch(r"theta(\d+)", name)
-    return rf"$\theta_{{{found.group(1)}}}$" if found else name
-
-
 def _unit(model: Model, suffix: str = "") -> str:
     known = " or ".join(f"{unit}{suffix}" for unit in dict.fromkeys(unit_names(model)) if unit)
     return f" ({known})" if known else ""
-
-
-def axis(model: Model, i: int) -> str:
-    """A component's name for an axis, with its unit where that is known."""
-    n = model.degrees_of_freedom
-    name, unit = label(model.state_names[i % n]), unit_names(model)[i % n]
-    if i >= n:
-        return f"rate of {name} ({unit}/s)"
-    return f"{name} ({unit})" if unit else name
 
 
 def time_histories(orbit: Orbit, model: Model) -> Figure:

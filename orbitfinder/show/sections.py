@@ -14,14 +14,13 @@ from orbitfinder.errors import InputError
 from orbitfinder.families.tori import crossed
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, wrapped
-from orbitfinder.orbits.section import named_surface, pierced
+from orbitfinder.orbits.section import check_plane, crossings, named_surface
 from orbitfinder.records.manifold import Connection, Manifold, reach
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.section import Section
 from orbitfinder.records.torus import Torus
-from orbitfinder.show.plot import axis
-from orbitfinder.show.style import dress, legend, new_figure, save_png
-from orbitfinder.show.svg import COLOURS
+from orbitfinder.show.style import dress, landmark, legend, new_figure, save_png
+from orbitfinder.show.svg import COLOURS, axis
 
 CHAOS = "0.62"
 """Colour of returns that belong to no regular motion"""
@@ -63,11 +62,7 @@ def section_figure(
         raise InputError("section: nothing to draw; give a section, a manifold or a connection")
     first = given[0]
     for one in given[1:]:
-        if (one.plane.split(",")[0], tuple(one.axes)) != (first.plane.split(",")[0], tuple(first.axes)):
-            raise InputError(
-                f"manifolds: {one.name} lies on {one.plane} with axes {', '.join(one.axes)}, the picture on "
-                f"{first.plane} with {', '.join(first.axes)}; make both with one plane and axes"
-            )
+        check_plane(one, first)
     model = model or build_model(first.system)
     level = f", energy {first.energy:.8g}" if np.isfinite(first.energy) else ""
     figure = new_figure(7.2, 6.2, first.name, f"section {first.plane}{level}")
@@ -82,13 +77,10 @@ def section_figure(
         axes.plot(one.state[across], one.state[up], "D", color="black", markersize=5, label=f"{one.kind} point")
     for k, torus in enumerate(tori):
         found = named_surface(model, first.plane, first.axes)
-        points = wrapped(crossed(torus, found), model.angular)
-        axes.plot(points[:, across], points[:, up], ".", color="black", markersize=1.4, label="" if k else "torus")
+        points = found.chart(crossed(torus, found))
+        axes.plot(*points.T, ".", color="black", markersize=1.4, label="" if k else "torus")
     for orbit in orbits:
-        points = wrapped(
-            pierced(named_surface(model, first.plane, first.axes, state=orbit.state), orbit).states, model.angular
-        )
-        axes.plot(points[:, across], points[:, up], "o", color="white", markeredgecolor="black", markersize=6.5,
+        axes.plot(*crossings(model, first, orbit).T, "o", color="white", markeredgecolor="black", markersize=6.5,
                   label=f"{orbit.name}: {orbit.stability}", zorder=5)  # fmt: skip
     _limits(axes, model, first.axes, section, manifolds, connections)
     dress(axes, _label(model, across), _label(model, up))
@@ -215,8 +207,4 @@ def _landmarks(axes: Any, model: Model, chosen: Sequence[int]) -> None:
         return
     for name, place in model.landmarks.items():
         if low <= place[chosen[0]] <= high:
-            axes.plot(
-                place[chosen[0]], place[chosen[1]], "x" if name.startswith("L") else "o", color="0.3", markersize=5
-            )
-            axes.annotate(name, (place[chosen[0]], place[chosen[1]]), (4, 5), textcoords="offset points", fontsize=8,
-                          color="0.25", parse_math=False)  # fmt: skip
+            landmark(axes, name, place[chosen[0]], place[chosen[1]])

@@ -145,6 +145,14 @@ def trail(axes: Any, path: np.ndarray, width: float, **more: Any) -> None:
     axes.plot(path[:, 1], -path[:, 0], color=COLOURS[1], linewidth=width, **more)
 
 
+def landmark(axes: Any, name: str, across: float, up: float) -> None:
+    """A libration point or another place of rest as a cross, a body as a disc, with its name beside it."""
+    rests = name.startswith("L")
+    axes.plot(across, up, "x" if rests else "o", color="0.35" if rests else "black", markersize=6, zorder=1.8)
+    offset = {"xytext": (5, 6) if rests else (5, -13), "textcoords": "offset points"}
+    axes.annotate(name, (across, up), fontsize=8, color="0.25", parse_math=False, **offset)
+
+
 def plane(axes: Any) -> None:
     """Axes for what hangs: x down, y to the right, equal scales."""
     axes.set_aspect("equal", adjustable="datalim")

@@ -5,13 +5,16 @@ Motion is declared (SMIL `animate`), so that a picture moves in a notebook, in a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
 
 import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import unit_names
 from orbitfinder.show.diagram import Diagram
 from orbitfinder.show.strokes import Strokes, extent, outlines
 
@@ -85,6 +88,29 @@ class Axes:
         names = [_word((LEFT + right) / 2, bottom + 31, self.names[0])]
         turned = f' transform="rotate(-90 11 {(bottom + AROUND) / 2:.1f})"'
         return lines + "".join([*words, *names, _word(11, (bottom + AROUND) / 2, self.names[1], more=turned)])
+
+
+def label(name: str) -> str:
+    """A coordinate's name for an axis of a figure: theta3 with its subscript, others as they are."""
+    return re.sub(r"^theta(\d+)$", r"$\\theta_{\1}$", name)
+
+
+def greek(name: str) -> str:
+    """The same in plain text."""
+    found = re.fullmatch(r"theta(\d*)", name)
+    return "\N{GREEK SMALL LETTER THETA}" + found.group(1).translate(LOWERED) if found else name
+
+
+LOWERED = {ord("0") + k: 0x2080 + k for k in range(10)}
+
+
+def axis(model: Model, i: int, written: Callable[[str], str] = label) -> str:
+    """A component's name for an axis, with its unit where that is known."""
+    n = model.degrees_of_freedom
+    name, unit = written(model.state_names[i % n]), unit_names(model)[i % n]
+    if i >= n:
+        return f"rate of {name} ({unit}/s)"
+    return f"{name} ({unit})" if unit else name
 
 
 def ticks(low: float, high: float, most: int) -> list[tuple[float, str]]:

@@ -14,7 +14,6 @@ import numpy as np
 from orbitfinder import site
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.scales import units
-from orbitfinder.orbits.course import course
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit, orbit_to_document
 from orbitfinder.records.reading import finite
@@ -142,7 +141,7 @@ def _portraits(simulator: Simulator, system: Any, motions: list[Motion | None]) 
     if known is None or not any(motions):
         return [""] * len(motions)
     model = known[0]
-    seen = [one and (one.course or course(model, one.times, one.states)) for one in motions]
+    seen = [one and one.course for one in motions]
     plane = max((html.Portrait(model, one) for one in seen if one), key=lambda one: one.extent).plane
     drawn = [one and html.Portrait(model, one, plane) for one in seen]
     around = html.range_of([one for one in drawn if one])
