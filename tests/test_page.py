@@ -777,10 +777,10 @@ def test_the_neighbour_leaves_an_unstable_orbit_as_its_multiplier_says(name, gro
 
 def test_energies_sum_to_the_recorded_one():
     simulator, about = Simulator(), document()
-    split = simulator.energies(about, simulator.orbit(about))
+    split = simulator.orbit(about).energies
     assert split.shape == (2, 121) and np.abs(split.sum(axis=0) - about["energy"]).max() < 1e-3
     forced = json.loads((ROOT / "results/gallery/forced-duffing-upper/orbit.json").read_text())
-    assert simulator.energies(forced, simulator.orbit(forced)) is None and not simulator.conserves(forced["system"])
+    assert simulator.orbit(forced).energies is None and not simulator.conserves(forced["system"])
 
 
 def test_energies_are_called_kept_only_where_they_are(tmp_path):

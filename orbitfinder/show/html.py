@@ -113,34 +113,32 @@ def simulation_html(run: Simulation) -> str:
 
 def sweep_html(sweep: Sweep) -> str:
     """A row for each value."""
-    head = (*sweep.parameters, "period (s)", "stability", "certified", "why not")
     rows = []
-    for row in sweep.rows[:LISTED]:
+    for row in sweep.rows:
         found = ("", "") if row.orbit is None else (f"{row.orbit.period:.10g}", row.orbit.stability)
         values = (f"{row.values[name]:.9g}" for name in sweep.parameters)
         rows.append((*values, *found, "yes" if row.certified else "no", row.reason))
-    return f"<div>{heading(_listed('Sweep', len(sweep.rows), 'row'))}{table(rows, head)}</div>"
+    return _listed("Sweep", "row", rows, (*sweep.parameters, "period (s)", "stability", "certified", "why not"))
 
 
 def optima_html(optima: Optima) -> str:
     """Parameter, cost and period of each controlled orbit."""
     found = zip(optima.points, optima.values, optima.costs, strict=True)
     rows = [(f"{value:.9g}", f"{cost:.9g}", f"{one.period:.10g}", one.stability) for one, value, cost in found]
-    head = (optima.parameter, "cost", "period (s)", "stability")
-    return f"<div>{heading(_listed('Optima', len(rows), 'orbit'), optima.end)}{table(rows[:LISTED], head)}</div>"
+    return _listed("Optima", "orbit", rows, (optima.parameter, "cost", "period (s)", "stability"), optima.end)
 
 
 def tori_html(tori: Tori) -> str:
     """Rotation, period and energy of each torus."""
-    rows = [(f"{one.rotation:.9g}", f"{one.period:.9g}", f"{one.energy:.9g}") for one in tori.tori[:LISTED]]
-    head = ("rotation (turns)", "period (s)", "energy (J)")
-    return f"<div>{heading(_listed(f'Tori {tori.name}', len(tori.tori), 'torus'), tori.end)}{table(rows, head)}</div>"
+    rows = [(f"{one.rotation:.9g}", f"{one.period:.9g}", f"{one.energy:.9g}") for one in tori.tori]
+    return _listed(f"Tori {tori.name}", "torus", rows, ("rotation (turns)", "period (s)", "energy (J)"), tori.end)
 
 
-def _listed(what: str, count: int, noun: str) -> str:
-    """How many there are, and how many of them a table shows."""
-    many = f"{count} tori" if noun == "torus" and count != 1 else plural(count, noun)
-    return f"{what}: {many}" + (f", the first {LISTED}" if count > LISTED else "")
+def _listed(what: str, noun: str, rows: Sequence[Sequence[str]], head: Sequence[str], below: str = "") -> str:
+    """A table of the first rows, and how many there are."""
+    many = f"{len(rows)} tori" if noun == "torus" and len(rows) != 1 else plural(len(rows), noun)
+    title = f"{what}: {many}" + (f", the first {LISTED}" if len(rows) > LISTED else "")
+    return f"<div>{heading(title, below)}{table(rows[:LISTED], head)}</div>"
 
 
 def table(rows: Iterable[Sequence[str]], head: Sequence[str] = ()) -> str:

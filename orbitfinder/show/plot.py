@@ -133,10 +133,11 @@ def time_histories(orbit: Orbit, model: Model) -> Figure:
     dress(lower, "time (s)", f"velocities{_unit(model, '/s')}")
     lower.set_xlim(0.0, orbit.period)
     mark_events([upper, lower], course)
-    if n <= MOST_IN_LEGEND:
-        legend(figure, upper, "right center")
+    if "linestyle" in line_style(0, n):
+        legend(figure, upper, "right center", ncols=1 if n <= MOST_IN_LEGEND else 2)
     else:
-        _colour_bar(figure, [upper, lower], n)
+        scale = ScalarMappable(Normalize(1, n), "cividis")
+        figure.colorbar(scale, ax=[upper, lower], label="coordinate number", aspect=40)
     return figure
 
 
@@ -158,43 +159,41 @@ def controls(orbit: Orbit) -> Figure:
     times, values = history(orbit.control, orbit.period)
     names, limits = orbit.control["names"], orbit.control["limits"]
     figure = new_figure(8.0, 1.6 + 2.0 * len(names), *heading(orbit, "controls"))
-    panels = np.atleast_1d(figure.subplots(len(names), 1, sharex=True))
-    for axes, name, column in zip(panels, names, values.T, strict=True):
-        axes.plot(times, column, color=COLOURS[0], linewidth=1.3)
+    for axes, name, column in zip(_below(figure, times, values.T, names, orbit.period), names, values.T, strict=True):
         for bound in limits.get(name, ()):
             if np.isfinite(bound) and abs(bound) <= 3 * np.abs(column).max():
                 axes.axhline(bound, color="0.5", linewidth=0.7, linestyle="--")
-        dress(axes, "time (s)" if axes is panels[-1] else "", name)
-    panels[-1].set_xlim(0.0, orbit.period)
     return figure
+
+
+def _below(
+    figure: Figure, times: np.ndarray, columns: np.ndarray, names: Sequence[str], period: float
+) -> list[Any]:  # fmt: skip
+    """Panels below each other, a curve (k) over the times (k) of a period in each."""
+    panels = list(np.atleast_1d(figure.subplots(len(names), 1, sharex=True)))
+    for axes, column, name in zip(panels, columns, names, strict=True):
+        axes.plot(times, column, color=COLOURS[0], linewidth=1.3)
+        dress(axes, "time (s)" if axes is panels[-1] else "", name)
+    panels[-1].set_xlim(0.0, period)
+    return panels
 
 
 def _components(figure: Figure, course: Course, model: Model) -> Figure:
     """Components of a state over one period below each other (at most 12, evenly chosen)."""
-    n = model.degrees_of_freedom
-    chosen = np.unique(np.linspace(0, n - 1, min(n, MOST_PORTRAITS)).round().astype(int))
-    panels = np.atleast_1d(figure.subplots(chosen.size, 1, sharex=True))
-    for axes, i in zip(panels, chosen, strict=True):
-        axes.plot(course.times, course.samples[:, i], color=COLOURS[0], linewidth=1.3)
-        dress(axes, "time (s)" if axes is panels[-1] else "", axis(model, int(i)))
-        middle, spread = (
-            np.nanmean(course.samples[:, i]),
-            np.nanmax(np.abs(course.samples[:, i] - course.samples[0, i])),
-        )
+    chosen = _evenly(model.degrees_of_freedom)
+    columns = course.samples[:, chosen].T
+    panels = _below(figure, course.times, columns, [axis(model, k) for k in chosen], course.period)
+    for axes, column in zip(panels, columns, strict=True):
+        middle, spread = np.nanmean(column), np.nanmax(np.abs(column - column[0]))
         if 0 < spread < STILL * abs(middle):  # what stands still must not have its round-off magnified
             axes.set_ylim(*(middle + np.array([-0.5, 0.5]) * abs(middle)))
-    panels[-1].set_xlim(0.0, course.period)
-    mark_events(list(panels), course)
+    mark_events(panels, course)
     return figure
 
 
-def _colour_bar(figure: Figure, axes: Any, count: int) -> None:
-    """For many curves: which coordinate is which, by a colour scale where the curves have one."""
-    if line_style(0, count).get("linestyle") is None:
-        scale = ScalarMappable(Normalize(1, count), "cividis")
-        figure.colorbar(scale, ax=axes, label="coordinate number", aspect=40)
-    else:
-        legend(figure, axes[0], "right center", ncols=2)
+def _evenly(count: int) -> list[int]:
+    """The numbers of so many panels, evenly chosen where there are too many."""
+    return [int(k) for k in np.unique(np.linspace(0, count - 1, min(count, MOST_PORTRAITS)).round())]
 
 
 def phase_portraits(orbit: Orbit, model: Model) -> Figure:
@@ -204,31 +203,22 @@ def phase_portraits(orbit: Orbit, model: Model) -> Figure:
     """
     course = course_of(orbit, model)
     states = course.samples
-    planes = model.planes
-    chosen = np.unique(np.linspace(0, len(planes) - 1, min(len(planes), MOST_PORTRAITS)).round().astype(int))
-    columns = min(chosen.size, 3 if chosen.size != 4 else 2)
-    rows = -(-chosen.size // columns)
+    chosen = [model.planes[k] for k in _evenly(len(model.planes))]
+    columns = min(len(chosen), 3 if len(chosen) != 4 else 2)
+    rows = -(-len(chosen) // columns)
     figure = new_figure(max(3.2 * columns, 5.0), max(2.9 * rows, 3.6) + 0.5, *heading(orbit, "phase portraits"))
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes, (i, j) in zip(grid, [planes[k] for k in chosen], strict=False):
+    dashed = {"linestyle": "--", "color": COLOURS[0], "linewidth": 0.8, "alpha": 0.7}
+    for axes, (i, j) in zip(grid, chosen, strict=False):
         axes.plot(states[:, i], states[:, j], color=COLOURS[0], linewidth=1.3)
         for k, (before, after) in enumerate(course.resets):
-            name = "" if k else "reset"
-            axes.plot(
-                [before[i], after[i]],
-                [before[j], after[j]],
-                "--",
-                color=COLOURS[0],
-                linewidth=0.8,
-                alpha=0.7,
-                label=name,
-            )
+            axes.plot([before[i], after[i]], [before[j], after[j]], label="" if k else "reset", **dashed)
         axes.plot(states[0, i], states[0, j], "o", color=COLOURS[1], markersize=5, label="t = 0")
         arrows(axes, states[:, i], states[:, j], COLOURS[0])
         dress(axes, axis(model, i), axis(model, j))
         axes.locator_params(axis="x", nbins=4)
         axes.margins(0.08)
-    for axes in grid[chosen.size :]:
+    for axes in grid[len(chosen) :]:
         axes.set_visible(False)
     legend(figure, grid[0], "lower right")
     return figure
@@ -251,14 +241,8 @@ def swept_configuration(orbit: Orbit, model: Model) -> Figure:
     sweep(axes, joints, strokes=model.strokes)
     end = tip(paths)
     trail(axes, paths[:, :, end], 1.4, label="path of the tip")
-    down, right = joints[0]
-    marks = "o" if right.size <= 12 else None
-    if model.strokes:
-        configuration(axes, joints, model.strokes, "t = 0")
-    else:
-        axes.plot(right, -down, color="black", marker=marks, linewidth=2.0, markersize=4.5, label="t = 0")
-        if not course.jumps or np.ptp(joints[:, :, 0], axis=0).max() == 0:
-            axes.plot(right[0], -down[0], "s", color="black", markersize=8, label="fixed joint")
+    still = not course.jumps or np.ptp(joints[:, :, 0], axis=0).max() == 0
+    configuration(axes, joints, model.strokes, 2.0, still, named=True)
     plane(axes)
     axes.margins(0.06)
     seen = np.concatenate([joints[:, 1].ravel(), paths[:, 1, end]])
@@ -378,15 +362,7 @@ def _draw(axes: Any, motion: Motion) -> None:
         return
     sweep(axes, motion.joints[:: max(1, len(motion.joints) // 30)], width=0.8, strokes=motion.strokes)
     trail(axes, motion.joints[:, :, tip(motion.joints)], 1.1)
-    if motion.strokes:
-        configuration(axes, motion.joints, motion.strokes, width=1.6)
-        return
-    down, right = motion.joints[0]
-    fixed = 0 <= tip(motion.joints) < right.size - 1  # the last joint of a linkage is a pivot on the ground
-    axes.plot(right, -down, color="black", linewidth=1.6)
-    axes.plot(right[0], -down[0], "s" if right.size > 1 else "o", color="black", markersize=4)  # a lone one is no pivot
-    if fixed:
-        axes.plot(right[-1], -down[-1], "s", color="black", markersize=4)
+    configuration(axes, motion.joints, motion.strokes, 1.6, still=True, named=False)
 
 
 def frequency_energy(
@@ -584,9 +560,8 @@ def axis_name(family: Family) -> str:
     return f"{family.parameter} ({unit})" if unit else family.parameter
 
 
-KINDS = {"elliptic": (COLOURS[2], "o", "elliptic"), "marginal": (COLOURS[4], "s", "marginal"),
-         "unstable": (COLOURS[1], "^", "unstable")}  # fmt: skip
-"""Colour, marker and legend entry of each verdict."""
+KINDS = {"elliptic": (COLOURS[2], "o"), "marginal": (COLOURS[4], "s"), "unstable": (COLOURS[1], "^")}
+"""Colour and marker of each verdict."""
 MOST_PANELS = 6
 """Energies that get a panel each; of more the orbits are drawn in the plane of energy and period"""
 
@@ -619,7 +594,7 @@ def energy_period(rows: Sequence[Row]) -> Figure:
     places = np.zeros(len(rows), int) if apart else np.abs(energies[:, None] - panels).argmin(axis=1)
     heights = energies if apart else np.array([row.instability for row in rows])
     periods, shown = np.array([row.period for row in rows]), dict[str, Any]()
-    for kind, (colour, marker, _) in KINDS.items():
+    for kind, (colour, marker) in KINDS.items():
         verdict = np.array([row.stability == kind for row in rows])
         style = {"color": colour, "markersize": 4.5, "alpha": 0.75, "markeredgewidth": 0, "linestyle": "none"}
         for k, one in enumerate(axes):

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
 
 from orbitfinder.errors import InputError
 from orbitfinder.families.tori import crossed
@@ -45,18 +44,6 @@ def draw_section(
     Regular motions are coloured, each with a colour of its own, chaotic ones grey. Without a section the plane is that
     of the first manifold or connection. Raises `InputError` where they lie on different planes.
     """
-    return save_png(section_figure(section, orbits, manifolds, connections, tori, model), Path(path))
-
-
-def section_figure(
-    section: Section | None,
-    orbits: Sequence[Orbit] = (),
-    manifolds: Sequence[Manifold] = (),
-    connections: Sequence[Connection] = (),
-    tori: Sequence[Torus] = (),
-    model: Model | None = None,
-) -> Figure:
-    """The figure that `draw_section` writes."""
     given: list[Any] = [one for one in (section, *manifolds, *connections) if one is not None]
     if not given:
         raise InputError("section: nothing to draw; give a section, a manifold or a connection")
@@ -85,7 +72,7 @@ def section_figure(
     _limits(axes, model, first.axes, section, manifolds, connections)
     dress(axes, _label(model, across), _label(model, up))
     legend(figure, axes, "lower center", ncols=3)
-    return figure
+    return save_png(figure, Path(path))
 
 
 def _returns(axes: Any, section: Section) -> None:
@@ -162,42 +149,34 @@ def draw_manifolds(
     if len(names) not in (2, 3) or not set(names) <= set(model.state_names):
         known = ", ".join(model.state_names)
         raise InputError(f"axes: need two or three components, got {', '.join(names)}; this system has {known}")
-    return save_png(
-        _tubes(manifolds, [model.state_names.index(one) for one in names], orbits, connections, model), Path(path)
-    )
-
-
-def _tubes(
-    manifolds: Sequence[Manifold], chosen: Sequence[int], orbits: Sequence[Orbit], connections: Sequence[Connection],
-    model: Model,
-) -> Figure:  # fmt: skip
+    chosen = [model.state_names.index(one) for one in names]
     first, solid = manifolds[0], len(chosen) == 3
     multiplier = f"multiplier {first.multiplier:.6g}, displaced by {first.displacement:.2g}"
     figure = new_figure(7.6, 6.6, f"{first.name}: manifolds", multiplier)
-    axes: Any = figure.add_subplot(projection="3d") if solid else figure.subplots()
+    panel: Any = figure.add_subplot(projection="3d") if solid else figure.subplots()
     for one in manifolds:
-        lines = [wrapped(curve, model.angular)[:, list(chosen)] for curve in one.curves if len(curve) > 1]
+        lines = [wrapped(curve, model.angular)[:, chosen] for curve in one.curves if len(curve) > 1]
         if solid:
             for k, line in enumerate(lines):
-                axes.plot(*line.T, color=SIDES[one.which], linewidth=0.45, alpha=0.6, label="" if k else one.which)
+                panel.plot(*line.T, color=SIDES[one.which], linewidth=0.45, alpha=0.6, label="" if k else one.which)
         else:
-            axes.add_collection(LineCollection(lines, colors=SIDES[one.which], linewidths=0.45, alpha=0.6))
-            axes.plot([], [], color=SIDES[one.which], label=one.which)
-            axes.autoscale_view()
-    for known in connections:
-        axes.plot(*known.samples[:, list(chosen)].T, color="black", linewidth=1.4, label=known.kind)
+            panel.add_collection(LineCollection(lines, colors=SIDES[one.which], linewidths=0.45, alpha=0.6))
+            panel.plot([], [], color=SIDES[one.which], label=one.which)
+            panel.autoscale_view()
+    for way in connections:
+        panel.plot(*way.samples[:, chosen].T, color="black", linewidth=1.4, label=way.kind)
     for orbit in orbits:
-        axes.plot(*orbit.samples[:, list(chosen)].T, color="black", linewidth=1.8, linestyle="--", label=orbit.name)
-    _landmarks(axes, model, chosen)
+        panel.plot(*orbit.samples[:, chosen].T, color="black", linewidth=1.8, linestyle="--", label=orbit.name)
+    _landmarks(panel, model, chosen)
     labels = [_label(model, i) for i in chosen]
     if solid:
-        axes.set(xlabel=labels[0], ylabel=labels[1], zlabel=labels[2])
+        panel.set(xlabel=labels[0], ylabel=labels[1], zlabel=labels[2])
     else:
-        dress(axes, *labels)
+        dress(panel, *labels)
         if max(chosen) < model.degrees_of_freedom and not model.angular.any():
-            axes.set_aspect("equal", adjustable="datalim")
-    legend(figure, axes, "lower center", ncols=3)
-    return figure
+            panel.set_aspect("equal", adjustable="datalim")
+    legend(figure, panel, "lower center", ncols=3)
+    return save_png(figure, Path(path))
 
 
 def _landmarks(axes: Any, model: Model, chosen: Sequence[int]) -> None:

@@ -24,6 +24,7 @@ from orbitfinder.mechanics.model import Model, energies, positions, vector_field
 from orbitfinder.mechanics.scales import shared
 from orbitfinder.orbits.course import Course, Piece, course, sampled
 from orbitfinder.records.family import Event, FamilyPoint
+from orbitfinder.records.orbit import Orbit, orbit_to_document
 from orbitfinder.show.strokes import Strokes, extent
 
 COUNTS = (24, 32, 40, 48, 60, 72, 84, 96, 120, 144, 180, 216, 264, 324, 400, 480, 640, 960)
@@ -51,7 +52,7 @@ RIGID = 1e-6
 
 
 @dataclass(frozen=True)
-class Motion:
+class Scene:
     """One period of what a model does, by its `course`, with the names and kinds of its n coordinates, n = d / 2 or d.
 
     `points` (m x 2 x j, x down and y right, m) are at m equal times, the end left out; `drawn` says
@@ -105,6 +106,13 @@ class Motion:
             states[-1] = self.course.pieces[-1].states[-1]  # before the event
         return states
 
+    @property
+    def energies(self) -> np.ndarray | None:
+        """Kinetic and potential energy (2 x k) at equal times over a period, where a mechanical one is conserved."""
+        if self.course.jumps or self.model.rates is not None or not self.model.conservative:
+            return None
+        return np.asarray(energies(self.model, self.at(ENERGIES, endpoint=True)))
+
 
 class Simulator:
     """Motions of orbits; models and their equations are built once per system and parameters."""
@@ -129,7 +137,7 @@ class Simulator:
         found = self.model(system)
         return found and found[0]
 
-    def orbit(self, document: Mapping[str, Any], dense: tuple[np.ndarray, np.ndarray] | None = None) -> Motion | None:
+    def orbit(self, document: Mapping[str, Any], dense: tuple[np.ndarray, np.ndarray] | None = None) -> Scene | None:
         """The motion of an orbit document from its nodes, or from dense samples where its system is unknown."""
         found, period = self.model(document["system"]), float(document["period"])
         if found is None:
@@ -145,7 +153,12 @@ class Simulator:
             return None
         return _motion(model, *path)
 
-    def neighbour(self, document: Mapping[str, Any], motion: Motion) -> Motion | None:
+    def of(self, orbit: Orbit) -> Scene | None:
+        """The motion of an orbit in memory."""
+        dense = (orbit.times, orbit.samples) if len(orbit.samples) > 1 else None
+        return self.orbit(orbit_to_document(orbit), dense)
+
+    def neighbour(self, document: Mapping[str, Any], motion: Scene) -> Scene | None:
         """What starts OFF (of the extent of the motion) from an orbit and is left alone for TURNS periods.
 
         It starts where small differences grow most: a difference is sent round twice and made small again.
@@ -168,19 +181,12 @@ class Simulator:
             return None
         return replace(_motion(model, np.linspace(0.0, TURNS * period, len(path)), path), drifts=True)
 
-    def energies(self, document: Mapping[str, Any], motion: Motion) -> np.ndarray | None:
-        """Kinetic and potential energy (2 x k) at equal times over a period, where a mechanical one is conserved."""
-        found = self.model(document["system"])
-        if found is None or motion.course.jumps or found[0].rates is not None or not found[0].conservative:
-            return None
-        return np.asarray(energies(found[0], motion.at(ENERGIES, endpoint=True)))
-
     def conserves(self, system: Mapping[str, Any]) -> bool:
         """Whether an energy is conserved, True where nothing is known of the system."""
         found = self.model(system)
         return found is None or found[0].conservative
 
-    def member(self, system: Mapping[str, Any], one: FamilyPoint | Event) -> Motion | None:
+    def member(self, system: Mapping[str, Any], one: FamilyPoint | Event) -> Scene | None:
         """The motion of a point or event of a family from its nodes (or its state), completed by its symmetry.
 
         `system` is the family's: its equations are built once, with what varies along it as their argument.
@@ -259,22 +265,22 @@ def _closes(states: np.ndarray, model: Model) -> bool:
 
 def _jumping(
     model: Model, state: np.ndarray, period: float, dense: tuple[np.ndarray, np.ndarray] | None
-) -> Motion | None:
+) -> Scene | None:
     """The motion of a hybrid orbit from its samples or its state, by pieces; None where it goes another way."""
     try:
         path = course(model, *(dense or sampled(model, state, period)))
     except OrbitfinderError:
         return None
-    return Motion(model, path, _seen(model, path, JUMPING))
+    return Scene(model, path, _seen(model, path, JUMPING))
 
 
-def _motion(model: Any, times: np.ndarray, states: np.ndarray, returns: bool = False) -> Motion:
+def _motion(model: Any, times: np.ndarray, states: np.ndarray, returns: bool = False) -> Scene:
     """A smooth motion that `returns`, or that is asked whether it does, at as few times as a page needs."""
     path = course(model, times, states)
     gap = 0.0 if returns else np.abs(places(model, states[-1:]) - places(model, states[:1])).max()
     drifts = bool(gap > GAP * extent(_seen(model, path, FIRST)))
     points, bones = _fewest(lambda count: _seen(model, path, count), model.strokes, drifts)
-    return Motion(model, path, points, bones, drifts)
+    return Scene(model, path, points, bones, drifts)
 
 
 def _seen(model: Any, path: Course, count: int) -> np.ndarray:
@@ -287,26 +293,23 @@ def _without_model(states: np.ndarray) -> Any:
     """The names and kinds of coordinates and rates (k x 2n) of a system that no file describes."""
     n = states.shape[1] // 2
     names = tuple(f"q{i + 1}{rate}" for rate in ("", "dot") for i in range(n))
-    return SimpleNamespace(
-        state_names=names, degrees_of_freedom=n, angles=(False,) * n, points=None, strokes=(), hybrid=None
-    )
+    return SimpleNamespace(state_names=names, degrees_of_freedom=n, angles=(False,) * n, points=None, strokes=(),
+                           hybrid=None, rates=None, conservative=False)  # fmt: skip
 
 
-def recorded(model: Model, times: np.ndarray, states: np.ndarray, points: np.ndarray) -> Motion:
+def recorded(model: Model, times: np.ndarray, states: np.ndarray, points: np.ndarray) -> Scene:
     """What was simulated, as it is: nothing returns or jumps, and no more than these points of it is drawn."""
     duration, still = max(float(times[-1] - times[0]), 1e-9), np.zeros(2)
     path = Course((Piece(times, states, model, still),), duration, still, np.zeros(states.shape[1]))
-    return Motion(model, path, points)
+    return Scene(model, path, points)
 
 
 def places(model: Any, states: np.ndarray) -> np.ndarray:
-    """What of states (k x d) is drawn (k x 2 x j; down, right): the points of a mechanism, or one in a plane."""
-    return in_plane(states, model.degrees_of_freedom) if model.points is None else positions(model, states)
-
-
-def in_plane(states: np.ndarray, n: int) -> np.ndarray:
-    """One point in a plane for systems without a picture: the first two coordinates, or one and its rate."""
-    second = states[:, min(1, states.shape[1] - 1)] if n > 1 else states[:, n % states.shape[1]]
+    """What of states (k x d) is drawn (k x 2 x j; down, right): the points of a mechanism, or one in the plane of the
+    first two coordinates, or of one and its rate."""
+    if model.points is not None:
+        return positions(model, states)
+    second = states[:, 1 % states.shape[1]]
     return np.stack([-second, states[:, 0]], axis=1)[:, :, None]
 
 
@@ -405,7 +408,7 @@ def framed(shown: Sequence[Mapping[str, Any]]) -> dict[str, list[float]] | None:
     return {"centre": ((low + high) / 2).tolist(), "spans": (high - low).tolist()}
 
 
-def _box(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
+def _box(motion: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest x and y of what is drawn: points, and discs about some of them."""
     seen = [motion.points]
     for kind, line in motion.model.strokes:
@@ -417,7 +420,7 @@ def _box(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
     return whole.min(axis=(0, 2)), whole.max(axis=(0, 2))
 
 
-def packed(motion: Motion) -> dict[str, Any]:
+def packed(motion: Scene) -> dict[str, Any]:
     """Channels for the page: int16 little-endian in base64, channel by channel; still channels as numbers.
 
     Of m points channel c is x of point c for c < m, y of point c - m below 2 m, and the angle of point c - 2 m about
@@ -458,7 +461,7 @@ def packed(motion: Motion) -> dict[str, Any]:
     )  # fmt: skip
 
 
-def _landscape(motion: Motion) -> dict[str, Any]:
+def _landscape(motion: Scene) -> dict[str, Any]:
     """Of a hybrid orbit: the samples after which the motion jumps, and the ground, one polyline or one a sample."""
     if not motion.course.jumps:
         return {"jumps": [len(motion.points) - 1]} if motion.drifts else {}
@@ -471,12 +474,12 @@ def _landscape(motion: Motion) -> dict[str, Any]:
     return {"jumps": jumps, "ground": [[[float(f"{x:.6g}") for x in row] for row in line] for line in lines.tolist()]}
 
 
-def _jumps(motion: Motion, count: int) -> list[int]:
+def _jumps(motion: Scene, count: int) -> list[int]:
     """The numbers of the samples, so many a period, after which the motion jumps."""
     return sorted({min(int(np.ceil(at * count / motion.period - 1e-6)), count) - 1 for at, _ in motion.course.events})
 
 
-def histories(motion: Motion) -> dict[str, Any]:
+def histories(motion: Scene) -> dict[str, Any]:
     """States at equal times, end included, as little-endian float32 in base64, component by component.
 
     As many samples as the page's curves through them need to be good to SMOOTH of the extent, at most 960. Of a

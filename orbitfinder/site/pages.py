@@ -21,7 +21,7 @@ from orbitfinder.records.orbit import Check, asked, level, recorded_proof
 from orbitfinder.show.diagram import LOOKS
 from orbitfinder.site.gather import AtlasFile, OrbitFile, Verdict, evenly
 from orbitfinder.site.landscape import landscape
-from orbitfinder.site.motion import Motion, Simulator, framed, histories, packed
+from orbitfinder.site.motion import Scene, Simulator, framed, histories, packed
 from orbitfinder.site.text import (
     article,
     coordinate,
@@ -42,7 +42,7 @@ class Entry:
     """One orbit of the site: its file, its motion, the name of its page and how its parts are called."""
 
     file: OrbitFile
-    motion: Motion | None
+    motion: Scene | None
     slug: str
     series: str = ""
     """name of the atlas it came from, empty for an orbit.json"""
@@ -59,7 +59,7 @@ class Entry:
     """its address on the page of its atlas"""
     energies: np.ndarray | None = None
     """kinetic and potential energy at equal times"""
-    neighbour: Motion | None = None
+    neighbour: Scene | None = None
     landscape: Mapping[str, Any] | None = None
     """the potential that it moves in, of a point in a plane"""
 
@@ -124,7 +124,7 @@ def orbit_values(entry: Entry) -> dict[str, Any]:
     }
 
 
-def _aspect(motion: Motion | None) -> float:
+def _aspect(motion: Scene | None) -> float:
     """Width over height of the moving picture: that of the motion, within limits."""
     if motion is None:
         return 1.25
@@ -155,7 +155,7 @@ def _facts(entry: Entry) -> list[tuple[str, str]]:
     return rows
 
 
-def shown(motion: Motion) -> list[int]:
+def shown(motion: Scene) -> list[int]:
     """The coordinates that are plotted: of a linkage its angles; evenly chosen where there are many."""
     n = len(motion.angles)
     candidates = list(range(n))

@@ -4,11 +4,12 @@ what happens."""
 from __future__ import annotations
 
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from functools import wraps
 from typing import Any
 
+import numpy as np
 from nicegui import ui
 
 from orbitfinder.errors import InputError, OrbitfinderError
@@ -36,6 +37,12 @@ class Source:
     energy: float | None
     orbit: Orbit | None = None
 
+    @classmethod
+    def of(cls, orbit: Orbit) -> Source:
+        """Where an orbit starts."""
+        level = orbit.energy if math.isfinite(orbit.energy) else None
+        return cls(dict(orbit.system), [float(one) for one in orbit.state], level)
+
 
 class Desk:
     """One tab: a quick process for what the stage shows, another one for searches, which can be cancelled."""
@@ -47,11 +54,16 @@ class Desk:
     def __init__(self, session: Session, taken: set[str]) -> None:
         self.session, self.taken = session, taken
         self.quick, self.long = Worker(), Worker()
-        model, state = session.model, session.opened.state
-        level = energy(model, state) if model.constraint is None and model.conservative else math.nan
-        known = level if math.isfinite(level) else None
-        self.source = Source(dict(model.system), [float(one) for one in state], known)
+        state = session.opened.state
+        self.source = Source(dict(session.model.system), [float(one) for one in state], self.level(state))
         self.dark = False
+
+    def level(self, state: Sequence[float] | np.ndarray) -> float | None:
+        """The energy (J) of a state of the system on the stage, None where there is none."""
+        model = self.session.model
+        known = model.constraint is None and model.conservative
+        found = energy(model, np.asarray(state)) if known else math.nan
+        return found if math.isfinite(found) else None
 
     def safe(self, work: Callable[..., Awaitable[Any] | None]) -> Callable[..., Awaitable[None]]:
         """The same, of which what is refused is a sentence on the page."""

@@ -18,7 +18,6 @@ from orbitfinder import site
 from orbitfinder.errors import InputError, OrbitfinderError, plural
 from orbitfinder.guesses.returns import CloseReturn
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
-from orbitfinder.mechanics.model import energy
 from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.html import certificate_html
@@ -297,9 +296,8 @@ class Page(Desk):
                 slider.set_value(value)
 
     def _energy(self) -> str:
-        model = self.session.model
-        found = energy(model, np.asarray(self.state)) if model.constraint is None and model.conservative else math.nan
-        return f"E = {found:.6g} J" if math.isfinite(found) else ""
+        level = self.level(self.state)
+        return "" if level is None else f"E = {level:.6g} J"
 
     async def _set(self, k: int, value: float) -> None:
         self.state[k] = value
@@ -377,8 +375,7 @@ class Page(Desk):
 
     def _show_orbit(self, found: Found, keep: bool = False) -> None:
         orbit = self.orbit = found.orbit
-        level_ = orbit.energy if math.isfinite(orbit.energy) else None
-        self.source = Source(dict(orbit.system), [float(one) for one in orbit.state], level_, orbit)
+        self.source = replace(Source.of(orbit), orbit=orbit)
         sure = orbit.certificate is not None and orbit.certificate.passed
         self.badge.set_text("Certified" if sure else "Rejected")
         self.badge.props(f"color={'good' if sure else 'bad'} icon={'verified' if sure else 'dangerous'}")
@@ -504,8 +501,7 @@ class Page(Desk):
         )
         self.badge.set_visibility(False)  # what it says is of another orbit
         self.about.set_text("")
-        level = point.energy if math.isfinite(point.energy) else None
-        self.source = Source(dict(point.system), [float(one) for one in point.state], level)
+        self.source = Source.of(point)
         self.plot.run_plot_method("restyle", {"x": [[point.value]], "y": [[1 / point.period]]}, [plots.HERE])
         key = point.state.tobytes()
         if self.films.get(key) is None:

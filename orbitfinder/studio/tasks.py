@@ -31,7 +31,7 @@ from orbitfinder.orbits.section import crossings, section
 from orbitfinder.orbits.simulate import SAMPLES_PER_SECOND, simulate
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.records.family import Batch, Event, Family, FamilyPoint, read_journal
-from orbitfinder.records.orbit import Orbit, orbit_to_document, save_orbit, system_at
+from orbitfinder.records.orbit import Orbit, save_orbit, system_at
 from orbitfinder.records.registry import load_orbit
 from orbitfinder.records.section import Section
 from orbitfinder.site.motion import Simulator, packed
@@ -252,6 +252,5 @@ class Tasks:
         return report
 
     def _film(self, orbit: Orbit) -> Film | None:
-        dense = (orbit.times, orbit.samples) if len(orbit.samples) > 1 else None
-        motion = self._simulator.orbit(orbit_to_document(orbit), dense)
+        motion = self._simulator.of(orbit)
         return None if motion is None else packed(motion)

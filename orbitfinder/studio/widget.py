@@ -15,12 +15,12 @@ from orbitfinder import site
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.scales import units
 from orbitfinder.records.family import Event, Family, FamilyPoint
-from orbitfinder.records.orbit import Orbit, orbit_to_document
+from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import finite
 from orbitfinder.show import html
 from orbitfinder.show.diagram import diagram_of
 from orbitfinder.show.svg import diagram, plane_of
-from orbitfinder.site.motion import Motion, Simulator, framed, packed
+from orbitfinder.site.motion import Scene, Simulator, framed, packed
 from orbitfinder.site.pages import before, pickable
 
 try:
@@ -102,7 +102,10 @@ def _members(family: Family) -> list[Orbit | Event]:
 def _shown(value: Orbit | Family, members: list[Orbit | Event]) -> dict[str, Any]:
     """What the script works with: the items with their motions, pictures and texts, and what they share."""
     simulator, family = Simulator(), value if isinstance(value, Family) else None
-    motions = [_motion(simulator, value.system, one) for one in members]
+    motions = [
+        simulator.member(value.system, one) if isinstance(one, FamilyPoint | Event) else simulator.of(one)
+        for one in members
+    ]
     items = [
         _texts(family, one) | {"period": one.period, "motion": packed(motion) if motion else None, "portrait": portrait}
         for one, motion, portrait in zip(members, motions, _portraits(simulator, value.system, motions), strict=True)
@@ -128,14 +131,7 @@ def _shown(value: Orbit | Family, members: list[Orbit | Event]) -> dict[str, Any
     return finite(found)  # type: ignore[no-any-return]
 
 
-def _motion(simulator: Simulator, system: Any, one: Orbit | Event) -> Motion | None:
-    """The motion of an orbit, of a point of a family or of an event."""
-    if isinstance(one, FamilyPoint | Event):
-        return simulator.member(system, one)
-    return simulator.orbit(orbit_to_document(one), (one.times, one.samples) if len(one.samples) > 1 else None)
-
-
-def _portraits(simulator: Simulator, system: Any, motions: list[Motion | None]) -> list[str]:
+def _portraits(simulator: Simulator, system: Any, motions: list[Scene | None]) -> list[str]:
     """Phase portraits, all of the plane in which most moves and on the same axes; empty where there is no motion."""
     known = simulator.model(system)
     if known is None or not any(motions):
