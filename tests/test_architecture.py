@@ -17,7 +17,7 @@ PACKAGE = Path(__file__).parents[1] / "orbitfinder"
 FLOORS = (
     ("errors",), ("_runtime",), ("records",), ("mechanics",), ("integrate",), ("loops",),
     ("continuation",), ("exports", "guesses", "proof"), ("orbits", "problemfile"), ("families",), ("atlas",),
-    ("show", "site"), ("studio",), ("reproduce",), ("", "systems", "linkages", "flows", "sections"), ("cli",),
+    ("show",), ("site",), ("studio",), ("reproduce",), ("", "systems", "linkages", "flows", "sections"), ("cli",),
     ("__main__",),
 )  # fmt: skip
 LIBRARIES = {
@@ -210,7 +210,7 @@ def test_every_kind_of_event_has_a_check():
     """What the code may call an event is checked by its definition, and drawn."""
     from orbitfinder.families.checks import CHECKS
     from orbitfinder.families.passages import index_levels
-    from orbitfinder.show.plot import MARKERS
+    from orbitfinder.show.diagram import LOOKS
 
     made = {kind for root in (1, 2) for _, kind, _, _ in index_levels(root, 6)}
     for module, tree in MODULES.items():
@@ -218,7 +218,7 @@ def test_every_kind_of_event_has_a_check():
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ("Test", "Margin"):
                 made |= {one.value for one in ast.walk(node.args[0]) if isinstance(one, ast.Constant)}
     assert len(made) > 8 and made <= set(CHECKS), made - set(CHECKS)
-    assert set(MARKERS) == set(CHECKS)
+    assert set(LOOKS) == set(CHECKS)
 
 
 SOLVERS = {"solve", "lstsq", "pinv", "splu", "spsolve", "least_norm", "least_squares"}

@@ -37,7 +37,7 @@ from orbitfinder.site import writing
 from orbitfinder.site.build import Settings, build_site
 from orbitfinder.site.gather import evenly, gather
 from orbitfinder.site.landscape import landscape
-from orbitfinder.site.motion import Simulator, histories, packed, resampled, skeleton
+from orbitfinder.site.motion import Simulator, histories, packed, recorded, skeleton
 from orbitfinder.site.pages import span, spread
 from orbitfinder.site.text import PAGES, coordinate, mechanism, number, script_data, size, slug_maker
 from orbitfinder.site.writing import MARK, check_target, mark, write_site
@@ -469,8 +469,8 @@ def test_family_motions_start_from_the_nodes(material, tmp_path):
     assert not bare.points[0].shooting_nodes.size and full.points[0].shooting_nodes.size
     first, second = (Simulator().member(one.system, one.points[0]) for one in (bare, full))
     assert np.abs(first.at(60) - second.at(60)).max() < 1e-5
-    middle = len(first.times) // 8  # cut the quarter that is free into two segments
-    edges = np.array([0.0, first.times[middle] / first.period, 0.25])
+    middle = len(first.states) // 8  # cut the quarter that is free into two segments
+    edges = np.array([0.0, first.course.times[middle] / first.period, 0.25])
     many = replace(full.points[0], shooting_nodes=first.states[[0, middle]], mesh=edges)
     assert many.symmetry == "brake+reflection"
     assert np.abs(Simulator().member(full.system, many).at(60) - first.at(60)).max() < 1e-5
@@ -704,7 +704,7 @@ def test_points_are_picked_evenly_along_the_curve():
 def test_resampling_follows_the_rates():
     times = np.linspace(0, 2 * np.pi, 9)
     states = np.column_stack([np.sin(times), np.cos(times)])
-    seen = resampled(times, states, 2 * np.pi, 50, 1)
+    seen = recorded(chain(1), times, states, np.zeros((9, 2, 1))).at(50)
     moments = np.linspace(0, 2 * np.pi, 50, endpoint=False)
     assert np.abs(seen[:, 0] - np.sin(moments)).max() < 2e-3
 
@@ -777,10 +777,10 @@ def test_the_neighbour_leaves_an_unstable_orbit_as_its_multiplier_says(name, gro
 
 def test_energies_sum_to_the_recorded_one():
     simulator, about = Simulator(), document()
-    split = simulator.energies(about, simulator.orbit(about))
+    split = simulator.orbit(about).energies
     assert split.shape == (2, 121) and np.abs(split.sum(axis=0) - about["energy"]).max() < 1e-3
     forced = json.loads((ROOT / "results/gallery/forced-duffing-upper/orbit.json").read_text())
-    assert simulator.energies(forced, simulator.orbit(forced)) is None and not simulator.conserves(forced["system"])
+    assert simulator.orbit(forced).energies is None and not simulator.conserves(forced["system"])
 
 
 def test_energies_are_called_kept_only_where_they_are(tmp_path):

@@ -148,4 +148,4 @@ def amplitudes(family: Family, model: Model) -> np.ndarray:
         states = full_samples(curve, at_place(curve, unknowns_of(curve, known)), SAMPLES)[1]
         return np.asarray(np.ptp(states[:, :n], axis=0) / 2)
 
-    return np.array([*map(range_of, family.points), *map(range_of, family.events)])
+    return np.array([range_of(one) for one in family.members])

@@ -88,12 +88,13 @@ class Course:
         ends = np.array([one.times[-1] for one in self.pieces])
         which = np.minimum(np.searchsorted(ends, within, side="right"), len(self.pieces) - 1)
         found: Any = None
-        for k, one in enumerate(self.pieces):
-            if not (here := which == k).any():
-                continue
+        for k in np.unique(which):
+            one, here = self.pieces[k], slice(None) if len(ends) == 1 else which == k
             n = one.model.degrees_of_freedom
             states = between(one.times, one.states, n, np.minimum(within[here], one.times[-1]))
             part = seen(one, states, one.origin + rounds[here, None] * self.stride)
+            if len(ends) == 1:
+                return part
             found = np.zeros((len(within), *part.shape[1:])) if found is None else found
             found[here] = part
         return np.asarray(found)

@@ -563,6 +563,21 @@ def nodes_of(found: Surface, orbit: Orbit) -> np.ndarray:
     return nodes if np.abs(gaps / nonzero(np.abs(nodes).max(axis=0))).max() <= LINKED else orbit.state[None]
 
 
+def check_plane(one: Any, other: Any) -> None:
+    """`InputError` unless two records (sections, manifolds, connections) lie on one plane with the same axes."""
+    if (one.plane.split(",")[0], tuple(one.axes)) != (other.plane.split(",")[0], tuple(other.axes)):
+        raise InputError(
+            f"{one.name}: plane: {one.plane} with axes {', '.join(one.axes)}, and {other.name} has {other.plane} with "
+            f"{', '.join(other.axes)}; make both with one plane and axes"
+        )
+
+
+def crossings(model: Model, record: Any, orbit: Orbit) -> np.ndarray:
+    """Where an orbit crosses the plane of a record in its axes (k x 2). Raises `InputError` where it does not."""
+    found = named_surface(model, record.plane, record.axes, state=orbit.state)
+    return found.chart(pierced(found, orbit).states)
+
+
 def pierced(found: Surface, orbit: Orbit) -> Pierced:
     """Where an orbit crosses a section in one period. Raises `InputError` where it does not."""
     if found.model.hybrid is not None:

@@ -161,6 +161,11 @@ class Event(Shown):
 
     _check = _check_place
 
+    @property
+    def words(self) -> str:
+        """What happens, for reading: its kind and detail."""
+        return f"{self.kind.replace('_', ' ')} {self.detail}".strip()
+
 
 @dataclass(frozen=True)
 class End:
@@ -293,10 +298,14 @@ class Family(Shown):
         return tuple(map(str, test["parameters"])) if isinstance(test, Mapping) else (self.parameter,)
 
     @property
+    def members(self) -> tuple[FamilyPoint | Event, ...]:
+        """Its points and then its events."""
+        return (*self.points, *self.events)
+
+    @property
     def places(self) -> np.ndarray:
         """The values (k x 1 or k x 2) of what varies at every point and then at every event."""
-        members: tuple[FamilyPoint | Event, ...] = (*self.points, *self.events)
-        rows = [[number_of(one, name) for name in self.parameters] for one in members]
+        rows = [[number_of(one, name) for name in self.parameters] for one in self.members]
         return np.array(rows, float).reshape(-1, len(self.parameters))
 
     @property

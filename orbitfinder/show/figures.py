@@ -10,9 +10,9 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.records.controller import Controller
 from orbitfinder.records.manifold import Connection, Manifold
 from orbitfinder.records.section import Section
-from orbitfinder.show.plot import axis
 from orbitfinder.show.sections import draw_manifolds, draw_section
 from orbitfinder.show.style import dress, new_figure, save_png
+from orbitfinder.show.svg import axis
 
 
 def section_figures(record: Section | Manifold | Connection, folder: Path, model: Model) -> list[Path]:

@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.model import Model, wrapped
 from orbitfinder.orbits.frequencies import FrequencyMap
-from orbitfinder.show.plot import axis
 from orbitfinder.show.style import dress, new_figure, save_png
+from orbitfinder.show.svg import axis
 
 LEAST = -12.0
 """Decimal logarithm of the diffusion below which all have one colour"""
@@ -22,13 +21,6 @@ def draw_frequencies(
     found: FrequencyMap, model: Model, path: str | Path, *, axes: Sequence[str] | None = None, name: str = "frequencies"
 ) -> Path:
     """Draw a frequency map as PNG, its starts in two components (`axes`). Raises `InputError`."""
-    return save_png(frequency_figure(found, model, axes, name), Path(path))
-
-
-def frequency_figure(
-    found: FrequencyMap, model: Model, axes: Sequence[str] | None = None, name: str = "frequencies"
-) -> Figure:
-    """The figure that `draw_frequencies` writes."""
     names = tuple(axes) if axes is not None else tuple(model.state_names[k] for k in model.planes[0])
     for one in names:
         if one not in model.state_names:
@@ -50,4 +42,4 @@ def frequency_figure(
     dress(plane, "first frequency (rad/s)" if pair is not None else axis(model, across),
           "second frequency (rad/s)" if pair is not None else "frequency (rad/s)")  # fmt: skip
     figure.colorbar(drawn, ax=[places, plane], label="decimal logarithm of the diffusion")
-    return figure
+    return save_png(figure, Path(path))

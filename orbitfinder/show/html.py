@@ -5,7 +5,6 @@ Everything is inline: no script, no style sheet, no network. Names and titles ar
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Sequence
 from html import escape
 from itertools import zip_longest
@@ -30,7 +29,8 @@ from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.optima import Optima
 from orbitfinder.records.orbit import Certificate, Orbit, asked
 from orbitfinder.records.torus import Tori
-from orbitfinder.show.svg import Axes, curves, diagram, moving_mechanism, moving_portrait, plane_of, ranged, unit_circle
+from orbitfinder.show.diagram import diagram_of
+from orbitfinder.show.svg import axis, curves, diagram, greek, moving_mechanism, moving_portrait, ranged, unit_circle
 
 SAMPLES = 121
 """Points of one period where an object carries no dense samples."""
@@ -63,8 +63,7 @@ def plain_html(value: Shown, rows: Sequence[tuple[str, str]] = (), pictures: Seq
 
 def model_html(model: Model) -> str:
     """What a Model describes: its coordinates and parameters by name and unit, and what is conserved."""
-    units = unit_names(model)
-    names = [f"{_greek(name)} ({unit})" if unit else name for name, unit in zip(model.state_names, units, strict=False)]
+    names = [axis(model, k, greek) for k in range(len(unit_names(model)))]
     numbered = zip(model.parameter_names, model.parameter_values, strict=True)
     parameters = [f"{name} = {value:.9g}" for name, value in numbered]
     kept = ", ".join(one.name for one in model.invariants) or "nothing"
@@ -102,7 +101,7 @@ def count_html(count: Count) -> str:
 
 def simulation_html(run: Simulation) -> str:
     """What moved, each component over time."""
-    names = [_greek(name) for name in run.state_names[: max(1, len(run.state_names) // 2)]]
+    names = [greek(name) for name in run.state_names[: max(1, len(run.state_names) // 2)]]
     kept = np.unique(np.linspace(0, len(run.times) - 1, 400).round().astype(int))
     lines = [(name, np.column_stack([run.times, run.states[:, k]])[kept]) for k, name in enumerate(names[:6])]
     rows = [("duration", f"{run.times[-1]:.6g} s"), ("samples", str(len(run.times)))]
@@ -114,34 +113,32 @@ def simulation_html(run: Simulation) -> str:
 
 def sweep_html(sweep: Sweep) -> str:
     """A row for each value."""
-    head = (*sweep.parameters, "period (s)", "stability", "certified", "why not")
     rows = []
-    for row in sweep.rows[:LISTED]:
+    for row in sweep.rows:
         found = ("", "") if row.orbit is None else (f"{row.orbit.period:.10g}", row.orbit.stability)
         values = (f"{row.values[name]:.9g}" for name in sweep.parameters)
         rows.append((*values, *found, "yes" if row.certified else "no", row.reason))
-    return f"<div>{heading(_listed('Sweep', len(sweep.rows), 'row'))}{table(rows, head)}</div>"
+    return _listed("Sweep", "row", rows, (*sweep.parameters, "period (s)", "stability", "certified", "why not"))
 
 
 def optima_html(optima: Optima) -> str:
     """Parameter, cost and period of each controlled orbit."""
     found = zip(optima.points, optima.values, optima.costs, strict=True)
     rows = [(f"{value:.9g}", f"{cost:.9g}", f"{one.period:.10g}", one.stability) for one, value, cost in found]
-    head = (optima.parameter, "cost", "period (s)", "stability")
-    return f"<div>{heading(_listed('Optima', len(rows), 'orbit'), optima.end)}{table(rows[:LISTED], head)}</div>"
+    return _listed("Optima", "orbit", rows, (optima.parameter, "cost", "period (s)", "stability"), optima.end)
 
 
 def tori_html(tori: Tori) -> str:
     """Rotation, period and energy of each torus."""
-    rows = [(f"{one.rotation:.9g}", f"{one.period:.9g}", f"{one.energy:.9g}") for one in tori.tori[:LISTED]]
-    head = ("rotation (turns)", "period (s)", "energy (J)")
-    return f"<div>{heading(_listed(f'Tori {tori.name}', len(tori.tori), 'torus'), tori.end)}{table(rows, head)}</div>"
+    rows = [(f"{one.rotation:.9g}", f"{one.period:.9g}", f"{one.energy:.9g}") for one in tori.tori]
+    return _listed(f"Tori {tori.name}", "torus", rows, ("rotation (turns)", "period (s)", "energy (J)"), tori.end)
 
 
-def _listed(what: str, count: int, noun: str) -> str:
-    """How many there are, and how many of them a table shows."""
-    many = f"{count} tori" if noun == "torus" and count != 1 else plural(count, noun)
-    return f"{what}: {many}" + (f", the first {LISTED}" if count > LISTED else "")
+def _listed(what: str, noun: str, rows: Sequence[Sequence[str]], head: Sequence[str], below: str = "") -> str:
+    """A table of the first rows, and how many there are."""
+    many = f"{len(rows)} tori" if noun == "torus" and len(rows) != 1 else plural(len(rows), noun)
+    title = f"{what}: {many}" + (f", the first {LISTED}" if len(rows) > LISTED else "")
+    return f"<div>{heading(title, below)}{table(rows[:LISTED], head)}</div>"
 
 
 def table(rows: Iterable[Sequence[str]], head: Sequence[str] = ()) -> str:
@@ -235,8 +232,7 @@ class Portrait:
         after = np.searchsorted(evenly(seen), [at for at, _ in seen.events])
         last = len(states) - bool(seen.turned[[across, up]].any())  # after a turn the first is somewhere else
         self.cuts = [int(k) for k in dict.fromkeys(after) if 0 < k <= last]
-        named = [_component(model, k) for k in self.plane]
-        self.names = named[0], named[1]
+        self.names = axis(model, across, greek), axis(model, up, greek)
 
     @property
     def extent(self) -> float:
@@ -259,24 +255,6 @@ def _smooth(seen: Course) -> np.ndarray:
 def range_of(portraits: Sequence[Portrait]) -> tuple[np.ndarray, np.ndarray]:
     """The axes that several portraits share."""
     return ranged(np.vstack([one.places for one in portraits]))
-
-
-def _component(model: Model, k: int) -> str:
-    """What a component of the state is called on an axis, with its unit where that is known."""
-    units = unit_names(model)
-    name, unit = _greek(model.state_names[k]), units[k % len(units)]
-    if model.rates is None and k >= len(units):
-        return f"rate of {_greek(model.state_names[k - len(units)])} ({unit}/s)"
-    return f"{name} ({unit})" if unit else name
-
-
-def _greek(name: str) -> str:
-    """theta3 with its letter and subscript, other names as they are."""
-    found = re.fullmatch(r"theta(\d*)", name)
-    return "\N{GREEK SMALL LETTER THETA}" + found.group(1).translate(LOWERED) if found else name
-
-
-LOWERED = {ord("0") + k: 0x2080 + k for k in range(10)}
 
 
 def _period(orbit: Orbit, model: Model) -> tuple[np.ndarray, np.ndarray]:
@@ -317,17 +295,9 @@ def family_html(family: Family) -> str:
     steady = [point for point in family.points if point.scale < STEADY]
     places = sorted({0, len(steady) // 2, len(steady) - 1}) if steady else []
     shown = _members([steady[place] for place in places], "" if family.unit else family.parameter)
-    curve = diagram(family, plane(family)) if family.points else ""
+    curve = diagram(diagram_of(family)) if family.points else ""
     body = f'<div style="{ROW}">{curve}{table(rows)}</div><div style="{ROW}">{shown}</div>'
     return f"<div>{heading(f'Family {family.name}')}{body}</div>"
-
-
-def plane(family: Family) -> tuple[Axes, np.ndarray]:
-    """The axes of a family's diagram and the places of its points and events, see `plane_of`."""
-    try:
-        return plane_of(family, build_model(family.system))
-    except OrbitfinderError:
-        return plane_of(family, None)
 
 
 def _members(points: Sequence[FamilyPoint], parameter: str) -> str:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from itertools import pairwise
 from pathlib import Path
 
-from matplotlib.figure import Figure
-
 from orbitfinder.records.optima import Optima
 from orbitfinder.show.style import dress, new_figure, save_png
 from orbitfinder.show.svg import COLOURS
@@ -17,7 +15,8 @@ MARKS = {"fold": ("D", "turning point"), "active": ("^", "constraint becomes act
 
 
 def save_optima_figure(optima: Optima, folder: str | Path) -> Path:
-    """Draw optima along their parameter: cost, descents, changes.
+    """Draw what optima cost along their parameter: solid where it is a local least, dashed where some direction lowers
+    it; turning points, changes of the active constraints and extremes marked.
 
     Args:
         optima: at least one point.
@@ -30,12 +29,6 @@ def save_optima_figure(optima: Optima, folder: str | Path) -> Path:
         >>> of.save_optima_figure(optima, ".").name
         'optima.png'
     """
-    return save_png(optima_figure(optima), Path(folder) / "optima.png")
-
-
-def optima_figure(optima: Optima) -> Figure:
-    """Cost against the parameter: solid where it is a local least, dashed where some direction lowers it; turning
-    points, changes of the active constraints and extremes marked."""
     figure = new_figure(8.0, 5.2, optima.name, f"least cost along {optima.parameter}; {optima.end}")
     axes, values, costs = figure.subplots(), optima.values, optima.costs
     for (k, first), (m, second) in pairwise(enumerate(optima.descents)):
@@ -50,4 +43,4 @@ def optima_figure(optima: Optima) -> Figure:
     if optima.changes:
         axes.legend(loc="best", frameon=False, fontsize=9)
     dress(axes, optima.parameter, "cost")
-    return figure
+    return save_png(figure, Path(folder) / "optima.png")

@@ -16,7 +16,7 @@ from orbitfinder.families.members import Motion
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import Orbit
-from orbitfinder.show.style import dress, new_figure
+from orbitfinder.show.style import dress, landmark, legend, new_figure
 from orbitfinder.show.svg import COLOURS
 
 NEAR = 0.35
@@ -43,7 +43,7 @@ def path_views(orbit: Orbit, model: Model) -> Figure:
     for axes, (i, j) in views:
         axes.plot(states[:, i], states[:, j], color=COLOURS[0], linewidth=1.3)
         axes.plot(states[0, i], states[0, j], "o", color=COLOURS[1], markersize=5, label="t = 0")
-    _legend(figure, views)
+    legend(figure, views[0][0], "lower right")
     return figure
 
 
@@ -58,7 +58,7 @@ def family_paths(family: Family, shown: Sequence[Motion], model: Model) -> Figur
             axes.plot(one.states[:, i], one.states[:, j], color=colour, linewidth=1.1)
     unit = "" if model.landmarks or not family.unit else f" ({family.unit})"
     figure.colorbar(scale, ax=[axes for axes, _ in views], label=f"{family.parameter}{unit}", shrink=0.85)
-    _legend(figure, views)
+    legend(figure, views[0][0], "lower right")
     return figure
 
 
@@ -81,24 +81,10 @@ def _views(
             there = np.array([place[i], place[j]])
             inside = all(low[k] - room <= place[k] <= high[k] + room for k in range(n))
             if inside and all(np.abs(there - other).max() > HIDDEN * extent for other in seen):
-                _mark(axes, name, *there)
+                landmark(axes, name, *there)
                 seen.append(there)
         axes.set_aspect("equal", adjustable="datalim")
         axes.margins(0.08)
         unit = "" if model.landmarks else " (m)"
         dress(axes, f"{model.state_names[i]}{unit}", f"{model.state_names[j]}{unit}")
     return figure, views
-
-
-def _mark(axes: Any, name: str, across: float, up: float) -> None:
-    """A libration point or another place of rest as a cross, a body as a disc, with its name beside it."""
-    rests = name.startswith("L")
-    axes.plot(across, up, "x" if rests else "o", color="0.35" if rests else "black", markersize=6, zorder=1.8)
-    offset = {"xytext": (5, 6) if rests else (5, -13), "textcoords": "offset points"}
-    axes.annotate(name, (across, up), fontsize=8, color="0.25", parse_math=False, **offset)
-
-
-def _legend(figure: Figure, views: Sequence[tuple[Any, tuple[int, int]]]) -> None:
-    handles, labels = views[0][0].get_legend_handles_labels()
-    if handles:
-        figure.legend(handles, labels, loc="outside lower right", frameon=False)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +24,9 @@ from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.mechanics.scales import unit_names
 from orbitfinder.mechanics.scales import units as units_of
 from orbitfinder.orbits.course import Course, course_of
-from orbitfinder.records.family import Event, Family, FamilyPoint
+from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import Orbit
+from orbitfinder.show.diagram import LOOKS, Diagram, frequencies
 from orbitfinder.show.paths import family_paths, has_path, path_views
 from orbitfinder.show.strokes import tip
 from orbitfinder.show.style import (
@@ -36,6 +35,7 @@ from orbitfinder.show.style import (
     bare,
     configuration,
     dress,
+    legend,
     line_style,
     new_figure,
     place_labels,
@@ -45,7 +45,7 @@ from orbitfinder.show.style import (
     trail,
     widen,
 )
-from orbitfinder.show.svg import COLOURS, runs
+from orbitfinder.show.svg import COLOURS, axis, label
 
 SNAPSHOTS = 48
 """Configurations drawn over one period."""
@@ -108,24 +108,9 @@ def heading(orbit: Orbit, what: str) -> tuple[str, str]:
     return orbit.title or orbit.name, f"{what}, T = {orbit.period:.6g} s"
 
 
-def label(name: str) -> str:
-    """A coordinate's name for an axis: theta3 with its subscript, others as they are."""
-    found = re.fullmatch(r"theta(\d+)", name)
-    return rf"$\theta_{{{found.group(1)}}}$" if found else name
-
-
 def _unit(model: Model, suffix: str = "") -> str:
     known = " or ".join(f"{unit}{suffix}" for unit in dict.fromkeys(unit_names(model)) if unit)
     return f" ({known})" if known else ""
-
-
-def axis(model: Model, i: int) -> str:
-    """A component's name for an axis, with its unit where that is known."""
-    n = model.degrees_of_freedom
-    name, unit = label(model.state_names[i % n]), unit_names(model)[i % n]
-    if i >= n:
-        return f"rate of {name} ({unit}/s)"
-    return f"{name} ({unit})" if unit else name
 
 
 def time_histories(orbit: Orbit, model: Model) -> Figure:
@@ -148,10 +133,11 @@ def time_histories(orbit: Orbit, model: Model) -> Figure:
     dress(lower, "time (s)", f"velocities{_unit(model, '/s')}")
     lower.set_xlim(0.0, orbit.period)
     mark_events([upper, lower], course)
-    if n <= MOST_IN_LEGEND:
-        figure.legend(*upper.get_legend_handles_labels(), loc="outside right center", frameon=False)
+    if "linestyle" in line_style(0, n):
+        legend(figure, upper, "right center", ncols=1 if n <= MOST_IN_LEGEND else 2)
     else:
-        _colour_bar(figure, [upper, lower], n)
+        scale = ScalarMappable(Normalize(1, n), "cividis")
+        figure.colorbar(scale, ax=[upper, lower], label="coordinate number", aspect=40)
     return figure
 
 
@@ -173,43 +159,41 @@ def controls(orbit: Orbit) -> Figure:
     times, values = history(orbit.control, orbit.period)
     names, limits = orbit.control["names"], orbit.control["limits"]
     figure = new_figure(8.0, 1.6 + 2.0 * len(names), *heading(orbit, "controls"))
-    panels = np.atleast_1d(figure.subplots(len(names), 1, sharex=True))
-    for axes, name, column in zip(panels, names, values.T, strict=True):
-        axes.plot(times, column, color=COLOURS[0], linewidth=1.3)
+    for axes, name, column in zip(_below(figure, times, values.T, names, orbit.period), names, values.T, strict=True):
         for bound in limits.get(name, ()):
             if np.isfinite(bound) and abs(bound) <= 3 * np.abs(column).max():
                 axes.axhline(bound, color="0.5", linewidth=0.7, linestyle="--")
-        dress(axes, "time (s)" if axes is panels[-1] else "", name)
-    panels[-1].set_xlim(0.0, orbit.period)
     return figure
+
+
+def _below(
+    figure: Figure, times: np.ndarray, columns: np.ndarray, names: Sequence[str], period: float
+) -> list[Any]:  # fmt: skip
+    """Panels below each other, a curve (k) over the times (k) of a period in each."""
+    panels = list(np.atleast_1d(figure.subplots(len(names), 1, sharex=True)))
+    for axes, column, name in zip(panels, columns, names, strict=True):
+        axes.plot(times, column, color=COLOURS[0], linewidth=1.3)
+        dress(axes, "time (s)" if axes is panels[-1] else "", name)
+    panels[-1].set_xlim(0.0, period)
+    return panels
 
 
 def _components(figure: Figure, course: Course, model: Model) -> Figure:
     """Components of a state over one period below each other (at most 12, evenly chosen)."""
-    n = model.degrees_of_freedom
-    chosen = np.unique(np.linspace(0, n - 1, min(n, MOST_PORTRAITS)).round().astype(int))
-    panels = np.atleast_1d(figure.subplots(chosen.size, 1, sharex=True))
-    for axes, i in zip(panels, chosen, strict=True):
-        axes.plot(course.times, course.samples[:, i], color=COLOURS[0], linewidth=1.3)
-        dress(axes, "time (s)" if axes is panels[-1] else "", axis(model, int(i)))
-        middle, spread = (
-            np.nanmean(course.samples[:, i]),
-            np.nanmax(np.abs(course.samples[:, i] - course.samples[0, i])),
-        )
+    chosen = _evenly(model.degrees_of_freedom)
+    columns = course.samples[:, chosen].T
+    panels = _below(figure, course.times, columns, [axis(model, k) for k in chosen], course.period)
+    for axes, column in zip(panels, columns, strict=True):
+        middle, spread = np.nanmean(column), np.nanmax(np.abs(column - column[0]))
         if 0 < spread < STILL * abs(middle):  # what stands still must not have its round-off magnified
             axes.set_ylim(*(middle + np.array([-0.5, 0.5]) * abs(middle)))
-    panels[-1].set_xlim(0.0, course.period)
-    mark_events(list(panels), course)
+    mark_events(panels, course)
     return figure
 
 
-def _colour_bar(figure: Figure, axes: Any, count: int) -> None:
-    """For many curves: which coordinate is which, by a colour scale where the curves have one."""
-    if line_style(0, count).get("linestyle") is None:
-        scale = ScalarMappable(Normalize(1, count), "cividis")
-        figure.colorbar(scale, ax=axes, label="coordinate number", aspect=40)
-    else:
-        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right center", frameon=False, ncols=2)
+def _evenly(count: int) -> list[int]:
+    """The numbers of so many panels, evenly chosen where there are too many."""
+    return [int(k) for k in np.unique(np.linspace(0, count - 1, min(count, MOST_PORTRAITS)).round())]
 
 
 def phase_portraits(orbit: Orbit, model: Model) -> Figure:
@@ -219,33 +203,24 @@ def phase_portraits(orbit: Orbit, model: Model) -> Figure:
     """
     course = course_of(orbit, model)
     states = course.samples
-    planes = model.planes
-    chosen = np.unique(np.linspace(0, len(planes) - 1, min(len(planes), MOST_PORTRAITS)).round().astype(int))
-    columns = min(chosen.size, 3 if chosen.size != 4 else 2)
-    rows = -(-chosen.size // columns)
+    chosen = [model.planes[k] for k in _evenly(len(model.planes))]
+    columns = min(len(chosen), 3 if len(chosen) != 4 else 2)
+    rows = -(-len(chosen) // columns)
     figure = new_figure(max(3.2 * columns, 5.0), max(2.9 * rows, 3.6) + 0.5, *heading(orbit, "phase portraits"))
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes, (i, j) in zip(grid, [planes[k] for k in chosen], strict=False):
+    dashed = {"linestyle": "--", "color": COLOURS[0], "linewidth": 0.8, "alpha": 0.7}
+    for axes, (i, j) in zip(grid, chosen, strict=False):
         axes.plot(states[:, i], states[:, j], color=COLOURS[0], linewidth=1.3)
         for k, (before, after) in enumerate(course.resets):
-            name = "" if k else "reset"
-            axes.plot(
-                [before[i], after[i]],
-                [before[j], after[j]],
-                "--",
-                color=COLOURS[0],
-                linewidth=0.8,
-                alpha=0.7,
-                label=name,
-            )
+            axes.plot([before[i], after[i]], [before[j], after[j]], label="" if k else "reset", **dashed)
         axes.plot(states[0, i], states[0, j], "o", color=COLOURS[1], markersize=5, label="t = 0")
         arrows(axes, states[:, i], states[:, j], COLOURS[0])
         dress(axes, axis(model, i), axis(model, j))
         axes.locator_params(axis="x", nbins=4)
         axes.margins(0.08)
-    for axes in grid[chosen.size :]:
+    for axes in grid[len(chosen) :]:
         axes.set_visible(False)
-    figure.legend(*grid[0].get_legend_handles_labels(), loc="outside lower right", frameon=False)
+    legend(figure, grid[0], "lower right")
     return figure
 
 
@@ -266,21 +241,15 @@ def swept_configuration(orbit: Orbit, model: Model) -> Figure:
     sweep(axes, joints, strokes=model.strokes)
     end = tip(paths)
     trail(axes, paths[:, :, end], 1.4, label="path of the tip")
-    down, right = joints[0]
-    marks = "o" if right.size <= 12 else None
-    if model.strokes:
-        configuration(axes, joints, model.strokes, "t = 0")
-    else:
-        axes.plot(right, -down, color="black", marker=marks, linewidth=2.0, markersize=4.5, label="t = 0")
-        if not course.jumps or np.ptp(joints[:, :, 0], axis=0).max() == 0:
-            axes.plot(right[0], -down[0], "s", color="black", markersize=8, label="fixed joint")
+    still = not course.jumps or np.ptp(joints[:, :, 0], axis=0).max() == 0
+    configuration(axes, joints, model.strokes, 2.0, still, named=True)
     plane(axes)
     axes.margins(0.06)
     seen = np.concatenate([joints[:, 1].ravel(), paths[:, 1, end]])
     if course.grounds(np.zeros(1)) is None:
         widen(axes, np.nanmax(seen) - np.nanmin(seen), float(np.ptp(joints[:, 0])))
     draw_ground(axes, course)
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+    legend(figure, axes, "lower center", ncols=4)
     return figure
 
 
@@ -333,21 +302,6 @@ def energy_error(orbit: Orbit, model: Model) -> Figure:
 
 STABLE, UNSTABLE = COLOURS[0], COLOURS[1]
 """Colours of the stretches of one family"""
-EVENT_COLOURS = {
-    "fold": "#7B3294", "turn": "#C2A5CF", "extremum": "#E7298A", "branch_point": "#000000",
-    "period_doubling": "#B2182B", "torus": "#01665E", "resonance": "#8C8C8C", "collision": "#8C510A",
-    "stability_change": "#4D4D4D",
-}  # fmt: skip
-"""Colour of each kind of event, none of them a family's; of the others black"""
-MARKERS = {
-    "fold": "v", "turn": "1", "extremum": "2", "branch_point": "o", "period_doubling": "s", "torus": "P",
-    "resonance": ".", "collision": "x", "stability_change": "D", "grazing": "*", "cycle_change": "X", "holds": "X",
-    "cusp": "^", "isola_centre": "h", "transcritical": "d", "strong_resonance": "p", "fold_doubling": "D",
-    "fold_torus": "<", "doubling_torus": ">", "degenerate_doubling": "H",
-}  # fmt: skip
-"""Marker of each kind of event."""
-SIZES = {"resonance": 3.5, "stability_change": 9.0}
-"""Sizes of markers that are not as the others': the verdict changes where something else happens as well."""
 
 
 def save_family_figures(family: Family, folder: str | Path, model: Model) -> list[Path]:
@@ -408,15 +362,7 @@ def _draw(axes: Any, motion: Motion) -> None:
         return
     sweep(axes, motion.joints[:: max(1, len(motion.joints) // 30)], width=0.8, strokes=motion.strokes)
     trail(axes, motion.joints[:, :, tip(motion.joints)], 1.1)
-    if motion.strokes:
-        configuration(axes, motion.joints, motion.strokes, width=1.6)
-        return
-    down, right = motion.joints[0]
-    fixed = 0 <= tip(motion.joints) < right.size - 1  # the last joint of a linkage is a pivot on the ground
-    axes.plot(right, -down, color="black", linewidth=1.6)
-    axes.plot(right[0], -down[0], "s" if right.size > 1 else "o", color="black", markersize=4)  # a lone one is no pivot
-    if fixed:
-        axes.plot(right[-1], -down[-1], "s", color="black", markersize=4)
+    configuration(axes, motion.joints, motion.strokes, 1.6, still=True, named=False)
 
 
 def frequency_energy(
@@ -436,24 +382,27 @@ def frequency_energy(
     figure = new_figure(8.0, 5.6, title or f"{names}: frequency and {freed or 'energy'}")
     axes = figure.subplots()
 
-    def place(one: FamilyPoint | Event) -> tuple[float, float]:
-        value = one.value if isinstance(one, FamilyPoint) else one.parameter
-        return (value if freed else away(one.energy)), 1.0 / one.period
-
     def away(energy: float) -> float:
         return energy if level is None else abs(energy - level) or np.nan
 
-    _curves(figure, axes, families, [[*map(place, each.points), *map(place, each.events)] for each in families])
+    distance = "energy (J)" if level is None else f"distance of the energy from {level:g} J (J)"
+    called = axis_name(families[0]) if freed else distance, "frequency (1/s)"
+    drawn = []
+    for each in families:
+        levels = [away(one.energy) for one in each.members]
+        drawn.append(
+            Diagram(each, called, np.column_stack([each.places[:, 0] if freed else levels, frequencies(each)]))
+        )
+    _curves(figure, axes, drawn)
     labels = [(name, away(energy), 1.0 / period) for name, (energy, period) in (marks or {}).items()]
     for _, energy, frequency in labels:
         axes.plot(energy, frequency, "*", color="black", markersize=10, zorder=5)
     if level is not None and not freed:
         axes.set_xscale("log")
-    distance = "energy (J)" if level is None else f"distance of the energy from {level:g} J (J)"
-    dress(axes, axis_name(families[0]) if freed else distance, "frequency (1/s)")
+    dress(axes, *called)
     if len(families) == 1:
-        numbered = [(k, one) for k, one in enumerate(families[0].events) if one.kind in NUMBERED]
-        labels += [(str(k), *place(one)) for k, one in (numbered if len(numbered) <= MOST_NUMBERED else [])]
+        numbered = [k for k, one in enumerate(families[0].events) if one.kind in NUMBERED]
+        labels += [(str(k), *drawn[0].events[k]) for k in (numbered if len(numbered) <= MOST_NUMBERED else [])]
     place_labels(figure, axes, labels)
     return figure
 
@@ -476,19 +425,17 @@ def two_parameters(families: Sequence[Family], title: str | None = None) -> Figu
     figure = new_figure(8.0, 5.6, title or f"{', '.join(one.name for one in families)}: bifurcations in two parameters")
     axes, shown = figure.subplots(), dict[str, Any]()
     for k, one in enumerate(families):
-        colour, test = COLOURS[k % len(COLOURS)], one.curve["test"]
-        at = one.places if one.parameters == names else one.places[:, ::-1]
-        line = axes.plot(*at[: len(one.points)].T, color=colour, linewidth=1.8)[0]
+        drawn = Diagram(one, names[:2], one.places if one.parameters == names else one.places[:, ::-1])  # type: ignore[arg-type]
+        test = one.curve["test"]
+        line = axes.plot(*drawn.points.T, color=COLOURS[k % len(COLOURS)], linewidth=1.8)[0]
         shown.setdefault(f"{test['kind']} {test['detail']}".replace("_", " ").strip(), line)
-        for event, place in zip(one.events, at[len(one.points) :], strict=True):
-            style = {"marker": MARKERS[event.kind], "markersize": 7.0, "linestyle": "none", "color": "black"}
-            mark = axes.plot(*place, **style)[0]
-            said = f"{event.kind} {event.detail}".replace("_", " ").strip()
-            shown.setdefault(event.kind.replace("_", " "), mark)
-            axes.annotate(said, place, fontsize=9, xytext=(7, 7), textcoords="offset points", parse_math=False)
+        for event, place in zip(one.events, drawn.events, strict=True):
+            style = {"marker": LOOKS[event.kind].marker, "markersize": 7.0, "linestyle": "none", "color": "black"}
+            shown.setdefault(event.kind.replace("_", " "), axes.plot(*place, **style)[0])
+            axes.annotate(event.words, place, fontsize=9, xytext=(7, 7), textcoords="offset points", parse_math=False)
     dress(axes, *names)
     axes.margins(0.08)
-    figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=3, frameon=False)
+    legend(figure, shown, "lower center", ncols=3)
     return figure
 
 
@@ -506,57 +453,37 @@ def response(families: Sequence[Family], model: Model, coordinate: str | None = 
     which = most if coordinate is None else names.index(coordinate)
     first = families[0]
     figure = new_figure(8.0, 5.6, f"{', '.join(one.name for one in families)}: response to {first.parameter}")
-    axes = figure.subplots()
-    places = []
-    for family, size in zip(families, sizes, strict=True):
-        values = [*family.values("value"), *(event.parameter for event in family.events)]
-        places.append(list(zip(values, size[:, which].tolist(), strict=True)))
-    _curves(figure, axes, families, places)
-    dress(axes, axis_name(first), f"amplitude of {axis(model, which)}")
+    axes, called = figure.subplots(), (axis_name(first), f"amplitude of {axis(model, which)}")
+    paired = zip(families, sizes, strict=True)
+    _curves(figure, axes, [Diagram(one, called, np.column_stack([one.places, size[:, which]])) for one, size in paired])
+    dress(axes, *called)
     return figure
 
 
-def _curves(
-    figure: Figure, axes: Any, families: Sequence[Family], places: Sequence[Sequence[tuple[float, float]]]
-) -> None:
+def _curves(figure: Figure, axes: Any, diagrams: Sequence[Diagram]) -> None:
     """Each family as a curve through the places of its points, dashed where unstable, and its events marked.
 
-    One place each, the points' first. One family is coloured by stability; of several the later lie on wider ones.
+    One family is coloured by stability; of several the later lie on wider ones.
     """
-    shown: dict[str, Any] = {}
-    for k, (family, found) in enumerate(zip(families, places, strict=True)):
-        at = dict(zip(map(id, (*family.points, *family.events)), found, strict=True))
-        wider = min(3.6, 0.9 * (len(families) - 1 - k))
-        for stable, path in _stretches(family, at):
-            colour = COLOURS[k % len(COLOURS)] if len(families) > 1 else (STABLE if stable else UNSTABLE)
+    shown, many = dict[str, Any](), len(diagrams) > 1
+    for k, drawn in enumerate(diagrams):
+        wider = min(3.6, 0.9 * (len(diagrams) - 1 - k))
+        for stable, path in drawn.stretches:
+            colour = COLOURS[k % len(COLOURS)] if many else (STABLE if stable else UNSTABLE)
             style = {"linestyle": "-" if stable else "--", "linewidth": (1.8 if stable else 1.2) + wider}
-            axes.plot(*zip(*path, strict=True), color=colour, zorder=2 + 0.01 * k, **style)
-            key = {"color": colour if len(families) == 1 else "0.3", "linestyle": style["linestyle"]}
+            axes.plot(*path.T, color=colour, zorder=2 + 0.01 * k, **style)
+            key = {"color": "0.3" if many else colour, "linestyle": style["linestyle"]}
             shown.setdefault("stable" if stable else "unstable", Line2D([], [], **key))
-        for event in family.events:
-            colour, size = EVENT_COLOURS.get(event.kind, "black"), SIZES.get(event.kind, 5.5)
-            face = "white" if event.kind in ("branch_point", "stability_change") else colour
-            style = {"marker": MARKERS[event.kind], "markersize": size, "markerfacecolor": face, "linestyle": "none"}
-            style["zorder"] = 4.0 - size / 10  # what has the same place as another event stays in sight
-            (line,) = axes.plot(*at[id(event)], color=colour, **style)
-            shown.setdefault(event.kind.replace("_", " "), line)
-    if len(families) > 1:
-        names = [Line2D([], [], color=COLOURS[k % len(COLOURS)], linewidth=2.4) for k in range(len(families))]
-        figure.legend(names, [family.name for family in families], loc="outside right upper", frameon=False)
-    if shown:
-        figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=4, frameon=False)
-
-
-def _stretches(family: Family, at: dict[int, tuple[float, float]]) -> list[tuple[bool, list[tuple[float, float]]]]:
-    """The places of stable and unstable stretches, which meet where the stability changes."""
-    changes = [event for event in family.events if event.kind == "stability_change"]
-    stretches = runs(family.points)
-    paths = [[at[id(point)] for point in run] for _, run in stretches]
-    for (one, other), (_, (last, first, *_)) in zip(pairwise(paths), stretches[1:], strict=True):
-        for event in (event for event in changes if last.arclength <= event.arclength <= first.arclength):
-            one.append(at[id(event)])
-            other[0] = at[id(event)]
-    return [(stable, path) for (stable, _), path in zip(stretches, paths, strict=True)]
+        for event, place in zip(drawn.family.events, drawn.events, strict=True):
+            look = LOOKS[event.kind]
+            style = {"marker": look.marker, "markersize": look.size, "linestyle": "none", "color": look.colour}
+            style["markerfacecolor"] = "white" if look.hollow else look.colour
+            style["zorder"] = 4.0 - look.size / 10  # what has the same place as another event stays in sight
+            shown.setdefault(event.kind.replace("_", " "), axes.plot(*place, **style)[0])
+    if many:
+        names = [Line2D([], [], color=COLOURS[k % len(COLOURS)], linewidth=2.4) for k in range(len(diagrams))]
+        legend(figure, dict(zip((one.family.name for one in diagrams), names, strict=True)), "right upper")
+    legend(figure, shown, "lower center", ncols=4)
 
 
 def multipliers_plane(family: Family) -> Figure:
@@ -633,9 +560,8 @@ def axis_name(family: Family) -> str:
     return f"{family.parameter} ({unit})" if unit else family.parameter
 
 
-KINDS = {"elliptic": (COLOURS[2], "o", "elliptic"), "marginal": (COLOURS[4], "s", "marginal"),
-         "unstable": (COLOURS[1], "^", "unstable")}  # fmt: skip
-"""Colour, marker and legend entry of each verdict."""
+KINDS = {"elliptic": (COLOURS[2], "o"), "marginal": (COLOURS[4], "s"), "unstable": (COLOURS[1], "^")}
+"""Colour and marker of each verdict."""
 MOST_PANELS = 6
 """Energies that get a panel each; of more the orbits are drawn in the plane of energy and period"""
 
@@ -668,7 +594,7 @@ def energy_period(rows: Sequence[Row]) -> Figure:
     places = np.zeros(len(rows), int) if apart else np.abs(energies[:, None] - panels).argmin(axis=1)
     heights = energies if apart else np.array([row.instability for row in rows])
     periods, shown = np.array([row.period for row in rows]), dict[str, Any]()
-    for kind, (colour, marker, _) in KINDS.items():
+    for kind, (colour, marker) in KINDS.items():
         verdict = np.array([row.stability == kind for row in rows])
         style = {"color": colour, "markersize": 4.5, "alpha": 0.75, "markeredgewidth": 0, "linestyle": "none"}
         for k, one in enumerate(axes):
@@ -680,7 +606,7 @@ def energy_period(rows: Sequence[Row]) -> Figure:
             one.set_yscale("log")
             one.set_title(f"{shell:g} J".replace("-", "\N{MINUS SIGN}"), loc="left", fontsize=10)
         dress(one, "period (s)" if one is axes[-1] else "", "energy (J)" if apart else "largest |multiplier|")
-    figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=4, frameon=False)
+    legend(figure, shown, "lower center", ncols=4)
     return figure
 
 

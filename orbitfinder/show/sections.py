@@ -8,20 +8,18 @@ from typing import Any
 
 import numpy as np
 from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
 
 from orbitfinder.errors import InputError
 from orbitfinder.families.tori import crossed
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, wrapped
-from orbitfinder.orbits.section import named_surface, pierced
+from orbitfinder.orbits.section import check_plane, crossings, named_surface
 from orbitfinder.records.manifold import Connection, Manifold, reach
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.section import Section
 from orbitfinder.records.torus import Torus
-from orbitfinder.show.plot import axis
-from orbitfinder.show.style import dress, new_figure, save_png
-from orbitfinder.show.svg import COLOURS
+from orbitfinder.show.style import dress, landmark, legend, new_figure, save_png
+from orbitfinder.show.svg import COLOURS, axis
 
 CHAOS = "0.62"
 """Colour of returns that belong to no regular motion"""
@@ -46,28 +44,12 @@ def draw_section(
     Regular motions are coloured, each with a colour of its own, chaotic ones grey. Without a section the plane is that
     of the first manifold or connection. Raises `InputError` where they lie on different planes.
     """
-    return save_png(section_figure(section, orbits, manifolds, connections, tori, model), Path(path))
-
-
-def section_figure(
-    section: Section | None,
-    orbits: Sequence[Orbit] = (),
-    manifolds: Sequence[Manifold] = (),
-    connections: Sequence[Connection] = (),
-    tori: Sequence[Torus] = (),
-    model: Model | None = None,
-) -> Figure:
-    """The figure that `draw_section` writes."""
     given: list[Any] = [one for one in (section, *manifolds, *connections) if one is not None]
     if not given:
         raise InputError("section: nothing to draw; give a section, a manifold or a connection")
     first = given[0]
     for one in given[1:]:
-        if (one.plane.split(",")[0], tuple(one.axes)) != (first.plane.split(",")[0], tuple(first.axes)):
-            raise InputError(
-                f"manifolds: {one.name} lies on {one.plane} with axes {', '.join(one.axes)}, the picture on "
-                f"{first.plane} with {', '.join(first.axes)}; make both with one plane and axes"
-            )
+        check_plane(one, first)
     model = model or build_model(first.system)
     level = f", energy {first.energy:.8g}" if np.isfinite(first.energy) else ""
     figure = new_figure(7.2, 6.2, first.name, f"section {first.plane}{level}")
@@ -82,18 +64,15 @@ def section_figure(
         axes.plot(one.state[across], one.state[up], "D", color="black", markersize=5, label=f"{one.kind} point")
     for k, torus in enumerate(tori):
         found = named_surface(model, first.plane, first.axes)
-        points = wrapped(crossed(torus, found), model.angular)
-        axes.plot(points[:, across], points[:, up], ".", color="black", markersize=1.4, label="" if k else "torus")
+        points = found.chart(crossed(torus, found))
+        axes.plot(*points.T, ".", color="black", markersize=1.4, label="" if k else "torus")
     for orbit in orbits:
-        points = wrapped(
-            pierced(named_surface(model, first.plane, first.axes, state=orbit.state), orbit).states, model.angular
-        )
-        axes.plot(points[:, across], points[:, up], "o", color="white", markeredgecolor="black", markersize=6.5,
+        axes.plot(*crossings(model, first, orbit).T, "o", color="white", markeredgecolor="black", markersize=6.5,
                   label=f"{orbit.name}: {orbit.stability}", zorder=5)  # fmt: skip
     _limits(axes, model, first.axes, section, manifolds, connections)
     dress(axes, _label(model, across), _label(model, up))
-    _legend(figure, axes)
-    return figure
+    legend(figure, axes, "lower center", ncols=3)
+    return save_png(figure, Path(path))
 
 
 def _returns(axes: Any, section: Section) -> None:
@@ -148,13 +127,6 @@ def _label(model: Model, i: int) -> str:
     return model.state_names[i] if model.landmarks else axis(model, i)
 
 
-def _legend(figure: Figure, axes: Any) -> None:
-    handles, labels = axes.get_legend_handles_labels()
-    seen = dict(zip(labels, handles, strict=True))
-    if seen:
-        figure.legend(seen.values(), seen.keys(), loc="outside lower center", ncols=min(3, len(seen)), frameon=False)
-
-
 def draw_manifolds(
     manifolds: Sequence[Manifold],
     path: str | Path,
@@ -177,42 +149,34 @@ def draw_manifolds(
     if len(names) not in (2, 3) or not set(names) <= set(model.state_names):
         known = ", ".join(model.state_names)
         raise InputError(f"axes: need two or three components, got {', '.join(names)}; this system has {known}")
-    return save_png(
-        _tubes(manifolds, [model.state_names.index(one) for one in names], orbits, connections, model), Path(path)
-    )
-
-
-def _tubes(
-    manifolds: Sequence[Manifold], chosen: Sequence[int], orbits: Sequence[Orbit], connections: Sequence[Connection],
-    model: Model,
-) -> Figure:  # fmt: skip
+    chosen = [model.state_names.index(one) for one in names]
     first, solid = manifolds[0], len(chosen) == 3
     multiplier = f"multiplier {first.multiplier:.6g}, displaced by {first.displacement:.2g}"
     figure = new_figure(7.6, 6.6, f"{first.name}: manifolds", multiplier)
-    axes: Any = figure.add_subplot(projection="3d") if solid else figure.subplots()
+    panel: Any = figure.add_subplot(projection="3d") if solid else figure.subplots()
     for one in manifolds:
-        lines = [wrapped(curve, model.angular)[:, list(chosen)] for curve in one.curves if len(curve) > 1]
+        lines = [wrapped(curve, model.angular)[:, chosen] for curve in one.curves if len(curve) > 1]
         if solid:
             for k, line in enumerate(lines):
-                axes.plot(*line.T, color=SIDES[one.which], linewidth=0.45, alpha=0.6, label="" if k else one.which)
+                panel.plot(*line.T, color=SIDES[one.which], linewidth=0.45, alpha=0.6, label="" if k else one.which)
         else:
-            axes.add_collection(LineCollection(lines, colors=SIDES[one.which], linewidths=0.45, alpha=0.6))
-            axes.plot([], [], color=SIDES[one.which], label=one.which)
-            axes.autoscale_view()
-    for known in connections:
-        axes.plot(*known.samples[:, list(chosen)].T, color="black", linewidth=1.4, label=known.kind)
+            panel.add_collection(LineCollection(lines, colors=SIDES[one.which], linewidths=0.45, alpha=0.6))
+            panel.plot([], [], color=SIDES[one.which], label=one.which)
+            panel.autoscale_view()
+    for way in connections:
+        panel.plot(*way.samples[:, chosen].T, color="black", linewidth=1.4, label=way.kind)
     for orbit in orbits:
-        axes.plot(*orbit.samples[:, list(chosen)].T, color="black", linewidth=1.8, linestyle="--", label=orbit.name)
-    _landmarks(axes, model, chosen)
+        panel.plot(*orbit.samples[:, chosen].T, color="black", linewidth=1.8, linestyle="--", label=orbit.name)
+    _landmarks(panel, model, chosen)
     labels = [_label(model, i) for i in chosen]
     if solid:
-        axes.set(xlabel=labels[0], ylabel=labels[1], zlabel=labels[2])
+        panel.set(xlabel=labels[0], ylabel=labels[1], zlabel=labels[2])
     else:
-        dress(axes, *labels)
+        dress(panel, *labels)
         if max(chosen) < model.degrees_of_freedom and not model.angular.any():
-            axes.set_aspect("equal", adjustable="datalim")
-    _legend(figure, axes)
-    return figure
+            panel.set_aspect("equal", adjustable="datalim")
+    legend(figure, panel, "lower center", ncols=3)
+    return save_png(figure, Path(path))
 
 
 def _landmarks(axes: Any, model: Model, chosen: Sequence[int]) -> None:
@@ -222,8 +186,4 @@ def _landmarks(axes: Any, model: Model, chosen: Sequence[int]) -> None:
         return
     for name, place in model.landmarks.items():
         if low <= place[chosen[0]] <= high:
-            axes.plot(
-                place[chosen[0]], place[chosen[1]], "x" if name.startswith("L") else "o", color="0.3", markersize=5
-            )
-            axes.annotate(name, (place[chosen[0]], place[chosen[1]]), (4, 5), textcoords="offset points", fontsize=8,
-                          color="0.25", parse_math=False)  # fmt: skip
+            landmark(axes, name, place[chosen[0]], place[chosen[1]])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from orbitfinder.records.reading import write_atomically
-from orbitfinder.show.strokes import Strokes, extent, outlines
+from orbitfinder.show.strokes import Strokes, extent, outlines, tip
 from orbitfinder.show.svg import COLOURS
 
 DASHES = ("-", "--", "-.", ":")
@@ -59,6 +59,15 @@ def bare(figure: Figure) -> Figure:
     for text in figure.findobj(Text):
         text.set_text(UNITS.sub("", text.get_text()))
     return figure
+
+
+def legend(figure: Figure, shown: Any, where: str, **more: Any) -> None:
+    """A legend outside a figure: of what is `shown`, by name, or of the axes given; none where nothing has a name."""
+    if not isinstance(shown, Mapping):
+        handles, labels = shown.get_legend_handles_labels()
+        shown = dict(zip(labels, handles, strict=True))
+    if shown:
+        figure.legend(list(shown.values()), list(shown), loc=f"outside {where}", frameon=False, **more)
 
 
 def place_labels(
@@ -120,10 +129,20 @@ def sweep(
             axes.plot(right, -down, color=COLOURS[0], alpha=faint + more * k / len(joints), linewidth=width)
 
 
-def configuration(
-    axes: Any, joints: np.ndarray, strokes: Strokes, label: str | None = None, width: float = 2.0
-) -> None:
-    """The first of the configurations (k x 2 x m) in black, springs thin, the ground filled."""
+def configuration(axes: Any, joints: np.ndarray, strokes: Strokes, width: float, still: bool, named: bool) -> None:
+    """The first of the configurations (k x 2 x m) in black, springs thin, the ground filled; pivots that stand `still`
+    as squares, and what each is in a legend where they are `named`."""
+    down, right = joints[0]
+    if not strokes:
+        marked = {"marker": "o" if named and right.size <= 12 else None, "markersize": 4.5}
+        axes.plot(right, -down, color="black", linewidth=width, label="t = 0" if named else None, **marked)
+        ends = [0, -1] if 0 <= tip(joints) < right.size - 1 else [0]  # of a linkage the last joint is a pivot too
+        style: dict[str, Any] = {"color": "black", "markersize": 8 if named else 4, "linestyle": "none"}
+        if still and (right.size > 1 or not named):  # a lone one is no pivot
+            style["label"] = "fixed joint" if named else None
+            axes.plot(right[ends], -down[ends], "s" if right.size > 1 else "o", **style)
+        return
+    label = "t = 0" if named else None
     for kind, (down, right) in outlines(joints[0], strokes, extent(joints)):
         draw, thin = (axes.fill, 0.5) if kind in ("ground", "slider") else (axes.plot, 1.0 if kind == "rod" else 0.5)
         draw(right, -down, color="0.4" if kind == "spring" else "black", linewidth=thin * width,
@@ -134,6 +153,14 @@ def configuration(
 def trail(axes: Any, path: np.ndarray, width: float, **more: Any) -> None:
     """The path (k x 2; x down, y right) of a mechanism's tip."""
     axes.plot(path[:, 1], -path[:, 0], color=COLOURS[1], linewidth=width, **more)
+
+
+def landmark(axes: Any, name: str, across: float, up: float) -> None:
+    """A libration point or another place of rest as a cross, a body as a disc, with its name beside it."""
+    rests = name.startswith("L")
+    axes.plot(across, up, "x" if rests else "o", color="0.35" if rests else "black", markersize=6, zorder=1.8)
+    offset = {"xytext": (5, 6) if rests else (5, -13), "textcoords": "offset points"}
+    axes.annotate(name, (across, up), fontsize=8, color="0.25", parse_math=False, **offset)
 
 
 def plane(axes: Any) -> None:
@@ -159,22 +186,21 @@ def line_style(index: int, count: int) -> dict[str, Any]:
 
 def save_png(figure: Figure, path: Path) -> Path:
     """Write a figure whole or not at all."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=RESOLUTION)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, buffer.getvalue())
-    return path
+    return _saved(figure, path, format="png")
 
 
 def save_both(figure: Any, stem: Path) -> list[Path]:
     """Write a figure as PNG and as SVG, without dates or random identifiers."""
-    stem.parent.mkdir(parents=True, exist_ok=True)
-    written = []
-    for suffix, metadata in ((".png", {"Software": None}), (".svg", {"Date": None, "Creator": None})):
-        buffer = io.BytesIO()
-        with rc_context({"svg.hashsalt": stem.name, "svg.fonttype": "none"}):
-            figure.savefig(buffer, format=suffix[1:], dpi=RESOLUTION, metadata=metadata)
-        path = stem.with_suffix(suffix)
-        write_atomically(path, buffer.getvalue())
-        written.append(path)
-    return written
+    kinds = {"png": {"Software": None}, "svg": {"Date": None, "Creator": None}}
+    with rc_context({"svg.hashsalt": stem.name, "svg.fonttype": "none"}):
+        return [
+            _saved(figure, stem.with_suffix(f".{kind}"), format=kind, metadata=told) for kind, told in kinds.items()
+        ]
+
+
+def _saved(figure: Any, path: Path, **more: Any) -> Path:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, dpi=RESOLUTION, **more)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, buffer.getvalue())
+    return path

@@ -5,16 +5,17 @@ Motion is declared (SMIL `animate`), so that a picture moves in a notebook, in a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
 
 import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.families.members import response
 from orbitfinder.mechanics.model import Model
-from orbitfinder.records.family import Event, Family, FamilyPoint
+from orbitfinder.mechanics.scales import unit_names
+from orbitfinder.show.diagram import Diagram
 from orbitfinder.show.strokes import Strokes, extent, outlines
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -87,6 +88,29 @@ class Axes:
         names = [_word((LEFT + right) / 2, bottom + 31, self.names[0])]
         turned = f' transform="rotate(-90 11 {(bottom + AROUND) / 2:.1f})"'
         return lines + "".join([*words, *names, _word(11, (bottom + AROUND) / 2, self.names[1], more=turned)])
+
+
+def label(name: str) -> str:
+    """A coordinate's name for an axis of a figure: theta3 with its subscript, others as they are."""
+    return re.sub(r"^theta(\d+)$", r"$\\theta_{\1}$", name)
+
+
+def greek(name: str) -> str:
+    """The same in plain text."""
+    found = re.fullmatch(r"theta(\d*)", name)
+    return "\N{GREEK SMALL LETTER THETA}" + found.group(1).translate(LOWERED) if found else name
+
+
+LOWERED = {ord("0") + k: 0x2080 + k for k in range(10)}
+
+
+def axis(model: Model, i: int, written: Callable[[str], str] = label) -> str:
+    """A component's name for an axis, with its unit where that is known."""
+    n = model.degrees_of_freedom
+    name, unit = written(model.state_names[i % n]), unit_names(model)[i % n]
+    if i >= n:
+        return f"rate of {name} ({unit}/s)"
+    return f"{name} ({unit})" if unit else name
 
 
 def ticks(low: float, high: float, most: int) -> list[tuple[float, str]]:
@@ -261,52 +285,20 @@ def unit_circle(multipliers: np.ndarray, label: str, size: int = 150) -> str:
     return picture(axes + dots, label, size, size)
 
 
-def runs(points: Sequence[FamilyPoint]) -> list[tuple[bool, list[FamilyPoint]]]:
-    """Maximal stretches of points with the same verdict (stable or not), each joined to the next."""
-    found: list[tuple[bool, list[FamilyPoint]]] = []
-    for point in points:
-        stable = point.stability != "unstable"
-        if not found or found[-1][0] != stable:
-            joined = [found[-1][1][-1]] if found else []
-            found.append((stable, joined))
-        found[-1][1].append(point)
-    return found
+def plane_of(drawn: Diagram) -> Axes:
+    """The axes of a family's diagram: the range of its points."""
+    return Axes(*ranged(drawn.points), drawn.names, WIDTH, HEIGHT)
 
 
-def plane_of(family: Family, model: Model | None) -> tuple[Axes, np.ndarray]:
-    """The axes of a family's diagram, and the places (pixels) of its points and then of its events.
-
-    Frequency against energy, or against the parameter where the energy hardly changes; of what dissipates the
-    amplitude against the parameter; of a curve of bifurcations its second parameter against its first.
-    """
-    names, places = family.parameters, family.places
-    if len(names) < 2:
-        members: list[FamilyPoint | Event] = [*family.points, *family.events]
-        moved, sizes = response(family, model) if model else ("", np.zeros(0))
-        by_energy = family.by_energy and not moved
-        along = np.nan_to_num([one.energy for one in members]) if by_energy else places[:, 0]
-        up = sizes if moved else np.array([1 / one.period for one in members])
-        names = (
-            "energy (J)" if by_energy else family.parameter,
-            f"amplitude of {moved}" if moved else "frequency (1/s)",
-        )
-        places = np.column_stack([along, up])
-    axes = Axes(*ranged(places[: len(family.points)]), (names[0], names[1]), WIDTH, HEIGHT)
-    return axes, axes.place(places)
-
-
-def diagram(family: Family, plane: tuple[Axes, np.ndarray]) -> str:
+def diagram(drawn: Diagram) -> str:
     """The curve of a family: solid where stable, dashed where not, a dot that names itself at each event."""
-    axes, places = plane
-    at = dict(zip(map(id, (*family.points, *family.events)), places, strict=True))
-    lines = []
-    for stable, run in runs(family.points):
+    axes, lines = plane_of(drawn), []
+    for stable, run in drawn.stretches:
         dash = "" if stable else ' stroke-dasharray="5 4"'
-        line = path(np.array([at[id(one)] for one in run]))
+        line = path(axes.place(run))
         lines.append(f'<polyline points="{line}" fill="none" stroke="{COLOURS[0]}" stroke-width="2"{dash}/>')
-    for event in family.events:
-        x, y = at[id(event)]
+    for event, (x, y) in zip(drawn.family.events, axes.place(drawn.events), strict=True):
         name = escape(f"{event.kind.replace('_', ' ')} at {event.parameter:.6g} {event.detail}")
         lines.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{COLOURS[1]}"><title>{name}</title></circle>')
-    said = " against ".join(axes.names[::-1]) + (" of the family" if len(family.parameters) < 2 else "")
+    said = " against ".join(axes.names[::-1]) + (" of the family" if len(drawn.family.parameters) < 2 else "")
     return picture("".join([axes.frame, *lines]), said, WIDTH, HEIGHT)

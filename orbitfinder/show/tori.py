@@ -11,9 +11,8 @@ from orbitfinder.families.ring import at_angles, coefficients, harmonics
 from orbitfinder.families.tori import filled, torus_value
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.torus import Tori, Torus
-from orbitfinder.show.plot import axis
 from orbitfinder.show.style import dress, new_figure, save_png
-from orbitfinder.show.svg import COLOURS
+from orbitfinder.show.svg import COLOURS, axis
 
 LINES = 48
 """Arcs drawn of a torus"""

@@ -216,7 +216,7 @@ def _complete(entry: Entry, simulator: Simulator, links: Sequence[Link]) -> Entr
         near += [(f"../{own.href}#{entry.key}", f"Atlas {entry.series}")] if own else []
     return replace(
         entry, near=tuple(near), conserved=simulator.conserves(document["system"]),
-        energies=simulator.energies(document, motion) if motion else None,
+        energies=motion.energies if motion else None,
         neighbour=simulator.neighbour(document, motion) if motion else None,
         landscape=landscape(simulator.known(document["system"]), framed([packed(motion)])) if motion else None,
     )  # fmt: skip

@@ -10,6 +10,7 @@ import base64
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,9 +22,10 @@ from orbitfinder.loops.symmetry import NONE, named, symmetries_of
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model, energies, positions, vector_field
 from orbitfinder.mechanics.scales import shared
-from orbitfinder.orbits.closure import between
-from orbitfinder.orbits.course import Course, course, sampled
+from orbitfinder.orbits.course import Course, Piece, course, sampled
 from orbitfinder.records.family import Event, FamilyPoint
+from orbitfinder.records.orbit import Orbit, orbit_to_document
+from orbitfinder.show.strokes import Strokes, extent
 
 COUNTS = (24, 32, 40, 48, 60, 72, 84, 96, 120, 144, 180, 216, 264, 324, 400, 480, 640, 960)
 """Samples a period that are tried in turn."""
@@ -47,37 +49,49 @@ OFF, TURNS, TINY = 0.03, 3, 1e-5
 ENERGIES = 121
 RIGID = 1e-6
 """Change of a distance, relative to the extent of the picture, of what is called rigid."""
-Strokes = tuple[tuple[str, tuple[int, ...]], ...]
 
 
 @dataclass(frozen=True)
-class Motion:
-    """One period: `states` (k+1 x d) at `times` (s), with the names and kinds of the n coordinates, n = d / 2 or d.
+class Scene:
+    """One period of what a model does, by its `course`, with the names and kinds of its n coordinates, n = d / 2 or d.
 
     `points` (m x 2 x j, x down and y right, m) are at m equal times, the end left out; `drawn` says
     what they are: "mechanism", or "plane" where the system declares no points.
     """
 
-    period: float
-    times: np.ndarray
-    states: np.ndarray
-    names: tuple[str, ...]
-    angles: tuple[bool, ...]
+    model: Any
+    """the Model, or the names and kinds alone of one that no file describes"""
+    course: Course
     points: np.ndarray
-    drawn: str
-    course: Course | None = None
-    """of a hybrid orbit, whose motion jumps"""
-    strokes: Strokes = ()
-    """what is drawn through which points; () is one line through all"""
     skeleton: Skeleton | None = None
-    """what of the points turns rigidly"""
+    """what of the points turns rigidly; nothing where the motion jumps"""
     drifts: bool = False
     """whether the picture does not come back to where it was: it starts again after a period"""
 
     @property
-    def bones(self) -> Skeleton:
-        """What of the points turns rigidly; nothing where the motion jumps."""
-        return self.skeleton or Skeleton(self.points.shape[2])
+    def period(self) -> float:
+        """s"""
+        return self.course.period
+
+    @property
+    def states(self) -> np.ndarray:
+        """Its samples (k x d), the end among them."""
+        return np.vstack([one.states for one in self.course.pieces])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the components of its states are called."""
+        return tuple(self.model.state_names)
+
+    @property
+    def angles(self) -> tuple[bool, ...]:
+        """Which coordinates are angles."""
+        return tuple(self.model.angles) or (True,) * self.model.degrees_of_freedom
+
+    @property
+    def drawn(self) -> str:
+        """What the points are."""
+        return "plane" if self.model.points is None else "mechanism"
 
     @property
     def partners(self) -> list[int]:
@@ -87,19 +101,17 @@ class Motion:
 
     def at(self, count: int, endpoint: bool = False) -> np.ndarray:
         """States at `count` equal times over the period."""
-        if self.course is not None:
-            states = self.course.states(np.linspace(0.0, self.period, count, endpoint=endpoint))
-            if endpoint:
-                states[-1] = self.course.pieces[-1].states[-1]  # before the event
-            return states
-        return resampled(self.times, self.states, self.period, count, len(self.angles), endpoint)
+        states = self.course.states(np.linspace(0.0, self.period, count, endpoint=endpoint))
+        if endpoint:
+            states[-1] = self.course.pieces[-1].states[-1]  # before the event
+        return states
 
-
-def resampled(
-    times: np.ndarray, states: np.ndarray, period: float, count: int, n: int, endpoint: bool = False
-) -> np.ndarray:
-    """States at `count` equal times: the first n of their components are coordinates (see `between`)."""
-    return between(times, states, n, np.linspace(0.0, period, count, endpoint=endpoint))
+    @property
+    def energies(self) -> np.ndarray | None:
+        """Kinetic and potential energy (2 x k) at equal times over a period, where a mechanical one is conserved."""
+        if self.course.jumps or self.model.rates is not None or not self.model.conservative:
+            return None
+        return np.asarray(energies(self.model, self.at(ENERGIES, endpoint=True)))
 
 
 class Simulator:
@@ -125,11 +137,11 @@ class Simulator:
         found = self.model(system)
         return found and found[0]
 
-    def orbit(self, document: Mapping[str, Any], dense: tuple[np.ndarray, np.ndarray] | None = None) -> Motion | None:
+    def orbit(self, document: Mapping[str, Any], dense: tuple[np.ndarray, np.ndarray] | None = None) -> Scene | None:
         """The motion of an orbit document from its nodes, or from dense samples where its system is unknown."""
         found, period = self.model(document["system"]), float(document["period"])
         if found is None:
-            return None if dense is None else _without_model(document, *dense)
+            return None if dense is None else _motion(_without_model(dense[1]), *dense, returns=True)
         model, field = found
         if model.hybrid is not None:
             return _jumping(model, np.asarray(document["state"], float), period, dense)
@@ -139,19 +151,24 @@ class Simulator:
         path = _pieces(field, nodes, np.linspace(0.0, period, len(nodes) + 1)) or dense
         if path is None or not _closes(path[1], model):
             return None
-        return _motion(model, *path, period)
+        return _motion(model, *path)
 
-    def neighbour(self, document: Mapping[str, Any], motion: Motion) -> Motion | None:
+    def of(self, orbit: Orbit) -> Scene | None:
+        """The motion of an orbit in memory."""
+        dense = (orbit.times, orbit.samples) if len(orbit.samples) > 1 else None
+        return self.orbit(orbit_to_document(orbit), dense)
+
+    def neighbour(self, document: Mapping[str, Any], motion: Scene) -> Scene | None:
         """What starts OFF (of the extent of the motion) from an orbit and is left alone for TURNS periods.
 
         It starts where small differences grow most: a difference is sent round twice and made small again.
         """
         found, period = self.model(document["system"]), motion.period
-        if found is None or motion.course is not None or motion.drifts or found[0].forced:
+        if found is None or motion.course.jumps or motion.drifts or found[0].forced:
             return None
         model, field = found
-        state, extent = motion.states[0], np.ptp(motion.states, axis=0)
-        scales = np.maximum(extent, 1e-3 * extent.max())
+        state, sizes = motion.states[0], np.ptp(motion.states, axis=0)
+        scales = np.maximum(sizes, 1e-3 * sizes.max())
         away = scales * np.cos(1.0 + np.arange(state.size))
         for _ in range(2):
             away *= TINY / size_of(away / scales)
@@ -162,21 +179,14 @@ class Simulator:
         path = _path(field, state + away * (OFF / size_of(away / scales)), TURNS * period)
         if path is None or np.abs(path[:, state.size // 2 :]).max() > 1e3 * np.abs(motion.states).max():
             return None
-        return replace(_motion(model, np.linspace(0.0, TURNS * period, len(path)), path, TURNS * period), drifts=True)
-
-    def energies(self, document: Mapping[str, Any], motion: Motion) -> np.ndarray | None:
-        """Kinetic and potential energy (2 x k) at equal times over a period, where a mechanical one is conserved."""
-        found = self.model(document["system"])
-        if found is None or motion.course is not None or found[0].rates is not None or not found[0].conservative:
-            return None
-        return np.asarray(energies(found[0], motion.at(ENERGIES, endpoint=True)))
+        return replace(_motion(model, np.linspace(0.0, TURNS * period, len(path)), path), drifts=True)
 
     def conserves(self, system: Mapping[str, Any]) -> bool:
         """Whether an energy is conserved, True where nothing is known of the system."""
         found = self.model(system)
         return found is None or found[0].conservative
 
-    def member(self, system: Mapping[str, Any], one: FamilyPoint | Event) -> Motion | None:
+    def member(self, system: Mapping[str, Any], one: FamilyPoint | Event) -> Scene | None:
         """The motion of a point or event of a family from its nodes (or its state), completed by its symmetry.
 
         `system` is the family's: its equations are built once, with what varies along it as their argument.
@@ -201,7 +211,7 @@ class Simulator:
         numbers = [
             free.get(name, value) for name, value in zip(model.parameter_names, model.parameter_values, strict=True)
         ]
-        return _motion(replace(model, parameter_values=np.array(numbers)), *symmetry.whole(*path), period)
+        return _motion(replace(model, parameter_values=np.array(numbers)), *symmetry.whole(*path))
 
 
 def _path(
@@ -255,48 +265,51 @@ def _closes(states: np.ndarray, model: Model) -> bool:
 
 def _jumping(
     model: Model, state: np.ndarray, period: float, dense: tuple[np.ndarray, np.ndarray] | None
-) -> Motion | None:
+) -> Scene | None:
     """The motion of a hybrid orbit from its samples or its state, by pieces; None where it goes another way."""
     try:
-        times, states = dense or sampled(model, state, period)
-        path = course(model, times, states)
+        path = course(model, *(dense or sampled(model, state, period)))
     except OrbitfinderError:
         return None
-    n, moments = model.degrees_of_freedom, np.arange(JUMPING) * period / JUMPING
-    shown = path.positions(moments) if model.points is not None else in_plane(path.states(moments), n)
-    drawn = "mechanism" if model.points is not None else "plane"
-    return Motion(
-        period, times, states, model.state_names, model.angles or (True,) * n, shown, drawn, path, model.strokes
-    )
+    return Scene(model, path, _seen(model, path, JUMPING))
 
 
-def _motion(model: Model, times: np.ndarray, states: np.ndarray, period: float) -> Motion:
-    n = model.degrees_of_freedom
-    angles = model.angles or (True,) * n
-
-    def seen(count: int) -> np.ndarray:
-        chosen = resampled(times, states, period, count, n)
-        return positions(model, chosen) if model.points is not None else in_plane(chosen, n)
-
-    drawn = "mechanism" if model.points is not None else "plane"
-    last = positions(model, states[-1:]) if model.points is not None else in_plane(states[-1:], n)
-    extent = max(float(np.ptp(seen(FIRST), axis=(0, 2)).max()), 1e-12)
-    drifts = bool(np.abs(last - seen(1)).max() > GAP * extent)
-    points, bones = _fewest(seen, model.strokes, drifts)
-    return Motion(period, times, states, model.state_names, angles, points, drawn, None, model.strokes, bones, drifts)
+def _motion(model: Any, times: np.ndarray, states: np.ndarray, returns: bool = False) -> Scene:
+    """A smooth motion that `returns`, or that is asked whether it does, at as few times as a page needs."""
+    path = course(model, times, states)
+    gap = 0.0 if returns else np.abs(places(model, states[-1:]) - places(model, states[:1])).max()
+    drifts = bool(gap > GAP * extent(_seen(model, path, FIRST)))
+    points, bones = _fewest(lambda count: _seen(model, path, count), model.strokes, drifts)
+    return Scene(model, path, points, bones, drifts)
 
 
-def _without_model(document: Mapping[str, Any], times: np.ndarray, states: np.ndarray) -> Motion:
+def _seen(model: Any, path: Course, count: int) -> np.ndarray:
+    """What is drawn at equal times over a period, the end left out."""
+    moments = np.linspace(0.0, path.period, count, endpoint=False)
+    return places(model, path.states(moments)) if model.points is None else path.positions(moments)
+
+
+def _without_model(states: np.ndarray) -> Any:
+    """The names and kinds of coordinates and rates (k x 2n) of a system that no file describes."""
     n = states.shape[1] // 2
-    names = tuple(f"q{i + 1}" for i in range(n)) + tuple(f"q{i + 1}dot" for i in range(n))
-    period = float(document["period"])
-    points, bones = _fewest(lambda count: in_plane(resampled(times, states, period, count, n), n))
-    return Motion(period, times, states, names, (False,) * n, points, "plane", skeleton=bones)
+    names = tuple(f"q{i + 1}{rate}" for rate in ("", "dot") for i in range(n))
+    return SimpleNamespace(state_names=names, degrees_of_freedom=n, angles=(False,) * n, points=None, strokes=(),
+                           hybrid=None, rates=None, conservative=False)  # fmt: skip
 
 
-def in_plane(states: np.ndarray, n: int) -> np.ndarray:
-    """One point in a plane for systems without a picture: the first two coordinates, or one and its rate."""
-    second = states[:, min(1, states.shape[1] - 1)] if n > 1 else states[:, n % states.shape[1]]
+def recorded(model: Model, times: np.ndarray, states: np.ndarray, points: np.ndarray) -> Scene:
+    """What was simulated, as it is: nothing returns or jumps, and no more than these points of it is drawn."""
+    duration, still = max(float(times[-1] - times[0]), 1e-9), np.zeros(2)
+    path = Course((Piece(times, states, model, still),), duration, still, np.zeros(states.shape[1]))
+    return Scene(model, path, points)
+
+
+def places(model: Any, states: np.ndarray) -> np.ndarray:
+    """What of states (k x d) is drawn (k x 2 x j; down, right): the points of a mechanism, or one in the plane of the
+    first two coordinates, or of one and its rate."""
+    if model.points is not None:
+        return positions(model, states)
+    second = states[:, 1 % states.shape[1]]
     return np.stack([-second, states[:, 0]], axis=1)[:, :, None]
 
 
@@ -337,18 +350,18 @@ def _turn(angles: np.ndarray) -> float:
 
 def skeleton(points: np.ndarray, strokes: Strokes) -> Skeleton:
     """What is rigid among positions (k x 2 x m): a point and the one before it in a line, or one that it lies on."""
-    many, extent = points.shape[2], max(float(np.ptp(points, axis=(0, 2)).max()), 1e-12)
+    many, size = points.shape[2], extent(points)
     near: dict[int, list[int]] = {k: [k - 1] if k and not strokes else [] for k in range(many)}
     for kind, line in strokes:
         for first, second in pairwise(line if kind in ("rod", "disc") else ()):
             near[max(first, second)].append(min(first, second))
     rods = []
     for k in range(1, many):
-        if np.ptp(points[:, :, k], axis=0).max() <= RIGID * extent:
+        if np.ptp(points[:, :, k], axis=0).max() <= RIGID * size:
             continue
         apart = np.linalg.norm(points[:, :, :k] - points[:, :, k : k + 1], axis=1)
-        same = np.flatnonzero(apart.max(axis=0) <= RIGID * extent).tolist()
-        found = [*same, *(j for j in near[k] if np.ptp(apart[:, j]) <= RIGID * extent)]
+        same = np.flatnonzero(apart.max(axis=0) <= RIGID * size).tolist()
+        found = [*same, *(j for j in near[k] if np.ptp(apart[:, j]) <= RIGID * size)]
         if found:
             rods.append((k, int(found[0]), 0.0 if same else float(apart[:, found[0]].mean())))
     return Skeleton(many, tuple(rods))
@@ -377,9 +390,8 @@ def _between(fine: np.ndarray, bones: Skeleton, drifts: bool) -> tuple[np.ndarra
     round_ = np.vstack([values[-1:] - turns, values, values[:2] + turns])
     # Catmull-Rom half way between samples, as in assets/core.js
     guessed = bones.places((9 * (round_[1:-2] + round_[2:-1]) - round_[:-3] - round_[3:]) / 16)
-    extent = max(float(np.ptp(coarse, axis=(0, 2)).max()), 1e-12)
     missed = np.abs(guessed - between)[1 if drifts else 0 : -2 if drifts else None]
-    return np.asarray(coarse), float(missed.max()) / extent
+    return np.asarray(coarse), float(missed.max()) / extent(coarse)
 
 
 def _short(number: float) -> float:
@@ -396,10 +408,10 @@ def framed(shown: Sequence[Mapping[str, Any]]) -> dict[str, list[float]] | None:
     return {"centre": ((low + high) / 2).tolist(), "spans": (high - low).tolist()}
 
 
-def _box(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
+def _box(motion: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest x and y of what is drawn: points, and discs about some of them."""
     seen = [motion.points]
-    for kind, line in motion.strokes:
+    for kind, line in motion.model.strokes:
         if kind == "disc":
             centre, rim = motion.points[:, :, [line[0]]], motion.points[:, :, [line[1]]]
             radius = np.linalg.norm(rim - centre, axis=1, keepdims=True)
@@ -408,13 +420,14 @@ def _box(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
     return whole.min(axis=(0, 2)), whole.max(axis=(0, 2))
 
 
-def packed(motion: Motion) -> dict[str, Any]:
+def packed(motion: Scene) -> dict[str, Any]:
     """Channels for the page: int16 little-endian in base64, channel by channel; still channels as numbers.
 
     Of m points channel c is x of point c for c < m, y of point c - m below 2 m, and the angle of point c - 2 m about
     its parent from there; a position is centre + half * int / 32767, an angle middle + swing * int / 32767.
     """
-    many, bones = motion.points.shape[2], motion.bones
+    many = motion.points.shape[2]
+    bones = motion.skeleton or Skeleton(many)
     values, turns = bones.channels(motion.points)
     turns *= not motion.drifts
     low, high = _box(motion)
@@ -444,13 +457,13 @@ def packed(motion: Motion) -> dict[str, Any]:
         "data": base64.b64encode(numbers.astype("<i2").tobytes()).decode(),
         "drawn": motion.drawn,
     } | ({"rods": rods, "swing": swing} if rods else {}) | (
-        {"strokes": [[kind, list(chosen)] for kind, chosen in motion.strokes]} if motion.strokes else {}
+        {"strokes": [[kind, list(chosen)] for kind, chosen in motion.model.strokes]} if motion.model.strokes else {}
     )  # fmt: skip
 
 
-def _landscape(motion: Motion) -> dict[str, Any]:
+def _landscape(motion: Scene) -> dict[str, Any]:
     """Of a hybrid orbit: the samples after which the motion jumps, and the ground, one polyline or one a sample."""
-    if motion.course is None:
+    if not motion.course.jumps:
         return {"jumps": [len(motion.points) - 1]} if motion.drifts else {}
     count = len(motion.points)
     jumps, lines = _jumps(motion, count), motion.course.grounds(np.arange(count) * (motion.period / count))
@@ -461,30 +474,29 @@ def _landscape(motion: Motion) -> dict[str, Any]:
     return {"jumps": jumps, "ground": [[[float(f"{x:.6g}") for x in row] for row in line] for line in lines.tolist()]}
 
 
-def _jumps(motion: Motion, count: int) -> list[int]:
+def _jumps(motion: Scene, count: int) -> list[int]:
     """The numbers of the samples, so many a period, after which the motion jumps."""
-    events = () if motion.course is None else motion.course.events
-    return sorted({min(int(np.ceil(at * count / motion.period - 1e-6)), count) - 1 for at, _ in events})
+    return sorted({min(int(np.ceil(at * count / motion.period - 1e-6)), count) - 1 for at, _ in motion.course.events})
 
 
-def histories(motion: Motion) -> dict[str, Any]:
+def histories(motion: Scene) -> dict[str, Any]:
     """States at equal times, end included, as little-endian float32 in base64, component by component.
 
     As many samples as the page's curves through them need to be good to SMOOTH of the extent, at most 960. Of a
     hybrid motion `jumps` are the samples after which it jumps; after the last, where nothing turns, to the first.
     """
-    extent = np.ptp(motion.states, axis=0)
+    sizes = np.ptp(motion.states, axis=0)
     # a component that stands still must not have its round-off sampled
-    extent = np.maximum(extent, 1e-3 * shared(extent, np.asarray(motion.angles, bool)) + 1e-12)
-    for count in (240, 360, 480, 960) if motion.course is None else (960,):
+    sizes = np.maximum(sizes, 1e-3 * shared(sizes, np.asarray(motion.angles, bool)) + 1e-12)
+    for count in (960,) if motion.course.jumps else (240, 360, 480, 960):
         states = motion.at(2 * count + 1, endpoint=True)
         turned = states[-1] - states[0]  # whole turns of running orbits
         inner = np.vstack([states[-3] - turned, states[::2], states[2] + turned])
         curved = (9 * (inner[1:-2] + inner[2:-1]) - inner[:-3] - inner[3:]) / 16
-        if np.all(np.abs(curved - states[1::2]).max(axis=0) <= SMOOTH * extent):
+        if np.all(np.abs(curved - states[1::2]).max(axis=0) <= SMOOTH * sizes):
             break
     data = base64.b64encode(states[::2].T.astype("<f4").tobytes()).decode()
-    if motion.course is None:
+    if not motion.course.jumps:
         return {"count": count + 1, "data": data}
     jumps = [*_jumps(motion, count)[:-1], *([] if motion.course.turned.any() else [count])]
     return {"count": count + 1, "data": data, "jumps": jumps}

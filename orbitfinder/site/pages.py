@@ -18,9 +18,10 @@ from orbitfinder.mechanics.scales import SI, units
 from orbitfinder.problemfile.write import orbit_name, orbit_text
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import Check, asked, level, recorded_proof
+from orbitfinder.show.diagram import LOOKS
 from orbitfinder.site.gather import AtlasFile, OrbitFile, Verdict, evenly
 from orbitfinder.site.landscape import landscape
-from orbitfinder.site.motion import Motion, Simulator, framed, histories, packed
+from orbitfinder.site.motion import Scene, Simulator, framed, histories, packed
 from orbitfinder.site.text import (
     article,
     coordinate,
@@ -41,7 +42,7 @@ class Entry:
     """One orbit of the site: its file, its motion, the name of its page and how its parts are called."""
 
     file: OrbitFile
-    motion: Motion | None
+    motion: Scene | None
     slug: str
     series: str = ""
     """name of the atlas it came from, empty for an orbit.json"""
@@ -58,7 +59,7 @@ class Entry:
     """its address on the page of its atlas"""
     energies: np.ndarray | None = None
     """kinetic and potential energy at equal times"""
-    neighbour: Motion | None = None
+    neighbour: Scene | None = None
     landscape: Mapping[str, Any] | None = None
     """the potential that it moves in, of a point in a plane"""
 
@@ -123,7 +124,7 @@ def orbit_values(entry: Entry) -> dict[str, Any]:
     }
 
 
-def _aspect(motion: Motion | None) -> float:
+def _aspect(motion: Scene | None) -> float:
     """Width over height of the moving picture: that of the motion, within limits."""
     if motion is None:
         return 1.25
@@ -154,7 +155,7 @@ def _facts(entry: Entry) -> list[tuple[str, str]]:
     return rows
 
 
-def shown(motion: Motion) -> list[int]:
+def shown(motion: Scene) -> list[int]:
     """The coordinates that are plotted: of a linkage its angles; evenly chosen where there are many."""
     n = len(motion.angles)
     candidates = list(range(n))
@@ -251,20 +252,18 @@ def before(family: Family, event: Event) -> FamilyPoint:
     return family.points[min(max(event.index, 0), len(family.points) - 1)]
 
 
-def family_items(family: Family, simulator: Simulator, reach: Mapping[int, float]) -> list[dict[str, Any]]:
-    """What can be picked, in order along the family; `reach` are the amplitudes by id."""
-    found = []
+def family_items(family: Family, simulator: Simulator, reach: Sequence[float]) -> list[dict[str, Any]]:
+    """What can be picked, in order along the family; `reach` are the amplitudes of its members, where known."""
+    found, file = [], f"families/{family.name}/family.json"
     for kind, k in pickable(family):
-        key = {"key": f"{kind}={k}"}
+        at = k if kind == "point" else len(family.points) + k
+        item = _item(family.members[at], family, simulator)
+        item |= ({"amplitude": reach[at]} if reach else {}) | {"key": f"{kind}={k}"}
         if kind == "point":
-            point = family.points[k]
-            command = f"orbitfinder verify families/{family.name}/family.json#{k}"
-            found.append(_item(point, family.system, point, simulator, reach) | key | {"command": command})
+            found.append(item | {"command": f"orbitfinder verify {file}#{k}"})
             continue
-        event = family.events[k]
-        item = _item(event, family.system, before(family, event), simulator, reach)
-        command = f"orbitfinder continue families/{family.name}/family.json --switch {k}"
-        found.append(item | key | {"number": k, "command": command if event.kind in SWITCHABLE else ""})
+        command = f"orbitfinder continue {file} --switch {k}" if family.events[k].kind in SWITCHABLE else ""
+        found.append(item | {"number": k, "command": command})
     return found
 
 
@@ -279,16 +278,11 @@ def spread(points: Sequence[FamilyPoint], most: int) -> list[int]:
     return sorted({int(np.abs(length - one).argmin()) for one in wanted} | {0, len(points) - 1})
 
 
-def _item(
-    one: FamilyPoint | Event,
-    system: Mapping[str, Any],
-    at: FamilyPoint,
-    simulator: Simulator,
-    reach: Mapping[int, float],
-) -> dict[str, Any]:
-    """A point or an event; `at` is the point itself, or the one before an event, which does not carry all of it."""
-    motion, point, event = simulator.member(system, one), one is at, one if isinstance(one, Event) else None
-    words = "" if event is None else f"{event.kind.replace('_', ' ')} {event.detail}".strip()
+def _item(one: FamilyPoint | Event, family: Family, simulator: Simulator) -> dict[str, Any]:
+    """A point or an event; what an event does not carry is that of the point before it."""
+    motion, event = simulator.member(family.system, one), one if isinstance(one, Event) else None
+    at, point = (one, True) if isinstance(one, FamilyPoint) else (before(family, one), False)
+    words = "" if event is None else event.words
     return {
         "energy": level(one.energy),
         "period": one.period,
@@ -304,7 +298,7 @@ def _item(
         "event": event.detail if event is not None and event.kind == "stability_change" and event.detail else words,
         "kind": "" if event is None else event.kind,
         "motion": packed(motion) if motion else None,
-    } | ({"amplitude": reach[id(one)]} if reach else {})
+    }
 
 
 def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
@@ -316,7 +310,7 @@ def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
     frame = framed([item["motion"] for item in items if item["motion"]])
     known = simulator.known(family.system) if family.unit else None  # others change the potential
     if moved:
-        columns["amplitude"] = [reach[id(point)] for point in family.points]
+        columns["amplitude"] = reach[: len(family.points)]
     return {
         "page": "family",
         "name": family.name,
@@ -334,20 +328,23 @@ def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
             "largest": [max(map(abs, point.floquet_multipliers.tolist()), default=1.0) for point in family.points],
         },
         "items": items,
-    }
+        "looks": {
+            kind: [look.symbol, look.series, look.pixels]
+            for kind, look in LOOKS.items() if any(item["kind"] == kind for item in items)
+        },
+    }  # fmt: skip
 
 
-def _response(family: Family, simulator: Simulator) -> tuple[str, dict[int, float]]:
-    """Of a family that dissipates: the coordinate that moves most, and its amplitude by the id of points and events.
+def _response(family: Family, simulator: Simulator) -> tuple[str, list[float]]:
+    """Of a family that dissipates: the coordinate that moves most, and its amplitude at every point and then event.
 
     Of a curve of bifurcations: the second parameter, and its values.
     """
-    members = [*map(id, family.points), *map(id, family.events)]
     if len(family.parameters) > 1:
-        return family.parameters[1], dict(zip(members, family.places[:, 1].tolist(), strict=True))
-    known = simulator.model(family.system)
-    name, sizes = ("", np.zeros(0)) if known is None else response(family, known[0])
-    return name, dict(zip(members, sizes.tolist(), strict=True)) if name else {}
+        return family.parameters[1], family.places[:, 1].tolist()
+    known = simulator.known(family.system)
+    name, sizes = response(family, known) if known else ("", np.zeros(0))
+    return name, sizes.tolist()
 
 
 def span(values: Sequence[float], digits: int = 6) -> str:

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from orbitfinder.errors import InputError, OrbitfinderError, plural
 from orbitfinder.families.tori import crossed
-from orbitfinder.mechanics.model import Model, positions, wrapped
-from orbitfinder.orbits.section import Surface, named_surface, pierced
+from orbitfinder.mechanics.model import Model
+from orbitfinder.orbits.section import Surface, check_plane, crossings, named_surface
 from orbitfinder.records.manifold import Connection, Manifold
-from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.section import Section
 from orbitfinder.records.torus import Torus
 from orbitfinder.site.gather import Gathered, evenly
 from orbitfinder.site.landscape import landscape
-from orbitfinder.site.motion import Motion, framed, packed
+from orbitfinder.site.motion import framed, packed, places, recorded
 from orbitfinder.site.text import coordinate, mechanism, number
 
 MOST_MOTIONS, MOST_POINTS = 150, 6000
@@ -74,7 +72,9 @@ def _motions(section: Section, model: Model | None) -> list[dict[str, Any]]:
     """The motions of a section with their points (the first of each), evenly chosen where there are many."""
     chosen = evenly(len(section.starts), MOST_MOTIONS)
     most, regular, told = max(1, MOST_POINTS // len(chosen)), section.regular, np.isfinite(section.growth).any()
-    moving = _paths(section, model, chosen)
+    ends = [section.times[section.seeds == k][:RETURNS] for k in chosen]
+    span = float(np.median([one[-1] for one in ends if len(one)]))
+    moving = _paths(section, model, section.starts[list(chosen)], span)
     found = []
     for k, motion in zip(chosen, moving, strict=True):
         points = section.points[section.seeds == k]
@@ -91,29 +91,23 @@ def _item(kind: str, key: str, name: str, points: np.ndarray, motion: Any, facts
     return {"kind": kind, "key": key, "name": name, "x": across, "y": up, "motion": motion, "facts": facts}
 
 
-def _paths(section: Section, model: Model | None, chosen: Sequence[int]) -> list[dict[str, Any] | None]:
-    """The first returns of motions for the page, None of what cannot be integrated."""
+def _paths(
+    section: Section, model: Model | None, starts: np.ndarray, span: float
+) -> list[dict[str, Any] | None]:  # fmt: skip
+    """Motions from states (k x d) over a time (s) for the page, None of what cannot be integrated."""
     if model is None or model.hybrid is not None:
-        return [None] * len(chosen)
-    ends = [section.times[section.seeds == k][:RETURNS] for k in chosen]
-    span = float(np.median([one[-1] for one in ends if len(one)]))
+        return [None] * len(starts)
     motions = named_surface(model, section.plane, section.axes).motions
-    paths = motions.sampled(section.starts[list(chosen)], span / SAMPLES, SAMPLES)
-    return [_packed(model, path, span) for path in paths]
+    return [_packed(model, path, span) for path in motions.sampled(starts, span / SAMPLES, SAMPLES)]
 
 
 def _packed(model: Model, path: np.ndarray, span: float) -> dict[str, Any] | None:
     """A motion that does not close, as a page's Motion that jumps back at its end."""
     if not np.isfinite(path).all():
         return None
-    n, times = model.degrees_of_freedom, np.linspace(0.0, span, len(path))
-    if model.points is not None:
-        points, drawn = positions(model, path), "mechanism"
-    else:
-        points, drawn = np.stack([-path[:, min(1, path.shape[1] - 1)], path[:, 0]], axis=1)[:, :, None], "plane"
-    motion = Motion(span, times, path, model.state_names, model.angles or (False,) * n, points[:-1], drawn,
-                    strokes=model.strokes)  # fmt: skip
-    return packed(motion) | {"jumps": [0, len(points) - 2]}  # neither drawn to its start nor from it
+    points = places(model, path)[:-1]
+    motion = recorded(model, np.linspace(0.0, span, len(path)), path, points)
+    return packed(motion) | {"jumps": [0, len(points) - 1]}  # neither drawn to its start nor from it
 
 
 def _orbits(section: Section, model: Model, found: Gathered) -> list[dict[str, Any]]:
@@ -122,22 +116,14 @@ def _orbits(section: Section, model: Model, found: Gathered) -> list[dict[str, A
     for orbit in (file.orbit for file in found.orbits):
         if not _belongs(orbit, section):
             continue
-        surface = named_surface(model, section.plane, section.axes, state=orbit.state)
         try:
-            points = surface.chart(pierced(surface, orbit).states)
+            points = crossings(model, section, orbit)
         except InputError:
             continue
         facts = [["Orbit", orbit.name], ["Stability", orbit.stability], ["Period", f"{number(orbit.period, 10)} s"]]
-        motion = _closed(model, orbit, surface)
+        (motion,) = _paths(section, model, orbit.state[None], orbit.period)
         items.append(_item("orbit", f"orbit={orbit.name}", orbit.name, points, motion, facts))
     return items
-
-
-def _closed(model: Model, orbit: Orbit, surface: Surface) -> dict[str, Any] | None:
-    if model.hybrid is not None:
-        return None
-    path = surface.motions.sampled(orbit.state[None], orbit.period / SAMPLES, SAMPLES)[0]
-    return _packed(model, path, orbit.period)
 
 
 def _laid(one: Manifold | Connection | Any, section: Section, surface: Surface) -> list[dict[str, Any]]:
@@ -146,17 +132,12 @@ def _laid(one: Manifold | Connection | Any, section: Section, surface: Surface) 
         level = [torus for torus in one.tori if _same_level(torus, section)]
         return [_curve("torus", f"torus {number(torus.rotation, 6)}", surface.chart(crossed(torus, surface)))
                 for torus in level]  # fmt: skip
-    if (one.plane.split(",")[0], tuple(one.axes)) != (section.plane.split(",")[0], tuple(section.axes)):
-        raise InputError(
-            f"{one.name}: lies on {one.plane} with axes {', '.join(one.axes)}, the section on {section.plane} with "
-            f"{', '.join(section.axes)}; make both with one plane and axes"
-        )
+    check_plane(one, section)
     if isinstance(one, Connection):
         return [_curve("connection", f"{one.kind} {one.name}", surface.chart(one.states))]
-    angular = surface.model.angular
-    pieces = [wrapped(curve, angular)[:, list(surface.axes)] for curve in one.curves]
     gap = np.full((1, 2), np.nan)
-    return [_curve(one.which, f"{one.name}, {one.which} manifold", np.vstack([np.vstack([c, gap]) for c in pieces]))]
+    pieces = np.vstack([np.vstack([surface.chart(curve), gap]) for curve in one.curves])
+    return [_curve(one.which, f"{one.name}, {one.which} manifold", pieces)]
 
 
 def _same_level(torus: Torus, section: Section) -> bool:

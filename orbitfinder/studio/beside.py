@@ -13,7 +13,7 @@ from orbitfinder.atlas.search import Statistics
 from orbitfinder.atlas.store import Row
 from orbitfinder.errors import InputError, plural
 from orbitfinder.studio import plots
-from orbitfinder.studio.desk import Desk
+from orbitfinder.studio.desk import Desk, button
 from orbitfinder.studio.session import SWINGS, Item
 from orbitfinder.studio.tasks import Cut
 from orbitfinder.studio.worker import StoppedError, Worker
@@ -34,9 +34,8 @@ class SectionPanel:
         self._cut: Cut | None = None
         with ui.expansion("Poincaré section").classes("panel later").props('dense id="beside"') as self._panel:
             with ui.row().classes("items-center gap-3"):
-                ui.button(
-                    "Section at this energy" if page.session.model.conservative else "Section", on_click=self._made
-                ).props('no-caps dense padding="4px 16px" id="cut"')
+                at = "Section at this energy" if page.session.model.conservative else "Section"
+                button(at, page.safe(self._made), "cut")
                 self._about = ui.label("Motions of this energy where they cross a plane. Click a point to start there.")
                 self._about.classes("quiet").props('id="cut-about"')
             self._plot = ui.plotly(plots.section_figure(None, page.dark)).classes("w-full").props('id="section"')
@@ -47,9 +46,6 @@ class SectionPanel:
         self._plot.update_figure(plots.section_figure(self._cut, self._page.dark))
 
     async def _made(self) -> None:
-        await self._page.told(self._make)
-
-    async def _make(self) -> None:
         page = self._page
         page.say("making the section")
         self._cut = await page.searched("cut", page.source.system, page.source.energy, page.source.orbit)
@@ -84,10 +80,8 @@ class SearchPanel:
                     for label, value in (("periods from, s", SHORTEST * swing), ("to, s", LONGEST * swing),
                                          ("search for, s", BUDGET))
                 )  # fmt: skip
-                self._go = ui.button("Search", on_click=self._asked).props(
-                    'no-caps dense padding="4px 16px" id="search"'
-                )
-                self._stop = ui.button("Cancel", on_click=self._worker.stop).props('outline dense no-caps id="stop"')
+                self._go = button("Search", page.safe(self._searched), "search")
+                self._stop = button("Cancel", self._worker.stop, "stop", "outline")
             self._about = ui.label("Fills an atlas with the orbits of this energy, while you go on.").classes("quiet")
             self._about.props('id="search-about" role="status"')
             with ui.scroll_area().classes("found").props('id="found" tabindex=0'):
@@ -107,17 +101,13 @@ class SearchPanel:
         with self._list:
             for row in item.atlas[max(self._count, len(item.atlas) - MOST_LISTED) :]:
                 label = f"{row.id}: T = {row.period:.6g} s, {row.stability}{_named(row)}"
-                ui.button(label, on_click=partial(self._clicked, item.name, row.id)).props(
-                    "flat dense no-caps align=left"
-                ).classes("text-left")
+                shown = self._page.safe(partial(self._load, item.name, row.id))
+                ui.button(label, on_click=shown).props("flat dense no-caps align=left").classes("text-left")
         self._count = len(item.atlas)
 
     def _running(self, running: bool) -> None:
         self._go.set_visibility(not running)
         self._stop.set_visibility(running)
-
-    async def _asked(self) -> None:
-        await self._page.told(self._searched)
 
     async def _searched(self) -> None:
         page, source = self._page, self._page.source
@@ -150,9 +140,6 @@ class SearchPanel:
         if atlas.is_file():
             self.show(self._page.session.keep_atlas(name))
             self._changed()
-
-    async def _clicked(self, name: str, number: int) -> None:
-        await self._page.told(lambda: self._load(name, number))
 
 
 def _named(row: Row) -> str:

@@ -4,10 +4,12 @@ what happens."""
 from __future__ import annotations
 
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
+from functools import wraps
 from typing import Any
 
+import numpy as np
 from nicegui import ui
 
 from orbitfinder.errors import InputError, OrbitfinderError
@@ -15,6 +17,15 @@ from orbitfinder.mechanics.model import energy
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.studio.session import Session
 from orbitfinder.studio.worker import StoppedError, Worker
+
+
+def button(label: str, then: Callable[..., Any] | None, name: str, look: str = "") -> Any:
+    """A button of the page, found by its name; its `look` in Quasar's words."""
+    return ui.button(label, on_click=then).props(f'no-caps dense {look or ROOMY} id="{name}"')
+
+
+ROOMY = 'padding="4px 16px"'
+"""The look of what is clicked most"""
 
 
 @dataclass(frozen=True)
@@ -25,6 +36,12 @@ class Source:
     state: list[float]
     energy: float | None
     orbit: Orbit | None = None
+
+    @classmethod
+    def of(cls, orbit: Orbit) -> Source:
+        """Where an orbit starts."""
+        level = orbit.energy if math.isfinite(orbit.energy) else None
+        return cls(dict(orbit.system), [float(one) for one in orbit.state], level)
 
 
 class Desk:
@@ -37,23 +54,33 @@ class Desk:
     def __init__(self, session: Session, taken: set[str]) -> None:
         self.session, self.taken = session, taken
         self.quick, self.long = Worker(), Worker()
-        model, state = session.model, session.opened.state
-        level = energy(model, state) if model.constraint is None and model.conservative else math.nan
-        known = level if math.isfinite(level) else None
-        self.source = Source(dict(model.system), [float(one) for one in state], known)
+        state = session.opened.state
+        self.source = Source(dict(session.model.system), [float(one) for one in state], self.level(state))
         self.dark = False
 
-    async def told(self, work: Callable[[], Awaitable[Any] | None]) -> None:
-        """Do something; what is refused is a sentence on the page."""
-        try:
-            found = work()
-            if found is not None:
-                await found
-        except StoppedError as error:
-            self.say(str(error).capitalize())
-        except (OrbitfinderError, OSError) as error:
-            self.say(f"{error}")
-            ui.notify(str(error), type="warning", multi_line=True, timeout=8000)
+    def level(self, state: Sequence[float] | np.ndarray) -> float | None:
+        """The energy (J) of a state of the system on the stage, None where there is none."""
+        model = self.session.model
+        known = model.constraint is None and model.conservative
+        found = energy(model, np.asarray(state)) if known else math.nan
+        return found if math.isfinite(found) else None
+
+    def safe(self, work: Callable[..., Awaitable[Any] | None]) -> Callable[..., Awaitable[None]]:
+        """The same, of which what is refused is a sentence on the page."""
+
+        @wraps(work)
+        async def spoken(*arguments: Any) -> None:
+            try:
+                found = work(*arguments)
+                if found is not None:
+                    await found
+            except StoppedError as error:
+                self.say(str(error).capitalize())
+            except (OrbitfinderError, OSError) as error:
+                self.say(f"{error}")
+                ui.notify(str(error), type="warning", multi_line=True, timeout=8000)
+
+        return spoken
 
     def say(self, sentence: str) -> None:
         """Put a sentence on the line of what happens."""

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.mechanics.catalogue import system_kind
-from orbitfinder.mechanics.model import Model, positions
+from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.pose import movable
-from orbitfinder.site.motion import Motion, in_plane, packed
+from orbitfinder.site.motion import packed, places, recorded
 
 FRAMES = 40
 """Samples of a simulated motion a second"""
@@ -23,13 +23,7 @@ def film(model: Model, times: np.ndarray, states: np.ndarray) -> dict[str, Any]:
     duration = float(times[-1] - times[0])
     count = int(np.clip(duration * FRAMES, 2, min(MOST_FRAMES, max(2, len(times) - 1))))
     chosen = states[np.linspace(0, len(times) - 1, count).round().astype(int)]
-    n = model.degrees_of_freedom
-    drawn = "mechanism" if model.points is not None else "plane"
-    points = positions(model, chosen) if model.points is not None else in_plane(chosen, n)
-    angles = model.angles or (True,) * n
-    return packed(
-        Motion(max(duration, 1e-9), times, states, model.state_names, angles, points, drawn, strokes=model.strokes)
-    )
+    return packed(recorded(model, times, states, places(model, chosen)))
 
 
 def pose(model: Model, state: np.ndarray) -> dict[str, Any]:
@@ -45,7 +39,7 @@ def view(model: Model, states: np.ndarray) -> dict[str, list[float]]:
     if system_kind(model.system).pendulum:
         reach = 2.0 * float(np.sum(model.system["length"]))
         return {"centre": [0.0, 0.0], "spans": [ROOM * reach, ROOM * reach]}
-    points = positions(model, states) if model.points is not None else in_plane(states, model.degrees_of_freedom)
+    points = places(model, states)
     low, high = points.min(axis=(0, 2)), points.max(axis=(0, 2))
     size = np.maximum(high - low, 0.3 * max(float((high - low).max()), 1e-9))
     return {"centre": ((low + high) / 2).tolist(), "spans": (ROOM * size).tolist()}

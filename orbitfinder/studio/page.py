@@ -18,13 +18,12 @@ from orbitfinder import site
 from orbitfinder.errors import InputError, OrbitfinderError, plural
 from orbitfinder.guesses.returns import CloseReturn
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
-from orbitfinder.mechanics.model import energy
 from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.html import certificate_html
 from orbitfinder.studio import plots
 from orbitfinder.studio.beside import SearchPanel, SectionPanel
-from orbitfinder.studio.desk import Desk, Source
+from orbitfinder.studio.desk import ROOMY, Desk, Source, button
 from orbitfinder.studio.films import draggable, pullable
 from orbitfinder.studio.session import Item, Session, leaving, parameters
 from orbitfinder.studio.tasks import Film, Found, Simulated, Step
@@ -91,7 +90,7 @@ class Page(Desk):
         self.timer = ui.timer(REDRAWN, self._redraw)
         ui.on("held", self._held)
         ui.on("released", self._released)
-        ui.on("gripped", self._gripped)
+        ui.on("gripped", self.safe(self._gripped))
         client = ui.context.client
         client.on_delete(self.close)
         await client.connected()
@@ -115,11 +114,11 @@ class Page(Desk):
             ui.html(f"<h1>{_safe(self.session.title)}</h1>", sanitize=False)
             self.status = ui.label("").classes("quiet grow").props('role="status" aria-live="polite" id="status"')
             self.busy = ui.spinner(size="1.4em")
-            self.cancel = ui.button("Cancel", on_click=self.long.stop).props('outline dense no-caps id="cancel"')
+            self.cancel = button("Cancel", self.long.stop, "cancel", "outline")
             ui.button(icon="dark_mode", on_click=lambda: self._recoloured(not self.dark)).props(
                 'flat dense round aria-label="Light or dark"'
             )
-            self.save = ui.button("Save", on_click=self._save).props('dense no-caps id="save" padding="4px 16px"')
+            self.save = button("Save", self.safe(self._save), "save")
         self.free()
 
     def _stage(self) -> None:
@@ -132,7 +131,7 @@ class Page(Desk):
             ).classes("w-full")
             self.readout = ui.label("").classes("number").props('id="readout"')
             with ui.row().classes("items-center gap-3"):
-                ui.button("Run", on_click=self._run).props('no-caps dense padding="4px 16px" id="run"')
+                button("Run", self._run, "run")
                 self.duration = ui.number(
                     "Simulated time, s", value=round(self.session.opened.duration, 2), min=1e-3, max=1e4
                 ).props('dense style="width: 9em"')
@@ -159,25 +158,16 @@ class Page(Desk):
                 self.numbers = {
                     name: self._slider(name, *at, partial(self._parameter, name)) for name, at in known
                 }  # fmt: skip
-                ui.button("Keep the orbit at these parameters", on_click=self._keep).props(
-                    'flat dense no-caps id="keep"'
-                )
+                button("Keep the orbit at these parameters", self.safe(self._keep), "keep", "flat")
 
     def _slider(self, name: str, value: float, low: float, high: float, then: Callable[[float], Any]) -> Any:
         with ui.row().classes("w-full items-center no-wrap gap-3"):
             ui.label(name).classes("quiet w-24 shrink-0")
             slider = ui.slider(min=low, max=high, value=value, step=(high - low) / 1000)
             slider.props(f'aria-label="{_safe(name)}"').classes("grow")
-            shown = (
-                ui.label()
-                .classes("number w-20 shrink-0 text-right")
-                .bind_text_from(slider, "value", lambda x: f"{x:.5g}")
-            )
-            shown.props("aria-hidden=true")
-
-        async def moved(event: Any) -> None:
-            await self.told(lambda: then(plots.finite(event.args)))
-
+            shown = ui.label().classes("number w-20 shrink-0 text-right").props("aria-hidden=true")
+            shown.bind_text_from(slider, "value", lambda x: f"{x:.5g}")
+        moved = self.safe(lambda event: then(plots.finite(event.args)))
         slider.on("update:model-value", moved, throttle=0.03)
         return slider
 
@@ -185,16 +175,12 @@ class Page(Desk):
         with ui.card().classes("panel"):
             _title("2. Close returns: click one to find its orbit")
             self.near = ui.plotly(plots.returns_figure((), None, False)).classes("w-full").props('id="returns"')
-            self.near.on("plotly_click", self._return_clicked)
+            self.near.on("plotly_click", self.safe(self._return_clicked))
             with ui.row().classes("items-center gap-3"):
-                self.find = ui.button("Find the most promising", on_click=self._find_first).props(
-                    'no-caps dense padding="4px 16px" id="find"'
-                )
+                self.find = button("Find the most promising", self.safe(self._find_first), "find")
                 if self.session.opened.guess is not None:
-                    ui.button("Find by the file's guess", on_click=self._find_own).props(
-                        'no-caps dense outline padding="4px 16px" id="own"'
-                    )
-                self.badge = ui.button("", on_click=self._certificate).props('no-caps dense unelevated id="badge"')
+                    button("Find by the file's guess", self.safe(self._find_own), "own", f"outline {ROOMY}")
+                self.badge = button("", self._certificate, "badge", "unelevated")
             self.badge.set_visibility(False)
             self.about = ui.label("").classes("number").props('id="about"')
 
@@ -204,30 +190,26 @@ class Page(Desk):
         with ui.card().classes("panel"):
             _title("3. Its family: slide along it, click an event to branch")
             with ui.row().classes("items-center gap-3"):
-                self.follow = ui.button("Follow", on_click=self._follow).props(
-                    'no-caps dense padding="4px 16px" id="follow"'
-                )
+                self.follow = button("Follow", self.safe(self._follow), "follow")
                 self.along = ui.select([*energies, *model.parameter_names], value=None, label="in").props("dense")
                 self.along.classes("w-32").set_value(next(iter([*energies, *model.parameter_names]), None))
                 self.count = ui.number("points each way", value=POINTS, min=1, max=100000, precision=0).props("dense")
                 self.count.classes("w-28")
             self.plot = ui.plotly(self._figure()).classes("w-full").props('id="family"')
-            self.plot.on("plotly_click", self._family_clicked)
+            self.plot.on("plotly_click", self.safe(self._family_clicked))
             self.slide = ui.slider(min=0, max=1, step=1, value=0).props('id="slide" aria-label="Orbit of the family"')
             self.slide.on("update:model-value", js_handler="(value) => stage.turn(value)")
-            self.slide.on("update:model-value", self._slid, throttle=0.02)
+            self.slide.on("update:model-value", self.safe(self._slid), throttle=0.02)
             self.where = ui.label("").classes("number").props('id="where"')
             with ui.row().classes("items-center gap-3 w-full"):
                 self.events = ui.select({}, label="event").props("dense options-dense").classes("grow")
-                self.leave = ui.button("Branch", on_click=self._branch).props(
-                    'no-caps dense padding="4px 16px" id="branch"'
-                )
-                ui.button("Keep this orbit", on_click=self._keep_member).props('flat dense no-caps id="keep-member"')
+                self.leave = button("Branch", self.safe(self._branch), "branch")
+                button("Keep this orbit", self.safe(self._keep_member), "keep-member", "flat")
 
     def _kept(self) -> None:
         with ui.card().classes("panel last"):
             _title("4. What was found, and how to find it again")
-            self.tree = ui.tree([], label_key="label", on_select=self._selected).props('id="tree"')
+            self.tree = ui.tree([], label_key="label", on_select=self.safe(self._selected)).props('id="tree"')
             self.commands = ui.code("", language="bash").classes("commands")
             self.commands.copy_button.props('aria-label="Copy the command lines"')
             self.commands.set_visibility(False)
@@ -252,10 +234,10 @@ class Page(Desk):
             self.item = self.session.keep_atlas(given.name)
             self.background.show(self.item)
         self._list()
-        await self.told(lambda: self._simulate(stay=given.orbit is not None or given.family is not None))
+        await self.safe(self._simulate)(given.orbit is not None or given.family is not None)
         if not self.shown:  # the motion was refused
-            await self.told(self._posed)
-        await self.told(self.long.start)
+            await self.safe(self._posed)()
+        await self.safe(self.long.start)()
 
     def _held(self, event: Any) -> None:
         """A joint is being dragged: its energy."""
@@ -275,7 +257,7 @@ class Page(Desk):
             self.grip.place = [plots.finite(one) for one in what["place"]]
         if self.grip is not None and "velocity" in what:
             self.grip.velocity = [plots.finite(one) for one in what["velocity"]]
-        await self.told(lambda: self._latest("grip", self._pull))
+        await self._latest("grip", self._pull)
 
     async def _pull(self) -> None:
         """Bring the mechanism to where its point is pulled; let it run once it is let go of."""
@@ -314,9 +296,8 @@ class Page(Desk):
                 slider.set_value(value)
 
     def _energy(self) -> str:
-        model = self.session.model
-        found = energy(model, np.asarray(self.state)) if model.constraint is None and model.conservative else math.nan
-        return f"E = {found:.6g} J" if math.isfinite(found) else ""
+        level = self.level(self.state)
+        return "" if level is None else f"E = {level:.6g} J"
 
     async def _set(self, k: int, value: float) -> None:
         self.state[k] = value
@@ -324,7 +305,7 @@ class Page(Desk):
         await self._latest("state", self._simulate)
 
     async def _run(self) -> None:
-        await self.told(lambda: self._latest("state", self._simulate))
+        await self.safe(self._latest)("state", self._simulate)
 
     async def _latest(self, what: str, work: Callable[[], Awaitable[None]]) -> None:
         """Do some work again until nothing new was asked for meanwhile."""
@@ -359,26 +340,18 @@ class Page(Desk):
 
     async def _return_clicked(self, event: Any) -> None:
         if (at := plots.clicked(event.args)) is not None and 0 <= at[1] < len(self.returns):
-            await self._find(at[1])
-
-    async def _find(self, number: int) -> None:
-        """Find the orbit that a close return belongs to."""
-        await self.told(lambda: self._found_near(number))
+            await self._found_near(at[1])
 
     async def _find_first(self) -> None:
         """Find the orbit of the most promising close return that has one."""
-
-        async def tried() -> None:
-            said = "nothing comes back close enough; start it another way, or simulate for longer"
-            for number in range(min(TRIED, len(self.returns))):
-                try:
-                    if await self._found_near(number):
-                        return
-                except RefusedError as error:
-                    said = str(error)
-            raise InputError(said)
-
-        await self.told(tried)
+        said = "nothing comes back close enough; start it another way, or simulate for longer"
+        for number in range(min(TRIED, len(self.returns))):
+            try:
+                if await self._found_near(number):
+                    return
+            except RefusedError as error:
+                said = str(error)
+        raise InputError(said)
 
     async def _found_near(self, number: int) -> bool:
         """Whether the orbit that a close return belongs to is certified."""
@@ -387,7 +360,7 @@ class Page(Desk):
         return await self._found(self.session.problem(one.state, one.period, self.taken))
 
     async def _find_own(self) -> None:
-        await self.told(lambda: self._found(self.session.own_problem(self.taken)))
+        await self._found(self.session.own_problem(self.taken))
 
     async def _found(self, wanted: tuple[str, Path]) -> bool:
         name, file = wanted
@@ -402,8 +375,7 @@ class Page(Desk):
 
     def _show_orbit(self, found: Found, keep: bool = False) -> None:
         orbit = self.orbit = found.orbit
-        level_ = orbit.energy if math.isfinite(orbit.energy) else None
-        self.source = Source(dict(orbit.system), [float(one) for one in orbit.state], level_, orbit)
+        self.source = replace(Source.of(orbit), orbit=orbit)
         sure = orbit.certificate is not None and orbit.certificate.passed
         self.badge.set_text("Certified" if sure else "Rejected")
         self.badge.props(f"color={'good' if sure else 'bad'} icon={'verified' if sure else 'dangerous'}")
@@ -432,9 +404,6 @@ class Page(Desk):
         if item is None or not self.along.value:
             return self.say("find an orbit first; then its family can be followed")
         name, parameter, points = f"{item.name}-{self.along.value}", str(self.along.value), self._points()
-        await self.told(lambda: self._followed(item, name, parameter, points))
-
-    async def _followed(self, item: Item, name: str, parameter: str, points: int) -> None:
         self._begin(name, parameter)
         try:
             family = await self.searched(
@@ -456,12 +425,8 @@ class Page(Desk):
                 else f"no branch leaves {known.name}: its multipliers meet no root of 1; follow it further"
             )
         item, event, points = self.item, int(self.events.value), self._points()
-        await self.told(lambda: self._branched(item, event, points))
-
-    async def _branched(self, item: Item, event: int, points: int) -> None:
         self.say(f"{item.name}: looking for what leaves at event {event}")
-        assert item.family is not None
-        self._begin("", item.family.parameter)
+        self._begin("", self.item.family.parameter)
         try:
             families: list[Family] = await self.searched(
                 "branched", item.file, event, points, self.session.folder, said=self._heard
@@ -524,7 +489,7 @@ class Page(Desk):
         self._list()
 
     async def _slid(self, event: Any) -> None:
-        await self.told(lambda: self._slide_to(int(plots.finite(event.args))))
+        await self._slide_to(int(plots.finite(event.args)))
 
     async def _slide_to(self, number: int) -> None:
         if not 0 <= number < len(self.points):
@@ -536,8 +501,7 @@ class Page(Desk):
         )
         self.badge.set_visibility(False)  # what it says is of another orbit
         self.about.set_text("")
-        level = point.energy if math.isfinite(point.energy) else None
-        self.source = Source(dict(point.system), [float(one) for one in point.state], level)
+        self.source = Source.of(point)
         self.plot.run_plot_method("restyle", {"x": [[point.value]], "y": [[1 / point.period]]}, [plots.HERE])
         key = point.state.tobytes()
         if self.films.get(key) is None:
@@ -552,7 +516,7 @@ class Page(Desk):
         if trace == plots.POINTS and 0 <= number < len(self.points):
             self.slide.set_value(number)
             ui.run_javascript(f"stage.turn({number})")
-            await self.told(lambda: self._slide_to(number))
+            await self._slide_to(number)
         elif trace == plots.EVENTS:
             if number in (self.events.options or {}):
                 self.events.set_value(number)
@@ -561,14 +525,11 @@ class Page(Desk):
                 self.say(f"no branch leaves at event {number}")
 
     async def _keep_member(self) -> None:
-        async def kept() -> None:
-            number = int(self.slide.value)
-            if self.item is None or self.item.family is None or not 0 <= number < len(self.points):
-                raise InputError("slide along a family first; the orbit that is shown is kept")
-            orbit: Orbit = await self.quick.do("own", self.points[number])
-            await self._found(self.session.problem_of(orbit, self.taken))
-
-        await self.told(kept)
+        number = int(self.slide.value)
+        if self.item is None or self.item.family is None or not 0 <= number < len(self.points):
+            raise InputError("slide along a family first; the orbit that is shown is kept")
+        orbit: Orbit = await self.quick.do("own", self.points[number])
+        await self._found(self.session.problem_of(orbit, self.taken))
 
     # ------------------------------------------------------------------ parameters, saving, looks
 
@@ -598,22 +559,14 @@ class Page(Desk):
         return f"{json.dumps(draggable(model))}, {json.dumps(pullable(model, np.asarray(self.state)))}"
 
     async def _keep(self) -> None:
-        async def kept() -> None:
-            if self.orbit is None:
-                raise InputError("find an orbit first; then it follows the parameters and can be kept")
-            await self._found(self.session.problem_of(replace(self.orbit, expected={}), self.taken))
+        if self.orbit is None:
+            raise InputError("find an orbit first; then it follows the parameters and can be kept")
+        await self._found(self.session.problem_of(replace(self.orbit, expected={}), self.taken))
 
-        await self.told(kept)
-
-    async def _save(self) -> None:
-        async def saved() -> None:
-            written = self.session.save()
-            self._list()
-            self.say(
-                f"{plural(len(written), 'file')} saved in {self.session.out}" if written else "nothing new to save"
-            )
-
-        await self.told(saved)
+    def _save(self) -> None:
+        written = self.session.save()
+        self._list()
+        self.say(f"{plural(len(written), 'file')} saved in {self.session.out}" if written else "nothing new to save")
 
     def _list(self) -> None:
         """The tree of what was found and the command lines."""
@@ -630,15 +583,10 @@ class Page(Desk):
         if item.family is not None:
             self._show_family(item)
             ui.run_javascript(f"stage.turn({int(self.slide.value)})")
-            await self.told(lambda: self._slide_to(int(self.slide.value)))
-            return
+            return await self._slide_to(int(self.slide.value))
         self.item = item
         if item.atlas is not None:
-            self.background.show(item)
-            return
-        await self.told(lambda: self._reopened(item))
-
-    async def _reopened(self, item: Item) -> None:
+            return self.background.show(item)
         self._show_orbit(await self.quick.do("opened", item.file))
 
     async def _load_member(self, name: str, number: int) -> None:

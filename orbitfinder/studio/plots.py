@@ -17,7 +17,6 @@ from orbitfinder.studio.tasks import Cut
 STABLE, UNSTABLE, MARK, OTHER = "#0072b2", "#d55e00", "#008060", "#8a94a0"
 MOTIONS = (STABLE, UNSTABLE, "#7a3e9d", "#8a6d00")
 DARK = {STABLE: "#56b4e9", UNSTABLE: "#f0a35e", MARK: "#3fc79a", MOTIONS[2]: "#cc99e0", MOTIONS[3]: "#d8bf4a"}
-CALM = ("elliptic", "asymptotically stable")
 POINTS, EVENTS, HERE = 0, 1, 2
 """The traces of a plot of families: the first two can be clicked, the third is where one is"""
 
@@ -57,8 +56,8 @@ def family_figure(
     parameter: str, unit: str, dark: bool,
 ) -> dict[str, Any]:  # fmt: skip
     """The chosen family, coloured by stability, its events as diamonds, where one is on it, and the others in grey."""
-    calm = [STABLE if one.stability in CALM else UNSTABLE for one in points]
-    words = [f"{k}: {_said(one)}" for k, one in enumerate(events)]
+    calm = [UNSTABLE if one.stability == "unstable" else STABLE for one in points]
+    words = [f"{k}: {one.words}" for k, one in enumerate(events)]
     data: list[dict[str, Any]] = [
         {"x": [one.value for one in points], "y": [1 / one.period for one in points], "mode": "lines+markers",
          "marker": {"size": 8, "color": calm}, "line": {"color": OTHER, "width": 1},
@@ -92,10 +91,6 @@ def section_figure(cut: Cut | None, dark: bool) -> dict[str, Any]:
          "marker": {"size": 15, "color": "rgba(0,0,0,0)", "line": {"color": MARK, "width": 3}}},
     ]  # fmt: skip
     return _figure(data, across, up, dark)
-
-
-def _said(event: Event) -> str:
-    return f"{event.kind.replace('_', ' ')} {event.detail}".strip()
 
 
 def clicked(event: Mapping[str, Any]) -> tuple[int, int] | None:

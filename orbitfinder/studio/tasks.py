@@ -27,11 +27,11 @@ from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.pose import pulled, thrown
 from orbitfinder.orbits.refine import Refiner
-from orbitfinder.orbits.section import named_surface, pierced, section
+from orbitfinder.orbits.section import crossings, section
 from orbitfinder.orbits.simulate import SAMPLES_PER_SECOND, simulate
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.records.family import Batch, Event, Family, FamilyPoint, read_journal
-from orbitfinder.records.orbit import Orbit, orbit_to_document, save_orbit, system_at
+from orbitfinder.records.orbit import Orbit, save_orbit, system_at
 from orbitfinder.records.registry import load_orbit
 from orbitfinder.records.section import Section
 from orbitfinder.site.motion import Simulator, packed
@@ -145,12 +145,11 @@ class Tasks:
         """The Poincare section at an energy (J, None where none is conserved), and where an orbit crosses it."""
         model = self.model(system)
         found = section(model, energy if model.conservative else None, seeds=SEEDS, returns=CROSSINGS)
-        crossings = np.zeros((0, 2))
+        points = np.zeros((0, 2))
         if orbit is not None:
-            surface = named_surface(model, found.plane, found.axes, state=orbit.state)
             with contextlib.suppress(InputError):  # it does not cross this plane
-                crossings = surface.chart(pierced(surface, orbit).states)
-        return Cut(found, crossings)
+                points = crossings(model, found, orbit)
+        return Cut(found, points)
 
     def searched(
         self, system: Mapping[str, Any], energy: float | None, periods: tuple[float, float], budget: float, atlas: Path
@@ -253,6 +252,5 @@ class Tasks:
         return report
 
     def _film(self, orbit: Orbit) -> Film | None:
-        dense = (orbit.times, orbit.samples) if len(orbit.samples) > 1 else None
-        motion = self._simulator.orbit(orbit_to_document(orbit), dense)
+        motion = self._simulator.of(orbit)
         return None if motion is None else packed(motion)

@@ -14,13 +14,13 @@ import numpy as np
 from orbitfinder import site
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.scales import units
-from orbitfinder.orbits.course import course
 from orbitfinder.records.family import Event, Family, FamilyPoint
-from orbitfinder.records.orbit import Orbit, orbit_to_document
+from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import finite
 from orbitfinder.show import html
-from orbitfinder.show.svg import diagram
-from orbitfinder.site.motion import Motion, Simulator, framed, packed
+from orbitfinder.show.diagram import diagram_of
+from orbitfinder.show.svg import diagram, plane_of
+from orbitfinder.site.motion import Scene, Simulator, framed, packed
 from orbitfinder.site.pages import before, pickable
 
 try:
@@ -102,7 +102,10 @@ def _members(family: Family) -> list[Orbit | Event]:
 def _shown(value: Orbit | Family, members: list[Orbit | Event]) -> dict[str, Any]:
     """What the script works with: the items with their motions, pictures and texts, and what they share."""
     simulator, family = Simulator(), value if isinstance(value, Family) else None
-    motions = [_motion(simulator, value.system, one) for one in members]
+    motions = [
+        simulator.member(value.system, one) if isinstance(one, FamilyPoint | Event) else simulator.of(one)
+        for one in members
+    ]
     items = [
         _texts(family, one) | {"period": one.period, "motion": packed(motion) if motion else None, "portrait": portrait}
         for one, motion, portrait in zip(members, motions, _portraits(simulator, value.system, motions), strict=True)
@@ -117,31 +120,24 @@ def _shown(value: Orbit | Family, members: list[Orbit | Event]) -> dict[str, Any
     if isinstance(value, Orbit):
         found |= {"title": value.title or value.name, "below": value.source}
     if family is not None:
-        plane = html.plane(family)
-        at = dict(zip(map(id, (*family.points, *family.events)), plane[1].round(1).tolist(), strict=True))
-        for item, one in zip(items, members, strict=True):
-            item["place"] = at[id(one)]
-        found |= {"title": f"Family {family.name}", "diagram": diagram(family, plane)}
+        drawn = diagram_of(family)
+        places = plane_of(drawn).place(drawn.places).round(1).tolist()
+        for item, (kind, k) in zip(items, pickable(family), strict=True):
+            item["place"] = places[k if kind == "point" else len(family.points) + k]
+        found |= {"title": f"Family {family.name}", "diagram": diagram(drawn)}
     frame = framed([item["motion"] for item in items if item["motion"]])
     if frame and family and any(motion.drawn == "mechanism" for motion in motions if motion):
         found["frame"] = frame | {"unit": units(value.system)["length"]}
     return finite(found)  # type: ignore[no-any-return]
 
 
-def _motion(simulator: Simulator, system: Any, one: Orbit | Event) -> Motion | None:
-    """The motion of an orbit, of a point of a family or of an event."""
-    if isinstance(one, FamilyPoint | Event):
-        return simulator.member(system, one)
-    return simulator.orbit(orbit_to_document(one), (one.times, one.samples) if len(one.samples) > 1 else None)
-
-
-def _portraits(simulator: Simulator, system: Any, motions: list[Motion | None]) -> list[str]:
+def _portraits(simulator: Simulator, system: Any, motions: list[Scene | None]) -> list[str]:
     """Phase portraits, all of the plane in which most moves and on the same axes; empty where there is no motion."""
     known = simulator.model(system)
     if known is None or not any(motions):
         return [""] * len(motions)
     model = known[0]
-    seen = [one and (one.course or course(model, one.times, one.states)) for one in motions]
+    seen = [one and one.course for one in motions]
     plane = max((html.Portrait(model, one) for one in seen if one), key=lambda one: one.extent).plane
     drawn = [one and html.Portrait(model, one, plane) for one in seen]
     around = html.range_of([one for one in drawn if one])
@@ -157,10 +153,9 @@ def _texts(family: Family | None, one: Orbit | Event) -> dict[str, Any]:
         return {"rows": rows, "circle": html.circle(one), "label": label}
     assert family is not None
     point = before(family, one)
-    words = f"{one.kind.replace('_', ' ')} {one.detail}".strip()
-    rows = [("event", words), ("period", f"{one.period:.12g} s"), ("energy", f"{one.energy:.12g} J"),
+    rows = [("event", one.words), ("period", f"{one.period:.12g} s"), ("energy", f"{one.energy:.12g} J"),
             *_parameter(family, one.parameter), ("stability before", point.stability)]  # fmt: skip
-    return {"rows": rows, "circle": html.circle(point), "label": words}
+    return {"rows": rows, "circle": html.circle(point), "label": one.words}
 
 
 def _parameter(family: Family, value: float) -> list[tuple[str, str]]:

@@ -1,0 +1,109 @@
+"""A family as every picture draws it: what its axes are, where points and events lie, how each kind of event looks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from orbitfinder.errors import OrbitfinderError
+from orbitfinder.families.members import response
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.records.family import Family
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a kind of event is drawn: Matplotlib's marker with its size (points), Plotly's symbol with its size (pixels),
+    the colour of figures (none of them a family's) and the number of the page's, and whether it is hollow."""
+
+    marker: str
+    symbol: str
+    colour: str = "#000000"
+    series: int = 1
+    size: float = 5.5
+    pixels: int = 10
+    hollow: bool = False
+
+
+LOOKS = {
+    "fold": Look("v", "triangle-down", "#7B3294", pixels=11),
+    "turn": Look("1", "triangle-left", "#C2A5CF", pixels=9),
+    "extremum": Look("2", "triangle-right", "#E7298A", pixels=9),
+    "branch_point": Look("o", "circle-open", series=2, pixels=12, hollow=True),
+    "period_doubling": Look("s", "square", "#B2182B", series=3, pixels=9),
+    "torus": Look("P", "cross", "#01665E", series=4),
+    "resonance": Look(".", "circle", "#8C8C8C", series=4, size=3.5, pixels=7),
+    "collision": Look("x", "x", "#8C510A", pixels=9),
+    # the verdict changes where something else happens as well
+    "stability_change": Look("D", "diamond", "#4D4D4D", series=5, size=9.0, hollow=True),
+    "grazing": Look("*", "star"),
+    "cycle_change": Look("X", "hourglass", series=3),
+    "holds": Look("X", "bowtie", series=3),
+    "cusp": Look("^", "triangle-up", series=3, pixels=11),
+    "isola_centre": Look("h", "hexagon", series=4),
+    "transcritical": Look("d", "diamond-tall", series=2, pixels=11),
+    "strong_resonance": Look("p", "pentagon", series=2),
+    "fold_doubling": Look("D", "diamond-wide", series=5, pixels=11),
+    "fold_torus": Look("<", "triangle-left", series=4),
+    "doubling_torus": Look(">", "triangle-right", series=4),
+    "degenerate_doubling": Look("H", "hexagon2", series=3),
+}
+"""Of every kind of event that families know"""
+
+
+@dataclass(frozen=True)
+class Diagram:
+    """A family as a curve: what its axes are called (across, up), and the `places` (k x 2) of its points and then of
+    its events."""
+
+    family: Family
+    names: tuple[str, str]
+    places: np.ndarray
+
+    @property
+    def points(self) -> np.ndarray:
+        """Where its points are."""
+        return self.places[: len(self.family.points)]
+
+    @property
+    def events(self) -> np.ndarray:
+        """Where its events are."""
+        return self.places[len(self.family.points) :]
+
+    @property
+    def stretches(self) -> list[tuple[bool, np.ndarray]]:
+        """Stretches (k x 2) that are stable or not, which meet where the stability changes."""
+        points = self.family.points
+        stable = [point.stability != "unstable" for point in points]
+        cuts = [k for k in range(1, len(points)) if stable[k] != stable[k - 1]]
+        found = [(stable[k], self.points[max(k - 1, 0) : end]) for k, end in pairwise([0, *cuts, len(points)])]
+        for number, k in enumerate(cuts):
+            for event, place in zip(self.family.events, self.events, strict=True):
+                between = points[k - 1].arclength <= event.arclength <= points[k].arclength
+                if event.kind == "stability_change" and between:
+                    found[number] = (stable[k - 1], np.vstack([found[number][1], place]))
+                    found[number + 1] = (stable[k], np.vstack([place, found[number + 1][1][1:]]))
+        return found
+
+
+def frequencies(family: Family) -> np.ndarray:
+    """1 / period of its points and then of its events."""
+    return np.array([1 / one.period for one in family.members])
+
+
+def diagram_of(family: Family) -> Diagram:
+    """Frequency against energy, or against the parameter where the energy hardly changes; of what dissipates the
+    amplitude against the parameter; of a curve of bifurcations its second parameter against its first."""
+    if len(family.parameters) > 1:
+        return Diagram(family, family.parameters[:2], family.places)  # type: ignore[arg-type]
+    try:
+        moved, sizes = response(family, build_model(family.system))
+    except OrbitfinderError:
+        moved, sizes = "", np.zeros(0)
+    by_energy = family.by_energy and not moved
+    levels = np.nan_to_num([one.energy for one in family.members])
+    along, across = (levels, "energy (J)") if by_energy else (family.places[:, 0], family.parameter)
+    up = (sizes, f"amplitude of {moved}") if moved else (frequencies(family), "frequency (1/s)")
+    return Diagram(family, (across, up[1]), np.column_stack([along, up[0]]))
