@@ -43,10 +43,11 @@ from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.evidence import Hamiltonian
 from orbitfinder.orbits.refine import Refiner
 from orbitfinder.orbits.section import Surface, solved_component, surface
+from orbitfinder.records.certificate import Certificate, Check, at_least, at_most, refused
 from orbitfinder.records.codec import entries_of, plain
 from orbitfinder.records.journal import checkpoints
 from orbitfinder.records.manifold import Connection, End
-from orbitfinder.records.orbit import Certificate, Check, Orbit
+from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import typed
 
 NEWTON = Settings(floor=1e-13, round_off=1e-10, converged=1e-10, contraction=0.5, most_evaluations=25, patience=4)
@@ -429,11 +430,11 @@ def _certificate(connection: Connection, model: Model) -> tuple[Certificate, flo
     """The certificate of a record, and the error of its point in the state's units."""
     states, durations = connection.states, connection.durations
     if not (np.isfinite(states).all() and np.isfinite(durations).all() and (durations > 0).all()):
-        return Certificate((Check("finite", np.inf, 0.0, False, "a crossing or a duration is not a number"),)), np.inf
+        return Certificate((refused("finite", "a crossing or a duration is not a number"),)), np.inf
     try:
         evidence = _gathered(connection, model)
     except (IntegrationError, ConvergenceError, InputError) as failure:
-        return Certificate((Check("integration", np.inf, 0.0, False, str(failure)),)), np.inf
+        return Certificate((refused("integration", failure),)), np.inf
     chain, linear, units = evidence.chain, evidence.linear, extents_of(model, states, connection.origin.period)
     axes, gaps = list(chain.origin.surface.axes), wrapped(evidence.reached - states[1:], model.angular)
     errors = np.abs(gaps[:, axes])
@@ -446,11 +447,12 @@ def _certificate(connection: Connection, model: Model) -> tuple[Certificate, flo
     off = max(float(np.abs(_off_plane(chain, x)).max()) for x in (states, evidence.reached))
     checks = [
         *_end_checks(connection, model, evidence),
-        _most("gap", float(np.abs(gaps / units).max()), GAP, "from each crossing to the next, by DOP853, in extents"),
-        _most("section", off, GAP, "crossings off the plane, in extents"),
-        _least("angle", _angle(chain, linear, units), TANGENT, "between the manifolds (rad); 0 where they only touch"),
-        _most("error", error / float(units[axes].max()), POINT, "of the point, in extents: all that, carried"),
-        _least("apart", float(min(away)), APART, "the point is not the orbit's own"),
+        at_most("gap", float(np.abs(gaps / units).max()), GAP, "from each crossing to the next, by DOP853, in extents"),
+        at_most("section", off, GAP, "crossings off the plane, in extents"),
+        at_least("angle", _angle(chain, linear, units), TANGENT,
+                 "between the manifolds (rad); 0 where they only touch"),
+        at_most("error", error / float(units[axes].max()), POINT, "of the point, in extents: all that, carried"),
+        at_least("apart", float(min(away)), APART, "the point is not the orbit's own"),
     ]  # fmt: skip
     return Certificate(tuple(checks)), error
 
@@ -460,13 +462,13 @@ def _end_checks(connection: Connection, model: Model, evidence: _Evidence) -> It
     ends = connection.origin, connection.goal
     growth = [max(abs(one.multiplier), 1 / abs(one.multiplier)) for one in ends]
     gaps = [np.abs(gap / one.extents).max() / g for gap, one, g in zip(evidence.closed, ends, growth, strict=True)]
-    yield _most("orbits", max(gaps), GAP, "gap of both orbits after a period, over their multipliers")
+    yield at_most("orbits", max(gaps), GAP, "gap of both orbits after a period, over their multipliers")
     off = [np.linalg.norm(gap / one.extents) for gap, one in zip(evidence.local, ends, strict=True)]
-    yield _most("local", max(off), LINEAR, "of the first and the last crossing off the local manifolds, in extents")
+    yield at_most("local", max(off), LINEAR, "of the first and the last crossing off the local manifolds, in extents")
     if model.conservative:
         level = np.array([energy(model, x) for x in (*connection.states, *(one.state for one in ends))])
         spread = float(np.ptp(level)) / nonzero(abs(level[0]))
-        yield _most("energy", spread, LEVEL, "of all crossings and both orbits, relative")
+        yield at_most("energy", spread, LEVEL, "of all crossings and both orbits, relative")
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:
@@ -526,14 +528,6 @@ def _off(independent: _Independent, end: End, state: np.ndarray, sense: int) -> 
     own = float(gap @ spanned[0])  # along the manifold only as far as its curvature goes
     beyond = np.sign(own) * max(abs(own) - CURVED * abs(end.place), 0.0)
     return np.asarray((gap - along @ (along.T @ gap) + beyond * spanned[0]) * end.extents)
-
-
-def _most(name: str, value: Any, tolerance: float, note: str) -> Check:
-    return Check(name, float(value), tolerance, bool(value <= tolerance), note)
-
-
-def _least(name: str, value: float, tolerance: float, note: str) -> Check:
-    return Check(name, float(value), tolerance, bool(value >= tolerance), note)
 
 
 def follow_connection(

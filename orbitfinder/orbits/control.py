@@ -38,8 +38,9 @@ from orbitfinder.mechanics.controls import actuated
 from orbitfinder.mechanics.model import Model, energy, wrapped
 from orbitfinder.mechanics.scales import extents_of
 from orbitfinder.orbits.between import LOOKS, MOST_LOOKS, overlooked
-from orbitfinder.orbits.closure import Closure, closes, shift, shift_along
-from orbitfinder.orbits.floquet import Floquet, analyse
+from orbitfinder.orbits.closure import closes, shift, shift_along
+from orbitfinder.orbits.evidence import Tour, Trajectory, in_extents
+from orbitfinder.orbits.floquet import analyse
 from orbitfinder.orbits.measure import provenance
 from orbitfinder.records.orbit import SHARE, Orbit
 
@@ -74,39 +75,20 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class ControlledEvidence:
+class ControlledEvidence(Trajectory):
     """What DOP853 and the costate say of a controlled motion.
 
-    `stationarity` is what the best multipliers leave of the conditions of an optimum, relative to the cost;
-    `pointwise` the largest |H_u| relative to its terms, `drift` how far H is from constant, relative; `margins` by
-    name how far tasks and limits are violated, relative; `wrong` the worst sign of a multiplier, relative;
+    `nodes` (N x d) are where segments begin, `second` the closure at a second tolerance, `fit` the cost and the
+    conditions of an optimum, `symmetry` how far the motion is off it, `held` what must hold with its least value,
     `off` how far states that a record shows are off the motion, in extents, `unseen` what features of the equations
     narrower than a step change, in extents, and down to which width they were looked for.
     """
 
-    times: np.ndarray
-    states: np.ndarray
     nodes: np.ndarray
-    controls: np.ndarray
-    end: np.ndarray
-    closes: Closure
-    closure: float
     second: float
-    cost: float
-    action: float
-    stationarity: float
-    worst: str
-    pointwise: float
-    drift: float
-    phase: float
-    costate: np.ndarray
-    multipliers: Mapping[str, float]
-    tasks: Mapping[str, float]
-    extents: np.ndarray
-    floquet: Floquet
+    fit: Fit
     events: tuple[tuple[str, float, float], ...]
     shift: Mapping[str, float]
-    cost_size: float
     symmetry: float
     held: tuple[tuple[str, float], ...]
     off: float
@@ -136,14 +118,15 @@ def recorded(
     entry |= {"numbers": dict(problem.control.numbers)} if problem.control.numbers else {}
     turns = np.asarray(problem.turns, int)
     found = gather_controlled(model, w.nodes[0], w.period, turns, entry, problem.symmetry, problem.relative)
-    entry |= {"cost": found.cost, "multipliers": dict(found.multipliers), "costate": [float(x) for x in found.costate]}
+    fit = found.fit
+    entry |= {"cost": fit.cost, "multipliers": dict(fit.multipliers), "costate": [float(x) for x in fit.costate]}
     said = provenance(problem, settings, began)
     said |= {"method": control.method, "iterations": solution.iterations, "steps": program.parts.steps,
              "optimum": "local: that nothing else costs less is not shown"}  # fmt: skip
     said |= {"free": {name: values[name] for name in problem.free}} if problem.free else {}
     orbit = Orbit(
         name=problem.name, title=problem.title, source=problem.source, system=model.system, state=w.nodes[0].copy(),
-        period=float(w.period), energy=energy(model, w.nodes[0]), action=found.action, closure=found.closure,
+        period=float(w.period), energy=found.energy, action=found.action, closure=found.closure,
         symmetry=problem.boundary.name, winding=tuple(int(k) for k in turns),
         floquet_multipliers=found.floquet.multipliers, pair_defect=0.0, stability=found.floquet.stability,
         unfolding=tuple(float(one) for one in w.unfolding), nodes=found.nodes, times=found.times, samples=found.states,
@@ -357,7 +340,7 @@ def gather_controlled(
 ) -> ControlledEvidence:  # fmt: skip
     """The evidence of a recorded control, and of times and states that are `shown`. Raises `InputError`,
     `IntegrationError`."""
-    model, plan = plan_of(model, entry, symmetry, relative, period)
+    level, (model, plan) = energy(model, state), plan_of(model, entry, symmetry, relative, period)
     motion = _Motion(plan, period)
     d = plan.parts.size
     shares = np.linspace(0.0, 1.0, SAMPLES * plan.parts.steps + 1)
@@ -371,22 +354,17 @@ def gather_controlled(
     apart = shift(turns, d)
     for name, by in shifted.items():
         apart[: len(turns)] += by * _direction(model, name)
-    fitted = _Fit(motion, pieces, units)
-    scaled = [one * units / units[:, None] for one in fitted.transitions]
-    closed = closes((end - state - apart) / units, scaled, states / units, _reach(motion, pieces, scaled, units))
-    monodromy = np.eye(d)
-    for one in scaled:
-        monodromy = one @ monodromy
-    times, kept, driven = _sampled(motion, pieces, shares)
+    fit, none = Fit(motion, pieces, units), np.zeros((0, d))
+    scaled = in_extents(fit.transitions, units)
+    found = closes((end - state - apart) / units, scaled, states / units, _reach(motion, pieces, scaled, units))
+    loop = Tour(found, scaled, none, none, False, units, np.eye(d))
+    times, kept = _sampled(motion, pieces, shares)
     return ControlledEvidence(
-        times=times, states=kept, nodes=np.vstack([piece[:1, :d] for piece in pieces]), controls=driven, end=end,
-        closes=closed, closure=float(np.abs(end - state - apart).max()),
-        second=float(np.abs((other - state - apart) / units).max()),
-        cost=fitted.cost, action=float(pieces[-1][-1, -1]), stationarity=fitted.left, worst=fitted.worst,
-        pointwise=fitted.pointwise, drift=fitted.drift, phase=fitted.phase, costate=fitted.start,
-        multipliers=fitted.multipliers, tasks=fitted.violations, extents=units,
-        floquet=analyse(monodromy, conservative=False), events=tuple(_events(motion, pieces)), shift=shifted,
-        cost_size=fitted.size, symmetry=_off_symmetry(motion, pieces, units), held=tuple(_held(motion, pieces)),
+        times=times, states=kept, extents=units, tour=loop, closure=float(np.abs(end - state - apart).max()),
+        action=float(pieces[-1][-1, -1]), energy=level, floquet=analyse(loop.map(), conservative=False),
+        nodes=np.vstack([piece[:1, :d] for piece in pieces]),
+        second=float(np.abs((other - state - apart) / units).max()), fit=fit, events=tuple(_events(motion, pieces)),
+        shift=shifted, symmetry=_off_symmetry(motion, pieces, units), held=tuple(_held(motion, pieces)),
         off=0.0 if shown is None else _off_motion(motion, pieces, *shown, units),
         unseen=_unseen(motion, traces, units),
     )  # fmt: skip
@@ -416,22 +394,18 @@ def _direction(model: Model, name: str) -> np.ndarray:
     return np.asarray(shifts_of(model)[name].direction, float)
 
 
-def _sampled(
-    motion: _Motion, pieces: list[np.ndarray], shares: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times, states and controls of a picture: instants where segments meet once, those of events twice."""
-    d, began = motion.parts.size, 0.0
-    times, states, driven = [], [], []
+def _sampled(motion: _Motion, pieces: list[np.ndarray], shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states of a picture: instants where segments meet once, those of events twice."""
+    began, times, states = 0.0, [], []
     for k, piece in enumerate(pieces):
         h = motion.duration(k)
         chosen = slice(0, None if k == len(pieces) - 1 or motion.event(k) is not None else -1)
         times.append(began + h * shares[chosen])
-        states.append(piece[chosen, :d])
-        driven.append(motion.control(k, shares[chosen]))
+        states.append(piece[chosen, : motion.parts.size])
         began += h
     found = np.concatenate(times)
     found[-1] = motion.period
-    return found, np.vstack(states), np.vstack(driven)
+    return found, np.vstack(states)
 
 
 def _off_motion(
@@ -522,8 +496,13 @@ def _off_symmetry(motion: _Motion, pieces: list[np.ndarray], units: np.ndarray) 
     return float(np.abs(wrapped(apart, parts.model.angular) / units).max())
 
 
-class _Fit:
-    """The multipliers that meet the conditions of an optimum best, and what they leave."""
+class Fit:
+    """The multipliers that meet the conditions of an optimum best, and what they leave.
+
+    `left` of the conditions, relative to the cost, at `worst`; `violations` by name how far tasks and limits are
+    violated, relative; `phase` what fixing the phase costs, relative; `costate` at t = 0; `pointwise` the largest |H_u|
+    relative to its terms, `drift` how far H is from constant, relative; `size` of a cost that is not small.
+    """
 
     def __init__(self, motion: _Motion, pieces: list[np.ndarray], units: np.ndarray) -> None:
         self.motion, self.parts, self.plan, self.pieces, self.units = motion, motion.parts, motion.plan, pieces, units
@@ -912,7 +891,7 @@ class _Fit:
             pieces.append(abs(float(weights @ costs.ravel())) + float(np.abs(costate * rate.ravel()).sum()))
             slopes.append(np.abs(weights @ cost_by_u + costate @ by_u).max(initial=0.0))
             terms.append(np.abs(costate @ by_u).max(initial=0.0))
-        self.start = fraction * (self.costates[0] @ self.y)
+        self.costate = fraction * (self.costates[0] @ self.y)
         self.pointwise = float(max(slopes) / nonzero(max(terms)))
         arcs = np.array_split(np.array(levels), max(parts.basis.arcs, 1))
         self.drift = float(max(np.ptp(one) for one in arcs) / nonzero(max(pieces)))

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder._runtime.sizes import nonzero, relative
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.automaton import Arc, Automaton
 from orbitfinder.integrate.dop853 import (
@@ -36,9 +36,9 @@ from orbitfinder.mechanics.hybrid import Hybrid, Transition
 from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.scales import extents_of, snapped
 from orbitfinder.orbits.between import overlooked, risen
-from orbitfinder.orbits.closure import Closure, closes, gap, shift
-from orbitfinder.orbits.evidence import CHECKED, ClosureCheck, Tour
-from orbitfinder.orbits.floquet import AREA, Floquet, analyse, reduce_monodromy
+from orbitfinder.orbits.closure import closes, gap, shift
+from orbitfinder.orbits.evidence import CHECKED, ClosureCheck, Tour, Trajectory, in_extents
+from orbitfinder.orbits.floquet import AREA, Floquet, analyse
 from orbitfinder.records.orbit import Orbit
 
 Rates = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -131,38 +131,19 @@ def _sampled(arc: Arc, segments: int) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class HybridEvidence:
-    """What the simulated automaton says of a state: its arcs, the gap, the multipliers, what must hold.
+class HybridEvidence(Trajectory):
+    """What the simulated automaton says of a state: its arcs, how long they take, what must hold.
 
-    `pieces` are state-transition matrices in extents, events included; `trivial` how far the flow and the invariants'
-    gradients are from being kept; `transversal` the least rate at which a guard is crossed, relative;
-    `decided` the least |allowed| at a crossing.
+    Times and states are those of all arcs, those of events twice, before and after; `transversal` is the least rate at
+    which a guard is crossed, relative; `decided` the least |allowed| at a crossing.
     """
 
     arcs: tuple[Arc, ...]
     period: float
-    end: np.ndarray
-    closes: Closure
-    closure: float
-    action: float
     drift: float
     balance: float
-    extents: np.ndarray
-    trivial: float
     transversal: float
     decided: float
-    floquet: Floquet
-    monodromy: np.ndarray
-
-    @property
-    def states(self) -> np.ndarray:
-        """All sampled states (k x d), those before and after each event."""
-        return np.vstack([arc.states for arc in self.arcs])
-
-    @property
-    def times(self) -> np.ndarray:
-        """Their times (k), those of events twice."""
-        return np.concatenate([arc.times for arc in self.arcs])
 
 
 def gather_hybrid(model: Model, state: np.ndarray, period: float, turns: np.ndarray) -> HybridEvidence:
@@ -172,48 +153,38 @@ def gather_hybrid(model: Model, state: np.ndarray, period: float, turns: np.ndar
     """
     arcs = cycle_from(model, state, longest=PATIENCE * period)
     period, end = float(arcs[-1].times[-1]), arcs[-1].after
-    states = np.vstack([arc.states for arc in arcs])
+    times, states = np.concatenate([arc.times for arc in arcs]), np.vstack([arc.states for arc in arcs])
     units = extents_of(model, states, period)
     automaton = Automaton.about(model, state, period)
-    pieces, action = _variations(automaton, arcs)
-    scaled = [piece * units / units[:, None] for piece in pieces]
-    whole = np.eye(units.size)
-    for piece in scaled:
-        whole = piece @ whole
+    variations, action = _variations(automaton, arcs)
+    pieces = in_extents(variations, units)
     rate = automaton.field(arcs[0].mode)(0.0, np.asarray(state, float)) / units
     slopes = invariant_gradients(model)(state).full().reshape(-1, units.size) * units
-    found = closes((end - state - shift(turns, units.size)) / units, scaled, states / units, rate * period)
-    size = max(1.0, float(np.abs(whole).max()))
-    kept = [relative(whole @ rate - rate, rate), *(relative(row @ whole - row, row) for row in slopes)]
+    found = closes((end - state - shift(turns, units.size)) / units, pieces, states / units, rate * period)
+    loop = Tour(found, pieces, slopes, rate[None], False, units, np.eye(units.size), motion=(times, states))
     drift, balance = _energies(model, arcs)
     return HybridEvidence(
-        arcs=tuple(arcs),
-        period=period,
-        end=end,
-        closes=found,
+        times=times,
+        states=states,
+        extents=units,
+        tour=loop,
         closure=gap(state, end, turns),
         action=action,
+        energy=energy(model, state),
+        floquet=_multipliers(loop),
+        arcs=tuple(arcs),
+        period=period,
         drift=drift,
         balance=balance,
-        extents=units,
-        trivial=max(kept) / size,
         transversal=min(abs(arc.slope) for arc in arcs),
         decided=min(arc.decided for arc in arcs),
-        floquet=multipliers(whole, slopes, rate[None]),
-        monodromy=whole * units[:, None] / units,
     )
 
 
 def hybrid_tour(model: Model, state: np.ndarray, period: float, turns: np.ndarray) -> Tour:
     """The `Tour` of a hybrid orbit, as its automaton is simulated. Raises `ConvergenceError`, `IntegrationError`."""
     found = gather_hybrid(model, state, period, turns)
-    units = found.extents
-    slopes = invariant_gradients(model)(state).full().reshape(-1, units.size) * units
-    rate = Automaton.about(model, state, period).field(found.arcs[0].mode)(0.0, np.asarray(state, float)) / units
-    paired = found.floquet.indices.size > 0
-    motion = np.concatenate([arc.times for arc in found.arcs]), np.vstack([arc.states for arc in found.arcs])
-    monodromy = [found.monodromy * units / units[:, None]]
-    return Tour(found.closes, monodromy, slopes, rate[None], paired, units, motion=motion)
+    return replace(found.tour, pieces=[found.tour.inner()], conservative=found.floquet.indices.size > 0)
 
 
 def retraced(equations: Equations, found: Solution) -> Solution:
@@ -242,7 +213,7 @@ def hybrid_orbit(problem: Problem, refined: Refined) -> Orbit:
         system=model.system,
         state=refined.state,
         period=refined.period,
-        energy=energy(model, refined.state),
+        energy=found.energy,
         action=found.action,
         closure=found.closure,
         symmetry=NONE.name,
@@ -259,11 +230,11 @@ def hybrid_orbit(problem: Problem, refined: Refined) -> Orbit:
     )
 
 
-def multipliers(monodromy: np.ndarray, gradients: np.ndarray, directions: np.ndarray) -> Floquet:
+def _multipliers(loop: Tour) -> Floquet:
     """The multipliers of a hybrid orbit; they come in reciprocal pairs only where the resets keep areas too."""
-    reduced = reduce_monodromy(monodromy, gradients, directions)
+    reduced = loop.map()
     area = abs(float(np.linalg.det(reduced))) if reduced.size else 1.0
-    return analyse(reduced, conservative=bool(len(gradients)) and abs(area - 1.0) < AREA)
+    return analyse(reduced, conservative=bool(len(loop.gradients)) and abs(area - 1.0) < AREA)
 
 
 def second_gap(model: Model, state: np.ndarray, period: float, turns: np.ndarray, units: np.ndarray) -> float:

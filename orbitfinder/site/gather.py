@@ -17,10 +17,10 @@ from orbitfinder.families.members import whole
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certify
+from orbitfinder.records.certificate import Check
 from orbitfinder.records.family import Family
 from orbitfinder.records.manifold import Connection, Manifold
 from orbitfinder.records.orbit import (
-    Check,
     Orbit,
     level,
     orbit_from_document,
