@@ -30,6 +30,7 @@ from orbitfinder.orbits.evidence import (
     constraint_defect,
     gather,
     native_closure,
+    off_motion,
     second_closure,
 )
 from orbitfinder.orbits.floquet import Floquet
@@ -37,7 +38,7 @@ from orbitfinder.orbits.hybrid import (
     HybridEvidence,
     gather_hybrid,
     held,
-    off_motion,
+    paths,
     second_gap,
     turned_further,
     unseen,
@@ -379,7 +380,7 @@ def _hybrid_checks(trial: _Trial, seen: HybridEvidence) -> Iterator[Check | None
     nodes = float(np.abs((orbit.nodes - orbit.state) / seen.extents).max()) if single else np.inf
     yield at_most("nodes", nodes, NODES_OFF, "the first is the state")
     if orbit.samples.size or orbit.times.size:
-        off = off_motion(model, seen.arcs, orbit.times, orbit.samples, seen.extents)
+        off = off_motion(paths(model, seen.arcs), orbit.times, orbit.samples, seen.extents, seen.period)
         yield trial.shown("samples", off, SAMPLES_OFF, seen.closes.amplification)
 
 

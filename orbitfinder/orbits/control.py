@@ -17,8 +17,9 @@ Source: A. Bryson, Y. Ho, Applied Optimal Control (1975), sections 2.5, 2.7, 3.1
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -27,19 +28,28 @@ from scipy.optimize import lsq_linear
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError
-from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, Trace, integrate
+from orbitfinder.integrate.dop853 import (
+    SECOND,
+    TIGHTEST,
+    ReferenceSettings,
+    Trace,
+    VectorField,
+    integrate,
+    rates_of,
+    vector_field,
+)
 from orbitfinder.loops.control import Basis, Control, Task
 from orbitfinder.loops.controlled import Arrangement, Program, Solution, arranged, optimum
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.problem import Problem
-from orbitfinder.loops.symmetry import named, related, shifts_of
+from orbitfinder.loops.symmetry import named, related, turned
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.controls import actuated
 from orbitfinder.mechanics.model import Model, energy, wrapped
 from orbitfinder.mechanics.scales import extents_of
-from orbitfinder.orbits.between import LOOKS, MOST_LOOKS, overlooked
-from orbitfinder.orbits.closure import closes, shift, shift_along
-from orbitfinder.orbits.evidence import Tour, Trajectory, in_extents
+from orbitfinder.orbits.between import LOOKS, MOST_LOOKS, Rates, overlooked
+from orbitfinder.orbits.closure import closes, gap, shift, shift_along
+from orbitfinder.orbits.evidence import Path, Tour, Trajectory, in_extents, off_motion
 from orbitfinder.orbits.floquet import analyse
 from orbitfinder.orbits.measure import provenance
 from orbitfinder.records.orbit import SHARE, Orbit
@@ -52,8 +62,6 @@ VARIED = ReferenceSettings(relative_tolerance=1e-12, absolute_tolerance=1e-13)
 SMALL = 1e-9
 """A control is small when it accelerates less than this share of what the motion does"""
 IPOPT_TOLERANCE = 1e-10
-TIED = 1e-9
-"""Share of the period by which recorded times may be off the ends of segments"""
 NEAR = 1e-9
 """A guard is at 0 to this, relative to its range along an arc"""
 
@@ -200,30 +208,6 @@ def plan_of(
     return model, Plan(parts, values, tuple(state), normals, "period" not in entry["pins"], held)
 
 
-class _Driven:
-    """Functions of an arc's motion as DOP853 calls them, at the parameters of one segment after another."""
-
-    def __init__(self, function: ca.Function) -> None:
-        self.function = function
-        self._buffer, self._evaluate = function.buffer()
-        self._moment, self._y = np.zeros(1), np.zeros(function.size1_in(1))
-        self._given, self._rate = np.zeros(function.size1_in(2)), np.zeros(function.size1_out(0))
-        for k, place in enumerate((self._moment, self._y, self._given)):
-            self._buffer.set_arg(k, memoryview(place.data))
-        self._buffer.set_res(0, memoryview(self._rate.data))
-
-    def at(self, given: np.ndarray) -> _Driven:
-        """The field with these parameters."""
-        self._given[:] = given
-        return self
-
-    def __call__(self, t: float, y: np.ndarray) -> np.ndarray:
-        self._moment[0] = t
-        self._y[:] = y
-        self._evaluate()
-        return self._rate.copy()
-
-
 class _Motion:
     """The motion of a plan and its costate, integrated by DOP853."""
 
@@ -234,31 +218,42 @@ class _Motion:
         basis = self.parts.basis
         self.whole = basis if not basis.signs else Basis(basis.shape, 2 * basis.intervals, basis.harmonics)
         arcs = range(max(basis.arcs, 1))
-        self.forward = [_Driven(self._forward(k)) for k in arcs]
-        self.backward = [_Driven(self._backward(k)) for k in arcs]
-        self.hessian = [self._pointwise(k) for k in arcs]
+        self.numbers = [self.given(0, 0.0) for _ in arcs]
+        self.forward = [vector_field(self._forward(k), self.numbers[k]) for k in arcs]
+        self.backward = [vector_field(self._backward(k), self.numbers[k]) for k in arcs]
+        self.pointwise = [self._pointwise(k) for k in arcs]
         self.count = 1 + len(self.parts.means)
 
-    def given(self, segment: int, h: float) -> np.ndarray:
-        """(phase, its length, local coefficients, free, h) of a segment of the whole period."""
-        basis, picked = self.whole, self.whole.picked(segment)
-        begins, length = (0.0, 0.0) if basis.arcs else (segment / basis.intervals, 1.0 / basis.intervals)
-        return np.concatenate([[begins, length], *(row[picked] for row in self.plan.coefficients), self.free, [h]])
+    def given(self, segment: int, *h: float) -> np.ndarray:
+        """(phase, its length, local coefficients, free, h if it is there) of a segment of the whole period."""
+        local = self.plan.coefficients[:, self.whole.picked(segment)]
+        return np.concatenate([self._phases(segment), *local, self.free, h])
+
+    def _phases(self, segment: int) -> tuple[float, float]:
+        """The phase at which a segment begins, and its length."""
+        count = self.whole.intervals
+        return (0.0, 0.0) if self.whole.arcs else (segment / count, 1.0 / count)
+
+    def at(self, fields: Sequence[VectorField], segment: int) -> VectorField:
+        """That of the arcs' fields which is a segment's, with its numbers, until another one is asked for."""
+        arc = self.parts.arc(segment)
+        self.numbers[arc][:] = self.given(segment, self.duration(segment))
+        return fields[arc]
 
     def duration(self, segment: int) -> float:
         """How long (s) a segment of the whole period lasts."""
         own = segment if self.whole.arcs else min(segment, self.parts.basis.intervals - 1)
         return float(self.parts.duration(own, self.period, ca.DM(self.free)))
 
-    def _symbols(self, arc: int) -> tuple[list[Any], Any, Any, Any, Any, Any]:
+    def _symbols(self, arc: int) -> tuple[list[Any], Any, Any, Any, Any]:
         inputs, rate, p, rates = self.parts.driven(arc, ca.SX.sym)
         moment, x, s, given = inputs
         rate, rates = (ca.substitute(one, s, ca.SX.zeros(s.numel())) for one in (rate, ca.vertcat(*rates)))
-        return [moment, x, given], rate, rates, p, ca.SX.sym("h"), s
+        return [moment, x, given], rate, rates, p, ca.SX.sym("h")
 
     def _forward(self, arc: int) -> ca.Function:
         """(share, (x, integrals, action), (given, h)) -> their rates by the share."""
-        (moment, x, given), rate, rates, p, h, _ = self._symbols(arc)
+        (moment, x, given), rate, rates, p, h = self._symbols(arc)
         more = ca.SX.sym("more", rates.numel() + 1)
         action = self.parts.mode(arc).action_rate(0.0, x, p)
         found = h * ca.vertcat(rate, rates, action)
@@ -266,7 +261,7 @@ class _Motion:
 
     def _backward(self, arc: int) -> ca.Function:
         """(1 - share, (x, costates, gradients by coefficients, h, free), (given, h)) -> their rates, backwards."""
-        (moment, x, given), rate, rates, _, h, _ = self._symbols(arc)
+        (moment, x, given), rate, rates, _, h = self._symbols(arc)
         d, k = x.numel(), rates.numel()
         local = given[2 : given.numel() - len(self.parts.free)]
         free = given[given.numel() - len(self.parts.free) :]
@@ -291,7 +286,7 @@ class _Motion:
         return ca.Function("backward", [tau, flat, both], [whole(1 - tau, x, costates, given, h)])
 
     def _pointwise(self, arc: int) -> ca.Function:
-        """(share, x, (given, h)) -> dL/du, df/du^T, f, L at an instant, u itself among the coefficients."""
+        """(x, u, free) -> what `instant` says."""
         model, parts = self.parts.mode(arc), self.parts
         x, u, free = (ca.SX.sym("x", parts.size), ca.SX.sym("u", len(parts.model.controls)),
                       ca.SX.sym("free", len(parts.free)))  # fmt: skip
@@ -302,12 +297,15 @@ class _Motion:
         outputs = (rate, costs, ca.jacobian(rate, u), ca.jacobian(costs, u))
         return ca.Function("pointwise", [x, u, free], [ca.densify(one) for one in outputs])
 
+    def instant(self, segment: int, x: np.ndarray, u: np.ndarray) -> list[np.ndarray]:
+        """f, L and the tasks' integrands, df/du and the derivatives of these by u, at a state and controls."""
+        return [one.full() for one in self.pointwise[self.parts.arc(segment)](x, u, self.free)]
+
     def control(self, segment: int, shares: np.ndarray) -> np.ndarray:
         """Controls (k x m) at shares of a segment of the whole period."""
-        basis, picked = self.whole, self.whole.picked(segment)
-        begins, length = (0.0, 0.0) if basis.arcs else (segment / basis.intervals, 1.0 / basis.intervals)
-        weights = np.array([[float(w) for w in basis.values(share, begins + share * length)] for share in shares])
-        return np.asarray(weights @ self.plan.coefficients[:, picked].T)
+        begins, length = self._phases(segment)
+        weights = [[float(w) for w in self.whole.values(share, begins + share * length)] for share in shares]
+        return np.asarray(np.array(weights) @ self.plan.coefficients[:, self.whole.picked(segment)].T)
 
     def path(
         self, state: np.ndarray, settings: ReferenceSettings, shares: np.ndarray, traces: list[Trace] | None = None
@@ -316,8 +314,8 @@ class _Motion:
         d, found, more = self.parts.size, [], np.zeros(self.count + 1)
         now = np.asarray(state, float)
         for k in range(self.whole.intervals):
-            field = self.forward[self.parts.arc(k)].at(self.given(k, self.duration(k)))
-            found.append(integrate(field, np.concatenate([now, more]), shares, settings, 0.25, traces))
+            begin = np.concatenate([now, more])
+            found.append(integrate(self.at(self.forward, k), begin, shares, settings, 0.25, traces))
             now, more = found[-1][-1, :d], found[-1][-1, d:]
             now = self.reset(k, now)
         return found
@@ -351,21 +349,20 @@ def gather_controlled(
     states = np.vstack([piece[:, :d] for piece in pieces])
     units = extents_of(model, states, period)
     shifted = shift_along(model, relative, np.asarray(state, float), end, turns)
-    apart = shift(turns, d)
-    for name, by in shifted.items():
-        apart[: len(turns)] += by * _direction(model, name)
+    whole = turned(model, turns, shifted)
+    missed = (end - state - shift(whole, d)) / units
     fit, none = Fit(motion, pieces, units), np.zeros((0, d))
     scaled = in_extents(fit.transitions, units)
-    found = closes((end - state - apart) / units, scaled, states / units, _reach(motion, pieces, scaled, units))
+    found = closes(missed, scaled, states / units, _reach(motion, pieces, scaled, units))
     loop = Tour(found, scaled, none, none, False, units, np.eye(d))
     times, kept = _sampled(motion, pieces, shares)
     return ControlledEvidence(
-        times=times, states=kept, extents=units, tour=loop, closure=float(np.abs(end - state - apart).max()),
+        times=times, states=kept, extents=units, tour=loop, closure=gap(state, end, whole),
         action=float(pieces[-1][-1, -1]), energy=level, floquet=analyse(loop.map(), conservative=False),
         nodes=np.vstack([piece[:1, :d] for piece in pieces]),
-        second=float(np.abs((other - state - apart) / units).max()), fit=fit, events=tuple(_events(motion, pieces)),
+        second=gap(state, other, whole, units), fit=fit, events=tuple(_events(motion, pieces)),
         shift=shifted, symmetry=_off_symmetry(motion, pieces, units), held=tuple(_held(motion, pieces)),
-        off=0.0 if shown is None else _off_motion(motion, pieces, *shown, units),
+        off=0.0 if shown is None else off_motion(_paths(motion, pieces), *shown, units, period, thinned=True),
         unseen=_unseen(motion, traces, units),
     )  # fmt: skip
 
@@ -375,73 +372,52 @@ def _unseen(motion: _Motion, traces: list[Trace], units: np.ndarray) -> tuple[fl
     in extents and segments."""
     changed, widest, looks = 0.0, 0.0, max(LOOKS, MOST_LOOKS // sum(len(one.moments) for one in traces))
     for k, trace in enumerate(traces):
-        function = motion.forward[motion.parts.arc(k)].function
-        given, rest = motion.given(k, motion.duration(k)), np.zeros(function.size1_in(1) - units.size)
+        many, rest = rates_of(motion.at(motion.forward, k))[0], trace.states.shape[1] - units.size
 
-        def rates(
-            moments: np.ndarray, rows: np.ndarray, function: ca.Function = function, given: np.ndarray = given,
-            rest: np.ndarray = rest,
-        ) -> np.ndarray:  # fmt: skip
-            whole = np.hstack([rows * units, np.tile(rest, (len(rows), 1))])
-            return np.asarray(function(moments[None], whole.T, given).full().T[:, : units.size] / units)
+        def rates(moments: np.ndarray, rows: np.ndarray, many: Rates = many, rest: int = rest) -> np.ndarray:
+            return many(moments, np.hstack([rows * units, np.zeros((len(rows), rest))]))[:, : units.size] / units
 
         found, width, _ = overlooked(Trace(trace.moments, trace.states[:, : units.size] / units, rates, True), looks)
         changed, widest = changed + found, max(widest, width)
     return changed, widest
 
 
-def _direction(model: Model, name: str) -> np.ndarray:
-    return np.asarray(shifts_of(model)[name].direction, float)
-
-
 def _sampled(motion: _Motion, pieces: list[np.ndarray], shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Times and states of a picture: instants where segments meet once, those of events twice."""
-    began, times, states = 0.0, [], []
-    for k, piece in enumerate(pieces):
-        h = motion.duration(k)
+    times, states = [], []
+    for k, (began, h, _) in enumerate(_paths(motion, pieces)):
         chosen = slice(0, None if k == len(pieces) - 1 or motion.event(k) is not None else -1)
         times.append(began + h * shares[chosen])
-        states.append(piece[chosen, : motion.parts.size])
-        began += h
+        states.append(pieces[k][chosen, : motion.parts.size])
     found = np.concatenate(times)
     found[-1] = motion.period
     return found, np.vstack(states)
 
 
-def _off_motion(
-    motion: _Motion, pieces: list[np.ndarray], times: np.ndarray, samples: np.ndarray, units: np.ndarray
-) -> float:
-    """How far recorded samples (k x d) are off the motion at their times (k), in units; infinite if they are none."""
-    edge, began, far = TIED * motion.period, 0.0, np.full(times.size, np.inf)
-    if samples.shape != (times.size, units.size) or times.size < 2 or not np.all(np.diff(times) >= 0):
-        return float("inf")
-    if times[0] != 0.0 or not -edge <= motion.period - times[-1] <= np.diff(times).max():  # thinned, the last may lack
-        return float("inf")
-    for k, piece in enumerate(pieces):
-        h = motion.duration(k)
-        own = (times >= began - edge) & (times <= began + h + edge)
-        shares = np.clip((times[own] - began) / h, 0.0, 1.0)
-        moments = np.unique(np.append(shares, 0.0))
-        field = motion.forward[motion.parts.arc(k)].at(motion.given(k, h))
-        states = integrate(field, piece[0], moments, TIGHTEST, 0.25)
-        off = np.abs((states[np.searchsorted(moments, shares), : units.size] - samples[own]) / units).max(axis=1)
-        far[own], began = np.fmin(far[own], off), began + h
-    return float(far.max())
+def _paths(motion: _Motion, pieces: list[np.ndarray]) -> Iterator[tuple[float, float, Path]]:
+    """When each segment begins, how long it lasts (s), its states at times since."""
+    lasts = [motion.duration(k) for k in range(len(pieces))]
+    for k, (begin, h) in enumerate(zip(np.cumsum([0.0, *lasts]), lasts, strict=False)):
+        yield begin, h, partial(_path, motion, k, pieces[k][0])
+
+
+def _path(motion: _Motion, k: int, start: np.ndarray, since: np.ndarray) -> np.ndarray:
+    """States of a segment at times (s) since its start."""
+    field = motion.at(motion.forward, k)
+    return integrate(field, start, since / motion.duration(k), TIGHTEST, 0.25)[:, : motion.parts.size]
 
 
 def _events(motion: _Motion, pieces: list[np.ndarray]) -> Any:
     """(name, miss of the guard in periods, how early another crossing comes) of each event of a hybrid motion."""
     d, arc_began = motion.parts.size, 0
     for k, piece in enumerate(pieces):
-        one = motion.event(k)
+        one, p = motion.event(k), motion.parts.model.parameter_values
         if one is None:
             continue
-        p = motion.parts.model.parameter_values
-        guard = np.array([float(one.guard(x, p)) for part in pieces[arc_began : k + 1] for x in part[:, :d]])
+        rows = np.vstack([part[:, :d] for part in pieces[arc_began : k + 1]])
+        guard = np.array([float(one.guard(x, p)) for x in rows])
         rate = (guard[-1] - guard[-2]) * (len(piece) - 1) / motion.duration(k)
-        allowed = np.ones(guard.size)
-        if one.allowed is not None:
-            allowed = np.array([float(one.allowed(x, p)) for part in pieces[arc_began : k + 1] for x in part[:, :d]])
+        allowed = np.array([1.0 if one.allowed is None else float(one.allowed(x, p)) for x in rows])
         away = -guard[:-1] * one.direction > NEAR * float(np.ptp(guard))  # at its beginning an arc is at its guard
         crossed = away & (guard[1:] * one.direction >= 0) & (allowed[1:] > 0)
         early = float(np.sum(crossed[: -len(piece) // 2]))
@@ -459,7 +435,7 @@ def _reach(motion: _Motion, pieces: list[np.ndarray], transitions: list[np.ndarr
     for k in reversed(range(len(pieces))):
         carried = carried @ transitions[k]
         x, u = pieces[k][0, : units.size], motion.control(k, np.array([0.0]))[0]
-        by_u = motion.hessian[motion.parts.arc(k)](x, u, motion.free)[2].full() / units[:, None]
+        by_u = motion.instant(k, x, u)[2] / units[:, None]
         strength = np.abs(by_u).max(axis=0)
         columns.append(carried @ by_u[:, strength > 0] / strength[strength > 0] / len(pieces))
     return np.hstack(columns)
@@ -540,13 +516,10 @@ class Fit:
         self.names.append(name)
         self.signs.append(sign)
 
-    def _arc(self, segment: int) -> int:
-        return self.parts.arc(segment)
-
     def _place(self, segment: int, j: int) -> tuple[float, np.ndarray, np.ndarray]:
         """(share, x, given) after step j of a segment."""
         share = j / self.parts.steps
-        given = self.motion.given(segment, 0.0)[:-1]
+        given = self.motion.given(segment)
         return share, self.pieces[segment][j * SAMPLES, : self.parts.size], given
 
     def _watched(self, tasks: tuple[Task, ...], arc: int) -> ca.Function:
@@ -566,7 +539,7 @@ class Fit:
 
     def _side(self, one: Task, number: int) -> int:
         segment, _ = self.parts.moments[number]
-        function = self._watched((one,), self._arc(segment))
+        function = self._watched((one,), self.parts.arc(segment))
         share, x, given = self._place(segment, 0)
         value = function(share, x, given, self.motion.period)[0].full().ravel()
         size = self._range(one)
@@ -576,7 +549,7 @@ class Fit:
     def _range(self, one: Task) -> float:
         """How much an expression varies over the nodes of the motion."""
         functions = [self._watched((one,), arc) for arc in range(max(self.parts.basis.arcs, 1))]
-        found = [float(functions[self._arc(k)](*self._place(k, 0), self.motion.period)[0])
+        found = [float(functions[self.parts.arc(k)](*self._place(k, 0), self.motion.period)[0])
                  for k in range(self.parts.basis.intervals)]  # fmt: skip
         return nonzero(float(np.ptp(found)))
 
@@ -599,8 +572,8 @@ class Fit:
         values = []
         functions = [self.parts.watched(k, parts.always) for k in range(max(parts.basis.arcs, 1))]
         for segment in range(self.motion.whole.intervals):
-            piece, function = self.pieces[segment], functions[self._arc(segment)]
-            given = self.motion.given(segment, 0.0)[:-1]
+            piece, function = self.pieces[segment], functions[self.parts.arc(segment)]
+            given = self.motion.given(segment)
             s = np.zeros(function.size1_in(2))
             many = function.map(len(shares))
             values.append(np.asarray(many(shares[None], piece[:, : parts.size].T, np.tile(s[:, None], (1, len(shares))),
@@ -672,7 +645,7 @@ class Fit:
             for where, one in parts.moments:
                 if where == segment:
                     column = self.place[f"task {one.expression} at {one.at}"]
-                    self._pushed(costate, column, (segment, 0), self._watched((one,), self._arc(segment)), 0)
+                    self._pushed(costate, column, (segment, 0), self._watched((one,), self.parts.arc(segment)), 0)
         self.costates.reverse()
         self._monodromies(transitions[::-1])
         self._solve(costate)
@@ -682,14 +655,14 @@ class Fit:
     ) -> tuple[np.ndarray, np.ndarray]:
         """The state-transition matrix of a segment, and the costate where it begins; gradients are added up."""
         parts, motion, d = self.parts, self.motion, self.parts.size
-        arc, h, total, picked = self._arc(segment), motion.duration(segment), np.eye(d), self._picked(segment)
+        arc, h, total, picked = self.parts.arc(segment), motion.duration(segment), np.eye(d), self._picked(segment)
         for j in reversed(range(parts.steps + 1)):
             for number, (where, step, task, _) in enumerate(self.active):
                 if (where, step) == (segment, j):
                     self._pushed(costate, self.first_active + number, (segment, j), always[arc], task)
             if j == 0:
                 break
-            piece = self._back(segment, arc, j, h)
+            piece = self._back(segment, j)
             grown = [one[:, :d] @ costate + one[:, d:] @ self.weights for one in piece]
             costate, by_c, by_free, by_h = grown
             np.add.at(self.by_c, picked, by_c)
@@ -726,17 +699,18 @@ class Fit:
         else:
             self.by_free[first:] -= by_h * slope
 
+    def _slopes(self, event: Any, segment: int) -> tuple[np.ndarray, ...]:
+        """Derivatives of the reset by state and freed parameters, and those of the guard, where a segment ends."""
+        state, free = ca.MX.sym("x", self.parts.size), ca.MX.sym("free", len(self.parts.free))
+        p = self.parts.model.parameters(self.parts.free, free)
+        values = event.reset(state, p), event.guard(state, p)
+        rows = [ca.densify(ca.jacobian(value, by)) for value in values for by in (state, free)]
+        x = self.pieces[segment][-1, : self.parts.size]
+        return tuple(one.full() for one in ca.Function("event", [state, free], rows)(x, self.motion.free))
+
     def _through(self, event: Any, segment: int, costate: np.ndarray) -> np.ndarray:
         """The costate before an event from that after it."""
-        x = self.pieces[segment][-1, : self.parts.size]
-        model = self.parts.model
-        state, free = ca.MX.sym("x", x.size), ca.MX.sym("free", len(self.parts.free))
-        p = model.parameters(self.parts.free, free)
-        after, guard = event.reset(state, p), event.guard(state, p)
-        rows = [ca.densify(ca.jacobian(value, by)) for value in (after, guard) for by in (state, free)]
-        by_x, by_p, guard_x, guard_p = (
-            one.full() for one in ca.Function("event", [state, free], rows)(x, self.motion.free)
-        )
+        by_x, by_p, guard_x, guard_p = self._slopes(event, segment)
         column = self.place[f"event {event.name} {segment}"]
         self.by_free += by_p.T @ costate
         before = by_x.T @ costate
@@ -744,7 +718,7 @@ class Fit:
         self.by_free[:, column] += guard_p.ravel()
         return np.asarray(before)
 
-    def _back(self, segment: int, arc: int, j: int, h: float) -> list[np.ndarray]:
+    def _back(self, segment: int, j: int) -> list[np.ndarray]:
         """Costates (d x r), gradients by local coefficients, freed parameters and h over step j of a segment."""
         parts = self.parts
         d, r = parts.size, parts.size + self.motion.count
@@ -752,7 +726,7 @@ class Fit:
         start = np.zeros(d + sum(counts) * r)
         start[:d] = self.pieces[segment][j * SAMPLES, :d]
         start[d : d + d * r] = np.eye(d, r).ravel("F")
-        field = self.motion.backward[arc].at(self.motion.given(segment, h))
+        field = self.motion.at(self.motion.backward, segment)
         span = 1.0 - np.array([j, j - 1]) / parts.steps
         end = integrate(field, start, span, VARIED)[-1]
         found, at = [], d
@@ -775,14 +749,9 @@ class Fit:
 
     def _saltated(self, event: Any, segment: int) -> np.ndarray:
         """DR (1 - f grad g / (grad g . f)): the clock of the control begins again with each arc."""
-        x, model = self.pieces[segment][-1, : self.parts.size], self.parts.model
-        state = ca.MX.sym("x", x.size)
-        after = event.reset(state, ca.DM(model.parameter_values))
-        guard = event.guard(state, ca.DM(model.parameter_values))
-        rows = ca.Function("event", [state], [ca.densify(ca.jacobian(one, state)) for one in (after, guard)])(x)
-        by_x, slope = (one.full() for one in rows)
+        x, (by_x, _, slope, _) = self.pieces[segment][-1, : self.parts.size], self._slopes(event, segment)
         u = self.motion.control(segment, np.array([1.0]))[0]
-        rate = self.motion.hessian[self._arc(segment)](x, u, self.motion.free)[0].full()
+        rate = self.motion.instant(segment, x, u)[0]
         return np.asarray(by_x @ (np.eye(x.size) - rate @ slope / (slope @ rate).item()))
 
     def _solve(self, costate: np.ndarray) -> None:
@@ -843,10 +812,10 @@ class Fit:
         found = 0.0
         for piece in self.pieces[: self.parts.basis.intervals]:
             x, u = piece[0, : self.parts.size], np.zeros(len(self.parts.model.controls))
-            _, idle, by_u, _ = (one.full() for one in self.motion.hessian[0](x, u, self.motion.free))
+            _, idle, by_u, _ = self.motion.instant(0, x, u)
             strong = np.abs(by_u / self.units[:, None]).max(axis=0)
             large = 2 * np.pi / self.motion.period / nonzero(strong)
-            costs = self.motion.hessian[0](x, np.where(strong > 0, large, 0.0), self.motion.free)[1].full()
+            costs = self.motion.instant(0, x, np.where(strong > 0, large, 0.0))[1]
             found = max(found, abs(float(costs[0, 0] - idle[0, 0])))
         return found * SMALL * (1.0 if self.parts.control.average else self.motion.period)
 
@@ -886,7 +855,7 @@ class Fit:
             costate = fraction * (matrix @ self.y)
             u = motion.control(segment, np.array([0.0]))[0]
             x = self.pieces[segment][0, : parts.size]
-            rate, costs, by_u, cost_by_u = (one.full() for one in motion.hessian[self._arc(segment)](x, u, motion.free))
+            rate, costs, by_u, cost_by_u = motion.instant(segment, x, u)
             levels.append(float(weights @ costs.ravel() + costate @ rate.ravel()))
             pieces.append(abs(float(weights @ costs.ravel())) + float(np.abs(costate * rate.ravel()).sum()))
             slopes.append(np.abs(weights @ cost_by_u + costate @ by_u).max(initial=0.0))

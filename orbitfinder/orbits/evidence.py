@@ -16,7 +16,7 @@ Lengths, momenta and the time are measured in extents of the motion, so that the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -67,8 +67,14 @@ LONGEST_PHASE = 0.15
 KNOWN = 1e-6
 """Share of a component's size below which its changes are no unit to integrate in: they are round-off, nearly"""
 HAMILTON, GIVEN = "Hamilton's equations", "the rates as given"
+TIED = 1e-9
+"""Share of the period by which times of events may differ"""
 REFLECTED = 1e-9
 """x(T/2) is this near to -x(0), in extents of the motion, where half a period stands for the whole"""
+
+
+Path = Callable[[np.ndarray], np.ndarray]
+"""Increasing times (k, s) since a piece of a motion began -> its states (k x d)"""
 
 
 @dataclass(frozen=True)
@@ -411,6 +417,31 @@ class Trajectory:
     def closes(self) -> Closure:
         """The gap in extents."""
         return self.tour.closes
+
+
+def off_motion(
+    pieces: Iterable[tuple[float, float, Path]], times: np.ndarray, samples: np.ndarray, units: np.ndarray,
+    period: float, thinned: bool = False,
+) -> float:  # fmt: skip
+    """How far recorded samples (k x d) are off a motion at their times (k, that of an event once or twice), in units.
+
+    `pieces`: when each begins, how long it lasts and its states. Infinite for what are not samples of one period, of
+    which those that are `thinned` may lack the last.
+    """
+    edge = TIED * period
+    if times.size < 2 or samples.shape != (times.size, units.size) or not np.all(np.isfinite(samples)):
+        return float("inf")
+    steps, left = np.diff(times), period - times[-1]
+    if times[0] != 0.0 or not np.all(steps >= 0) or not -edge <= left <= (steps.max() if thinned else edge):
+        return float("inf")
+    far = np.full(times.size, np.inf)
+    for begin, lasts, path in pieces:
+        own = (times >= begin - edge) & (times <= begin + lasts + edge)
+        since = np.clip(times[own] - begin, 0.0, lasts)
+        moments = np.unique(np.append(since, 0.0))
+        states = path(moments)[np.searchsorted(moments, since)]
+        far[own] = np.minimum(far[own], np.abs((states - samples[own]) / units).max(axis=1))
+    return float(far.max())
 
 
 @dataclass(frozen=True)

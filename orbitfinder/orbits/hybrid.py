@@ -6,8 +6,9 @@ automaton itself, which watches all guards and does not know where an arc should
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -35,14 +36,12 @@ from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.hybrid import Hybrid, Transition
 from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.scales import extents_of, snapped
-from orbitfinder.orbits.between import overlooked, risen
+from orbitfinder.orbits.between import Rates, overlooked, risen
 from orbitfinder.orbits.closure import closes, gap, shift
-from orbitfinder.orbits.evidence import CHECKED, ClosureCheck, Tour, Trajectory, in_extents
+from orbitfinder.orbits.evidence import CHECKED, ClosureCheck, Path, Tour, Trajectory, in_extents
 from orbitfinder.orbits.floquet import AREA, Floquet, analyse
 from orbitfinder.records.orbit import Orbit
 
-Rates = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Times and rows of states -> their rates"""
 LOOKS = 24
 """Looks at rates and guards between two samples of an arc"""
 PIECES = 4
@@ -53,8 +52,6 @@ STEPS = 16
 """Steps of the simulation in a period, at least: where nothing moves but a clock, there would be one"""
 TRIED = 24
 """States of an arc at which the equations are compared a turn further"""
-TIED = 1e-9
-"""Share of the period by which times of events may differ"""
 ROUGH = ReferenceSettings(relative_tolerance=1e-10, absolute_tolerance=1e-12)
 """Tolerances of the simulation of a guess"""
 
@@ -341,26 +338,11 @@ def _told(automaton: Automaton, mode: str, x: np.ndarray, turn: np.ndarray | flo
     return np.concatenate(parts)
 
 
-def off_motion(model: Model, arcs: Sequence[Arc], times: np.ndarray, samples: np.ndarray, units: np.ndarray) -> float:
-    """How far recorded samples (k x d) are off the motion at their times (k, that of an event once or twice), in units.
-
-    Infinite where they are not samples of one period.
-    """
-    size, period = arcs[0].states.shape[1], arcs[-1].times[-1]
-    edge = TIED * period
-    if samples.shape != (times.size, size) or not np.all(np.isfinite(samples)) or not np.all(np.diff(times) >= 0):
-        return float("inf")
-    if times.size < 2 or times[0] != 0.0 or abs(times[-1] - period) > edge:
-        return float("inf")
-    automaton, far = Automaton.about(model, arcs[0].states[0], period), np.full(times.size, np.inf)
+def paths(model: Model, arcs: Sequence[Arc]) -> Iterator[tuple[float, float, Path]]:
+    """When each arc begins, how long it lasts (s), its states at times since."""
+    automaton = Automaton.about(model, arcs[0].states[0], float(arcs[-1].times[-1]))
     for arc in arcs:
-        own = (times >= arc.times[0] - edge) & (times <= arc.times[-1] + edge)
-        within = np.clip(times[own] - arc.times[0], 0.0, arc.duration)
-        moments = np.unique(np.append(within, 0.0))
-        places = np.searchsorted(moments, within)
-        states = automaton.path(arc.mode, arc.states[0], moments)[places]
-        far[own] = np.minimum(far[own], np.abs((states - samples[own]) / units).max(axis=1))
-    return float(far.max())
+        yield float(arc.times[0]), arc.duration, partial(automaton.path, arc.mode, arc.states[0])
 
 
 class HybridCheck(ClosureCheck):
