@@ -203,39 +203,24 @@ def _model_of(orbit: Orbit, model: Model | None) -> Model:
     return as_recorded(model or build_model(orbit.system), orbit.system)
 
 
-@dataclass(frozen=True)
 class _Trial:
     """A record beside the motion that was recomputed, by whatever kind of integrator, and the checks of every kind.
 
-    `turns` (n) are whole, `second` is the closure at a second tolerance.
+    `turns` (n) are whole, `second` is the closure at a second tolerance; tolerances of closure and its kin are
+    multiplied by `scale`, `asked` is the closure that is asked for, by the record if that is smaller, `room` what
+    numbers may be off that follow from the whole motion.
     """
 
-    orbit: Orbit
-    model: Model
-    turns: np.ndarray
-    allowed: Tolerances
-    seen: Trajectory
-    second: float
-
-    @property
-    def scale(self) -> float:
-        """What tolerances of closure and its kin are multiplied by."""
-        return min(self.seen.closes.amplification, LARGEST_SCALE)
-
-    @property
-    def asked(self) -> float:
-        """The closure that is asked for, by the record if that is smaller."""
-        return min(self.orbit.tolerance, self.allowed.closure)
-
-    @property
-    def room(self) -> float:
-        """What numbers of a record may be off that follow from the whole motion."""
-        return self.allowed.record + 10 * self.seen.closes.gap
-
-    @property
-    def size(self) -> float:
-        """The largest of the extents."""
-        return float(self.seen.extents.max())
+    def __init__(
+        self, orbit: Orbit, model: Model, turns: np.ndarray, allowed: Tolerances, seen: Trajectory, second: float
+    ) -> None:
+        self.orbit, self.model, self.turns, self.allowed, self.seen, self.second = (
+            orbit, model, turns, allowed, seen, second
+        )  # fmt: skip
+        self.gap = seen.closes.gap
+        self.scale = min(seen.closes.amplification, LARGEST_SCALE)
+        self.asked = min(orbit.tolerance, allowed.closure)
+        self.room = allowed.record + 10 * self.gap
 
     def closing(self, note: str = "", of: str = "orbit, in extents of the motion") -> Iterator[Check]:
         """The gap of the worst part of the state, by its own A; how near the true orbit is; another tolerance."""
@@ -246,10 +231,6 @@ class _Trial:
         tolerance = self.allowed.second_closure * self.scale
         yield at_most("second_closure", self.second, tolerance, "DOP853 at a second tolerance")
 
-    def drift(self, name: str, value: float, note: str) -> Check:
-        """What the energy is off along the motion, which it may be by the gap."""
-        return at_most(name, value, self.allowed.energy_drift + self.seen.closes.gap, note)
-
     def moving(self, note: str = "extent of the motion") -> Check:
         """Extent of the coordinates, of angles or of others, relative to their size."""
         places, angular = self.seen.states[:, : self.model.degrees_of_freedom], self.model.angular
@@ -259,7 +240,7 @@ class _Trial:
 
     def apart(self, name: str, least: float, note: str) -> Check:
         """What comes back early is farther away than what must be told apart, and than the gap."""
-        return at_least(name, least, max(self.allowed.cover, TOLD_APART * self.seen.closes.gap), note)
+        return at_least(name, least, max(self.allowed.cover, TOLD_APART * self.gap), note)
 
     def unfolding(self, room: float, note: str = "back at 0, per period", always: bool = False) -> Check | None:
         """The unfolding parameters, where there are any."""
@@ -278,9 +259,9 @@ class _Trial:
 
     def linear(self, room: float) -> Iterator[Check]:
         """The recorded closure, multipliers and stability."""
-        off, held = abs(self.orbit.closure - self.seen.closure) / self.size, self.asked
+        off, held = abs(self.orbit.closure - self.seen.closure) / float(self.seen.extents.max()), self.asked
         if isinstance(self.orbit, FamilyPoint):  # relative, and by an integration that stops where it is enough
-            off, held = abs(self.orbit.closure - self.seen.closes.gap), self.orbit.tolerance
+            off, held = abs(self.orbit.closure - self.gap), self.orbit.tolerance
         yield at_most("recorded_closure", off, held * self.scale, RECORDED)
         yield at_most("floquet_multipliers", _multiplier_distance(self.orbit, self.seen.floquet), room, "relative")
         yield same("stability", self.orbit.stability, self.seen.floquet.stability)
@@ -290,12 +271,10 @@ class _Trial:
         claimed = self.orbit.record
         return None if claimed is None else same("record", claimed, digest(orbit_to_document(self.orbit)))
 
-    def shown(
-        self, name: str, off: float, share: float, growth: float, note: str = "off the recomputed motion"
-    ) -> Check:
+    def shown(self, name: str, off: float, share: float, growth: float) -> Check:
         """Recorded states lie on the motion, to a share of its extents or as well as errors of the state allow."""
         room = min(max(share, 1e-12 * growth), LARGEST_PICTURE)
-        return at_most(name, off if np.isfinite(off) else np.inf, room, note)
+        return at_most(name, off if np.isfinite(off) else np.inf, room, "off the recomputed motion")
 
     def windings(self, off: Callable[[np.ndarray], float], note: str) -> Iterator[Check]:
         """A coordinate that turns is an angle, and all is the same where all have turned as they do in some periods."""
@@ -319,14 +298,21 @@ def _smooth_checks(trial: _Trial, seen: Evidence) -> Iterator[Check | None]:
     passing = ROUND_OFF * EPSILON * min(seen.growth, LARGEST_GROWTH)
     taken = ROUND_OFF * EPSILON * min(seen.varied / seen.norm, LARGEST_SCALE**2)
     kept = max(allowed.trivial, passing, taken)
-    near = _Nearby(model, seen.times, seen.states, seen.extents)
+    near, moving = _Nearby(model, seen), "" if orbit.shift else reduction(model, orbit)
     yield from trial.closing(f"DOP853 on {seen.formulation}; ")
-    yield trial.drift("energy_drift", seen.drift, "relative to the energy exchanged") if model.conservative else None
+    if model.conservative:
+        yield at_most("energy_drift", seen.drift, allowed.energy_drift + gap, "relative to the energy exchanged")
     yield _forcing_check(orbit, model)
-    yield from _premises(trial, near)
+    yield near.time_dependence()
+    if model.forced:  # where nothing else tries the variations: no flow is kept
+        yield near.smooth()
+    turning = f"equations of motion with {{}} {TURNS[0]} to {TURNS[-1]} times on"
+    yield from trial.windings(near.turned_further, turning)
+    yield from near.shifts(orbit.shift)
+    yield from near.invariants()
     yield _minimal_period(trial, near, seen)
     yield _resolution(seen)
-    yield trial.moving(_moving(model, orbit))
+    yield trial.moving("extent of the motion" + (f"; a {moving}" if moving else ""))
     if model.invariants or not model.forced:
         yield at_most("trivial_multipliers", seen.tour.trivial, kept, "flow and gradients are kept")
     if model.canonical:
@@ -352,8 +338,8 @@ def _hybrid_checks(trial: _Trial, seen: HybridEvidence) -> Iterator[Check | None
                 f"as simulated by DOP853, all guards watched: {', '.join(events)}{ignored}")  # fmt: skip
     yield from trial.closing()
     yield at_most("recorded_period", lasted, trial.asked * trial.scale, "time of the last event / recorded period - 1")
-    yield trial.drift("energy_drift", seen.drift, "in arcs without forces")
-    yield trial.drift("energy_balance", seen.balance, "energy lost in impacts")
+    yield at_most("energy_drift", seen.drift, allowed.energy_drift + gap, "in arcs without forces")
+    yield at_most("energy_balance", seen.balance, allowed.energy_drift + gap, "energy lost in impacts")
     yield _minimal_cycle(trial, seen.arcs)
     yield trial.moving()
     yield _hybrid_resolution(model, seen)
@@ -511,12 +497,6 @@ def _constraint_checks(trial: _Trial) -> Iterator[Check]:
     yield at_most("native_closure", returned, trial.allowed.native_closure * trial.scale, "IDAS on the native DAE")
 
 
-def _moving(model: Model, orbit: Orbit) -> str:
-    """The note of what moves."""
-    more = "" if orbit.shift else reduction(model, orbit)
-    return "extent of the motion" + (f"; a {more}" if more else "")
-
-
 def _forcing_check(orbit: Orbit, model: Model) -> Check | None:
     """The period of a forced motion is a whole multiple of the forcing's."""
     if model.forcing_period is None:
@@ -595,7 +575,7 @@ def _record_checks(trial: _Trial, seen: Evidence, multipliers: float) -> Iterato
         yield at_most("pair_defect", defect, pairs, "reciprocal pairs, as recorded and as found")
     if orbit.shift:
         there = shift_along(model, orbit.shift, seen.states[0], seen.states[-1], trial.turns)
-        off = max(abs(there[name] - by) for name, by in orbit.shift.items()) / trial.size
+        off = max(abs(there[name] - by) for name, by in orbit.shift.items()) / float(seen.extents.max())
         held = orbit.tolerance if isinstance(orbit, FamilyPoint) else trial.asked
         yield at_most("shift", off, held * trial.scale, "recorded - recomputed, in extents of the motion")
     yield trial.record()
@@ -656,31 +636,21 @@ def _expected_checks(orbit: Orbit, model: Model) -> list[Check]:
     return checks
 
 
-def _premises(trial: _Trial, near: _Nearby) -> Iterator[Check]:
-    """What a certificate would otherwise take on trust: that the system is what its description says.
-
-    A period declared for the forcing, the absence of time, angles that turn, cyclic coordinates and invariants are
-    tried on the equations themselves, at seeded states about the motion.
-    """
-    yield near.time_dependence()
-    if near.model.forced:  # where nothing else tries the variations: no flow is kept
-        yield near.smooth()
-    note = f"equations of motion with {{}} {TURNS[0]} to {TURNS[-1]} times on"
-    yield from trial.windings(near.turned_further, note)
-    yield from near.shifts(trial.orbit.shift)
-    yield from near.invariants()
-
-
 class _Nearby:
-    """Seeded moments and states about a motion, and the accelerations (rates of first order) there in extents."""
+    """Seeded moments and states about a motion, and the accelerations (rates of first order) there in extents.
 
-    def __init__(self, model: Model, times: np.ndarray, states: np.ndarray, units: np.ndarray) -> None:
-        random = np.random.default_rng(0)
-        self.model, self.period, self.many = model, float(times[-1]), rates_of(vector_field(accelerations(model)))[0]
-        self.times, self.along, self.units = times, states, units
-        self.rows = states[random.integers(0, len(states), TRIED)]
+    What a certificate would otherwise take on trust, that the system is what its description says, is tried on the
+    equations themselves: a period declared for the forcing, the absence of time, angles that turn, cyclic coordinates,
+    invariants.
+    """
+
+    def __init__(self, model: Model, seen: Trajectory) -> None:
+        random, period = np.random.default_rng(0), float(seen.times[-1])
+        self.model, self.period, self.many = model, period, rates_of(vector_field(accelerations(model)))[0]
+        self.times, self.along, self.units = seen.times, seen.states, seen.extents
+        self.rows = self.along[random.integers(0, len(self.along), TRIED)]
         if model.constraint is None:  # off the constraints a motion has no meaning
-            self.rows = self.rows + 0.1 * units * random.normal(size=self.rows.shape)
+            self.rows = self.rows + 0.1 * self.units * random.normal(size=self.rows.shape)
         self.moments = np.append(0.0, random.uniform(0.0, self.period, TRIED - 1))
 
     def _accelerations(self, moments: np.ndarray, rows: np.ndarray) -> np.ndarray:

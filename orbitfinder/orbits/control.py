@@ -531,10 +531,10 @@ class Fit:
         rows = [value, *(ca.jacobian(value, by) for by in (x, given, period))]
         return ca.Function("tasks", [share, x, given, period], [ca.densify(one) for one in rows])
 
-    def _violated(self, name: str, value: np.ndarray, one: Task, size: float = 0.0) -> None:
-        bounds = [abs(bound) for bound in (one.low, one.high) if np.isfinite(bound)]
+    def _violated(self, name: str, value: np.ndarray, low: float, high: float, size: float = 0.0) -> None:
+        bounds = [abs(bound) for bound in (low, high) if np.isfinite(bound)]
         size = nonzero(max(*bounds, size, float(np.ptp(value))))
-        worst = float(np.maximum(one.low - value, value - one.high).max()) / size
+        worst = float(np.maximum(low - value, value - high).max()) / size
         self.violations[name] = max(self.violations.get(name, 0.0), worst)
 
     def _side(self, one: Task, number: int) -> int:
@@ -543,7 +543,7 @@ class Fit:
         share, x, given = self._place(segment, 0)
         value = function(share, x, given, self.motion.period)[0].full().ravel()
         size = self._range(one)
-        self._violated(f"{one.expression} at {one.at:g}", value, one, size)
+        self._violated(f"{one.expression} at {one.at:g}", value, one.low, one.high, size)
         return _side_of(one, float(value[0]), size)
 
     def _range(self, one: Task) -> float:
@@ -555,7 +555,7 @@ class Fit:
 
     def _mean_side(self, one: Task, number: int) -> int:
         total = self._integral(1 + number) / self.motion.period
-        self._violated(f"mean {one.expression}", np.array([total]), one, self._range(one))
+        self._violated(f"mean {one.expression}", np.array([total]), one.low, one.high, self._range(one))
         return _side_of(one, total, self._range(one))
 
     def _integral(self, number: int) -> float:
@@ -574,14 +574,11 @@ class Fit:
         for segment in range(self.motion.whole.intervals):
             piece, function = self.pieces[segment], functions[self.parts.arc(segment)]
             given = self.motion.given(segment)
-            s = np.zeros(function.size1_in(2))
-            many = function.map(len(shares))
-            values.append(np.asarray(many(shares[None], piece[:, : parts.size].T, np.tile(s[:, None], (1, len(shares))),
-                                          np.tile(given[:, None], (1, len(shares))),
-                                          np.full((1, len(shares)), self.motion.period)).full()).T)  # fmt: skip
+            x, s = piece[:, : parts.size].T, np.zeros(function.size1_in(2))
+            values.append(function(shares[None], x, s, given, self.motion.period).full().T)
         everything = np.vstack(values)
         for task, one in enumerate(parts.always):
-            self._violated(f"{one.expression} always", everything[:, task], one)
+            self._violated(f"{one.expression} always", everything[:, task], one.low, one.high)
             size = nonzero(np.ptp(everything[:, task]))
             for segment in range(parts.basis.intervals):
                 for j in range(parts.steps + 1):
@@ -597,9 +594,7 @@ class Fit:
         for i, name in enumerate(self.parts.model.controls):
             low, high = self.parts.model.limits.get(name, (-np.inf, np.inf))
             if np.isfinite(low) or np.isfinite(high):
-                self._violated(f"{name} within limits", driven[:, i], Task(
-                    name, "always", lowest=low if np.isfinite(low) else None,
-                    highest=high if np.isfinite(high) else None))  # fmt: skip
+                self._violated(f"{name} within limits", driven[:, i], low, high)
 
     def _bounded(self) -> list[tuple[int, int, int]]:
         """(control, free coefficient, side) of coefficients at a limit."""
