@@ -39,7 +39,7 @@ from orbitfinder.integrate.dop853 import (
     vector_field,
 )
 from orbitfinder.loops.control import Basis, Control, Task
-from orbitfinder.loops.controlled import Arrangement, Program, Solution, arranged, optimum
+from orbitfinder.loops.controlled import Program, Solution, arranged, optimum
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.problem import Problem
 from orbitfinder.loops.symmetry import named, related, turned
@@ -64,22 +64,6 @@ SMALL = 1e-9
 IPOPT_TOLERANCE = 1e-10
 NEAR = 1e-9
 """A guard is at 0 to this, relative to its range along an arc"""
-
-
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """What a record says was asked: the arrangement over the horizon and over the period, coefficients, pins, normals.
-
-    `pinned` are components of the state at t = 0, `period_free` says whether the period was free; `held` are freed
-    parameters (and "period") that stand at an end of their range, -1 or 1.
-    """
-
-    parts: Arrangement
-    coefficients: np.ndarray
-    pinned: tuple[int, ...]
-    normals: np.ndarray
-    period_free: bool
-    held: Mapping[str, int]
 
 
 @dataclass(frozen=True)
@@ -162,18 +146,6 @@ def _entry(problem: Problem, program: Program, solution: Solution, values: Mappi
     }  # fmt: skip
 
 
-def control_of(entry: Mapping[str, Any]) -> Control:
-    """The Control that a record's entry describes. Raises `InputError`."""
-    try:
-        tasks = tuple(Task(**one) for one in entry["tasks"])
-        return Control(
-            entry["cost_of"], entry["shape"], int(entry["intervals"]), int(entry["harmonics"]), bool(entry["average"]),
-            str(entry["final"]), tasks, entry["method"], numbers=dict(entry.get("numbers", {})),
-        )  # fmt: skip
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"control: malformed entry ({error}); run the problem again") from error
-
-
 def _held_at(values: Mapping[str, float], bounds: Mapping[str, Any]) -> dict[str, int]:
     """Which of the freed numbers stand at the low (-1) or high (1) end of their range."""
     found = {}
@@ -185,36 +157,39 @@ def _held_at(values: Mapping[str, float], bounds: Mapping[str, Any]) -> dict[str
     return found
 
 
-def plan_of(
-    model: Model, entry: Mapping[str, Any], symmetry: str, relative: tuple[str, ...], period: float
-) -> tuple[Model, Plan]:
-    """The model at what its record says, and what was asked of it. Raises `InputError`."""
-    control = control_of(entry)
-    try:
-        names, values = tuple(entry["names"]), np.array(entry["coefficients"], float)
-        model = actuated(replace(model, controls=names, limits={k: tuple(v) for k, v in entry["limits"].items()}))
-        if entry["shares"]:
-            model = with_parameters(model, entry["shares"])
-        boundary = related(named(symmetry, model), model, relative)
-        parts = arranged(model, boundary, tuple(entry["free"]), control, int(entry["points"]))
-        state = [model.state_names.index(name) for name in entry["pins"] if name in model.state_names]
-        normals = np.array(entry["normals"], float).reshape(-1, len(model.state_names))
-        free = {name: float(model.parameter_values[model.parameter_index(name)]) for name in entry["free"]}
-        held = _held_at(free | {"period": period}, entry["bounds"])
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"control: malformed entry ({error}); run the problem again") from error
-    if values.shape != (len(names), parts.basis.whole) or not np.all(np.isfinite(values)):
-        raise InputError(f"control.coefficients: {values.shape} numbers; {len(names)} x {parts.basis.whole} are needed")
-    return model, Plan(parts, values, tuple(state), normals, "period" not in entry["pins"], held)
-
-
 class _Motion:
-    """The motion of a plan and its costate, integrated by DOP853."""
+    """The motion that a record states and its costate, integrated by DOP853.
 
-    def __init__(self, plan: Plan, period: float) -> None:
-        self.plan, self.parts, self.period = plan, plan.parts, period
-        self.free = np.array([self.parts.model.parameter_values[self.parts.model.parameter_index(name)]
-                              for name in self.parts.free])  # fmt: skip
+    `parts` is the arrangement over the horizon, `whole` the basis over the period; `pinned` are components of the state
+    at t = 0, `period_free` says whether the period was free; `held` are freed parameters (and "period") at an end of
+    their range, -1 or 1. Raises `InputError` for what is no record.
+    """
+
+    def __init__(
+        self, model: Model, entry: Mapping[str, Any], symmetry: str, relative: tuple[str, ...], period: float
+    ) -> None:
+        try:
+            control = Control(
+                entry["cost_of"], entry["shape"], int(entry["intervals"]), int(entry["harmonics"]),
+                bool(entry["average"]), str(entry["final"]), tuple(Task(**one) for one in entry["tasks"]),
+                entry["method"], numbers=dict(entry.get("numbers", {})),
+            )  # fmt: skip
+            names, self.coefficients = tuple(entry["names"]), np.array(entry["coefficients"], float)
+            limits = {name: tuple(pair) for name, pair in entry["limits"].items()}
+            model = with_parameters(actuated(replace(model, controls=names, limits=limits)), entry["shares"])
+            boundary = related(named(symmetry, model), model, relative)
+            self.parts = arranged(model, boundary, tuple(entry["free"]), control, int(entry["points"]))
+            self.pinned = [model.state_names.index(name) for name in entry["pins"] if name in model.state_names]
+            self.normals = np.array(entry["normals"], float).reshape(-1, len(model.state_names))
+            self.free = np.array([model.parameter_values[model.parameter_index(one)] for one in self.parts.free])
+            free = {name: float(model.parameter_values[model.parameter_index(name)]) for name in entry["free"]}
+            self.held = _held_at(free | {"period": period}, entry["bounds"])
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise InputError(f"control: malformed entry ({error}); run the problem again") from error
+        self.model, self.period, self.period_free = model, period, "period" not in entry["pins"]
+        found, wanted = self.coefficients.shape, (len(names), self.parts.basis.whole)
+        if found != wanted or not np.all(np.isfinite(self.coefficients)):
+            raise InputError(f"control.coefficients: {found} numbers; {wanted[0]} x {wanted[1]} are needed")
         basis = self.parts.basis
         self.whole = basis if not basis.signs else Basis(basis.shape, 2 * basis.intervals, basis.harmonics)
         arcs = range(max(basis.arcs, 1))
@@ -226,7 +201,7 @@ class _Motion:
 
     def given(self, segment: int, *h: float) -> np.ndarray:
         """(phase, its length, local coefficients, free, h if it is there) of a segment of the whole period."""
-        local = self.plan.coefficients[:, self.whole.picked(segment)]
+        local = self.coefficients[:, self.whole.picked(segment)]
         return np.concatenate([self._phases(segment), *local, self.free, h])
 
     def _phases(self, segment: int) -> tuple[float, float]:
@@ -305,7 +280,7 @@ class _Motion:
         """Controls (k x m) at shares of a segment of the whole period."""
         begins, length = self._phases(segment)
         weights = [[float(w) for w in self.whole.values(share, begins + share * length)] for share in shares]
-        return np.asarray(np.array(weights) @ self.plan.coefficients[:, self.whole.picked(segment)].T)
+        return np.asarray(np.array(weights) @ self.coefficients[:, self.whole.picked(segment)].T)
 
     def path(
         self, state: np.ndarray, settings: ReferenceSettings, shares: np.ndarray, traces: list[Trace] | None = None
@@ -338,10 +313,9 @@ def gather_controlled(
 ) -> ControlledEvidence:  # fmt: skip
     """The evidence of a recorded control, and of times and states that are `shown`. Raises `InputError`,
     `IntegrationError`."""
-    level, (model, plan) = energy(model, state), plan_of(model, entry, symmetry, relative, period)
-    motion = _Motion(plan, period)
-    d = plan.parts.size
-    shares = np.linspace(0.0, 1.0, SAMPLES * plan.parts.steps + 1)
+    level, motion = energy(model, state), _Motion(model, entry, symmetry, relative, period)
+    model, d = motion.model, motion.parts.size
+    shares = np.linspace(0.0, 1.0, SAMPLES * motion.parts.steps + 1)
     pieces = motion.path(state, TIGHTEST, shares, traces := list[Trace]())
     second = motion.path(state, SECOND, np.array([0.0, 1.0]))
     last = len(pieces) - 1
@@ -375,7 +349,8 @@ def _unseen(motion: _Motion, traces: list[Trace], units: np.ndarray) -> tuple[fl
         many, rest = rates_of(motion.at(motion.forward, k))[0], trace.states.shape[1] - units.size
 
         def rates(moments: np.ndarray, rows: np.ndarray, many: Rates = many, rest: int = rest) -> np.ndarray:
-            return many(moments, np.hstack([rows * units, np.zeros((len(rows), rest))]))[:, : units.size] / units
+            rest_of = np.zeros((len(rows), rest))
+            return np.asarray(many(moments, np.hstack([rows * units, rest_of]))[:, : units.size] / units)
 
         found, width, _ = overlooked(Trace(trace.moments, trace.states[:, : units.size] / units, rates, True), looks)
         changed, widest = changed + found, max(widest, width)
@@ -481,46 +456,31 @@ class Fit:
     """
 
     def __init__(self, motion: _Motion, pieces: list[np.ndarray], units: np.ndarray) -> None:
-        self.motion, self.parts, self.plan, self.pieces, self.units = motion, motion.parts, motion.plan, pieces, units
-        self.names: list[str] = []
-        self.signs: list[int] = []
+        self.motion, self.parts, self.pieces, self.units = motion, motion.parts, pieces, units
         self.violations: dict[str, float] = {}
         self.transitions: list[np.ndarray] = []
         self.first, self.last = motion.parts.symmetry.boundary(motion.parts.model.degrees_of_freedom)
-        basis, parts = self.parts.basis, self.parts
-        self.active = self._actives()
-        for k in range(len(self.first)):
-            self._unknown(f"closing {k}", 0)
-        for k in self.plan.pinned:
-            self._unknown(f"pin {parts.model.state_names[k]}", 0)
-        for k in range(len(self.plan.normals)):
-            self._unknown(f"phase {k}", 0)
-        for k, (_, one) in enumerate(parts.moments):
-            self._unknown(f"task {one.expression} at {one.at}", self._side(one, k))
-        for k, one in enumerate(parts.means):
-            self._unknown(f"mean {one.expression}", self._mean_side(one, k))
-        for segment in range(basis.intervals):
-            if (event := motion.event(segment)) is not None:
-                self._unknown(f"event {event.name} {segment}", 0)
-        self.first_active = len(self.names)
-        for segment, j, task, side in self.active:
-            self._unknown(f"limit {parts.always[task].expression} {segment}.{j}", side)
-        self.bounded = self._bounded()
-        for i, j, side in self.bounded:
-            self._unknown(f"bound {parts.model.controls[i]} {j}", side)
-        for name, side in self.plan.held.items():
-            self._unknown(f"held {name}", side)
+        parts, events = self.parts, [motion.event(k) for k in range(self.parts.basis.intervals)]
+        self.active, self.bounded = self._actives(), self._bounded()
+        signs = [
+            *((f"closing {k}", 0) for k in range(len(self.first))),
+            *((f"pin {parts.model.state_names[k]}", 0) for k in self.motion.pinned),
+            *((f"phase {k}", 0) for k in range(len(self.motion.normals))),
+            *((f"task {one.expression} at {one.at}", self._moment(one, k)) for k, one in parts.moments),
+            *((f"mean {one.expression}", self._mean(one, k)) for k, one in enumerate(parts.means, 1)),
+            *((f"event {event.name} {k}", 0) for k, event in enumerate(events) if event is not None),
+        ]
+        self.first_active = len(signs)
+        signs += [(f"limit {parts.always[task].expression} {k}.{j}", side) for k, j, task, side in self.active]
+        signs += [(f"bound {parts.model.controls[i]} {j}", side) for i, j, side in self.bounded]
+        signs += [(f"held {name}", side) for name, side in self.motion.held.items()]
+        self.names, self.signs = [name for name, _ in signs], np.array([sign for _, sign in signs], int)
         self._assemble()
-
-    def _unknown(self, name: str, sign: int) -> None:
-        self.names.append(name)
-        self.signs.append(sign)
 
     def _place(self, segment: int, j: int) -> tuple[float, np.ndarray, np.ndarray]:
         """(share, x, given) after step j of a segment."""
-        share = j / self.parts.steps
-        given = self.motion.given(segment)
-        return share, self.pieces[segment][j * SAMPLES, : self.parts.size], given
+        x = self.pieces[segment][j * SAMPLES, : self.parts.size]
+        return j / self.parts.steps, x, self.motion.given(segment)
 
     def _watched(self, tasks: tuple[Task, ...], arc: int) -> ca.Function:
         """(share, x, given, period) -> values, d/dx, d/dgiven, d/dperiod."""
@@ -537,14 +497,20 @@ class Fit:
         worst = float(np.maximum(low - value, value - high).max()) / size
         self.violations[name] = max(self.violations.get(name, 0.0), worst)
 
-    def _side(self, one: Task, number: int) -> int:
-        segment, _ = self.parts.moments[number]
-        function = self._watched((one,), self.parts.arc(segment))
-        share, x, given = self._place(segment, 0)
-        value = function(share, x, given, self.motion.period)[0].full().ravel()
+    def _side(self, name: str, one: Task, value: float) -> int:
+        """At which end of its range a task's number stands; by how much it is beyond is noted."""
         size = self._range(one)
-        self._violated(f"{one.expression} at {one.at:g}", value, one.low, one.high, size)
-        return _side_of(one, float(value[0]), size)
+        self._violated(name, np.array([value]), one.low, one.high, size)
+        return _side_of(one, value, size)
+
+    def _moment(self, one: Task, segment: int) -> int:
+        """The side of what is asked for where a segment begins."""
+        value = self._watched((one,), self.parts.arc(segment))(*self._place(segment, 0), self.motion.period)[0]
+        return self._side(f"{one.expression} at {one.at:g}", one, float(value))
+
+    def _mean(self, one: Task, number: int) -> int:
+        """The side of a mean over the period."""
+        return self._side(f"mean {one.expression}", one, self._integral(number) / self.motion.period)
 
     def _range(self, one: Task) -> float:
         """How much an expression varies over the nodes of the motion."""
@@ -552,11 +518,6 @@ class Fit:
         found = [float(functions[self.parts.arc(k)](*self._place(k, 0), self.motion.period)[0])
                  for k in range(self.parts.basis.intervals)]  # fmt: skip
         return nonzero(float(np.ptp(found)))
-
-    def _mean_side(self, one: Task, number: int) -> int:
-        total = self._integral(1 + number) / self.motion.period
-        self._violated(f"mean {one.expression}", np.array([total]), one.low, one.high, self._range(one))
-        return _side_of(one, total, self._range(one))
 
     def _integral(self, number: int) -> float:
         """An integral over the whole period."""
@@ -607,7 +568,7 @@ class Fit:
             low, high = self.parts.model.limits[name]
             size = high - low if np.isfinite(high - low) else max(abs(x) for x in (low, high) if np.isfinite(x))
             shape = self.parts.basis.free(i)
-            for j, value in enumerate(np.linalg.lstsq(shape, self.plan.coefficients[i], rcond=None)[0]):
+            for j, value in enumerate(np.linalg.lstsq(shape, self.motion.coefficients[i], rcond=None)[0]):
                 reach = shape[:, j] * value
                 if np.any(reach[shape[:, j] != 0] - low <= ACTIVE * size):
                     found.append((i, j, -1 if value - low <= ACTIVE * size else 1))
@@ -752,16 +713,16 @@ class Fit:
     def _solve(self, costate: np.ndarray) -> None:
         """The rows of all conditions, in units of cost."""
         place, by_free = self.place, self.by_free
-        parts, motion, plan = self.parts, self.motion, self.plan
+        parts, motion = self.parts, self.motion
         basis, m = parts.basis, len(parts.model.controls)
         integral = self._integral(0)
         self.cost = integral / (motion.period if parts.control.average else 1.0)
         x = self.pieces[0][0, : parts.size]
         start, period_row = costate.copy(), self.by_period.copy()
         start[:, : len(self.first)] += self.first.T
-        for k in plan.pinned:
+        for k in motion.pinned:
             start[k, place[f"pin {parts.model.state_names[k]}"]] += 1.0
-        for k, row in enumerate(plan.normals):
+        for k, row in enumerate(motion.normals):
             start[:, place[f"phase {k}"]] += row
         final, by_x, by_p, by_t = self._final(x)
         self.cost += final
@@ -771,7 +732,7 @@ class Fit:
         for k, one in enumerate(parts.means):
             period_row[place[f"mean {one.expression}"]] -= self._integral(1 + k) / motion.period**2
         rows, labels = [start * self.units[:, None]], ["costate closes"] * len(start)
-        sizes = [max(float(np.abs(row).max()), SMALL) for row in plan.coefficients]
+        sizes = [max(float(np.abs(row).max()), SMALL) for row in motion.coefficients]
         for i in range(m):
             shape = basis.free(i)
             own = shape.T @ self.by_c[i * basis.whole : (i + 1) * basis.whole]
@@ -780,14 +741,14 @@ class Fit:
                     own[j, place[f"bound {parts.model.controls[i]} {self.bounded[number][1]}"]] += 1.0
             rows.append(own * sizes[i])
             labels += [f"control {parts.model.controls[i]}"] * len(own)
-        if plan.period_free:
-            if "period" in plan.held:
+        if motion.period_free:
+            if "period" in motion.held:
                 period_row[place["held period"]] += 1.0
             rows.append(period_row[None] * motion.period)
             labels.append("period")
         for k, name in enumerate(parts.free):
             row = by_free[k] * nonzero(abs(motion.free[k]))
-            if name in plan.held:
+            if name in motion.held:
                 row[place[f"held {name}"]] += 1.0
             rows.append(row[None])
             labels.append(name)
@@ -821,7 +782,7 @@ class Fit:
         self.size = size
         widths = nonzero(np.abs(matrix).max(axis=0, initial=0.0))
         y = np.linalg.lstsq(matrix / widths, right, rcond=1e-13)[0]
-        signs = np.array(self.signs)
+        signs = self.signs
         wrong = (signs != 0) & (y * signs < -1e-9 * size)
         if np.any(wrong):
             low, high = np.where(signs > 0, 0.0, -np.inf), np.where(signs < 0, 0.0, np.inf)

@@ -473,16 +473,9 @@ def gather(
     settings: ReferenceSettings = TIGHTEST,
 ) -> Evidence:
     """The `Evidence` of a state (2n) and a period (s), the motion's states at further `moments` with it."""
-    wanted = np.zeros(0) if moments is None else np.asarray(moments, float)
+    further = np.zeros(0) if moments is None else np.asarray(moments, float)
     found = chain_motion if model.constraint is None and is_long(model) else canonical_motion
-    motion = found(model, state, period, turns, np.unique(np.append(evenly(period), wanted)), settings)
-    return _measured(model, motion, state, period, turns, wanted)
-
-
-def _measured(
-    model: Model, motion: Motion, state: np.ndarray, period: float, turns: np.ndarray, moments: np.ndarray
-) -> Evidence:
-    """The `Evidence` of a motion: everything in its own extents, multipliers on the tangent space."""
+    motion = found(model, state, period, turns, np.unique(np.append(evenly(period), further)), settings)
     at = np.searchsorted(motion.times, evenly(period))
     path, states = motion.path[at], motion.states[at]
     loop = _looped(model, motion, in_momenta(np.ptp(path, axis=0), motion.masses, period), path, period)
@@ -506,7 +499,7 @@ def _measured(
         growth=growth,
         varied=varied,
         norm=float(np.linalg.norm(monodromy)),
-        reached=motion.states[np.searchsorted(motion.times, moments)],
+        reached=motion.states[np.searchsorted(motion.times, further)],
         trace=motion.trace,
         formulation=motion.formulation,
     )

@@ -40,6 +40,7 @@ from orbitfinder.orbits.between import Rates, overlooked, risen
 from orbitfinder.orbits.closure import closes, gap, shift
 from orbitfinder.orbits.evidence import CHECKED, ClosureCheck, Path, Tour, Trajectory, in_extents
 from orbitfinder.orbits.floquet import AREA, Floquet, analyse
+from orbitfinder.orbits.measure import recorded
 from orbitfinder.records.orbit import Orbit
 
 LOOKS = 24
@@ -201,30 +202,11 @@ def retraced(equations: Equations, found: Solution) -> Solution:
 
 def hybrid_orbit(problem: Problem, refined: Refined) -> Orbit:
     """The Orbit (without certificate) of a refined one."""
-    model, turns = problem.model, np.asarray(refined.turns, int)
-    found = gather_hybrid(model, refined.state, refined.period, turns)
-    return Orbit(
-        name=problem.name,
-        title=problem.title,
-        source=problem.source,
-        system=model.system,
-        state=refined.state,
-        period=refined.period,
-        energy=found.energy,
-        action=found.action,
-        closure=found.closure,
-        symmetry=NONE.name,
-        winding=tuple(int(k) for k in turns),
-        floquet_multipliers=found.floquet.multipliers,
-        pair_defect=found.floquet.pair_defect,
-        stability=found.floquet.stability,
-        unfolding=tuple(float(s) for s in refined.unfolding),
-        nodes=refined.state[None],
-        times=found.times,
-        samples=found.states,
-        tolerance=problem.tolerance,
-        expected=problem.expected,
-    )
+    found = gather_hybrid(problem.model, refined.state, refined.period, np.asarray(refined.turns, int))
+    return recorded(
+        replace(problem, winding=tuple(int(k) for k in refined.turns)), refined.period, found.arcs[-1].after,
+        refined.state[None], found.times, found.states, refined.unfolding, found.action, found.floquet, NONE.name,
+    )  # fmt: skip
 
 
 def _multipliers(loop: Tour) -> Floquet:
