@@ -243,19 +243,28 @@ def _pieces(
 ) -> tuple[list[np.ndarray], np.ndarray, float]:
     """State-transition matrices (m x m) of equal pieces of a period that begin at `starts` (or, if there is one, each
     where the one before ended), their ends with the first start, and the action."""
-    size, nodes, action, half = starts.shape[1], [starts[0]], 0.0, starts.shape[1] // 2
+    nodes, action, half = [starts[0]], 0.0, starts.shape[1] // 2
     first_order, variational = equations.model.rates is not None, vector_field(equations.equations.variational)
     work = float(units @ units) / period if first_order else float(units[:half] @ units[half:]) or 1.0
-    matrix = (units[:, None] / units[None, :]).ravel("F")
-    measures, pieces = np.concatenate([units, matrix, [work]]), []
+    pieces = []
     for k in range(PIECES):
-        extended = np.concatenate([starts[k] if len(starts) > 1 else nodes[-1], np.eye(size).ravel(), [0.0]])
-        span = period * np.array([k, k + 1]) / PIECES
-        end = integrate_in(measures, variational, extended, span, varied)[-1]
-        pieces.append(end[size:-1].reshape(size, size, order="F"))
-        nodes.append(end[:size])
-        action += float(end[-1])
+        begin, span = starts[k] if len(starts) > 1 else nodes[-1], period * np.array([k, k + 1]) / PIECES
+        end, piece, done = varied_end(variational, begin, span, units, work, varied)
+        pieces.append(piece)
+        nodes.append(end)
+        action += done
     return pieces, np.array(nodes), action
+
+
+def varied_end(
+    field: VectorField, start: np.ndarray, span: np.ndarray, units: np.ndarray, work: float, settings: ReferenceSettings
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Where a motion (m) ends, its state-transition matrix (m x m) and its action, by the field of all three, measured
+    in units (m) and in `work`."""
+    measures = np.concatenate([units, (units[:, None] / units).ravel("F"), [work]])
+    begin, size = np.concatenate([start, np.eye(start.size).ravel(), [0.0]]), start.size
+    end = integrate_in(measures, field, begin, span, settings)[-1]
+    return end[:size], end[size:-1].reshape(size, size, order="F"), float(end[-1])
 
 
 def evenly(period: float) -> np.ndarray:

@@ -22,7 +22,6 @@ from orbitfinder.integrate.dop853 import (
     TIGHTEST,
     ReferenceSettings,
     Trace,
-    integrate_in,
     rates_of,
     scaled,
 )
@@ -38,7 +37,7 @@ from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.scales import extents_of, snapped
 from orbitfinder.orbits.between import Rates, overlooked, risen
 from orbitfinder.orbits.closure import closes, gap, shift
-from orbitfinder.orbits.evidence import CHECKED, ClosureCheck, Path, Tour, Trajectory, in_extents
+from orbitfinder.orbits.evidence import CHECKED, ClosureCheck, Path, Tour, Trajectory, in_extents, varied_end
 from orbitfinder.orbits.floquet import AREA, Floquet, analyse
 from orbitfinder.orbits.measure import recorded
 from orbitfinder.records.orbit import Orbit
@@ -228,7 +227,7 @@ def second_gap(model: Model, state: np.ndarray, period: float, turns: np.ndarray
 def _variations(automaton: Automaton, arcs: Sequence[Arc]) -> tuple[list[np.ndarray], float]:
     """State-transition matrices of pieces of all arcs, the last of each through its event; and the action."""
     found, action, units = list[np.ndarray](), 0.0, automaton.units
-    modes, matrix = [one.mode for one in arcs], (units[:, None] / units).ravel("F")
+    modes = [one.mode for one in arcs]
     for arc, following in zip(arcs, [*modes[1:], modes[0]], strict=True):
         field, x, size = automaton.varied(arc.mode), arc.states[0], arc.states.shape[1]
         edges, unit = np.linspace(0.0, arc.duration, PIECES + 1), np.eye(size).ravel()
@@ -237,12 +236,9 @@ def _variations(automaton: Automaton, arcs: Sequence[Arc]) -> tuple[list[np.ndar
         ]
         work = float(snapped(np.abs(rates).max() * arc.duration))
         for begin, finish in pairwise(edges):
-            start = np.concatenate([x, unit, [0.0]])
-            measures = np.concatenate([units, matrix, [work]])
-            end = integrate_in(measures, field, start, np.array([begin, finish]), TIGHTEST)[-1]
-            x = end[:size]
-            found.append(end[size:-1].reshape(size, size).T)
-            action += float(end[-1])
+            x, piece, done = varied_end(field, x, np.array([begin, finish]), units, work, TIGHTEST)
+            found.append(piece)
+            action += done
         found[-1] = automaton.saltation(arc, following) @ found[-1]
     return found, action
 
