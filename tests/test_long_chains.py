@@ -232,7 +232,7 @@ def test_evidence_agrees_with_hamiltons_equations(monkeypatch):
     assert found.energy == pytest.approx(generic.energy, rel=1e-13)
     assert largest_difference(found.floquet.multipliers, generic.floquet.multipliers) <= 1e-7
     assert found.symplectic <= 1e-10 and found.trivial <= 1e-10
-    assert "Lagrange" in found.formulation and "Hamilton" in generic.formulation
+    assert "Lagrange" in found.motion.formulation and "Hamilton" in generic.motion.formulation
 
 
 def test_half_a_period_gives_the_multipliers_of_the_whole(twelve, monkeypatch):

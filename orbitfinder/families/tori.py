@@ -29,7 +29,7 @@ from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.mechanics.scales import extents_of, parameter_sizes
 from orbitfinder.orbits.section import Surface
 from orbitfinder.records.certificate import Certificate, at_least, at_most, equal
@@ -527,8 +527,6 @@ def _rounds(curve: np.ndarray) -> int:
 
 def _spread(model: Model, states: np.ndarray, energy: float) -> float:
     """The largest difference from an energy over states, relative to the kinetic energy there."""
-    n = model.degrees_of_freedom
-    kinetic = model.along(model.kinetic, states.T[:n], states.T[n:]).ravel()
-    potential = model.along(model.potential, states.T[:n]).ravel()
-    size = np.abs(kinetic).max() if model.rates is None else np.abs(potential).max()
+    kinetic, potential = energies(model, states)
+    size = np.abs(kinetic if model.rates is None else potential).max()
     return float(np.abs(kinetic + potential - energy).max() / nonzero(size))

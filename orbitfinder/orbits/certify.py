@@ -26,7 +26,7 @@ from orbitfinder.orbits.control import ControlledEvidence, gather_controlled
 from orbitfinder.orbits.evidence import (
     VARIED,
     Evidence,
-    Trajectory,
+    Recomputed,
     constraint_defect,
     gather,
     native_closure,
@@ -212,7 +212,7 @@ class _Trial:
     """
 
     def __init__(
-        self, orbit: Orbit, model: Model, turns: np.ndarray, allowed: Tolerances, seen: Trajectory, second: float
+        self, orbit: Orbit, model: Model, turns: np.ndarray, allowed: Tolerances, seen: Recomputed, second: float
     ) -> None:
         self.orbit, self.model, self.turns, self.allowed, self.seen, self.second = (
             orbit, model, turns, allowed, seen, second
@@ -299,7 +299,7 @@ def _smooth_checks(trial: _Trial, seen: Evidence) -> Iterator[Check | None]:
     taken = ROUND_OFF * EPSILON * min(seen.varied / seen.norm, LARGEST_SCALE**2)
     kept = max(allowed.trivial, passing, taken)
     near, moving = _Nearby(model, seen), "" if orbit.shift else reduction(model, orbit)
-    yield from trial.closing(f"DOP853 on {seen.formulation}; ")
+    yield from trial.closing(f"DOP853 on {seen.motion.formulation}; ")
     if model.conservative:
         yield at_most("energy_drift", seen.drift, allowed.energy_drift + gap, "relative to the energy exchanged")
     yield _forcing_check(orbit, model)
@@ -320,11 +320,9 @@ def _smooth_checks(trial: _Trial, seen: Evidence) -> Iterator[Check | None]:
     yield trial.unfolding(10 * gap, always=bool(model.invariants))
     yield from _constraint_checks(trial)
     yield from _record_checks(trial, seen, max(allowed.multipliers, passing))
-    begin = 0
     for name, times, states, share in _pictured(orbit):
-        off = np.abs((seen.reached[begin : begin + len(times)] - states) / seen.extents).max()
-        yield trial.shown(name, off, share, seen.growth)
-        begin += len(times)
+        there = seen.motion.states[np.searchsorted(seen.motion.times, times)]
+        yield trial.shown(name, np.abs((there - states) / seen.extents).max(), share, seen.growth)
     yield from _expected_checks(orbit, model)
 
 
@@ -512,7 +510,7 @@ def _minimal_period(trial: _Trial, near: _Nearby, seen: Evidence) -> Check | Non
     apart = beside(trial.turns, [shifts[name].direction for name in trial.orbit.shift])
     if gcd(*(int(k) for k in np.rint(apart))) == 1:
         return None
-    found, lag = early_return(seen.trace, apart, near.forced_alike if forced else None)
+    found, lag = early_return(seen.motion.trace, apart, near.forced_alike if forced else None)
     both = " of motion and forcing" if forced and found < trial.allowed.cover else ""
     note = "no early return" if lag is None else f"nearest early return{both} after T/{near.period / lag:.6g}"
     return trial.apart("minimal_period", found, note)
@@ -521,7 +519,7 @@ def _minimal_period(trial: _Trial, near: _Nearby, seen: Evidence) -> Check | Non
 def _resolution(evidence: Evidence) -> Check:
     """No feature of the equations between two steps of the integration changes where it ends."""
     try:
-        found, width, count = overlooked(evidence.trace)
+        found, width, count = overlooked(evidence.motion.trace)
     except IntegrationError as error:
         return refused("resolution", error, tolerance=RESOLVED)
     note = f"change by what lies between steps; {count} looks, each {width:.1e} of the motion or less from the next"
@@ -644,7 +642,7 @@ class _Nearby:
     invariants.
     """
 
-    def __init__(self, model: Model, seen: Trajectory) -> None:
+    def __init__(self, model: Model, seen: Recomputed) -> None:
         random, period = np.random.default_rng(0), float(seen.times[-1])
         self.model, self.period, self.many = model, period, rates_of(vector_field(accelerations(model)))[0]
         self.times, self.along, self.units = seen.times, seen.states, seen.extents

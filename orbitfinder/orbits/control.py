@@ -49,7 +49,7 @@ from orbitfinder.mechanics.model import Model, energy, wrapped
 from orbitfinder.mechanics.scales import extents_of
 from orbitfinder.orbits.between import LOOKS, MOST_LOOKS, Rates, overlooked
 from orbitfinder.orbits.closure import closes, gap, shift, shift_along
-from orbitfinder.orbits.evidence import Path, Tour, Trajectory, in_extents, off_motion
+from orbitfinder.orbits.evidence import Recomputed, StatesAt, Tour, in_extents, off_motion
 from orbitfinder.orbits.floquet import analyse
 from orbitfinder.orbits.measure import provenance
 from orbitfinder.records.orbit import SHARE, Orbit
@@ -67,7 +67,7 @@ NEAR = 1e-9
 
 
 @dataclass(frozen=True)
-class ControlledEvidence(Trajectory):
+class ControlledEvidence(Recomputed):
     """What DOP853 and the costate say of a controlled motion.
 
     `nodes` (N x d) are where segments begin, `second` the closure at a second tolerance, `fit` the cost and the
@@ -243,17 +243,12 @@ class _Motion:
         columns = d + k
         costates = ca.SX.sym("costates", d, columns)
         outputs = [-h * rate]
-        by_x, more_x = ca.jacobian(rate, x), ca.jacobian(rates, x)
-        turned = by_x.T @ costates
-        turned[:, d:] += more_x.T
-        outputs.append(ca.vec(h * turned))
-        for symbols, factor in ((local, h), (free, h)):
-            slopes = ca.jacobian(rate, symbols).T @ costates
-            slopes[:, d:] += ca.jacobian(rates, symbols).T
+        for motion, integrals, factor in (
+            *((ca.jacobian(rate, by), ca.jacobian(rates, by), h) for by in (x, local, free)), (rate, rates, 1)
+        ):  # fmt: skip
+            slopes = motion.T @ costates
+            slopes[:, d:] += integrals.T
             outputs.append(ca.vec(factor * slopes))
-        by_h = rate.T @ costates
-        by_h[:, d:] += rates.T
-        outputs.append(ca.vec(by_h))
         sizes = [columns * local.numel(), columns * free.numel(), columns]
         rest = ca.SX.sym("gradients", sum(sizes))
         whole = ca.Function("inner", [moment, x, costates, given, h], [ca.densify(ca.vertcat(*outputs))])
@@ -369,7 +364,7 @@ def _sampled(motion: _Motion, pieces: list[np.ndarray], shares: np.ndarray) -> t
     return found, np.vstack(states)
 
 
-def _paths(motion: _Motion, pieces: list[np.ndarray]) -> Iterator[tuple[float, float, Path]]:
+def _paths(motion: _Motion, pieces: list[np.ndarray]) -> Iterator[tuple[float, float, StatesAt]]:
     """When each segment begins, how long it lasts (s), its states at times since."""
     lasts = [motion.duration(k) for k in range(len(pieces))]
     for k, (begin, h) in enumerate(zip(np.cumsum([0.0, *lasts]), lasts, strict=False)):
@@ -529,14 +524,12 @@ class Fit:
         self._limits()
         if not parts.always:
             return []
-        shares = np.linspace(0.0, 1.0, SAMPLES * parts.steps + 1)
-        values = []
-        functions = [self.parts.watched(k, parts.always) for k in range(max(parts.basis.arcs, 1))]
-        for segment in range(self.motion.whole.intervals):
-            piece, function = self.pieces[segment], functions[self.parts.arc(segment)]
-            given = self.motion.given(segment)
-            x, s = piece[:, : parts.size].T, np.zeros(function.size1_in(2))
-            values.append(function(shares[None], x, s, given, self.motion.period).full().T)
+        shares, values = np.linspace(0.0, 1.0, SAMPLES * parts.steps + 1), []
+        functions = [parts.watched(k, parts.always) for k in range(max(parts.basis.arcs, 1))]
+        for segment, piece in enumerate(self.pieces):
+            function, x = functions[parts.arc(segment)], piece[:, : parts.size].T
+            given = np.zeros(function.size1_in(2)), self.motion.given(segment), self.motion.period
+            values.append(function(shares[None], x, *given).full().T)
         everything = np.vstack(values)
         for task, one in enumerate(parts.always):
             self._violated(f"{one.expression} always", everything[:, task], one.low, one.high)
@@ -676,20 +669,15 @@ class Fit:
 
     def _back(self, segment: int, j: int) -> list[np.ndarray]:
         """Costates (d x r), gradients by local coefficients, freed parameters and h over step j of a segment."""
-        parts = self.parts
-        d, r = parts.size, parts.size + self.motion.count
-        counts = [d, len(parts.model.controls) * parts.basis.local, len(parts.free), 1]
+        d, r = self.parts.size, self.parts.size + self.motion.count
+        counts = [d, len(self.parts.model.controls) * self.parts.basis.local, len(self.parts.free), 1]
         start = np.zeros(d + sum(counts) * r)
         start[:d] = self.pieces[segment][j * SAMPLES, :d]
         start[d : d + d * r] = np.eye(d, r).ravel("F")
-        field = self.motion.at(self.motion.backward, segment)
-        span = 1.0 - np.array([j, j - 1]) / parts.steps
-        end = integrate(field, start, span, VARIED)[-1]
-        found, at = [], d
-        for count in counts:
-            found.append(end[at : at + count * r].reshape(count, r, order="F"))
-            at += count * r
-        return found
+        span = 1.0 - np.array([j, j - 1]) / self.parts.steps
+        end = integrate(self.motion.at(self.motion.backward, segment), start, span, VARIED)[-1]
+        parts = np.split(end[d:], r * np.cumsum(counts)[:-1])
+        return [part.reshape(-1, r, order="F") for part in parts]
 
     def _monodromies(self, transitions: list[np.ndarray]) -> None:
         """State-transition matrices of all segments, of events with their own time eliminated, over the period."""

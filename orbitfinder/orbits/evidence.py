@@ -73,7 +73,7 @@ REFLECTED = 1e-9
 """x(T/2) is this near to -x(0), in extents of the motion, where half a period stands for the whole"""
 
 
-Path = Callable[[np.ndarray], np.ndarray]
+StatesAt = Callable[[np.ndarray], np.ndarray]
 """Increasing times (k, s) since a piece of a motion began -> its states (k x d)"""
 
 
@@ -406,7 +406,7 @@ class Tour:
 
 
 @dataclass(frozen=True)
-class Trajectory:
+class Recomputed:
     """A motion from a state for a period, by an integrator that did not find it: what is asked of every kind.
 
     `times` (k, s) and `states` (k x d) of the model with their `extents` (d), the loop that they make, its largest gap
@@ -429,7 +429,7 @@ class Trajectory:
 
 
 def off_motion(
-    pieces: Iterable[tuple[float, float, Path]], times: np.ndarray, samples: np.ndarray, units: np.ndarray,
+    pieces: Iterable[tuple[float, float, StatesAt]], times: np.ndarray, samples: np.ndarray, units: np.ndarray,
     period: float, thinned: bool = False,
 ) -> float:  # fmt: skip
     """How far recorded samples (k x d) are off a motion at their times (k, that of an event once or twice), in units.
@@ -454,13 +454,12 @@ def off_motion(
 
 
 @dataclass(frozen=True)
-class Evidence(Trajectory):
+class Evidence(Recomputed):
     """What the second integrator on the second formulation says of a state and a period, at equally spaced times.
 
     `exchanged` is the energy (J) that `drift` is relative to, `growth` the largest |S^-1 Phi(t, s) S| of all s < t,
     `varied` what an error that Phi takes up under way grows to in it (the largest |Phi(T, t)| |Phi(t, 0)|) and `norm`
-    |Phi(T, 0)|, both so scaled, `reached` the states at further moments that were asked for, and `trace` the steps that
-    were taken.
+    |Phi(T, 0)|, both so scaled, `motion` also at further moments that were asked for.
     """
 
     drift: float
@@ -468,9 +467,7 @@ class Evidence(Trajectory):
     growth: float
     varied: float
     norm: float
-    reached: np.ndarray
-    trace: Trace
-    formulation: str
+    motion: Motion
 
 
 def gather(
@@ -478,13 +475,12 @@ def gather(
     state: np.ndarray,
     period: float,
     turns: np.ndarray,
-    moments: np.ndarray | None = None,
+    moments: Sequence[float] | np.ndarray = (),
     settings: ReferenceSettings = TIGHTEST,
 ) -> Evidence:
     """The `Evidence` of a state (2n) and a period (s), the motion's states at further `moments` with it."""
-    further = np.zeros(0) if moments is None else np.asarray(moments, float)
     found = chain_motion if model.constraint is None and is_long(model) else canonical_motion
-    motion = found(model, state, period, turns, np.unique(np.append(evenly(period), further)), settings)
+    motion = found(model, state, period, turns, np.unique(np.append(evenly(period), moments)), settings)
     at = np.searchsorted(motion.times, evenly(period))
     path, states = motion.path[at], motion.states[at]
     loop = _looped(model, motion, in_momenta(np.ptp(path, axis=0), motion.masses, period), path, period)
@@ -508,9 +504,7 @@ def gather(
         growth=growth,
         varied=varied,
         norm=float(np.linalg.norm(monodromy)),
-        reached=motion.states[np.searchsorted(motion.times, further)],
-        trace=motion.trace,
-        formulation=motion.formulation,
+        motion=motion,
     )
 
 

@@ -37,7 +37,7 @@ from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.scales import extents_of, snapped
 from orbitfinder.orbits.between import Rates, overlooked, risen
 from orbitfinder.orbits.closure import closes, gap, shift
-from orbitfinder.orbits.evidence import CHECKED, ClosureCheck, Path, Tour, Trajectory, in_extents, varied_end
+from orbitfinder.orbits.evidence import CHECKED, ClosureCheck, Recomputed, StatesAt, Tour, in_extents, varied_end
 from orbitfinder.orbits.floquet import AREA, Floquet, analyse
 from orbitfinder.orbits.measure import recorded
 from orbitfinder.records.orbit import Orbit
@@ -128,7 +128,7 @@ def _sampled(arc: Arc, segments: int) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class HybridEvidence(Trajectory):
+class HybridEvidence(Recomputed):
     """What the simulated automaton says of a state: its arcs, how long they take, what must hold.
 
     Times and states are those of all arcs, those of events twice, before and after; `transversal` is the least rate at
@@ -316,7 +316,7 @@ def _told(automaton: Automaton, mode: str, x: np.ndarray, turn: np.ndarray | flo
     return np.concatenate(parts)
 
 
-def paths(model: Model, arcs: Sequence[Arc]) -> Iterator[tuple[float, float, Path]]:
+def paths(model: Model, arcs: Sequence[Arc]) -> Iterator[tuple[float, float, StatesAt]]:
     """When each arc begins, how long it lasts (s), its states at times since."""
     automaton = Automaton.about(model, arcs[0].states[0], float(arcs[-1].times[-1]))
     for arc in arcs:
