@@ -159,16 +159,13 @@ def _judged(orbit: Orbit, model: Model, allowed: Tolerances, better: bool = Fals
     except (ConvergenceError, IntegrationError) as error:
         events = model.hybrid is not None and orbit.control is None
         return orbit, Certificate((refused("events" if events else "integration", error),))
-    checks: Iterable[Check | None]
+    orbit = _better_known(orbit, seen.floquet) if better and isinstance(seen, Evidence) else orbit
+    trial = _Trial(orbit, model, turns, allowed, seen, second)
     if isinstance(seen, Evidence):
-        orbit = _better_known(orbit, seen.floquet) if better else orbit
-        checks = _smooth_checks(_Trial(orbit, model, turns, allowed, seen, second), seen)
-    elif isinstance(seen, HybridEvidence):
-        checks = _hybrid_checks(_Trial(orbit, model, turns, allowed, seen, second), seen)
+        checks = _smooth_checks(trial, seen)
     else:
-        checks = _controlled_checks(_Trial(orbit, model, turns, allowed, seen, second), seen)
-    scale = min(seen.closes.amplification, LARGEST_SCALE)
-    return orbit, Certificate(tuple(check for check in checks if check), scale, seen.closure)
+        checks = _hybrid_checks(trial, seen) if isinstance(seen, HybridEvidence) else _controlled_checks(trial, seen)
+    return orbit, Certificate(tuple(check for check in checks if check), trial.scale, seen.closure)
 
 
 def _gathered(
@@ -214,9 +211,8 @@ class _Trial:
     def __init__(
         self, orbit: Orbit, model: Model, turns: np.ndarray, allowed: Tolerances, seen: Recomputed, second: float
     ) -> None:
-        self.orbit, self.model, self.turns, self.allowed, self.seen, self.second = (
-            orbit, model, turns, allowed, seen, second
-        )  # fmt: skip
+        self.orbit, self.model, self.turns = orbit, model, turns
+        self.allowed, self.seen, self.second = allowed, seen, second
         self.gap = seen.closes.gap
         self.scale = min(seen.closes.amplification, LARGEST_SCALE)
         self.asked = min(orbit.tolerance, allowed.closure)
