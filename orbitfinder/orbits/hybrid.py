@@ -33,7 +33,7 @@ from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.hybrid import Hybrid, Transition
-from orbitfinder.mechanics.model import Model, energy
+from orbitfinder.mechanics.model import Model, energies, energy
 from orbitfinder.mechanics.scales import extents_of, snapped
 from orbitfinder.orbits.between import Rates, overlooked, risen
 from orbitfinder.orbits.closure import closes, gap, shift
@@ -247,24 +247,20 @@ def _energies(model: Model, arcs: Sequence[Arc]) -> tuple[float, float]:
     """The largest drift of the energy in an arc without forces, and the largest error of the energy lost in an impact,
     both relative to the energy exchanged."""
     drift = balance = 0.0
-    exchanged = nonzero(max(_kinetic(model, arc.mode, x) for arc in arcs for x in arc.states))
+    modes = {mode.name: mode.model for mode, _ in model.hybrid.arcs}
+    exchanged = nonzero(max(float(energies(modes[arc.mode], arc.states)[0].max()) for arc in arcs))
     for arc in arcs:
-        own = model.hybrid.mode(arc.mode).model
+        own = modes[arc.mode]
         if own.forces is not None or own.rates is not None:
             continue
-        values = np.array([energy(own, x) for x in arc.states])
+        kinetic, potential = energies(own, arc.states)
+        values = kinetic + potential
         drift = max(drift, float(np.abs(values - values[0]).max()) / exchanged)
         if arc.lost is not None:
-            target = model.hybrid.transition(str(arc.ended_by)).target
-            lost = _kinetic(model, arc.mode, arc.states[-1]) - _kinetic(model, target, arc.after)
-            balance = max(balance, abs(lost - arc.lost) / exchanged)
+            target = modes[model.hybrid.transition(str(arc.ended_by)).target]
+            lost = kinetic[-1] - energies(target, arc.after[None])[0][0]
+            balance = max(balance, abs(float(lost) - arc.lost) / exchanged)
     return drift, balance
-
-
-def _kinetic(model: Model, mode: str, x: np.ndarray) -> float:
-    own = model.hybrid.mode(mode).model
-    n = own.degrees_of_freedom
-    return float(own.kinetic(x[:n], x[n:], own.parameter_values))
 
 
 def unseen(model: Model, evidence: HybridEvidence) -> tuple[float, float, str]:
