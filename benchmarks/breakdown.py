@@ -17,12 +17,13 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 from machine import load, processor, versions
+from peers.auto_family import block
 from peers.task import ROOT, tasks
 
 import orbitfinder as of
 from orbitfinder.integrate.compiled import compiled, compiling, with_derivatives
 from orbitfinder.integrate.cvodes import IntegratorSettings, build_flow
-from orbitfinder.integrate.rk8 import block, variational_field
+from orbitfinder.integrate.rk8 import variational_field
 from orbitfinder.loops import newton
 from orbitfinder.loops.loop import Loop
 from orbitfinder.orbits import find as solve
@@ -72,8 +73,8 @@ def integrators(mode: str) -> list[str]:
     with compiling(mode):
         inside, plain, whole = with_derivatives(varied), compiled(flow.field), compiled(varied)
         marches = {
-            "x, Phi: 100 steps": (compiled(block(varied, 100, 1)), 1200, whole, start, 100),
-            "x: 400 steps": (compiled(block(flow.field, 400, 1)), 4800, plain, task.state, 400),
+            "x, Phi: 100 steps": (compiled(block(varied, 100)), 1200, whole, start, 100),
+            "x: 400 steps": (compiled(block(flow.field, 400)), 4800, plain, task.state, 400),
         }
     y = ca.MX.sym("y", start.size)
     problem = {"x": y, "ode": task.period * inside(0, y, 0, ca.DM(0, 1))}

@@ -9,7 +9,6 @@ from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
 from orbitfinder.problemfile.schema import (
-    SYSTEMS,
     BodyTable,
     ControlTable,
     DamperTable,
@@ -25,6 +24,7 @@ from orbitfinder.problemfile.schema import (
     SimulateTable,
     SpringTable,
     TaskTable,
+    systems,
 )
 
 TITLE = """# The problem file
@@ -107,9 +107,9 @@ executed only when the command is given `--trust`.
 
 def schema_markdown() -> str:
     """The reference of the problem file in Markdown."""
-    kinds = ", ".join(f'"{kind}"' for kind in SYSTEMS)
+    kinds = ", ".join(f'"{kind}"' for kind in systems())
     parts = [TITLE, _section("Top level", ProblemTable, skip=_tables())]
-    for kind, table in SYSTEMS.items():
+    for kind, table in systems().items():
         parts.append(_section(f'`[system]` with `kind = "{kind}"`', table, note=f"Kinds: {kinds}."))
     sections: list[tuple[str, type[BaseModel]]] = [
         ("Each entry of `[system.bodies]`", BodyTable), ("Each entry of `[system.joints]`", JointTable),

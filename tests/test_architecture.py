@@ -195,6 +195,17 @@ def test_functions_are_short():
     assert not long
 
 
+def test_kinds_of_systems_are_asked_in_one_file():
+    """What is special to a kind stands in its entry of `mechanics.catalogue.KINDS`."""
+    kinds, asked = {"chain", "linkage", "mechanism", "robot", "python"}, set()
+    for module, tree in MODULES.items():
+        for node in (one for one in ast.walk(tree) if isinstance(one, ast.Compare)):
+            named = {one.value for one in ast.walk(node) if isinstance(one, ast.Constant)}
+            if named & kinds and "kind" in ast.unparse(node):
+                asked.add(module)
+    assert not asked
+
+
 def test_every_kind_of_event_has_a_check():
     """What the code may call an event is checked by its definition, and drawn."""
     from orbitfinder.families.checks import CHECKS

@@ -13,11 +13,12 @@ import pytest
 
 import orbitfinder as of
 from orbitfinder.errors import ConvergenceError, InputError
+from orbitfinder.families.minimal import native_state
 from orbitfinder.loops.control import METHODS, history
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.controls import actuated, with_controls
 from orbitfinder.mechanics.expression import expression
-from orbitfinder.mechanics.linkage import bar_angles, linkage_state, minimal_linkage
+from orbitfinder.mechanics.linkage import minimal_linkage
 from orbitfinder.mechanics.model import vector_field
 from orbitfinder.orbits.control import gather_controlled
 
@@ -51,11 +52,9 @@ def test_a_motor_s_power_is_torque_times_relative_rate() -> None:
 
     bars = of.linkage([0.4, 1.0, 0.8], ground=[0.0, 1.0], motors=[1, 4])
     angle, rate, torques = 0.3, 0.7, np.array([1.3, -0.7])
-    u = ca.SX.sym("u")
-    closed = bar_angles(bars, [1])
-    rates = ca.Function("rates", [u], [ca.jacobian(closed(u), u)])(angle).full().ravel() * rate
-    small = driven_field(minimal_linkage(bars, [1]), np.array([angle, rate]), torques)
-    large = driven_field(bars, linkage_state(bars, closed(angle).full().ravel(), rates), torques)
+    least = minimal_linkage(bars, [1])
+    small = driven_field(least, np.array([angle, rate]), torques)
+    large = driven_field(bars, native_state(least.system, np.array([angle, rate])), torques)
     assert small[1] == pytest.approx(large[9 + 2], rel=1e-11)
 
 

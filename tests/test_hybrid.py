@@ -534,21 +534,6 @@ def test_the_cycle_is_taken_from_the_guess():
         of.Problem(model, of.Guess([0.0, 1.02, 5.0, 0.0], 0.02))
 
 
-@pytest.mark.parametrize(
-    "asked, message",
-    [
-        ({"symmetry": "brake"}, "symmetry: orbits of hybrid"),
-        ({"objective": "min_instability"}, "objective: orbits of hybrid"),
-        ({"bounds": {"period": (3.0, 4.0)}}, "bounds: orbits of hybrid"),
-        ({"constraints": (of.Constraint(lambda v: v["theta"]),)}, "constraints: orbits of hybrid"),
-        ({"phase_condition": lambda v: v["theta"]}, "phase_condition: orbits of hybrid"),
-    ],
-)
-def test_what_cannot_be_asked_of_a_hybrid_is_named(asked, message):
-    with pytest.raises(InputError, match=message):
-        of.Problem(simplest_walker(), of.Guess([0.2, 0.4, -0.2, -0.02], 3.9), **asked)
-
-
 def test_what_knows_no_events_refuses(walker, tmp_path):
     model = simplest_walker()
     with pytest.raises(InputError, match="orbits with events cannot be proved yet"):

@@ -413,8 +413,8 @@ def test_the_dead_point_of_a_family_is_named():
     model = load_problem(GALLERY / "slider-crank-spring.toml").model
     small = of.linkages.minimal_mechanism(model, ["S"], of.linkages.mechanism_state(model, {"A": 0.8})[:3])
     far = np.sqrt(0.21**2 - 0.01**2)
-    assert dead_point(small.system, np.array([[0.19, 0.0], [0.195, 0.0]])) == ""
-    said = dead_point(small.system, np.array([[0.19, 0.0], [far - 1e-9, 0.0]]))
+    assert dead_point(small, np.array([[0.19, 0.0], [0.195, 0.0]])) == ""
+    said = dead_point(small, np.array([[0.19, 0.0], [far - 1e-9, 0.0]]))
     assert said == "joint 'C' between 'rod' and 'piston' no longer says how A, B follow from S (a dead point)"
 
 

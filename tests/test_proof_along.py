@@ -9,7 +9,7 @@ pytest.importorskip("flint")
 
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.proof import along as module
-from orbitfinder.proof.along import Along, bundle, ranged, transported
+from orbitfinder.proof.along import Along, bundle, ranged
 from orbitfinder.proof.balls import arb, arb_poly, precision
 from orbitfinder.proof.enclosure import Settings, cloud, integrate
 from orbitfinder.proof.field import make_field
@@ -72,7 +72,7 @@ def swing():
 def contained(field, start, settings):
     """Whether ball arithmetic's solutions and derivatives at single e meet the Bundle's, and the Bundle's end."""
     spread = [arb(0, 1e-7), arb(0, 1e-7), arb(0), arb(0, 1e-7)]
-    end, steps = transported(field, bundle(start, spread), settings)
+    end, steps = integrate(field, bundle(start, spread), settings)
     good = [sum(one.h for one in steps) == 1.0]
     for place in PLACES:
         there = [x.short(arb(float(place))) if isinstance(x, Along) else x for x in start]

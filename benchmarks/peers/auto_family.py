@@ -22,7 +22,7 @@ import numpy as np
 
 from orbitfinder.families.start import Start, full_samples
 from orbitfinder.integrate.cvodes import build_flow
-from orbitfinder.integrate.rk8 import block, variational_field
+from orbitfinder.integrate.rk8 import step_of, variational_field
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.model import energy, vector_field
 from orbitfinder.orbits.evidence import ClosureCheck
@@ -257,10 +257,17 @@ def solutions(path: Path) -> list[tuple[np.ndarray, float]]:
     return [(row[:-1], float(row[-1])) for row in rows[fresh]]
 
 
+def block(field: ca.Function, steps: int) -> ca.Function:
+    """`block(z, p)` -> z = (t, y) after that many steps, with p = (h, s, free)."""
+    step = step_of(field)
+    z, p = ca.MX.sym("z", step.size1_in(0)), ca.MX.sym("p", step.size1_in(1))
+    return ca.Function("block", [z, p], [step.fold(steps)(z, ca.repmat(p, 1, steps))])
+
+
 def growth(start: Start, state: np.ndarray, period: float) -> float:
     """max(1, largest multiplier) of an orbit of AUTO's, from its own monodromy matrix."""
     varied, size = variational_field(build_flow(start.curve.equations.model).field), state.size
     begun = np.concatenate([[0.0], state, np.eye(size).ravel()])
-    ended = block(varied, STEPS, 1)(begun, [period / STEPS]).full().ravel()
+    ended = block(varied, STEPS)(begun, [period / STEPS]).full().ravel()
     multipliers = np.linalg.eigvals(ended[1 + size :].reshape(size, size))
     return max(1.0, float(np.abs(multipliers).max()))

@@ -7,7 +7,6 @@ within the fixed set of a reversal by such rays; an attractor is what is left of
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from scipy.optimize import brentq
@@ -36,28 +35,6 @@ GROWN = 4.0
 STILL = 1e-6
 """What moves less than this, relative to where it is, is at rest"""
 LOOSE = ReferenceSettings(relative_tolerance=1e-8, absolute_tolerance=1e-10)
-
-
-class Region(Protocol):
-    """Where states (d) are drawn from."""
-
-    @property
-    def lengths(self) -> np.ndarray:
-        """What states are measured in (d)."""
-        ...
-
-    def drawn(self, random: np.random.Generator) -> np.ndarray:
-        """A state. Raises `ConvergenceError`."""
-        ...
-
-    def fixed(self, one: Involution, random: np.random.Generator) -> np.ndarray:
-        """A state in the fixed set of an involution that runs time backwards. Raises `ConvergenceError`."""
-        ...
-
-
-def region_of(model: Model, level: float, longest: float) -> Region:
-    """The level set of an integral, or the attractors of a system without one. Raises `InputError`."""
-    return Level.of(model, level) if model.invariants else Attractor.of(model, longest)
 
 
 @dataclass(frozen=True)
@@ -167,6 +144,15 @@ class Attractor:
         """Such a state, put into the fixed set."""
         x, signs = self.drawn(random), np.broadcast_to(one.signs, self.lengths.size)
         return np.asarray(np.where(signs < 0, np.pi * self.angles * random.integers(0, 2, signs.size), x))
+
+
+Region = Level | Attractor
+"""Where states (d) are drawn from"""
+
+
+def region_of(model: Model, level: float, longest: float) -> Region:
+    """The level set of an integral, or the attractors of a system without one. Raises `InputError`."""
+    return Level.of(model, level) if model.invariants else Attractor.of(model, longest)
 
 
 def random_states(model: Model) -> list[np.ndarray]:

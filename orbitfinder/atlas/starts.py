@@ -92,13 +92,13 @@ class Context:
 
     model: Model
     target: Target
-    equations: Mapping[str, Equations]
-    flows: Mapping[str, Flow]
-    step: float
     equilibrium: np.ndarray
     shapes: np.ndarray
     strategies: tuple[str, ...]
     lengths: np.ndarray
+    equations: Mapping[str, Equations] = field(default_factory=dict)
+    flows: Mapping[str, Flow] = field(default_factory=dict)
+    step: float = 0.0
     declared: Mapping[str, Involution] = field(default_factory=dict)
     """the system's own reversals, by strategy; of a first-order system all that it may have, forwards too"""
     region: Region | None = None
@@ -160,17 +160,17 @@ def context_of(model: Model, target: Target) -> Context:
     imposed = {"none"} | {symmetry for symmetry, _ in STRATEGIES.values()}
     chosen = {name: SYMMETRIES[name] for name in known if name in imposed}
     chosen |= {one.name: Symmetry((one,)) for one in own.values()}
-    unfolded = {name: one.unfolded(model) for name, one in chosen.items()}
-    one = Context(
-        model, target,
-        equations={name: Equations(model, one, alone=True) for name, one in chosen.items()},
-        flows={},
-        step=0.0, equilibrium=place, shapes=normal_modes(model, place)[1],
-        strategies=(*(name for name in TURNS if possible(name, known)), *own, *(own if len(own) == 1 else ())),
-        declared=own, lengths=lengths,
-    )  # fmt: skip
-    flows = {name: build_flow(model, (), kinds, units=unless_one(one.units)) for name, kinds in unfolded.items()}
-    return replace(one, flows=flows, step=calibrated(one))
+    turns = (*(name for name in TURNS if possible(name, known)), *own, *(own if len(own) == 1 else ()))
+    return _ready(Context(model, target, place, normal_modes(model, place)[1], turns, lengths, declared=own), chosen)
+
+
+def _ready(context: Context, chosen: Mapping[str, Symmetry]) -> Context:
+    """With equations and flows by the symmetries that are imposed, and the step of the cheap stage."""
+    model, units = context.model, unless_one(context.units)
+    equations = {name: Equations(model, one, alone=True) for name, one in chosen.items()}
+    flows = {name: build_flow(model, (), one.unfolded(model), units=units) for name, one in chosen.items()}
+    found = replace(context, equations=equations, flows=flows)
+    return replace(found, step=calibrated(found))
 
 
 def _alone(model: Model, target: Target) -> Context:
@@ -180,26 +180,16 @@ def _alone(model: Model, target: Target) -> Context:
     place = region.drawn(np.random.default_rng(0))
     own = {f"{DECLARED}{one.name}": one for one in involutions(model) if Symmetry((one,), True).held_by(model, place)}
     chosen = {NONE.name: ALONE} | {one.name: Symmetry((one,), True) for one in own.values()}
-    units, unfolded = unless_one(region.lengths), {name: one.unfolded(model) for name, one in chosen.items()}
-    one = Context(
-        model, target,
-        equations={name: Equations(model, one, alone=True) for name, one in chosen.items()},
-        flows={name: build_flow(model, (), kinds, units=units) for name, kinds in unfolded.items()},
-        step=0.0, equilibrium=place, shapes=np.zeros((place.size, 0)),
-        strategies=("recurrence", *own, "random", "recurrence", *own), declared=own,
-        lengths=region.lengths, region=region,
-    )  # fmt: skip
-    return replace(one, step=calibrated(one))
+    turns = ("recurrence", *own, "random", "recurrence", *own)
+    shapes, lengths = np.zeros((place.size, 0)), region.lengths
+    return _ready(Context(model, target, place, shapes, turns, lengths, declared=own, region=region), chosen)
 
 
 def _cut(model: Model, target: Target) -> Context:
     """The shared part of a search of a hybrid system."""
     section = Section.of(model, target.section, target.cycles, target.periods, target.energy)
     place = section.drawn(np.random.default_rng(0))
-    return Context(
-        model, target, equations={}, flows={}, step=0.0, equilibrium=place, shapes=np.zeros((place.size, 0)),
-        strategies=TURNED, lengths=section.lengths, section=section,
-    )  # fmt: skip
+    return Context(model, target, place, np.zeros((place.size, 0)), TURNED, section.lengths, section=section)
 
 
 def shell_lengths(model: Model, place: np.ndarray, energy: float) -> np.ndarray:

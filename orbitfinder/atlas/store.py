@@ -22,7 +22,7 @@ from orbitfinder.atlas.signature import Signature, in_words, neighbours, same_or
 from orbitfinder.atlas.tables import connect, explained, transaction
 from orbitfinder.errors import InputError, closest
 from orbitfinder.loops.symmetry import SYMMETRIES
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.catalogue import OTHER, build_model, system_kind
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.orbits.floquet import STABILITIES
 from orbitfinder.records.orbit import (
@@ -233,13 +233,13 @@ class Atlas(Shown):
         if canonical(found) != canonical(system) and not self._moves_alike(system, write):
             raise InputError(
                 f"{self.path}: system: holds orbits of {described(found, system)}, not of {described(system, found)}; "
-                "give another atlas file" + (UNDESCRIBED if system.get("kind") == CUSTOM else "")
+                "give another atlas file" + (UNDESCRIBED if system_kind(system) is OTHER else "")
             )
         return found
 
     def _moves_alike(self, system: Mapping[str, Any], write: bool) -> bool:
         """True when a Model without a description, given to read, has the recorded energy all along every orbit."""
-        if write or self._model is None or system.get("kind") != CUSTOM:
+        if write or self._model is None or system_kind(system) is not OTHER:
             return False
         for document in self.documents():
             nodes = np.atleast_2d(np.asarray(document["nodes"], float))

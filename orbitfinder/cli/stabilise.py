@@ -47,14 +47,14 @@ def stabilise(
       orbitfinder stabilise orbits/triple-1/orbit.json --motors 1
       orbitfinder stabilise orbits/triple-1/orbit.json --saturation 5 --noise 0.001 --animate
     """
-    from orbitfinder.mechanics.catalogue import REBUILDABLE
+    from orbitfinder.mechanics.catalogue import system_kind
     from orbitfinder.records.codec import entries_of
 
     orbit, model = orbit_and_model(file, trust, pictured=True)
     folder = folder_of(out, orbit.name, f"{file}: name")
     chosen = [*(f"torque{one:g}" for one in motors), *named] or None
     made = of.stabilise(orbit, chosen, R=effort, limits=saturation, clock=clock or None, model=model)
-    own = None if orbit.system.get("kind") in REBUILDABLE else model
+    own = None if system_kind(orbit.system).described else model
     _print_design(made)
     with kept(folder / "controller.json", of.save_controller):
         designed = made

@@ -229,7 +229,7 @@ def end_of_failure(run: Run, step: Step, failure: str) -> End:
     if slow and grown > run.settings.longest_period:  # near a saddle-node that is not there yet, say: no canard
         end = _homoclinic(curve, found, state, grown, f", where no saddle is at this value; {failure}")
         return replace(end, kind="step underflow")
-    dead = dead_point(curve.equations.model.system, found.march.states, freed(curve, found.place))
+    dead = dead_point(curve.equations.model, found.march.states, freed(curve, found.place))
     if dead:
         return End("dead point", f"{dead}, where the coordinates of this family end; {failure}")
     size, far = _extent_and_place(curve, found)

@@ -27,7 +27,7 @@ from orbitfinder.loops.continued import Curve
 from orbitfinder.loops.problem import Problem
 from orbitfinder.loops.symmetry import turned
 from orbitfinder.loops.watch import Number, as_recorded, check_stop, watches
-from orbitfinder.mechanics.catalogue import REMADE, build_model
+from orbitfinder.mechanics.catalogue import build_model, system_kind
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.orbits.hybrid import HybridCheck
@@ -202,7 +202,7 @@ def _independent(curve: Curve, settings: FamilySettings) -> ClosureCheck | None:
     if model.hybrid is not None:
         return HybridCheck(model)
     prepare(model, EFFORT)
-    if curve.equations.physical and model.system.get("kind") not in REMADE:
+    if curve.equations.physical and not system_kind(model.system).reread:
         prepare(model, EFFORT, curve.equations.physical)
     return ClosureCheck(model)
 

@@ -74,6 +74,8 @@ def begin(
     """
     settings = settings or FamilySettings()
     problem = as_problem(origin, model)
+    if problem.model.hybrid is not None:  # all events of the cycle are watched
+        problem, symmetry = replace(problem, symmetry=NONE.name), NONE.name
     free, held = unknown_parameters(problem.model, settings, momenta_of(problem.boundary, problem.model))
     by_momentum = bool(problem.relative) and settings.parameter in momenta_of(problem.boundary, problem.model)
     if (free and problem.model.conservative) or by_momentum:

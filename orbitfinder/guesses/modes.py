@@ -14,6 +14,7 @@ are those of Z^T (d2L/dtheta2) Z u = w^2 Z^T M Z u, Z a basis of the null space 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import product
 
@@ -27,17 +28,14 @@ from orbitfinder.integrate.equations import at_rest, linearised, under_constrain
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import QUARTER, declared
 from orbitfinder.mechanics import newton
+from orbitfinder.mechanics.catalogue import system_kind
 from orbitfinder.mechanics.constrained import tangent_basis
-from orbitfinder.mechanics.linkage import assemble, check_regular, dimensions, linkage_state
-from orbitfinder.mechanics.mechanism import mechanism_state
 from orbitfinder.mechanics.model import Model, counted, vector_field, wrapped
 from orbitfinder.mechanics.scales import given_or, snapped
 
 DESCENTS = 16
 FLAT = 1e-4
 """Slope (J per rad or m) at which a descent has reached a minimum; only its energy is asked for."""
-STARTS = 24
-"""Assemblies, drawn with a fixed seed, from which the lowest equilibrium is looked for."""
 SHORT = replace(newton.RESTING, longest=0.3, cutoff=1e-15)
 """How an equilibrium under constraints is found, whose forces have units of their own; steps in rad or m"""
 AT_REST = 1e-10
@@ -48,7 +46,7 @@ ELLIPSE = 64
 
 def equilibria(model: Model) -> list[np.ndarray]:
     """The 2^n equilibria of a chain, every link hanging or upright, hanging first. Raises `InputError`."""
-    if model.system.get("kind") != "chain":
+    if not system_kind(model.system).pendulum:
         raise InputError("equilibria: known in advance for chains only; give the equilibrium's coordinates")
     return [np.pi * np.array(choice, float) for choice in product((0, 1), repeat=model.degrees_of_freedom)]
 
@@ -122,31 +120,26 @@ def linkage_equilibrium(model: Model, guess: Sequence[float] | np.ndarray | None
     loops they are its coordinates, and it is minimised from the pose alone. Raises `InputError` when Newton's method
     finds none.
     """
+    starts, found = system_kind(model.system).loops.starts(model, guess), []
     if guess is not None:
-        return _stationary(model, np.asarray(guess, float))
-    if model.system.get("kind") != "linkage":
-        return _stationary(model, _descended(model, mechanism_state(model)[: model.degrees_of_freedom]))
-    lengths, ground = dimensions(model)
-    random = np.random.default_rng(0)
-    found = []
-    for _ in range(STARTS):
-        start = np.arctan2(ground[1], ground[0]) + random.uniform(-np.pi, np.pi, lengths.size)
-        try:
-            theta = _stationary(model, _descended(model, assemble(model, {}, guess=start)))
-        except InputError:
-            continue
-        found.append((float(under_constraints(model).potential(theta)), theta))
+        return _stationary(model, starts[0])
+    if len(starts) == 1:
+        return _stationary(model, _descended(model, starts[0]))
+    for start in starts:
+        with suppress(InputError):
+            q = _stationary(model, _descended(model, start))
+            found.append((float(under_constraints(model).potential(q)), q))
     if not found:
         raise InputError("linkage: no equilibrium found; give angles near one as guess=")
-    theta = min(found, key=lambda entry: entry[0])[1]
-    return wrapped(theta, np.ones(theta.size, bool))
+    q = min(found, key=lambda entry: entry[0])[1]
+    return wrapped(q, np.ones(q.size, bool))
 
 
 def stationary_terms(model: Model, theta: np.ndarray) -> tuple[np.ndarray, ...]:
     """(grad L, phi) for the mu of least |grad L|, J, d2L/dtheta2 and M at link angles (n)."""
     rest = under_constraints(model)
     if theta.shape != (rest.size,):
-        raise InputError(f"equilibrium: shape {theta.shape} for {rest.size} bars; give the angle of each, in rad")
+        raise InputError(f"equilibrium: {plural(theta.size, 'angle')} for {rest.size} bars; give one per bar")
     slope, jacobian, gap = (part.full() for part in rest.first(theta))
     forces = np.linalg.lstsq(jacobian.T, -slope, rcond=None)[0]
     residual = np.vstack([slope + jacobian.T @ forces, gap]).ravel()
@@ -161,12 +154,11 @@ def _stationary(model: Model, start: np.ndarray) -> np.ndarray:
         corner = np.zeros((len(jacobian), len(jacobian)))
         return residual, np.block([[hessian, jacobian.T], [jacobian, corner]])
 
-    found, kind = newton.equilibrium(linearised, start, settings=SHORT), model.system.get("kind")
+    found = newton.equilibrium(linearised, start, settings=SHORT)
     if not found.converged:
         near = np.array2string(start, precision=4)
-        raise InputError(f"{kind}: no equilibrium found near {near}; give other angles")
-    if kind == "linkage":
-        check_regular(dimensions(model)[0], found.w)
+        raise InputError(f"{model.system.get('kind')}: no equilibrium found near {near}; give other angles")
+    system_kind(model.system).loops.check(model, found.w)
     return found.w
 
 
@@ -202,6 +194,8 @@ def normal_modes(
         raise InputError(
             "a first-order system has no masses; give mode, amplitude and equilibrium, or a state and a period"
         )
+    if model.constraint is not None:
+        return linkage_modes(model, equilibrium)
     place = _place(model, equilibrium)
     if place.shape != (n,):
         raise InputError(f"equilibrium: shape {place.shape} for {n} coordinates; give one number each, without rates")
@@ -230,7 +224,7 @@ def _place(model: Model, given: Sequence[float] | np.ndarray | None) -> np.ndarr
     """The equilibrium given; without one q = 0, of a mechanism the nearest to its pose."""
     if given is not None:
         return np.asarray(given, float)
-    return equilibrium(model) if model.system.get("kind") == "mechanism" else np.zeros(model.degrees_of_freedom)
+    return equilibrium(model) if system_kind(model.system).drawn else np.zeros(model.degrees_of_freedom)
 
 
 def normal_mode(
@@ -248,10 +242,19 @@ def normal_mode(
         raise InputError(f"guess.amplitude: must be positive and finite, got {amplitude}; give an angle in rad")
     if model.rates is not None:
         return _first_order_mode(model, mode, amplitude, np.zeros(n) if equilibrium is None else equilibrium)
+    if model.constraint is not None:
+        return linkage_mode(model, mode, amplitude, equilibrium)
     if model.gyroscopic is not None and model.conservative:
         return _gyroscopic_mode(model, mode, amplitude, np.zeros(n) if equilibrium is None else equilibrium)
-    _check_mode(mode, n, f"this system has {plural(n, 'normal mode')}")
-    squared, shapes = normal_modes(model, equilibrium)
+    moved, period = _swung(_place(model, equilibrium), *normal_modes(model, equilibrium), mode, amplitude)
+    return Guess(np.concatenate([moved, np.zeros(n)]), period)
+
+
+def _swung(
+    place: np.ndarray, squared: np.ndarray, shapes: np.ndarray, mode: int, amplitude: float
+) -> tuple[np.ndarray, float]:
+    """The turning point (n) of a mode about a place, and its period. Raises `InputError`."""
+    _check_mode(mode, squared.size, f"this system has {plural(squared.size, 'normal mode')}")
     chosen = float(squared[mode - 1])
     if mode - 1 not in oscillating(squared):
         raise InputError(
@@ -259,9 +262,7 @@ def normal_mode(
             "give a state and a period, or use gravity so that the system hangs"
         )
     shape = shapes[:, mode - 1]
-    largest = shape[np.abs(shape).argmax()]
-    place = _place(model, equilibrium)
-    return Guess(np.concatenate([place + amplitude * shape / largest, np.zeros(n)]), 2 * np.pi / np.sqrt(chosen))
+    return place + amplitude * shape / shape[np.abs(shape).argmax()], float(2 * np.pi / np.sqrt(chosen))
 
 
 def _check_mode(mode: int, count: int, there: str, name: str = "guess.mode") -> None:
@@ -317,6 +318,8 @@ def rest_near(model: Model, place: Sequence[float] | np.ndarray) -> np.ndarray:
     """Coordinates (n) of the equilibrium that Newton's method finds from a place. Raises `InputError`."""
     if model.rates is not None:
         return first_order_modes(model, place)[0]
+    if model.constraint is not None:
+        return linkage_equilibrium(model, place)
     start, slopes = np.asarray(place, float), linearised(model)
     if start.shape != (model.degrees_of_freedom,):
         raise InputError(f"guess.equilibrium: shape {start.shape} for {model.degrees_of_freedom} coordinates")
@@ -405,16 +408,7 @@ def linkage_mode(
 ) -> Guess:
     """Guess on a linear normal mode, at rest at its turning point: `mode` from 1, largest angle `amplitude` (rad)."""
     theta = linkage_equilibrium(model) if equilibrium is None else np.asarray(equilibrium, float)
-    squared, shapes = linkage_modes(model, theta)
-    _check_mode(mode, squared.size, f"this linkage has {plural(squared.size, 'mode')}")
     if not (np.isfinite(amplitude) and amplitude != 0):
         raise InputError(f"guess.amplitude: must be finite and not 0, got {amplitude}; give an angle in rad")
-    if squared[mode - 1] <= 0:
-        raise InputError(f"guess.mode: mode {mode} does not oscillate (squared frequency {squared[mode - 1]:.3g})")
-    shape = shapes[:, mode - 1]
-    moved = theta + amplitude * shape / shape[np.abs(shape).argmax()]
-    if model.system.get("kind") == "linkage":
-        state = linkage_state(model, assemble(model, {}, guess=moved))
-    else:
-        state = mechanism_state(model, near=moved)
-    return Guess(state, 2 * np.pi / float(np.sqrt(squared[mode - 1])))
+    moved, period = _swung(theta, *linkage_modes(model, theta), mode, amplitude)
+    return Guess(system_kind(model.system).loops.state(model, near=moved), period)

@@ -14,6 +14,7 @@ from orbitfinder.guesses.modes import normal_mode, normal_modes
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.integrate.idas import simulate_dae
 from orbitfinder.loops.problem import Guess
+from orbitfinder.mechanics.catalogue import system_kind
 from orbitfinder.mechanics.model import Model, wrapped
 
 MOST_SAMPLES = 3000
@@ -107,7 +108,7 @@ def first_return(model: Model, state: np.ndarray, longest: float | None = None) 
 
 def _pace(model: Model) -> float:
     """How fast a mechanism goes, in 1/s: what stabilises its loops, without loops its fastest small oscillation."""
-    if model.system.get("kind") != "mechanism":
+    if not system_kind(model.system).drawn:
         return 20.0
     if model.constraint is not None:
         return float(model.system["baumgarte"][0])

@@ -139,15 +139,6 @@ class Automaton:
         action = own.action_rate(t, x, own.parameter_values)
         return vector_field(ca.Function("varied", [t, y], [ca.vertcat(rate, ca.vec(slopes @ matrix), action)]))
 
-    def saltation(self, arc: Arc, following: str) -> np.ndarray:
-        """S = DR + (f+ - DR f-) grad g / (grad g . f-) at the end of an arc."""
-        one, x, p = self.hybrid.transition(str(arc.ended_by)), arc.states[-1], self.model.parameter_values
-        symbol, numbers = ca.MX.sym("x", x.size), ca.MX.sym("p", p.size)
-        rows = [ca.jacobian(value(symbol, numbers), symbol) for value in (one.reset, one.guard)]
-        reset, guard = (value.full() for value in ca.Function("slopes", [symbol, numbers], rows)(x, p))
-        before, after = self.field(arc.mode)(0.0, x), self.field(following)(0.0, arc.after)
-        return np.asarray(reset + np.outer(after - reset @ before, guard) / (guard @ before).item())
-
     def value(self, function: ca.Function, x: np.ndarray) -> np.ndarray:
         """A guard, a reset or a condition at one state."""
         if id(function) not in self._buffered:
@@ -285,7 +276,7 @@ class Automaton:
                 state = self.path(one.source, x, np.array([start, moment]))[-1]
             else:  # no integrator takes a step of a few units in the last place of its clock
                 state = x + (moment - start) * np.asarray(field(start, x))
-            rate = self._rate(one, field, moment, state)
+            rate = self.rate(one, state)
             if rate == 0.0:
                 break
             step = -float(self.value(one.guard, state)[0]) / rate
@@ -296,18 +287,33 @@ class Automaton:
 
     def rate(self, one: Transition, x: np.ndarray) -> float:
         """The guard's rate of change where its mode ends."""
-        return self._rate(one, self.field(one.source), 0.0, x)
+        return float(self.value(one.slope, x) @ self.field(one.source)(0.0, x))
 
-    def _rate(self, one: Transition, field: VectorField, t: float, x: np.ndarray) -> float:
-        """The guard's rate of change along the motion."""
-        return float(self.value(one.slope, x) @ field(t, x))
+    def unlike(
+        self, arc: tuple[str, str], image: tuple[str, str], rows: np.ndarray, matrix: np.ndarray, moved: np.ndarray
+    ) -> float:
+        """The largest relative difference of what a mode and its event are at images S x + d of states (k x d) from the
+        image of what another mode and its event are at them; events that are "" stand for all, and for what holds."""
+        here = np.array([self._said(*arc, x, matrix, moved) for x in rows])
+        there = np.array([self._said(*image, matrix @ x + moved, np.eye(x.size), 0 * moved) for x in rows])
+        off = np.abs(there - here).max(axis=0) / np.maximum(1.0, np.abs(here).max(axis=0))
+        return float(off.max()) if np.all(np.isfinite(off)) else np.inf
+
+    def _said(self, mode: str, event: str, x: np.ndarray, matrix: np.ndarray, moved: np.ndarray) -> np.ndarray:
+        """Rates, guards, resets and conditions at a state; rates and resets taken by S x + d."""
+        parts = [matrix @ self.field(mode)(0.0, x)]
+        parts += [self.value(one, x) for one in self.hybrid.mode(mode).holds.values() if not event]
+        for one in (one for one in self.hybrid.leaving(mode) if event in ("", one.name)):
+            parts += [matrix @ self.value(one.reset, x) + moved, one.direction * self.value(one.guard, x)]
+            parts += [self.value(each, x) for each in (one.allowed, one.impulse, one.lost) if each is not None]
+        return np.concatenate(parts)
 
     def _ended(
         self, mode: str, one: Transition, start: float, times: np.ndarray, states: np.ndarray, span: float,
         margins: tuple[tuple[str, float], ...],
     ) -> Arc:  # fmt: skip
         end = states[-1]
-        slope = self._rate(one, self.field(mode), float(times[-1]), end) * one.direction
+        slope = self.rate(one, end) * one.direction
         impulse, lost = (None if f is None else float(self.value(f, end)[0]) for f in (one.impulse, one.lost))
         return Arc(
             mode, start + times, states, one.name, self.value(one.reset, end), slope * times[-1] / nonzero(span),
@@ -332,8 +338,48 @@ def _root(rising: Callable[[float], float], before: float, after: float) -> floa
     return float(brentq(rising, before, after, xtol=1e-15 * max(abs(before), abs(after)), rtol=1e-14))
 
 
-def recognised(model: Model, state: np.ndarray, period: float) -> tuple[str, ...]:
-    """The transitions that the motion from a state goes through until it is first back near it, after about a period.
+def arcs_along(model: Model, times: np.ndarray, states: np.ndarray) -> list[Arc]:
+    """The arcs of a trajectory (k and k x d) over a period that begins right after the event that ends the cycle.
+
+    An event is where a time stands twice; where none does, where the motion simulated from one sample to the next meets
+    a guard, the last perhaps a little later. One more arc goes on from there to the next event, where there is one.
+    """
+    hybrid, automaton = model.hybrid, Automaton.about(model, states[0], float(np.ptp(times)), SECOND)
+    mode, clock, path, found = hybrid.first.name, [times[0]], [states[0]], list[Arc]()
+    spans, twice = np.append(np.diff(times), 0.0), np.flatnonzero(np.diff(times) == 0) + 1
+    for own, rows in zip(np.split(times, twice), np.split(states, twice), strict=True) if twice.size else ():
+        values = [(automaton.value(one.guard, rows[-1])[0], one) for one in hybrid.leaving(mode)]
+        one = min(values, key=lambda each: abs(each[0]) / nonzero(abs(automaton.rate(each[1], rows[-1]))))[1]
+        found.append(Arc(mode, own, rows, one.name, automaton.value(one.reset, rows[-1])))
+        mode = one.target
+    if found:
+        return found
+
+    def met(begin: float, until: float, most: int = MOST_EVENTS) -> float:
+        """How late after a moment the last event is that the motion from the newest state meets, 0 without one."""
+        nonlocal mode, clock, path
+        late = 0.0
+        for arc in (arc for arc in automaton.arcs(path[-1], mode, until, most) if arc.ended_by is not None):
+            late, before = float(arc.times[-1]), arc.states[-1]
+            own = np.array([*clock, begin + late])
+            found.append(Arc(mode, own, np.vstack([*path, before]), arc.ended_by, arc.after))
+            mode, clock, path = hybrid.transition(str(arc.ended_by)).target, [begin + late], [arc.after]
+        return late
+
+    for moment, span, more, row in zip(times, spans, spans[1:], states[1:], strict=False):
+        late = met(moment, span * (1 + TOGETHER)) if more else met(moment, span * (1 + RETURN), 1)
+        if late < span * (1 - TOGETHER):
+            clock, path = [*clock, moment + span], [*path, row]
+    if len(path) > 1 or not found:
+        met(times[-1], float(np.ptp(times)), 1)
+    return found
+
+
+def recognised(
+    model: Model, state: np.ndarray, period: float, trajectory: tuple[np.ndarray, np.ndarray] | None = None
+) -> tuple[str, ...]:
+    """The transitions that the motion from a state, or a trajectory (its times and states), goes through until it is
+    first back near its start, after about a period.
 
     Raises `ConvergenceError` where it does not come back to the mode in which it began.
     """
@@ -341,7 +387,7 @@ def recognised(model: Model, state: np.ndarray, period: float) -> tuple[str, ...
     found, nearest = list[Arc](), (RETURN, 0)
     automaton = Automaton.about(model, state, period, SECOND, period / 16)
     simulated = automaton.arcs(state, hybrid.first.name, (1 + RETURN) * period)
-    for arc in simulated:
+    for arc in simulated if trajectory is None else arcs_along(model, *trajectory):
         if arc.ended_by is None:
             break
         found.append(arc)

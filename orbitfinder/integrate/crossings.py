@@ -22,7 +22,6 @@ import numpy as np
 
 from orbitfinder._runtime import limit
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.compiled import compiled
 from orbitfinder.integrate.parallel import STAGES, Lanes
 from orbitfinder.integrate.rk8 import one_step, step_of
@@ -350,10 +349,3 @@ class _Run:
             there[:, i] = plane.level
         self.located.append(np.column_stack([rows[:, :2], t + sense * s, there]))
         self.noted.clear()
-
-
-def checked(found: Passing, what: str) -> Passing:
-    """The same where all motions have come back; `IntegrationError` otherwise."""
-    if not found.complete.all():
-        raise IntegrationError(f"{what} does not come back to the section")
-    return found

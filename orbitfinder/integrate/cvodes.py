@@ -90,6 +90,8 @@ class Flow:
     field: ca.Function
     units: tuple[float, ...] = ()
     """what CVODES measures the state (2n) in, so that its tolerances fit; () is 1 everywhere"""
+    later: tuple[Flow, ...] = ()
+    """those of the arcs after the first, of a hybrid orbit"""
 
     @cached_property
     def derivatives(self) -> ca.Function:
@@ -108,7 +110,9 @@ class Flow:
 
     def integrated(self, inputs: list[ca.MX]) -> ca.MX:
         """The state at the end, with CasADi's own derivatives."""
-        return _plain(self.field, self.settings, inputs, self.units)
+        field, sizes = _in_units(self.field, self.units), ca.DM(self.units) if self.units else 1.0
+        given = [inputs[0], inputs[1] / sizes, *inputs[2:]]
+        return sizes * _solved("state", field, _symbol(field), self.settings.options(), given)
 
     def inputs(self) -> tuple[list[str], list[ca.MX]]:
         """Names and symbols of what its functions are given."""
@@ -157,39 +161,33 @@ def remembered(
 _small, _large = Kept["Flow"](2), Kept["Flow"](1)
 
 
-def _integrator(name: str, ode: tuple[Any, Any, Any, Any], settings: IntegratorSettings) -> ca.Function:
-    clock, state, parameters, rate = ode
-    problem = {"t": clock, "x": state, "p": parameters, "ode": rate}
-    return ca.integrator(name, "cvodes", problem, 0, 1, settings.options())
+def _symbol(field: ca.Function) -> Any:
+    """What symbols a field is stated in."""
+    return ca.SX.sym if field.is_a("SXFunction") else ca.MX.sym
 
 
-def _symbols(field: ca.Function) -> tuple[Any, ...]:
-    symbol: Any = ca.SX.sym if field.is_a("SXFunction") else ca.MX.sym
+def _solved(
+    name: str, field: ca.Function, symbol: Any, options: dict[str, Any], inputs: Sequence[Any], grid: Any = 1
+) -> Any:
+    """y at the end of a segment, or at each of a grid, of y' = field(t, y, s, free) from `inputs`.
+
+    These are t0, y there, the duration, s and free. Time is scaled to [0, 1] so that the duration is a parameter.
+    """
     clock, t0, duration = symbol("clock"), symbol("t0"), symbol("duration")
-    x, s, free = (symbol(f"a{k}", field.size1_in(k)) for k in (1, 2, 3))
-    return symbol, clock, t0, duration, x, s, free
+    y, s, free = (symbol(f"a{k}", field.size1_in(k)) for k in (1, 2, 3))
+    rate = duration * field(t0 + clock * duration, y, s, free)
+    problem = {"t": clock, "x": y, "p": ca.vertcat(t0, duration, s, free), "ode": rate}
+    solver = ca.integrator(name, "cvodes", problem, 0, grid, options)
+    return solver(x0=inputs[1], p=ca.vertcat(inputs[0], inputs[2], *inputs[3:]))["xf"]
 
 
 def _in_units(field: ca.Function, units: tuple[float, ...]) -> ca.Function:
     """The field of x / units."""
     if not units:
         return field
-    symbol: Any = ca.SX.sym if field.is_a("SXFunction") else ca.MX.sym
-    t, y, s, free = (symbol(f"a{k}", field.size1_in(k)) for k in range(4))
+    t, y, s, free = (_symbol(field)(f"a{k}", field.size1_in(k)) for k in range(4))
     sizes = ca.DM(units)
     return ca.Function("field", [t, y, s, free], [field(t, sizes * y, s, free) / sizes])
-
-
-def _plain(
-    field: ca.Function, settings: IntegratorSettings, inputs: list[ca.MX], units: tuple[float, ...] = ()
-) -> ca.MX:
-    """x at the end of a segment; time is scaled to [0, 1] so that the duration is a parameter."""
-    field, sizes = _in_units(field, units), ca.DM(units) if units else 1.0
-    _, clock, t0, duration, x, s, free = _symbols(field)
-    rate = duration * field(t0 + clock * duration, x, s, free)
-    packed = ca.vertcat(t0, duration, s, free)
-    solver = _integrator("state", (clock, x, packed, rate), settings)
-    return sizes * solver(x0=inputs[1] / sizes, p=ca.vertcat(inputs[0], inputs[2], *inputs[3:]))["xf"]
 
 
 def _variational(
@@ -197,15 +195,10 @@ def _variational(
 ) -> list[ca.MX]:
     """End state and sensitivities; the right-hand side is compiled where the work to be expected pays for it."""
     field, sizes = _in_units(field, units), ca.DM(units) if units else ca.DM.ones(field.size1_in(1))
-    size, extra = field.size1_in(1), field.size1_in(2) + field.size1_in(3)
-    clock, t0, duration = ca.MX.sym("clock"), ca.MX.sym("t0"), ca.MX.sym("duration")
-    s, free = ca.MX.sym("s", field.size1_in(2)), ca.MX.sym("free", field.size1_in(3))
-    whole, varied = ca.MX.sym("whole", size * (1 + size + extra)), variational_field(field)
+    size, extra, varied = field.size1_in(1), field.size1_in(2) + field.size1_in(3), variational_field(field)
     varied = with_derivatives(varied, effort=interpreted_seconds(varied, EVALUATIONS))
-    rate = duration * varied(t0 + clock * duration, whole, s, free)
-    solver = _integrator("variational", (clock, whole, ca.vertcat(t0, duration, s, free), rate), settings)
     start = ca.vertcat(inputs[1] / sizes, ca.vec(ca.MX(ca.DM.eye(size))), ca.MX(ca.DM.zeros(size * extra)))
-    end = solver(x0=start, p=ca.vertcat(inputs[0], inputs[2], *inputs[3:]))["xf"]
+    end = _solved("variational", varied, ca.MX.sym, settings.options(), [inputs[0], start, *inputs[2:]])
     columns = ca.DM(np.outer(sizes.full().ravel(), np.append(1 / sizes.full().ravel(), np.ones(extra))))
     return [sizes * end[:size], columns * ca.reshape(end[size:], size, size + extra)]
 
@@ -263,16 +256,14 @@ def sample(flow: Flow, state: np.ndarray, duration: float, count: int, start: fl
     state = check_state(flow.model, state)
     if count < 2:
         raise InputError(f"count: must be at least 2, the start and the end, got {count}")
-    _, clock, t0, span, x, s, free = _symbols(flow.field)
-    rate = span * flow.field(t0 + clock * span, x, s, free)
-    problem = {"t": clock, "x": x, "p": ca.vertcat(t0, span, s, free), "ode": rate}
-    grid = list(np.linspace(0.0, 1.0, count))
-    steps = dict(flow.settings.options(), max_num_steps=20 * flow.settings.max_steps)
+    options = dict(flow.settings.options(), max_num_steps=20 * flow.settings.max_steps)
     chosen = flow.model.parameters()[[flow.model.parameter_index(name) for name in flow.free]]
-    packed = ca.vertcat(start, duration, ca.DM.zeros(len(flow.unfolded)), ca.vec(chosen))
+    given, grid = (
+        [start, state, duration, ca.DM.zeros(len(flow.unfolded)), ca.vec(chosen)],
+        np.linspace(0.0, 1.0, count),
+    )
     with sundials(state, start, duration):
-        solver = ca.integrator("samples", "cvodes", problem, 0, grid, steps)
-        return np.asarray(solver(x0=state, p=packed)["xf"].full().T)
+        return np.asarray(_solved("samples", flow.field, _symbol(flow.field), options, given, list(grid)).full().T)
 
 
 @contextlib.contextmanager
@@ -324,7 +315,9 @@ def transition_function(flow: Flow) -> ca.Function:
     size, unfolded = state.numel(), s.numel()
     count = size + unfolded + free.numel()
     end, columns, second = _second_integrated(flow, inputs, count)
-    matrix, slope = columns[:, :size], _field_slope(flow)
+    arguments = _arguments(flow.field)
+    slope = ca.Function("slope", arguments, [ca.densify(ca.jacobian(flow.field(*arguments), arguments[1]))])
+    matrix = columns[:, :size]
     last = slope(t0 + duration, end, s, free) @ matrix
     later = ca.MX(size**2, 1)
     if flow.model.forced:
@@ -339,24 +332,17 @@ def transition_function(flow: Flow) -> ca.Function:
     return ca.Function("transition", inputs, [plain], names, ["matrix"], options)
 
 
-def _field_slope(flow: Flow) -> ca.Function:
-    """A(t, x, s, free) = df/dx."""
-    arguments = _arguments(flow)
-    return ca.Function("slope", arguments, [ca.densify(ca.jacobian(flow.field(*arguments), arguments[1]))])
+def _arguments(field: ca.Function) -> list[Any]:
+    return [_symbol(field)(f"a{k}", field.size1_in(k)) for k in range(4)]
 
 
-def _arguments(flow: Flow) -> list[Any]:
-    symbol: Any = ca.SX.sym if flow.field.is_a("SXFunction") else ca.MX.sym
-    return [symbol(f"a{k}", flow.field.size1_in(k)) for k in range(4)]
-
-
-def _second_rates(flow: Flow, count: int) -> ca.Function:
-    """(t, x, s, free, C, D) -> rates of x (m), C = dx/da (m x K) and D = dvec(Phi)/da (m^2 x K)."""
-    t, x, s, free = _arguments(flow)
+def _second_rates(field: ca.Function, count: int) -> ca.Function:
+    """(t, (x, C, D), s, free) -> rates of x (m), C = dx/da (m x K) and D = dvec(Phi)/da (m^2 x K), a column."""
+    t, x, s, free = _arguments(field)
     size, extra, symbol = x.numel(), s.numel() + free.numel(), type(x).sym
     columns, second = symbol("columns", size, count), symbol("second", size**2, count)
     matrix = symbol("matrix", size, size)
-    rate = flow.field(t, x, s, free)
+    rate = field(t, x, s, free)
     first = ca.jtimes(rate, x, columns)
     if extra:
         given = ca.horzcat(ca.jacobian(rate, s), ca.jacobian(rate, free))
@@ -366,29 +352,22 @@ def _second_rates(flow: Flow, count: int) -> ca.Function:
     if extra:
         slopes += ca.horzcat(type(x)(size**2, size), ca.jacobian(turned, s), ca.jacobian(turned, free))
     inner = ca.Function("inner", [t, x, s, free, columns, second, matrix], [rate, first, slopes])
-    again = [*_arguments(flow), symbol("columns", size, count), symbol("second", size**2, count)]
-    return ca.Function("rates", again, inner(*again, again[4][:, :size]))
+    whole, (t, _, s, free) = symbol("whole", size * (1 + count + size * count)), _arguments(field)
+    parts = _parts(whole, size, count)
+    moved = inner(t, parts[0], s, free, *parts[1:], parts[1][:, :size])
+    return ca.Function("rates", [t, whole, s, free], [ca.vertcat(*[ca.vec(part) for part in moved])])
+
+
+def _parts(whole: Any, size: int, count: int) -> tuple[Any, Any, Any]:
+    """x, dx/da and dvec(Phi)/da from one column."""
+    found = ca.vertsplit(whole, [0, size, size * (1 + count), whole.numel()])
+    return found[0], ca.reshape(found[1], size, count), ca.reshape(found[2], size**2, count)
 
 
 def _second_integrated(flow: Flow, inputs: list[ca.MX], count: int) -> tuple[ca.MX, ca.MX, ca.MX]:
     """x, dx/da and dvec(Phi)/da at the end of a segment."""
-    size = inputs[1].numel()
-    _, x, s, free = _arguments(flow)
-    symbol = type(x).sym
-    clock, t0, span = symbol("clock"), symbol("t0"), symbol("span")
-    lengths = [size, size * count, size**2 * count]
-    whole = symbol("whole", sum(lengths))
-    parts = ca.vertsplit(whole, [0, lengths[0], lengths[0] + lengths[1], sum(lengths)])
-    moved = _second_rates(flow, count)(
-        t0 + clock * span, parts[0], s, free, ca.reshape(parts[1], size, count), ca.reshape(parts[2], size**2, count)
-    )
-    packed = ca.vertcat(t0, span, s, free)
-    ode = span * ca.vertcat(*[ca.vec(part) for part in moved])
-    solver = ca.integrator(
-        "second_order", "cvodes", {"t": clock, "x": whole, "p": packed, "ode": ode}, 0, 1, flow.settings.options()
-    )
+    size, rates = inputs[1].numel(), _second_rates(flow.field, count)
     unit = ca.vec(ca.horzcat(ca.MX.eye(size), ca.MX.zeros(size, count - size)))
-    start = ca.vertcat(inputs[1], ca.densify(unit), ca.MX.zeros(lengths[2]))
-    end = solver(x0=start, p=ca.vertcat(inputs[0], inputs[2], *inputs[3:]))["xf"]
-    found = ca.vertsplit(end, [0, lengths[0], lengths[0] + lengths[1], sum(lengths)])
-    return found[0], ca.reshape(found[1], size, count), ca.reshape(found[2], size**2, count)
+    start = ca.vertcat(inputs[1], ca.densify(unit), ca.MX.zeros(size**2 * count))
+    given = [inputs[0], start, *inputs[2:]]
+    return _parts(_solved("second_order", rates, _symbol(rates), flow.settings.options(), given), size, count)

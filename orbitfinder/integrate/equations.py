@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import wraps
 from typing import Any, TypeVar
 
 import casadi as ca
@@ -25,35 +26,75 @@ _derived = Kept[Any](KEPT)
 T = TypeVar("T")
 
 
+def _key(model: Model, derive: Callable[..., Any], free: tuple[str, ...] = ()) -> tuple[Any, ...]:
+    parts = (model.rates, model.acceleration, model.kinetic, model.potential, model.gyroscopic, model.forces,
+             model.constraint, *(one.value for one in model.invariants))  # fmt: skip
+    return (derive, free, len(model.state_names), model.parameter_values.tobytes(), *map(Same, parts))
+
+
+def _once(derive: Callable[[Model], T]) -> Callable[[Model], T]:
+    """A function of a model that is remembered for those seen last."""
+
+    @wraps(derive)
+    def found(model: Model) -> T:
+        return _derived(_key(model, found), lambda: derive(model))  # type: ignore[no-any-return]
+
+    return found
+
+
 def hamilton(model: Model, free: tuple[str, ...] = ()) -> Canonical:
     """Hamilton's equations of a Model with its parameter values, some of them left free (see `Coordinates`)."""
     found: Canonical = _derived(_key(model, canonical, free), lambda: canonical(model, free))
     return found
 
 
+@_once
 def accelerations(model: Model) -> ca.Function:
     """The equations of motion x' = f(t, x) of a Model with its parameter values, nothing unfolded."""
-    return _remembered(model, _plain)
+    field = vector_field(model, (), ())
+    t, x = ca.MX.sym("t"), ca.MX.sym("x", len(model.state_names))
+    return ca.Function("plain", [t, x], [field(t, x, ca.DM(0, 1), ca.DM(0, 1))])
 
 
+@_once
 def invariant_gradients(model: Model) -> ca.Function:
     """The gradients (k x 2n) of a Model's invariants at a state x, with its parameter values."""
-    return _remembered(model, _gradients)
+    n, p = model.degrees_of_freedom, ca.DM(model.parameter_values)
+    x = ca.MX.sym("x", len(model.state_names))
+    rows = [ca.gradient(one.value(x[:n], x[n:], p), x).T for one in model.invariants]
+    return ca.Function("gradients", [x], [ca.densify(ca.vertcat(*rows)) if rows else ca.MX(0, x.numel())])
 
 
+@_once
 def conserved(model: Model) -> ca.Function:
     """x -> the values (k) of a Model's invariants and, one after another, their gradients, as one column (k + k d)."""
-    return _remembered(model, _conserved)
+    n, p, gradients = model.degrees_of_freedom, ca.DM(model.parameter_values), invariant_gradients(model)
+    x = ca.MX.sym("x", len(model.state_names))
+    values = [one.value(x[:n], x[n:], p) for one in model.invariants]
+    return ca.Function("conserved", [x], [ca.densify(ca.vertcat(*values, ca.vec(gradients(x).T)))])
 
 
+@_once
 def at_rest(model: Model) -> ca.Function:
     """(q, u) -> M u, K u and dV/dq of a Model at rest: column by column, Hessians of 2000 links take minutes."""
-    return _remembered(model, _at_rest)
+    n, values = model.degrees_of_freedom, ca.DM(model.parameter_values)
+    q, v = ca.MX.sym("q", n), ca.MX.sym("v", n)
+    slope = ca.gradient(model.potential(q, values), q)
+    momentum = ca.gradient(model.kinetic(q, v, values), v)  # linear in the rates
+    return ca.Function("at_rest", [q, v], [momentum, ca.jtimes(slope, q, v), slope])
 
 
+@_once
 def under_constraints(model: Model) -> Rest:
     """What the equilibria and small motions of a Model under constraints are found from."""
-    return _remembered(model, _rest)
+    system = coordinates(model)
+    q, v = ca.SX.sym("q", system.size), ca.SX.sym("v", system.size)
+    potential, phi = system.potential(q), system.constraint(q)
+    mu = ca.SX.sym("mu", phi.numel())
+    first = ca.Function("first", [q], [ca.gradient(potential, q), ca.jacobian(phi, q), phi])
+    second = ca.Function("second", [q, mu], [ca.hessian(potential + ca.dot(mu, phi), q)[0]])
+    mass = ca.Function("mass", [q], [ca.hessian(system.kinetic(q, v), v)[0]])
+    return Rest(system.size, first, second, mass, system.potential)
 
 
 def linearised(model: Model) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -80,9 +121,12 @@ def with_action(model: Model, field: ca.Function) -> ca.Function:
     return ca.Function("action_field", inputs, [ca.vertcat(field(t, z[:-1], s, free), rate)])
 
 
+@_once
 def action_rate(model: Model) -> ca.Function:
     """What the action is the integral of (see `Model.action_rate`), as a function of (t, x, p)."""
-    return _remembered(model, _action_rate)
+    symbol = ca.SX.sym if model.scalar else ca.MX.sym
+    inputs = [symbol("t"), symbol("x", len(model.state_names)), symbol("p", len(model.parameter_names))]
+    return ca.Function("action_rate", inputs, [model.action_rate(*inputs)])
 
 
 def prepare(model: Model, effort: float | None = None, free: tuple[str, ...] = ()) -> None:
@@ -95,41 +139,7 @@ def prepare(model: Model, effort: float | None = None, free: tuple[str, ...] = (
         slow, field=compiled(slow.field, effort=effort), variational=compiled(slow.variational, effort=effort)
     )
     _derived[_key(model, canonical)] = fast
-    _derived[_key(model, _plain)] = compiled(accelerations(model), effort=effort)
-
-
-def _plain(model: Model) -> ca.Function:
-    field = vector_field(model, (), ())
-    t, x = ca.MX.sym("t"), ca.MX.sym("x", len(model.state_names))
-    return ca.Function("plain", [t, x], [field(t, x, ca.DM(0, 1), ca.DM(0, 1))])
-
-
-def _action_rate(model: Model) -> ca.Function:
-    symbol = ca.SX.sym if model.scalar else ca.MX.sym
-    inputs = [symbol("t"), symbol("x", len(model.state_names)), symbol("p", len(model.parameter_names))]
-    return ca.Function("action_rate", inputs, [model.action_rate(*inputs)])
-
-
-def _gradients(model: Model) -> ca.Function:
-    n, p = model.degrees_of_freedom, ca.DM(model.parameter_values)
-    x = ca.MX.sym("x", len(model.state_names))
-    rows = [ca.gradient(one.value(x[:n], x[n:], p), x).T for one in model.invariants]
-    return ca.Function("gradients", [x], [ca.densify(ca.vertcat(*rows)) if rows else ca.MX(0, x.numel())])
-
-
-def _conserved(model: Model) -> ca.Function:
-    n, p, gradients = model.degrees_of_freedom, ca.DM(model.parameter_values), invariant_gradients(model)
-    x = ca.MX.sym("x", len(model.state_names))
-    values = [one.value(x[:n], x[n:], p) for one in model.invariants]
-    return ca.Function("conserved", [x], [ca.densify(ca.vertcat(*values, ca.vec(gradients(x).T)))])
-
-
-def _at_rest(model: Model) -> ca.Function:
-    n, values = model.degrees_of_freedom, ca.DM(model.parameter_values)
-    q, v = ca.MX.sym("q", n), ca.MX.sym("v", n)
-    slope = ca.gradient(model.potential(q, values), q)
-    momentum = ca.gradient(model.kinetic(q, v, values), v)  # linear in the rates
-    return ca.Function("at_rest", [q, v], [momentum, ca.jtimes(slope, q, v), slope])
+    _derived[_key(model, accelerations)] = compiled(accelerations(model), effort=effort)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,25 +151,3 @@ class Rest:
     second: ca.Function
     mass: ca.Function
     potential: ca.Function
-
-
-def _rest(model: Model) -> Rest:
-    system = coordinates(model)
-    q, v = ca.SX.sym("q", system.size), ca.SX.sym("v", system.size)
-    potential, phi = system.potential(q), system.constraint(q)
-    mu = ca.SX.sym("mu", phi.numel())
-    first = ca.Function("first", [q], [ca.gradient(potential, q), ca.jacobian(phi, q), phi])
-    second = ca.Function("second", [q, mu], [ca.hessian(potential + ca.dot(mu, phi), q)[0]])
-    mass = ca.Function("mass", [q], [ca.hessian(system.kinetic(q, v), v)[0]])
-    return Rest(system.size, first, second, mass, system.potential)
-
-
-def _key(model: Model, derive: Callable[..., Any], free: tuple[str, ...] = ()) -> tuple[Any, ...]:
-    parts = (model.rates, model.acceleration, model.kinetic, model.potential, model.gyroscopic, model.forces,
-             model.constraint, *(one.value for one in model.invariants))  # fmt: skip
-    return (derive, free, len(model.state_names), model.parameter_values.tobytes(), *map(Same, parts))
-
-
-def _remembered(model: Model, derive: Callable[[Model], T]) -> T:
-    found: T = _derived(_key(model, derive), lambda: derive(model))
-    return found

@@ -284,24 +284,20 @@ class Marches(Refining):
         self, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray, units: np.ndarray, asked: np.ndarray
     ) -> np.ndarray:
         """Estimated error of each step `asked` for, relative to the size of the motion."""
-        arc = asked * len(self.arcs) // (mesh.size - 1)
-        return np.concatenate(
-            [
-                one.step_errors(states, mesh, tail, units, asked[arc == k])
-                for k, one in enumerate(self.arcs)
-                if np.any(arc == k)
-            ]
-        )
+        return self._errors("step_errors", states, mesh, tail, units, asked)
 
     def variation_errors(
         self, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray, units: np.ndarray, asked: np.ndarray
     ) -> np.ndarray:
         """Estimated error of the state-transition matrix of each step `asked` for, the state in `units` (d)."""
+        return self._errors("variation_errors", states, mesh, tail, units, asked)
+
+    def _errors(
+        self, kind: str, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray, units: np.ndarray, asked: np.ndarray
+    ) -> np.ndarray:
         arc = asked * len(self.arcs) // (mesh.size - 1)
-        return np.concatenate([
-            one.variation_errors(states, mesh, tail, units, asked[arc == k])
-            for k, one in enumerate(self.arcs) if np.any(arc == k)
-        ])  # fmt: skip
+        each = [(one, asked[arc == k]) for k, one in enumerate(self.arcs) if np.any(arc == k)]
+        return np.concatenate([getattr(one, kind)(states, mesh, tail, units, own) for one, own in each])
 
     def _each(self, nodes: np.ndarray, mesh: np.ndarray) -> Iterator[tuple[March, np.ndarray, np.ndarray]]:
         count = len(self.arcs)

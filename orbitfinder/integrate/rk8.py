@@ -174,16 +174,3 @@ def step_of(field: ca.Function, error: bool = False) -> ca.Function:
         return one_step(field, ca.SX.sym, error)
     inputs = field.sx_in()
     return one_step(ca.Function("rates", inputs, field.call(inputs), NOT_INLINED), ca.MX.sym, error)
-
-
-@lru_cache(maxsize=64)
-def block(field: ca.Function, steps: int, lanes: int) -> ca.Function:
-    """`block(z, p)` -> z after that many steps, for `lanes` columns z = (t, y) and p = (h, s, free) at once."""
-    return folded(step_of(field), steps, lanes)
-
-
-def folded(step: ca.Function, steps: int, lanes: int) -> ca.Function:
-    """The same out of a step that is there already, compiled or not."""
-    z, p = ca.MX.sym("z", step.size1_in(0)), ca.MX.sym("p", step.size1_in(1))
-    whole = ca.Function("block", [z, p], [step.fold(steps)(z, ca.repmat(p, 1, steps)) if steps > 1 else step(z, p)])
-    return whole if lanes == 1 else whole.map(lanes)

@@ -13,6 +13,7 @@ from orbitfinder._runtime.arguments import check_fields
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError, closest
 from orbitfinder.loops.symmetry import Symmetry
+from orbitfinder.mechanics.catalogue import system_kind
 from orbitfinder.mechanics.model import Model, constraint_of
 
 
@@ -107,7 +108,7 @@ def lowest_energy(model: Model) -> float | None:
 
     Each coordinate of a chain enters V as -c_i cos theta_i, so the minimum is at 0 or pi each.
     """
-    if model.system.get("kind") != "chain":
+    if not system_kind(model.system).pendulum:
         return None
     total = 0.0
     n = model.degrees_of_freedom

@@ -22,8 +22,6 @@ from orbitfinder.records.control import DEGREES, MOST, SHAPES
 
 METHODS = ("shooting", "collocation")
 RESERVED = ("pi", "period")
-SAME = 1e-9
-"""Phases that differ by less are one"""
 
 
 @dataclass(frozen=True)

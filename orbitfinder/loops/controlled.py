@@ -21,16 +21,15 @@ import numpy as np
 from scipy.sparse import diags, identity
 from scipy.sparse.linalg import splu
 
-from orbitfinder._runtime import limit
-from orbitfinder._runtime.quiet import captured
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.integrate.rk8 import one_step
 from orbitfinder.loops.control import Basis, Control, Task, stated
+from orbitfinder.loops.ipopt import minimised
 from orbitfinder.loops.loop import Equations, Loop, Unknowns
 from orbitfinder.loops.problem import Problem, boundary_constants, guessed_nodes, pinned
 from orbitfinder.loops.symmetry import Symmetry
-from orbitfinder.mechanics.hybrid import share
+from orbitfinder.mechanics.hybrid import freed, share
 from orbitfinder.mechanics.model import Model, vector_field
 from orbitfinder.mechanics.newton import Settings, stepped
 
@@ -46,6 +45,10 @@ MOST_STEPS = 32
 RESOLVED = 16
 """Steps in a period of the highest harmonic of a control, to begin with"""
 MOST_ITERATIONS = 1000
+IPOPT = {
+    "max_iter": MOST_ITERATIONS, "constr_viol_tol": 1e-11, "dual_inf_tol": 1e-6, "compl_inf_tol": 1e-9,
+    "mu_target": 0.0, "mu_strategy": "adaptive",
+}  # fmt: skip
 FARTHEST = 1e3
 """A guess's motion that goes farther than this, relative, is no guess"""
 MIRRORED = 1e-9
@@ -109,12 +112,15 @@ class Arrangement:
     def always(self) -> tuple[Task, ...]:
         """What holds everywhere: tasks, and limits that bounds on coefficients do not keep."""
         own = tuple(one for one in self.control.tasks if one.at == ALWAYS)
-        if self.bounded:
-            return own
-        return own + tuple(
+        return own if self.bounded else own + self.limits
+
+    @property
+    def limits(self) -> tuple[Task, ...]:
+        """The model's limits of controls as tasks."""
+        return tuple(
             Task(name, ALWAYS, lowest=None if np.isinf(low) else low, highest=None if np.isinf(high) else high)
-            for name, (low, high) in self.model.limits.items()
-        )
+            for name, (low, high) in self.model.limits.items() if np.isfinite(low) or np.isfinite(high)
+        )  # fmt: skip
 
     @property
     def bounded(self) -> bool:
@@ -156,7 +162,7 @@ class Arrangement:
         """(share, x, s, (phase, length of the interval in phase, local coefficients, free)) and x', p, rates there."""
         model, basis = self.mode(arc), self.basis
         count = len(self.model.controls)
-        moment, x, s = symbol("share"), symbol("x", self.size), symbol("s", 0 if basis.arcs else self._unfolding)
+        moment, x, s = symbol("share"), symbol("x", self.size), symbol("s", self.unfolding)
         given = symbol("given", 2 + count * basis.local + len(self.free) + len(self.varied))
         local, free = given[2 : 2 + count * basis.local], given[2 + count * basis.local :]
         weights = ca.vertcat(*basis.values(moment, given[0] + moment * given[1]))
@@ -181,8 +187,9 @@ class Arrangement:
         return 2 + len(self.model.controls) * self.basis.local
 
     @property
-    def _unfolding(self) -> int:
-        return len(self.symmetry.unfolded(self.model))
+    def unfolding(self) -> int:
+        """How many parameters unfold the loop."""
+        return 0 if self.basis.arcs else len(self.symmetry.unfolded(self.model))
 
     def stepped(self, arc: int) -> ca.Function:
         """(x, h, s, given) -> states after each step of an interval of h s (d x steps), integrals, no rows."""
@@ -273,8 +280,7 @@ def arranged(model: Model, symmetry: Symmetry, free: tuple[str, ...], control: C
         raise InputError(f"control.intervals: must be even with this symmetry, got {control.intervals}")
     part = count // 2 if signs else count
     basis = Basis(control.shape, part, control.harmonics, arcs, 0.5 if signs else 1.0, signs)
-    shares = () if not arcs else tuple(f"share_{k + 1}" for k in range(arcs - 1))
-    return Arrangement(model, control, symmetry, basis, (*free, *shares), steps)
+    return Arrangement(model, control, symmetry, basis, freed(model, free), steps)
 
 
 @lru_cache(maxsize=32)
@@ -331,20 +337,17 @@ class Program:
             nodes = guessed_nodes(guess, self.mesh[:-1])
         else:
             nodes = self._simulated(np.asarray(guess.state, float), guess.period, coefficients, numbers)
-        unfolding = np.zeros(0 if parts.basis.arcs else len(parts.symmetry.unfolded(parts.model)))
-        return Unknowns(nodes, float(guess.period), unfolding, numbers, self.mesh), coefficients
+        return Unknowns(nodes, float(guess.period), np.zeros(parts.unfolding), numbers, self.mesh), coefficients
 
     def _simulated(self, x: np.ndarray, period: float, coefficients: np.ndarray, free: np.ndarray) -> np.ndarray:
         """Nodes along the motion from a state, or that state everywhere where it runs away."""
         parts, nodes = self.parts, []
-        size = max(1.0, float(np.abs(x).max()))
-        unfolding = np.zeros(0 if parts.basis.arcs else len(parts.symmetry.unfolded(parts.model)))
-        start = x
+        size, start = max(1.0, float(np.abs(x).max())), x
         for k in range(parts.basis.intervals):
             nodes.append(x)
             h = float(parts.duration(k, period, ca.DM(free)))
             given = self.given(k, coefficients.T, free)
-            x = _built(parts, parts.arc(k), "shooting")(x, h, unfolding, given, [])[0].full()[:, -1]
+            x = _built(parts, parts.arc(k), "shooting")(x, h, np.zeros(parts.unfolding), given, [])[0].full()[:, -1]
             if parts.basis.arcs and (k + 1) % parts.basis.each == 0:
                 x = self.equations.links.after(parts.arc(k), x, free)
             if not np.all(np.isfinite(x)) or np.abs(x).max() > FARTHEST * size:
@@ -377,26 +380,36 @@ class Program:
         guess, coefficients = start
         stated = stated_program(self, guess)
         begin = np.concatenate([self.vector(guess, coefficients), _first_points(guess, self.parts, self.points > 0)])
-        found, stats = _ipopt({"x": stated.v, "f": stated.cost, "g": stated.rows}, begin, tolerance,
-                              lbx=stated.lower, ubx=stated.upper, lbg=stated.low, ubg=stated.high)  # fmt: skip
+        answer, stats, _ = minimised(
+            "controlled", {"x": stated.v, "f": stated.cost, "g": stated.rows}, IPOPT | {"tol": tolerance}, {},
+            x0=begin, lbx=stated.lower, ubx=stated.upper, lbg=stated.low, ubg=stated.high,
+        )  # fmt: skip
         if not stats["success"]:
             raise _failed(stats, self)
-        answer = found["x"].full().ravel()
-        return self._solution(guess, answer, stated.normals, int(stats["iter_count"]))
+        return self.solution(guess, answer, stated.normals, int(stats["iter_count"]))
 
     def closed(self, solution: Solution) -> Solution:
         """A solution to the last digits of its equations, by Newton's least steps, far below IPOPT's tolerance."""
         w = solution.unknowns
         stated = stated_program(self, w)
         at = _closed(stated, self.vector(w, solution.coefficients))
-        return self._solution(w, at, solution.normals, solution.iterations)
+        return self.solution(w, at, solution.normals, solution.iterations)
 
     def vector(self, w: Unknowns, coefficients: np.ndarray) -> np.ndarray:
         """v without collocation points."""
         each = (np.linalg.lstsq(one, row, rcond=None)[0] for one, row in zip(self.shapes, coefficients, strict=True))
         return np.concatenate([w.vector, *each])
 
-    def _solution(self, like: Unknowns, v: np.ndarray, normals: np.ndarray, iterations: int) -> Solution:
+    def names(self, like: Unknowns) -> list[str]:
+        """What the unknowns v are called in words, "" of states and what unfolds."""
+        parts = self.parts
+        loop = ["" for _ in like.nodes.ravel()] + ["period"] + ["" for _ in like.unfolding] + list(parts.free)
+        each = zip(parts.model.controls, self.shapes, strict=True)
+        controls = [f"{name} at phase {k / parts.basis.whole:.6g}" for name, one in each for k in range(one.shape[1])]
+        return loop + controls + ["a number" for _ in parts.varied]
+
+    def solution(self, like: Unknowns, v: np.ndarray, normals: np.ndarray, iterations: int = 0) -> Solution:
+        """The solution that v stands for."""
         cut = like.vector.size
         sizes = cut + np.cumsum([0, *(one.shape[1] for one in self.shapes)])
         values = [one @ v[sizes[k] : sizes[k + 1]] for k, one in enumerate(self.shapes)]
@@ -522,16 +535,11 @@ def stated_program(program: Program, guess: Unknowns) -> Statement:
     paths, integrals, rows = _integrated(parts, control.method, nodes, durations, s, given, z)
     loop = program.loop(guess)
     closing = loop.stated(nodes, period, free, [path[:, -1] for path in paths])
-    ranges, whose, tasks = [(closing, 0.0, 0.0), (rows, 0.0, 0.0)], [-1, -1], list(control.tasks)
-    for k, one in parts.moments:
-        ranges.append((parts.watched(parts.arc(k), (one,))(0.0, nodes[k], s, given[k], period), one.low, one.high))
-        whose.append(tasks.index(one))
-    for k, one in enumerate(parts.means):
-        ranges.append((integrals[1 + k] / period / parts.symmetry.fraction, one.low, one.high))
-        whose.append(tasks.index(one))
-    for k, one in enumerate(parts.always):
-        ranges.append((_everywhere(parts, k, nodes, paths, s, given, period), one.low, one.high))
-        whose.append(tasks.index(one) if one in tasks else -2)
+    tasks = [(parts.watched(parts.arc(k), (one,))(0.0, nodes[k], s, given[k], period), one) for k, one in parts.moments]
+    tasks += [(integrals[1 + k] / period / parts.symmetry.fraction, one) for k, one in enumerate(parts.means)]
+    tasks += [(_everywhere(parts, k, nodes, paths, s, given, period), one) for k, one in enumerate(parts.always)]
+    ranges = [(closing, 0.0, 0.0), (rows, 0.0, 0.0), *((row, one.low, one.high) for row, one in tasks)]
+    whose = [-1, -1, *(control.tasks.index(one) if one in control.tasks else -2 for _, one in tasks)]
     cost = integrals[0] / parts.symmetry.fraction / (period if control.average else 1.0)
     first, last = _bounds(program, guess)
     c_low, c_high = coefficient_bounds(program)
@@ -596,22 +604,6 @@ def _first_points(guess: Unknowns, parts: Arrangement, collocation: bool) -> np.
     following[-1] = guess.nodes[-1]
     chords = guess.nodes[:, None, :] + shares[None, :, None] * (following - guess.nodes)[:, None, :]
     return np.asarray(chords).ravel()
-
-
-def _ipopt(program: dict[str, ca.MX], start: np.ndarray, tolerance: float, **ranges: np.ndarray) -> tuple[Any, Any]:
-    options = {
-        "print_time": False, "error_on_fail": False,
-        "ipopt": {
-            "print_level": 0, "sb": "yes", "tol": tolerance, "max_iter": MOST_ITERATIONS, "bound_relax_factor": 0.0,
-            "constr_viol_tol": 1e-11, "dual_inf_tol": 1e-6, "compl_inf_tol": 1e-9, "acceptable_iter": 0,
-            "mu_target": 0.0, "mu_strategy": "adaptive",
-        },
-    }  # fmt: skip
-    with captured(), limit.alarm():
-        solver = ca.nlpsol("controlled", "ipopt", program, options)
-        found = solver(x0=start, **ranges)
-        stats = solver.stats()
-    return found, stats
 
 
 def _closed(stated: Statement, at: np.ndarray) -> np.ndarray:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 
 from orbitfinder._runtime.sizes import relative
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.cvodes import integration_error, sundials
 from orbitfinder.loops.problem import Problem, clocked
-from orbitfinder.loops.shooting import Shooting
+from orbitfinder.loops.shooting import Shooting, spans
 from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.newton import descended
 
@@ -69,7 +70,7 @@ def advice(shooting: Shooting, w: np.ndarray, defects: np.ndarray) -> str:
         return "the period collapsed towards 0, where every state closes; raise guess.period or pin the period"
     if found.period > 0.95 * high.period:
         return "the period ran away upwards, as near a separatrix; lower guess.period or pin another energy"
-    bounds = zip(problem.free, found.free, low.free, high.free, strict=True)
+    bounds = zip(shooting.loop.equations.free, found.free, low.free, high.free, strict=True)
     for name, value, lowest, highest in bounds:
         if min(value - lowest, highest - value) < 1e-3 * (highest - lowest):
             return f"{name} ran to the end of its range ({value:.4g}); give a guess nearer to an orbit or free another"
@@ -116,7 +117,7 @@ def _turning(shooting: Shooting, w: np.ndarray) -> str:
     n = model.degrees_of_freedom
     turns = [one for one in model.invariants if one.generator is not None]
     p = model.parameter_values.copy()
-    p[[model.parameter_index(name) for name in shooting.problem.free]] = found.free
+    p[[model.parameter_index(name) for name in shooting.loop.equations.free]] = found.free
     left = 1.0 if not turns else 0.0
     for node in found.nodes if turns else ():
         along = np.column_stack([one.generator(node[:n], node[n:], p).full() for one in turns])  # type: ignore[misc]
@@ -179,13 +180,14 @@ def worst_defects(shooting: Shooting, w: np.ndarray) -> np.ndarray:
     `IntegrationError` names its segment.
     """
     found = shooting.at(w)
-    (count, size), duration = found.nodes.shape, found.period * shooting.problem.boundary.fraction / len(found.nodes)
-    ends = []
-    for k, node in enumerate(found.nodes):
-        with sundials(node, k * duration, duration, k):
-            ends.append(shooting.flow.end(k * duration, node, duration, found.unfolding, found.free).full().ravel())
+    (count, size), ends, equations = found.nodes.shape, [], shooting.loop.equations
+    tail = found.period, found.unfolding, ca.DM(found.free)
+    for k, (flow, given) in enumerate(spans(equations, shooting.flow, list(found.nodes), tail)):
+        with sundials(given[1], float(given[0]), float(given[2]), k):
+            ends.append(flow.end(*given).full().ravel())
     reached = np.asarray(ends)
-    gaps = np.abs((reached[:-1] - found.nodes[1:]) / np.asarray(shooting.flow.units or 1.0)).max(axis=1)
+    off = equations.links.passed(found, reached)[0][:-1] - found.nodes[1:]
+    gaps = np.abs(off / np.asarray(shooting.flow.units or 1.0)).max(axis=1)
     rows = shooting.rows(w, reached.T).full().ravel()
     boundary = rows[size * (count - 1) : size * count]
     return np.append(gaps, float(np.abs(boundary).max()))

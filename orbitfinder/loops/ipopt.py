@@ -134,37 +134,42 @@ def solve_nlp(
 ) -> np.ndarray:
     """The decision vector w that IPOPT finds from `start`; `ConvergenceError` or `IntegrationError` otherwise."""
     watch = _Watch(shooting, report)
-    options = _options(shooting, settings) | {"iteration_callback": watch}
     objective = ca.MX(0) if shooting.square else shooting.objective
     rows = ca.vertcat(shooting.constraints, shooting.inequalities)
     program = {"x": shooting.variables, "f": objective, "g": rows}
     zeros = np.zeros(shooting.constraints.numel())
     limits = {"lbg": np.concatenate([zeros, shooting.low]), "ubg": np.concatenate([zeros, shooting.high])}
-    with captured() as output, limit.alarm():
-        solver = ca.nlpsol("shooting", "ipopt", program, options)
-        result = solver(x0=shooting.start if start is None else start, lbx=shooting.lower, ubx=shooting.upper, **limits)
-        stats = solver.stats()
-    w = result["x"].full().ravel()
+    ipopt, options = _options(shooting, settings)
+    w, stats, text = minimised(
+        "shooting", program, ipopt, options | {"iteration_callback": watch},
+        x0=shooting.start if start is None else start, lbx=shooting.lower, ubx=shooting.upper, **limits,
+    )  # fmt: skip
     if not stats["success"]:
-        raise explain(shooting, w, watch.stuck or stats["return_status"], output.text)
+        raise explain(shooting, w, watch.stuck or stats["return_status"], text)
     refuse_equilibrium(shooting, w)
-    return np.asarray(w)
+    return w
 
 
-def _options(shooting: Shooting, settings: SolveSettings) -> dict[str, Any]:
+def minimised(
+    name: str, program: dict[str, ca.MX], ipopt: dict[str, Any], options: dict[str, Any], /, **given: np.ndarray
+) -> tuple[np.ndarray, dict[str, Any], str]:
+    """What IPOPT ends at with its options and CasADi's, its statistics, and what it printed."""
+    own = {"print_level": 0, "sb": "yes", "acceptable_iter": 0, "bound_relax_factor": 0.0} | ipopt
+    whole = {"print_time": False, "error_on_fail": False, "ipopt": own} | options
+    with captured() as output, limit.alarm():
+        solver = ca.nlpsol(name, "ipopt", program, whole)
+        found, stats = solver(**given), solver.stats()
+    return found["x"].full().ravel(), stats, output.text
+
+
+def _options(shooting: Shooting, settings: SolveSettings) -> tuple[dict[str, Any], dict[str, Any]]:
     """IPOPT's options; the Hessian is explicit where its structure is known and L-BFGS elsewhere, never exact."""
-    ipopt = {
-        "print_level": 0, "sb": "yes", "tol": settings.ipopt_tolerance, "mu_init": 1e-8,
-        "max_iter": settings.max_iterations, "acceptable_iter": 0, "bound_relax_factor": 0.0,
-    }  # fmt: skip
-    options: dict[str, Any] = {"print_time": False, "error_on_fail": False, "ipopt": ipopt}
+    ipopt: dict[str, Any] = {"tol": settings.ipopt_tolerance, "mu_init": 1e-8, "max_iter": settings.max_iterations}
     if not shooting.square and (shooting.inequalities.numel() or shooting.problem.objective != "nearest"):
         ipopt |= {"mu_init": 1e-2, "max_iter": settings.objective_iterations, **STALLED}
     if shooting.square or shooting.problem.objective == "nearest" or shooting.residuals.numel():
-        options["hess_lag"] = hessian(shooting)
-    else:
-        ipopt |= {"hessian_approximation": "limited-memory", "limited_memory_max_history": 30}
-    return options
+        return ipopt, {"hess_lag": hessian(shooting)}
+    return ipopt | {"hessian_approximation": "limited-memory", "limited_memory_max_history": 30}, {}
 
 
 def hessian(shooting: Shooting) -> ca.Function:

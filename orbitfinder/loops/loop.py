@@ -30,11 +30,10 @@ from orbitfinder.integrate.evaluate import Buffered
 from orbitfinder.integrate.march import March, Marches, Varied
 from orbitfinder.loops.condensed import Inner, Linearised
 from orbitfinder.loops.symmetry import Symmetry, moved, symplectic
-from orbitfinder.mechanics.hybrid import Transition, share
+from orbitfinder.mechanics.hybrid import Transition, freed, share
 from orbitfinder.mechanics.model import Model, vector_field
 from orbitfinder.records.orbit import SHARE
 
-NONE_SUCH = np.zeros(0)
 GRAZED = 1e-30
 """A guard's rate at least, by which what grazes it is multiplied"""
 ROUND_OFF = float(np.finfo(float).eps)
@@ -162,9 +161,9 @@ class Equations:
 
     def __post_init__(self, given: March | None) -> None:
         if self.model.hybrid is not None:
-            shares = [one for one in self.model.parameter_names if one.startswith(SHARE) and one not in self.free]
-            object.__setattr__(self, "free", (*self.free, *shares))
-            arcs = [self._marched(arc.model, k) for k, (arc, _) in enumerate(self.model.hybrid.arcs)]
+            object.__setattr__(self, "free", freed(self.model, self.free, self.symmetry.parts))
+            part = self.model.hybrid.part(self.symmetry.parts)
+            arcs = [self._marched(arc.model, k) for k, (arc, _) in enumerate(part)]
             object.__setattr__(self, "march", arcs[0] if len(arcs) == 1 else Marches(arcs))
         else:
             object.__setattr__(self, "march", given or self._marched(self.model))
@@ -178,15 +177,16 @@ class Equations:
         return March(flow, model.forced, rate, self.alone)
 
     def _paced(self, function: ca.Function, arc: int) -> ca.Function:
-        """A rate in arc k of K, of which a period of the mesh lasts K shares of the period."""
+        """A rate in arc k of K in the period, of which a period of the mesh lasts K shares of the period."""
         inputs = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
-        pace = self.links.count * share(self.model, arc, self.model.parameters(self.free, inputs[3]))
+        parts = self.symmetry.parts
+        pace = parts * self.links.count * share(self.model, arc, self.model.parameters(self.free, inputs[3]), parts)
         return ca.Function(function.name(), inputs, [pace * function(*inputs)])
 
     @cached_property
     def links(self) -> Links:
         """What leads from each arc of a hybrid system to the next."""
-        return Links(self.model, self.free)
+        return Links(self.model, self.free, self.symmetry.parts)
 
     @property
     def physical(self) -> tuple[str, ...]:
@@ -308,22 +308,22 @@ class Equations:
 class Links:
     """The resets x+ = R(x-, p) and guards g(x-, p) at the ends of a hybrid system's arcs, with derivatives.
 
-    None of a smooth one.
+    None of a smooth one. Of an orbit with a symmetry those of the first of the equal `parts` of its period.
     """
 
-    def __init__(self, model: Model, free: tuple[str, ...]) -> None:
-        arcs = () if model.hybrid is None else model.hybrid.arcs
-        self.count = max(1, len(arcs))
-        self._parts = [Buffered(_link(model, one, free, True)) for _, one in arcs]
-        self._passes = [Buffered(_link(model, one, free, False)) for _, one in arcs]
+    def __init__(self, model: Model, free: tuple[str, ...], parts: int = 1) -> None:
+        arcs = () if model.hybrid is None else model.hybrid.part(parts)
+        self.count, self.parts, self.transitions = max(1, len(arcs)), parts, tuple(one for _, one in arcs)
+        self._parts = [Buffered(_link(model, one, free, True)) for one in self.transitions]
+        self._passes = [Buffered(_link(model, one, free, False)) for one in self.transitions]
 
     def __bool__(self) -> bool:
-        return bool(self._parts)
+        return bool(self.transitions)
 
     def shares(self, free: np.ndarray) -> np.ndarray:
         """The shares of the period that the arcs take (K), from the freed parameters."""
         last = free[free.size - (self.count - 1) :]
-        return np.append(last, 1.0 - last.sum())
+        return np.append(last, 1.0 / self.parts - last.sum())
 
     def repeated(self, free: np.ndarray, times: int, total: float = 1.0) -> np.ndarray:
         """Freed parameters of the cycle gone through so many times; with `total` 0, their changes."""
@@ -335,13 +335,11 @@ class Links:
 
     def ends(self, segments: int) -> np.ndarray:
         """The numbers of the segments that end arcs."""
-        return (np.arange(self.count) + 1) * (segments // self.count) - 1
+        return (np.arange(len(self.transitions)) + 1) * (segments // self.count) - 1
 
     def units(self, w: Unknowns, unit: np.ndarray) -> np.ndarray:
         """What the guards (K) are measured in, states being measured in `unit` (d)."""
-        if not self:
-            return NONE_SUCH
-        return np.array([np.linalg.norm(parts[4] * unit) for parts in self.at(w, w.nodes)])
+        return np.array([np.linalg.norm(parts[4] * unit) for parts in self.at(w, w.nodes)], float)
 
     def at(self, w: Unknowns, ends: np.ndarray) -> list[list[np.ndarray]]:
         """(R, g, dR/dx, dR/dfree, dg/dx, dg/dfree) of each arc."""
@@ -350,7 +348,7 @@ class Links:
 
     def passed(self, w: Unknowns, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The ends with those of arcs reset, and the guards (K)."""
-        after, guards = ends.copy(), np.empty(self.count)
+        after, guards = ends.copy(), np.empty(len(self.transitions))
         for k, (one, place) in enumerate(zip(self._passes, self.ends(len(ends)), strict=True)):
             reset, guard = one(ends[place], w.free)
             after[place], guards[k] = reset, guard.item()
@@ -433,9 +431,7 @@ class Loop:
     def rows(self, w: Unknowns, ends: np.ndarray, *aims: Condition) -> np.ndarray:
         """The residual, segments ending at `ends` (N x d); those of aims last."""
         first, last = self.equations.boundary
-        links, guards = self.equations.links, NONE_SUCH
-        if links:
-            ends, guards = links.passed(w, ends)
+        ends, guards = self.equations.links.passed(w, ends)
         closing = first @ w.nodes[0] + last @ ends[-1] - self.equations.aimed(self.constant)
         rows = [(ends[:-1] - w.nodes[1:]).ravel(), closing, self._away(w)]
         named, count = self.values(w, (*self.conditions, *aims)), len(self.conditions)
@@ -444,13 +440,16 @@ class Loop:
     def stated(self, nodes: Sequence[ca.MX], period: ca.MX, free: ca.MX, ends: Sequence[ca.MX]) -> ca.MX:
         """The same rows as an expression of CasADi."""
         first, last = (ca.sparsify(ca.DM(one)) for one in self.equations.boundary)
-        ends, guards = self._passed(ends, free)
+        links, ends, guards = self.equations.links, list(ends), list[ca.MX]()
+        model, p = self.equations.model, self.equations.model.parameters(self.equations.free, free)
+        for one, place in zip(links.transitions, links.ends(len(ends)), strict=True):
+            guards.append(one.guard(ends[place], p))
+            ends[place] = one.reset(ends[place], p)
         rows = [end - node for end, node in zip(ends, nodes[1:], strict=False)]
         rows.append(first @ nodes[0] + last @ ends[-1] - self.equations.aimed(self.constant))
         rows += [ca.dot(ca.DM(normal), nodes[0] - self.reference) for normal in self.normals]
         head = ca.vertcat(nodes[0], period, free)
-        model = self.equations.model
-        named = _values(model, nodes[0], model.parameters(self.equations.free, free))
+        named = _values(model, nodes[0], p)
         for one in self.conditions:
             row = ca.MX(-one.value)
             if one.normal is not None:
@@ -459,17 +458,6 @@ class Loop:
                 row += one.weight * named[one.quantity]
             rows.append(row)
         return ca.vertcat(*rows, *guards)
-
-    def _passed(self, ends: Sequence[ca.MX], free: ca.MX) -> tuple[Sequence[ca.MX], list[ca.MX]]:
-        """Ends with those of arcs reset, and the guards, of CasADi."""
-        model, links = self.equations.model, self.equations.links
-        if not links:
-            return ends, []
-        after, p, guards = list(ends), model.parameters(self.equations.free, free), []
-        for (_, one), place in zip(model.hybrid.arcs, links.ends(len(after)), strict=True):
-            guards.append(one.guard(after[place], p))
-            after[place] = one.reset(after[place], p)
-        return after, guards
 
     def linearised(self, w: Unknowns, path: Varied) -> Linearised:
         """The derivatives of the rows."""
@@ -513,7 +501,7 @@ class Loop:
 
     @property
     def _guards(self) -> int:
-        return self.equations.links.count if self.equations.links else 0
+        return len(self.equations.links.transitions)
 
     def values(self, w: Unknowns, conditions: Sequence[Condition]) -> np.ndarray:
         """The residuals of conditions."""

@@ -11,7 +11,7 @@ from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied, divided
 from orbitfinder.loops.condensed import eliminated
-from orbitfinder.loops.loop import NONE_SUCH, Loop, Unknowns, beyond
+from orbitfinder.loops.loop import Loop, Unknowns, beyond
 from orbitfinder.loops.scales import Measures
 from orbitfinder.mechanics.newton import Settings, Solved, Solver, chord, full
 
@@ -82,7 +82,7 @@ class Newton:
     def __init__(self, loop: Loop, settings: NewtonSettings, measures: Measures) -> None:
         self.loop, self.settings, self.measures = loop, settings, measures
         self.marches, self.jacobians, self.growth, self.best = 0, 0, 1.0, np.inf
-        self._lost = NONE_SUCH
+        self._lost = np.zeros(0)
 
     def solve(self, w: Unknowns, path: Varied) -> tuple[Unknowns, float]:
         """w on the mesh that confirms it, and its largest row; `path` is w's first integration.

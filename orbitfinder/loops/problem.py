@@ -11,7 +11,7 @@ import numpy as np
 from orbitfinder._runtime.arguments import check, check_fields
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import CountError, InputError, closest
-from orbitfinder.integrate.automaton import recognised
+from orbitfinder.integrate.automaton import Automaton, recognised
 from orbitfinder.integrate.idas import check_consistent
 from orbitfinder.loops.conditions import (
     Constraint,
@@ -31,7 +31,7 @@ from orbitfinder.mechanics.chain import maximal_states
 from orbitfinder.mechanics.controls import actuated, check_constant
 from orbitfinder.mechanics.hybrid import with_cycle
 from orbitfinder.mechanics.model import Model, counted
-from orbitfinder.mechanics.scales import proportions
+from orbitfinder.mechanics.scales import proportions, surroundings
 
 CLOSURE_TOLERANCE = 1e-12
 """Largest gap round the loop that a certificate accepts, times max(1, largest multiplier)."""
@@ -49,7 +49,7 @@ class Guess(Shown):
     Args:
         state: at t = 0 (2n; d of a first-order system).
         period: T in s.
-        times: of a trajectory (k, from 0 to T); without one the start is simulated from `state`.
+        times: of a trajectory (k, from 0 to T; at events twice, or not); else the start is simulated from `state`.
         states: of that trajectory (k x 2n).
         free: where freed physical parameters start, by name; otherwise at the model's own values.
 
@@ -71,6 +71,11 @@ class Guess(Shown):
     times: np.ndarray | None = None
     states: np.ndarray | None = None
     free: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def trajectory(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Times and states, where it has both."""
+        return None if self.times is None or self.states is None else (np.asarray(self.times), np.asarray(self.states))
 
     def __post_init__(self) -> None:
         check("guess.state", "Sequence[float]", self.state)
@@ -218,7 +223,8 @@ class Problem(Shown):
         _check_hybrid(self)
         if not self.model.hybrid.cycle:
             _check_state(self.model, np.asarray(self.guess.state, float))
-            cycle = recognised(self.model, np.asarray(self.guess.state, float), self.guess.period)
+            given = np.asarray(self.guess.state, float), self.guess.period, self.guess.trajectory
+            cycle = recognised(self.model, *given)
             object.__setattr__(self, "model", with_cycle(self.model, cycle))
 
     def _lift(self, links: int) -> None:
@@ -256,7 +262,7 @@ class Problem(Shown):
         intervals = segments or self.segments or 1
         size, symmetry = len(self.model.state_names), self.boundary
         unfolded = symmetry.unfolded(self.model)
-        arcs = 0 if self.model.hybrid is None else len(self.model.hybrid.cycle)
+        arcs = 0 if self.model.hybrid is None else len(self.model.hybrid.part(symmetry.parts))
         others = sum(one.generator is not None for one in unfolded)
         equations = {
             "defects": size * (intervals - 1),
@@ -379,7 +385,10 @@ def _check(problem: Problem) -> None:
         _check_forcing(problem)
     if model.constraint is not None:
         check_consistent(model, state)
-    symmetry.check(model, state, problem.forcing_cycles)
+    if model.hybrid is None or not symmetry.maps:
+        symmetry.check(model, state, problem.forcing_cycles)
+    else:
+        _check_halves(problem, state)
 
 
 def _check_state(model: Model, state: np.ndarray) -> None:
@@ -393,23 +402,53 @@ def _check_state(model: Model, state: np.ndarray) -> None:
 
 
 def _check_hybrid(problem: Problem) -> None:
-    """`InputError` for what orbits of hybrid systems cannot be asked for."""
-    asked = {
-        "symmetry": problem.symmetry != "none",
-        "relative": bool(problem.relative),
-        "objective": problem.objective != "nearest",
-        "coordinate": problem.coordinate is not None,
-        "bounds": bool(problem.bounds),
-        "constraints": bool(problem.constraints),
-        "phase_condition": problem.phase_condition is not None,
-        "guess.states": problem.guess.states is not None,
-    }
-    for name, given in asked.items():
-        if given:
+    """`InputError` for what orbits of hybrid systems cannot be asked for, and for a trajectory that is none."""
+    for times, states in filter(None, [problem.guess.trajectory]):
+        size = len(problem.model.state_names)
+        if times.ndim != 1 or times.size < 2 or states.shape != (times.size, size) or not np.all(np.diff(times) >= 0):
             raise InputError(
-                f"{name}: orbits of hybrid systems are found from a state and a period, by pins and freed parameters "
-                "alone; leave it out"
+                f"guess.states: {states.shape} numbers at {times.shape} times; give {size} of a state at each of at "
+                "least 2 times, which do not decrease"
             )
+    phase = "chooses t = 0, which is after the event that ends a hybrid orbit's cycle: its guard is the phase condition"
+    later, controlled = "is not of controlled motions of hybrid systems yet", problem.control is not None
+    for name, asked, why in (
+        ("phase_condition", problem.phase_condition is not None, phase),
+        ("objective", problem.objective in PEAKS, phase),
+        ("coordinate", problem.coordinate is not None, phase),
+        ("symmetry", controlled and problem.symmetry != "none", later),
+        ("relative", controlled and problem.relative, later),
+        ("bounds", controlled and problem.bounds, later),
+        ("guess.states", controlled and problem.guess.trajectory is not None, later),
+    ):
+        if asked:
+            raise InputError(f"{name}: {why}; leave it out")
+
+
+def _check_halves(problem: Problem, state: np.ndarray) -> None:
+    """`InputError` unless the second half of a hybrid system's cycle is the image of the first, tried near a state."""
+    model, symmetry, forward = problem.model, problem.boundary, problem.boundary.forward
+    n, cycle, why = model.degrees_of_freedom, ", ".join(model.hybrid.cycle), ""
+    if symmetry.reverses or forward is None:
+        why = "runs time backwards, and a reset, after which a hybrid orbit begins, is a map forwards"
+    elif len(model.hybrid.cycle) % 2:
+        why = f"takes half of the events to the other half, and the cycle {cycle} has an odd number"
+    else:
+        lengths, clock = surroundings(model, state[:n])
+        units = np.concatenate([lengths, lengths[: state.size - n] / clock])
+        rows = state + units * np.random.default_rng(0).normal(0, 0.3, (4, state.size))
+        turned = (np.zeros(n), np.ones(n)) if problem.winding is None else (np.asarray(problem.winding) % 2,)
+        half = (np.append(np.pi * one * (model.angular & forward.keeps(n)), np.zeros(state.size - n)) for one in turned)
+        arcs, automaton = [(mode.name, one.name) for mode, one in model.hybrid.arcs], Automaton(model)
+        pairs = list(zip(arcs, arcs[len(arcs) // 2 :], strict=False))
+        off = (max(automaton.unlike(*pair, rows, forward.matrix(n), by) for pair in pairs) for by in half)
+        if min(off) > LARGEST_TOLERANCE:
+            moves = forward.in_words(model.state_names[:n])
+            why = f"({moves}) does not take modes, guards and resets of half of the events {cycle} to the other half's"
+    if why:
+        raise InputError(
+            f"symmetry: {symmetry.name!r} {why}; use one that takes the first half of a cycle to the second, or 'none'"
+        )
 
 
 def _check_objective(problem: Problem) -> None:
@@ -466,7 +505,10 @@ def _check_winding(problem: Problem) -> None:
         raise InputError(f"winding: {len(problem.winding)} numbers for {n} coordinates; give one per coordinate")
     if any(k and not angle for k, angle in zip(problem.winding, problem.model.angular, strict=True)):
         raise InputError(f"winding: {list(problem.winding)} turns a coordinate that is not an angle; set it to 0")
-    if np.any(np.asarray(problem.winding)[~problem.boundary.may_turn(n)]):
+    turning, forward = problem.boundary.may_turn(n), problem.boundary.forward
+    if problem.model.hybrid is not None and forward is not None:  # half of the turns belong to half of the events
+        turning = forward.keeps(n)
+    if np.any(np.asarray(problem.winding)[~turning]):
         raise InputError(
             f"winding: a {problem.symmetry} orbit comes back, so {list(problem.winding)} cannot hold; "
             "use symmetry = 'none' or 'reversal' for running orbits"
@@ -504,11 +546,15 @@ def _check_relative(problem: Problem) -> None:
 
 def boundary_constants(problem: Problem, nodes: np.ndarray, end: np.ndarray | None = None) -> np.ndarray:
     """The constants (2n) of the boundary rows that a guess is nearest to: the motion may be symmetric about an upright
-    link. Of an orbit that repeats mirrored, about its mean over the part."""
-    start = nodes[0]
-    if problem.boundary.maps and not problem.boundary.reverses:
+    link. Of an orbit that repeats mirrored, about its mean over the part; of a hybrid one by its end."""
+    start, turns, forward = nodes[0], problem.winding, problem.boundary.forward
+    if problem.model.hybrid is not None and forward is not None and end is not None:
+        if turns is None:  # of those that stay in place half a turn is a half of one
+            moved = (end - start)[: problem.turns.size]
+            turns = tuple(np.where(problem.model.angular, np.round(moved / np.pi), 0.0))
+    elif problem.boundary.maps and not problem.boundary.reverses:
         start = end = nodes.mean(axis=0)
-    return problem.boundary.constants(problem.model.angular, start, end, problem.winding)
+    return problem.boundary.constants(problem.model.angular, start, end, turns)
 
 
 def guessed_nodes(guess: Guess, shares: np.ndarray) -> np.ndarray:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from orbitfinder.integrate.cvodes import Flow, build_flow, end_state, transition_function
+from orbitfinder.integrate.cvodes import Flow, IntegratorSettings, build_flow, end_state, transition_function
 from orbitfinder.integrate.march import March, uniform
 from orbitfinder.loops.conditions import Variables, constrained_brake_rows
 from orbitfinder.loops.loop import Equations, Loop, Unknowns
 from orbitfinder.loops.problem import Problem, loop_of
 from orbitfinder.mechanics import scales
 from orbitfinder.mechanics.constrained import allowed_velocities
+from orbitfinder.mechanics.hybrid import freed, saltation, share
 
 PERIOD_RANGE = 5.0
 """The period may change by this factor either way; keeps it away from 0, where every state closes."""
@@ -77,25 +80,27 @@ class Shooting:
         return np.asarray(unknowns.vector / self.units)
 
 
-def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) -> Shooting:
-    """The multiple-shooting program of a Problem started from node states (N x 2n).
+def transcribe(problem: Problem, nodes: np.ndarray | Unknowns, flow: Flow | None = None) -> Shooting:
+    """The multiple-shooting program of a Problem started from node states (N x 2n), or from unknowns of arcs.
 
     The rows of its loop (see `loops.loop`) and of its constraints, in {2n N node states, T, s per invariant, freed
     parameters}: square and regular at an orbit (Muñoz-Almaraz et al., Physica D 181 (2003) 1-38).
     """
     problem.check_count()
-    unfolded = problem.boundary.unfolded(problem.model)
-    flow = flow or build_flow(problem.model, problem.free, unfolded, units=units_of(problem))
+    flow = flow or flow_of(problem)
     equations = Equations(problem.model, problem.boundary, problem.free, given=March(flow.field, problem.model.forced))
-    guess = equations.unknowns(nodes, problem.guess.period, uniform(problem.boundary.fraction, len(nodes), 1))
-    far = far_end(problem, nodes, flow)
+    if isinstance(nodes, np.ndarray):
+        guess = equations.unknowns(nodes, problem.guess.period, uniform(problem.boundary.fraction, len(nodes), 1))
+        far = far_end(problem, nodes, flow)
+    else:
+        guess, far = nodes, equations.links.passed(nodes, equations.ends(nodes))[0][-1]
     loop = loop_of(problem, equations, guess, far, problem.pin)
     scaled = guess.symbols()
-    w, given = ca.vertcat(*scaled[0], *scaled[1]), ca.MX.sym("ends", equations.size, len(nodes))
+    w, given = ca.vertcat(*scaled[0], *scaled[1]), ca.MX.sym("ends", equations.size, len(guess.nodes))
     units = _units(flow, guess)
     start = guess.vector / units
     parts, tail = scaled if not flow.units else _times(scaled, units)
-    known = _variables(problem, flow, parts, tail, given)
+    known = _variables(loop, flow, parts, tail, given)
     equalities = _rows(loop, problem, known, tail, far)
     lost, own = np.zeros(equalities.numel()), loop.lost(guess)  # the user's constraints come after the loop's rows
     lost[: own.size] = own
@@ -104,12 +109,13 @@ def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) ->
     else:
         sizes = np.ones(lost.size)
         steepest = np.abs(loop.slopes(guess, loop.conditions)).max(axis=1)  # of a large mass by over 256
-        sizes[own.size - len(loop.conditions) : own.size] = scales.snapped(steepest, scales.WIDE)
+        last = own.size - len(equations.links.transitions)
+        sizes[last - len(loop.conditions) : last] = scales.snapped(steepest, scales.WIDE)
     sizes = np.maximum(sizes, lost / RESOLVED)
     rows = ca.Function("rows", [w, given], [equalities if np.all(sizes == 1.0) else equalities / ca.DM(sizes)])
     limits, low, high = _inequalities(problem, known)
     aims = ca.Function("aims", [w, given], [*_objective(problem, known), limits])
-    ends = _ends(problem, flow, parts, tail)
+    ends = ca.horzcat(*(one.end(*given) for one, given in spans(equations, flow, parts, tail)))
     constraints = rows(w, ends)
     lower, upper = (one.vector / units for one in _bounds(problem, flow, guess, guess.at(units)))
     weights = _weights(problem, guess.at(start))
@@ -121,6 +127,15 @@ def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) ->
         lost / sizes, constraints, ca.Function("jacobian", [w], [ca.jacobian(constraints, w)]), inequalities, low, high,
         residuals,
     )  # fmt: skip
+
+
+def flow_of(problem: Problem, settings: IntegratorSettings | None = None) -> Flow:
+    """The flow of a Problem's model, or of each arc of its cycle, in the units of its guess's motion."""
+    symmetry, units, model = problem.boundary, units_of(problem), problem.model
+    arcs = [model] if model.hybrid is None else [one.model for one, _ in model.hybrid.part(symmetry.parts)]
+    free = freed(model, problem.free, symmetry.parts)
+    first, *later = (build_flow(one, free, symmetry.unfolded(one), settings, units) for one in arcs)
+    return replace(first, later=tuple(later)) if later else first
 
 
 def units_of(problem: Problem) -> tuple[float, ...]:
@@ -156,19 +171,33 @@ def _sizes(rows: ca.MX, inputs: tuple[ca.MX, ca.MX], start: np.ndarray, guess: U
     return np.where(np.isfinite(size) & (size > 0), size, 1.0)
 
 
-def _variables(problem: Problem, flow: Flow, parts: list[ca.MX], tail: list[ca.MX], ends: ca.MX) -> Variables:
+def spans(equations: Equations, flow: Flow, nodes: Sequence[Any], tail: Sequence[Any]) -> list[tuple[Flow, list[Any]]]:
+    """The flow of each segment with what it is given: when and where it begins, how long it lasts, s and free."""
+    (period, s, free), model, arcs = tail, equations.model, (flow, *flow.later)
+    p, parts, each = model.parameters(equations.free, free), equations.symmetry.parts, len(nodes) // len(arcs)
+    lasts = [period * (share(model, arc, p, parts) / each) for arc in range(len(arcs))]
+    return [(arcs[k // each], [k * lasts[k // each], x, lasts[k // each], s, free]) for k, x in enumerate(nodes)]
+
+
+def _variables(loop: Loop, flow: Flow, parts: list[ca.MX], tail: list[ca.MX], ends: ca.MX) -> Variables:
     """The unknowns by name, for whatever the user asks of them."""
-    period, s, free = tail
-    duration = period * (problem.boundary.fraction / len(parts))
+    equations, (period, _, free), reached = loop.equations, tail, tuple(ca.horzsplit(ends))
+    model, p = equations.model, equations.model.parameters(equations.free, free)
 
     def transitions() -> list[ca.MX]:
-        function = transition_function(flow)
-        return [function(k * duration, node, duration, s, free) for k, node in enumerate(parts)]
+        functions = [transition_function(one) for one in (flow, *flow.later)]
+        each = len(parts) // len(functions)
+        given = (inputs for _, inputs in spans(equations, flow, parts, tail))
+        found = [functions[k // each](*inputs) for k, inputs in enumerate(given)]
+        arcs = () if model.hybrid is None else model.hybrid.arcs
+        for arc, k in enumerate(equations.links.ends(len(parts))):
+            (mode, one), (after, _) = arcs[arc], arcs[(arc + 1) % len(arcs)]
+            found[k] = saltation(mode.model, one, after.model)(reached[k], p) @ found[k]
+        return found
 
     return Variables(
-        problem.model, problem.boundary, tuple(parts), tuple(ca.horzsplit(ends)), period,
-        {name: free[k] for k, name in enumerate(problem.free)}, problem.model.parameters(problem.free, free),
-        transitions,
+        model, equations.symmetry, tuple(parts), reached, period,
+        {name: free[k] for k, name in enumerate(equations.physical)}, p, transitions,
     )  # fmt: skip
 
 
@@ -194,13 +223,6 @@ def _inequalities(problem: Problem, known: Variables) -> tuple[ca.MX, np.ndarray
             rows.append(one.value(known))
             low, high = [*low, *[one.lower] * one.rows], [*high, *[one.upper] * one.rows]
     return ca.vertcat(*rows), np.asarray(low, float), np.asarray(high, float)
-
-
-def _ends(problem: Problem, flow: Flow, parts: list[ca.MX], tail: list[ca.MX]) -> ca.MX:
-    """End states of all segments, joined (2n x N)."""
-    period, s, free = tail
-    duration = period * (problem.boundary.fraction / len(parts))
-    return ca.horzcat(*[flow.end(k * duration, node, duration, s, free) for k, node in enumerate(parts)])
 
 
 def _rows(loop: Loop, problem: Problem, known: Variables, tail: list[ca.MX], far: np.ndarray | None) -> ca.MX:
@@ -237,7 +259,8 @@ def _bounds(problem: Problem, flow: Flow, guess: Unknowns, units: Unknowns) -> t
     unfolding = UNFOLDING_RANGE * units.unfolding
     spread = 0.95 * np.abs(guess.free) + (guess.free == 0)
     times = problem.bounds.get("period", (guess.period / PERIOD_RANGE, guess.period * PERIOD_RANGE))
-    ends = zip(problem.free, guess.free - spread, guess.free + 10 * spread, strict=True)
+    free = freed(problem.model, problem.free, problem.boundary.parts)
+    ends = zip(free, guess.free - spread, guess.free + 10 * spread, strict=True)
     ranges = np.array([problem.bounds.get(name, (low, high)) for name, low, high in ends]).reshape(-1, 2).T
     return (
         replace(guess, nodes=guess.nodes - reach, period=times[0], unfolding=-unfolding, free=ranges[0]),

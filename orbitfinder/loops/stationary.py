@@ -27,7 +27,7 @@ from scipy.sparse.linalg import splu
 
 from orbitfinder._runtime.sizes import nonzero, size_of
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.loops.controlled import Program, Solution, Statement, stated_program
+from orbitfinder.loops.controlled import Program, Solution, stated_program
 from orbitfinder.mechanics.model import vector_field
 from orbitfinder.mechanics.newton import Settings, largest, stepped
 
@@ -81,25 +81,27 @@ class Stationary:
         self.program, self.varying, self.like = program, varying, w
         self.statement = one = stated_program(program, w)
         n, own = one.v.numel(), program.vector(w, solution.coefficients)
-        self.boxed = _boxed(program, one, w.vector.size, n)
-        self.extra = not varying.unknown
-        self.place = n if self.extra else n - 1 if program.parts.varied else (
+        self.names = program.names(w)
+        asked = np.isfinite(one.lower) | np.isfinite(one.upper)  # limits of controls, bounds that the problem states
+        asked[: w.vector.size] = [name in program.problem.bounds for name in self.names[: w.vector.size]]
+        self.boxed = np.flatnonzero(asked[:n])
+        extra = not varying.unknown
+        self.place = n if extra else n - 1 if program.parts.varied else (
             w.vector.size - w.free.size + program.parts.free.index(varying.unknown))  # fmt: skip
         rows = ca.vertcat(one.rows, one.v[[int(k) for k in self.boxed]])
-        y = ca.MX.sym("y", rows.numel())
-        slopes = [ca.gradient(one.cost, one.v), rows, ca.jacobian(rows, one.v)]
-        self._first = ca.Function("first", [one.v], [one.cost, *slopes])
-        self._second = ca.Function("second", [one.v, y], [ca.hessian(one.cost + ca.dot(y, rows), one.v)[0]])
+        y, z = ca.MX.sym("y", rows.numel()), ca.vertcat(one.v, ca.MX.sym("theta", int(extra)))
+        self._first = ca.Function("first", [z], [one.cost, ca.gradient(one.cost, z), rows, ca.jacobian(rows, z)])
+        self._second = ca.Function("second", [z, y], [ca.hessian(one.cost + ca.dot(y, rows), z)[0]])
         self.low, self.high = (np.concatenate([part, more[self.boxed]])
                                for part, more in ((one.low, one.lower), (one.high, one.upper)))  # fmt: skip
         self.drift = self._drift(w.vector.size)
-        begin = np.append(own, varying.value) if self.extra or program.parts.varied else own
+        begin = np.append(own, varying.value) if extra or program.parts.varied else own
         self.sizes = self._sizes(solution, begin)
-        f, slope, _, jacobian = self._first(begin[:n])
-        self.unit = nonzero(max(float(np.abs(slope.full().ravel() * self.sizes[:n]).max()), abs(float(f))))
+        f, slope, _, jacobian = self._first(begin)
+        self.unit = nonzero(max(float(np.abs(slope.full().ravel() * self.sizes).max()), abs(float(f))))
         scaled = self._columns(jacobian)
         self.heights = nonzero(np.sqrt(np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel()))
-        self.begin = begin / self.sizes
+        self.begin, self.others = begin / self.sizes, np.delete(np.arange(begin.size), self.place)
 
     def _drift(self, first: int) -> np.ndarray:
         """How fast lowest and highest (2 x m) of all constraints go with theta."""
@@ -148,17 +150,12 @@ class Stationary:
 
     def _columns(self, jacobian: ca.DM) -> csr_matrix:
         """Derivatives of constraints by z, in its sizes; ranges that go with theta are on this side."""
-        found = csr_matrix(jacobian.sparse())
-        if self.extra:
-            found = csr_matrix(bmat([[found, csr_matrix((found.shape[0], 1))]]))
-        return csr_matrix(found @ diags(self.sizes))
+        return csr_matrix(csr_matrix(jacobian.sparse()) @ diags(self.sizes))
 
     def values(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, csr_matrix]:
         """Cost and its gradient by z; constraints and their derivatives by z, each in units of its first gradient."""
-        n = self.statement.v.numel()
-        f, slope, rows, jacobian = self._first((z * self.sizes)[:n])
-        gradient = np.zeros(z.size)
-        gradient[:n] = slope.full().ravel() * self.sizes[:n] / self.unit
+        f, slope, rows, jacobian = self._first(z * self.sizes)
+        gradient = slope.full().ravel() * self.sizes / self.unit
         return float(f), gradient, rows.full().ravel(), csr_matrix(diags(1.0 / self.heights) @ self._columns(jacobian))
 
     def ends(self, z: np.ndarray) -> np.ndarray:
@@ -185,16 +182,11 @@ class Stationary:
         a = csr_matrix(a)
         whole = np.zeros(self.low.size)
         whole[chosen] = y[chosen] / self.heights[chosen] * self.unit
-        n = self.statement.v.numel()
-        hessian = csr_matrix(self._second((z * self.sizes)[:n], whole).sparse())
-        scale = diags(self.sizes[:n])
-        hessian = csr_matrix(scale @ hessian @ scale / self.unit)
-        if self.extra:
-            hessian = csr_matrix(bmat([[hessian, csr_matrix((n, 1))], [csr_matrix((1, n)), csr_matrix((1, 1))]]))
-        others = np.delete(np.arange(z.size), self.place)
+        scale = diags(self.sizes)
+        hessian = csr_matrix(scale @ csr_matrix(self._second(z * self.sizes, whole).sparse()) @ scale / self.unit)
         left = gradient + jacobian[chosen].T @ y[chosen]
-        residual = np.concatenate([left[others], (rows[chosen] - ends) / self.heights[chosen]])
-        matrix = bmat([[hessian[others], jacobian[chosen].T.tocsr()[others]], [a, None]])
+        residual = np.concatenate([left[self.others], (rows[chosen] - ends) / self.heights[chosen]])
+        matrix = bmat([[hessian[self.others], jacobian[chosen].T.tocsr()[self.others]], [a, None]])
         return residual, csr_matrix(matrix), gradient
 
     def corrected(self, z: np.ndarray, near: Point, row: np.ndarray, active: dict[int, int] | None = None) -> Point:
@@ -264,14 +256,13 @@ class Stationary:
     def independent(self, point: Point, wanted: dict[int, int]) -> dict[int, int]:
         """Those of constraints whose gradients, theta left out, say something new: equations first, in order."""
         jacobian = self.values(point.z)[3]
-        others = np.delete(np.arange(point.z.size), self.place)
         kept: dict[int, int] = {}
-        basis = np.zeros((others.size, 0))
+        basis = np.zeros((self.others.size, 0))
         for equations in (True, False):
             names = [k for k, side in wanted.items() if (side == 0) == equations]
             if not names:
                 continue
-            columns = jacobian[names].toarray()[:, others].T
+            columns = jacobian[names].toarray()[:, self.others].T
             columns /= nonzero(np.linalg.norm(columns, axis=0))
             left = columns - basis @ (basis.T @ columns)
             left -= basis @ (basis.T @ left)
@@ -305,9 +296,10 @@ class Stationary:
     def _fitted(self, point: Point, active: dict[int, int]) -> np.ndarray:
         """Multipliers that meet the conditions best."""
         _, gradient, _, jacobian = self.values(point.z)
-        chosen, others = list(active), np.delete(np.arange(point.z.size), self.place)
+        chosen = list(active)
         y = np.zeros(self.low.size)
-        y[chosen] = np.linalg.lstsq(jacobian[chosen].toarray()[:, others].T, -gradient[others], rcond=1e-12)[0]
+        matrix = jacobian[chosen].toarray()[:, self.others].T
+        y[chosen] = np.linalg.lstsq(matrix, -gradient[self.others], rcond=1e-12)[0]
         return y
 
     def _signed(self, point: Point, active: dict[int, int]) -> dict[int, int]:
@@ -317,39 +309,33 @@ class Stationary:
         if np.all(y * sides > VIOLATED * size_of(y), where=sides != 0):
             return active
         _, gradient, _, jacobian = self.values(point.z)
-        others = np.delete(np.arange(point.z.size), self.place)
-        matrix = jacobian[list(active)].toarray()[:, others].T
+        matrix = jacobian[list(active)].toarray()[:, self.others].T
         low, high = np.where(sides > 0, 0.0, -np.inf), np.where(sides < 0, 0.0, np.inf)
-        y = lsq_linear(matrix, -gradient[others], (low, high), method="bvls").x
+        y = lsq_linear(matrix, -gradient[self.others], (low, high), method="bvls").x
         kept = (sides == 0) | (y * sides > VIOLATED * size_of(y))
         return {k: side for (k, side), one in zip(active.items(), kept, strict=True) if one}
 
     def descents(self, point: Point) -> int:
         """In how many directions that keep to the active constraints the cost falls to second order; 0 of a least."""
-        chosen, others = np.array(list(point.active), int), np.delete(np.arange(point.z.size), self.place)
+        chosen = np.array(list(point.active), int)
         _, matrix, _ = self._system(point.z, point.y, point.active)
-        count = others.size
-        hessian, a = matrix[:count][:, others].toarray(), matrix[count:][:, others].toarray()
+        count = self.others.size
+        hessian, a = matrix[:count][:, self.others].toarray(), matrix[count:][:, self.others].toarray()
         space = qr(a.T, mode="full")[0][:, chosen.size :]
         values = np.linalg.eigvalsh(space.T @ hessian @ space)
         return int(np.sum(values < -NEGATIVE * size_of(values)))
 
     def solution(self, point: Point) -> Solution:
         """The point as a solution of the program, theta left out where it is no freed parameter of the problem."""
-        v, size = point.z * self.sizes, self.like.vector.size
-        w = self.like.at(v[:size])
-        rows, at = [], size
-        for shape in self.program.shapes:
-            rows.append(shape @ v[at : at + shape.shape[1]])
-            at += shape.shape[1]
-        return Solution(w, np.array(rows), 0, np.zeros(0), self.statement.normals)
+        found = self.program.solution(self.like, point.z * self.sizes, self.statement.normals)
+        return replace(found, points=np.zeros(0))
 
     def name(self, constraint: int, side: int) -> str:
         """What a constraint is, where along the period, in words."""
         parts, count = self.program.parts, self.statement.rows.numel()
         end = {-1: "at its lowest", 1: "at its highest"}.get(side, "")
         if constraint >= count:
-            return f"{self._box(int(self.boxed[constraint - count]))} {end}"
+            return f"{self.names[int(self.boxed[constraint - count])]} {end}"
         tasks = self.statement.tasks
         if tasks[constraint] == -1:
             return f"equation {constraint}"
@@ -363,35 +349,6 @@ class Stationary:
         segment, step = divmod(constraint - first, parts.steps + 1)
         phase = parts.basis.fraction * (segment + step / parts.steps) / parts.basis.intervals
         return f"{task.expression} {end} at phase {phase:.6g}"
-
-    def _box(self, unknown: int) -> str:
-        w, parts = self.like, self.program.parts
-        last = w.vector.size - w.free.size
-        if unknown < w.vector.size:
-            return "period" if unknown < last else parts.free[unknown - last]
-        at = unknown - w.vector.size
-        for name, shape in zip(parts.model.controls, self.program.shapes, strict=True):
-            if at < shape.shape[1]:
-                return f"{name} at phase {at / parts.basis.whole:.6g}"
-            at -= shape.shape[1]
-        return "a number"
-
-
-def _boxed(program: Program, statement: Statement, first: int, n: int) -> np.ndarray:
-    """Which unknowns have ranges that were asked for: limits of controls, bounds that the problem states."""
-    limited = np.isfinite(statement.lower) | np.isfinite(statement.upper)
-    limited[:first] = False
-    w_free = len(program.parts.free)
-    for name in program.problem.bounds:
-        if name in program.parts.free:
-            limited[first - w_free + program.parts.free.index(name)] = True
-        elif name == "period":
-            limited[first - w_free - _unfolding(program) - 1] = True
-    return np.flatnonzero(limited[:n])
-
-
-def _unfolding(program: Program) -> int:
-    return 0 if program.parts.basis.arcs else len(program.parts.symmetry.unfolded(program.parts.model))
 
 
 def moved(point: Point, step: np.ndarray, multipliers: np.ndarray, length: float) -> Point:

@@ -61,6 +61,10 @@ class Involution:
         found = np.eye(n)[list(self.order)] if self.order else np.eye(n)
         return np.asarray(np.broadcast_to(self.signs, n).astype(float)[:, None] * found)
 
+    def keeps(self, n: int) -> np.ndarray:
+        """Which coordinates (n) stay as they are."""
+        return np.asarray(np.diag(self.places(n)) > 0)
+
     def matrix(self, n: int) -> np.ndarray:
         """S (2n x 2n) of x -> S x, not to be written to."""
         return _matrix(self, n)
@@ -194,7 +198,7 @@ class Symmetry:
         """The constants (2n) of the rows that start and end of a motion (2n each) come nearest to.
 
         `turns` are the whole turns of a period (n), where they are known. An angle counts in half turns about a centre,
-        and in whole turns over the part; without `end` it stays with the start's.
+        and in whole turns over the part, or half of its `turns`; without `end` it stays with the start's.
         """
         n = self.coordinates(start.size)
         rest = np.zeros(start.size - n)
@@ -204,7 +208,8 @@ class Symmetry:
             if forward is None or end is None:
                 return np.concatenate([2 * np.pi * whole, rest])
             gap = (end - forward.matrix(n) @ start)[:n]
-            return np.concatenate([np.where(angles, 2 * np.pi * np.round(gap / (2 * np.pi)), 0.0), rest])
+            gap = np.where(angles, 2 * np.pi * np.round(gap / (2 * np.pi)), 0.0)
+            return np.concatenate([np.where(forward.keeps(n) & (turns is not None), np.pi * whole, gap), rest])
 
         def nearest(one: Involution, x: np.ndarray) -> np.ndarray:
             fixed = _fixed(one, n)
@@ -268,10 +273,8 @@ class Symmetry:
 
     def turns(self, constant: np.ndarray) -> np.ndarray:
         """Whole turns of each coordinate in one period (n); zero for orbits that swing back."""
-        n = self.coordinates(constant.size)
-        if len(self.maps) > self.reverses:
-            return np.zeros(n, int)
-        turned = self.displaced(constant)[1][:n] / (2 * np.pi)
+        n, (matrix, moved) = self.coordinates(constant.size), self.displaced(constant)
+        turned = (moved if self.forward is None else moved + matrix @ moved)[:n] / (2 * np.pi)
         return np.round(beside(turned, self.relative)).astype(int)
 
     def may_turn(self, n: int) -> np.ndarray:

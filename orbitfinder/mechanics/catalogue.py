@@ -9,29 +9,52 @@ from __future__ import annotations
 import importlib
 import importlib.util
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.chain import chain, chain_dae
+from orbitfinder.mechanics.constrained import Loops
 from orbitfinder.mechanics.controls import check_constant, with_controls
 from orbitfinder.mechanics.driven import DRIVEN
 from orbitfinder.mechanics.hybrid import at_numbers, with_cycle
 from orbitfinder.mechanics.library import BUILT_IN, FUNCTIONS
-from orbitfinder.mechanics.linkage import linkage, minimal_linkage
+from orbitfinder.mechanics.linkage import LOOPS, linkage, minimal_linkage
 from orbitfinder.mechanics.machines import MACHINES
-from orbitfinder.mechanics.mechanism import mechanism, minimal_mechanism
+from orbitfinder.mechanics.mechanism import JOINED, mechanism, minimal_mechanism
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import with_scales
 from orbitfinder.records.orbit import system_at
 
-REBUILDABLE = ("chain", "linkage", "mechanism")
-"""Kinds that take their description as arguments; python systems are rebuilt by `python_model`."""
-REMADE = ("chain", "linkage")
-"""Those whose description is read again where a parameter changes"""
 PROBLEM = "problem"
 """The function of a Python problem file, which returns a Problem and not a Model"""
+ANY = replace(JOINED, minimal=None)
+"""How loops of other constraints are closed, which have no minimal form"""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a kind of [system] says of itself: every question about kinds is answered by an entry of this table."""
+
+    build: Callable[[Mapping[str, Any], Path | None], Model]
+    """(system, folder that is trusted) -> the Model"""
+    words: Callable[[Mapping[str, Any]], str] = lambda system: str(system.get("kind"))
+    """the kind of mechanism in two or three words, for captions"""
+    described: bool = True
+    """whether the description is all that it is made of"""
+    takes: Callable[..., Model] | None = None
+    """the function whose arguments are the keys of a file's table"""
+    reread: bool = False
+    """whether its description is read again where a parameter changes"""
+    pendulum: bool = False
+    """whether links hang on each other: each coordinate enters V as -c cos theta, with c > 0 at rest"""
+    joints: Callable[[Mapping[str, Any]], int] = lambda system: 0
+    """how many joints may have motors by their number"""
+    drawn: bool = False
+    """whether it is drawn: bodies and joints, near a pose, at a pace of its own"""
+    loops: Loops = ANY
+    """how its loops are closed"""
 
 
 def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model:
@@ -43,41 +66,43 @@ def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model
     Raises `InputError` for an unknown or wrong description.
     """
     try:
-        return _model(system, trusted)
+        return system_kind(system).build(system, trusted)
     except InputError:
         raise
     except (TypeError, ValueError, KeyError, IndexError, OverflowError, AttributeError) as error:
         raise InputError(f"system: {error}; compare with a freshly written orbit.json") from error
 
 
-def _model(system: Mapping[str, Any], trusted: Path | None) -> Model:
-    if system.get("kind") == "python":
-        return python_model(system, trusted)
-    if system.get("kind") == "linkage":
-        plain = {key: value for key, value in system.items() if key not in ("independent", "branch")}
-        model = _built(linkage, plain)
-        return (
-            minimal_linkage(model, system["independent"], system.get("branch", 1)) if "independent" in system else model
-        )
-    if system.get("kind") == "mechanism":
-        found = _built(mechanism, {key: value for key, value in system.items() if key != "independent"})
-        return minimal_mechanism(found, system["independent"]) if "independent" in system else found
-    if system.get("kind") == "chain" and "baumgarte" in system:
-        return _built(chain_dae, {key: value for key, value in system.items() if key != "formulation"})
-    return _built(chain, system)
+def system_kind(system: Mapping[str, Any]) -> Kind:
+    """What a description's kind says of itself."""
+    return KINDS.get(str(system.get("kind")), OTHER)
 
 
-def _built(builder: Callable[..., Model], system: Mapping[str, Any]) -> Model:
-    if (kind := system.get("kind")) not in REBUILDABLE:
-        raise InputError(
-            f"system.kind: cannot rebuild {kind!r} from a file; in Python give the Model itself (model=...), and for "
-            "commands find the orbit by a program with problem() (run FILE.py --trust), or by a problem file "
-            "of kind = " + " or ".join(repr(known) for known in ("python", *REBUILDABLE))
-        )
-    try:
-        return builder(**{key: value for key, value in system.items() if key != "kind"})
-    except TypeError as error:
-        raise InputError(f"system: {error}; compare with a freshly written orbit.json") from error
+def _built(builder: Callable[..., Model], system: Mapping[str, Any], *without: str) -> Model:
+    return builder(**{key: value for key, value in system.items() if key not in ("kind", *without)})
+
+
+def _chain(system: Mapping[str, Any], _: Path | None) -> Model:
+    return _built(chain_dae, system, "formulation") if "baumgarte" in system else _built(chain, system)
+
+
+def _linkage(system: Mapping[str, Any], _: Path | None) -> Model:
+    model = _built(linkage, system, "independent", "branch")
+    chosen = system.get("independent")
+    return model if chosen is None else minimal_linkage(model, chosen, system.get("branch", 1))
+
+
+def _mechanism(system: Mapping[str, Any], _: Path | None) -> Model:
+    model = _built(mechanism, system, "independent")
+    return minimal_mechanism(model, system["independent"]) if "independent" in system else model
+
+
+def _unknown(system: Mapping[str, Any], _: Path | None) -> Model:
+    raise InputError(
+        f"system.kind: cannot rebuild {system.get('kind')!r} from a file; in Python give the Model itself (model=...), "
+        "and for commands find the orbit by a program with problem() (run FILE.py --trust), or by a problem file "
+        "of kind = " + " or ".join(map(repr, KINDS))
+    )
 
 
 def python_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model:
@@ -183,6 +208,48 @@ def with_parameters(model: Model, values: Mapping[str, float]) -> Model:
     for name, value in values.items():
         numbers[model.parameter_index(name)] = value
     system = system_at(model.system, values)
-    if model.system.get("kind") in REMADE:
+    if system_kind(model.system).reread:
         return build_model(system)
     return replace(model, parameter_values=numbers, system=system, hybrid=at_numbers(model.hybrid, numbers))
+
+
+COUNTS = ("", "single", "double", "triple", "quadruple", "quintuple", "sextuple")
+BARS = {3: "three-bar", 4: "four-bar", 5: "five-bar", 6: "six-bar", 7: "seven-bar", 8: "eight-bar"}
+NAMES = {"henon_heiles": "Hénon-Heiles", "van_der_pol": "Van der Pol", "duffing": "Duffing",
+         "forced_duffing": "forced Duffing", "restricted_three_body": "restricted three-body"}  # fmt: skip
+
+
+def _pendulum(system: Mapping[str, Any]) -> str:
+    links = system.get("links")
+    known = isinstance(links, int) and 1 <= links < len(COUNTS)
+    return f"{COUNTS[links] if known else f'{links}-link'} pendulum"  # type: ignore[index]
+
+
+def _bars(system: Mapping[str, Any]) -> str:
+    lengths = system.get("length")
+    bars = len(lengths) + 1 if isinstance(lengths, list) else 0
+    return f"{BARS.get(bars, f'{bars}-bar')} linkage"
+
+
+def _drawn(system: Mapping[str, Any]) -> str:
+    return f"{'spatial' if system.get('dimension') == 3 else 'planar'} mechanism"
+
+
+def _function(system: Mapping[str, Any]) -> str:
+    name = str(system.get("function", "python"))
+    name = str(system.get("module", name)) if name == PROBLEM else name  # the program of a Python problem file
+    return NAMES.get(name, name.replace("_", " "))
+
+
+KINDS = {
+    "python": Kind(python_model, _function, described=False),
+    "chain": Kind(
+        _chain, _pendulum, takes=chain, reread=True, pendulum=True, joints=lambda system: int(system["links"])
+    ),
+    "linkage": Kind(
+        _linkage, _bars, takes=linkage, reread=True, joints=lambda system: len(system["length"]) + 1, loops=LOOPS
+    ),
+    "mechanism": Kind(_mechanism, _drawn, takes=mechanism, drawn=True, loops=JOINED),
+}
+OTHER = Kind(_unknown, described=False)
+"""Models that no file describes"""

@@ -418,17 +418,19 @@ def chain(
     zero at the fixed joint: V = -sum m g x_G.
 
     Args:
-        links: number of links n.
-        length: m, of all links or of each (n).
-        mass: kg, of all links or of each (n).
-        inertia: kg m^2 about the centre of mass, of all or of each; default m l^2 / 12.
-        com: centre of mass as a fraction of the length from the upper joint, of all or of each.
-        gravity: m/s^2.
-        formulation: "recursive" (O(n) elimination of the joint forces), "lagrange" (dense mass matrix),
-            "newton-euler" (balances about the joints) or "dae" (maximal coordinates, reduced to the angles).
-        motors: joints whose torque (N m, `torque1` is the first joint's) may vary in time; joint k turns link k
-            against link k - 1, joint 1 against the ground.
-        limits: of the motors' torques: greatest magnitude, or lowest and highest, by name.
+        links: number of links, 1 to 2000 in files.
+        length: length of the links in m, positive, one number or one per link.
+        mass: mass of the links in kg, positive, one number or one per link.
+        inertia: inertia of the links about their centres of mass in kg m^2, m l^2 / 12 when left out.
+        com: centre of mass as a fraction of the length from the upper joint, one number or one per link.
+        gravity: gravitational acceleration in m/s^2.
+        formulation: how the equations are derived, the motion is the same: recursive (O(n) elimination of the joint
+            forces), lagrange (dense mass matrix), newton-euler (balances about the joints) or dae (maximal
+            coordinates, reduced to the angles).
+        motors: joints with a motor, whose torque (torque1, ... in N m) may vary in time; joint 1 is at the ground,
+            joint k turns link k against link k - 1.
+        limits: how far controls may go: the greatest magnitude, or [lowest, highest], by name, such as
+            { torque1 = 5.0 }.
 
     Returns:
         A Model with coordinates theta1, theta2, ... and parameters length1, mass1, ..., gravity.

@@ -17,6 +17,7 @@ from scipy.linalg import eigh
 from scipy.linalg.lapack import dposv, dpotrs
 
 from orbitfinder.errors import InputError
+from orbitfinder.mechanics.catalogue import system_kind
 from orbitfinder.mechanics.model import Model
 
 AGREEMENT = 1e-10
@@ -149,7 +150,7 @@ def _backed(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
 def is_long(model: Model) -> bool:
     """True for chains that are certified on these equations."""
     plain = model.forces is None and model.gyroscopic is None and not model.forced
-    return plain and model.system.get("kind") == "chain" and model.degrees_of_freedom >= FEWEST_LINKS
+    return plain and system_kind(model.system).pendulum and model.degrees_of_freedom >= FEWEST_LINKS
 
 
 def chain_lagrange(model: Model) -> ChainLagrange:

@@ -17,14 +17,14 @@ to no motion at all; they never enter an eigenvalue solver.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.controls import Limits, divided
 from orbitfinder.mechanics.factorise import LinearBalances, eliminated
 from orbitfinder.mechanics.lagrange import (
@@ -218,3 +218,41 @@ def allowed_velocities(model: Model, state: np.ndarray) -> np.ndarray:
     """Orthonormal basis (n x n - m) of the velocities with J v = 0 at a state (2n)."""
     q = state[: model.degrees_of_freedom]
     return tangent_basis(constraint_of(model).jacobian(q, model.parameter_values).full())
+
+
+@dataclass(frozen=True)
+class Loops:
+    """What a kind of system says of its closed loops; `chosen` are places of a minimal form's coordinates among n."""
+
+    state: Callable[..., np.ndarray]
+    """(model, known, rates, near, branch) -> the state (2n) put together there, or somewhere"""
+    starts: Callable[[Model, Any], list[np.ndarray]]
+    """(model, near or None) -> where an equilibrium is looked for"""
+    choice: Callable[[Model], Sequence[int]]
+    """the coordinates that a minimal form may have"""
+    margins: Callable[[Model, np.ndarray], Callable[[Sequence[int]], np.ndarray]]
+    """(model, places (k x n)) -> chosen -> how well (k) the others follow from them, below 1 at a dead point"""
+    dead: Callable[[Model, np.ndarray, Sequence[int]], str]
+    """(model, place (n), chosen) -> what does not say there how the others follow, in words"""
+    whole: Callable[[Model, Mapping[str, Any]], Any]
+    """(model, a minimal form's system) -> the function (u, udot) -> (q, v)"""
+    minimal: Callable[[Model, Sequence[int], np.ndarray], Model] | None = None
+    """(model, chosen, near) -> the minimal form, put together as near a place (n)"""
+    check: Callable[[Model, np.ndarray], None] = lambda model, place: None
+    """`InputError` where the motion from an equilibrium is not determined"""
+
+
+def by_place(known: Mapping[str, float], names: Sequence[str], what: str, where: str) -> dict[int, float]:
+    """Numbers by name as numbers by place among all names; `InputError` for an unknown name or what is no number."""
+    for name, value in known.items():
+        if name not in names:
+            raise InputError(f"{name}: unknown {what}{closest(name, names)}; this {where} has {', '.join(names)}")
+        if isinstance(value, bool | str) or not np.isfinite(value):
+            raise InputError(f"{name}: must be finite, got {value!r}; give a number")
+    return {list(names).index(name): float(value) for name, value in known.items()}
+
+
+def with_rates(u: ca.SX, q: ca.SX) -> ca.Function:
+    """(u, udot) -> all coordinates q(u) (n) and their rates."""
+    rate = ca.SX.sym("udot", u.numel())
+    return ca.Function("everywhere", [u, rate], [q, ca.jtimes(q, u, rate)])

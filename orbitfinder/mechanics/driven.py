@@ -6,9 +6,8 @@ from collections.abc import Callable
 
 import casadi as ca
 
-from orbitfinder.mechanics.hybrid import Mode, Transition, hybrid
 from orbitfinder.mechanics.library import ingredients
-from orbitfinder.mechanics.machines import compass, level_ground
+from orbitfinder.mechanics.machines import compass, hopper
 from orbitfinder.mechanics.model import Model
 
 
@@ -17,9 +16,7 @@ def driven_oscillator(
 ) -> Model:  # fmt: skip
     """mass x'' + damping x' + stiffness x + cubic x^3 = force: a mass on a spring that hardens (cubic > 0) or softens,
     pushed by the control `force` (N)."""
-    made = ingredients(
-        1, {"mass": mass}, {"stiffness": stiffness, "damping": damping, "cubic": cubic}, controls=("force",)
-    )  # fmt: skip
+    made = ingredients(1, locals(), ("mass",), controls=("force",))
     push = made["force"] - made["damping"] * made.v
     stored = made["stiffness"] * made.q**2 / 2 + made["cubic"] * made.q**4 / 4
     return made.model(
@@ -30,9 +27,7 @@ def driven_oscillator(
 
 def driven_cart_pole(cart: float = 1.0, mass: float = 0.3, length: float = 0.5, gravity: float = 9.81) -> Model:
     """A point mass on a rod (theta from the downward vertical) on a cart (y, m) that the control `force` (N) pushes."""
-    made = ingredients(
-        2, {"cart": cart, "mass": mass, "length": length}, {"gravity": gravity}, controls=("force",)
-    )  # fmt: skip
+    made = ingredients(2, locals(), ("cart", "mass", "length"), controls=("force",))
     q, v, arm = made.q, made.v, made["length"]
     bob = ca.vertcat(arm * ca.cos(q[1]), q[0] + arm * ca.sin(q[1]))
     kinetic = made["cart"] * v[0] ** 2 / 2 + made["mass"] * ca.sumsqr(ca.jtimes(bob, q, v)) / 2
@@ -49,8 +44,7 @@ def driven_swing(
     """A swing whose length is worked: a mass at theta (rad) and r (m), held near `length` by a spring (N/m), and the
     control `force` (N) along the rope; `damping` (N m s) brakes the swing. Pumped at twice its frequency it swings on.
     """
-    positive = {"mass": mass, "length": length, "stiffness": stiffness}
-    made = ingredients(2, positive, {"damping": damping, "gravity": gravity}, controls=("force",))
+    made = ingredients(2, locals(), ("mass", "length", "stiffness"), controls=("force",))
     (theta, r), (turning, stretching) = ca.vertsplit(made.q), ca.vertsplit(made.v)
     kinetic = made["mass"] * (stretching**2 + (r * turning) ** 2) / 2
     potential = -made["mass"] * made["gravity"] * r * ca.cos(theta) + made["stiffness"] * (r - made["length"]) ** 2 / 2
@@ -76,23 +70,8 @@ def driven_hopper(
     """A monopod that hops upright: a mass on a massless leg, on the ground (y < 0) a spring with a damper and the
     control `push` (N) beside it; it leaves the ground and comes back at the leg's length, y = 0.
     """
-    positive = {"mass": mass, "stiffness": stiffness, "gravity": gravity}
-    made = ingredients(1, positive, {"damping": damping}, controls=("push",))
-    kinetic, weight = made["mass"] * made.v**2 / 2, made["mass"] * made["gravity"] * made.q
-    foot, mass_at = ca.vertcat(-made.q, 0), ca.vertcat(-1 - made.q, 0)  # of a leg that is drawn 1 m long
-    flight = made.model(
-        "driven_hopper", kinetic, weight, names=["y"], points=ca.horzcat(foot, mass_at), controls=["push"]
-    )
-    ground = made.model(
-        "driven_hopper", kinetic, weight + made["stiffness"] * made.q**2 / 2, names=["y"],
-        forces=made["push"] - made["damping"] * made.v, points=ca.horzcat(ca.SX.zeros(2), mass_at), controls=["push"],
-    )  # fmt: skip
-    transitions = [
-        Transition("liftoff", "ground", "flight", guard=lambda x, p: x.y, direction=1),
-        Transition("touchdown", "flight", "ground", guard=lambda x, p: x.y),
-    ]
-    modes = [Mode("ground", ground), Mode("flight", flight, {"height": lambda x, p: x.y})]
-    return hybrid(modes, transitions, ["liftoff", "touchdown"], system=flight.system, ground=level_ground)
+    made = ingredients(1, locals(), ("mass", "stiffness", "gravity"), controls=("push",))
+    return hopper("driven_hopper", made, made["push"] - made["damping"] * made.v, controls=["push"])
 
 
 DRIVEN: dict[str, Callable[..., Model]] = {

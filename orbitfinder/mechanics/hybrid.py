@@ -146,6 +146,10 @@ class Hybrid:
         found = [self.transition(name) for name in self.cycle]
         return tuple((self.mode(one.source), one) for one in found)
 
+    def part(self, parts: int) -> tuple[tuple[Mode, Transition], ...]:
+        """The arcs of the first of so many equal parts of a period."""
+        return self.arcs[: len(self.cycle) // parts]
+
     @property
     def ignored(self) -> tuple[str, ...]:
         """What guards ignore on purpose."""
@@ -356,13 +360,29 @@ def at_numbers(parts: Hybrid | None, numbers: np.ndarray) -> Hybrid | None:
     return replace(parts, modes=tuple(modes))
 
 
-def share(model: Model, arc: int, p: Any) -> Any:
-    """The share of the period that an arc takes."""
-    assert model.hybrid is not None
-    count = len(model.hybrid.cycle)
-    last = len(model.parameter_names)
-    shares = p[last - (count - 1) :] if count > 1 else p[:0]
-    return shares[arc] if arc < count - 1 else 1 - ca.sum1(shares) if count > 1 else 1
+def saltation(before: Model, one: Transition, after: Model) -> ca.Function:
+    """(x-, p) -> S = DR + (f+ - DR f-) grad g / (grad g . f-) of a transition between two modes."""
+    x, p = ca.MX.sym("x", len(before.state_names)), ca.MX.sym("p", len(before.parameter_names))
+    reset, slope, late = one.reset(x, p), one.slope(x, p), before.rate(0.0, x, p)
+    by_x = ca.jacobian(reset, x)
+    turn = after.rate(0.0, reset, p) - by_x @ late
+    return ca.Function("saltation", [x, p], [ca.densify(by_x + turn @ slope / (slope @ late))])
+
+
+def freed(model: Model, free: tuple[str, ...], parts: int = 1) -> tuple[str, ...]:
+    """Freed parameters, and of a hybrid system the shares of all arcs but the last in the first of so many `parts`."""
+    count = 0 if model.hybrid is None else len(model.hybrid.part(parts)) - 1
+    shares = (f"{SHARE}{k + 1}" for k in range(count))
+    return (*free, *(name for name in shares if name not in free))
+
+
+def share(model: Model, arc: int, p: Any, parts: int = 1) -> Any:
+    """The share of the period that an arc of the first of so many equal `parts` of it takes; a smooth one is an arc."""
+    if model.hybrid is None:
+        return 1 / parts
+    count, first = len(model.hybrid.part(parts)), len(model.parameter_names) - (len(model.hybrid.cycle) - 1)
+    shares = p[first : first + count - 1]
+    return shares[arc] if arc < count - 1 else 1 / parts - ca.sum1(shares) if count > 1 else 1 / parts
 
 
 def _mode(mode: Mode, whole: Model) -> Mode:

@@ -64,17 +64,16 @@ class Ingredients:
 
 
 def ingredients(
-    count: int,
-    positive: Mapping[str, float] | None = None,
-    signed: Mapping[str, float] | None = None,
-    controls: tuple[str, ...] = (),
+    count: int, given: Mapping[str, Any], positive: Sequence[str] = (), controls: tuple[str, ...] = ()
 ) -> Ingredients:
-    """Symbols for `count` coordinates and these parameters; `InputError` for a number that cannot be meant."""
+    """Symbols for `count` coordinates and the parameters given, the positive ones first; `InputError` for a number that
+    cannot be meant. A function whose arguments are all parameters gives its `locals()`."""
     values: dict[str, float] = {}
-    for name, value in {**(positive or {}), **(signed or {})}.items():
+    for name in dict.fromkeys([*positive, *given]):
+        value = given[name]
         if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not np.isfinite(value):
             raise InputError(f"system.arguments.{name}: must be a finite number, got {value!r}; check the value")
-        if name in (positive or {}) and value <= 0:
+        if name in positive and value <= 0:
             raise InputError(f"system.arguments.{name}: must be positive, got {value!r}; check the sign and the unit")
         values[name] = float(value)
     values |= dict.fromkeys(controls, 0.0)
@@ -102,7 +101,7 @@ def duffing(stiffness: float = 1.0, cubic: float = 1.0) -> Model:
     With stiffness < 0 < cubic it is the double well. Its period is an elliptic integral (Nayfeh,
     Mook, Nonlinear Oscillations, 1979, section 2.3).
     """
-    made = ingredients(1, signed={"stiffness": stiffness, "cubic": cubic})
+    made = ingredients(1, locals())
     q, v = made.q, made.v
     potential = made["stiffness"] * q**2 / 2 + made["cubic"] * q**4 / 4
     return made.model("duffing", v**2 / 2, potential, names=["x"], points=_slider(made), strokes=TIED)
@@ -110,7 +109,7 @@ def duffing(stiffness: float = 1.0, cubic: float = 1.0) -> Model:
 
 def double_well(depth: float = 0.25, distance: float = 1.0) -> Model:
     """Unit mass in V = depth ((x / distance)^2 - 1)^2: minima at +-distance, barrier `depth` J at 0."""
-    made = ingredients(1, positive={"depth": depth, "distance": distance})
+    made = ingredients(1, locals(), ("depth", "distance"))
     potential = made["depth"] * ((made.q / made["distance"]) ** 2 - 1) ** 2
     return made.model("double_well", made.v**2 / 2, potential, names=["x"], points=_slider(made), strokes=TIED)
 
@@ -120,7 +119,7 @@ def van_der_pol(damping: float = 1.0) -> Model:
 
     Source: B. van der Pol, Philosophical Magazine 2 (1926) 978-992.
     """
-    made = ingredients(1, signed={"damping": damping})
+    made = ingredients(1, locals())
     q, v = made.q, made.v
     return made.model(
         "van_der_pol",
@@ -141,9 +140,7 @@ def forced_duffing(
     Source: J. Guckenheimer, P. Holmes, Nonlinear Oscillations, Dynamical Systems, and Bifurcations
     of Vector Fields (1983), section 2.2.
     """
-    made = ingredients(
-        1, {"frequency": frequency}, {"stiffness": stiffness, "cubic": cubic, "damping": damping, "force": force}
-    )
+    made = ingredients(1, locals(), ("frequency",))
     q, v = made.q, made.v
     potential = made["stiffness"] * q**2 / 2 + made["cubic"] * q**4 / 4
     push = made["force"] * ca.cos(made["frequency"] * made.t) - made["damping"] * v
@@ -161,11 +158,7 @@ def forced_pendulum(
     frequency: float = 2.0,
 ) -> Model:
     """m l^2 theta'' + damping theta' + m g l sin(theta) = torque cos(frequency t), a point mass on a rod."""
-    made = ingredients(
-        1,
-        {"length": length, "mass": mass, "frequency": frequency},
-        {"gravity": gravity, "damping": damping, "torque": torque},
-    )
+    made = ingredients(1, locals(), ("length", "mass", "frequency"))
     q, v, arm = made.q, made.v, made["length"]
     kinetic, potential = made["mass"] * (arm * v) ** 2 / 2, -made["mass"] * made["gravity"] * arm * ca.cos(q)
     drive = made["torque"] * ca.cos(made["frequency"] * made.t) - made["damping"] * v
@@ -180,7 +173,7 @@ def coupled_pendula(damping: float = 0.1, torque: float = 0.2, coupling: float =
     Driven hard enough they run round together. Source: D. G. Aronson, E. J. Doedel, H. G. Othmer, Physica D 25 (1987)
     20-104; the demo `pen` of AUTO, where damping is eps, torque I and coupling gamma.
     """
-    made = ingredients(2, signed={"damping": damping, "torque": torque, "coupling": coupling})
+    made = ingredients(2, locals())
     q, v = made.q, made.v
     potential = -ca.sum1(ca.cos(q)) + made["coupling"] * (q[0] - q[1]) ** 2 / 2
     push = made["torque"] - made["damping"] * v
@@ -199,11 +192,7 @@ def vibrated_pendulum(
     The pivot's motion enters through the kinetic energy. Above frequency x amplitude =
     sqrt(2 g l) the upright position is stable: P. L. Kapitza, Soviet Physics JETP 21 (1951) 588.
     """
-    made = ingredients(
-        1,
-        {"length": length, "frequency": frequency},
-        {"gravity": gravity, "damping": damping, "amplitude": amplitude},
-    )
+    made = ingredients(1, locals(), ("length", "frequency"))
     q, v, arm = made.q, made.v, made["length"]
     pivot = made["amplitude"] * ca.cos(made["frequency"] * made.t)
     place = ca.vertcat(pivot + arm * ca.cos(q), arm * ca.sin(q))
@@ -220,7 +209,7 @@ def rotating_hoop(radius: float = 1.0, mass: float = 1.0, gravity: float = 9.8, 
     What is conserved is the Jacobi integral, not the energy (Goldstein, Classical Mechanics,
     section 2.7). Above spin = sqrt(g / r) the bottom is unstable.
     """
-    made = ingredients(1, {"radius": radius, "mass": mass}, {"gravity": gravity, "spin": spin})
+    made = ingredients(1, locals(), ("radius", "mass"))
     q, v, r = made.q, made.v, made["radius"]
     kinetic = made["mass"] * r**2 * (v**2 + (made["spin"] * ca.sin(q)) ** 2) / 2
     weight = -made["mass"] * made["gravity"] * r * ca.cos(q)
@@ -248,7 +237,7 @@ def spring_pendulum(length: float = 1.0, mass: float = 1.0, stiffness: float = 2
     twice as fast as the swing and each feeds the other: P. Lynch, "Resonant motions of the
     three-dimensional elastic pendulum", Int. J. Non-Linear Mechanics 37 (2002) 345-367.
     """
-    made = ingredients(2, {"length": length, "mass": mass, "stiffness": stiffness}, {"gravity": gravity})
+    made = ingredients(2, locals(), ("length", "mass", "stiffness"))
     q, v = made.q, made.v
     stretch = ca.norm_2(q) - made["length"]
     potential = made["stiffness"] * stretch**2 / 2 - made["mass"] * made["gravity"] * q[0]
@@ -264,7 +253,7 @@ def spherical_pendulum(length: float = 1.0, mass: float = 1.0, gravity: float = 
     Nothing depends on phi, so that the momentum about the vertical is conserved: orbits are relative in it, or turn
     whole times. Period and turn of a swing are elliptic integrals (E. T. Whittaker, Analytical Dynamics, section 55).
     """
-    made = ingredients(2, {"length": length, "mass": mass}, {"gravity": gravity})
+    made = ingredients(2, locals(), ("length", "mass"))
     (theta, phi), (u, w), arm = (made.q[0], made.q[1]), (made.v[0], made.v[1]), made["length"]
     kinetic = made["mass"] * arm**2 * (u**2 + (ca.sin(theta) * w) ** 2) / 2
     bob = arm * ca.vertcat(ca.cos(theta), ca.sin(theta) * ca.cos(phi))
@@ -281,7 +270,7 @@ def swinging_spring(length: float = 1.0, mass: float = 1.0, stiffness: float = 2
     z (m, down), r (m, from the vertical axis) and phi (rad, about it); the momentum about the axis is conserved, and
     keeps r from 0. In its vertical plane it is `spring_pendulum`, where P. Lynch is quoted.
     """
-    made = ingredients(3, {"length": length, "mass": mass, "stiffness": stiffness}, {"gravity": gravity})
+    made = ingredients(3, locals(), ("length", "mass", "stiffness"))
     (z, r, phi), v = (made.q[0], made.q[1], made.q[2]), made.v
     stretch = ca.sqrt(z**2 + r**2) - made["length"]
     bob = ca.vertcat(z, r * ca.cos(phi))
@@ -300,7 +289,7 @@ def turning_three_bodies(mass1: float = 1.0, mass2: float = 1.0, mass3: float = 
     depends on phi, whose momentum is the angular momentum, so that orbits are periodic up to a rotation.
     Source: E. T. Whittaker, Analytical Dynamics, chapter 13.
     """
-    made = ingredients(4, {"mass1": mass1, "mass2": mass2, "mass3": mass3, "gravitation": gravitation})
+    made = ingredients(4, locals(), tuple(locals()))
     (r, phi, u, w), v = ca.vertsplit(made.q), made.v
     one, two, three = (made[f"mass{k}"] for k in (1, 2, 3))
     pair = one + two
@@ -328,7 +317,8 @@ def pendulum_on_cart(
     cart to its place; without it the horizontal momentum is conserved as well as the energy.
     """
     tied = {} if stiffness == 0 else {"stiffness": stiffness}
-    made = ingredients(2, {"cart": cart, "mass": mass, "length": length, **tied}, {"gravity": gravity})
+    given = {"cart": cart, "mass": mass, "length": length, **tied}
+    made = ingredients(2, {**given, "gravity": gravity}, tuple(given))
     q, v, arm = made.q, made.v, made["length"]
     bob = ca.vertcat(arm * ca.cos(q[1]), q[0] + arm * ca.sin(q[1]))
     kinetic = made["cart"] * v[0] ** 2 / 2 + made["mass"] * ca.sumsqr(ca.jtimes(bob, q, v)) / 2
@@ -350,7 +340,9 @@ def cart_chain(
     with `cubic` the beta-chain of E. Fermi, J. Pasta, S. Ulam, Los Alamos report LA-1940 (1955).
     """
     count = whole_number("carts", carts, MOST_CARTS)
-    made = ingredients(count, {"mass": mass, "stiffness": stiffness}, {"cubic": cubic, "quadratic": quadratic})
+    made = ingredients(
+        count, {"mass": mass, "stiffness": stiffness, "cubic": cubic, "quadratic": quadratic}, ("mass", "stiffness")
+    )
     q = made.q
     stretch = ca.vertcat(q, 0) - ca.vertcat(0, q)
     potential = ca.sum1(
@@ -370,7 +362,7 @@ def henon_heiles(coupling: float = 1.0) -> Model:
 
     Source: M. Henon, C. Heiles, Astronomical Journal 69 (1964) 73-79.
     """
-    made = ingredients(2, signed={"coupling": coupling})
+    made = ingredients(2, locals())
     x, y = made.q[0], made.q[1]
     potential = ca.sumsqr(made.q) / 2 + made["coupling"] * (x**2 * y - y**3 / 3)
     return made.model(
@@ -391,7 +383,7 @@ def restricted_three_body(ratio: float = 0.012277471, spatial: bool = False) -> 
     """
     if not isinstance(spatial, bool):
         raise InputError(f"system.arguments.spatial: must be true or false, got {spatial!r}; leave it out in the plane")
-    made = ingredients(2 + spatial, {"ratio": ratio})
+    made = ingredients(2 + spatial, {"ratio": ratio}, ("ratio",))
     (x, y), (u, w), small = (made.q[0], made.q[1]), (made.v[0], made.v[1]), made["ratio"]
     aside = ca.sumsqr(made.q[1:])
     kinetic = ((u - y) ** 2 + (w + x) ** 2 + (made.v[2] ** 2 if spatial else 0)) / 2
@@ -429,7 +421,7 @@ def three_bodies(mass1: float = 1.0, mass2: float = 1.0, mass3: float = 1.0) -> 
     conserved. With equal masses the figure eight of A. Chenciner, R. Montgomery, Annals of Mathematics 152 (2000)
     881-901 is one of its orbits.
     """
-    made = ingredients(4, {"mass1": mass1, "mass2": mass2, "mass3": mass3})
+    made = ingredients(4, locals(), tuple(locals()))
     q, v, (first, second, third) = made.q, made.v, (made["mass1"], made["mass2"], made["mass3"])
     r, far, pair = q[:2], q[2:], first + second
     kinetic = (first * second / pair * ca.sumsqr(v[:2]) + third * pair / (pair + third) * ca.sumsqr(v[2:])) / 2
@@ -455,7 +447,7 @@ def three_bodies(mass1: float = 1.0, mass2: float = 1.0, mass3: float = 1.0) -> 
 
 def planar_oscillator(stiffness_x: float = 1.0, stiffness_y: float = 2.0, quartic: float = 1.0) -> Model:
     """Unit mass in V = (a x^2 + b y^2) / 2 + quartic x^2 y^2: two springs coupled at fourth order."""
-    made = ingredients(2, {"stiffness_x": stiffness_x, "stiffness_y": stiffness_y}, {"quartic": quartic})
+    made = ingredients(2, locals(), ("stiffness_x", "stiffness_y"))
     x, y = made.q[0], made.q[1]
     potential = (made["stiffness_x"] * x**2 + made["stiffness_y"] * y**2) / 2 + made["quartic"] * (x * y) ** 2
     return made.model("planar_oscillator", ca.sumsqr(made.v) / 2, potential, names=["x", "y"], points=ca.vertcat(-y, x))
@@ -478,7 +470,7 @@ def restricted_three_body_canonical(ratio: float = 0.012150585609624) -> Model:
 
     mirror = {"y": -1, "px": -1, "pz": -1}
     axis, plane = {"y": -1, "px": -1, "z": -1}, {"z": -1, "pz": -1}
-    return ingredients(3, {"ratio": ratio}).canonical(
+    return ingredients(3, {"ratio": ratio}, ("ratio",)).canonical(
         "restricted_three_body_canonical", energy, ("x", "y", "z"), ("px", "py", "pz"),
         symmetries={"mirror": (-1, mirror), "axis": (-1, axis), "plane": (1, plane)},
     )  # fmt: skip
@@ -494,7 +486,7 @@ def lorenz(sigma: float = 10.0, rho: float = 28.0, beta: float = 8 / 3) -> Model
     def field(_: Any, x: Named, p: Named) -> Any:
         return [p.sigma * (x.y - x.x), x.x * (p.rho - x.z) - x.y, x.x * x.y - p.beta * x.z]
 
-    made = ingredients(1, signed={"sigma": sigma, "rho": rho, "beta": beta})
+    made = ingredients(1, {"sigma": sigma, "rho": rho, "beta": beta})
     return made.first_order("lorenz", field, ("x", "y", "z"), symmetries={"turn": (1, {"x": -1, "y": -1})})
 
 
@@ -504,7 +496,7 @@ def rossler(a: float = 0.2, b: float = 0.2, c: float = 5.7) -> Model:
     def field(_: Any, x: Named, p: Named) -> Any:
         return [-x.y - x.z, x.x + p.a * x.y, p.b + x.z * (x.x - p.c)]
 
-    return ingredients(1, signed={"a": a, "b": b, "c": c}).first_order("rossler", field, ("x", "y", "z"))
+    return ingredients(1, {"a": a, "b": b, "c": c}).first_order("rossler", field, ("x", "y", "z"))
 
 
 def brusselator(feed: float = 1.0, rate: float = 3.0) -> Model:
@@ -517,7 +509,7 @@ def brusselator(feed: float = 1.0, rate: float = 3.0) -> Model:
         made = x.u**2 * x.v
         return [p.feed - (p.rate + 1) * x.u + made, p.rate * x.u - made]
 
-    return ingredients(1, {"feed": feed, "rate": rate}).first_order("brusselator", field, ("u", "v"))
+    return ingredients(1, {"feed": feed, "rate": rate}, ("feed", "rate")).first_order("brusselator", field, ("u", "v"))
 
 
 def fitzhugh_nagumo(current: float = 0.5, a: float = 0.7, b: float = 0.8, rate: float = 0.08) -> Model:
@@ -529,7 +521,7 @@ def fitzhugh_nagumo(current: float = 0.5, a: float = 0.7, b: float = 0.8, rate: 
     def field(_: Any, x: Named, p: Named) -> Any:
         return [x.v - x.v**3 / 3 - x.w + p.current, p.rate * (x.v + p.a - p.b * x.w)]
 
-    made = ingredients(1, {"rate": rate}, {"current": current, "a": a, "b": b})
+    made = ingredients(1, {"current": current, "a": a, "b": b, "rate": rate}, ("rate",))
     return made.first_order("fitzhugh_nagumo", field, ("v", "w"))
 
 
@@ -556,7 +548,7 @@ def hodgkin_huxley(current: float = 10.0) -> Model:
         gates = [alpha * (1 - gate) - beta * gate for gate, (alpha, beta) in zip((m, h, n), rates, strict=True)]
         return [p.current - currents, *gates]
 
-    return ingredients(1, signed={"current": current}).first_order("hodgkin_huxley", field, ("V", "m", "h", "n"))
+    return ingredients(1, {"current": current}).first_order("hodgkin_huxley", field, ("V", "m", "h", "n"))
 
 
 FUNCTIONS: dict[str, Callable[..., Model]] = {

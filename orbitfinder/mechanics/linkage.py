@@ -7,7 +7,8 @@ ground is not counted as a bar here: three links make a four-bar. It has n - 2 d
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -24,12 +25,18 @@ from orbitfinder.mechanics.chain import (
     maximal_chain,
     maximal_states,
 )
-from orbitfinder.mechanics.constrained import RANK_TOLERANCE
+from orbitfinder.mechanics.constrained import RANK_TOLERANCE, Loops, by_place, with_rates
 from orbitfinder.mechanics.controls import Limits
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import Baumgarte, Model, check_state, constraint_of
 from orbitfinder.mechanics.newton import Settings, closed
 
+LEAST_SINE = 0.05
+"""|sin| of the angle between the two dependent bars below which they count as being in line."""
+STARTS = 24
+"""Assemblies, drawn with a fixed seed, from which the lowest equilibrium is looked for."""
+SPREAD = 1.0
+"""rad, of the bars of a linkage that is put together somewhere: from this to its negative"""
 DEFAULT_BAUMGARTE = Baumgarte(10.0, 10.0)
 """1/s; phi decays within a few tenths of a second, much faster than a linkage of metres moves"""
 CLOSING = Settings(floor=1e-13, round_off=1e-13, converged=1e-13, longest=0.5)
@@ -56,16 +63,17 @@ def linkage(
     upper joint, the last pair on the ground at its pivot. Source: the report, section 3.
 
     Args:
-        length: of each bar, m (n).
-        mass: kg, of all bars or of each.
-        ground: the pivot in which the last bar ends, (down, right) in m.
-        inertia: kg m^2 about the centre of mass; default m l^2 / 12.
-        com: centre of mass as a fraction of the length from the upper joint.
-        gravity: m/s^2.
-        baumgarte: (alpha, beta) in 1/s; chosen from the linkage's own pace unless given.
-        motors: joints with a torque that may vary, as for `of.chain`; joint n + 1 turns the ground against the last
-            bar.
-        limits: of these torques, as for `of.chain`.
+        length: length of the bars in m, positive, 2 to 40 of them in files; three and the ground are a four-bar.
+        mass: mass of the bars in kg, positive, one number or one per bar.
+        ground: position [x, y] in m of the pivot at the end of the last bar, x down, y right; the first is at 0.
+        inertia: inertia of the bars about their centres of mass in kg m^2, m l^2 / 12 when left out.
+        com: centre of mass as a fraction of the length from the upper joint, one number or one per bar.
+        gravity: gravitational acceleration in m/s^2.
+        baumgarte: stabilisation [alpha, beta] of the constraints in 1/s, both positive; 10 each when left out.
+        motors: joints with a motor, whose torque (torque1, ... in N m) may vary in time; 1 is the first pivot, n + 1
+            the last.
+        limits: how far controls may go: the greatest magnitude, or [lowest, highest], by name, such as
+            { torque1 = 5.0 }.
 
     Returns:
         A Model with a constraint.
@@ -138,7 +146,8 @@ def check_closable(lengths: np.ndarray, ground: np.ndarray) -> None:
 
 def dimensions(model: Model, parameters: Any = None) -> tuple[Any, Any]:
     """Bar lengths (n) and ground pivot (2) of a linkage, in m, among its values or other `parameters` (symbols)."""
-    if (kind := model.system.get("kind")) != "linkage":
+    if "ground" not in model.system:
+        kind = model.system.get("kind")
         raise InputError(f"model: expected a linkage, got kind {kind!r}; build it with linkage(...)")
     lengths = [model.parameter_index(f"length{i + 1}") for i in range(len(model.system["length"]))]
     ground = [model.parameter_index(name) for name in ("ground1", "ground2")]
@@ -194,7 +203,7 @@ def assemble(
     cannot reach, or at a change-point.
     """
     lengths, ground = dimensions(model)
-    fixed = _by_index(known, "theta", lengths.size)
+    fixed = by_place(known, [f"theta{i + 1}" for i in range(lengths.size)], "angle", "linkage")
     if len(fixed) > lengths.size - 2:
         raise InputError(
             f"assemble: {len(fixed)} angles given, but {lengths.size} bars have {lengths.size - 2} degrees of freedom; "
@@ -206,7 +215,7 @@ def assemble(
     if branch is not None and branch not in (1, -1):
         raise InputError(f"branch: must be +1 or -1, the sign of sin(theta_j - theta_i), got {branch!r}")
     if len(fixed) == lengths.size - 2:
-        theta = _dyad(lengths, ground, fixed, branch, start)
+        theta = _dyad(model, fixed, branch, start)
     elif start is None:
         raise InputError(
             f"assemble: {len(fixed)} angles given for {lengths.size - 2} degrees of freedom; give more, or guess="
@@ -225,7 +234,7 @@ def linkage_rates(model: Model, theta: np.ndarray, known: Mapping[str, float]) -
     """
     lengths, _ = dimensions(model)
     angles = np.asarray(theta, float)
-    given = _by_index(known, "theta", lengths.size, "dot")
+    given = by_place(known, [f"theta{i + 1}dot" for i in range(lengths.size)], "rate", "linkage")
     if len(given) != lengths.size - 2:
         raise InputError(
             f"linkage_rates: {len(given)} rates given for {lengths.size - 2} degrees of freedom; give exactly that many"
@@ -246,40 +255,39 @@ def linkage_rates(model: Model, theta: np.ndarray, known: Mapping[str, float]) -
     return rates
 
 
-def _by_index(known: Mapping[str, float], stem: str, count: int, suffix: str = "") -> dict[int, float]:
-    names = {f"{stem}{i + 1}{suffix}": i for i in range(count)}
-    for name, value in known.items():
-        if name not in names:
-            raise InputError(f"{name}: unknown; this linkage has {', '.join(names)}")
-        if not np.isfinite(value):
-            raise InputError(f"{name}: must be finite, got {value!r}")
-    return {names[name]: float(value) for name, value in known.items()}
-
-
-def _dyad(
-    lengths: np.ndarray, ground: np.ndarray, fixed: Mapping[int, float], branch: int | None, guess: np.ndarray | None
+def _put_together(
+    model: Model, known: Any = None, rates: Any = None, near: np.ndarray | None = None, branch: int | None = None
 ) -> np.ndarray:
-    """The last two bars i < j as two sides of a triangle whose third side is the gap left by the others.
+    """The state (6n) at some angles (see `assemble`) and rates (see `linkage_rates`; at rest without)."""
+    if known is None and near is None:
+        near = np.linspace(SPREAD, -SPREAD, dimensions(model)[0].size)
+    theta = assemble(model, known or {}, branch, near)
+    return linkage_state(model, theta, linkage_rates(model, theta, rates) if rates else None)
 
-    gap = l_i e_i + l_j e_j, so the angle at i is arccos((D^2 + l_i^2 - l_j^2) / (2 D l_i)).
-    """
-    theta = np.zeros(lengths.size)
-    gap = np.array(ground)
-    for k, angle in fixed.items():
-        theta[k] = angle
-        gap -= lengths[k] * np.array([np.cos(angle), np.sin(angle)])
+
+def _assemblies(model: Model, near: Sequence[float] | None) -> list[np.ndarray]:
+    """Angles (n each) as given, or of many assemblies."""
+    if near is not None:
+        return [np.asarray(near, float)]
+    lengths, ground = dimensions(model)
+    random, found = np.random.default_rng(0), []
+    for _ in range(STARTS):
+        start = np.arctan2(ground[1], ground[0]) + random.uniform(-np.pi, np.pi, lengths.size)
+        with suppress(InputError):
+            found.append(assemble(model, {}, guess=start))
+    return found
+
+
+def _dyad(model: Model, fixed: Mapping[int, float], branch: int | None, guess: np.ndarray | None) -> np.ndarray:
+    """The last two bars i < j as two sides of a triangle whose third side is the gap left by the others."""
+    lengths, ground = dimensions(model)
     i, j = (k for k in range(lengths.size) if k not in fixed)
-    distance = float(np.hypot(*gap))
-    _check_reach(lengths, fixed, (i, j), distance)
-    heading = np.arctan2(gap[1], gap[0])
-    cosine = (distance**2 + lengths[i] ** 2 - lengths[j] ** 2) / (2 * distance * lengths[i])
-    opening = np.arccos(np.clip(cosine, -1.0, 1.0))
-    solutions = {}
+    gap = ground - sum(lengths[k] * np.array([np.cos(angle), np.sin(angle)]) for k, angle in fixed.items())
+    _check_reach(lengths, fixed, (i, j), float(np.hypot(*gap)))
+    known, bars, solutions = ca.SX(list(fixed.values())), [k + 1 for k in fixed], {}
     for sign in (1, -1):
-        solution = theta.copy()
-        solution[i] = heading - sign * opening
-        elbow = gap - lengths[i] * np.array([np.cos(solution[i]), np.sin(solution[i])])
-        solution[j] = np.arctan2(elbow[1], elbow[0])
+        found = _bar_angles(model, known, ca.SX(model.parameter_values), bars, sign)
+        solution = ca.evalf(found).full().ravel()
         solutions[sign] = solution if guess is None else _wound(solution, guess, (i, j))
     if branch is not None or guess is None:
         return solutions[branch or 1]
@@ -368,12 +376,6 @@ def minimal_linkage(model: Model, independent: Sequence[int], branch: int = 1) -
     )
 
 
-def bar_angles(model: Model, independent: Sequence[int], branch: int = 1) -> ca.Function:
-    """theta(u): the angles of all bars from those of the independent ones; see `minimal_linkage`."""
-    u = ca.SX.sym("u", len(independent))
-    return ca.Function("bar_angles", [u], [_bar_angles(model, u, ca.SX(model.parameter_values), independent, branch)])
-
-
 def _bar_angles(model: Model, u: ca.SX, p: ca.SX, independent: Sequence[int], branch: int) -> ca.SX:
     lengths, ground = dimensions(model, p)
     bars = lengths.numel()
@@ -390,14 +392,62 @@ def _bar_angles(model: Model, u: ca.SX, p: ca.SX, independent: Sequence[int], br
         angles[k] = u[position]
         gap = gap - lengths[k] * ca.vertcat(ca.cos(u[position]), ca.sin(u[position]))
     i, j = rest
-    angles[i], angles[j] = _symbolic_dyad(gap, lengths[i], lengths[j], branch)
+    angles[i], angles[j] = _triangle(gap, lengths[i], lengths[j], branch)
     return ca.vertcat(*angles)
 
 
-def _symbolic_dyad(gap: ca.SX, first: ca.SX, second: ca.SX, branch: int) -> tuple[ca.SX, ca.SX]:
+def _triangle(gap: ca.SX, first: ca.SX, second: ca.SX, branch: int) -> tuple[ca.SX, ca.SX]:
     """Angles of two bars that span a gap (2): heading -+ arccos of the cosine rule, and what is left."""
     distance = ca.norm_2(gap)
-    opening = ca.acos((distance**2 + first**2 - second**2) / (2 * distance * first))
-    angle = ca.atan2(gap[1], gap[0]) - branch * opening
+    cosine = (distance**2 + first**2 - second**2) / (2 * distance * first)
+    if cosine.is_constant():
+        cosine = ca.fmax(ca.fmin(cosine, 1.0), -1.0)  # stretched out, but for round-off
+    angle = ca.atan2(gap[1], gap[0]) - branch * ca.acos(cosine)
     elbow = gap - first * ca.vertcat(ca.cos(angle), ca.sin(angle))
     return angle, ca.atan2(elbow[1], elbow[0])
+
+
+def _in_all(model: Model, system: Mapping[str, Any]) -> ca.Function:
+    """(u, udot) -> the native coordinates (3n) and their rates, of the minimal form with this system."""
+    u, p = ca.SX.sym("u", len(system["independent"])), ca.SX(model.parameter_values)
+    theta, lift = _bar_angles(model, u, p, system["independent"], system["branch"]), constraint_of(model).lift
+    assert lift is not None
+    return with_rates(u, lift(theta, 0 * theta, p)[: model.degrees_of_freedom])
+
+
+def _dependent(model: Model, chosen: Sequence[int]) -> tuple[int, int]:
+    """The bars, from 0, that follow from the others."""
+    i, j = (k // 3 for k in _angles(model) if k not in chosen)
+    return i, j
+
+
+def _angles(model: Model) -> range:
+    return range(2, model.degrees_of_freedom, 3)
+
+
+def _margins(model: Model, places: np.ndarray) -> Callable[[Sequence[int]], np.ndarray]:
+    """How far two bars are from being in line."""
+
+    def margins(chosen: Sequence[int]) -> np.ndarray:
+        i, j = _dependent(model, chosen)
+        sine = np.sin(places[:, 3 * j + 2] - places[:, 3 * i + 2])
+        return np.asarray(sine * np.sign(sine[:1]) / LEAST_SINE)
+
+    return margins
+
+
+def _in_line(model: Model, _: np.ndarray, chosen: Sequence[int]) -> str:
+    i, j = _dependent(model, chosen)
+    return f"bars {i + 1} and {j + 1} come into line (a dead point)"
+
+
+def _minimal(model: Model, chosen: Sequence[int], near: np.ndarray) -> Model:
+    i, j = _dependent(model, chosen)
+    branch = 1 if np.sin(near[3 * j + 2] - near[3 * i + 2]) > 0 else -1
+    return minimal_linkage(model, [k // 3 + 1 for k in chosen], branch)
+
+
+LOOPS = Loops(
+    _put_together, _assemblies, _angles, _margins, _in_line, _in_all, _minimal,
+    lambda model, theta: check_regular(dimensions(model)[0], theta),
+)  # fmt: skip

@@ -59,7 +59,7 @@ def simplest_walker(slope: float = 0.009) -> Model:
     Source: M. Garcia, A. Chatterjee, A. Ruina, M. Coleman, "The simplest walking model", ASME Journal of Biomechanical
     Engineering 120 (1998) 281-288.
     """
-    made = ingredients(2, signed={"slope": slope})
+    made = ingredients(2, locals())
     (theta, phi), rate = (made.q[0], made.q[1]), made.v[0]
     tilt = theta - made["slope"]
     stance = ca.sin(tilt)
@@ -187,8 +187,9 @@ def compass(
     """The compass gait of a function's name, of which `controls` are the torques of hip and ankle."""
     if not hip_mass >= 0:
         raise InputError(f"system.arguments.hip_mass: must not be negative, got {hip_mass!r}; check the value")
-    numbers = {"a": a, "b": b, "mass": mass, "gravity": gravity}, {"slope": slope, "hip_mass": hip_mass}
-    fixed, floating = (_Compass(ingredients(count, *numbers, controls), function) for count in (2, 4))
+    numbers = {"a": a, "b": b, "mass": mass, "gravity": gravity, "slope": slope, "hip_mass": hip_mass}
+    positive = ("a", "b", "mass", "gravity")
+    fixed, floating = (_Compass(ingredients(count, numbers, positive, controls), function) for count in (2, 4))
     torques: dict[str, Any] = {"controls": controls}
     if controls:
         hip, ankle = (fixed.made[name] for name in controls)
@@ -263,7 +264,7 @@ def five_link_walker(
 
 def _on_knees(function: str, positive: dict[str, float], signed: dict[str, float]) -> Model:
     """A walker whose swing leg has a knee that locks."""
-    fixed, floating = (_Kneed(function, ingredients(count, positive, signed)) for count in (3, 5))
+    fixed, floating = (_Kneed(function, ingredients(count, positive | signed, tuple(positive))) for count in (3, 5))
     names = ["stance", "thigh", "shank"]
     drawn = {"names": names, "angles": [True] * 3, "points": ca.horzcat(*map(_downwards, fixed.corners))}
     free = fixed.model(**drawn)
@@ -334,7 +335,7 @@ def rimless_wheel(spokes: int = 8, slope: float = 0.08, length: float = 1.0, gra
     count = whole_number("spokes", spokes, 1000)
     if count < 3:
         raise InputError(f"system.arguments.spokes: must be at least 3, got {spokes}; a wheel needs them")
-    made = ingredients(1, {"length": length, "gravity": gravity}, {"slope": slope})
+    made = ingredients(1, {"length": length, "gravity": gravity, "slope": slope}, ("length", "gravity"))
     arm, half = made["length"], np.pi / count
     ends = [ca.vertcat(arm * ca.cos(made.q + 2 * half * k), -arm * ca.sin(made.q + 2 * half * k)) for k in range(count)]
     hub = ca.vertcat(-arm * ca.cos(made.q), arm * ca.sin(made.q))
@@ -363,8 +364,7 @@ def slip_runner(
     from the foot in stance; y is the height. The cycle begins at the apex.
     Source: R. Blickhan, "The spring-mass model for running and hopping", J. Biomechanics 22 (1989) 1217-1227.
     """
-    positive = {"mass": mass, "stiffness": stiffness, "length": length, "gravity": gravity}
-    made = ingredients(2, positive, {"attack": attack})
+    made = ingredients(2, locals(), ("mass", "stiffness", "length", "gravity"))
     kinetic, weight = made["mass"] * ca.sumsqr(made.v) / 2, made["mass"] * made["gravity"] * made.q[1]
     leg = ca.norm_2(made.q)
     spring = made["stiffness"] * (made["length"] - leg) ** 2 / 2
@@ -415,8 +415,7 @@ def slip_walker(
     Source: H. Geyer, A. Seyfarth, R. Blickhan, "Compliant leg behaviour explains basic dynamics of walking and
     running", Proc. R. Soc. B 273 (2006) 2861-2867.
     """
-    positive = {"mass": mass, "stiffness": stiffness, "length": length, "gravity": gravity}
-    made = ingredients(1, positive, {"attack": attack})
+    made = ingredients(1, locals(), ("mass", "stiffness", "length", "gravity"))
 
     def legs(x: Named, double: bool) -> list[Any]:
         """(right, up) of the mass from the feet on the ground."""
@@ -471,21 +470,25 @@ def vertical_hopper(mass: float = 1.0, stiffness: float = 100.0, gravity: float 
 
     Its period is T = 2 v / g + (2 / w) (pi - atan(w v / g)), w^2 = k / m, v the speed of touchdown.
     """
-    made = ingredients(1, {"mass": mass, "stiffness": stiffness, "gravity": gravity})
+    return hopper("vertical_hopper", ingredients(1, locals(), ("mass", "stiffness", "gravity")))
+
+
+def hopper(function: str, made: Ingredients, forces: ca.SX | None = None, **parts: Any) -> Model:
+    """The hopper of a function's name, on whose leg `forces` act while it is on the ground."""
     kinetic, weight = made["mass"] * made.v**2 / 2, made["mass"] * made["gravity"] * made.q
     foot, mass_at = ca.vertcat(-made.q, 0), ca.vertcat(-1 - made.q, 0)  # of a leg that is drawn 1 m long
-    flight = made.model("vertical_hopper", kinetic, weight, names=["y"], points=ca.horzcat(foot, mass_at))
+    flight = made.model(function, kinetic, weight, names=["y"], points=ca.horzcat(foot, mass_at), **parts)
     ground = made.model(
-        "vertical_hopper", kinetic, weight + made["stiffness"] * made.q**2 / 2, names=["y"],
-        points=ca.horzcat(ca.SX.zeros(2), mass_at),
+        function, kinetic, weight + made["stiffness"] * made.q**2 / 2, names=["y"], forces=forces,
+        points=ca.horzcat(ca.SX.zeros(2), mass_at), **parts,
     )  # fmt: skip
     transitions = [
         Transition("liftoff", "ground", "flight", guard=lambda x, p: x.y, direction=1),
         Transition("touchdown", "flight", "ground", guard=lambda x, p: x.y),
     ]
     modes = [Mode("ground", ground), Mode("flight", flight, {"height": lambda x, p: x.y})]
-    cycle = ["liftoff", "touchdown"]
-    return hybrid(modes, transitions, cycle, conserved=["energy"], system=flight.system, ground=level_ground)
+    return hybrid(modes, transitions, ["liftoff", "touchdown"], conserved=["energy"] if forces is None else (),
+                  system=flight.system, ground=level_ground)  # fmt: skip
 
 
 def rocking_block(angle: float = 0.3, stiffness: float = 0.75) -> Model:
@@ -495,7 +498,7 @@ def rocking_block(angle: float = 0.3, stiffness: float = 0.75) -> Model:
     Source: G. Housner, "The behavior of inverted pendulum structures during earthquakes", Bulletin of the
     Seismological Society of America 53 (1963) 403-417.
     """
-    made = ingredients(1, {"angle": angle, "stiffness": stiffness})
+    made = ingredients(1, locals(), ("angle", "stiffness"))
     side = 2 * ca.sin(made["angle"]) * ca.vertcat(ca.cos(made.q), -ca.sin(made.q))  # (right, up), the diagonal is 2 m
     up = 2 * ca.cos(made["angle"]) * ca.vertcat(ca.sin(made.q), ca.cos(made.q))
     corners = [_downwards(place) for place in (0 * up, up, up - side, -side, 0 * up)]
@@ -519,7 +522,7 @@ def gravity_wedge(angle: float = 0.6, gravity: float = 1.0) -> Model:
     Source: H. Lehtihet, B. Miller, "Numerical study of a billiard in a gravitational field", Physica D 21 (1986)
     93-104.
     """
-    made = ingredients(2, {"angle": angle, "gravity": gravity})
+    made = ingredients(2, locals(), ("angle", "gravity"))
     model = made.model(
         "gravity_wedge", ca.sumsqr(made.v) / 2, made["gravity"] * made.q[1], names=["x", "y"],
         points=_downwards(made.q),
@@ -558,8 +561,7 @@ def wall_pendulum(
 
     Angles from the downward vertical; M (v+ - v-) = J^T P, J v+ = -J v-.
     """
-    numbers = {"length1": length1, "length2": length2, "mass1": mass1, "mass2": mass2, "gravity": gravity}
-    made = ingredients(2, numbers, {"wall": wall})
+    made = ingredients(2, locals(), ("length1", "length2", "mass1", "mass2", "gravity"))
     places = [made["length1"] * ca.vertcat(ca.cos(made.q[0]), ca.sin(made.q[0]))]
     places.append(places[0] + made["length2"] * ca.vertcat(ca.cos(made.q[1]), ca.sin(made.q[1])))
     masses = list(zip((made["mass1"], made["mass2"]), places, strict=True))
@@ -593,8 +595,7 @@ def bouncing_ball(
     At an impact v+ = (1 + e) u - e v-, u the table's speed. The cycle is one bounce, of a period of the table.
     Source: J. Guckenheimer, P. Holmes, Nonlinear Oscillations (1983), section 2.4.
     """
-    positive = {"frequency": frequency, "gravity": gravity}
-    made = ingredients(1, positive, {"amplitude": amplitude, "restitution": restitution})
+    made = ingredients(1, locals(), ("frequency", "gravity"))
     model = made.first_order(
         "bouncing_ball", lambda _, x, p: [x.v, -p.gravity, p.frequency], ("y", "v", "phase"), angles=("phase",),
         points=lambda x, p: ca.vertcat(-x.y, 0),
@@ -625,8 +626,7 @@ def impact_oscillator(
     Source: S. W. Shaw, P. J. Holmes, "A periodically forced piecewise linear oscillator", Journal of Sound and
     Vibration 90 (1983) 129-155.
     """
-    signed = {"damping": damping, "force": force, "stop": stop, "restitution": restitution}
-    made = ingredients(1, {"frequency": frequency}, signed)
+    made = ingredients(1, locals(), ("frequency",))
 
     def field(_: Any, x: Named, p: Named) -> list[Any]:
         return [x.v, p.force * ca.cos(x.phase) - p.damping * x.v - x.x, p.frequency]

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -26,7 +27,7 @@ from scipy.linalg import qr
 
 from orbitfinder._runtime.sizes import size_of
 from orbitfinder.errors import InputError, closest, plural
-from orbitfinder.mechanics.constrained import RANK_TOLERANCE, constrained_model
+from orbitfinder.mechanics.constrained import RANK_TOLERANCE, Loops, by_place, constrained_model, with_rates
 from orbitfinder.mechanics.controls import divided
 from orbitfinder.mechanics.factorise import LinearBalances, acceleration_function, solve_positive_definite
 from orbitfinder.mechanics.lagrange import (
@@ -76,6 +77,8 @@ HOMOTOPY, FINAL = 20, 3
 """Newton steps along the way from the pose to a place, and at the place, of the minimal form"""
 CYCLIC = 1e-13
 """Slope of the Lagrangian, relative to it, of a coordinate that it does not depend on"""
+LEAST_SHARE = 5e-3
+"""Least over largest singular value of the closures' slopes below which a mechanism is at a dead point."""
 MASSLESS = 1e-12
 """Inertia that a coordinate moves, relative to the whole mechanism's, below which it moves nothing"""
 ISOMETRIC = np.array([[1.0, 0.5, 0.5], [0.0, np.sqrt(0.75), -np.sqrt(0.75)]])
@@ -93,9 +96,10 @@ class _Numbers:
         for name, value in shared.items():
             if not name.isidentifier():
                 raise InputError(f"parameters: {name!r} is no name; use letters, digits and _")
-            self._new(name, _number(f"parameters.{name}", value))
+            self.new(name, _number(f"parameters.{name}", value))
 
-    def _new(self, name: str, value: float) -> ca.SX:
+    def new(self, name: str, value: float) -> ca.SX:
+        """A number with a symbol of its own, 0 or not."""
         if name in self.names:
             raise InputError(f"{name}: two physical parameters have this name; rename a body, a joint or a parameter")
         self.names.append(name)
@@ -103,15 +107,11 @@ class _Numbers:
         self.symbols.append(ca.SX.sym(name))
         return self.symbols[-1]
 
-    def always(self, name: str, value: float) -> ca.SX:
-        """A number with a symbol of its own, 0 or not."""
-        return self._new(name, value)
-
     def __call__(self, where: str, name: str, entry: Any) -> ca.SX | float:
         """A number as a symbol of its own (0 stays 0), or an expression such as "-length / 2" of shared ones."""
         if not isinstance(entry, str):
             value = _number(where, entry)
-            return self._new(name, value) if value or name in self._given else 0.0
+            return self.new(name, value) if value or name in self._given else 0.0
         found = EXPRESSION.fullmatch(entry)
         if not found or found[3] not in self.names:
             known = ", ".join(self.names) or "none yet: add [system.parameters]"
@@ -275,24 +275,25 @@ def mechanism(
 ) -> Model:
     """The Model of a mechanism in the plane or in space, described as drawn: bodies, joints, springs, dampers, motors.
 
-    Joints that reach a new body carry coordinates named like them, in their order; all others close loops. Numbers
-    that are not 0 are physical parameters named after what they belong to, those in `parameters` after themselves
-    ("-length / 2" uses one). SI units, angles in rad.
+    Joints that reach a new body from the ground outwards have coordinates of their name, in their order (`ball1`,
+    `ball2`, `ball3` of a joint `ball` with three); all others close loops, as a native DAE. Each number that is not 0
+    is a physical parameter: `crank_mass`, `crank_inertia`, `crank_com_x`, `pin_1_x` (first point of joint `pin`),
+    `k_stiffness`, `k_length`, `gravity_x`, and those in `parameters` by their own names. SI units, angles in rad.
 
     Args:
-        bodies: {name: mass, inertia (about the centre of mass), com}.
-        joints: {name: kind, between two bodies or the "ground", at = their points, axis}.
-        springs: between points or in a joint, by name.
-        dampers: likewise.
-        motors: torques or forces in a joint.
-        motions: prescribed motions of a joint.
-        gravity: acceleration (m/s^2; x down, y right, z out).
-        dimension: 2 or 3.
-        parameters: numbers that others are expressed in.
-        frequency: rad/s of motors and motions that vary.
-        pose: {coordinate: value} near which loops are assembled.
-        redundant: "refuse" loops' equations that say the same twice, or "drop" them.
-        baumgarte: (alpha, beta) in 1/s of loops' equations.
+        bodies: bodies by name: mass, inertia (about the centre of mass), com.
+        joints: joints by name: kind, between two bodies or the "ground", at = their points, axis.
+        springs: springs by name, between points or in a joint.
+        dampers: dampers by name, likewise.
+        motors: motors by name, torques or forces in a joint.
+        motions: prescribed motions of joints by name.
+        gravity: acceleration in m/s^2, 9.8 down when left out; x down, y right, z out.
+        dimension: 2 in the plane (x down, y right), 3 in space (z towards the eye).
+        parameters: shared numbers by name, for text such as '-length / 2'.
+        frequency: of what varies in time, in rad/s.
+        pose: coordinates near which loops are assembled, 0 otherwise.
+        redundant: what to do with equations that repeat others: refuse, or drop them.
+        baumgarte: stabilisation [alpha, beta] of the loops in 1/s; its own pace.
         values: numbers that replace parameters.
         scales: sizes to measure in, by name.
         drawn: what pictures show beside the bodies.
@@ -314,8 +315,14 @@ def mechanism(
         `of.robot` reads URDF and MJCF files; `of.linkages` has poses, rates and minimal forms.
     """
     numbers = _Numbers(parameters or {}, values or {})
-    system = _description(bodies, joints, springs, dampers, motors, motions, gravity, dimension, parameters, frequency,
-                          pose, redundant, values)  # fmt: skip
+    acting = {"springs": springs, "dampers": dampers, "motors": motors, "motions": motions}
+    system = _description({"bodies": bodies, "joints": joints, **acting}, gravity, dimension, redundant)
+    for name, extra in (("parameters", parameters), ("pose", pose), ("values", values)):
+        if extra:
+            system[name] = {key: _number(f"{name}.{key}", one) for key, one in extra.items()}
+    if frequency is not None:
+        system["frequency"] = _number("frequency", frequency)
+    system |= {"redundant": redundant} if redundant != "refuse" else {}
     if drawn:
         system["drawn"] = dict(drawn)
     drawing = _drawn(system, numbers)
@@ -325,11 +332,8 @@ def mechanism(
     return replace(made, scales={k: float(v) for k, v in scales.items()}) if scales else made
 
 
-def _description(
-    bodies: Any, joints: Any, springs: Any, dampers: Any, motors: Any, motions: Any, gravity: Any, dimension: Any,
-    parameters: Any, frequency: Any, pose: Any, redundant: Any, values: Any,
-) -> dict[str, Any]:  # fmt: skip
-    """The system as plain data, checked for shape; what was not given is left out."""
+def _description(tables: Mapping[str, Any], gravity: Any, dimension: Any, redundant: Any) -> dict[str, Any]:
+    """The tables as plain data, checked for shape; what was not given is left out."""
     if dimension not in (2, 3):
         raise InputError(f"dimension: must be 2 (the plane) or 3 (space), got {dimension!r}")
     fall = [9.8, 0.0, 0.0][:dimension] if gravity is None else [_number("gravity", one) for one in gravity]
@@ -338,22 +342,14 @@ def _description(
     if redundant not in ("refuse", "drop"):
         raise InputError(f"redundant: must be 'refuse' or 'drop' (equations that repeat others), got {redundant!r}")
     found: dict[str, Any] = {"kind": "mechanism", "dimension": dimension, "gravity": fall}
-    tables = {
-        "bodies": bodies, "joints": joints, "springs": springs, "dampers": dampers, "motors": motors, "motions": motions
-    }  # fmt: skip
     for name, table in tables.items():
         for key, one in (table or {}).items():
             _check_table(name, key, one)
         if table:
             found[name] = {key: {k: _plain(v) for k, v in one.items()} for key, one in table.items()}
-    if not bodies or not joints:
-        raise InputError(f"{'joints' if bodies else 'bodies'}: none given; a mechanism has at least one body and joint")
-    for name, extra in (("parameters", parameters), ("pose", pose), ("values", values)):
-        if extra:
-            found[name] = {key: _number(f"{name}.{key}", one) for key, one in extra.items()}
-    if frequency is not None:
-        found["frequency"] = _number("frequency", frequency)
-    return found | ({"redundant": redundant} if redundant != "refuse" else {})
+        elif name in ("bodies", "joints"):
+            raise InputError(f"{name}: none given; a mechanism has at least one body and joint")
+    return found
 
 
 def _check_table(name: str, key: str, one: Any) -> None:
@@ -843,7 +839,7 @@ def _rate(value: ca.SX, q: ca.SX, v: ca.SX, t: ca.SX) -> ca.SX:
 
 def _torque(numbers: _Numbers, name: str, table: Table, clock: tuple[ca.SX, ca.SX]) -> ca.SX | float:
     """A motor's torque (N m) or force (N), torque + amplitude cos(w t + phase); it is the parameter named like it."""
-    steady = numbers.always(name, _number(f"motors.{name}.torque", table.get("torque", 0.0)))
+    steady = numbers.new(name, _number(f"motors.{name}.torque", table.get("torque", 0.0)))
     swing, late = (
         numbers(f"motors.{name}.{key}", f"{name}_{key}", table.get(key, 0.0)) for key in ("amplitude", "phase")
     )
@@ -1147,8 +1143,7 @@ def _closed(made: _Drawing, motion: _Motion, system: Table, baumgarte: Sequence[
     t, q, v, p = symbols.arguments
     names = [f"{one.name}_{letter}" for one in made.closing for letter in one.rows]
     phi = ca.vertcat(*(_rows(made, motion.frames, one) for one in made.closing))
-    closing = _Closings(made, motion, system, phi, names)
-    place, kept = closing.checked()
+    place, kept = _checked(made, motion, system, phi, names)
     weights = _articulated(made, ca.SX.zeros(q.numel()), motion.gravity)[1]
     _check_weights(made, motion, place, ca.Function("weights", [t, q, p], [weights]))
     phi, names = phi[kept], [names[k] for k in kept]
@@ -1180,91 +1175,62 @@ def _pace(free: ca.Function, place: np.ndarray, size: float, motion: _Motion) ->
     return float(2.0 ** np.round(np.log2(np.sqrt(fastest)))) if fastest > 0 else 1.0
 
 
-@dataclass
-class _Closings:
-    """The equations phi(q, p) = 0 of the loops, tried at the pose before a Model is made of them."""
-
-    made: _Drawing
-    motion: _Motion
-    system: Table
-    phi: ca.SX
-    names: Sequence[str]
-
-    def checked(self) -> tuple[np.ndarray, list[int]]:
-        """An assembled configuration (n) near the pose, and the rows that are independent there."""
-        self._count()
-        symbols, names = self.motion.symbols, self.motion.names
-        q, p = symbols.coordinates, symbols.arguments[3]
-        self.values = np.array(symbols.parameter_values)
-        self.function = ca.Function("phi", [q, p], [self.phi, ca.jacobian(self.phi, q)])
-        given = self.system.get("pose", {})
-        for name in given:
-            if name not in names:
-                raise InputError(f"pose: unknown coordinate {name!r}{closest(name, names)}; use {', '.join(names)}")
-        start = np.array([given.get(name, 0.0) for name in names])
-        place = closed_near(self.function, self.values, start, (), self._units(), self._owner)
-        return place, self._independent(place)
-
-    def _units(self) -> np.ndarray:
-        return np.where(self.motion.angles, 1.0, self.made.size)
-
-    def _owner(self, row: int) -> str:
-        """The joint of a row, with its bodies."""
-        joint = self.names[row].rpartition("_")[0]
-        return f"joint {joint!r} between {' and '.join(map(repr, self.made.joints[joint]['between']))}"
-
-    def _count(self) -> None:
-        """`InputError` where the loops leave no freedom: Kutzbach's count."""
-        n, rows = len(self.motion.names), len(self.names)
-        if rows >= n and self.system.get("redundant") != "drop":
-            last = self.made.closing[-1]
-            raise InputError(
-                f"joints: over-constrained, {n} coordinates of the tree and {plural(rows, 'equation')} of "
-                f"{', '.join(repr(one.name) for one in self.made.closing)} leave {n - rows} degrees of freedom "
-                f"(Kutzbach); take away joint {last.name!r} between {' and '.join(map(repr, last.table['between']))}, "
-                "or with redundant = 'drop' equations that repeat others"
-            )
-
-    def _independent(self, place: np.ndarray) -> list[int]:
-        """Rows that do not repeat earlier ones; `InputError` where some do, or only in this pose."""
-        kept = independent_rows(self._slopes(place))
-        if len(kept) == len(self.names):
-            return kept
-        lost = next(k for k in range(len(self.names)) if k not in kept)
-        if len(self._beside(place)) > len(kept):
-            shown = ", ".join(f"{name} = {value:.4g}" for name, value in zip(self.motion.names, place, strict=True))
-            raise InputError(
-                f"pose: singular at {shown}: the equations of {self._owner(lost)} depend on the others here and "
-                "nowhere near (a dead point of the loop: bars in line); give another pose"
-            )
-        if self.system.get("redundant") == "drop":
-            if len(kept) >= len(place):
-                raise InputError(
-                    "joints: over-constrained, the independent equations leave no freedom; take a joint away"
-                )
-            best = qr(self._slopes(place).T, mode="r", pivoting=True)[1]  # what is farthest from repeating others
-            return sorted(int(k) for k in best[: len(kept)])
+def _checked(
+    made: _Drawing, motion: _Motion, system: Table, phi: ca.SX, names: Sequence[str]
+) -> tuple[np.ndarray, list[int]]:
+    """An assembled configuration (n) near the pose, and the rows of phi(q, p) that are independent there."""
+    n, q, p, given = len(motion.names), motion.symbols.coordinates, motion.symbols.arguments[3], system.get("pose", {})
+    if len(names) >= n and system.get("redundant") != "drop":  # Kutzbach's count
+        last = made.closing[-1]
         raise InputError(
-            f"joints: over-constrained, row {self.names[lost]!r} of {self._owner(lost)} repeats what others hold (rank "
-            f"{len(kept)} of {len(self.names)} equations), so its force is not determined; loosen that joint, or leave "
-            "such rows out by redundant = 'drop'"
+            f"joints: over-constrained, {n} coordinates of the tree and {plural(len(names), 'equation')} of "
+            f"{', '.join(repr(one.name) for one in made.closing)} leave {n - len(names)} degrees of freedom "
+            f"(Kutzbach); take away joint {last.name!r} between {' and '.join(map(repr, last.table['between']))}, "
+            "or with redundant = 'drop' equations that repeat others"
         )
+    for name in given:
+        if name not in motion.names:
+            known = ", ".join(motion.names)
+            raise InputError(f"pose: unknown coordinate {name!r}{closest(name, motion.names)}; use {known}")
+    function, values = ca.Function("phi", [q, p], [phi, ca.jacobian(phi, q)]), np.array(motion.symbols.parameter_values)
+    closure = Closure(function, values, np.where(motion.angles, 1.0, made.size), names, made.joints)
+    place = closure.near(np.array([given.get(name, 0.0) for name in motion.names]))
+    return place, _independent(closure, place, motion.names, system.get("redundant") == "drop")
 
-    def _slopes(self, place: np.ndarray) -> np.ndarray:
-        """J at a place, columns in units of their own."""
-        return np.asarray(self.function(place, self.values)[1].full() * self._units())
 
-    def _beside(self, place: np.ndarray) -> list[int]:
-        """Independent rows at the best of a few configurations nearby."""
-        random, best = np.random.default_rng(0), list[int]()
-        for _ in range(4):
-            start = place + 0.1 * self._units() * random.uniform(-1, 1, place.size)
-            try:
-                near = closed_near(self.function, self.values, start, (), self._units(), self._owner)
-            except InputError:
-                continue
-            best = max(best, independent_rows(self._slopes(near)), key=len)
-        return best
+def _independent(closure: Closure, place: np.ndarray, names: Sequence[str], drop: bool) -> list[int]:
+    """Rows that do not repeat earlier ones; `InputError` where some do, or only in this pose."""
+    slopes, rows = closure.slopes(place), len(closure.names)
+    kept = independent_rows(slopes)
+    if len(kept) == rows:
+        return kept
+    lost = next(k for k in range(rows) if k not in kept)
+    if len(_beside(closure, place)) > len(kept):
+        shown = ", ".join(f"{name} = {value:.4g}" for name, value in zip(names, place, strict=True))
+        raise InputError(
+            f"pose: singular at {shown}: the equations of {closure.joint(lost)} depend on the others here and "
+            "nowhere near (a dead point of the loop: bars in line); give another pose"
+        )
+    if drop:
+        if len(kept) >= len(place):
+            raise InputError("joints: over-constrained, the independent equations leave no freedom; take a joint away")
+        best = qr(slopes.T, mode="r", pivoting=True)[1]  # what is farthest from repeating others
+        return sorted(int(k) for k in best[: len(kept)])
+    raise InputError(
+        f"joints: over-constrained, row {closure.names[lost]!r} of {closure.joint(lost)} repeats what others hold "
+        f"(rank {len(kept)} of {rows} equations), so its force is not determined; loosen that joint, or leave "
+        "such rows out by redundant = 'drop'"
+    )
+
+
+def _beside(closure: Closure, place: np.ndarray) -> list[int]:
+    """Independent rows at the best of a few configurations nearby."""
+    random, best = np.random.default_rng(0), list[int]()
+    for _ in range(4):
+        start = place + 0.1 * closure.units * random.uniform(-1, 1, place.size)
+        with suppress(InputError):
+            best = max(best, independent_rows(closure.slopes(closure.near(start))), key=len)
+    return best
 
 
 def independent_rows(matrix: np.ndarray) -> list[int]:
@@ -1279,28 +1245,57 @@ def independent_rows(matrix: np.ndarray) -> list[int]:
     return kept
 
 
-def closed_near(
-    function: Callable[..., Any], values: np.ndarray, start: np.ndarray, fixed: Sequence[int], units: np.ndarray,
-    owner: Any,
-) -> np.ndarray:  # fmt: skip
-    """A configuration (n) with phi = 0 near a start, some coordinates held, by Gauss-Newton; `InputError` naming the
-    joint that stays open. `function(q, p)` is (phi, J).
-    """
+@dataclass(frozen=True)
+class Closure:
+    """The equations phi(q) = 0 of loops with the joints that they are of."""
 
-    def phi(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        gaps, slopes = (part.full() for part in function(place, values))
-        return gaps.ravel(), slopes
+    function: ca.Function
+    """(q, p) -> (phi, J)"""
+    values: np.ndarray
+    units: np.ndarray
+    """of the coordinates (n)"""
+    names: Sequence[str]
+    joints: Mapping[str, Table]
 
-    loose = [k for k in range(start.size) if k not in fixed]
-    found = closed(phi, start, loose, units, float(np.abs(units[units != 1.0]).max(initial=0.0)))
-    if found.converged:
-        return found.w
-    gaps = phi(found.w)[0]
-    worst = int(np.abs(gaps).argmax())
-    raise InputError(
-        f"joints: the loop stays open at {owner(worst)}: {abs(gaps[worst]):.3g} m are left between their points in the "
-        "nearest configuration that was found; check the lengths, or give a pose nearer to one that closes"
-    )
+    @classmethod
+    def of(cls, model: Model, units: np.ndarray | None = None) -> Closure:
+        """That of a Model under constraints."""
+        constraint = constraint_of(model)
+        q, p = constraint.phi.sx_in()
+        function = ca.Function("phi", [q, p], [constraint.phi(q, p), constraint.jacobian(q, p)])
+        units = coordinate_units(model) if units is None else units
+        return cls(function, model.parameter_values, units, constraint.force_names, model.system.get("joints", {}))
+
+    def slopes(self, place: np.ndarray) -> np.ndarray:
+        """J at a place, columns in units of their own."""
+        return np.asarray(self.function(place, self.values)[1].full() * self.units)
+
+    def near(self, start: np.ndarray, fixed: Sequence[int] = ()) -> np.ndarray:
+        """A configuration (n) with phi = 0 near a start, some coordinates held, by Gauss-Newton; `InputError` naming
+        the joint that stays open."""
+
+        def phi(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            gaps, slopes = (part.full() for part in self.function(place, self.values))
+            return gaps.ravel(), slopes
+
+        loose, units = [k for k in range(start.size) if k not in fixed], self.units
+        found = closed(phi, start, loose, units, float(np.abs(units[units != 1.0]).max(initial=0.0)))
+        if found.converged:
+            return found.w
+        gaps = phi(found.w)[0]
+        worst = int(np.abs(gaps).argmax())
+        raise InputError(
+            f"joints: the loop stays open at {self.joint(worst)}: {abs(gaps[worst]):.3g} m are left between their "
+            "points in the nearest configuration that was found; check the lengths, or give a pose nearer to one that "
+            "closes"
+        )
+
+    def joint(self, row: int) -> str:
+        """The joint that a row belongs to, with its bodies, for messages."""
+        name = self.names[row].rpartition("_")[0]
+        if name not in self.joints:
+            return self.names[row]
+        return f"joint {name!r} between {' and '.join(map(repr, self.joints[name]['between']))}"
 
 
 def mechanism_state(
@@ -1314,9 +1309,9 @@ def mechanism_state(
     Coordinates that are not `known` start from `near` (n) or the pose. Raises `InputError` where a loop stays open, or
     at a dead point of the given coordinates, which then do not say how the others move.
     """
-    names, p = model.state_names[: model.degrees_of_freedom], model.parameter_values
-    units = coordinate_units(model)
-    given, speeds = _indexed(known or {}, names, "coordinate"), _indexed(rates or {}, names, "rate", "dot")
+    names = model.state_names[: model.degrees_of_freedom]
+    given = by_place(known or {}, names, "coordinate", "mechanism")
+    speeds = by_place(rates or {}, [f"{name}dot" for name in names], "rate", "mechanism")
     pose = model.system.get("pose", {})
     place = np.array([pose.get(name, 0.0) for name in names]) if near is None else np.array(near, float)
     if place.shape != (len(names),):
@@ -1330,14 +1325,14 @@ def mechanism_state(
     for what, table in (("coordinates", given), ("rates", speeds)):
         if len(table) > freedom:
             raise InputError(f"{what}: {len(table)} given, this mechanism has {plural(freedom, 'degree')} of freedom")
-    function = _phi(model)
-    place = closed_near(function, p, place, (), units, lambda row: joint_of(model, row))
+    closure = Closure.of(model)
+    place, units = closure.near(place), closure.units
     begin, wanted = place[list(given)], np.array(list(given.values()))
     away = float(np.abs((wanted - begin) / units[list(given)]).max(initial=0.0))
     for share in np.linspace(0.0, 1.0, 1 + int(np.ceil(away / STRIDE)))[1:]:  # the same assembly all the way
         place[list(given)] = begin + share * (wanted - begin)
-        place = closed_near(function, p, place, list(given), units, lambda row: joint_of(model, row))
-    slopes = function(place, p)[1].full() * units
+        place = closure.near(place, list(given))
+    slopes = closure.slopes(place)
     others = [k for k in range(len(names)) if k not in speeds]
     if speeds and len(independent_rows(slopes[:, others].T)) < len(slopes):
         raise InputError(
@@ -1348,19 +1343,6 @@ def mechanism_state(
     return np.concatenate([place, rate])
 
 
-def _phi(model: Model) -> ca.Function:
-    """(phi, J) of (q, p)."""
-    constraint = constraint_of(model)
-    q, p = constraint.phi.sx_in()
-    return ca.Function("phi", [q, p], [constraint.phi(q, p), constraint.jacobian(q, p)])
-
-
-def joint_of(model: Model, row: int) -> str:
-    """The joint that a constraint belongs to, with its bodies, for messages."""
-    name = constraint_of(model).force_names[row].rpartition("_")[0]
-    return f"joint {name!r} between {' and '.join(map(repr, model.system['joints'][name]['between']))}"
-
-
 def coordinate_units(model: Model) -> np.ndarray:
     """1 rad of angles, of slides (n) the largest number of a point."""
     sizes = [abs(value) for name, value in zip(model.parameter_names, model.parameter_values, strict=True)
@@ -1368,21 +1350,12 @@ def coordinate_units(model: Model) -> np.ndarray:
     return np.where(model.angular, 1.0, max(sizes, default=1.0) or 1.0)
 
 
-def _indexed(known: Mapping[str, float], names: Sequence[str], what: str, suffix: str = "") -> dict[int, float]:
-    labels = [f"{name}{suffix}" for name in names]
-    for name, value in known.items():
-        if name not in labels:
-            raise InputError(f"{name}: unknown {what}{closest(name, labels)}; this mechanism has {', '.join(labels)}")
-        _number(name, value)
-    return {labels.index(name): float(value) for name, value in known.items()}
-
-
 def body_point(model: Model, body: str, at: Sequence[float]) -> Callable[[Sequence[Any], Sequence[Any]], ca.SX]:
     """point(x, p): where a point (m, in its own axes) of a body of a mechanism without loops is (2 or 3, m), for the
     contacts of `of.impact`, the guards of `of.Transition` and the like. x are the states and p the parameters in order.
     """
     system, names = model.system, model.state_names[: model.degrees_of_freedom]
-    if system.get("kind") != "mechanism" or model.constraint is not None or "independent" in system or model.forced:
+    if "bodies" not in system or model.constraint is not None or "independent" in system or model.forced:
         raise InputError("body_point: needs a mechanism without loops and prescribed motions")
     numbers = _Numbers(system.get("parameters", {}), system.get("values", {}))
     made, q = _drawn(system, numbers), ca.SX.sym("q", len(names))
@@ -1405,7 +1378,7 @@ def minimal_mechanism(model: Model, independent: Sequence[str], near: np.ndarray
     A. Wehage, E. J. Haug, Journal of Mechanical Design 104 (1982) 247-255. Valid while the closures determine the
     others (no dead point of u). Raises `InputError`.
     """
-    names, n, p = model.state_names[: model.degrees_of_freedom], model.degrees_of_freedom, model.parameter_values
+    names, n = model.state_names[: model.degrees_of_freedom], model.degrees_of_freedom
     freedom = n - len(constraint_of(model).force_names)
     for name in independent:
         if name not in names:
@@ -1416,14 +1389,11 @@ def minimal_mechanism(model: Model, independent: Sequence[str], near: np.ndarray
         )
     chosen = [names.index(name) for name in independent]
     pose = mechanism_state(model, near=near)[:n]
-    slopes = constraint_of(model).jacobian(pose, p).full() * coordinate_units(model)
     rest = [k for k in range(n) if k not in chosen]
-    sizes = np.linalg.svd(slopes[:, rest], compute_uv=False)
-    if sizes[-1] < RANK_TOLERANCE * sizes[0]:
-        weak = int(np.abs(np.linalg.svd(slopes[:, rest])[0][:, -1]).argmax())
+    if _margins(model, pose[None])(chosen)[0] < RANK_TOLERANCE / LEAST_SHARE:
         raise InputError(
-            f"independent: dead point of {', '.join(independent)} at the pose: {joint_of(model, weak)} does not say "
-            f"where {', '.join(names[k] for k in rest)} go; choose other coordinates"
+            f"independent: dead point of {', '.join(independent)} at the pose: {_weakest(model, pose, rest)} does not "
+            f"say where {', '.join(names[k] for k in rest)} go; choose other coordinates"
         )
     return _embedded(model, chosen, rest, pose)
 
@@ -1485,10 +1455,48 @@ def _followed(model: Model, chosen: list[int], rest: list[int], pose: np.ndarray
     return found
 
 
-def all_coordinates(model: Model, system: Table) -> ca.Function:
-    """q(u) (n): all coordinates of a mechanism with loops from the independent ones of its minimal form's system."""
+def _in_all(model: Model, system: Table) -> ca.Function:
+    """(u, udot) -> all coordinates (n) and their rates, of the minimal form with this system."""
     names = model.state_names[: model.degrees_of_freedom]
     chosen = [names.index(name) for name in system["independent"]]
     rest = [k for k in range(len(names)) if k not in chosen]
     pose, u = np.array([system["pose"][name] for name in names]), ca.SX.sym("u", len(chosen))
-    return ca.Function("all", [u], [_followed(model, chosen, rest, pose, u, ca.SX(ca.DM(model.parameter_values)))])
+    return with_rates(u, _followed(model, chosen, rest, pose, u, ca.SX(ca.DM(model.parameter_values))))
+
+
+def _margins(model: Model, places: np.ndarray) -> Callable[[Sequence[int]], np.ndarray]:
+    """The least singular value, over the largest, of the slopes with which the loops' equations hold the others."""
+    rows = model.along(constraint_of(model).jacobian, places.T)
+    slopes = rows.reshape(rows.shape[0], len(places), -1).transpose(1, 0, 2) * coordinate_units(model)
+
+    def margins(chosen: Sequence[int]) -> np.ndarray:
+        values = np.linalg.svd(np.delete(slopes, chosen, axis=2), compute_uv=False)
+        return np.asarray(values[:, -1] / values[:, 0] / LEAST_SHARE)
+
+    return margins
+
+
+def _at_dead_point(model: Model, place: np.ndarray, chosen: Sequence[int]) -> str:
+    names, rest = model.state_names, [k for k in range(place.size) if k not in chosen]
+    return (
+        f"{_weakest(model, place, rest)} no longer says how {', '.join(names[k] for k in rest)} "
+        f"follow from {', '.join(names[k] for k in chosen)} (a dead point)"
+    )
+
+
+def _weakest(model: Model, place: np.ndarray, rest: Sequence[int]) -> str:
+    """The joint whose equation says least about where some coordinates go."""
+    closure = Closure.of(model)
+    return closure.joint(int(np.abs(np.linalg.svd(closure.slopes(place)[:, rest])[0][:, -1]).argmax()))
+
+
+def _put_together(model: Model, *given: Any, branch: int | None = None, **more: Any) -> np.ndarray:
+    del branch  # a pose says it
+    return mechanism_state(model, *given, **more)
+
+
+JOINED = Loops(
+    _put_together, lambda model, near: [mechanism_state(model, near=near)[: model.degrees_of_freedom]],
+    lambda model: range(model.degrees_of_freedom), _margins, _at_dead_point, _in_all,
+    lambda model, chosen, near: minimal_mechanism(model, [model.state_names[k] for k in chosen], near),
+)  # fmt: skip

@@ -7,8 +7,8 @@ import numpy as np
 from orbitfinder._runtime.sizes import LEAST, nonzero, size_of
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.constrained import allowed_velocities
-from orbitfinder.mechanics.mechanism import closed_near
-from orbitfinder.mechanics.model import Model, constraint_of, positions
+from orbitfinder.mechanics.mechanism import Closure
+from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.mechanics.scales import surroundings
 
 STEPS = 40
@@ -33,7 +33,7 @@ def pulled(model: Model, state: np.ndarray, point: int, place: np.ndarray) -> np
     q, n = np.array(state[: model.degrees_of_freedom], float), model.degrees_of_freedom
     units, there = surroundings(model, q)[0], _seen(model, q[None])[0]
     missed = place - there[_checked(there, point)]
-    damping = DAMPING
+    damping, closure = DAMPING, None if model.constraint is None else Closure.of(model, units)
     for _ in range(STEPS):
         away = float(np.hypot(*missed))
         slopes, ways = _slopes(model, q, units)
@@ -42,7 +42,7 @@ def pulled(model: Model, state: np.ndarray, point: int, place: np.ndarray) -> np
             damped = reach + (damping * np.trace(reach) + LEAST) * np.eye(2)
             step = ways @ (slopes[point].T @ np.linalg.solve(damped, missed))
             step *= units * min(1.0, LONGEST / size_of(step))
-            trial = _assembled(model, q + step, units)
+            trial = q + step if closure is None else closure.near(q + step)
             left = place - _seen(model, trial[None])[0, point]
             if np.hypot(*left) < away * (1 - NEAR):
                 break
@@ -100,14 +100,3 @@ def _slopes(model: Model, q: np.ndarray, units: np.ndarray) -> tuple[np.ndarray,
         return slopes, np.eye(q.size)
     basis = np.linalg.qr(allowed_velocities(model, q) / units[:, None])[0]
     return slopes @ basis, basis
-
-
-def _assembled(model: Model, q: np.ndarray, units: np.ndarray) -> np.ndarray:
-    """The configuration near one in which all loops are closed; itself without loops."""
-    if model.constraint is None:
-        return q
-    constraint = constraint_of(model)
-    return closed_near(
-        lambda place, p: (constraint.phi(place, p), constraint.jacobian(place, p)), model.parameter_values, q, (),
-        units, lambda row: constraint.force_names[row],
-    )  # fmt: skip

@@ -19,6 +19,7 @@ from typing import Any
 from xml.parsers import expat
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from orbitfinder._runtime.processes import alone
 from orbitfinder._runtime.quiet import captured
@@ -105,22 +106,23 @@ def robot(
     gravity: Sequence[float] | float | None = None,
     values: Mapping[str, float] | None = None,
 ) -> Model:
-    """The Model of a robot in a URDF or MJCF file.
+    """The Model of a robot in a URDF or MJCF file; needs the extra [robot].
 
     Contacts, actuators and sensors are left out; what else acts and is not known is refused by name. Stops of joints do
     not act, and a found orbit that passes one is hinted at. Joints that mimic another follow it. Numbers are physical
     parameters named after links and joints ("link3_mass"), in the axes of the zero position, x down.
 
     Args:
-        file: .urdf or .xml.
+        file: the URDF or MJCF file, in a problem file beside it unless the path says otherwise.
         locked: joints that stay at 0, or at the angles given.
-        stiffness: of all joints or of each by name (N m/rad or N/m); replaces the file's.
-        rest: where springs are at ease, by joint; 0 otherwise.
-        damping: of all joints or of each by name; replaces the file's, and its Coulomb friction, which is refused else.
+        stiffness: springs in all joints, or in each by name (N m/rad, N/m); the file's own when left out.
+        rest: where springs are at ease, by joint, 0 otherwise.
+        damping: dampers in all joints, or in each by name; the file's own when left out, whose Coulomb friction is
+            refused.
         motors: joints with a control torque of their own, within the file's effort; "all" for all.
-        floating: whether the base moves freely instead of being fixed to the ground.
-        gravity: m/s^2, along the file's -z, or (x, y, z) in the file's axes; the file's own, or 9.80665, if None.
-        values: numbers that replace parameters.
+        floating: the base moves freely instead of being fixed to the ground.
+        gravity: m/s^2, along the file's -z, or [x, y, z] in the file's axes; the file's own, or 9.80665.
+        values: physical parameters that replace the file's, such as link3_mass.
 
     Returns:
         A Model.
@@ -257,14 +259,7 @@ def _placed(origin: Any) -> tuple[np.ndarray, np.ndarray]:
         return np.eye(3), np.zeros(3)
     roll, pitch, yaw = origin.rpy if origin.rpy is not None else (0.0, 0.0, 0.0)
     place = np.array(origin.xyz if origin.xyz is not None else (0.0, 0.0, 0.0), float)
-    return _straight(_about(2, yaw) @ _about(1, pitch) @ _about(0, roll)), place
-
-
-def _about(axis: int, angle: float) -> np.ndarray:
-    found, (i, j) = np.eye(3), [k for k in range(3) if k != axis]
-    cosine, sine = np.cos(angle), np.sin(angle) * (-1.0 if axis == 1 else 1.0)
-    found[[i, j], [i, j]], found[i, j], found[j, i] = cosine, -sine, sine
-    return found
+    return _straight(Rotation.from_euler("xyz", [roll, pitch, yaw]).as_matrix()), place
 
 
 def _straight(turn: np.ndarray) -> np.ndarray:
@@ -312,10 +307,11 @@ def _mjcf(path: Path, data: bytes) -> _Read:
     names, gravity = one.bodies, [0.0] * 3 if "mjDSBL_GRAVITY" in one.off else one.gravity
     made = _Read(path.stem, {names[0]: _Body()}, {}, names[0], gravity)
     for k in range(1, len(names)):
-        turn = _quaternion(one.body_iquat[k])
+        turn = _straight(Rotation.from_quat(np.roll(one.body_iquat[k], -1)).as_matrix())
         inertia = turn @ np.diag(one.body_inertia[k]) @ turn.T
         _put(made.bodies, "bodies", names[k], _Body(one.body_mass[k], np.array(one.body_ipos[k]), inertia))
-        place, turned, parent = np.array(one.body_pos[k]), _quaternion(one.body_quat[k]), names[one.body_parentid[k]]
+        place, parent = np.array(one.body_pos[k]), names[one.body_parentid[k]]
+        turned = _straight(Rotation.from_quat(np.roll(one.body_quat[k], -1)).as_matrix())
         if one.body_jntnum[k] > 1:
             raise InputError(f"file: body {names[k]!r} has {one.body_jntnum[k]} joints; give each a body of its own")
         name, joint = f"{names[k]}_weld", _Joint("fixed", parent, names[k], place, turned, np.eye(3)[0])
@@ -371,13 +367,6 @@ def _check_smooth(one: SimpleNamespace) -> None:
         bound.add(one.eq_obj1id[k])
     if wrong:
         raise InputError(f"file: {wrong[0]} acts in MuJoCo and is not known here; take it out of the file")
-
-
-def _quaternion(numbers: Sequence[float]) -> np.ndarray:
-    """The turn (3 x 3) of a unit quaternion (w, x, y, z)."""
-    w, x, y, z = np.asarray(numbers, float) / np.linalg.norm(numbers)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return _straight(np.eye(3) + 2 * w * cross + 2 * cross @ cross)
 
 
 def tables(
@@ -546,7 +535,7 @@ def _lumped(made: _Read, still: Mapping[str, float]) -> tuple[dict[str, _Body], 
             turn, place = _frame(made, name)
             fixed = one.kind == "fixed" or name in still
             if name in still and one.kind == "revolute":
-                turn = turn @ _axis_turn(one.axis, still[name])
+                turn = turn @ Rotation.from_rotvec(one.axis / np.linalg.norm(one.axis) * still[name]).as_matrix()
             elif name in still:
                 place = place + turn @ one.axis / np.linalg.norm(one.axis) * still[name]
             body = made.bodies.get(one.child)
@@ -560,13 +549,6 @@ def _lumped(made: _Read, still: Mapping[str, float]) -> tuple[dict[str, _Body], 
         raise InputError(f"file: {plural(len(lost), 'link')} hang on nothing, {', '.join(lost[:3])}; join them")
     return {head: _together(made, [n for n, one in whose.items() if one == head], head) for head in
             dict.fromkeys(whose.values())}, whose  # fmt: skip
-
-
-def _axis_turn(axis: np.ndarray, angle: float) -> np.ndarray:
-    """The turn (3 x 3) about an axis."""
-    x, y, z = axis / np.linalg.norm(axis)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
 
 
 def _together(made: _Read, names: Sequence[str], head: str) -> _Body:

@@ -42,7 +42,7 @@ DIMENSIONLESS = ("henon_heiles", "restricted_three_body", "planar_oscillator", "
 
 def units(system: Mapping[str, Any]) -> dict[str, str]:
     """The units of energies, times, actions and lengths: SI, or none where the equations carry none."""
-    bare = system.get("kind") == "python" and system.get("function") in DIMENSIONLESS
+    bare = system.get("function") in DIMENSIONLESS
     return {"energy": "", "time": "", "action": "", "length": ""} if bare else SI
 
 

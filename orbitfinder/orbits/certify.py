@@ -39,6 +39,7 @@ from orbitfinder.orbits.hybrid import (
     gather_hybrid,
     held,
     paths,
+    repeats,
     second_gap,
     turned_further,
     unseen,
@@ -177,10 +178,10 @@ def _gathered(
         shown = (orbit.times, orbit.samples) if orbit.samples.size or orbit.times.size else None
         driven = gather_controlled(*given, turns, orbit.control, orbit.symmetry, tuple(orbit.shift), shown)
         return driven, driven.second
-    if model.hybrid is not None:
-        impacting = gather_hybrid(*given, turns)
-        return impacting, second_gap(*given, turns, impacting.extents)
     whole = turned(model, turns, orbit.shift)
+    if model.hybrid is not None:
+        impacting = gather_hybrid(*given, whole)
+        return impacting, second_gap(*given, whole, impacting.extents)
     smooth = gather(*given, whole, np.concatenate([times for _, times, _, _ in _pictured(orbit)]))
     return smooth, second_closure(*given, whole, smooth.extents)
 
@@ -346,16 +347,21 @@ def _hybrid_checks(trial: _Trial, seen: HybridEvidence) -> Iterator[Check | None
     yield trial.energy(size_of(seen.energy))
     yield trial.number("action", size_of(seen.action), trial.room)
     yield from trial.linear(allowed.multipliers)
-    yield same("symmetry", orbit.symmetry, NONE.name)
+    had = repeats(model, orbit.symmetry, seen, turned(model, trial.turns, orbit.shift))
+    yield same("symmetry", orbit.symmetry, orbit.symmetry if had else NONE.name)
     if orbit.pair_defect != pairs:
         yield at_most("pair_defect", abs(orbit.pair_defect - pairs), allowed.multipliers, RECORDED)
     yield trial.record()
     yield from _expected_checks(orbit, model)
-    yield refused("shift", "hybrid orbits shift along nothing", 1.0) if orbit.shift else None
-    yield from trial.windings(
-        lambda by: max(turned_further(model, seen.arcs, k * by) for k in TURNS[1:5]),
-        "modes, guards and resets with {} turned on",
-    )
+
+    def moved_on(by: np.ndarray) -> float:
+        return max(turned_further(model, seen.arcs, k * by) for k in TURNS[1:5])
+
+    yield from trial.windings(moved_on, "modes, guards and resets with {} turned on")
+    if orbit.shift:
+        by = shift(turned(model, 0 * trial.turns, orbit.shift), seen.extents.size)
+        note = f"modes, guards and resets with {', '.join(orbit.shift)} shifted on"
+        yield at_most("cyclic", moved_on(by), EXACT, note)
     single = orbit.nodes.shape == orbit.state[None].shape
     nodes = float(np.abs((orbit.nodes - orbit.state) / seen.extents).max()) if single else np.inf
     yield at_most("nodes", nodes, NODES_OFF, "the first is the state")
@@ -463,9 +469,9 @@ def _minimal_cycle(trial: _Trial, arcs: Sequence[Arc]) -> Check | None:
     shorter = [k for k in range(1, count) if count % k == 0 and names[:k] * (count // k) == names]
     if not shorter:
         return None
-    turned = 2 * np.pi * np.array(shorter)[:, None] / count * trial.turns
+    gone = turned(trial.model, trial.turns, trial.orbit.shift)
     back = np.array([arcs[k - 1].after for k in shorter]) - trial.orbit.state
-    back[:, : turned.shape[1]] -= turned
+    back[:, : gone.size] -= 2 * np.pi * np.array(shorter)[:, None] / count * gone
     far = np.abs(back / trial.seen.extents).max(axis=1)
     return trial.apart("minimal_cycle", far.min(), f"nearest early return after {shorter[int(far.argmin())]}")
 

@@ -17,7 +17,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.integrate.dop853 import ReferenceSettings
 from orbitfinder.mechanics.model import Model, energies, positions
 from orbitfinder.orbits.closure import between, shift
-from orbitfinder.orbits.hybrid import cycle_from
+from orbitfinder.orbits.hybrid import cycle_from, motion_of
 from orbitfinder.records.orbit import Orbit
 
 SEEN = ReferenceSettings(1e-9, 1e-11)
@@ -164,5 +164,4 @@ def _ground(model: Model) -> Callable[[np.ndarray], np.ndarray] | None:
 
 def sampled(model: Model, state: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
     """Times and states of a hybrid orbit's period from its state alone, by the automaton; `ConvergenceError`."""
-    arcs = cycle_from(model, state, SEEN, 2 * period)
-    return np.concatenate([arc.times for arc in arcs]), np.vstack([arc.states for arc in arcs])
+    return motion_of(cycle_from(model, state, SEEN, 2 * period))

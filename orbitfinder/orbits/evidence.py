@@ -39,7 +39,7 @@ from orbitfinder.integrate.dop853 import (
 from orbitfinder.integrate.equations import accelerations, hamilton, invariant_gradients
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
 from orbitfinder.loops.symmetry import Involution, symplectic
-from orbitfinder.mechanics.catalogue import REMADE, with_parameters
+from orbitfinder.mechanics.catalogue import system_kind, with_parameters
 from orbitfinder.mechanics.chain_lagrange import ChainLagrange, chain_lagrange, is_long
 from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.model import Model, constraint_of, energies
@@ -711,7 +711,7 @@ class ClosureCheck:
 
     def _put(self, free: Mapping[str, float]) -> None:
         """Take these values of freed parameters; chains and linkages are made anew with them."""
-        if self._model.system.get("kind") in REMADE:
+        if system_kind(self._model.system).reread:
             if self._at != dict(free):
                 self._at, self._equations = dict(free), Hamiltonian(with_parameters(self._model, free))
             return

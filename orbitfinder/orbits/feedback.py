@@ -23,7 +23,7 @@ from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError, closest
 from orbitfinder.exports.controller import law_of
 from orbitfinder.integrate.march import March, uniform
-from orbitfinder.mechanics.catalogue import REBUILDABLE, build_model
+from orbitfinder.mechanics.catalogue import build_model, system_kind
 from orbitfinder.mechanics.controls import TORQUE, Limits, checked_limits
 from orbitfinder.mechanics.model import Model, vector_field
 from orbitfinder.mechanics.scales import extents_of
@@ -147,8 +147,7 @@ def _plant(orbit: Orbit, model: Model | None, actuators: Sequence[str] | None) -
     if isinstance(actuators, str):
         raise InputError(f"actuators: must be a list of names, got {actuators!r}; give [{actuators!r}]")
     wanted, able = tuple(actuators or ()), own
-    if not own.controls and orbit.system.get("kind") in REBUILDABLE:
-        joints = own.system["links"] if orbit.system["kind"] == "chain" else len(own.system["length"]) + 1
+    if not own.controls and (joints := system_kind(orbit.system).joints(own.system)):
         able = build_model({**orbit.system, "motors": list(range(1, joints + 1))})
     for name in wanted:
         if name not in able.parameter_names or wanted.count(name) > 1:

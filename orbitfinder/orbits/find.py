@@ -18,7 +18,7 @@ from orbitfinder._runtime import interrupt
 from orbitfinder._runtime.limit import limited
 from orbitfinder.errors import ConvergenceError, Hint, InputError, IntegrationError, OrbitfinderError
 from orbitfinder.guesses.balance import balanced_guess
-from orbitfinder.integrate.cvodes import Flow, build_flow, end_state, transition
+from orbitfinder.integrate.cvodes import Flow, end_state, transition
 from orbitfinder.integrate.dop853 import SECOND, integrate_in, vector_field
 from orbitfinder.integrate.equations import accelerations, invariant_gradients
 from orbitfinder.integrate.evaluate import one_thread
@@ -26,6 +26,7 @@ from orbitfinder.integrate.idas import build_dae_flow
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.failure import degrees_taken_for_radians
 from orbitfinder.loops.ipopt import Callback, Progress, SolveSettings
+from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.polish import polish, segment, tail_of
 from orbitfinder.loops.problem import (
     Guess,
@@ -38,14 +39,15 @@ from orbitfinder.loops.problem import (
     whole_turns,
     without_choice,
 )
-from orbitfinder.loops.shooting import Shooting, far_end, transcribe, units_of
+from orbitfinder.loops.shooting import Shooting, far_end, flow_of, transcribe, units_of
 from orbitfinder.loops.symmetry import off_centre
-from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.mechanics.catalogue import system_kind, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import extents_of
 from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.closure import between, gap
 from orbitfinder.orbits.control import find_controlled
+from orbitfinder.orbits.hybrid import STEPS, first_unknowns
 from orbitfinder.orbits.long_chain import find_long_chain, suits
 from orbitfinder.orbits.measure import dense, measure, provenance, shift_of
 from orbitfinder.orbits.objectives import chosen
@@ -61,8 +63,6 @@ SECTION = 1e-3
 """Coordinates this near to where an odd motion starts are left to the solver."""
 NEAR_ONE = 1e-3
 """A multiplier this near to +1 may be one of an invariant: a double one is known to the root of its matrix's error."""
-DERIVED = ("chain", "linkage", "mechanism")
-"""Systems whose invariants this library derives; those of all others are tried on a simulation."""
 
 
 def check_invariants(problem: Problem) -> None:
@@ -73,8 +73,8 @@ def check_invariants(problem: Problem) -> None:
     between neighbouring states.
     """
     model = problem.model
-    if not model.invariants or model.constraint is not None or model.system.get("kind") in DERIVED:
-        return
+    if not model.invariants or model.constraint is not None or system_kind(model.system).described:
+        return  # this library has derived them
     n, values = model.degrees_of_freedom, model.parameter_values
     field = vector_field(accelerations(model))
     units = np.asarray(units_of(problem) or np.ones(len(model.state_names)))
@@ -233,15 +233,15 @@ def _found(problem: Problem, settings: SolveSettings, progress: Callback | None)
         orbit, model = find_controlled(problem, settings)
         return certified(orbit, model) if settings.with_certificate else orbit
     if problem.model.hybrid is not None:
-        return _found_hybrid(problem, settings, began)
+        return _found_hybrid(problem, settings, began, _reporter(progress, began))
     if suits(problem):
         return find_long_chain(problem, settings, progress)
     check_invariants(problem)
     problem = at_forcing_period(problem)
-    unfolded = problem.boundary.unfolded(problem.model)
     if problem.model.constraint is None:
-        flow = build_flow(problem.model, problem.free, unfolded, settings.integrator, units_of(problem))
+        flow = flow_of(problem, settings.integrator)
     else:
+        unfolded = problem.boundary.unfolded(problem.model)
         flow = build_dae_flow(problem.model, problem.free, unfolded, settings.integrator)
     problem = at_section(problem, flow)
     said: dict[str, Any] = {}
@@ -268,10 +268,17 @@ def _found(problem: Problem, settings: SolveSettings, progress: Callback | None)
     return orbit
 
 
-def _found_hybrid(problem: Problem, settings: SolveSettings, began: float) -> Orbit:
-    """The orbit of a hybrid system, by Newton's method from its guess simulated."""
-    refiner = Refiner(problem)
+def _found_hybrid(problem: Problem, settings: SolveSettings, began: float, report: Callback | None) -> Orbit:
+    """The orbit of a hybrid system, by Newton's method from its guess; what there is to choose IPOPT has chosen."""
+    settled = problem
+    if problem.count().freedom or problem.bounds or problem.constraints or problem.objective != "nearest":
+        equations = Equations(problem.model, problem.boundary, problem.free)
+        first = first_unknowns(equations, problem.guess, problem.segments or 1, STEPS)
+        shooting, w = chosen(problem, first, flow_of(problem, settings.integrator), settings, report)
+        settled = replace(_settled(problem, shooting.at(w)), segments=problem.segments)
+    refiner = Refiner(settled)
     orbit, model = refiner.measured(refiner.refine())
+    _within(problem, orbit)
     orbit = replace(orbit, provenance=provenance(problem, settings, began) | _choice(problem, model))
     return certified(orbit, model) if settings.with_certificate else orbit
 
@@ -391,8 +398,14 @@ def _polished(shooting: Shooting, w: np.ndarray) -> tuple[Shooting, np.ndarray]:
     if square and not problem.free and not problem.constraints:
         return shooting, w
     found = shooting.at(w)
+    held = transcribe(_settled(problem, found), found.nodes, None if problem.free else shooting.flow)
+    return held, polish(held, held.vector(replace(held.guess, unfolding=found.unfolding)))
+
+
+def _settled(problem: Problem, found: Unknowns) -> Problem:
+    """The Problem at what was chosen: freed parameters are its model's, and pins hold its place in the family."""
     nodes, period = found.nodes, found.period
-    values = {name: _snapped(problem, name, float(value)) for name, value in zip(problem.free, found.free, strict=True)}
+    values = {name: _snapped(problem, name, float(one)) for name, one in zip(problem.free, found.free, strict=False)}
     model = with_parameters(problem.model, values)
     settled = without_choice(replace(problem, model=model, guess=Guess(nodes[0], period), segments=len(nodes)))
     if model.invariants:
@@ -400,8 +413,7 @@ def _polished(shooting: Shooting, w: np.ndarray) -> tuple[Shooting, np.ndarray]:
         kept = tuple(one for one in problem.pin if one.name not in problem.free)
         given = kept[: len(natural)] if len(kept) >= len(natural) else ()
         settled = replace(settled, pin=given or _held(problem, natural, period))
-    held = transcribe(settled, nodes, None if problem.free else shooting.flow)
-    return held, polish(held, held.vector(replace(held.guess, unfolding=found.unfolding)))
+    return settled
 
 
 def _snapped(problem: Problem, name: str, value: float) -> float:

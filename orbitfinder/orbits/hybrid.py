@@ -16,7 +16,7 @@ import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.integrate.automaton import Arc, Automaton
+from orbitfinder.integrate.automaton import Arc, Automaton, arcs_along
 from orbitfinder.integrate.dop853 import (
     SECOND,
     TIGHTEST,
@@ -26,19 +26,20 @@ from orbitfinder.integrate.dop853 import (
     scaled,
 )
 from orbitfinder.integrate.equations import invariant_gradients
+from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.continued import Solution
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.newton import Refined
-from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.loops.symmetry import NONE
+from orbitfinder.loops.problem import Guess, Problem, guessed_nodes
+from orbitfinder.loops.symmetry import NONE, RECOGNITION, symmetries_of, turned
 from orbitfinder.mechanics.catalogue import with_parameters
-from orbitfinder.mechanics.hybrid import Hybrid, Transition
-from orbitfinder.mechanics.model import Model, energies, energy
+from orbitfinder.mechanics.hybrid import Hybrid, Transition, saltation, share
+from orbitfinder.mechanics.model import Model, energies, energy, wrapped
 from orbitfinder.mechanics.scales import extents_of, snapped
 from orbitfinder.orbits.between import Rates, overlooked, risen
-from orbitfinder.orbits.closure import closes, gap, shift
+from orbitfinder.orbits.closure import closes, gap, shift, shift_along
 from orbitfinder.orbits.evidence import CHECKED, ClosureCheck, Recomputed, StatesAt, Tour, in_extents, varied_end
-from orbitfinder.orbits.floquet import AREA, Floquet, analyse
+from orbitfinder.orbits.floquet import AREA, Floquet, analyse, generated
 from orbitfinder.orbits.measure import recorded
 from orbitfinder.records.orbit import Orbit
 
@@ -57,29 +58,36 @@ ROUGH = ReferenceSettings(relative_tolerance=1e-10, absolute_tolerance=1e-12)
 
 
 def cycle_from(
-    model: Model, state: np.ndarray, settings: ReferenceSettings = TIGHTEST, longest: float = np.inf
-) -> list[Arc]:
-    """One cycle of a hybrid Model simulated from a state, for `longest` s at most.
+    model: Model, state: np.ndarray, settings: ReferenceSettings = TIGHTEST, longest: float = np.inf, parts: int = 1,
+    trajectory: tuple[np.ndarray, np.ndarray] | None = None,
+) -> list[Arc]:  # fmt: skip
+    """One cycle of a hybrid Model, or the first of so many equal parts of it: that of a trajectory (times and states),
+    else simulated from a state, for `longest` s at most.
 
     Raises `ConvergenceError` where its events are not the cycle's.
     """
     hybrid: Hybrid = model.hybrid
     automaton = Automaton.about(model, state, longest / PATIENCE, settings, longest / (PATIENCE * STEPS))
-    found = list(automaton.arcs(state, hybrid.arcs[0][0].name, longest, len(hybrid.cycle), hybrid.cycle[-1]))
+    cycle = hybrid.cycle[: len(hybrid.part(parts))]
+    if trajectory is None:
+        found = list(automaton.arcs(state, hybrid.arcs[0][0].name, longest, len(cycle), hybrid.cycle[-1]))
+    else:
+        found = arcs_along(model, *trajectory)[: len(cycle)]
     events = tuple(arc.ended_by for arc in found)
-    if events != hybrid.cycle:
-        named = ", ".join(one or "no event" for one in events) + _crossed(automaton, found[-1])
+    if events != cycle:
+        named = ", ".join(one or "no event" for one in events or [None]) + _crossed(automaton, found)
         raise ConvergenceError(
-            f"the motion from the guess goes through {named} where the cycle asks for {', '.join(hybrid.cycle)}; start "
+            f"the motion from the guess goes through {named} where the cycle asks for {', '.join(cycle)}; start "
             "nearer, or ask for the cycle that it goes through"
         )
     return found
 
 
-def _crossed(automaton: Automaton, arc: Arc) -> str:
-    """Which guards are beyond 0 already where an arc begins that no event ends, in words."""
-    if arc.ended_by is not None:
+def _crossed(automaton: Automaton, arcs: Sequence[Arc]) -> str:
+    """Which guards are beyond 0 already where the last arc begins that no event ends, in words."""
+    if not arcs or arcs[-1].ended_by is not None:
         return ""
+    arc = arcs[-1]
     leaving = automaton.hybrid.leaving(arc.mode)
     heights = {one.name: one.direction * float(automaton.value(one.guard, arc.states[0])[0]) for one in leaving}
     beyond = [name for name, height in heights.items() if not height <= 0]
@@ -89,16 +97,17 @@ def _crossed(automaton: Automaton, arc: Arc) -> str:
 
 
 def first_unknowns(equations: Equations, guess: Guess, segments: int, steps: int) -> Unknowns:
-    """The unknowns of a guess: its cycle simulated, `segments` and `steps` of each in every arc."""
-    model = with_parameters(equations.model, guess.free)
-    arcs = cycle_from(model, np.asarray(guess.state, float), ROUGH, PATIENCE * guess.period)
+    """The unknowns of a guess, `segments` and `steps` of each in every arc."""
+    model, parts = with_parameters(equations.model, guess.free), equations.symmetry.parts
+    arcs = cycle_from(model, np.asarray(guess.state, float), ROUGH, PATIENCE * guess.period, parts, guess.trajectory)
     durations = np.array([arc.duration for arc in arcs])
-    period = float(durations.sum())
-    nodes = [_sampled(arc, segments) for arc in arcs]
+    period = parts * float(durations.sum())
+    along = (Guess(arc.states[0], arc.duration, arc.times - arc.times[0], arc.states) for arc in arcs)
+    nodes = [guessed_nodes(one, np.arange(segments) / segments) for one in along]
     free = model.parameter_values[[model.parameter_index(name) for name in equations.free]]
     last = free.size - (len(arcs) - 1)
     free[last:] = durations[:-1] / period
-    mesh = np.linspace(0.0, 1.0, len(arcs) * segments * steps + 1)
+    mesh = uniform(equations.symmetry.fraction, len(arcs) * segments, steps)
     return equations.unknowns(np.vstack(nodes), period, mesh, free)
 
 
@@ -109,7 +118,7 @@ def carried(equations: Equations, like: Unknowns, guess: Guess) -> Unknowns:
     for name, value in guess.free.items():
         free[equations.free.index(name)] = value
     w, nodes = replace(like, period=float(guess.period), free=free), list[np.ndarray]()
-    if guess.states is not None and np.shape(guess.states) == like.nodes.shape:
+    if guess.times is None and guess.states is not None and np.shape(guess.states) == like.nodes.shape:
         return replace(w, nodes=np.asarray(guess.states, float))
     ends = equations.links.ends(len(like.nodes))
     for k in range(len(like.nodes)):
@@ -120,11 +129,6 @@ def carried(equations: Equations, like: Unknowns, guess: Guess) -> Unknowns:
         x = equations.march.arcs[arc].ends(x[None], like.mesh[k * steps : (k + 1) * steps + 1], w.tail)[0]
         x = equations.links.after(arc, x, free) if k in ends else x
     return replace(w, nodes=np.array(nodes))
-
-
-def _sampled(arc: Arc, segments: int) -> np.ndarray:
-    moments = arc.times[0] + arc.duration * np.arange(segments) / segments
-    return np.stack([np.interp(moments, arc.times, column) for column in arc.states.T], axis=1)
 
 
 @dataclass(frozen=True)
@@ -143,6 +147,11 @@ class HybridEvidence(Recomputed):
     decided: float
 
 
+def motion_of(arcs: Sequence[Arc]) -> tuple[np.ndarray, np.ndarray]:
+    """Times (k) and states (k x d) of arcs, those of events twice, before and after."""
+    return np.concatenate([arc.times for arc in arcs]), np.vstack([arc.states for arc in arcs])
+
+
 def gather_hybrid(model: Model, state: np.ndarray, period: float, turns: np.ndarray) -> HybridEvidence:
     """The evidence of a state at the beginning of the cycle, of which the period is told.
 
@@ -150,7 +159,7 @@ def gather_hybrid(model: Model, state: np.ndarray, period: float, turns: np.ndar
     """
     arcs = cycle_from(model, state, longest=PATIENCE * period)
     period, end = float(arcs[-1].times[-1]), arcs[-1].after
-    times, states = np.concatenate([arc.times for arc in arcs]), np.vstack([arc.states for arc in arcs])
+    times, states = motion_of(arcs)
     units = extents_of(model, states, period)
     automaton = Automaton.about(model, state, period)
     variations, action = _variations(automaton, arcs)
@@ -158,7 +167,8 @@ def gather_hybrid(model: Model, state: np.ndarray, period: float, turns: np.ndar
     rate = automaton.field(arcs[0].mode)(0.0, np.asarray(state, float)) / units
     slopes = invariant_gradients(model)(state).full().reshape(-1, units.size) * units
     found = closes((end - state - shift(turns, units.size)) / units, pieces, states / units, rate * period)
-    loop = Tour(found, pieces, slopes, rate[None], False, units, np.eye(units.size), motion=(times, states))
+    directions = np.vstack([rate, generated(model, state) / units])
+    loop = Tour(found, pieces, slopes, directions, False, units, np.eye(units.size), motion=(times, states))
     drift, balance = _energies(model, arcs)
     return HybridEvidence(
         times=times,
@@ -178,6 +188,17 @@ def gather_hybrid(model: Model, state: np.ndarray, period: float, turns: np.ndar
     )
 
 
+def repeats(model: Model, name: str, evidence: HybridEvidence, turns: np.ndarray) -> bool:
+    """Whether the state after half of the events, and half of the period, is the image of the first by a symmetry."""
+    forward, count = symmetries_of(model).get(name, NONE).forward, len(evidence.arcs)
+    if forward is None or name != forward.name or count % 2:
+        return False
+    start, half, n = evidence.arcs[0].states[0], evidence.arcs[count // 2 - 1], model.degrees_of_freedom
+    moved = shift(np.where(forward.keeps(n), turns / 2, 0.0), start.size)
+    away = wrapped(half.after - forward.matrix(n) @ start - moved, model.angular) / evidence.extents
+    return bool(max(np.abs(away).max(), abs(half.times[-1] / evidence.period - 0.5)) <= RECOGNITION)
+
+
 def hybrid_tour(model: Model, state: np.ndarray, period: float, turns: np.ndarray) -> Tour:
     """The `Tour` of a hybrid orbit, as its automaton is simulated. Raises `ConvergenceError`, `IntegrationError`."""
     found = gather_hybrid(model, state, period, turns)
@@ -191,8 +212,8 @@ def retraced(equations: Equations, found: Solution) -> Solution:
     automaton, arcs, states, ends = Automaton(model), links.count, list[np.ndarray](), found.march.ends.copy()
     steps, x, last = (w.mesh.size - 1) // arcs, w.nodes[0], links.ends(len(w.nodes))
     units = snapped(nonzero(np.ptp(found.march.states, axis=0)))
-    for k, ((mode, one), share) in enumerate(zip(model.hybrid.arcs, links.shares(w.free), strict=True)):
-        times = (w.mesh[k * steps : (k + 1) * steps + 1] * arcs - k) * share * w.period
+    for k, ((mode, one), lasts) in enumerate(zip(model.hybrid.arcs, links.shares(w.free), strict=True)):
+        times = (w.mesh[k * steps : (k + 1) * steps + 1] * arcs - k) * lasts * w.period
         path = automaton.path(mode.name, x, times, CHECKED, units)
         states.append(path[:-1])
         ends[last[k]], x = path[-1], automaton.value(one.reset, path[-1])
@@ -201,10 +222,15 @@ def retraced(equations: Equations, found: Solution) -> Solution:
 
 def hybrid_orbit(problem: Problem, refined: Refined) -> Orbit:
     """The Orbit (without certificate) of a refined one."""
-    found = gather_hybrid(problem.model, refined.state, refined.period, np.asarray(refined.turns, int))
+    model, turns, along = problem.model, np.asarray(refined.turns, int), dict[str, float]()
+    if problem.relative:
+        end = cycle_from(model, refined.state, longest=PATIENCE * refined.period)[-1].after
+        along = shift_along(model, problem.relative, refined.state, end, turns)
+    found = gather_hybrid(model, refined.state, refined.period, turned(model, turns, along))
     return recorded(
-        replace(problem, winding=tuple(int(k) for k in refined.turns)), refined.period, found.arcs[-1].after,
-        refined.state[None], found.times, found.states, refined.unfolding, found.action, found.floquet, NONE.name,
+        replace(problem, winding=tuple(int(k) for k in turns)), refined.period, found.arcs[-1].after,
+        refined.state[None], found.times, found.states, refined.unfolding, found.action, found.floquet,
+        problem.symmetry,
     )  # fmt: skip
 
 
@@ -227,8 +253,8 @@ def second_gap(model: Model, state: np.ndarray, period: float, turns: np.ndarray
 def _variations(automaton: Automaton, arcs: Sequence[Arc]) -> tuple[list[np.ndarray], float]:
     """State-transition matrices of pieces of all arcs, the last of each through its event; and the action."""
     found, action, units = list[np.ndarray](), 0.0, automaton.units
-    modes = [one.mode for one in arcs]
-    for arc, following in zip(arcs, [*modes[1:], modes[0]], strict=True):
+    modes = [automaton.hybrid.mode(one.mode).model for one in arcs]
+    for k, arc in enumerate(arcs):
         field, x, size = automaton.varied(arc.mode), arc.states[0], arc.states.shape[1]
         edges, unit = np.linspace(0.0, arc.duration, PIECES + 1), np.eye(size).ravel()
         rates = [
@@ -239,7 +265,9 @@ def _variations(automaton: Automaton, arcs: Sequence[Arc]) -> tuple[list[np.ndar
             x, piece, done = varied_end(field, x, np.array([begin, finish]), units, work, TIGHTEST)
             found.append(piece)
             action += done
-        found[-1] = automaton.saltation(arc, following) @ found[-1]
+        event = automaton.hybrid.transition(str(arc.ended_by))
+        jump = saltation(modes[k], event, modes[(k + 1) % len(modes)])
+        found[-1] = jump(arc.states[-1], automaton.model.parameter_values).full() @ found[-1]
     return found, action
 
 
@@ -291,25 +319,9 @@ def unseen(model: Model, evidence: HybridEvidence) -> tuple[float, float, str]:
 
 def turned_further(model: Model, arcs: Sequence[Arc], turn: np.ndarray) -> float:
     """The largest relative difference of rates, guards and resets along a motion at states a `turn` (d) further."""
-    automaton, worst = Automaton(model), 0.0
-    for arc in arcs:
-        rows = arc.states[:: max(1, len(arc.states) // TRIED)]
-        here = np.array([_told(automaton, arc.mode, x) for x in rows])
-        there = np.array([_told(automaton, arc.mode, x + turn, turn) for x in rows])
-        off = np.abs(there - here).max(axis=0) / np.maximum(1.0, np.abs(here).max(axis=0))
-        worst = max(worst, float(off.max()) if np.all(np.isfinite(off)) else np.inf)
-    return worst
-
-
-def _told(automaton: Automaton, mode: str, x: np.ndarray, turn: np.ndarray | float = 0.0) -> np.ndarray:
-    """All that a mode and the events that end it say of a state, resets less a turn."""
-    parts = [automaton.field(mode)(0.0, x)]
-    parts += [automaton.value(one, x) for one in automaton.hybrid.mode(mode).holds.values()]
-    for one in automaton.hybrid.leaving(mode):
-        parts.append(automaton.value(one.reset, x) - turn)
-        others = (one.guard, one.allowed, one.impulse, one.lost)
-        parts += [automaton.value(each, x) for each in others if each is not None]
-    return np.concatenate(parts)
+    automaton, unit = Automaton(model), np.eye(turn.size)
+    each = [((arc.mode, ""), arc.states[:: max(1, len(arc.states) // TRIED)]) for arc in arcs]
+    return max(automaton.unlike(mode, mode, rows, unit, turn) for mode, rows in each)
 
 
 def paths(model: Model, arcs: Sequence[Arc]) -> Iterator[tuple[float, float, StatesAt]]:
@@ -342,8 +354,8 @@ class HybridCheck(ClosureCheck):
         self._set(free)
         parts, measures = self._automaton.hybrid, self._measures(units)
         found, x, shares = 0.0, np.asarray(state, float), shares_of(self._automaton.model)
-        for (mode, one), share in zip(parts.arcs, shares, strict=True):
-            x = self._automaton.path(mode.name, x, np.array([0.0, share * period]), CHECKED, measures)[-1]
+        for (mode, one), lasts in zip(parts.arcs, shares, strict=True):
+            x = self._automaton.path(mode.name, x, np.array([0.0, lasts * period]), CHECKED, measures)[-1]
             rate = self._automaton.rate(one, x)
             miss = float(self._automaton.value(one.guard, x)[0])
             found = max(found, abs(miss / (rate * period)) if rate else np.inf)
@@ -382,9 +394,7 @@ class HybridCheck(ClosureCheck):
 
 def shares_of(model: Model) -> np.ndarray:
     """The shares of the period that a hybrid Model's arcs take, by its parameters."""
-    count = len(model.hybrid.cycle)
-    last = model.parameter_values[len(model.parameter_values) - (count - 1) :]
-    return np.append(last, 1.0 - last.sum())
+    return np.array([float(share(model, k, model.parameter_values)) for k in range(len(model.hybrid.cycle))])
 
 
 def held(arcs: Sequence[Arc]) -> Iterator[tuple[str, float]]:

@@ -23,6 +23,7 @@ from orbitfinder.errors import ConvergenceError, CountError, InputError
 from orbitfinder.integrate.cvodes import Flow, build_flow
 from orbitfinder.loops.conditions import Constraint, Variables
 from orbitfinder.loops.ipopt import Callback, SolveSettings, solve_nlp
+from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.problem import PEAKS, Guess, Problem, guessed_nodes
 from orbitfinder.loops.shooting import Shooting, transcribe
 from orbitfinder.loops.symmetry import symplectic
@@ -55,7 +56,7 @@ class StalledError(ConvergenceError):
 
 
 def chosen(
-    problem: Problem, nodes: np.ndarray, flow: Flow, settings: SolveSettings, report: Callback | None = None
+    problem: Problem, nodes: np.ndarray | Unknowns, flow: Flow, settings: SolveSettings, report: Callback | None = None
 ) -> tuple[Shooting, np.ndarray]:
     """The solved nonlinear program of a Problem; its objective, where it has a name, made explicit first.
 
@@ -82,13 +83,13 @@ def chosen(
     try:
         return shooting, followed(shooting, settings, report, w, COARSE_BOX if stability else SMALLEST_BOX)
     except StalledError as stalled:
-        if not stability:
+        if not stability or problem.model.hybrid is not None:
             raise
-        return _crossing(shooting, nodes, stalled, settings, report)
+        return _crossing(shooting, stalled, settings, report)
 
 
 def _crossing(
-    shooting: Shooting, nodes: np.ndarray, stalled: StalledError, settings: SolveSettings, report: Callback | None
+    shooting: Shooting, stalled: StalledError, settings: SolveSettings, report: Callback | None
 ) -> tuple[Shooting, np.ndarray]:
     """Where the larger of two stability indices is smallest because there they are opposite, k1 = -k2.
 
@@ -104,7 +105,7 @@ def _crossing(
     wanted = replace(
         problem, constraints=(*problem.constraints, opposite), objective="nearest" if single else problem.objective
     )
-    crossed = transcribe(wanted, nodes, flow)
+    crossed = transcribe(wanted, shooting.guess.nodes, flow)
     solved = solve_nlp if single else followed
     try:
         w = solved(crossed, settings, report, stalled.w)
@@ -267,9 +268,9 @@ def instability(model: Model) -> Callable[[Variables], ca.MX]:
     others = len(model.state_names) - trivial
     if others < 1:
         raise InputError("objective: this system has no non-trivial Floquet multipliers; min_instability has no sense")
-    if symplectic(model) and others == 2:
+    if symplectic(model) and others == 2 and model.hybrid is None:  # resets need not keep areas
         return lambda variables: (0.5 * (ca.trace(variables.monodromy) - trivial)) ** 2
-    largest = _Largest(len(model.state_names), trivial, symplectic(model))
+    largest = _Largest(len(model.state_names), trivial, symplectic(model) and model.hybrid is None)
     return lambda variables: largest(variables.monodromy)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 
@@ -16,7 +17,6 @@ import numpy as np
 from orbitfinder._runtime.arguments import checked
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import ConvergenceError, CountError, InputError, IntegrationError, plural
-from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.loop import Equations, Unknowns
@@ -32,7 +32,7 @@ from orbitfinder.loops.problem import (
     without_choice,
 )
 from orbitfinder.loops.scales import Measures
-from orbitfinder.loops.shooting import units_of
+from orbitfinder.loops.shooting import flow_of
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
@@ -83,9 +83,8 @@ class Refiner(Shown):
         self._alone = threading.Lock()  # the marches have one work space
         self.settings = chosen = settings or NewtonSettings()
         self.problem = problem = at_forcing_period(problem)
-        hybrid, unfolded = problem.model.hybrid is not None, problem.boundary.unfolded(problem.model)
-        units = units_of(problem)
-        self.flow = None if hybrid else build_flow(problem.model, problem.free, unfolded, units=units)
+        hybrid = problem.model.hybrid is not None
+        self.flow = None if hybrid else flow_of(problem)
         self.equations = Equations(problem.model, problem.boundary, problem.free)
         self.equations.march.build()
         fraction = problem.boundary.fraction * (PART if hybrid else 1.0)
@@ -93,7 +92,7 @@ class Refiner(Shown):
         arcs = self.equations.links.count
         self.segments = problem.segments or (1 if hybrid else self._segments(whole))
         self._steps = max(4, -(-whole // (arcs * self.segments)))
-        self._first = self._simulated(problem.guess) if hybrid else None
+        self._first = first_unknowns(self.equations, problem.guess, self.segments, self._steps) if hybrid else None
 
     def refine(self, guess: Guess | None = None, pin: Sequence[Pin] | None = None, simulated: bool = False) -> Refined:
         """The orbit near a guess (default: the problem's) at the pins (default: the problem's). A physical parameter
@@ -110,16 +109,14 @@ class Refiner(Shown):
         pins, given = _pins(self.problem, pin), _checked(guess or self.problem.guess, self.problem, self.equations.free)
         if self._first is None or given is self.problem.guess:
             return self._solved(self._start(given, pins), pins)
-        if simulated:
-            return self._solved(self._simulated(given), pins)
-        try:
-            return self._solved(carried(self.equations, self._first, given), pins)
-        except (ConvergenceError, IntegrationError):
-            return self._solved(self._simulated(given), pins)
+        if not simulated and given.times is None:
+            with suppress(ConvergenceError, IntegrationError):
+                return self._solved(carried(self.equations, self._first, given), pins)
+        return self._solved(first_unknowns(self.equations, given, self.segments, self._steps), pins)
 
     def _solved(self, w: Unknowns, pins: Sequence[Pin]) -> Refined:
         path = self.equations.varied(w)
-        loop = loop_of(self.problem, self.equations, w, path.ends[-1], pins)
+        loop = loop_of(self.problem, self.equations, w, self.equations.links.passed(w, path.ends)[0][-1], pins)
         scales = measured_in(self.problem.model, w.nodes, w.period)
         newton = Newton(loop, self.settings, Measures.rounded(loop, w, scales))
         w, residual = newton.solve(w, path)
@@ -206,10 +203,6 @@ class Refiner(Shown):
             return w
         return replace(w, nodes=self.equations.march.states(w.nodes, w.mesh, w.tail)[: -1 : self._steps])
 
-    def _simulated(self, guess: Guess) -> Unknowns:
-        """The unknowns of a hybrid guess: its cycle simulated."""
-        return first_unknowns(self.equations, guess, self.segments, self._steps)
-
     def _rates(self, w: Unknowns, units: np.ndarray) -> float:
         """Largest component of T f at the nodes, in units of the state: 0 at an equilibrium."""
         times = w.period * w.edges[:-1]
@@ -239,8 +232,7 @@ def _check_square(problem: Problem) -> None:
         raise InputError("symmetry: brake orbits under constraints are not refined warm; use find_orbit")
     count = problem.count()
     if count.freedom:
-        who = "warm refinement" if problem.model.hybrid is None else "a hybrid system"
-        raise CountError(f"pin: {count} leave {count.freedom} to choose; {who} needs as many pins")
+        raise CountError(f"pin: {count} leave {count.freedom} to choose; warm refinement needs as many pins")
 
 
 def _checked(guess: Guess, problem: Problem, free: tuple[str, ...]) -> Guess:

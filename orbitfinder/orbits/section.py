@@ -30,7 +30,8 @@ from orbitfinder.integrate.equations import conserved
 from orbitfinder.integrate.parallel import Lanes
 from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.model import Model, check_states, energy, vector_field, wrapped
+from orbitfinder.mechanics.model import Model, check_states, vector_field, wrapped
+from orbitfinder.mechanics.model import energy as energy_of
 from orbitfinder.mechanics.scales import surroundings
 from orbitfinder.records.codec import plain
 from orbitfinder.records.journal import checkpoints, packed, unpacked
@@ -43,8 +44,6 @@ HELD = 1e-13
 """A state is at its energy to this, relative to the sizes of the energy's terms"""
 GROWN, MOST_GROWTHS, BORDER = 1.15, 80, 160
 """How a box of seeds grows until no motion is possible on its border, how often at most, points of its border"""
-TRIED = 400
-"""Points of a box tried for each seed, at most"""
 LINKED, SAME = 1e-9, 1e-9
 """Recorded nodes lead to each other this well, and two crossings are one this near to each other, in periods"""
 BESIDE = 1e-9
@@ -251,11 +250,6 @@ def level_of(model: Model, energy: float | None, state: np.ndarray | None) -> di
     if energy is not None and not np.isfinite(energy):
         raise InputError(f"energy: must be finite, got {energy}; give the energy of the motions")
     return {name: float(energy) if energy is not None else energy_of(model, np.asarray(state, float))}
-
-
-def energy_of(model: Model, state: np.ndarray) -> float:
-    """The conserved energy of a state."""
-    return energy(model, state)
 
 
 def section(

@@ -37,6 +37,7 @@ from orbitfinder.loops.conditions import Pin, check_pin, is_parameter
 from orbitfinder.loops.newton import Refined
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.hybrid import freed
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import alone, proportions
 from orbitfinder.orbits.find import find_orbit
@@ -154,8 +155,10 @@ def sweep(
     found: dict[int, Row] = {}
     path = None if out is None else Path(out) / problem.name / "sweep.jsonl"
     asked = {"system": dict(problem.model.system), **{name: getattr(problem, name) for name in ASKED}}
-    freed = [one for one in problem.model.parameter_names if one in (*problem.free, *table) or one.startswith(SHARE)]
-    sizes = (len(table),), (len(problem.model.state_names),), (len(freed),)
+    free = freed(
+        problem.model, tuple({*problem.free, *table} & {*problem.model.parameter_names}), problem.boundary.parts
+    )
+    sizes = (len(table),), (len(problem.model.state_names),), (len(free),)
     with checkpoints(path, plain({"values": list(table), "problem": asked}), partial(_read, sizes=sizes)) as journal:
         study = _Study(problem, tuple(table), np.array(list(table.values())).T, journal)
         try:
@@ -354,7 +357,8 @@ class _Study:
             if abs(share) <= 2.0:
                 nodes = nodes + share * (nodes - before.nodes)
                 period, free = period + share * (period - before.period), free + share * (free - before.free)
-        times = np.arange(len(nodes)) * (period * self.base.boundary.fraction / len(nodes))
+        lasts = period * self.base.boundary.fraction / len(nodes)  # of arcs that is not known, their nodes are all
+        times = None if self.refiner.equations.links else np.arange(len(nodes)) * lasts
         return Guess(nodes[0], period, times, nodes, dict(zip(self.refiner.equations.free, free, strict=True)))
 
     def _at(self, values: np.ndarray, guess: Guess | None) -> Refined:

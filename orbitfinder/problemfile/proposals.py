@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.errors import InputError, OrbitfinderError
-from orbitfinder.guesses.modes import linkage_equilibrium, linkage_mode, linkage_modes, normal_mode, normal_modes
+from orbitfinder.guesses.modes import linkage_equilibrium, normal_mode, normal_modes
 from orbitfinder.guesses.returns import close_returns, recurrences
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.loops.problem import Guess
+from orbitfinder.mechanics.catalogue import system_kind
 from orbitfinder.mechanics.model import energy, wrapped
 from orbitfinder.problemfile.read import ProblemFile
 
@@ -107,17 +108,13 @@ def modes(loaded: ProblemFile, amplitude: float) -> list[Proposal]:
     model = loaded.model
     if model.degrees_of_freedom > MOST_COORDINATES:
         raise InputError(f"{model.degrees_of_freedom} coordinates; give mode and amplitude in [guess]")
-    if model.constraint is not None and model.system.get("kind") == "linkage":
-        place = linkage_equilibrium(model)
-        squared, shapes = linkage_modes(model, place)
-    elif model.constraint is not None:
+    if model.constraint is not None and system_kind(model.system).loops.minimal is None:
         raise InputError("redundant coordinates; give a state and a period")
-    else:
-        place, (squared, shapes) = None, normal_modes(model)
-    found = []
+    place = None if model.constraint is None else linkage_equilibrium(model)
+    (squared, shapes), found = normal_modes(model, place), []
     for k, (rate, shape) in enumerate(zip(squared, shapes.T, strict=True), start=1):
         if rate > 0:
-            made = normal_mode(model, k, amplitude) if place is None else linkage_mode(model, k, amplitude, place)
+            made = normal_mode(model, k, amplitude, place)
             given = {"mode": k, "amplitude": amplitude}
             largest = shape[np.abs(shape).argmax()]
             details = {"frequency": float(np.sqrt(rate) / (2 * np.pi)), "shape": (shape / largest).tolist()}

@@ -20,19 +20,16 @@ from pydantic_core import PydanticCustomError
 
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError, plural
-from orbitfinder.guesses.modes import linkage_equilibrium, linkage_mode, normal_mode, rest_near
+from orbitfinder.guesses.modes import normal_mode, rest_near
 from orbitfinder.guesses.returns import first_return, normal_mode_sum, recurrences
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.control import Control, Task
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.catalogue import PROBLEM, build_model, described
+from orbitfinder.mechanics.catalogue import OTHER, PROBLEM, build_model, described, system_kind
 from orbitfinder.mechanics.chain import maximal_states
-from orbitfinder.mechanics.linkage import assemble, dimensions, linkage_rates, linkage_state
-from orbitfinder.mechanics.mechanism import mechanism_state
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, constraint_of
 from orbitfinder.mechanics.robot import robot
 from orbitfinder.problemfile.schema import (
-    SYSTEMS,
     ControlTable,
     FindTable,
     GuessTable,
@@ -40,6 +37,7 @@ from orbitfinder.problemfile.schema import (
     Table,
     check_name,
     sentence,
+    systems,
 )
 from orbitfinder.records.orbit import SHIFT
 from orbitfinder.records.reading import bounded, file_bytes
@@ -145,7 +143,7 @@ def read_toml(source: Path) -> dict[str, Any]:
 def parse(document: Mapping[str, Any], where: str) -> ProblemTable:
     """The checked tables of a document; `InputError` is about all that is wrong, unknown keys last."""
     try:
-        declares = isinstance(system := document.get("system"), Mapping) and system.get("kind") == "python"
+        declares = isinstance(system := document.get("system"), Mapping) and "function" in system
         return ProblemTable.model_validate(document, context={"declares": declares})
     except ValidationError as error:
         faults = error.errors(include_url=False)
@@ -161,7 +159,7 @@ def _located(source: Path) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        tables: dict[str, tuple[type[Table], ...]] = {"system": tuple(SYSTEMS.values()), "find": (FindTable,)}
+        tables: dict[str, tuple[type[Table], ...]] = {"system": tuple(systems().values()), "find": (FindTable,)}
         within = (f"{name}." for name, kinds in tables.items() if any(error.field in one.model_fields for one in kinds))
         raise type(error)(f"{source}: {next(within, '')}{error}") from error
 
@@ -285,7 +283,7 @@ def _load_python(source: Path, trust: bool) -> ProblemFile:
     with _located(source):
         checked_name(made.name)
         made.check_count()
-    if made.model.system.get("kind") == "custom" and source.stem.isidentifier():
+    if system_kind(made.model.system) is OTHER and source.stem.isidentifier():
         made = replace(made, model=replace(made.model, system=described(made.model.system, source.stem, PROBLEM)))
     return ProblemFile(source, made.name, made.model, made, start=made.guess.state)
 
@@ -296,25 +294,32 @@ def _load_python(source: Path, trust: bool) -> ProblemFile:
 
 def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
     """The starting point that a table stands for; `folder` is where its CSV file may be."""
-    drawn = model.system.get("kind") == "mechanism" and (model.constraint is not None or given.angles is not None)
-    if drawn or (model.constraint is not None and model.system.get("kind") == "linkage"):
-        return _linkage_guess(given, model, folder)
+    kind, state = system_kind(model.system), np.asarray(given.state or [], float)
+    looped = model.constraint is not None or (kind.drawn and given.angles is not None)
+    looped &= kind.loops.minimal is not None
     linkage_keys = [key for key in ("angles", "branch", "rates") if getattr(given, key) is not None]
-    if linkage_keys:
+    if linkage_keys and not looped:
         raise InputError(
             f"guess.{linkage_keys[0]}: is for linkages and mechanisms only; give state and period, mode or csv"
         )
     if given.csv is not None:
-        return read_trajectory(folder, given.csv, len(model.state_names))
+        return read_trajectory(folder, given.csv, len(model.state_names), model.hybrid is not None)
     if given.mode is not None and given.amplitude is not None:
         if isinstance(given.mode, int) and isinstance(given.amplitude, float):
             return normal_mode(model, given.mode, given.amplitude, _rest(model, given.equilibrium))
-        if model.rates is not None:
-            raise InputError("guess.mode: a first-order system takes one mode with one amplitude; give numbers")
+        if looped or model.rates is not None:
+            what = "linkage" if looped else "first-order system"
+            raise InputError(f"guess.mode: a {what} takes one mode with one amplitude; give numbers, not lists")
         modes = given.mode if isinstance(given.mode, list) else [given.mode]
         sizes = given.amplitude if isinstance(given.amplitude, list) else [given.amplitude]
         return normal_mode_sum(model, modes, sizes)
-    state = np.asarray(given.state, float)
+    if looped:
+        if given.angles is not None:
+            state = kind.loops.state(model, given.angles, given.rates, branch=given.branch)
+        elif constraint_of(model).lift is not None and state.size == 2 * (model.degrees_of_freedom // 3):
+            state = maximal_states(model, state)
+        forced = None if model.forcing_period is None else float(model.forcing_period(model.parameter_values))
+        return Guess(state, given.period or forced or first_return(model, state, given.duration))
     if given.duration is None:
         return Guess(state, float(given.period or 0.0))
     found = recurrences(model, state, given.duration, 1)
@@ -323,24 +328,6 @@ def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
             f"guess.duration: the motion never came back near itself in {given.duration:g} s; simulate longer"
         )
     return found[0].guess
-
-
-def _linkage_guess(given: GuessTable, model: Model, folder: Path) -> Guess:
-    """The starting point of a linkage or mechanism that a table stands for; a period left out is the first return."""
-    if given.csv is not None:
-        return read_trajectory(folder, given.csv, len(model.state_names))
-    if given.mode is not None:
-        if not isinstance(given.mode, int) or not isinstance(given.amplitude, float):
-            raise InputError("guess.mode: a linkage takes one mode with one amplitude; give numbers, not lists")
-        if isinstance(given.equilibrium, str):
-            raise InputError("guess.equilibrium: a linkage's is given by angles near it, one per bar")
-        near = None if given.equilibrium is None else _angles(model, given.equilibrium)
-        found = linkage_mode(model, given.mode, given.amplitude, linkage_equilibrium(model, near))
-        return found if given.period is None else Guess(found.state, given.period)
-    state = _assembled(given, model) if given.angles is not None else _state(model, given.state or [])
-    if given.period is None and model.forcing_period is not None:
-        return Guess(state, float(model.forcing_period(model.parameter_values)))
-    return Guess(state, given.period or first_return(model, state, given.duration))
 
 
 def _rest(model: Model, named: list[float] | str | None) -> np.ndarray | None:
@@ -353,32 +340,8 @@ def _rest(model: Model, named: list[float] | str | None) -> np.ndarray | None:
     return rest_near(model, model.landmarks[named])
 
 
-def _angles(model: Model, angles: list[float]) -> np.ndarray:
-    if model.system.get("kind") == "mechanism":
-        return mechanism_state(model, near=np.asarray(angles, float))[: model.degrees_of_freedom]
-    bars = dimensions(model)[0].size
-    if len(angles) != bars:
-        raise InputError(f"guess.equilibrium: {plural(len(angles), 'angle')} for {bars} bars; give one per bar")
-    return np.asarray(angles, float)
-
-
-def _assembled(given: GuessTable, model: Model) -> np.ndarray:
-    if model.system.get("kind") == "mechanism":
-        return mechanism_state(model, given.angles, given.rates)
-    theta = assemble(model, given.angles or {}, branch=given.branch)
-    return linkage_state(model, theta, linkage_rates(model, theta, given.rates) if given.rates else None)
-
-
-def _state(model: Model, state: list[float]) -> np.ndarray:
-    """A state as given, or lifted from link angles and rates."""
-    numbers = np.asarray(state, float)
-    if model.system.get("kind") == "mechanism":
-        return numbers
-    return maximal_states(model, numbers) if numbers.size == 2 * (model.degrees_of_freedom // 3) else numbers
-
-
-def read_trajectory(folder: Path, name: str, size: int) -> Guess:
-    """A Guess from a CSV file in `folder` (or below it): columns t, then `size` states; its time span is the period."""
+def read_trajectory(folder: Path, name: str, size: int, events: bool = False) -> Guess:
+    """A Guess from a CSV file in `folder` or below: columns t (twice at `events`) and `size` states, over a period."""
     try:
         base = folder.resolve()
         source = (base / name).resolve()
@@ -392,12 +355,12 @@ def read_trajectory(folder: Path, name: str, size: int) -> Guess:
         raise InputError(f"guess.csv: {name!r} is not UTF-8 text; save it as plain CSV") from error
     except InputError as error:
         raise InputError(f"guess.csv: {error}") from error
-    table = _numbers(name, lines, size)
+    table = _numbers(name, lines, size, events)
     times = table[:, 0] - table[0, 0]
     return Guess(table[0, 1:].copy(), float(times[-1]), times, table[:, 1:])
 
 
-def _numbers(name: str, lines: list[str], size: int) -> np.ndarray:
+def _numbers(name: str, lines: list[str], size: int, events: bool) -> np.ndarray:
     rows: list[list[float]] = []
     for number, line in enumerate(lines, start=1):
         if not line.strip():
@@ -420,6 +383,6 @@ def _numbers(name: str, lines: list[str], size: int) -> np.ndarray:
         )
     if not np.all(np.isfinite(table)):
         raise InputError(f"guess.csv: {name!r} must be finite; replace NaN and infinity by numbers")
-    if np.any(np.diff(table[:, 0]) <= 0):
+    if np.any((spans := np.diff(table[:, 0])) < 0) or (np.any(spans == 0) and not events):
         raise InputError(f"guess.csv: {name!r}: times must increase from row to row; sort them")
     return table

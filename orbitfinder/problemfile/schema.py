@@ -6,14 +6,27 @@ Sizes that depend on the system (numbers per link, length of a state) are checke
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    create_model,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from orbitfinder.errors import closest, shortened
+from orbitfinder.mechanics.catalogue import KINDS
+from orbitfinder.mechanics.robot import robot
 
 MOST_LINKS = 2000
 """Chains longer than this are refused: their state-transition matrices alone fill the memory."""
@@ -55,8 +68,9 @@ Energies = Annotated[float | list[float], BeforeValidator(_numbers("of numbers")
 Line = Annotated[str, Field(max_length=300), AfterValidator(_printable)]
 Positive = Annotated[float, Field(gt=0)]
 Range = Annotated[list[float], AfterValidator(_increasing)]
-Limits = dict[str, Positive | Annotated[list[float], Field(min_length=2, max_length=2)]]
-LIMITS = "how far controls may go: the greatest magnitude, or [lowest, highest], by name, such as { torque1 = 5.0 }"
+Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+Names = list[Line]
+Limits = dict[str, Positive | Pair]
 
 
 class Table(BaseModel):
@@ -65,63 +79,33 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
-class ChainSystem(Table):
-    """An n-link pendulum hanging from a fixed joint, angles from the downward vertical."""
-
-    kind: Literal["chain"] = Field(description="which system this is")
-    links: int = Field(ge=1, le=MOST_LINKS, description=f"number of links, 1 to {MOST_LINKS}")
-    length: PerLink = Field(1.0, description="length of the links in m, positive, one number or one per link")
-    mass: PerLink = Field(1.0, description="mass of the links in kg, positive, one number or one per link")
-    inertia: PerLink | None = Field(
-        None, description="inertia of the links about their centres of mass in kg m^2, m l^2 / 12 when left out"
-    )
-    com: PerLink = Field(
-        0.5, description="centre of mass as a fraction of the length from the upper joint, one number or one per link"
-    )
-    gravity: float = Field(9.8, description="gravitational acceleration in m/s^2")
-    formulation: str = Field("recursive", description="how the equations are derived; the motion is the same")
-    motors: list[int] | None = Field(
-        None, description="joints with a motor, whose torque (torque1, ... in N m) may vary in time; joint 1 is at the "
-        "ground, joint k turns link k against link k - 1",
-    )  # fmt: skip
-    limits: Limits | None = Field(None, description=LIMITS)
+TYPES: dict[str, Any] = {
+    "int": int, "float": float, "bool": bool, "str": str, "Numbers": PerLink, "Numbers | None": PerLink | None,
+    "Sequence[int]": list[int] | None, "Limits | None": Limits | None,
+    "Sequence[str] | str": Names | Literal["all"] | None,
+    "Mapping[str, float] | float | None": float | dict[str, float] | None,
+    "Mapping[str, float] | None": dict[str, float] | None,
+    "Mapping[str, float] | Sequence[str]": dict[str, float] | Names | None,
+    "Sequence[float] | float | None": float | list[float] | None,
+}  # fmt: skip
+"""What a file takes for what a function takes"""
 
 
-class LinkageSystem(Table):
-    """A closed planar chain of bars between two pivots on the ground, as a native DAE in maximal coordinates."""
-
-    kind: Literal["linkage"] = Field(description="which system this is")
-    length: list[Positive] = Field(
-        min_length=2, max_length=MOST_BARS,
-        description=f"length of the bars in m, positive, 2 to {MOST_BARS} of them; three and the ground are a four-bar",
-    )  # fmt: skip
-    ground: list[float] = Field(
-        min_length=2, max_length=2,
-        description="position [x, y] in m of the pivot at the end of the last bar, x down, y right; the first is at 0",
-    )  # fmt: skip
-    mass: PerLink = Field(1.0, description="mass of the bars in kg, positive, one number or one per bar")
-    inertia: PerLink | None = Field(
-        None, description="inertia of the bars about their centres of mass in kg m^2, m l^2 / 12 when left out"
-    )
-    com: PerLink = Field(
-        0.5, description="centre of mass as a fraction of the length from the upper joint, one number or one per bar"
-    )
-    gravity: float = Field(9.8, description="gravitational acceleration in m/s^2")
-    baumgarte: list[Positive] = Field(
-        [10.0, 10.0], min_length=2, max_length=2,
-        description="stabilisation [alpha, beta] of the constraints in 1/s, both positive",
-    )  # fmt: skip
-    independent: list[int] | None = Field(
-        None, description="bars whose angles are the coordinates, n - 2 of them: the linkage in minimal coordinates"
-    )
-    branch: Literal[1, -1] = Field(
-        1, description="with independent: the sign of sin(theta_j - theta_i) of the other two bars i < j"
-    )
-    motors: list[int] | None = Field(
-        None, description="joints with a motor, whose torque (torque1, ... in N m) may vary in time; 1 is the first "
-        "pivot, n + 1 the last",
-    )  # fmt: skip
-    limits: Limits | None = Field(None, description=LIMITS)
+@cache
+def table_of(kind: str, build: Callable[..., Any]) -> type[Table]:
+    """The `[system]` table of a function's arguments: their names, defaults, and what its docstring says of them."""
+    text, own = inspect.getdoc(build) or "", OWN.get(kind, {})
+    said = dict(re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", text, re.MULTILINE))
+    fields: dict[str, Any] = {"kind": (Literal[kind], Field(description="which system this is"))}
+    for name, one in inspect.signature(build).parameters.items():
+        known = TYPES.get(getattr(one.annotation, "__name__", one.annotation), Any)
+        default = ... if one.default is one.empty else None if one.default == () else one.default
+        if (taken := own.get(name, (known, default))) is not None:
+            about = " ".join(said.get(name, "").split()).rstrip(".")
+            fields[name] = (taken[0], Field(taken[1], description=about))
+    more = {name: entry for name, entry in own.items() if entry is not None and len(entry) > 2}
+    fields |= {name: (taken[0], Field(taken[1], description=taken[2])) for name, taken in more.items()}
+    return create_model(f"{kind.title()}System", __base__=Table, __doc__=text.partition("\nArgs:")[0], **fields)
 
 
 Entry = Annotated[float | str, BeforeValidator(lambda value: float(value) if isinstance(value, int) else value)]
@@ -204,7 +188,7 @@ class MotorTable(Table):
     torque: float = Field(0.0, description="steady torque in N m, or force in N")
     amplitude: Entry = Field(0.0, description="amplitude of what varies, in N m or N")
     phase: Entry = Field(0.0, description="in rad")
-    limit: Positive | Annotated[list[float], Field(min_length=2, max_length=2)] | None = Field(
+    limit: Positive | Pair | None = Field(
         None, description="how far a motor that is a control (without torque and amplitude) may go, in N m or N"
     )
 
@@ -217,60 +201,6 @@ class MotionTable(Table):
     amplitude: Entry = Field(0.0, description="in rad or m")
     phase: Entry = Field(0.0, description="in rad")
     turns: float = Field(0.0, description="whole turns in a period of the forcing")
-
-
-class MechanismSystem(Table):
-    """Bodies, joints, springs, dampers and motors as drawn, in the plane or in space; loops are native DAEs.
-
-    Joints that reach a new body from the ground outwards have coordinates of their name (`ball1`, `ball2`, `ball3` of
-    a joint `ball` with three); the others close loops. Each number that is not 0 is a physical parameter: `crank_mass`,
-    `crank_inertia`, `crank_com_x`, `pin_1_x` (first point of joint `pin`), `k_stiffness`, `k_length`, `gravity_x`.
-    """
-
-    kind: Literal["mechanism"] = Field(description="which system this is")
-    dimension: Literal[2, 3] = Field(2, description="2 in the plane (x down, y right), 3 in space (z towards the eye)")
-    gravity: list[float] | None = Field(None, description="acceleration in m/s^2, 9.8 down when left out")
-    bodies: dict[str, BodyTable] = Field(description="bodies by name")
-    joints: dict[str, JointTable] = Field(description="joints by name")
-    springs: dict[str, SpringTable] | None = Field(None, description="springs by name")
-    dampers: dict[str, DamperTable] | None = Field(None, description="dampers by name")
-    motors: dict[str, MotorTable] | None = Field(None, description="motors by name")
-    motions: dict[str, MotionTable] | None = Field(None, description="prescribed motions by name")
-    frequency: Positive | None = Field(None, description="of what varies in time, in rad/s")
-    parameters: dict[str, float] | None = Field(
-        None, description="shared numbers by name, for text such as '-length / 2'"
-    )
-    pose: dict[str, float] | None = Field(None, description="coordinates near which loops are assembled, 0 otherwise")
-    independent: list[str] | None = Field(
-        None, description="solve in these coordinates, as many as degrees of freedom, instead of as a native DAE"
-    )
-    redundant: Literal["refuse", "drop"] = Field("refuse", description="what to do with equations that repeat others")
-    baumgarte: list[Positive] | None = Field(
-        None, min_length=2, max_length=2, description="stabilisation [alpha, beta] of the loops in 1/s; its own pace"
-    )
-
-
-class RobotSystem(Table):
-    """A robot in a URDF or MJCF file, read into a mechanism; needs the extra [robot]."""
-
-    kind: Literal["robot"] = Field(description="which system this is")
-    file: Line = Field(description="the URDF or MJCF file, beside the problem file unless the path says otherwise")
-    locked: dict[str, float] | list[Line] = Field([], description="joints that stay at 0, or at the angles given")
-    stiffness: float | dict[str, float] | None = Field(
-        None, description="springs in all joints, or in each by name (N m/rad, N/m); the file's own when left out"
-    )
-    rest: dict[str, float] = Field({}, description="where springs are at ease, by joint, 0 otherwise")
-    damping: float | dict[str, float] | None = Field(
-        None, description="dampers in all joints, or in each by name; the file's own when left out"
-    )
-    motors: list[Line] | Literal["all"] = Field(
-        [], description="joints with a control torque, within the file's effort"
-    )
-    floating: bool = Field(False, description="the base moves freely instead of being fixed to the ground")
-    gravity: float | list[float] | None = Field(
-        None, description="m/s^2, along the file's -z, or [x, y, z] in the file's axes; the file's own, or 9.80665"
-    )
-    values: dict[str, float] = Field({}, description="physical parameters that replace the file's, such as link3_mass")
 
 
 class PythonSystem(Table):
@@ -298,12 +228,44 @@ class PythonSystem(Table):
     controls: list[Line] | None = Field(
         None, description="physical parameters that may vary in time; the system's own when left out"
     )
-    limits: Limits | None = Field(None, description=LIMITS)
+    limits: Limits | None = Field(
+        None, description="how far controls may go: the greatest magnitude, or [lowest, highest], by name, such as "
+        "{ torque1 = 5.0 }",
+    )  # fmt: skip
 
 
-SYSTEMS: dict[str, type[Table]] = {"chain": ChainSystem, "linkage": LinkageSystem, "mechanism": MechanismSystem,
-                                    "robot": RobotSystem, "python": PythonSystem}  # fmt: skip
-"""The `[system]` table of each `kind`; a new kind is added here and in `mechanics.catalogue`."""
+OWN: dict[str, dict[str, tuple[Any, ...] | None]] = {
+    "mechanism": {
+        "bodies": (dict[str, BodyTable], ...), "joints": (dict[str, JointTable], ...),
+        "springs": (dict[str, SpringTable] | None, None), "dampers": (dict[str, DamperTable] | None, None),
+        "motors": (dict[str, MotorTable] | None, None), "motions": (dict[str, MotionTable] | None, None),
+        "gravity": (list[float] | None, None), "dimension": (Literal[2, 3], 2), "frequency": (Positive | None, None),
+        "parameters": (dict[str, float] | None, None), "redundant": (Literal["refuse", "drop"], "refuse"),
+        "baumgarte": (Annotated[list[Positive], Field(min_length=2, max_length=2)] | None, None),
+        "values": None, "scales": None, "drawn": None,
+        "independent": (list[str] | None, None, "solve in these coordinates, as many as degrees of freedom, instead of "
+                        "as a native DAE"),
+    },
+    "robot": {"file": (Line, ...)},
+    "chain": {"links": (Annotated[int, Field(ge=1, le=MOST_LINKS)], ...)},
+    "linkage": {
+        "length": (Annotated[list[Positive], Field(min_length=2, max_length=MOST_BARS)], ...),
+        "ground": (Annotated[list[float], Field(min_length=2, max_length=2)], ...),
+        "baumgarte": (Annotated[list[Positive], Field(min_length=2, max_length=2)] | None, None),
+        "independent": (list[int] | None, None, "bars whose angles are the coordinates, n - 2 of them: the linkage in "
+                        "minimal coordinates"),
+        "branch": (Literal[1, -1], 1, "with independent: the sign of sin(theta_j - theta_i) of the other bars i < j"),
+    },
+}  # fmt: skip
+"""Type and default that files take for arguments where that is not what Python takes, None of what they do not take; of
+what is no argument also the description"""
+
+
+def systems() -> dict[str, type[Table]]:
+    """The `[system]` table of each `kind`: of what its function takes, see `mechanics.catalogue.KINDS`."""
+    made = {name: table_of(name, kind.takes) for name, kind in KINDS.items() if kind.takes}
+    return made | {"robot": table_of("robot", robot), "python": PythonSystem}
+
 
 MOST_SEGMENTS = 1000
 USUAL_SYMMETRIES = ("none", "brake", "reflection", "reversal", "brake+reflection")
@@ -335,15 +297,15 @@ Amplitude = Positive | Annotated[list[float], Field(min_length=1, max_length=20)
 def _system_of_its_kind(value: Any) -> Any:
     if not isinstance(value, Mapping):
         raise PydanticCustomError("table", "must be a table")
-    kind, known = value.get("kind"), ", ".join(map(repr, SYSTEMS))
+    kind, known = value.get("kind"), ", ".join(map(repr, systems()))
     if "kind" not in value:
         raise PydanticCustomError("kind", "missing; use one of {known}", {"known": known})
-    if kind not in list(SYSTEMS):
-        hint = closest(str(kind), SYSTEMS)
+    if kind not in list(systems()):
+        hint = closest(str(kind), systems())
         raise PydanticCustomError(
             "kind", "unknown {kind}{hint}; use one of {known}", {"kind": repr(kind), "hint": hint, "known": known}
         )
-    return SYSTEMS[str(kind)].model_validate(value)
+    return systems()[str(kind)].model_validate(value)
 
 
 class GuessTable(Table):
@@ -427,7 +389,8 @@ class FindTable(Table):
     symmetry: Annotated[str, AfterValidator(_known_symmetry)] = Field(
         "none",
         description="symmetry imposed on the orbit: none, brake, reflection, reversal (q(-t) = -q(t), running orbits "
-        "included), brake+reflection, or one that a Python system declares or has (mirror of restricted_three_body)",
+        "included), brake+reflection, or one that a Python system declares or has (mirror of restricted_three_body); "
+        "of a hybrid system one that takes half of the events of its cycle to the other half",
     )
     winding: list[int] | None = Field(
         None, description="whole turns of each coordinate in one period, one whole number per coordinate"
@@ -452,7 +415,7 @@ class FindTable(Table):
         "nearest",
         description="what chooses among the orbits that the pins leave: nearest to the guess, min_instability "
         "(smallest spectral radius of the monodromy), max_amplitude (largest value of a coordinate) or min_peak_rate "
-        "(smallest peak of its rate)",
+        "(smallest peak of its rate); the last two not of hybrid systems",
     )
     coordinate: str | None = Field(
         None,
@@ -635,7 +598,7 @@ def _table_and_description(names: list[str], document: Mapping[str, Any]) -> tup
 def _nested(name: str, annotation: Any, document: Mapping[str, Any]) -> type[BaseModel] | None:
     if name == "system":
         system = document.get("system")
-        return SYSTEMS.get(str(system.get("kind"))) if isinstance(system, Mapping) else None
+        return systems().get(str(system.get("kind"))) if isinstance(system, Mapping) else None
     candidates = [annotation, *getattr(annotation, "__args__", ())]
     tables = [one for one in candidates if isinstance(one, type) and issubclass(one, BaseModel)]
     return tables[0] if tables else None

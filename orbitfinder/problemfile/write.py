@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from orbitfinder.errors import InputError
+from orbitfinder.mechanics.catalogue import OTHER, system_kind
 from orbitfinder.problemfile.proposals import Proposal, Proposals
 from orbitfinder.problemfile.read import ProblemFile, checked_name
-from orbitfinder.problemfile.schema import SYSTEMS
 
 TEMPLATE = """# The documentation's page "Problem file" (docs/problem-file.md) explains every key.
 # SI units, angles in rad from the downward vertical.
@@ -95,7 +95,7 @@ def orbit_text(document: Mapping[str, Any], expected: bool = True) -> str | None
     `expected` again, unless the document has a guess only.
     """
     system, period = document["system"], float(document["period"])
-    if system.get("kind") not in SYSTEMS:
+    if system_kind(system) is OTHER:
         return None
     about = {key: _line(document[key]) for key in ("title", "source") if document.get(key)}
     tables = {

@@ -10,13 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from orbitfinder._runtime import limit
 from orbitfinder.proof.balls import (
     Vector,
     arb,
@@ -27,10 +26,9 @@ from orbitfinder.proof.balls import (
     column,
     exact,
     identity,
-    radii,
     truncated,
 )
-from orbitfinder.proof.enclosure import Settings, Step, find_step, orthogonal, transition_remainder, valued
+from orbitfinder.proof.enclosure import Cloud, Settings, Step, transition_remainder
 from orbitfinder.proof.field import Field, Solution, slope_series
 from orbitfinder.proof.series import coefficients
 
@@ -181,26 +179,8 @@ def thinned(matrix: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Bundle:
-    """For each e every solution from a box about a point z(e), at one time.
-
-    `centre` (d + 2, thin) with `spread` (d) in `frame` encloses the solution from z(e); `middle` (d x d+2, thin) +
-    `turned` `rest` its derivatives by the initial z over the box; `start` (d + 2) is the box about z(e).
-    """
-
-    centre: list[Any]
-    frame: Any
-    spread: Any
-    middle: np.ndarray
-    turned: Any
-    rest: Any
-    start: Any
-
-    @property
-    def point(self) -> list[Any]:
-        """Enclosure (d) of the solution from z(e)."""
-        moved = (self.frame * self.spread).entries()
-        return [x + error for x, error in zip(self.centre, moved, strict=False)]
+class Bundle(Cloud):
+    """A Cloud for each e about a point z(e): `centre` and `middle` are thin functions of e."""
 
     @cached_property
     def derivatives(self) -> np.ndarray:
@@ -208,12 +188,68 @@ class Bundle:
         return np.asarray(self.middle + table(self.turned * self.rest))
 
     @property
+    def slopes(self) -> Any:
+        """The same as a matrix of balls, for every e."""
+        return ranged(self.derivatives)
+
+    @property
     def hull(self) -> list[Any]:
         """Enclosure (d + 2) of all solutions, by the mean value theorem from z(e)."""
-        moved = (ranged(self.derivatives) * self.start).entries()
-        size = len(moved)
-        constants = [x + y for x, y in zip(self.centre[size:], self.start.entries()[size:], strict=True)]
-        return along([x + y for x, y in zip(self.point, moved, strict=True)] + constants)
+        return along(super().hull)
+
+    def whole(self, found: Solution) -> Solution:
+        """A solution with balls that hold its coefficients for every e."""
+        other = copy(found)
+        other.z, other.tau, other.unfolding = ranges(found.z), *ranges([found.tau, found.unfolding])
+        other.states = [ranges(one) for one in found.states]
+        other.values = [ranges(one) for one in found.values]
+        return other
+
+    def flow(self, field: Field, found: Solution, step: Step, settings: Settings) -> np.ndarray:
+        """d(q, v)(h)/dz over the box for each e (d x d+2)."""
+        order, n, d = settings.order, field.size, field.dimension
+        other = copy(found)
+        other.code = field.varied
+        known = [found.states[entry + n * argument] if argument != 2 else [found.unfolding, *[arb(0)] * order]
+                 for _, argument, entry in field.varied.variables]  # fmt: skip
+        other.values = coefficients(field.varied, order - 1, lambda k, _: [one[k] for one in known])
+        zero = [arb(0)] * order
+        slopes = other.results()[1]
+        lines = np.empty((order, n, d + 1), dtype=object)
+        for i, j in np.ndindex(n, d + 1):
+            lines[:, i, j] = slopes.get(i + n * j, zero)
+        blocks = [table(block(identity(d + 2), d + 1, 0, d + 2))]
+        last = np.full((1, d + 2), arb(0), dtype=object)
+        for k in range(order):
+            lower = sum(lines[j] @ blocks[k - j] for j in range(k + 1))
+            factor = found.tau / (k + 1)
+            rows = np.vstack([blocks[k][n:d], lower]) * factor
+            rows[:, -1] += np.array([one[k + 1] / found.tau for one in found.states], dtype=object)
+            blocks.append(np.vstack([rows, last]))
+        flat = self.whole(other)
+        over = [ranged(one) for one in blocks]
+        rest = transition_remainder(field, flat, step, over, slope_series(n, d, flat.results()[1], order), settings)
+        total = table(block(rest, d, 0, d + 2))
+        for one in reversed(blocks):
+            total = total * arb(step.h) + one[:d]
+        return np.asarray(total)
+
+    def parted(self, image: Vector) -> tuple[Vector, Any]:
+        """A new centre near an image of the old one, and what the image is off it for every e."""
+        centre = [x.thin for x in along(image)]
+        return centre, column(ranges([x - c for x, c in zip(image, centre, strict=True)]))
+
+    def matrix(self, flow: np.ndarray) -> Any:
+        """d(q, v)/d(q, v) of a step for every e."""
+        return ranged(flow[:, : self.frame.nrows()])
+
+    def image(self, flow: np.ndarray) -> tuple[np.ndarray, Any]:
+        """V after a step: its middle and the rest."""
+        size = self.frame.nrows()
+        image = flow[:, :size] @ self.middle
+        image[:, size:] += flow[:, size:]
+        middle = thinned(image)
+        return middle, ranged(image - middle)
 
 
 def bundle(centre: Sequence[Any], start: Vector) -> Bundle:
@@ -226,78 +262,3 @@ def bundle(centre: Sequence[Any], start: Vector) -> Bundle:
     middle.ravel()[:] = along(exact(np.eye(size, size + 2)).entries())
     about, turned, rest = thin[:size] + whole[size:], identity(size), arb_mat(size, size + 2)
     return Bundle(about, identity(size), spread, middle, turned, rest, column(start))
-
-
-def transported(field: Field, start: Bundle, settings: Settings) -> tuple[Bundle, list[Step]]:
-    """The Bundle one segment later, and the steps on the way, each over every e."""
-    here, begin, trial, steps = start, 0.0, 1.0, []
-    while begin < 1.0:
-        limit.check()
-        found = field.solution(here.hull, settings.order)
-        step, trial = find_step(field, everywhere(found), begin, trial, settings)
-        flow = transition(field, found, step, settings)
-        here = moved(field, here, step, flow, settings)
-        steps.append(step)
-        begin += step.h
-    return here, steps
-
-
-def everywhere(found: Solution) -> Solution:
-    """A solution with balls that hold its coefficients for every e."""
-    other = copy(found)
-    other.z, other.tau, other.unfolding = ranges(found.z), *ranges([found.tau, found.unfolding])
-    other.states = [ranges(one) for one in found.states]
-    other.values = [ranges(one) for one in found.values]
-    return other
-
-
-def transition(field: Field, found: Solution, step: Step, settings: Settings) -> np.ndarray:
-    """d(q, v)(h)/dz over the box for each e (d x d+2)."""
-    order, n, d = settings.order, field.size, field.dimension
-    other = copy(found)
-    other.code = field.varied
-    known = [found.states[entry + n * argument] if argument != 2 else [found.unfolding, *[arb(0)] * order]
-             for _, argument, entry in field.varied.variables]  # fmt: skip
-    other.values = coefficients(field.varied, order - 1, lambda k, _: [one[k] for one in known])
-    zero = [arb(0)] * order
-    slopes = other.results()[1]
-    lines = np.empty((order, n, d + 1), dtype=object)
-    for i, j in np.ndindex(n, d + 1):
-        lines[:, i, j] = slopes.get(i + n * j, zero)
-    blocks = [table(block(identity(d + 2), d + 1, 0, d + 2))]
-    last = np.full((1, d + 2), arb(0), dtype=object)
-    for k in range(order):
-        lower = sum(lines[j] @ blocks[k - j] for j in range(k + 1))
-        factor = found.tau / (k + 1)
-        rows = np.vstack([blocks[k][n:d], lower]) * factor
-        rows[:, -1] += np.array([one[k + 1] / found.tau for one in found.states], dtype=object)
-        blocks.append(np.vstack([rows, last]))
-    flat = everywhere(other)
-    over = [ranged(one) for one in blocks]
-    rest = transition_remainder(field, flat, step, over, slope_series(n, d, flat.results()[1], order), settings)
-    total = table(block(rest, d, 0, d + 2))
-    for one in reversed(blocks):
-        total = total * arb(step.h) + one[:d]
-    return np.asarray(total)
-
-
-def moved(field: Field, old: Bundle, step: Step, flow: np.ndarray, settings: Settings) -> Bundle:
-    """The Bundle after a step, its errors in frames that turn with the flow over every e."""
-    size = field.dimension
-    ahead = valued(field.states(old.centre, settings.order), step.remainder, arb(step.h))
-    centre = [x.thin for x in along(ahead)]
-    error = column(ranges([x - c for x, c in zip(ahead, centre, strict=True)]))
-    matrix = ranged(flow[:, :size])
-    stretched = matrix * old.frame
-    frame = orthogonal(stretched, radii(old.spread).ravel())
-    back = frame.inv()
-    image = flow[:, :size] @ old.middle
-    image[:, size:] += flow[:, size:]
-    middle = thinned(image)
-    swept = matrix * old.turned
-    turned = orthogonal(swept, radii(old.rest).max(axis=1))
-    home = turned.inv()
-    return replace(
-        old, centre=centre + old.centre[size:], frame=frame, spread=(back * stretched) * old.spread + back * error,
-        middle=middle, turned=turned, rest=(home * swept) * old.rest + home * ranged(image - middle),
-    )  # fmt: skip

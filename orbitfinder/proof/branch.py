@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.loops.symmetry import named
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
-from orbitfinder.proof.along import DEGREE, Along, along, bundle, ranged, ranges, table, transported
+from orbitfinder.proof.along import DEGREE, Along, along, bundle, ranged, ranges, table
 from orbitfinder.proof.balls import (
     FLINT,
     Vector,
@@ -42,7 +42,7 @@ from orbitfinder.proof.balls import (
     inside,
     precision,
 )
-from orbitfinder.proof.enclosure import Settings
+from orbitfinder.proof.enclosure import Settings, integrate
 from orbitfinder.proof.field import Programs, make_field, programs
 from orbitfinder.proof.formulation import Formulation, approach
 from orbitfinder.proof.krawczyk import (
@@ -61,21 +61,22 @@ from orbitfinder.proof.theorem import (
     NotProved,
     Progress,
     check_graph,
+    check_motion,
     chosen_symmetry,
     enclosed,
     make_equations,
     provable_model,
     unknowns_at,
 )
-from orbitfinder.proof.trajectory import Trajectory, horizon, minimal_period, moves, positive_mass, trajectory
-from orbitfinder.records.codec import Codec, plain
+from orbitfinder.proof.trajectory import Trajectory, horizon, minimal_period, trajectory
+from orbitfinder.records.codec import Codec, entries_of
 from orbitfinder.records.family import Family, FamilyPoint
 
 ROUGH = Settings(order=12, bits=80, tolerance=1e-14)
 """How the centres of a branch's boxes are found"""
 SHARP = Settings()
 """How the ends of a branch are enclosed"""
-FORMAT, VERSION, AGAIN = "orbitfinder/branch-proof", 2, "prove the branch again"
+AGAIN = "prove the branch again"
 FIRST = 2e-3
 """Energies of the first piece that is tried, relative to those of the family"""
 RADIUS = 1e-8
@@ -151,10 +152,7 @@ def checked(equations: Equations, piece: Piece) -> Checked:
     here, centre, nodes = replace(equations, energy=piece.energy), piece.functions, equations.formulation.nodes
     still = nodes([arb(0)] * len(centre))
     starts = [[x - y for x, y in zip(*pair, strict=True)] for pair in zip(nodes(piece.spread), still, strict=True)]
-    found = [
-        transported(here.field, bundle(node, start), settings)
-        for node, start in zip(nodes(centre), starts, strict=True)
-    ]
+    found = [integrate(here.field, bundle(*pair), settings) for pair in zip(nodes(centre), starts, strict=True)]
     values: np.ndarray = np.array(residual(here, centre, [end.point for end, _ in found]), dtype=object)
     around = [x + y for x, y in zip(centre, piece.spread, strict=True)]
     rows = jacobian_rows(here, around, [end.derivatives.ravel().tolist() for end, _ in found])
@@ -246,20 +244,37 @@ class Passage:
 
 
 @dataclass(frozen=True)
-class Branch:
-    """What was proved of a family over energies from `low` to `high`, or why nothing was."""
+class Record:
+    """A branch-proof.json."""
 
-    proved: bool
-    reason: str
+    _entries = (..., "wall_time", "versions", "pieces", "passages")
+
     name: str
     system: Mapping[str, Any]
-    formulation: Formulation
-    section: tuple[Sequence[float], Sequence[float]] | None
+    symmetry: str
+    segments: int
+    constants: tuple[int, ...]
+    turns: tuple[int, ...]
+    section: tuple[tuple[float, ...], tuple[float, ...]] | None
     low: float
     high: float
-    wall_time: float
+    proved: bool = False
+    reason: str = ""
     pieces: tuple[Piece, ...] = ()
     passages: tuple[Passage, ...] = ()
+    wall_time: float = 0.0
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """What it was made by."""
+        return {"orbitfinder": __version__, "python-flint": FLINT}
+
+
+@dataclass(frozen=True)
+class Branch(Record):
+    """What was proved of a family over energies from `low` to `high`, or why nothing was."""
+
+    formulation: Formulation = field(kw_only=True)
 
 
 def tests(found: Trajectory, level: float) -> dict[str, tuple[Any, str]]:
@@ -356,10 +371,7 @@ class _Run:
         if found and not (found[-1].piece.high == one.piece.low and same_orbit(found[-1], one.piece)):
             raise NotProved(f"the pieces that meet at {one.piece.low!r} J could not be shown to have one orbit there")
         path = horizon(self.equations, one.piece.box, one.arcs)
-        if not moves(path):
-            raise NotProved("a state of the branch could be an equilibrium")
-        if path.formulation.unfolded and not self.model.hamiltonian and not positive_mass(path):
-            raise NotProved("the mass matrix could not be shown to be positive definite along the branch")
+        check_motion(path, self.model, "a state of the branch", "the branch")
         minimal, _, reason = minimal_period(path, self.model.angles)
         if not minimal:
             raise NotProved(f"the period could be a multiple of the minimal one on a piece of the branch: {reason}")
@@ -393,7 +405,10 @@ def prove_branch(
         equations = make_equations(model, codes, start, arb(origin.energy))
         inner = [one for one in family.events if low < one.energy < high and one.kind != "stability_change"]
         asked = [(one.kind, 2.0 * float(complex(one.multiplier).real)) for one in inner]
-        empty = Branch(False, "", family.name, model.system, start.formulation, equations.section, low, high, 0.0)
+        form, cut = start.formulation, equations.section
+        section = None if cut is None else (tuple(cut[0]), tuple(cut[1]))
+        stated = form.symmetry.name, form.segments, form.constants, form.turns, section
+        empty = Branch(family.name, model.system, *stated, low, high, formulation=form)
         run, first = _Run(model, equations, say), FIRST * float(np.ptp(family.values("energy")))
         return _concluded(empty, run, codes, asked, lambda: run.pieces(unknowns_at(start), low, high, first))
 
@@ -449,6 +464,10 @@ def _concluded(
 ) -> Branch:  # fmt: skip
     """What pieces and their ends say, balls as `written` (see `passage`)."""
     began, passed = time.perf_counter(), []
+
+    def spent() -> float:
+        return round(time.perf_counter() - began, 1)
+
     try:
         check_graph(codes, about.formulation, run.model)
         found = pieces()
@@ -458,11 +477,9 @@ def _concluded(
                 each = (passage(kind, level, ends, *written) for kind, level in asked)
                 passed = [one for one in each if one is not None]
     except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
-        return replace(about, proved=False, reason=str(error), wall_time=time.perf_counter() - began)
+        return replace(about, proved=False, reason=str(error), wall_time=spent())
     kept = tuple(replace(one.piece, contraction=one.contraction) for one in found)
-    return replace(
-        about, proved=True, reason="", pieces=kept, passages=tuple(passed), wall_time=time.perf_counter() - began
-    )
+    return replace(about, proved=True, reason="", pieces=kept, passages=tuple(passed), wall_time=spent())
 
 
 def _nearest(family: Family, low: float, high: float) -> FamilyPoint:
@@ -477,46 +494,17 @@ def _nearest(family: Family, low: float, high: float) -> FamilyPoint:
     return family.points[int(np.abs(energies - low).argmin())]
 
 
-# --------------------------------------------------------------------------------------------------
-# The record of a branch, and reading it back.
-
-
-@dataclass(frozen=True)
-class Record:
-    """A branch-proof.json."""
-
-    name: str
-    system: Mapping[str, Any]
-    symmetry: str
-    segments: int
-    constants: tuple[int, ...]
-    turns: tuple[int, ...]
-    section: tuple[tuple[float, ...], tuple[float, ...]] | None
-    low: float
-    high: float
-    proved: bool
-    reason: str
-    pieces: tuple[Piece, ...]
-    passages: tuple[Passage, ...]
-    wall_time: float = 0.0
+RECORDS = Codec(Record, "branch-proof", "`orbitfinder prove`", AGAIN, version=2)
 
 
 def branch_document(branch: Branch) -> dict[str, Any]:
     """The JSON form of a branch."""
-    form = branch.formulation
-    return {
-        "format": FORMAT, "version": VERSION, "name": branch.name, "system": plain(branch.system),
-        "symmetry": form.symmetry.name, "segments": form.segments, "constants": list(form.constants),
-        "turns": list(form.turns), "section": plain(branch.section), "low": branch.low, "high": branch.high,
-        "proved": branch.proved, "reason": branch.reason, "wall_time": round(branch.wall_time, 1),
-        "versions": {"orbitfinder": __version__, "python-flint": FLINT},
-        "pieces": plain(branch.pieces), "passages": plain(branch.passages),
-    }  # fmt: skip
+    return {"format": RECORDS.format, "version": RECORDS.version, **entries_of(branch, Record)}
 
 
 def read_branch(path: Path) -> Branch:
     """A branch-proof.json. Raises `InputError`."""
-    found = Codec(Record, "branch-proof", "`orbitfinder prove`", AGAIN, version=VERSION).load(path)
+    found = RECORDS.load(path)
     model = build_model(dict(found.system))
     symmetry = named(found.symmetry, model)
     size = model.degrees_of_freedom
@@ -526,7 +514,4 @@ def read_branch(path: Path) -> Branch:
     positive = all(r > 0 and np.isfinite(r) for piece in found.pieces for r in piece.radius)
     if not (fits and positive and found.segments > 0):
         raise InputError(f"{path}: pieces: do not fit the system or its symmetry; {AGAIN}")
-    return Branch(
-        found.proved, found.reason, found.name, found.system, form, found.section, found.low, found.high,
-        found.wall_time, found.pieces, found.passages,
-    )  # fmt: skip
+    return Branch(**vars(found), formulation=form)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
@@ -149,17 +149,6 @@ def _state_image(
     return image, rest, own
 
 
-def transition_over(field: Field, step: Step, plain: Solution, settings: Settings) -> Any:
-    """dz(h)/dz over the starting box (d+2 square), by the same argument for the variational equations."""
-    order, n, d = settings.order, field.size, field.dimension
-    found = plain.varied(field.varied)
-    series = found.transitions()
-    blocks = [block(one, d + 1, 0, d + 2) for one in series]
-    rest = transition_remainder(field, found, step, blocks, slope_series(n, d, found.results()[1], order), settings)
-    last = arb_mat(d + 2, d + 2, rest.entries() + [arb(0)] * (d + 2))
-    return horner([*series, last], arb(step.h))
-
-
 def transition_remainder(
     field: Field, found: Solution, step: Step, blocks: list[Any], slopes: list[Any], settings: Settings
 ) -> Any:
@@ -235,10 +224,8 @@ class Cloud:
 
     @property
     def point(self) -> Vector:
-        """Enclosure (d + 2) of the solution from the centre of the initial box."""
-        size = self.frame.nrows()
-        moved = (self.frame * self.spread).entries()
-        return [c + e for c, e in zip(self.centre[:size], moved, strict=True)] + self.centre[size:]
+        """Enclosure (d) of the solution from the centre of the initial box."""
+        return [c + e for c, e in zip(self.centre, (self.frame * self.spread).entries(), strict=False)]
 
     @property
     def derivatives(self) -> Any:
@@ -246,13 +233,65 @@ class Cloud:
         return self.middle + self.turned * self.rest
 
     @property
+    def slopes(self) -> Any:
+        """The same as a matrix of balls."""
+        return self.derivatives
+
+    @property
     def hull(self) -> Vector:
         """Enclosure (d + 2) of all solutions: the mean value theorem from the centre."""
+        size, moved = self.frame.nrows(), (self.slopes * self.start).entries()
+        constants = [c + d for c, d in zip(self.centre[size:], self.start.entries()[size:], strict=True)]
+        return [x + d for x, d in zip(self.point, moved, strict=True)] + constants
+
+    def advanced(self, field: Field, begin: float, trial: float, settings: Settings) -> tuple[Self, Step, float]:
+        """The same after one validated step, the step, and the length to try next."""
+        solutions = field.solution(self.hull, settings.order)
+        step, following = find_step(field, self.whole(solutions), begin, trial, settings)
+        flow, size = self.flow(field, solutions, step, settings), self.frame.nrows()
+        centre, error = self.parted(valued(field.states(self.centre, settings.order), step.remainder, arb(step.h)))
+        (middle, off), matrix = self.image(flow), self.matrix(flow)
+        stretched, swept = matrix * self.frame, matrix * self.turned
+        frame, turned = (
+            orthogonal(stretched, radii(self.spread).ravel()),
+            orthogonal(swept, radii(self.rest).max(axis=1)),
+        )
+        back, home = frame.inv(), turned.inv()
+        after = replace(
+            self, centre=centre + self.centre[size:], frame=frame,
+            spread=(back * stretched) * self.spread + back * error, middle=middle, turned=turned,
+            rest=(home * swept) * self.rest + home * off,
+        )  # fmt: skip
+        return after, step, following
+
+    def whole(self, found: Solution) -> Solution:
+        """The solution in balls."""
+        return found
+
+    def flow(self, field: Field, found: Solution, step: Step, settings: Settings) -> Any:
+        """dz(h)/dz over the starting box (d+2 square), by the same argument for the variational equations."""
+        order, n, d = settings.order, field.size, field.dimension
+        found = found.varied(field.varied)
+        series = found.transitions()
+        blocks = [block(one, d + 1, 0, d + 2) for one in series]
+        rest = transition_remainder(field, found, step, blocks, slope_series(n, d, found.results()[1], order), settings)
+        last = arb_mat(d + 2, d + 2, rest.entries() + [arb(0)] * (d + 2))
+        return horner([*series, last], arb(step.h))
+
+    def parted(self, image: Vector) -> tuple[Vector, Any]:
+        """A new centre near an image of the old one, and what the image is off it."""
+        centre = midpoints(image)
+        return centre, column([x - c for x, c in zip(image, centre, strict=True)])
+
+    def matrix(self, flow: Any) -> Any:
+        """d(q, v)/d(q, v) of a step."""
+        return block(flow, self.frame.nrows(), 0, self.frame.nrows())
+
+    def image(self, flow: Any) -> tuple[Any, Any]:
+        """V after a step, A V + A_c with A = d(q, v)/d(q, v) and A_c = d(q, v)/d(s, tau): its middle and the rest."""
         size = self.frame.nrows()
-        slopes, start = self.derivatives, self.start
-        moved = (slopes * start).entries()
-        constants = [c + d for c, d in zip(self.centre[size:], start.entries()[size:], strict=True)]
-        return [x + d for x, d in zip(self.point[:size], moved, strict=True)] + constants
+        image = self.matrix(flow) * self.middle + block(flow, size, size, size + 2) * exact(np.eye(2, size + 2, size))
+        return image.mid(), image - image.mid()
 
 
 def cloud(box: Sequence[Any], point: Sequence[Any] | None = None) -> Cloud:
@@ -271,44 +310,6 @@ def cloud(box: Sequence[Any], point: Sequence[Any] | None = None) -> Cloud:
     )
 
 
-def advance(field: Field, old: Cloud, begin: float, trial: float, settings: Settings) -> tuple[Cloud, Step, float]:
-    """The Cloud after one validated step, the step, and the length to try next."""
-    solutions = field.solution(old.hull, settings.order)
-    step, following = find_step(field, solutions, begin, trial, settings)
-    flow = transition_over(field, step, solutions, settings)
-    return moved_derivatives(moved_point(field, old, step, flow, settings), flow), step, following
-
-
-def moved_point(field: Field, old: Cloud, step: Step, flow: Any, settings: Settings) -> Cloud:
-    """The centre and its spread after a step: series at the centre, the flow's derivative on the spread."""
-    size = old.frame.nrows()
-    image = valued(field.states(old.centre, settings.order), step.remainder, arb(step.h))
-    centre = midpoints(image)
-    error = column([x - c for x, c in zip(image, centre, strict=True)])
-    stretched = block(flow, size, 0, size) * old.frame
-    frame = orthogonal(stretched, radii(old.spread).ravel())
-    back = frame.inv()
-    return replace(
-        old,
-        centre=centre + old.centre[size:],
-        frame=frame,
-        spread=(back * stretched) * old.spread + back * error,
-    )
-
-
-def moved_derivatives(old: Cloud, flow: Any) -> Cloud:
-    """V after a step: A V + A_c, with A = d(q, v)/d(q, v) and A_c = d(q, v)/d(s, tau) of the step."""
-    size = old.frame.nrows()
-    along = block(flow, size, 0, size)
-    constant = exact(np.eye(2, size + 2, size))
-    image = along * old.middle + block(flow, size, size, size + 2) * constant
-    middle = image.mid()
-    stretched = along * old.turned
-    turned = orthogonal(stretched, radii(old.rest).max(axis=1))
-    back = turned.inv()
-    return replace(old, middle=middle, turned=turned, rest=(back * stretched) * old.rest + back * (image - middle))
-
-
 def orthogonal(matrix: Any, weights: np.ndarray) -> Any:
     """A nearly orthogonal frame whose first axis follows the column with the largest weighted length."""
     columns = floats(matrix) * np.maximum(weights, weights.max(initial=0.0) * 1e-12 + LEAST)
@@ -319,12 +320,15 @@ def orthogonal(matrix: Any, weights: np.ndarray) -> Any:
     return exact(np.linalg.qr(columns[:, order] / scale)[0])
 
 
-def integrate(field: Field, start: Cloud, settings: Settings, trial: float = 1.0) -> tuple[Cloud, list[Step]]:
+Moving = TypeVar("Moving", bound=Cloud)
+
+
+def integrate(field: Field, start: Moving, settings: Settings, trial: float = 1.0) -> tuple[Moving, list[Step]]:
     """The Cloud one segment (unit time, tau seconds) later, and the steps on the way."""
     here, begin, steps = start, 0.0, []
     while begin < 1.0:
         limit.check()
-        here, step, trial = advance(field, here, begin, trial, settings)
+        here, step, trial = here.advanced(field, begin, trial, settings)
         steps.append(step)
         begin += step.h
     return here, steps

@@ -66,11 +66,13 @@ def programs(model: Model) -> Programs:
         total = one.value(q, v, p)
         energy = program(ca.Function("energy", inputs, [total, ca.gradient(total, x)]))
         mass = program(ca.Function("mass", inputs, [ca.hessian(model.kinetic(q, v, p), v)[0]]))
-    derivatives = ca.jacobian(rates, ca.vertcat(x, s))
-    return Programs(
-        program(ca.Function("accelerations", inputs, [rates])),
-        program(ca.Function("accelerations_and_jacobian", inputs, [rates, derivatives])), energy, mass,
-    )  # fmt: skip
+    return Programs(*_with_slopes("accelerations", inputs, rates, ca.vertcat(x, s)), energy, mass)
+
+
+def _with_slopes(name: str, inputs: list[ca.SX], rates: ca.SX, by: ca.SX) -> tuple[Program, Program]:
+    """The programs of rates, and of these with their derivatives."""
+    both = ca.Function(f"{name}_and_jacobian", inputs, [rates, ca.jacobian(rates, by)])
+    return program(ca.Function(name, inputs, [rates])), program(both)
 
 
 def _alone(model: Model, rates: ca.Function, x: ca.SX, v: ca.SX, s: ca.SX, p: ca.SX) -> Programs:
@@ -83,11 +85,7 @@ def _alone(model: Model, rates: ca.Function, x: ca.SX, v: ca.SX, s: ca.SX, p: ca
         if program(ca.Function("f", inputs, [rate])) != program(ca.Function("f", inputs, [turned])):
             raise InputError("system: its rates are not Hamilton's of its energy on their graph; use hamiltonian(...)")
         rate, energy = rate + s * slope, program(ca.Function("energy", inputs, [total, slope]))
-    slopes = ca.jacobian(rate, ca.vertcat(x, s))
-    return Programs(
-        program(ca.Function("rates", inputs, [rate])),
-        program(ca.Function("rates_and_jacobian", inputs, [rate, slopes])), energy, None,
-    )  # fmt: skip
+    return Programs(*_with_slopes("rates", inputs, rate, ca.vertcat(x, s)), energy, None)
 
 
 def check_provable(model: Model) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, plural
 from orbitfinder.loops.symmetry import Symmetry, named
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.catalogue import build_model, system_kind
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import Vector, arb, decimal, magnitude, precision, radius
 from orbitfinder.proof.enclosure import Settings
@@ -164,10 +164,8 @@ def chosen_symmetry(orbit: Orbit, model: Model, codes: Programs, asked: str | No
 def provable_model(orbit: Orbit, trusted: Path | None = None) -> Model:
     """The Model of an orbit; of a chain in the formulation with the fewest operations."""
     refuse_controlled(orbit, "prove")
-    system = dict(orbit.system)
-    if system.get("kind") == "chain":
-        system["formulation"] = "recursive"
-    return build_model(system, trusted)
+    quick = {"formulation": "recursive"} if system_kind(orbit.system).pendulum else {}
+    return build_model({**orbit.system, **quick}, trusted)
 
 
 def _prove(
@@ -249,13 +247,18 @@ def verdict(path: Trajectory) -> Stability:
     return stability(reduced(path, monodromy(path)), path.formulation.conserved)
 
 
+def check_motion(path: Trajectory, model: Model, state: str, along: str) -> None:
+    """`NotProved` where a state could be an equilibrium, or what unfolds the energy need not push along the motion."""
+    if not moves(path):
+        raise NotProved(f"{state} could be an equilibrium")
+    if path.formulation.unfolded and not model.hamiltonian and not positive_mass(path):
+        raise NotProved(f"the mass matrix could not be shown to be positive definite along {along}")
+
+
 def conclusions(orbit: Orbit, model: Model, path: Trajectory, start: Approach, options: Options) -> dict[str, Any]:
     """What follows from the zero: that it is an orbit, the recorded one, its period and multipliers."""
     form = start.formulation
-    if not moves(path):
-        raise NotProved("the state could be an equilibrium")
-    if form.unfolded and not model.hamiltonian and not positive_mass(path):
-        raise NotProved("the mass matrix could not be shown to be positive definite along the orbit")
+    check_motion(path, model, "the state", "the orbit")
     distance, apart = gaps(orbit, path, start, model.angles)
     if not max(distance, apart) <= options.nearness:
         raise NotProved(

@@ -168,26 +168,23 @@ def reduced(found: Trajectory, matrix: Any) -> Any:
     """
     size = found.formulation.dimension
     flow = found.field.rates(found.first)[:size]
-    if not found.formulation.conserved:
-        middle = np.array([[float(x.mid()) for x in flow]])
-        across = np.linalg.svd(middle / np.linalg.norm(middle))[2][1:]
-        basis = arb_mat([[x, *map(arb, row)] for x, row in zip(flow, across.T.tolist(), strict=True)])
-        whole = basis.solve(matrix * basis, algorithm="precond").tolist()
-        return arb_mat([row[1:] for row in whole[1:]])
-    slope = found.field.energy(found.first)[1]
-    g, f = (np.array([float(x.mid()) for x in vector]) for vector in (slope, flow))
-    u = g / np.linalg.norm(g)
-    tangent = f - (f @ u) * u
-    span = np.linalg.svd(np.vstack([u, tangent / np.linalg.norm(tangent)]))[2][2:]
-    across = sum((a * b for a, b in zip(slope, map(arb, u), strict=True)), arb(0))
-    columns = [flow]
-    for w in span:
-        part = sum((a * arb(b) for a, b in zip(slope, w, strict=True)), arb(0)) / across
-        columns.append([arb(b) - part * arb(c) for b, c in zip(w, u, strict=True)])
-    columns.append([arb(c) for c in u])
+    f, columns = np.array([float(x.mid()) for x in flow]), [flow]
+    if found.formulation.conserved:
+        slope = found.field.energy(found.first)[1]
+        g = np.array([float(x.mid()) for x in slope])
+        u = g / np.linalg.norm(g)
+        tangent = f - (f @ u) * u
+        span = np.linalg.svd(np.vstack([u, tangent / np.linalg.norm(tangent)]))[2][2:]
+        across = sum((a * b for a, b in zip(slope, map(arb, u), strict=True)), arb(0))
+        for w in span:
+            part = sum((a * arb(b) for a, b in zip(slope, w, strict=True)), arb(0)) / across
+            columns.append([arb(b) - part * arb(c) for b, c in zip(w, u, strict=True)])
+        columns.append([arb(c) for c in u])
+    else:
+        columns += [list(map(arb, w)) for w in np.linalg.svd(f[None] / np.linalg.norm(f))[2][1:].tolist()]
     basis = arb_mat(size, size, [columns[j][i] for i in range(size) for j in range(size)])
-    whole = basis.solve(matrix * basis, algorithm="precond").tolist()
-    return arb_mat([row[1:-1] for row in whole[1:-1]])
+    whole, last = basis.solve(matrix * basis, algorithm="precond").tolist(), size - int(found.formulation.conserved)
+    return arb_mat([row[1:last] for row in whole[1:last]])
 
 
 @dataclass(frozen=True)

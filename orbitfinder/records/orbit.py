@@ -199,7 +199,7 @@ def system_at(system: Mapping[str, Any], values: Mapping[str, float]) -> Mapping
         return system
     if "function" in system:
         return {**system, "arguments": {**system.get("arguments", {}), **physical}}
-    if system.get("kind") == "mechanism":
+    if "bodies" in system:
         return {**system, "values": {**system.get("values", {}), **physical}}
     found = dict(system)
     for name, value in physical.items():

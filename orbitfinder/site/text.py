@@ -14,13 +14,10 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from orbitfinder.mechanics.catalogue import NAMES, system_kind
 from orbitfinder.records.reading import finite
 
 ASSETS = "assets"
-COUNTS = ("", "single", "double", "triple", "quadruple", "quintuple", "sextuple")
-BARS = {3: "three-bar", 4: "four-bar", 5: "five-bar", 6: "six-bar", 7: "seven-bar", 8: "eight-bar"}
-NAMES = {"henon_heiles": "Hénon-Heiles", "van_der_pol": "Van der Pol", "duffing": "Duffing",
-         "forced_duffing": "forced Duffing", "restricted_three_body": "restricted three-body"}  # fmt: skip
 
 
 def rendered(template: str, /, **values: Any) -> str:
@@ -70,22 +67,7 @@ def size(count: int) -> str:
 
 def mechanism(system: Mapping[str, Any]) -> str:
     """The kind of mechanism in two or three words, for captions and the filter."""
-    kind = system.get("kind")
-    if kind == "chain":
-        links = system.get("links")
-        known = isinstance(links, int) and 1 <= links < len(COUNTS)
-        return f"{COUNTS[links] if known else f'{links}-link'} pendulum"  # type: ignore[index]
-    if kind == "linkage":
-        lengths = system.get("length")
-        bars = len(lengths) + 1 if isinstance(lengths, list) else 0
-        return f"{BARS.get(bars, f'{bars}-bar')} linkage"
-    if kind == "mechanism":
-        return f"{'spatial' if system.get('dimension') == 3 else 'planar'} mechanism"
-    if kind == "python":
-        name = str(system.get("function", "python"))
-        name = str(system.get("module", name)) if name == "problem" else name  # the program of a Python problem file
-        return NAMES.get(name, name.replace("_", " "))
-    return str(kind)
+    return system_kind(system).words(system)
 
 
 def with_unit(text: str, unit: str) -> str:

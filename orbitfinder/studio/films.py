@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder.mechanics.catalogue import system_kind
 from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.mechanics.pose import movable
 from orbitfinder.site.motion import Motion, in_plane, packed
@@ -41,7 +42,7 @@ def view(model: Model, states: np.ndarray) -> dict[str, list[float]]:
 
     Of a chain it is the circle that it reaches, so that dragging never leaves the stage.
     """
-    if model.system.get("kind") == "chain":
+    if system_kind(model.system).pendulum:
         reach = 2.0 * float(np.sum(model.system["length"]))
         return {"centre": [0.0, 0.0], "spans": [ROOM * reach, ROOM * reach]}
     points = positions(model, states) if model.points is not None else in_plane(states, model.degrees_of_freedom)
@@ -52,9 +53,8 @@ def view(model: Model, states: np.ndarray) -> dict[str, list[float]]:
 
 def draggable(model: Model) -> list[float]:
     """The lengths (m) of the links of a chain whose joints can be dragged; [] of anything else."""
-    system = model.system
-    plain = system.get("kind") == "chain" and model.constraint is None
-    return [float(one) for one in system["length"]] if plain else []
+    plain = system_kind(model.system).pendulum and model.constraint is None
+    return [float(one) for one in model.system["length"]] if plain else []
 
 
 def pullable(model: Model, state: np.ndarray) -> list[int]:

@@ -22,10 +22,8 @@ from orbitfinder.families.branches import SWITCHABLE
 from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.guesses.modes import normal_modes
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.catalogue import build_model, system_kind
 from orbitfinder.mechanics.chain import chain
-from orbitfinder.mechanics.linkage import assemble, linkage_state
-from orbitfinder.mechanics.mechanism import mechanism_state
 from orbitfinder.mechanics.model import Model
 from orbitfinder.problemfile.read import load_problem_file
 from orbitfinder.problemfile.write import entries, orbit_text, toml
@@ -121,19 +119,17 @@ def _hanging(model: Model, name: str, state: np.ndarray | None) -> Opened:
         state = np.zeros(size)
         state[: n if model.rates is None else size] = np.linspace(0.5, 1.0, n) * START
     duration = DURATION
-    if model.system.get("kind") == "chain" and model.constraint is None:
+    if system_kind(model.system).pendulum and model.constraint is None:
         duration = SWINGS * 2 * np.pi / float(np.sqrt(normal_modes(model)[0].min()))
     return Opened(model, state, round(duration, 1), name)
 
 
 def _together(model: Model) -> np.ndarray:
     """The state (2n) at rest of a system with loops, put together somewhere. Raises `InputError`."""
-    if model.system.get("kind") == "mechanism":
-        return mechanism_state(model)
-    if model.system.get("kind") != "linkage":
+    loops = system_kind(model.system).loops
+    if loops.minimal is None:
         raise InputError("system: has loops and says not how it starts; add [simulate] with a state")
-    bars = len(model.system["length"])
-    return linkage_state(model, assemble(model, {}, guess=np.linspace(START, -START, bars)))
+    return loops.state(model)
 
 
 @dataclass

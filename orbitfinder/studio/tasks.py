@@ -13,7 +13,8 @@ import numpy as np
 
 from orbitfinder.atlas.choose import solve
 from orbitfinder.atlas.search import Statistics, search
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.continuation.follow import Pace, reached
+from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.branches import branches
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.members import whole
@@ -42,8 +43,8 @@ Film = dict[str, Any]
 RETURNS = 12
 """Close returns that are shown"""
 LEAST_SAMPLES, MOST_SAMPLES = 400, 3000
-HALVINGS = 5
-"""Times that a step of a parameter is halved until the orbit follows"""
+STEPS = Pace(first=1.0, shortest=2.0**-5, longest=1.0, growth=1.0)
+"""Of a parameter, in shares of the way: halved until the orbit follows"""
 SEEDS, CROSSINGS = 24, 60
 """Motions of a section, and how often each crosses it"""
 SPEAK_EVERY = 0.25
@@ -209,22 +210,17 @@ class Tasks:
         """
         model = self.model(orbit.system)
         last = float(model.parameter_values[model.parameter_index(name)])
-        refiner = self._warm(orbit, model, name)
-        share, step, guess = 0.0, 1.0, Guess(orbit.state, orbit.period)
-        while share < 1.0:
-            share = min(1.0, share + step)
-            pins = tuple(replace(one, value=last + share * (value - last)) if one.name == name else one
-                         for one in refiner.problem.pin)  # fmt: skip
-            pins = tuple(replace(one, value=orbit.energy) if one.name == "energy" else one for one in pins)
-            try:
-                refined = refiner.refine(guess, pins)
-            except (ConvergenceError, IntegrationError) as error:
-                share, step = max(0.0, share - step), step / 2
-                if step < 0.5**HALVINGS:
-                    raise ConvergenceError(f"{name} = {value:.6g}: the orbit was lost on the way ({error})") from error
-                continue
-            guess = Guess(refined.state, refined.period)
-        turned = refiner.orbit(refined)
+        refiner, known = self._warm(orbit, model, name), list[tuple[Any, Any]]([(last, orbit)])
+
+        def refined(at: float) -> tuple[Any, int]:
+            values, before = {name: at, "energy": orbit.energy}, known[-1][1]
+            pins = tuple(replace(one, value=values.get(one.name, one.value)) for one in refiner.problem.pin)
+            return refiner.refine(Guess(before.state, before.period), pins), 0
+
+        try:
+            turned = refiner.orbit(reached(known, value, refined, STEPS))
+        except ConvergenceError as error:
+            raise ConvergenceError(f"{name} = {value:.6g}: the orbit was lost on the way ({error})") from error
         return Found(turned, self._film(turned), None)
 
     def _warm(self, orbit: Orbit, model: Model, name: str) -> Refiner:
