@@ -30,7 +30,7 @@ from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.evidence import Evidence, gather
 from orbitfinder.orbits.hybrid import gather_hybrid
-from orbitfinder.records.orbit import Check
+from orbitfinder.records.certificate import Check
 
 ROOT = Path(__file__).parents[1]
 LEFT_OUT = ("five-bar-fast-mode", "six-bar-middle-mode", "four-bar-drag-link", "cart-chain-three", "fermi-pasta-ulam",

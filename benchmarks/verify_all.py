@@ -51,7 +51,7 @@ BY_PROGRAM = """
 import json, sys
 from orbitfinder.orbits.certify import certify
 from orbitfinder.problemfile.read import load_problem
-from orbitfinder.records.orbit import certificate_to_document
+from orbitfinder.records.certificate import certificate_to_document
 from orbitfinder.records.registry import load_orbit
 found = certify(load_orbit(sys.argv[1]), load_problem(sys.argv[2], True).model)
 print(json.dumps({"results": [certificate_to_document(found)]}))

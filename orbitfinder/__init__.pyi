@@ -66,6 +66,7 @@ from .orbits.simulate import simulate as simulate
 from .orbits.sweep import sweep as sweep
 from .problemfile.read import load_problem as load_problem
 from .proof.theorem import prove as prove
+from .records.certificate import Certificate as Certificate
 from .records.controller import Controller as Controller
 from .records.controller import load_controller as load_controller
 from .records.controller import save_controller as save_controller
@@ -74,7 +75,6 @@ from .records.family import load_family as load_family
 from .records.optima import Optima as Optima
 from .records.optima import load_optima as load_optima
 from .records.optima import save_optima as save_optima
-from .records.orbit import Certificate as Certificate
 from .records.orbit import Orbit as Orbit
 from .records.orbit import save_orbit as save_orbit
 from .records.registry import load_orbit as load_orbit

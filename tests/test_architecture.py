@@ -289,6 +289,12 @@ def test_brackets_are_closed_and_steps_halved_in_one_place():
     assert brackets == set(BRACKETS) and halved == set(HALVED)
 
 
+def test_checks_are_judged_in_one_file():
+    """A number is held against what is allowed there, in one of its three senses."""
+    called = {module for module, tree in MODULES.items() if "Check" in calls([tree])}
+    assert called == {"records.certificate"}
+
+
 def test_what_guards_a_quotient_is_said_once():
     """`nonzero`, `size_of` and `relative` say what a size of 0 is; nobody writes a number of his own for it."""
     written = {

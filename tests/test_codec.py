@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from orbitfinder.errors import InputError
+from orbitfinder.records.certificate import Certificate, Certified, Check
 from orbitfinder.records.codec import Codec, Complexes, Dense, Endless, Unknown, entries_of
-from orbitfinder.records.orbit import Certificate, Certified, Check
 
 
 @dataclass(frozen=True)

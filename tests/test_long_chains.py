@@ -231,8 +231,8 @@ def test_evidence_agrees_with_hamiltons_equations(monkeypatch):
     assert found.action == pytest.approx(generic.action, rel=1e-11)
     assert found.energy == pytest.approx(generic.energy, rel=1e-13)
     assert largest_difference(found.floquet.multipliers, generic.floquet.multipliers) <= 1e-7
-    assert found.symplectic <= 1e-10 and found.trivial <= 1e-10
-    assert "Lagrange" in found.formulation and "Hamilton" in generic.formulation
+    assert found.tour.asymplectic <= 1e-10 and found.tour.trivial <= 1e-10
+    assert "Lagrange" in found.motion.formulation and "Hamilton" in generic.motion.formulation
 
 
 def test_half_a_period_gives_the_multipliers_of_the_whole(twelve, monkeypatch):
@@ -251,7 +251,7 @@ def test_half_a_period_gives_the_multipliers_of_the_whole(twelve, monkeypatch):
     whole = gather(chain(12), twelve.state, twelve.period, turns)
     assert lengths == [0.5, 1.0]
     assert largest_difference(half.floquet.multipliers, whole.floquet.multipliers) <= 1e-8
-    assert half.symplectic <= 1e-9 and half.trivial <= 1e-9
+    assert half.tour.asymplectic <= 1e-9 and half.tour.trivial <= 1e-9
     monkeypatch.undo()
     monkeypatch.setattr(evidence, "_chain_pieces", noted)
     gather(chain(12), twelve.samples[64] * 1.0001, twelve.period, turns)
@@ -262,10 +262,10 @@ def test_evidence_without_gravity_knows_the_angular_momentum():
     """Four trivial multipliers are removed, two where the flow is the rotation itself."""
     model, turning = chain(11, gravity=0.0), np.concatenate([np.zeros(11), np.full(11, 0.7)])
     rigid = gather(model, turning, 0.1, np.zeros(11, int))
-    assert rigid.trivial <= 1e-9 and rigid.symplectic <= 1e-10
+    assert rigid.tour.trivial <= 1e-9 and rigid.tour.asymplectic <= 1e-10
     assert rigid.floquet.multipliers.size == 20
     bent = gather(model, turning + np.linspace(0, 0.3, 22), 0.1, np.zeros(11, int))
-    assert bent.floquet.multipliers.size == 18 and bent.symplectic <= 1e-10
+    assert bent.floquet.multipliers.size == 18 and bent.tour.asymplectic <= 1e-10
 
 
 # --- the whole -------------------------------------------------------------------------------------

@@ -11,7 +11,8 @@ import pytest
 
 from orbitfinder.errors import InputError
 from orbitfinder.orbits.certify import certify
-from orbitfinder.records.orbit import Certificate, Check, Orbit, digest, orbit_to_document, save_orbit
+from orbitfinder.records.certificate import Certificate, Check
+from orbitfinder.records.orbit import Orbit, digest, orbit_to_document, save_orbit
 from orbitfinder.records.reading import write_atomically
 from orbitfinder.records.registry import load_orbit
 

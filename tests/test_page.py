@@ -30,8 +30,9 @@ from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import positions, vector_field
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.problemfile.write import orbit_name, orbit_text, toml
+from orbitfinder.records.certificate import at_least, at_most
 from orbitfinder.records.family import Event, load_family
-from orbitfinder.records.orbit import asked, orbit_to_document
+from orbitfinder.records.orbit import orbit_to_document
 from orbitfinder.records.registry import load_orbit
 from orbitfinder.site import writing
 from orbitfinder.site.build import Settings, build_site
@@ -800,12 +801,15 @@ def test_a_certificate_says_which_way_its_numbers_must_be():
     """At most or at least, held against how the checks were judged; yes and no where only that was asked."""
     for path in [*SHIPPED.glob("*/orbit.json"), ROOT / "results/gallery/four-bar-rocking/orbit.json"]:
         for check in load_orbit(path).certificate.checks:
-            sense = asked(check.name, check.tolerance)
+            sense = check.sense
             holds = {"\u2265": check.value >= check.tolerance, "\u2264": check.value <= check.tolerance, "": True}
             assert holds[sense] and (sense or check.tolerance == 0.0)
-    assert (
-        asked("minimal_period", 1e-6) == asked("holds: above", -1e-9) == "\u2265" and asked("closure", 1.0) == "\u2264"
-    )
+            assert (sense == "\u2265") == (check.name in ("not_equilibrium", "minimal_period"))
+    for value in (1e-7, 1e-5):  # whether it passes or not
+        assert at_least("minimal_period", value, 1e-6).sense == "\u2265"
+        assert at_most("closure", value, 1e-6).sense == "\u2264"
+    assert at_least("holds: above", 0.0, -1e-9).sense == "\u2265" and at_most("record", 1.0, 0.0).sense == ""
+    assert at_most("closure", float("nan"), 1e-6).sense == "\u2264"
 
 
 def test_the_page_says_at_least_and_at_most(site):

@@ -13,8 +13,8 @@ import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.records import registry
+from orbitfinder.records.certificate import Certificate, Certified, Check
 from orbitfinder.records.codec import Codec, Dense, outline
-from orbitfinder.records.orbit import Certificate, Certified, Check
 from orbitfinder.site.gather import Gathered, gather
 
 

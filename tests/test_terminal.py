@@ -11,8 +11,8 @@ from click.testing import CliRunner
 from orbitfinder.cli import console, options
 from orbitfinder.cli.continue_ import event_words
 from orbitfinder.cli.group import PURPOSES, cli
+from orbitfinder.records.certificate import Certificate, Check
 from orbitfinder.records.family import load_family
-from orbitfinder.records.orbit import Certificate, Check
 
 
 @pytest.mark.parametrize("width", [40, 60, 80, 120])

@@ -22,7 +22,8 @@ from orbitfinder._runtime import interrupt, processes, streams
 from orbitfinder._runtime.limit import limited
 from orbitfinder.cli.console import Display, Progress
 from orbitfinder.errors import InputError, OrbitfinderError, plural
-from orbitfinder.records.orbit import Certificate, Orbit, save_orbit
+from orbitfinder.records.certificate import Certificate
+from orbitfinder.records.orbit import Orbit, save_orbit
 from orbitfinder.records.registry import kind_of, load, load_orbit, member, taken
 
 if TYPE_CHECKING:

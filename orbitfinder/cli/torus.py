@@ -13,7 +13,7 @@ from orbitfinder.cli.console import display
 from orbitfinder.cli.jobs import folder_of, orbit_and_model
 from orbitfinder.cli.options import FILES, FINITE, finish, option, text, usual
 from orbitfinder.errors import InputError
-from orbitfinder.records.orbit import certificate_to_document
+from orbitfinder.records.certificate import certificate_to_document
 from orbitfinder.records.registry import held, load, load_orbit
 
 

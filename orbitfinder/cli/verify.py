@@ -13,7 +13,7 @@ from orbitfinder.cli.console import note
 from orbitfinder.cli.jobs import check_writable, one_line, orbit_and_model
 from orbitfinder.cli.options import FILES, FINITE, SYSTEM_TRUST, Decorator, finish, option, orbit_files, text, usual
 from orbitfinder.errors import InputError, plural
-from orbitfinder.records.orbit import Certificate, Check, asked, certificate_to_document
+from orbitfinder.records.certificate import Certificate, Check, certificate_to_document
 from orbitfinder.records.registry import answer, held, kind_of, load, load_orbit, member
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def _print_certificate(heading: str, certificate: Certificate) -> None:
     """Every check with what was found and what was asked, yes or no in words, and the verdict last."""
     text(f"  {'check':<22}{'found':>10}  {'asked':<11}  result  note")
     for check in certificate.checks:
-        sense, answer = asked(check.name, check.tolerance), "yes" if check.passed else "no"
+        sense, answer = check.sense, "yes" if check.passed else "no"
         found, wanted = (f"{check.value:.2e}", f"{sense} {check.tolerance:.2e}") if sense else (answer, "yes")
         result, note = "passed" if check.passed else "FAILED", one_line(check.note)
         text(f"  {check.name:<22}{found:>10}  {wanted:<11}  {result}  {note}".rstrip())

@@ -43,10 +43,11 @@ from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.evidence import Hamiltonian
 from orbitfinder.orbits.refine import Refiner
 from orbitfinder.orbits.section import Surface, solved_component, surface
+from orbitfinder.records.certificate import Certificate, at_least, at_most, refused
 from orbitfinder.records.codec import entries_of, plain
 from orbitfinder.records.journal import checkpoints
 from orbitfinder.records.manifold import Connection, End
-from orbitfinder.records.orbit import Certificate, Check, Orbit
+from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import typed
 
 NEWTON = Settings(floor=1e-13, round_off=1e-10, converged=1e-10, contraction=0.5, most_evaluations=25, patience=4)
@@ -404,69 +405,51 @@ class _Independent:
         return np.asarray(self.hamiltonian.states(path)[-1])
 
 
-@dataclass(frozen=True)
-class _Evidence:
-    """What DOP853 says of a record: where motions come from its crossings, how far both orbits are from closing and
-    both ends are off the local manifolds (d each), and the linearised problem."""
-
-    reached: np.ndarray
-    closed: list[np.ndarray]
-    local: list[np.ndarray]
-    chain: Chain
-    linear: Linear
-
-
-def _gathered(connection: Connection, model: Model) -> _Evidence:
-    states, independent, ends = connection.states, _Independent(model), (connection.origin, connection.goal)
-    came = np.array([independent.end(x, t) for x, t in zip(states, connection.durations, strict=False)])
-    closed = [wrapped(independent.end(one.point, one.period) - one.point, model.angular) for one in ends]
-    local = [_off(independent, one, x, sense) for one, x, sense in zip(ends, states[[0, -1]], (1, -1), strict=True)]
-    chain = _chain(connection, model)
-    return _Evidence(came, closed, local, chain, _linear(chain))
-
-
 def _certificate(connection: Connection, model: Model) -> tuple[Certificate, float]:
-    """The certificate of a record, and the error of its point in the state's units."""
-    states, durations = connection.states, connection.durations
+    """The certificate of a record, by where DOP853 comes from its crossings, how far both orbits are from closing and
+    both ends off the local manifolds; and the error of its point in the state's units."""
+    states, durations, ends = connection.states, connection.durations, (connection.origin, connection.goal)
     if not (np.isfinite(states).all() and np.isfinite(durations).all() and (durations > 0).all()):
-        return Certificate((Check("finite", np.inf, 0.0, False, "a crossing or a duration is not a number"),)), np.inf
+        return Certificate((refused("finite", "a crossing or a duration is not a number"),)), np.inf
+    motion = _Independent(model)
     try:
-        evidence = _gathered(connection, model)
+        came = np.array([motion.end(x, t) for x, t in zip(states, durations, strict=False)])
+        closed = [wrapped(motion.end(one.point, one.period) - one.point, model.angular) for one in ends]
+        local = [_off(motion, one, x, sense) for one, x, sense in zip(ends, states[[0, -1]], (1, -1), strict=True)]
+        chain = _chain(connection, model)
+        linear = _linear(chain)
     except (IntegrationError, ConvergenceError, InputError) as failure:
-        return Certificate((Check("integration", np.inf, 0.0, False, str(failure)),)), np.inf
-    chain, linear, units = evidence.chain, evidence.linear, extents_of(model, states, connection.origin.period)
-    axes, gaps = list(chain.origin.surface.axes), wrapped(evidence.reached - states[1:], model.angular)
+        return Certificate((refused("integration", failure),)), np.inf
+    units, growth = extents_of(model, states, connection.origin.period), [_growth(one) for one in ends]
+    axes, gaps = list(chain.origin.surface.axes), wrapped(came - states[1:], model.angular)
     errors = np.abs(gaps[:, axes])
-    errors[0] += np.abs(linear.slopes[0] @ evidence.local[0][axes])
-    errors[-1] += np.abs(evidence.local[1][axes])
+    errors[0] += np.abs(linear.slopes[0] @ local[0][axes])
+    errors[-1] += np.abs(local[1][axes])
     place = 2 * chain.chosen - 1
     error = float(np.linalg.norm((np.abs(_inverse(linear.matrix)) @ errors.ravel())[place : place + 2]))
-    away = [np.linalg.norm(wrapped(states[chain.chosen] - one.point, model.angular) / one.extents)
-            for one in (chain.origin, chain.goal)]  # fmt: skip
-    off = max(float(np.abs(_off_plane(chain, x)).max()) for x in (states, evidence.reached))
+    away = [np.linalg.norm(wrapped(states[chain.chosen] - one.point, model.angular) / one.extents) for one in ends]
+    gap = max(np.abs(gap / one.extents).max() / g for gap, one, g in zip(closed, ends, growth, strict=True))
+    off = max(np.linalg.norm(gap / one.extents) for gap, one in zip(local, ends, strict=True))
+    level = [energy(model, x) for x in (*states, *(one.state for one in ends))]
+    plane = max(float(np.abs(_off_plane(chain, x)).max()) for x in (states, came))
     checks = [
-        *_end_checks(connection, model, evidence),
-        _most("gap", float(np.abs(gaps / units).max()), GAP, "from each crossing to the next, by DOP853, in extents"),
-        _most("section", off, GAP, "crossings off the plane, in extents"),
-        _least("angle", _angle(chain, linear, units), TANGENT, "between the manifolds (rad); 0 where they only touch"),
-        _most("error", error / float(units[axes].max()), POINT, "of the point, in extents: all that, carried"),
-        _least("apart", float(min(away)), APART, "the point is not the orbit's own"),
+        at_most("orbits", gap, GAP, "gap of both orbits after a period, over their multipliers"),
+        at_most("local", off, LINEAR, "of the first and the last crossing off the local manifolds, in extents"),
+        *([at_most("energy", float(np.ptp(level)) / nonzero(abs(level[0])), LEVEL,
+                   "of all crossings and both orbits, relative")] if model.conservative else []),
+        at_most("gap", float(np.abs(gaps / units).max()), GAP, "from each crossing to the next, by DOP853, in extents"),
+        at_most("section", plane, GAP, "crossings off the plane, in extents"),
+        at_least("angle", _angle(chain, linear, units), TANGENT,
+                 "between the manifolds (rad); 0 where they only touch"),
+        at_most("error", error / float(units[axes].max()), POINT, "of the point, in extents: all that, carried"),
+        at_least("apart", float(min(away)), APART, "the point is not the orbit's own"),
     ]  # fmt: skip
     return Certificate(tuple(checks)), error
 
 
-def _end_checks(connection: Connection, model: Model, evidence: _Evidence) -> Iterator[Check]:
-    """That the ends are orbits, the starts on their local manifolds, and all of one energy."""
-    ends = connection.origin, connection.goal
-    growth = [max(abs(one.multiplier), 1 / abs(one.multiplier)) for one in ends]
-    gaps = [np.abs(gap / one.extents).max() / g for gap, one, g in zip(evidence.closed, ends, growth, strict=True)]
-    yield _most("orbits", max(gaps), GAP, "gap of both orbits after a period, over their multipliers")
-    off = [np.linalg.norm(gap / one.extents) for gap, one in zip(evidence.local, ends, strict=True)]
-    yield _most("local", max(off), LINEAR, "of the first and the last crossing off the local manifolds, in extents")
-    if model.conservative:
-        level = np.array([energy(model, x) for x in (*connection.states, *(one.state for one in ends))])
-        spread = float(np.ptp(level)) / nonzero(abs(level[0]))
-        yield _most("energy", spread, LEVEL, "of all crossings and both orbits, relative")
+def _growth(end: End) -> float:
+    """How many times errors grow in a period of an orbit."""
+    return max(abs(end.multiplier), 1 / abs(end.multiplier))
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:
@@ -517,7 +500,7 @@ def _no_orbit(end: End) -> Orbit:
 def _off(independent: _Independent, end: End, state: np.ndarray, sense: int) -> np.ndarray:
     """How far (d) a start is off the local manifold, but for the flow: by a motion of a period from nearer by."""
     model, turns = independent.model, 1 if end.multiplier > 0 else 2
-    growth = max(abs(end.multiplier), 1 / abs(end.multiplier)) ** turns
+    growth = _growth(end) ** turns
     gap = wrapped(independent.end(end.point + end.place / growth * end.direction, sense * turns * end.period) - state,
                   model.angular) / end.extents  # fmt: skip
     rate = vector_field(model)(0.0, state, [], []).full().ravel() / end.extents
@@ -526,14 +509,6 @@ def _off(independent: _Independent, end: End, state: np.ndarray, sense: int) -> 
     own = float(gap @ spanned[0])  # along the manifold only as far as its curvature goes
     beyond = np.sign(own) * max(abs(own) - CURVED * abs(end.place), 0.0)
     return np.asarray((gap - along @ (along.T @ gap) + beyond * spanned[0]) * end.extents)
-
-
-def _most(name: str, value: Any, tolerance: float, note: str) -> Check:
-    return Check(name, float(value), tolerance, bool(value <= tolerance), note)
-
-
-def _least(name: str, value: float, tolerance: float, note: str) -> Check:
-    return Check(name, float(value), tolerance, bool(value >= tolerance), note)
 
 
 def follow_connection(

@@ -29,11 +29,12 @@ from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.mechanics.scales import extents_of, parameter_sizes
 from orbitfinder.orbits.section import Surface
+from orbitfinder.records.certificate import Certificate, at_least, at_most, equal
 from orbitfinder.records.codec import entries_of
-from orbitfinder.records.orbit import Certificate, Check, Orbit
+from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import typed
 from orbitfinder.records.torus import Tori, Torus
 
@@ -501,29 +502,20 @@ def certify_torus(torus: Torus, model: Model) -> Torus:
     size = float((np.ptp(torus.curve, axis=0) / extents).max())
     near = resonance(torus.rotation, len(torus.curve))
     checks = [
-        _at_most("invariance", missed, INVARIANT, "a return, between the curve's states, by another integrator"),
-        _at_most("returns", strayed, INVARIANT * RETURNS**2, f"{RETURNS} returns of one motion"),
-        _at_most("series", unresolved(torus.curve / extents), 10 * RESOLVED, "the highest harmonics"),
-        _at_least("dimension", float(across.min()), FLAT, "sine between curve and flow"),
-        _at_least("amplitude", size, FLAT, "the curve in extents of the motion"),
-        Check("resonance", 0.0 if near is None else 1.0, 0.0, near is None,
-              "none up to the number of states" if near is None else f"{near[0]}/{near[1]}"),
-        _at_most("once", float(_rounds(torus.curve / extents) - 1), 0.0, "the curve is gone round once"),
+        at_most("invariance", missed, INVARIANT, "a return, between the curve's states, by another integrator"),
+        at_most("returns", strayed, INVARIANT * RETURNS**2, f"{RETURNS} returns of one motion"),
+        at_most("series", unresolved(torus.curve / extents), 10 * RESOLVED, "the highest harmonics"),
+        at_least("dimension", float(across.min()), FLAT, "sine between curve and flow"),
+        at_least("amplitude", size, FLAT, "the curve in extents of the motion"),
+        equal("resonance", near is not None, 0.0, "{}/{}".format(*near) if near else "none up to the number of states"),
+        at_most("once", float(_rounds(torus.curve / extents) - 1), 0.0, "the curve is gone round once"),
     ]  # fmt: skip
     if own.conservative:
-        checks.append(_at_most("energy", _spread(own, starts, torus.energy), INVARIANT, "over the curve, relative"))
+        checks.append(at_most("energy", _spread(own, starts, torus.energy), INVARIANT, "over the curve, relative"))
     if own.forced:
         cycles = torus.period / period
-        checks.append(_at_most("forcing", abs(cycles - round(cycles)), INVARIANT, "a return is whole periods of it"))
+        checks.append(at_most("forcing", abs(cycles - round(cycles)), INVARIANT, "a return is whole periods of it"))
     return replace(torus, certificate=Certificate(tuple(checks)))
-
-
-def _at_most(name: str, value: float, allowed: float, note: str) -> Check:
-    return Check(name, float(value), allowed, bool(value <= allowed), note)
-
-
-def _at_least(name: str, value: float, wanted: float, note: str) -> Check:
-    return Check(name, float(value), wanted, bool(value >= wanted), f"{note}, at least")
 
 
 def _rounds(curve: np.ndarray) -> int:
@@ -535,8 +527,6 @@ def _rounds(curve: np.ndarray) -> int:
 
 def _spread(model: Model, states: np.ndarray, energy: float) -> float:
     """The largest difference from an energy over states, relative to the kinetic energy there."""
-    n = model.degrees_of_freedom
-    kinetic = model.along(model.kinetic, states.T[:n], states.T[n:]).ravel()
-    potential = model.along(model.potential, states.T[:n]).ravel()
-    size = np.abs(kinetic).max() if model.rates is None else np.abs(potential).max()
+    kinetic, potential = energies(model, states)
+    size = np.abs(kinetic if model.rates is None else potential).max()
     return float(np.abs(kinetic + potential - energy).max() / nonzero(size))

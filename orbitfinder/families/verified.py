@@ -24,8 +24,8 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.newton import equilibrium
 from orbitfinder.orbits.evidence import gather, tour
 from orbitfinder.orbits.floquet import judged
+from orbitfinder.records.certificate import Certificate, Check, at_most, equal, refused
 from orbitfinder.records.family import CLOSURE, UNKNOWN, End, Event, Family, FamilyPoint, number_of
-from orbitfinder.records.orbit import Certificate, Check
 
 ROUNDED = 1e-12
 """Relative error of a number that follows from the state"""
@@ -57,7 +57,7 @@ def verified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
 
 def _column(family: Family, curve: Curve, name: str) -> Check:
     """A watched number of all orbits that are known well enough, where it is most wrong."""
-    worst = Check("watch", 0.0, 0.0, True)
+    worst = at_most("watch", 0.0, 0.0)
     for k, one in enumerate(family.points):
         interrupt.check()
         found = _watch(curve, one, name) if one.scale <= UNKNOWN else worst
@@ -75,9 +75,9 @@ def _watch(curve: Curve, one: FamilyPoint | Event, name: str) -> Check:
         look = Look(curve, settled_on(curve, one))
         off, allowed = abs(look.watched[name] - one.watch.get(name, np.nan)), look.unsure[name]
     except (ConvergenceError, IntegrationError) as error:
-        return Check("watch", float("nan"), 0.0, False, str(error))
+        return refused("watch", error, float("nan"))
     note = "" if off <= allowed else f"watch.{name} is {look.watched[name]:.15g}, recorded {one.watch.get(name)}"
-    return Check("watch", off, allowed, not note, note)
+    return at_most("watch", off, allowed, note)
 
 
 def family_curve(family: Family, model: Model) -> Curve:
@@ -107,8 +107,8 @@ def _event(family: Family, curve: Curve, event: Event) -> Check:
         if old is not None and not (old.passed and abs(old.value - found.value) <= old.error + found.error):
             raise ConvergenceError(f"recorded as {old.value:.3g} +- {old.error:.1g}, found {found.value:.3g}")
     except (ConvergenceError, IntegrationError) as error:
-        return Check(event.kind, float("nan"), 0.0, False, str(error))
-    return Check(event.kind, abs(found.value), found.error, found.passed, event.detail)
+        return refused(event.kind, error, float("nan"))
+    return at_most(event.kind, abs(found.value), found.error, event.detail, found.passed)
 
 
 def _alone(event: Event) -> Event:
@@ -157,15 +157,15 @@ def _end(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
             if (number := end.reason.removeprefix("reached ").rpartition(" = ")[0]) in at.watch:
                 return replace(_watch(curve, replace(at, watch={number: wanted}), number), name=end.kind)
             off = min(abs(number_of(one, family.parameter) - wanted) for one in (family.points[0], family.points[-1]))
-            return Check(end.kind, off, ROUNDED * abs(wanted), off <= ROUNDED * abs(wanted), end.reason)
+            return at_most(end.kind, off, ROUNDED * abs(wanted), end.reason)
         if end.kind in ("equilibrium", "hopf"):
             return _rest(family, curve, end, at)
         if end.kind == "homoclinic":
             grown = at.period / float(family.values("period").min())
-            return Check(end.kind, GROWN / grown, 1.0, grown >= GROWN, "shortest period over the last one, times 1.5")
+            return at_most(end.kind, GROWN / grown, 1.0, "shortest period over the last one, times 1.5")
     except (ConvergenceError, IntegrationError, ValueError, KeyError, TypeError) as error:
-        return Check(end.kind, float("nan"), 0.0, False, str(error))
-    return Check(end.kind, 0.0, 0.0, True, "nothing was solved for")
+        return refused(end.kind, error, float("nan"))
+    return equal(end.kind, 0.0, 0.0, "nothing was solved for")
 
 
 def _rest(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
@@ -188,7 +188,7 @@ def _rest(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
     turning = np.abs(np.linalg.eigvals(linearised(rest.w)[1]).imag)
     wanted, allowed = (period, 1e-6) if period is not None else (at.period, LINEAR)
     off = float(np.abs(turning * wanted / (2 * np.pi) - 1.0).min())
-    return Check(end.kind, off, allowed, off <= allowed, "period over that of the linear oscillation, less 1")
+    return at_most(end.kind, off, allowed, "period over that of the linear oscillation, less 1")
 
 
 def _joined(curve: Curve, end: End, joined: Mapping[str, Any]) -> Check:
@@ -204,7 +204,7 @@ def _joined(curve: Curve, end: End, joined: Mapping[str, Any]) -> Check:
     roots = judged(values).indices if found.conservative else values
     off = abs(levelled(roots, 2.0 if found.conservative else 1.0))
     gap, apart = found.closes.gap / (CLOSURE * found.closes.amplification), abs(times * period / whole_period - 1)
-    return Check(end.kind, max(off, apart), ALIKE, max(off, apart) <= ALIKE and gap <= 1.0, end.reason)
+    return at_most(end.kind, max(off, apart), ALIKE, end.reason, gap <= 1.0)
 
 
 def point_checks(family: Family, number: int, found: Certificate, model: Model) -> Certificate:
@@ -218,15 +218,15 @@ def point_checks(family: Family, number: int, found: Certificate, model: Model) 
     off = abs(point.value - value) / abs(value) if value else abs(point.value)
     root = 1 if curve.equations.symmetry.forward is None else 2
     checks = [
-        Check("value", off, ROUNDED, off <= ROUNDED, f"of {family.parameter}"),
-        Check("root", float(point.root), float(root), point.root == root, "of the map that indices are of"),
+        at_most("value", off, ROUNDED, f"of {family.parameter}"),
+        equal("root", point.root, root, "of the map that indices are of"),
         *(replace(_watch(curve, point, name), name=f"watch.{name}") for name in point.watch),
     ]
     if point.scale <= UNKNOWN:
         try:
             checks += _maps(look, point)
         except (ConvergenceError, IntegrationError) as error:
-            checks.append(Check("indices", float("inf"), 0.0, False, str(error)))
+            checks.append(refused("indices", error))
     return Certificate((*found.checks, *checks), found.scale, found.closure)
 
 
@@ -239,8 +239,8 @@ def _maps(look: Look, point: FamilyPoint) -> Iterator[Check]:
         gaps = np.abs(here[:, None] - wanted[None, :]) / np.maximum(1.0, np.abs(wanted))
         apart = float(gaps[linear_sum_assignment(gaps)].max(initial=0.0))
         allowed = ALIKE + 1e-12 * point.scale
-    yield Check("indices", apart, allowed, apart <= allowed, "recorded - recomputed, relative")
+    yield at_most("indices", apart, allowed, "recorded - recomputed, relative")
     signs = look.tour.krein(point.floquet_multipliers)
     own = point.krein or (0,) * len(signs)  # none are recorded of a gait
     alike = len(signs) == len(own) and all(a == b or not sure for (a, sure), b in zip(signs, own, strict=True))
-    yield Check("krein", 0.0 if alike else 1.0, 0.0, alike, "signatures of multipliers on the unit circle")
+    yield equal("krein", not alike, 0.0, "signatures of multipliers on the unit circle")

@@ -11,6 +11,8 @@ from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.dop853 import Trace, integrate
 
+Rates = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Times (k) and states (k x d) -> their rates"""
 WITHIN = 4
 """Looks at the cubic between two steps for the nearest return"""
 NEARBY, SAME, POLISHED = 1e-2, 1e-5, 6

@@ -2,41 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import gcd
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from orbitfinder._runtime.sizes import LEAST, nonzero, relative, size_of
+from orbitfinder._runtime.sizes import LEAST, size_of
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.integrate.automaton import Arc
 from orbitfinder.integrate.dop853 import rates_of, vector_field
 from orbitfinder.integrate.equations import accelerations, invariant_gradients
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.loops.symmetry import NONE, beside, knowing, recognise, shifts_of, symmetries_of, symplectic, turned
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.hybrid import as_recorded
-from orbitfinder.mechanics.model import Invariant, Model, counted, energy, wrapped
+from orbitfinder.mechanics.model import Invariant, Model, counted, wrapped
 from orbitfinder.mechanics.scales import extents
 from orbitfinder.orbits.between import early_return, overlooked
-from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, Closure, between, shift, shift_along
+from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, between, shift, shift_along
 from orbitfinder.orbits.control import ControlledEvidence, gather_controlled
-from orbitfinder.orbits.evidence import VARIED, Evidence, constraint_defect, gather, native_closure, second_closure
+from orbitfinder.orbits.evidence import (
+    VARIED,
+    Evidence,
+    Recomputed,
+    constraint_defect,
+    gather,
+    native_closure,
+    off_motion,
+    second_closure,
+)
 from orbitfinder.orbits.floquet import Floquet
 from orbitfinder.orbits.hybrid import (
     HybridEvidence,
     gather_hybrid,
     held,
-    off_motion,
+    paths,
     repeats,
     second_gap,
     turned_further,
     unseen,
 )
 from orbitfinder.orbits.reduction import reduction
+from orbitfinder.records.certificate import Certificate, Check, at_least, at_most, equal, refused, same
 from orbitfinder.records.family import FamilyPoint
-from orbitfinder.records.orbit import SHIFT, Certificate, Check, Orbit, digest, orbit_to_document
+from orbitfinder.records.orbit import SHIFT, Orbit, digest, orbit_to_document
 
 MOST_TURNS = 10**6
 """Whole turns in a period that are still believed"""
@@ -140,59 +151,39 @@ def certified(orbit: Orbit, model: Model) -> Orbit:
 
 def _judged(orbit: Orbit, model: Model, allowed: Tolerances, better: bool = False) -> tuple[Orbit, Certificate]:
     """An orbit, with the multipliers recomputed here where they are `better` known, and its certificate."""
-    whole = _turns(orbit, model)
-    turns = turned(model, whole, orbit.shift)
+    turns = _turns(orbit, model)
+    turned(model, turns, orbit.shift)
     if not (np.all(np.isfinite(orbit.state)) and np.isfinite(orbit.period) and orbit.period > 0):
-        return orbit, Certificate((Check("finite", float("nan"), 0.0, False, "state or period is not a number"),))
-    special = _controlled_certificate if orbit.control is not None else _hybrid_certificate
-    if orbit.control is not None or model.hybrid is not None:
-        return orbit, special(orbit, model, whole, allowed)
-    pictured = _pictured(orbit)
-    apart = beside(whole, [shifts_of(model)[name].direction for name in orbit.shift])
-    moments = np.concatenate([times for _, times, _, _ in pictured])
+        return orbit, Certificate((refused("finite", "state or period is not a number", float("nan")),))
     try:
-        evidence = gather(model, orbit.state, orbit.period, turns, moments)
-        second = second_closure(model, orbit.state, orbit.period, turns, evidence.extents)
-    except IntegrationError as error:
-        return orbit, Certificate((Check("integration", float("inf"), 0.0, False, str(error)),))
-    orbit = _better_known(orbit, evidence.floquet) if better else orbit
-    found, scale = evidence.closes, min(evidence.closes.amplification, LARGEST_SCALE)
-    asked = min(orbit.tolerance, allowed.closure)
-    # near a saddle errors grow between any two instants; Phi takes up more than what it is at the end
-    passing = ROUND_OFF * EPSILON * min(evidence.growth, LARGEST_GROWTH)
-    taken = ROUND_OFF * EPSILON * min(evidence.varied / evidence.norm, LARGEST_SCALE**2)
-    kept = max(allowed.trivial, passing, taken)
-    near = _Nearby(model, evidence.times, evidence.states, evidence.extents)
-    checks = [
-        _closure_check(found, asked, f"DOP853 on {evidence.formulation}; "),
-        _at_most("distance", found.distance, allowed.distance, "of the true orbit, in extents of the motion"),
-        _at_most("second_closure", second, allowed.second_closure * scale, "DOP853 at a second tolerance"),
-        _at_most("energy_drift", evidence.drift, allowed.energy_drift + found.gap, "relative to the energy exchanged")
-        if model.conservative
-        else None,
-        _forcing_check(orbit, model),
-        *_premises(near, whole, orbit.shift),
-        _minimal_period(near, apart, allowed.cover, evidence),
-        _resolution(evidence),
-        _at_least("not_equilibrium", _extent(evidence.states, model), allowed.motion, _moving(model, orbit)),
-        _at_most("trivial_multipliers", evidence.trivial, kept, "flow and gradients are kept")
-        if model.invariants or not model.forced
-        else None,
-        _at_most("symplectic", evidence.symplectic, max(allowed.symplectic, kept), "Phi^T J Phi = J")
-        if model.canonical
-        else None,
-        _at_most(
-            "unfolding", orbit.period * max(map(abs, orbit.unfolding), default=0.0), allowed.unfolding + 10 * found.gap,
-            "back at 0, per period",
-        )
-        if model.invariants or any(orbit.unfolding)
-        else None,
-        *_constraint_checks(orbit, model, allowed, scale, evidence),
-        *_record_checks(orbit, evidence, model, replace(allowed, multipliers=max(allowed.multipliers, passing)), scale),
-        *_picture_checks(pictured, evidence.reached, evidence),
-        *_expected_checks(orbit, model),
-    ]  # fmt: skip
-    return orbit, Certificate(tuple(check for check in checks if check), scale, evidence.closure)
+        seen, second = _gathered(orbit, model, turns)
+    except (ConvergenceError, IntegrationError) as error:
+        events = model.hybrid is not None and orbit.control is None
+        return orbit, Certificate((refused("events" if events else "integration", error),))
+    orbit = _better_known(orbit, seen.floquet) if better and isinstance(seen, Evidence) else orbit
+    trial = _Trial(orbit, model, turns, allowed, seen, second)
+    if isinstance(seen, Evidence):
+        checks = _smooth_checks(trial, seen)
+    else:
+        checks = _hybrid_checks(trial, seen) if isinstance(seen, HybridEvidence) else _controlled_checks(trial, seen)
+    return orbit, Certificate(tuple(check for check in checks if check), trial.scale, seen.closure)
+
+
+def _gathered(
+    orbit: Orbit, model: Model, turns: np.ndarray
+) -> tuple[Evidence | HybridEvidence | ControlledEvidence, float]:
+    """The motion of an orbit by the integrator of its kind, and its closure at a second tolerance."""
+    given = model, orbit.state, orbit.period
+    if orbit.control is not None:
+        shown = (orbit.times, orbit.samples) if orbit.samples.size or orbit.times.size else None
+        driven = gather_controlled(*given, turns, orbit.control, orbit.symmetry, tuple(orbit.shift), shown)
+        return driven, driven.second
+    whole = turned(model, turns, orbit.shift)
+    if model.hybrid is not None:
+        impacting = gather_hybrid(*given, whole)
+        return impacting, second_gap(*given, whole, impacting.extents)
+    smooth = gather(*given, whole, np.concatenate([times for _, times, _, _ in _pictured(orbit)]))
+    return smooth, second_closure(*given, whole, smooth.extents)
 
 
 def _better_known(orbit: Orbit, found: Floquet) -> Orbit:
@@ -205,257 +196,284 @@ def _better_known(orbit: Orbit, found: Floquet) -> Orbit:
     )
 
 
-def _closure_check(found: Closure, asked: float, note: str = "") -> Check:
-    """The gap of the worst part of the state, by its own A."""
-    gap, grown = found.worst
-    note += f"{gap / (EPSILON * grown):.2g} round-offs grown {grown:.3g} times"
-    return _at_most("closure", gap, asked * min(grown, LARGEST_SCALE), note)
-
-
 def _model_of(orbit: Orbit, model: Model | None) -> Model:
     """The orbit's Model, of a hybrid one without a cycle that with the record's."""
     return as_recorded(model or build_model(orbit.system), orbit.system)
 
 
-def _hybrid_certificate(orbit: Orbit, model: Model, whole: np.ndarray, allowed: Tolerances) -> Certificate:
-    """The certificate of a hybrid orbit: its automaton simulated, all guards watched, from the state alone."""
-    assert model.hybrid is not None
-    turns = turned(model, whole, orbit.shift)
-    try:
-        evidence = gather_hybrid(model, orbit.state, orbit.period, turns)
-        second = second_gap(model, orbit.state, orbit.period, turns, evidence.extents)
-    except (ConvergenceError, IntegrationError) as error:
-        return Certificate((Check("events", float("inf"), 0.0, False, str(error)),))
-    found, scale = evidence.closes, min(evidence.closes.amplification, LARGEST_SCALE)
-    asked, lasted = min(orbit.tolerance, allowed.closure), abs(evidence.period / orbit.period - 1)
-    events = ", ".join(str(arc.ended_by) for arc in evidence.arcs)
-    reached = np.array([arc.after for arc in evidence.arcs])
-    checks = [
-        Check("events", 0.0, 0.0, True, f"as simulated by DOP853, all guards watched: {events}"),
-        _closure_check(found, asked),
-        _at_most("distance", found.distance, allowed.distance, "of the true orbit, in extents of the motion"),
-        _at_most("second_closure", second, allowed.second_closure * scale, "DOP853 at a second tolerance"),
-        _at_most("recorded_period", lasted, asked * scale, "time of the last event / recorded period - 1"),
-        _at_most("energy_drift", evidence.drift, allowed.energy_drift + found.gap, "in arcs without forces"),
-        _at_most("energy_balance", evidence.balance, allowed.energy_drift + found.gap, "energy lost in impacts"),
-        _cycle_check(evidence, turns, reached, max(allowed.cover, TOLD_APART * found.gap)),
-        _at_least("not_equilibrium", _extent(evidence.states, model), allowed.motion, "extent of the motion"),
-        _hybrid_resolution(model, evidence),
-        _at_least("transversal", evidence.transversal, allowed.transversal, "least rate of a guard, relative"),
-        _at_least("decided", evidence.decided, allowed.transversal, "least |allowed| at a crossing, relative")
-        if np.isfinite(evidence.decided)
-        else None,
-        *(_at_least(f"holds: {name}", least, -allowed.holds, "least value along the motion") for name, least in
-          held(evidence.arcs)),
-        _at_most("trivial_multipliers", evidence.trivial, allowed.trivial, "flow and gradients are kept"),
-        _at_most("unfolding", orbit.period * max(map(abs, orbit.unfolding), default=0.0),
-                 allowed.unfolding + 10 * found.gap, "back at 0, per period") if any(orbit.unfolding) else None,
-        *_hybrid_record_checks(orbit, evidence, model, turns, allowed, scale),
-        *_expected_checks(orbit, model),
-        *_hybrid_premises(orbit, model, evidence),
-        *_hybrid_pictures(orbit, model, evidence),
-        *(Check("ignored", 0.0, 0.0, True, text) for text in model.hybrid.ignored),
-    ]  # fmt: skip
-    return Certificate(tuple(check for check in checks if check), scale, evidence.closure)
+class _Trial:
+    """A record beside the motion that was recomputed, by whatever kind of integrator, and the checks of every kind.
+
+    `turns` (n) are whole, `second` is the closure at a second tolerance; tolerances of closure and its kin are
+    multiplied by `scale`, `asked` is the closure that is asked for, by the record if that is smaller, `room` what
+    numbers may be off that follow from the whole motion.
+    """
+
+    def __init__(
+        self, orbit: Orbit, model: Model, turns: np.ndarray, allowed: Tolerances, seen: Recomputed, second: float
+    ) -> None:
+        self.orbit, self.model, self.turns = orbit, model, turns
+        self.allowed, self.seen, self.second = allowed, seen, second
+        self.gap = seen.closes.gap
+        self.scale = min(seen.closes.amplification, LARGEST_SCALE)
+        self.asked = min(orbit.tolerance, allowed.closure)
+        self.room = allowed.record + 10 * self.gap
+
+    def closing(self, note: str = "", of: str = "orbit, in extents of the motion") -> Iterator[Check]:
+        """The gap of the worst part of the state, by its own A; how near the true orbit is; another tolerance."""
+        gap, grown = self.seen.closes.worst
+        note += f"{gap / (EPSILON * grown):.2g} round-offs grown {grown:.3g} times"
+        yield at_most("closure", gap, self.asked * min(grown, LARGEST_SCALE), note)
+        yield at_most("distance", self.seen.closes.distance, self.allowed.distance, f"of the true {of}")
+        tolerance = self.allowed.second_closure * self.scale
+        yield at_most("second_closure", self.second, tolerance, "DOP853 at a second tolerance")
+
+    def moving(self, note: str = "extent of the motion") -> Check:
+        """Extent of the coordinates, of angles or of others, relative to their size."""
+        places, angular = self.seen.states[:, : self.model.degrees_of_freedom], self.model.angular
+        groups = [places[:, angular], places[:, ~angular]]
+        extent = max(float(np.ptp(group, axis=0).max() / size_of(group)) for group in groups if group.size)
+        return at_least("not_equilibrium", extent, self.allowed.motion, note)
+
+    def apart(self, name: str, least: float, note: str) -> Check:
+        """What comes back early is farther away than what must be told apart, and than the gap."""
+        return at_least(name, least, max(self.allowed.cover, TOLD_APART * self.gap), note)
+
+    def unfolding(self, room: float, note: str = "back at 0, per period", always: bool = False) -> Check | None:
+        """The unfolding parameters, where there are any."""
+        largest = self.orbit.period * max(map(abs, self.orbit.unfolding), default=0.0)
+        return at_most("unfolding", largest, self.allowed.unfolding + room, note) if largest or always else None
+
+    def number(self, name: str, size: float, room: float | None = None) -> Check:
+        """A recorded number against the one recomputed, relative to a size."""
+        off = abs(getattr(self.orbit, name) - getattr(self.seen, name)) / size
+        return at_most(name, off, self.allowed.record if room is None else room, RECORDED)
+
+    def energy(self, size: float) -> Check | None:
+        """The recorded energy, where there is one."""
+        known = np.isfinite(self.orbit.energy) or np.isfinite(self.seen.energy)
+        return self.number("energy", size) if known else None
+
+    def linear(self, room: float) -> Iterator[Check]:
+        """The recorded closure, multipliers and stability."""
+        off, held = abs(self.orbit.closure - self.seen.closure) / float(self.seen.extents.max()), self.asked
+        if isinstance(self.orbit, FamilyPoint):  # relative, and by an integration that stops where it is enough
+            off, held = abs(self.orbit.closure - self.gap), self.orbit.tolerance
+        yield at_most("recorded_closure", off, held * self.scale, RECORDED)
+        yield at_most("floquet_multipliers", _multiplier_distance(self.orbit, self.seen.floquet), room, "relative")
+        yield same("stability", self.orbit.stability, self.seen.floquet.stability)
+
+    def record(self) -> Check | None:
+        """The digest of the file."""
+        claimed = self.orbit.record
+        return None if claimed is None else same("record", claimed, digest(orbit_to_document(self.orbit)))
+
+    def shown(self, name: str, off: float, share: float, growth: float) -> Check:
+        """Recorded states lie on the motion, to a share of its extents or as well as errors of the state allow."""
+        room = min(max(share, 1e-12 * growth), LARGEST_PICTURE)
+        return at_most(name, off if np.isfinite(off) else np.inf, room, "off the recomputed motion")
+
+    def windings(self, off: Callable[[np.ndarray], float], note: str) -> Iterator[Check]:
+        """A coordinate that turns is an angle, and all is the same where all have turned as they do in some periods."""
+        for k in np.flatnonzero(self.turns * ~self.model.angular):
+            name = self.model.state_names[k]
+            yield refused("winding", f"{name} turns and is not an angle", float(abs(self.turns[k])))
+        if np.any(self.turns):
+            names = ", ".join(self.model.state_names[k] for k in np.flatnonzero(self.turns))
+            yield at_most("winding", off(shift(self.turns, self.seen.extents.size)), EXACT, note.format(names))
 
 
-def _controlled_certificate(orbit: Orbit, model: Model, turns: np.ndarray, allowed: Tolerances) -> Certificate:
-    """The certificate of a controlled orbit: its motion, cost and costate, from state, period and control alone."""
+def _between_steps(found: float, width: float, of: str) -> Check:
+    note = f"change by what lies between steps; looks {width:.1e} of {of} or less apart"
+    return at_most("resolution", found, RESOLVED, note)
+
+
+def _smooth_checks(trial: _Trial, seen: Evidence) -> Iterator[Check | None]:
+    """The checks of a smooth orbit: its motion by other equations and another integrator, from state and period."""
+    orbit, model, allowed, gap = trial.orbit, trial.model, trial.allowed, seen.closes.gap
+    # near a saddle errors grow between any two instants; Phi takes up more than what it is at the end
+    passing = ROUND_OFF * EPSILON * min(seen.growth, LARGEST_GROWTH)
+    taken = ROUND_OFF * EPSILON * min(seen.varied / seen.norm, LARGEST_SCALE**2)
+    kept = max(allowed.trivial, passing, taken)
+    near, moving = _Nearby(model, seen), "" if orbit.shift else reduction(model, orbit)
+    yield from trial.closing(f"DOP853 on {seen.motion.formulation}; ")
+    if model.conservative:
+        yield at_most("energy_drift", seen.drift, allowed.energy_drift + gap, "relative to the energy exchanged")
+    yield _forcing_check(orbit, model)
+    yield near.time_dependence()
+    if model.forced:  # where nothing else tries the variations: no flow is kept
+        yield near.smooth()
+    turning = f"equations of motion with {{}} {TURNS[0]} to {TURNS[-1]} times on"
+    yield from trial.windings(near.turned_further, turning)
+    yield from near.shifts(orbit.shift)
+    yield from near.invariants()
+    yield _minimal_period(trial, near, seen)
+    yield _resolution(seen)
+    yield trial.moving("extent of the motion" + (f"; a {moving}" if moving else ""))
+    if model.invariants or not model.forced:
+        yield at_most("trivial_multipliers", seen.tour.trivial, kept, "flow and gradients are kept")
+    if model.canonical:
+        yield at_most("symplectic", seen.tour.asymplectic, max(allowed.symplectic, kept), "Phi^T J Phi = J")
+    yield trial.unfolding(10 * gap, always=bool(model.invariants))
+    yield from _constraint_checks(trial)
+    yield from _record_checks(trial, seen, max(allowed.multipliers, passing))
+    for name, times, states, share in _pictured(orbit):
+        there = seen.motion.states[np.searchsorted(seen.motion.times, times)]
+        yield trial.shown(name, np.abs((there - states) / seen.extents).max(), share, seen.growth)
+    yield from _expected_checks(orbit, model)
+
+
+def _hybrid_checks(trial: _Trial, seen: HybridEvidence) -> Iterator[Check | None]:
+    """The checks of a hybrid orbit: its automaton simulated, all guards watched, from the state alone."""
+    orbit, model, allowed, gap = trial.orbit, trial.model, trial.allowed, seen.closes.gap
+    lasted, pairs = abs(seen.period / orbit.period - 1), seen.floquet.pair_defect
+    events = [str(arc.ended_by) for arc in seen.arcs]
+    ignored = "".join(f"; ignored: {text}" for text in model.hybrid.ignored)
+    yield equal("events", events != list(model.hybrid.cycle), 0.0,
+                f"as simulated by DOP853, all guards watched: {', '.join(events)}{ignored}")  # fmt: skip
+    yield from trial.closing()
+    yield at_most("recorded_period", lasted, trial.asked * trial.scale, "time of the last event / recorded period - 1")
+    yield at_most("energy_drift", seen.drift, allowed.energy_drift + gap, "in arcs without forces")
+    yield at_most("energy_balance", seen.balance, allowed.energy_drift + gap, "energy lost in impacts")
+    yield _minimal_cycle(trial, seen.arcs)
+    yield trial.moving()
+    yield _hybrid_resolution(model, seen)
+    yield at_least("transversal", seen.transversal, allowed.transversal, "least rate of a guard, relative")
+    if np.isfinite(seen.decided):
+        yield at_least("decided", seen.decided, allowed.transversal, "least |allowed| at a crossing, relative")
+    yield from _holding(held(seen.arcs), allowed)
+    yield at_most("trivial_multipliers", seen.tour.trivial, allowed.trivial, "flow and gradients are kept")
+    yield trial.unfolding(10 * gap)
+    yield trial.energy(size_of(seen.energy))
+    yield trial.number("action", size_of(seen.action), trial.room)
+    yield from trial.linear(allowed.multipliers)
+    had = repeats(model, orbit.symmetry, seen, turned(model, trial.turns, orbit.shift))
+    yield same("symmetry", orbit.symmetry, orbit.symmetry if had else NONE.name)
+    if orbit.pair_defect != pairs:
+        yield at_most("pair_defect", abs(orbit.pair_defect - pairs), allowed.multipliers, RECORDED)
+    yield trial.record()
+    yield from _expected_checks(orbit, model)
+
+    def moved_on(by: np.ndarray) -> float:
+        return max(turned_further(model, seen.arcs, k * by) for k in TURNS[1:5])
+
+    yield from trial.windings(moved_on, "modes, guards and resets with {} turned on")
+    if orbit.shift:
+        by = shift(turned(model, 0 * trial.turns, orbit.shift), seen.extents.size)
+        note = f"modes, guards and resets with {', '.join(orbit.shift)} shifted on"
+        yield at_most("cyclic", moved_on(by), EXACT, note)
+    single = orbit.nodes.shape == orbit.state[None].shape
+    nodes = float(np.abs((orbit.nodes - orbit.state) / seen.extents).max()) if single else np.inf
+    yield at_most("nodes", nodes, NODES_OFF, "the first is the state")
+    if orbit.samples.size or orbit.times.size:
+        off = off_motion(paths(model, seen.arcs), orbit.times, orbit.samples, seen.extents, seen.period)
+        yield trial.shown("samples", off, SAMPLES_OFF, seen.closes.amplification)
+
+
+def _holding(least: Iterable[tuple[str, float]], allowed: Tolerances) -> Iterator[Check]:
+    """What must not be negative along a motion."""
+    for name, value in least:
+        yield at_least(f"holds: {name}", value, -allowed.holds, "least value along the motion")
+
+
+def _controlled_checks(trial: _Trial, seen: ControlledEvidence) -> Iterator[Check | None]:
+    """The checks of a controlled orbit: its motion, cost and costate, from state, period and control alone."""
+    orbit, model, allowed, fit = trial.orbit, trial.model, trial.allowed, seen.fit
     assert orbit.control is not None
-    try:
-        found = gather_controlled(
-            model, orbit.state, orbit.period, turns, orbit.control, orbit.symmetry, tuple(orbit.shift),
-            (orbit.times, orbit.samples) if orbit.samples.size or orbit.times.size else None,
-        )  # fmt: skip
-    except IntegrationError as error:
-        return Certificate((Check("integration", float("inf"), 0.0, False, str(error)),))
-    scale = min(found.closes.amplification, LARGEST_SCALE)
-    asked, recorded = min(orbit.tolerance, allowed.closure), orbit.control.get("cost", np.nan)
-    room = allowed.record + 10 * found.closes.gap
-    pair = f"H varies by {found.drift:.2g}; 0 at the optimum over all controls, of any form"
-    checks = [
-        _closure_check(found.closes, asked, "DOP853, the recorded control; "),
-        _at_most("distance", found.closes.distance, allowed.distance, "of the true orbit and control, in extents"),
-        _at_most("second_closure", found.second, allowed.second_closure * scale, "DOP853 at a second tolerance"),
-        _at_least("not_equilibrium", _extent(found.states, model), allowed.motion, "extent of the motion"),
-        _covered(found, turns, max(allowed.cover, TOLD_APART * found.closes.gap)),
-        _at_most("resolution", found.unseen[0], RESOLVED,
-                 f"change by what lies between steps; looks {found.unseen[1]:.1e} of a segment or less apart"),
-        *(_task_check(name, value, allowed) for name, value in found.tasks.items()),
-        *(_at_most(f"event: {name}", miss, allowed.distance, "miss of its guard, in periods") for name, miss, _ in
-          found.events),
-        *(_at_most(f"earlier: {name}", early, 0.0, "crossings of its guard before") for name, _, early in found.events),
-        *(_at_least(f"holds: {name}", least, -allowed.holds, "least value along the motion") for name, least in
-          found.held),
-        _at_most("cost", abs(recorded - found.cost) / found.cost_size, room, RECORDED),
-        _at_most("stationarity", found.stationarity, allowed.stationarity,
-                 f"the costate, gradients and multipliers' signs; worst: {found.worst}"),
-        _at_most("phase_multiplier", found.phase, allowed.stationarity if orbit.control["shape"] == "fourier" else
-                 allowed.between, "what fixing the phase costs, relative") if orbit.control["normals"] else None,
-        Check("continuous_optimum", found.pointwise, 0.0, True, f"largest |H_u| in instants, relative, and {pair}"),
-        Check("optimum", 0.0, 0.0, True, "local: that nothing else costs less is not shown"),
-        *_controlled_record_checks(orbit, found, model, allowed, scale),
-        *_expected_checks(orbit, model),
-    ]  # fmt: skip
-    return Certificate(tuple(check for check in checks if check), scale, found.closure)
+    yield from trial.closing("DOP853, the recorded control; ", "orbit and control, in extents")
+    yield trial.moving()
+    yield _covered(trial, seen)
+    yield _between_steps(*seen.unseen, "a segment")
+    for name, value in fit.violations.items():
+        yield _task_check(name, value, allowed)
+    for name, miss, _ in seen.events:
+        yield at_most(f"event: {name}", miss, allowed.distance, "miss of its guard, in periods")
+    for name, _, early in seen.events:
+        yield at_most(f"earlier: {name}", early, 0.0, "crossings of its guard before")
+    yield from _holding(seen.held, allowed)
+    yield at_most("cost", abs(orbit.control.get("cost", np.nan) - fit.cost) / fit.size, trial.room, RECORDED)
+    yield at_most(
+        "stationarity", fit.left, allowed.stationarity,
+        f"the costate, gradients and multipliers' signs; worst: {fit.worst}; of controls of any form: |H_u| up to "
+        f"{fit.pointwise:.2g} in instants, relative, and H varies by {fit.drift:.2g}; local: that nothing else costs "
+        "less is not shown",
+    )  # fmt: skip
+    if orbit.control["normals"]:
+        room = allowed.stationarity if orbit.control["shape"] == "fourier" else allowed.between
+        yield at_most("phase_multiplier", fit.phase, room, "what fixing the phase costs, relative")
+    yield trial.number("action", size_of(seen.action), trial.room)
+    yield trial.energy(size_of(seen.energy))
+    yield from trial.linear(allowed.multipliers)
+    if orbit.symmetry != NONE.name:
+        note = f"{orbit.symmetry}: off it, in extents of the motion"
+        yield at_most("symmetry", seen.symmetry, allowed.distance, note)
+    alike = orbit.nodes.shape == seen.nodes.shape
+    nodes = np.abs((orbit.nodes - seen.nodes) / seen.extents).max() if alike else np.inf
+    yield at_most("nodes", nodes, NODES_OFF * max(trial.scale, 1.0), "off the recomputed motion")
+    yield at_most("costate", _costate_off(orbit, seen), allowed.stationarity, f"{RECORDED}, with the multipliers")
+    own = {name: list(pair) for name, pair in model.limits.items()}
+    yield at_most("limits", bool(own) and own != orbit.control["limits"], 0.0, "those of the system")
+    yield trial.unfolding(0.0, "back at 0")
+    if orbit.samples.size or orbit.times.size:
+        yield trial.shown("samples", seen.off, SAMPLES_OFF, seen.closes.amplification)
+    yield trial.record()
+    yield from _expected_checks(orbit, model)
 
 
 def _task_check(name: str, value: float, allowed: Tolerances) -> Check:
     """How far a task is violated, relative; what holds always is asked for at points and looked at between them."""
     between = name.endswith((" always", " within limits"))
     note = "largest violation, also between the points at which it was asked for" if between else "violation"
-    return _at_most(f"task: {name}", value, allowed.between if between else allowed.distance, note)
+    return at_most(f"task: {name}", value, allowed.between if between else allowed.distance, note)
 
 
-def _covered(found: ControlledEvidence, turns: np.ndarray, tolerance: float) -> Check | None:
+def _covered(trial: _Trial, seen: ControlledEvidence) -> Check | None:
     """The motion does not come back at all times after a part of its period."""
-    if found.events:
-        return None
-    nodes, away = found.nodes, {}
-    for k in range(2, len(nodes) + 1):
+    nodes, turns, away = seen.nodes, trial.turns, {}
+    for k in range(2, 1 if seen.events else len(nodes) + 1):
         if len(nodes) % k == 0 and not np.any(turns % k):
             moved = np.roll(nodes, -(len(nodes) // k), axis=0)[: len(nodes) - len(nodes) // k]
             part = np.concatenate([2 * np.pi * turns / k, np.zeros(nodes.shape[1] - turns.size)])
-            away[k] = float(np.abs((moved - nodes[: len(moved)] - part) / found.extents).max())
+            away[k] = float(np.abs((moved - nodes[: len(moved)] - part) / seen.extents).max())
     if not away:
         return None
     least = min(away, key=lambda k: away[k])
-    return _at_least("minimal_period", away[least], tolerance, f"least distance, after 1/{least} of the period")
+    return trial.apart("minimal_period", away[least], f"least distance, after 1/{least} of the period")
 
 
-def _controlled_record_checks(
-    orbit: Orbit, found: ControlledEvidence, model: Model, allowed: Tolerances, scale: float
-) -> list[Check]:
-    """What the record of a controlled orbit claims against what was recomputed."""
-    assert orbit.control is not None
-    size, room = float(found.extents.max()), allowed.record + 10 * found.closes.gap
-    own, level = {name: list(pair) for name, pair in model.limits.items()}, energy(model, orbit.state)
-    far = (
-        np.inf if orbit.nodes.shape != found.nodes.shape else np.abs((orbit.nodes - found.nodes) / found.extents).max()
-    )
-    checks = [
-        _at_most("action", relative(orbit.action - found.action, found.action), room, RECORDED),
-        _at_most("energy", relative(orbit.energy - level, level), allowed.record, RECORDED)
-        if np.isfinite(level) or np.isfinite(orbit.energy)
-        else None,
-        _at_most("recorded_closure", abs(orbit.closure - found.closure) / size, allowed.closure * scale, RECORDED),
-        _at_most("floquet_multipliers", _multiplier_distance(orbit, found.floquet), allowed.multipliers, "relative"),
-        _same("stability", orbit.stability, found.floquet.stability),
-        _at_most("symmetry", found.symmetry, allowed.distance, f"{orbit.symmetry}: off it, in extents of the motion")
-        if orbit.symmetry != NONE.name
-        else None,
-        _at_most("nodes", far, NODES_OFF * max(scale, 1.0), "off the recomputed motion"),
-        _at_most("costate", _costate_off(orbit, found), allowed.stationarity, f"{RECORDED}, with the multipliers"),
-        _at_most("limits", 0.0 if not own or own == orbit.control["limits"] else 1.0, 0.0, "those of the system"),
-        _at_most("unfolding", orbit.period * max(map(abs, orbit.unfolding)), allowed.unfolding, "back at 0")
-        if any(orbit.unfolding)
-        else None,
-    ]  # fmt: skip
-    if orbit.samples.size or orbit.times.size:
-        room = min(max(SAMPLES_OFF, 1e-12 * found.closes.amplification), LARGEST_PICTURE)
-        checks.append(_at_most("samples", found.off, room, "off the recomputed motion"))
-    if orbit.record is not None:
-        checks.append(_same("record", orbit.record, digest(orbit_to_document(orbit))))
-    return [check for check in checks if check]
-
-
-def _costate_off(orbit: Orbit, found: ControlledEvidence) -> float:
+def _costate_off(orbit: Orbit, seen: ControlledEvidence) -> float:
     """How far the recorded costate and multipliers are from those found again, relative to the cost and the largest."""
     assert orbit.control is not None
-    claimed, told = np.array(orbit.control.get("costate", []), float), orbit.control.get("multipliers", {})
-    if claimed.shape != found.costate.shape or set(told) != set(found.multipliers):
+    fit = seen.fit
+    claimed, multipliers = np.array(orbit.control.get("costate", []), float), orbit.control.get("multipliers", {})
+    if claimed.shape != fit.costate.shape or set(multipliers) != set(fit.multipliers):
         return np.inf
-    largest = max([found.cost_size, *map(abs, found.multipliers.values())])
-    apart = [abs(told[name] - one) / largest for name, one in found.multipliers.items()]
-    return float(max([*np.abs((claimed - found.costate) * found.extents) / found.cost_size, *apart]))
+    largest = max([fit.size, *map(abs, fit.multipliers.values())])
+    apart = [abs(multipliers[name] - value) / largest for name, value in fit.multipliers.items()]
+    return float(max([*np.abs((claimed - fit.costate) * seen.extents) / fit.size, *apart]))
 
 
-def _hybrid_premises(orbit: Orbit, model: Model, evidence: HybridEvidence) -> Iterator[Check]:
-    """What turns is an angle, and modes, guards and resets are the same where all has moved on as in some periods."""
-    turns, along = np.asarray(orbit.winding), orbit.shift
-    names = ", ".join(model.state_names[k] for k in np.flatnonzero(turns))
-    for k in np.flatnonzero(turns * ~model.angular):
-        note = f"{model.state_names[k]} turns and is not an angle"
-        yield Check("winding", float(abs(turns[k])), 0.0, False, note)
-    ways = ("winding", turns, names, "turned"), ("cyclic", turned(model, 0 * turns, along), ", ".join(along), "shifted")
-    for name, gone, known, how in ways:
-        if known:
-            by = shift(gone, evidence.extents.size)
-            found = max(turned_further(model, evidence.arcs, k * by) for k in TURNS[1:5])
-            yield _at_most(name, found, EXACT, f"modes, guards and resets with {known} {how} on")
-
-
-def _hybrid_resolution(model: Model, evidence: HybridEvidence) -> Check:
+def _hybrid_resolution(model: Model, seen: HybridEvidence) -> Check:
     """No feature of the modes' equations, and no crossing of a guard, between two steps of the simulation."""
-    found, width, crossed = unseen(model, evidence)
-    note = f"change by what lies between steps; looks {width:.1e} of an arc or less apart"
+    found, width, crossed = unseen(model, seen)
     if crossed:
-        found, note = 1.0, f"the guard of {crossed} is crossed where the simulation saw nothing"
-    return _at_most("resolution", found, RESOLVED, note)
+        note = f"the guard of {crossed} is crossed where the simulation saw nothing"
+        return at_most("resolution", 1.0, RESOLVED, note)
+    return _between_steps(found, width, "an arc")
 
 
-def _hybrid_pictures(orbit: Orbit, model: Model, evidence: HybridEvidence) -> Iterator[Check]:
-    """Nodes and dense samples lie on the motion, as well as errors of the state allow."""
-    room = min(max(SAMPLES_OFF, 1e-12 * evidence.closes.amplification), LARGEST_PICTURE)
-    zero = orbit.nodes.shape == orbit.state[None].shape
-    nodes = float(np.abs((orbit.nodes - orbit.state) / evidence.extents).max()) if zero else np.inf
-    yield _at_most("nodes", nodes, NODES_OFF, "the first is the state")
-    if orbit.samples.size or orbit.times.size:
-        away = off_motion(model, evidence.arcs, orbit.times, orbit.samples, evidence.extents)
-        yield _at_most("samples", away, room, "off the recomputed motion")
-
-
-def _cycle_check(evidence: HybridEvidence, turns: np.ndarray, reached: np.ndarray, tolerance: float) -> Check | None:
+def _minimal_cycle(trial: _Trial, arcs: Sequence[Arc]) -> Check | None:
     """The recorded cycle is gone through once: no earlier event brings the motion back to its beginning."""
-    arcs, units = evidence.arcs, evidence.extents
     names = [arc.ended_by for arc in arcs]
     count = len(names)
     shorter = [k for k in range(1, count) if count % k == 0 and names[:k] * (count // k) == names]
     if not shorter:
         return None
-    turned = 2 * np.pi * np.array(shorter)[:, None] / count * turns
-    back = reached[np.array(shorter) - 1] - arcs[0].states[0]
-    back[:, : turned.shape[1]] -= turned
-    far = np.abs(back / units).max(axis=1)
-    return _at_least("minimal_cycle", far.min(), tolerance, f"nearest early return after {shorter[int(far.argmin())]}")
-
-
-def _hybrid_record_checks(
-    orbit: Orbit, evidence: HybridEvidence, model: Model, turns: np.ndarray, allowed: Tolerances, scale: float
-) -> list[Check]:
-    """What the record of a hybrid orbit claims against what was recomputed."""
-    found = energy(model, orbit.state)
-    energetic = np.isfinite(found) or np.isfinite(orbit.energy)
-    level = relative(orbit.energy - found, found) if energetic else None
-    checks = _claims(orbit, evidence, allowed, scale, level, nonzero(abs(evidence.action)))
-    had = repeats(model, orbit.symmetry, evidence, turns)
-    checks.append(_same("symmetry", orbit.symmetry, orbit.symmetry if had else NONE.name))
-    if orbit.pair_defect != evidence.floquet.pair_defect:
-        off = abs(orbit.pair_defect - evidence.floquet.pair_defect)
-        checks.append(_at_most("pair_defect", off, allowed.multipliers, RECORDED))
-    if orbit.record is not None:
-        checks.append(_same("record", orbit.record, digest(orbit_to_document(orbit))))
-    return checks
-
-
-def _claims(
-    orbit: Orbit, evidence: Evidence | HybridEvidence, allowed: Tolerances, scale: float, off: float | None, bulk: float
-) -> list[Check]:
-    """What a record claims of its motion, its energy, if any, being off by so much; actions are beside `bulk`.
-
-    A family's closure is relative, and by an integration over told durations, or one that stops where it is enough.
-    """
-    closure, held = abs(orbit.closure - evidence.closure) / float(evidence.extents.max()), allowed.closure
-    if isinstance(orbit, FamilyPoint):
-        closure, held = abs(orbit.closure - evidence.closes.gap), orbit.tolerance
-    room = allowed.record + 10 * evidence.closes.gap
-    return [
-        *([] if off is None else [_at_most("energy", off, allowed.record, RECORDED)]),
-        _at_most("action", abs(orbit.action - evidence.action) / bulk, room, RECORDED),
-        _at_most("recorded_closure", closure, min(orbit.tolerance, held) * scale, RECORDED),
-        _at_most("floquet_multipliers", _multiplier_distance(orbit, evidence.floquet), allowed.multipliers, "relative"),
-        _same("stability", orbit.stability, evidence.floquet.stability),
-    ]
+    gone = turned(trial.model, trial.turns, trial.orbit.shift)
+    back = np.array([arcs[k - 1].after for k in shorter]) - trial.orbit.state
+    back[:, : gone.size] -= 2 * np.pi * np.array(shorter)[:, None] / count * gone
+    far = np.abs(back / trial.seen.extents).max(axis=1)
+    return trial.apart("minimal_cycle", far.min(), f"nearest early return after {shorter[int(far.argmin())]}")
 
 
 def _turns(orbit: Orbit, model: Model) -> np.ndarray:
@@ -468,41 +486,15 @@ def _turns(orbit: Orbit, model: Model) -> np.ndarray:
     return np.asarray(orbit.winding, int)
 
 
-def _at_most(name: str, value: float, tolerance: float, note: str = "") -> Check:
-    return Check(name, float(value), float(tolerance), bool(value <= tolerance), note)
-
-
-def _at_least(name: str, value: float, tolerance: float, note: str = "") -> Check:
-    return Check(name, float(value), float(tolerance), bool(value >= tolerance), note)
-
-
-def _constraint_checks(
-    orbit: Orbit, model: Model, allowed: Tolerances, scale: float, evidence: Evidence
-) -> list[Check]:
+def _constraint_checks(trial: _Trial) -> Iterator[Check]:
     """The state on the constraints and, by IDAS on the native DAE, back where it was after a period."""
+    orbit, model, units = trial.orbit, trial.model, trial.seen.extents
     if model.constraint is None:
-        return []
-    defect = constraint_defect(model, orbit.state, evidence.extents)
-    turns = turned(model, np.asarray(orbit.winding), orbit.shift)
-    returned = native_closure(model, orbit.state, orbit.period, turns, evidence.extents)
-    return [
-        _at_most("constraint", defect, allowed.constraint, "largest |phi|, |J v| of the state, relative"),
-        _at_most("native_closure", returned, allowed.native_closure * scale, "IDAS on the native DAE"),
-    ]
-
-
-def _moving(model: Model, orbit: Orbit) -> str:
-    """The note of what moves."""
-    more = "" if orbit.shift else reduction(model, orbit)
-    return "extent of the motion" + (f"; a {more}" if more else "")
-
-
-def _extent(states: np.ndarray, model: Model) -> float:
-    """Extent of the coordinates, of angles or of others, relative to their size."""
-    n = model.degrees_of_freedom
-    places, angular = states[:, :n], model.angular
-    groups = [places[:, angular], places[:, ~angular]]
-    return max(float(np.ptp(group, axis=0).max() / size_of(group)) for group in groups if group.size)
+        return
+    defect = constraint_defect(model, orbit.state, units)
+    yield at_most("constraint", defect, trial.allowed.constraint, "largest |phi|, |J v| of the state, relative")
+    returned = native_closure(model, orbit.state, orbit.period, turned(model, trial.turns, orbit.shift), units)
+    yield at_most("native_closure", returned, trial.allowed.native_closure * trial.scale, "IDAS on the native DAE")
 
 
 def _forcing_check(orbit: Orbit, model: Model) -> Check | None:
@@ -511,27 +503,29 @@ def _forcing_check(orbit: Orbit, model: Model) -> Check | None:
         return None
     cycles = model.forcing_cycles(orbit.period)
     wanted = cycles * float(model.forcing_period(model.parameter_values))
-    return _at_most("forcing_period", abs(orbit.period / wanted - 1), 1e-14, f"period / {cycles} forcing periods - 1")
+    return at_most("forcing_period", abs(orbit.period / wanted - 1), 1e-14, f"period / {cycles} forcing periods - 1")
 
 
-def _minimal_period(near: _Nearby, apart: np.ndarray, tolerance: float, evidence: Evidence) -> Check | None:
+def _minimal_period(trial: _Trial, near: _Nearby, seen: Evidence) -> Check | None:
     """The motion, and what forces it, do not come back before the period is over."""
+    forced, shifts = near.model.forced, shifts_of(near.model)
+    apart = beside(trial.turns, [shifts[name].direction for name in trial.orbit.shift])
     if gcd(*(int(k) for k in np.rint(apart))) == 1:
         return None
-    found, lag = early_return(evidence.trace, apart, near.forced_alike if near.model.forced else None)
-    both = " of motion and forcing" if near.model.forced and found < tolerance else ""
+    found, lag = early_return(seen.motion.trace, apart, near.forced_alike if forced else None)
+    both = " of motion and forcing" if forced and found < trial.allowed.cover else ""
     note = "no early return" if lag is None else f"nearest early return{both} after T/{near.period / lag:.6g}"
-    return _at_least("minimal_period", found, max(tolerance, TOLD_APART * evidence.closes.gap), note)
+    return trial.apart("minimal_period", found, note)
 
 
 def _resolution(evidence: Evidence) -> Check:
     """No feature of the equations between two steps of the integration changes where it ends."""
     try:
-        found, width, count = overlooked(evidence.trace)
+        found, width, count = overlooked(evidence.motion.trace)
     except IntegrationError as error:
-        return Check("resolution", float("inf"), RESOLVED, False, str(error))
+        return refused("resolution", error, tolerance=RESOLVED)
     note = f"change by what lies between steps; {count} looks, each {width:.1e} of the motion or less from the next"
-    return _at_most("resolution", found, RESOLVED, note)
+    return at_most("resolution", found, RESOLVED, note)
 
 
 Picture = tuple[str, np.ndarray, np.ndarray, float]
@@ -539,20 +533,14 @@ Picture = tuple[str, np.ndarray, np.ndarray, float]
 
 def _pictured(orbit: Orbit) -> list[Picture]:
     """What the record shows of the motion: name, times, states, share of the extents that they may be off."""
-    found: list[Picture] = []
-    size, period = orbit.state.size, orbit.period
-    count = len(orbit.nodes)
-    if orbit.nodes.shape == (count, size) and count:
-        found.append(("nodes", np.arange(count) * (period / count), orbit.nodes, NODES_OFF))
-    else:
-        found.append(("nodes", np.zeros(1), np.full((1, size), np.nan), NODES_OFF))
-    if orbit.samples.size or orbit.times.size:
-        times = orbit.times
+    size, period, count, times = orbit.state.size, orbit.period, len(orbit.nodes), orbit.times
+    unfit = np.zeros(1), np.full((1, size), np.nan)
+    even = np.arange(count) * (period / max(count, 1)), orbit.nodes
+    found = [("nodes", *(even if count and orbit.nodes.shape == (count, size) else unfit), NODES_OFF)]
+    if orbit.samples.size or times.size:
         sound = orbit.samples.shape == (times.size, size) and times.size > 1 and np.all(np.diff(times) > 0)
-        if sound and times[0] == 0.0 and abs(times[-1] / period - 1) <= 1e-12:
-            found.append(("samples", np.minimum(times, period), orbit.samples, SAMPLES_OFF))
-        else:
-            found.append(("samples", np.zeros(1), np.full((1, size), np.nan), SAMPLES_OFF))
+        whole = sound and times[0] == 0.0 and abs(times[-1] / period - 1) <= 1e-12
+        found.append(("samples", *((np.minimum(times, period), orbit.samples) if whole else unfit), SAMPLES_OFF))
     return found
 
 
@@ -567,48 +555,30 @@ def return_distances(times: np.ndarray, states: np.ndarray, angles: np.ndarray, 
     return [float(one) for one in np.abs(wrapped(there - states[0], angles) / units).max(axis=1)]
 
 
-def _picture_checks(pictured: Sequence[Picture], reached: np.ndarray, evidence: Evidence) -> list[Check]:
-    """Nodes and dense samples lie on the motion, as well as errors of the state allow."""
-    checks, begin = [], 0
-    for name, times, states, share in pictured:
-        moved = np.abs((reached[begin : begin + len(times)] - states) / evidence.extents).max()
-        room = min(max(share, 1e-12 * evidence.growth), LARGEST_PICTURE)
-        checks.append(_at_most(name, moved if np.isfinite(moved) else np.inf, room, "off the recomputed motion"))
-        begin += len(times)
-    return checks
-
-
-def _record_checks(orbit: Orbit, evidence: Evidence, model: Model, allowed: Tolerances, scale: float) -> list[Check]:
+def _record_checks(trial: _Trial, seen: Evidence, multipliers: float) -> Iterator[Check | None]:
     """What the record claims against what was recomputed; catches a file edited by hand."""
-    bulk = max(abs(evidence.action), 1e-3 * evidence.exchanged * orbit.period)
+    orbit, model = trial.orbit, trial.model
+    bulk = max(abs(seen.action), 1e-3 * seen.exchanged * orbit.period)
     if model.hamiltonian:  # momenta far from 0 cancel round the loop
         half = orbit.state.size // 2
-        bulk = max(bulk, float(np.abs(evidence.states[:, half:]).max(axis=0) @ evidence.extents[:half]))
-    energetic = np.isfinite(orbit.energy) or np.isfinite(evidence.energy)
-    level = abs(orbit.energy - evidence.energy) / evidence.exchanged if energetic else None
-    checks = _claims(orbit, evidence, allowed, scale, level, bulk)
-    checks.append(_same_symmetry(orbit, evidence, model))
+        bulk = max(bulk, float(np.abs(seen.states[:, half:]).max(axis=0) @ seen.extents[:half]))
+    yield trial.energy(seen.exchanged)
+    yield trial.number("action", bulk, trial.room)
+    yield from trial.linear(multipliers)
+    yield _same_symmetry(orbit, seen, model)
     # mu and 1/mu of a matrix that takes up a few relative errors of the integration under way: |Phi| times what they
     # grow to
-    paired, known = symplectic(model), PAIRED * VARIED.relative_tolerance * evidence.varied * evidence.norm
-    pairs = max(allowed.trivial, min(known, LARGEST_DEFECT)) if paired else 0.0
-    defect = max(evidence.floquet.pair_defect, abs(orbit.pair_defect))
+    paired, known = symplectic(model), PAIRED * VARIED.relative_tolerance * seen.varied * seen.norm
+    pairs = max(trial.allowed.trivial, min(known, LARGEST_DEFECT)) if paired else 0.0
+    defect = max(seen.floquet.pair_defect, abs(orbit.pair_defect))
     if paired or defect:
-        checks.append(_at_most("pair_defect", defect, pairs, "reciprocal pairs, as recorded and as found"))
+        yield at_most("pair_defect", defect, pairs, "reciprocal pairs, as recorded and as found")
     if orbit.shift:
-        ends, turns = (evidence.states[0], evidence.states[-1]), np.asarray(orbit.winding)
-        there = shift_along(model, orbit.shift, *ends, turns)
-        off = max(abs(there[name] - by) for name, by in orbit.shift.items()) / float(evidence.extents.max())
-        held = orbit.tolerance if isinstance(orbit, FamilyPoint) else min(orbit.tolerance, allowed.closure)
-        checks.append(_at_most("shift", off, held * scale, "recorded - recomputed, in extents of the motion"))
-    if orbit.record is not None:
-        checks.append(_same("record", orbit.record, digest(orbit_to_document(orbit))))
-    return checks
-
-
-def _same(name: str, recorded: str, found: str) -> Check:
-    note = "as recorded" if recorded == found else f"recorded {recorded[:60]}, found {found[:60]}"
-    return Check(name, 0.0 if recorded == found else 1.0, 0.0, recorded == found, note)
+        there = shift_along(model, orbit.shift, seen.states[0], seen.states[-1], trial.turns)
+        off = max(abs(there[name] - by) for name, by in orbit.shift.items()) / float(seen.extents.max())
+        held = orbit.tolerance if isinstance(orbit, FamilyPoint) else trial.asked
+        yield at_most("shift", off, held * trial.scale, "recorded - recomputed, in extents of the motion")
+    yield trial.record()
 
 
 def _same_symmetry(orbit: Orbit, evidence: Evidence, model: Model) -> Check:
@@ -625,7 +595,7 @@ def _same_symmetry(orbit: Orbit, evidence: Evidence, model: Model) -> Check:
     if isinstance(orbit, FamilyPoint) and orbit.symmetry in known:
         had = {one for name in names for one in (*known[name].maps, *known[name].both)}
         names += [orbit.symmetry] * (set(known[orbit.symmetry].maps) <= had)
-    return _same("symmetry", orbit.symmetry, orbit.symmetry if orbit.symmetry in names else names[0])
+    return same("symmetry", orbit.symmetry, orbit.symmetry if orbit.symmetry in names else names[0])
 
 
 def _multiplier_distance(orbit: Orbit, floquet: Floquet) -> float:
@@ -662,30 +632,25 @@ def _expected_checks(orbit: Orbit, model: Model) -> list[Check]:
                 f"expected: unknown quantity {name!r}; use period, energy, action, a physical parameter, or "
                 f"{SHIFT}NAME of a relative orbit"
             )
-        checks.append(_at_most(f"expected_{name}", abs(found - value), tolerance, f"against {value!r}"))
+        checks.append(at_most(f"expected_{name}", abs(found - value), tolerance, f"against {value!r}"))
     return checks
 
 
-def _premises(near: _Nearby, turns: np.ndarray, along: Mapping[str, float]) -> list[Check]:
-    """What a certificate would otherwise take on trust: that the system is what its description says.
-
-    A period declared for the forcing, the absence of time, angles that turn, cyclic coordinates and invariants are
-    tried on the equations themselves, at seeded states about the motion.
-    """
-    smooth = [near.smooth()] if near.model.forced else []  # where nothing else tries the variations: no flow is kept
-    return [near.time_dependence(), *smooth, *near.windings(turns), *near.shifts(along), *near.invariants()]
-
-
 class _Nearby:
-    """Seeded moments and states about a motion, and the accelerations (rates of first order) there in extents."""
+    """Seeded moments and states about a motion, and the accelerations (rates of first order) there in extents.
 
-    def __init__(self, model: Model, times: np.ndarray, states: np.ndarray, units: np.ndarray) -> None:
-        random = np.random.default_rng(0)
-        self.model, self.period, self.many = model, float(times[-1]), rates_of(vector_field(accelerations(model)))[0]
-        self.times, self.along, self.units = times, states, units
-        self.rows = states[random.integers(0, len(states), TRIED)]
+    What a certificate would otherwise take on trust, that the system is what its description says, is tried on the
+    equations themselves: a period declared for the forcing, the absence of time, angles that turn, cyclic coordinates,
+    invariants.
+    """
+
+    def __init__(self, model: Model, seen: Recomputed) -> None:
+        random, period = np.random.default_rng(0), float(seen.times[-1])
+        self.model, self.period, self.many = model, period, rates_of(vector_field(accelerations(model)))[0]
+        self.times, self.along, self.units = seen.times, seen.states, seen.extents
+        self.rows = self.along[random.integers(0, len(self.along), TRIED)]
         if model.constraint is None:  # off the constraints a motion has no meaning
-            self.rows = self.rows + 0.1 * units * random.normal(size=self.rows.shape)
+            self.rows = self.rows + 0.1 * self.units * random.normal(size=self.rows.shape)
         self.moments = np.append(0.0, random.uniform(0.0, self.period, TRIED - 1))
 
     def _accelerations(self, moments: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -709,7 +674,7 @@ class _Nearby:
         clock, random = self.model.forcing_period, np.random.default_rng(1)
         function = self.model.rates or self.model.acceleration
         if clock is None and not function.jac_sparsity(0, 0).nnz():  # the time is not in the equations
-            return _at_most("time_dependence", 0.0, EXACT, "equations of motion at other times")
+            return at_most("time_dependence", 0.0, EXACT, "equations of motion at other times")
         wait = self.period if clock is None else float(clock(self.model.parameter_values))
         parts = (np.arange(PARTS) + random.uniform(0.0, 1.0, PARTS)) / PARTS * wait
         rows, found = self.along[random.integers(0, len(self.along), PARTS)], 0.0
@@ -718,7 +683,7 @@ class _Nearby:
             by = k * wait if clock else (k - random.uniform(0.0, 0.9, PARTS)) * wait
             found = max(found, self._differ(self._accelerations(parts + by, rows), here))
         note = f"equations of motion at {PARTS} parts of {LATER} later periods{' of the forcing' * (clock is not None)}"
-        return _at_most("time_dependence", found, EXACT, note)
+        return at_most("time_dependence", found, EXACT, note)
 
     def smooth(self) -> Check:
         """The equations do not jump where the motion comes: variations know nothing of what a jump does to them.
@@ -742,22 +707,13 @@ class _Nearby:
         jumped = np.abs(end - begin).max(axis=1) > JUMP * max(1.0, float(np.abs(begin).max()))
         apart = np.abs(self._accelerations(t, x + aside) - self._accelerations(t, x - aside)).max(axis=1)
         found = float(apart[jumped].max(initial=0.0)) / max(1.0, float(np.abs(begin).max()))
-        return _at_most("smooth", found, JUMP, "largest jump of the equations along the motion; of.hybrid knows jumps")
+        return at_most("smooth", found, JUMP, "largest jump of the equations along the motion; of.hybrid knows jumps")
 
-    def windings(self, turns: np.ndarray) -> Iterator[Check]:
-        """A coordinate that turns is an angle, and the equations are the same where all have turned as they do in some
-        periods."""
-        for k in np.flatnonzero(turns * ~self.model.angular):
-            note = f"{self.model.state_names[k]} turns and is not an angle"
-            yield Check("winding", float(abs(turns[k])), 0.0, False, note)
-        if not np.any(turns):
-            return
-        by, moments = shift(turns, self.units.size), np.append(self.moments, self.times)
-        rows = np.vstack([self.rows, self.along])
+    def turned_further(self, turn: np.ndarray) -> float:
+        """The largest relative difference of the equations some of a `turn` (d) further."""
+        moments, rows = np.append(self.moments, self.times), np.vstack([self.rows, self.along])
         here = self._accelerations(moments, rows)
-        found = max(self._differ(self._accelerations(moments, rows + k * by), here) for k in TURNS)
-        names = ", ".join(self.model.state_names[k] for k in np.flatnonzero(turns))
-        yield _at_most("winding", found, EXACT, f"equations of motion with {names} {TURNS[0]} to {TURNS[-1]} times on")
+        return max(self._differ(self._accelerations(moments, rows + k * turn), here) for k in TURNS)
 
     def shifts(self, along: Mapping[str, float]) -> Iterator[Check]:
         """The equations are the same further along what a relative orbit shifts in, by any amount."""
@@ -768,7 +724,7 @@ class _Nearby:
             there = self._accelerations(self.moments, self.rows + moved)
             here = self._accelerations(self.moments, self.rows)
             note = f"equations of motion further along {name}, which {known[name].momentum} is held for"
-            yield _at_most("cyclic", self._differ(there, here), EXACT, note)
+            yield at_most("cyclic", self._differ(there, here), EXACT, note)
 
     def invariants(self) -> Iterator[Check]:
         """Each declared invariant is constant along the motion, as far as its value and its arguments are known.
@@ -786,7 +742,7 @@ class _Nearby:
                 slopes = invariant_gradients(self.model)(self.along[0]).full()[k]
                 lost += ROUNDED * float(np.abs(slopes) @ np.abs(self.along[0]))
             drift = max(float(np.ptp(values)) - lost, 0.0) / size
-            yield _at_most(f"invariant_{one.name}", drift, DRIFT, "drift along the motion beyond round-off")
+            yield at_most(f"invariant_{one.name}", drift, DRIFT, "drift along the motion beyond round-off")
 
     def _constants(self, one: Invariant, states: np.ndarray) -> np.ndarray:
         """An invariant's values (k) at states (k x 2n)."""

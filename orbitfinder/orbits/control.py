@@ -17,8 +17,9 @@ Source: A. Bryson, Y. Ho, Applied Optimal Control (1975), sections 2.5, 2.7, 3.1
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -27,19 +28,29 @@ from scipy.optimize import lsq_linear
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError
-from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, Trace, integrate
+from orbitfinder.integrate.dop853 import (
+    SECOND,
+    TIGHTEST,
+    ReferenceSettings,
+    Trace,
+    VectorField,
+    integrate,
+    rates_of,
+    vector_field,
+)
 from orbitfinder.loops.control import Basis, Control, Task
-from orbitfinder.loops.controlled import Arrangement, Program, Solution, arranged, optimum
+from orbitfinder.loops.controlled import Program, Solution, arranged, optimum
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.problem import Problem
-from orbitfinder.loops.symmetry import named, related, shifts_of
+from orbitfinder.loops.symmetry import named, related, turned
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.controls import actuated
 from orbitfinder.mechanics.model import Model, energy, wrapped
 from orbitfinder.mechanics.scales import extents_of
-from orbitfinder.orbits.between import LOOKS, MOST_LOOKS, overlooked
-from orbitfinder.orbits.closure import Closure, closes, shift, shift_along
-from orbitfinder.orbits.floquet import Floquet, analyse
+from orbitfinder.orbits.between import LOOKS, MOST_LOOKS, Rates, overlooked
+from orbitfinder.orbits.closure import closes, gap, shift, shift_along
+from orbitfinder.orbits.evidence import Recomputed, StatesAt, Tour, in_extents, off_motion
+from orbitfinder.orbits.floquet import analyse
 from orbitfinder.orbits.measure import provenance
 from orbitfinder.records.orbit import SHARE, Orbit
 
@@ -51,62 +62,25 @@ VARIED = ReferenceSettings(relative_tolerance=1e-12, absolute_tolerance=1e-13)
 SMALL = 1e-9
 """A control is small when it accelerates less than this share of what the motion does"""
 IPOPT_TOLERANCE = 1e-10
-TIED = 1e-9
-"""Share of the period by which recorded times may be off the ends of segments"""
 NEAR = 1e-9
 """A guard is at 0 to this, relative to its range along an arc"""
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """What a record says was asked: the arrangement over the horizon and over the period, coefficients, pins, normals.
-
-    `pinned` are components of the state at t = 0, `period_free` says whether the period was free; `held` are freed
-    parameters (and "period") that stand at an end of their range, -1 or 1.
-    """
-
-    parts: Arrangement
-    coefficients: np.ndarray
-    pinned: tuple[int, ...]
-    normals: np.ndarray
-    period_free: bool
-    held: Mapping[str, int]
-
-
 @dataclass(frozen=True)
-class ControlledEvidence:
+class ControlledEvidence(Recomputed):
     """What DOP853 and the costate say of a controlled motion.
 
-    `stationarity` is what the best multipliers leave of the conditions of an optimum, relative to the cost;
-    `pointwise` the largest |H_u| relative to its terms, `drift` how far H is from constant, relative; `margins` by
-    name how far tasks and limits are violated, relative; `wrong` the worst sign of a multiplier, relative;
+    `nodes` (N x d) are where segments begin, `second` the closure at a second tolerance, `fit` the cost and the
+    conditions of an optimum, `symmetry` how far the motion is off it, `held` what must hold with its least value,
     `off` how far states that a record shows are off the motion, in extents, `unseen` what features of the equations
     narrower than a step change, in extents, and down to which width they were looked for.
     """
 
-    times: np.ndarray
-    states: np.ndarray
     nodes: np.ndarray
-    controls: np.ndarray
-    end: np.ndarray
-    closes: Closure
-    closure: float
     second: float
-    cost: float
-    action: float
-    stationarity: float
-    worst: str
-    pointwise: float
-    drift: float
-    phase: float
-    costate: np.ndarray
-    multipliers: Mapping[str, float]
-    tasks: Mapping[str, float]
-    extents: np.ndarray
-    floquet: Floquet
+    fit: Fit
     events: tuple[tuple[str, float, float], ...]
     shift: Mapping[str, float]
-    cost_size: float
     symmetry: float
     held: tuple[tuple[str, float], ...]
     off: float
@@ -136,14 +110,15 @@ def recorded(
     entry |= {"numbers": dict(problem.control.numbers)} if problem.control.numbers else {}
     turns = np.asarray(problem.turns, int)
     found = gather_controlled(model, w.nodes[0], w.period, turns, entry, problem.symmetry, problem.relative)
-    entry |= {"cost": found.cost, "multipliers": dict(found.multipliers), "costate": [float(x) for x in found.costate]}
+    fit = found.fit
+    entry |= {"cost": fit.cost, "multipliers": dict(fit.multipliers), "costate": [float(x) for x in fit.costate]}
     said = provenance(problem, settings, began)
     said |= {"method": control.method, "iterations": solution.iterations, "steps": program.parts.steps,
              "optimum": "local: that nothing else costs less is not shown"}  # fmt: skip
     said |= {"free": {name: values[name] for name in problem.free}} if problem.free else {}
     orbit = Orbit(
         name=problem.name, title=problem.title, source=problem.source, system=model.system, state=w.nodes[0].copy(),
-        period=float(w.period), energy=energy(model, w.nodes[0]), action=found.action, closure=found.closure,
+        period=float(w.period), energy=found.energy, action=found.action, closure=found.closure,
         symmetry=problem.boundary.name, winding=tuple(int(k) for k in turns),
         floquet_multipliers=found.floquet.multipliers, pair_defect=0.0, stability=found.floquet.stability,
         unfolding=tuple(float(one) for one in w.unfolding), nodes=found.nodes, times=found.times, samples=found.states,
@@ -171,18 +146,6 @@ def _entry(problem: Problem, program: Program, solution: Solution, values: Mappi
     }  # fmt: skip
 
 
-def control_of(entry: Mapping[str, Any]) -> Control:
-    """The Control that a record's entry describes. Raises `InputError`."""
-    try:
-        tasks = tuple(Task(**one) for one in entry["tasks"])
-        return Control(
-            entry["cost_of"], entry["shape"], int(entry["intervals"]), int(entry["harmonics"]), bool(entry["average"]),
-            str(entry["final"]), tasks, entry["method"], numbers=dict(entry.get("numbers", {})),
-        )  # fmt: skip
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"control: malformed entry ({error}); run the problem again") from error
-
-
 def _held_at(values: Mapping[str, float], bounds: Mapping[str, Any]) -> dict[str, int]:
     """Which of the freed numbers stand at the low (-1) or high (1) end of their range."""
     found = {}
@@ -194,88 +157,78 @@ def _held_at(values: Mapping[str, float], bounds: Mapping[str, Any]) -> dict[str
     return found
 
 
-def plan_of(
-    model: Model, entry: Mapping[str, Any], symmetry: str, relative: tuple[str, ...], period: float
-) -> tuple[Model, Plan]:
-    """The model at what its record says, and what was asked of it. Raises `InputError`."""
-    control = control_of(entry)
-    try:
-        names, values = tuple(entry["names"]), np.array(entry["coefficients"], float)
-        model = actuated(replace(model, controls=names, limits={k: tuple(v) for k, v in entry["limits"].items()}))
-        if entry["shares"]:
-            model = with_parameters(model, entry["shares"])
-        boundary = related(named(symmetry, model), model, relative)
-        parts = arranged(model, boundary, tuple(entry["free"]), control, int(entry["points"]))
-        state = [model.state_names.index(name) for name in entry["pins"] if name in model.state_names]
-        normals = np.array(entry["normals"], float).reshape(-1, len(model.state_names))
-        free = {name: float(model.parameter_values[model.parameter_index(name)]) for name in entry["free"]}
-        held = _held_at(free | {"period": period}, entry["bounds"])
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"control: malformed entry ({error}); run the problem again") from error
-    if values.shape != (len(names), parts.basis.whole) or not np.all(np.isfinite(values)):
-        raise InputError(f"control.coefficients: {values.shape} numbers; {len(names)} x {parts.basis.whole} are needed")
-    return model, Plan(parts, values, tuple(state), normals, "period" not in entry["pins"], held)
-
-
-class _Driven:
-    """Functions of an arc's motion as DOP853 calls them, at the parameters of one segment after another."""
-
-    def __init__(self, function: ca.Function) -> None:
-        self.function = function
-        self._buffer, self._evaluate = function.buffer()
-        self._moment, self._y = np.zeros(1), np.zeros(function.size1_in(1))
-        self._given, self._rate = np.zeros(function.size1_in(2)), np.zeros(function.size1_out(0))
-        for k, place in enumerate((self._moment, self._y, self._given)):
-            self._buffer.set_arg(k, memoryview(place.data))
-        self._buffer.set_res(0, memoryview(self._rate.data))
-
-    def at(self, given: np.ndarray) -> _Driven:
-        """The field with these parameters."""
-        self._given[:] = given
-        return self
-
-    def __call__(self, t: float, y: np.ndarray) -> np.ndarray:
-        self._moment[0] = t
-        self._y[:] = y
-        self._evaluate()
-        return self._rate.copy()
-
-
 class _Motion:
-    """The motion of a plan and its costate, integrated by DOP853."""
+    """The motion that a record states and its costate, integrated by DOP853.
 
-    def __init__(self, plan: Plan, period: float) -> None:
-        self.plan, self.parts, self.period = plan, plan.parts, period
-        self.free = np.array([self.parts.model.parameter_values[self.parts.model.parameter_index(name)]
-                              for name in self.parts.free])  # fmt: skip
+    `parts` is the arrangement over the horizon, `whole` the basis over the period; `pinned` are components of the state
+    at t = 0, `period_free` says whether the period was free; `held` are freed parameters (and "period") at an end of
+    their range, -1 or 1. Raises `InputError` for what is no record.
+    """
+
+    def __init__(
+        self, model: Model, entry: Mapping[str, Any], symmetry: str, relative: tuple[str, ...], period: float
+    ) -> None:
+        try:
+            control = Control(
+                entry["cost_of"], entry["shape"], int(entry["intervals"]), int(entry["harmonics"]),
+                bool(entry["average"]), str(entry["final"]), tuple(Task(**one) for one in entry["tasks"]),
+                entry["method"], numbers=dict(entry.get("numbers", {})),
+            )  # fmt: skip
+            names, self.coefficients = tuple(entry["names"]), np.array(entry["coefficients"], float)
+            limits = {name: tuple(pair) for name, pair in entry["limits"].items()}
+            model = with_parameters(actuated(replace(model, controls=names, limits=limits)), entry["shares"])
+            boundary = related(named(symmetry, model), model, relative)
+            self.parts = arranged(model, boundary, tuple(entry["free"]), control, int(entry["points"]))
+            self.pinned = [model.state_names.index(name) for name in entry["pins"] if name in model.state_names]
+            self.normals = np.array(entry["normals"], float).reshape(-1, len(model.state_names))
+            self.free = np.array([model.parameter_values[model.parameter_index(one)] for one in self.parts.free])
+            free = {name: float(model.parameter_values[model.parameter_index(name)]) for name in entry["free"]}
+            self.held = _held_at(free | {"period": period}, entry["bounds"])
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise InputError(f"control: malformed entry ({error}); run the problem again") from error
+        self.model, self.period, self.period_free = model, period, "period" not in entry["pins"]
+        found, wanted = self.coefficients.shape, (len(names), self.parts.basis.whole)
+        if found != wanted or not np.all(np.isfinite(self.coefficients)):
+            raise InputError(f"control.coefficients: {found} numbers; {wanted[0]} x {wanted[1]} are needed")
         basis = self.parts.basis
         self.whole = basis if not basis.signs else Basis(basis.shape, 2 * basis.intervals, basis.harmonics)
         arcs = range(max(basis.arcs, 1))
-        self.forward = [_Driven(self._forward(k)) for k in arcs]
-        self.backward = [_Driven(self._backward(k)) for k in arcs]
-        self.hessian = [self._pointwise(k) for k in arcs]
+        self.numbers = [self.given(0, 0.0) for _ in arcs]
+        self.forward = [vector_field(self._forward(k), self.numbers[k]) for k in arcs]
+        self.backward = [vector_field(self._backward(k), self.numbers[k]) for k in arcs]
+        self.pointwise = [self._pointwise(k) for k in arcs]
         self.count = 1 + len(self.parts.means)
 
-    def given(self, segment: int, h: float) -> np.ndarray:
-        """(phase, its length, local coefficients, free, h) of a segment of the whole period."""
-        basis, picked = self.whole, self.whole.picked(segment)
-        begins, length = (0.0, 0.0) if basis.arcs else (segment / basis.intervals, 1.0 / basis.intervals)
-        return np.concatenate([[begins, length], *(row[picked] for row in self.plan.coefficients), self.free, [h]])
+    def given(self, segment: int, *h: float) -> np.ndarray:
+        """(phase, its length, local coefficients, free, h if it is there) of a segment of the whole period."""
+        local = self.coefficients[:, self.whole.picked(segment)]
+        return np.concatenate([self._phases(segment), *local, self.free, h])
+
+    def _phases(self, segment: int) -> tuple[float, float]:
+        """The phase at which a segment begins, and its length."""
+        count = self.whole.intervals
+        return (0.0, 0.0) if self.whole.arcs else (segment / count, 1.0 / count)
+
+    def at(self, fields: Sequence[VectorField], segment: int) -> VectorField:
+        """That of the arcs' fields which is a segment's, with its numbers, until another one is asked for."""
+        arc = self.parts.arc(segment)
+        self.numbers[arc][:] = self.given(segment, self.duration(segment))
+        return fields[arc]
 
     def duration(self, segment: int) -> float:
         """How long (s) a segment of the whole period lasts."""
         own = segment if self.whole.arcs else min(segment, self.parts.basis.intervals - 1)
         return float(self.parts.duration(own, self.period, ca.DM(self.free)))
 
-    def _symbols(self, arc: int) -> tuple[list[Any], Any, Any, Any, Any, Any]:
+    def _symbols(self, arc: int) -> tuple[list[Any], Any, Any, Any, Any]:
         inputs, rate, p, rates = self.parts.driven(arc, ca.SX.sym)
         moment, x, s, given = inputs
         rate, rates = (ca.substitute(one, s, ca.SX.zeros(s.numel())) for one in (rate, ca.vertcat(*rates)))
-        return [moment, x, given], rate, rates, p, ca.SX.sym("h"), s
+        return [moment, x, given], rate, rates, p, ca.SX.sym("h")
 
     def _forward(self, arc: int) -> ca.Function:
         """(share, (x, integrals, action), (given, h)) -> their rates by the share."""
-        (moment, x, given), rate, rates, p, h, _ = self._symbols(arc)
+        (moment, x, given), rate, rates, p, h = self._symbols(arc)
         more = ca.SX.sym("more", rates.numel() + 1)
         action = self.parts.mode(arc).action_rate(0.0, x, p)
         found = h * ca.vertcat(rate, rates, action)
@@ -283,24 +236,19 @@ class _Motion:
 
     def _backward(self, arc: int) -> ca.Function:
         """(1 - share, (x, costates, gradients by coefficients, h, free), (given, h)) -> their rates, backwards."""
-        (moment, x, given), rate, rates, _, h, _ = self._symbols(arc)
+        (moment, x, given), rate, rates, _, h = self._symbols(arc)
         d, k = x.numel(), rates.numel()
         local = given[2 : given.numel() - len(self.parts.free)]
         free = given[given.numel() - len(self.parts.free) :]
         columns = d + k
         costates = ca.SX.sym("costates", d, columns)
         outputs = [-h * rate]
-        by_x, more_x = ca.jacobian(rate, x), ca.jacobian(rates, x)
-        turned = by_x.T @ costates
-        turned[:, d:] += more_x.T
-        outputs.append(ca.vec(h * turned))
-        for symbols, factor in ((local, h), (free, h)):
-            slopes = ca.jacobian(rate, symbols).T @ costates
-            slopes[:, d:] += ca.jacobian(rates, symbols).T
+        for motion, integrals, factor in (
+            *((ca.jacobian(rate, by), ca.jacobian(rates, by), h) for by in (x, local, free)), (rate, rates, 1)
+        ):  # fmt: skip
+            slopes = motion.T @ costates
+            slopes[:, d:] += integrals.T
             outputs.append(ca.vec(factor * slopes))
-        by_h = rate.T @ costates
-        by_h[:, d:] += rates.T
-        outputs.append(ca.vec(by_h))
         sizes = [columns * local.numel(), columns * free.numel(), columns]
         rest = ca.SX.sym("gradients", sum(sizes))
         whole = ca.Function("inner", [moment, x, costates, given, h], [ca.densify(ca.vertcat(*outputs))])
@@ -308,7 +256,7 @@ class _Motion:
         return ca.Function("backward", [tau, flat, both], [whole(1 - tau, x, costates, given, h)])
 
     def _pointwise(self, arc: int) -> ca.Function:
-        """(share, x, (given, h)) -> dL/du, df/du^T, f, L at an instant, u itself among the coefficients."""
+        """(x, u, free) -> what `instant` says."""
         model, parts = self.parts.mode(arc), self.parts
         x, u, free = (ca.SX.sym("x", parts.size), ca.SX.sym("u", len(parts.model.controls)),
                       ca.SX.sym("free", len(parts.free)))  # fmt: skip
@@ -319,12 +267,15 @@ class _Motion:
         outputs = (rate, costs, ca.jacobian(rate, u), ca.jacobian(costs, u))
         return ca.Function("pointwise", [x, u, free], [ca.densify(one) for one in outputs])
 
+    def instant(self, segment: int, x: np.ndarray, u: np.ndarray) -> list[np.ndarray]:
+        """f, L and the tasks' integrands, df/du and the derivatives of these by u, at a state and controls."""
+        return [one.full() for one in self.pointwise[self.parts.arc(segment)](x, u, self.free)]
+
     def control(self, segment: int, shares: np.ndarray) -> np.ndarray:
         """Controls (k x m) at shares of a segment of the whole period."""
-        basis, picked = self.whole, self.whole.picked(segment)
-        begins, length = (0.0, 0.0) if basis.arcs else (segment / basis.intervals, 1.0 / basis.intervals)
-        weights = np.array([[float(w) for w in basis.values(share, begins + share * length)] for share in shares])
-        return np.asarray(weights @ self.plan.coefficients[:, picked].T)
+        begins, length = self._phases(segment)
+        weights = [[float(w) for w in self.whole.values(share, begins + share * length)] for share in shares]
+        return np.asarray(np.array(weights) @ self.coefficients[:, self.whole.picked(segment)].T)
 
     def path(
         self, state: np.ndarray, settings: ReferenceSettings, shares: np.ndarray, traces: list[Trace] | None = None
@@ -333,8 +284,8 @@ class _Motion:
         d, found, more = self.parts.size, [], np.zeros(self.count + 1)
         now = np.asarray(state, float)
         for k in range(self.whole.intervals):
-            field = self.forward[self.parts.arc(k)].at(self.given(k, self.duration(k)))
-            found.append(integrate(field, np.concatenate([now, more]), shares, settings, 0.25, traces))
+            begin = np.concatenate([now, more])
+            found.append(integrate(self.at(self.forward, k), begin, shares, settings, 0.25, traces))
             now, more = found[-1][-1, :d], found[-1][-1, d:]
             now = self.reset(k, now)
         return found
@@ -357,10 +308,9 @@ def gather_controlled(
 ) -> ControlledEvidence:  # fmt: skip
     """The evidence of a recorded control, and of times and states that are `shown`. Raises `InputError`,
     `IntegrationError`."""
-    model, plan = plan_of(model, entry, symmetry, relative, period)
-    motion = _Motion(plan, period)
-    d = plan.parts.size
-    shares = np.linspace(0.0, 1.0, SAMPLES * plan.parts.steps + 1)
+    level, motion = energy(model, state), _Motion(model, entry, symmetry, relative, period)
+    model, d = motion.model, motion.parts.size
+    shares = np.linspace(0.0, 1.0, SAMPLES * motion.parts.steps + 1)
     pieces = motion.path(state, TIGHTEST, shares, traces := list[Trace]())
     second = motion.path(state, SECOND, np.array([0.0, 1.0]))
     last = len(pieces) - 1
@@ -368,26 +318,20 @@ def gather_controlled(
     states = np.vstack([piece[:, :d] for piece in pieces])
     units = extents_of(model, states, period)
     shifted = shift_along(model, relative, np.asarray(state, float), end, turns)
-    apart = shift(turns, d)
-    for name, by in shifted.items():
-        apart[: len(turns)] += by * _direction(model, name)
-    fitted = _Fit(motion, pieces, units)
-    scaled = [one * units / units[:, None] for one in fitted.transitions]
-    closed = closes((end - state - apart) / units, scaled, states / units, _reach(motion, pieces, scaled, units))
-    monodromy = np.eye(d)
-    for one in scaled:
-        monodromy = one @ monodromy
-    times, kept, driven = _sampled(motion, pieces, shares)
+    whole = turned(model, turns, shifted)
+    missed = (end - state - shift(whole, d)) / units
+    fit, none = Fit(motion, pieces, units), np.zeros((0, d))
+    scaled = in_extents(fit.transitions, units)
+    found = closes(missed, scaled, states / units, _reach(motion, pieces, scaled, units))
+    loop = Tour(found, scaled, none, none, False, units, np.eye(d))
+    times, kept = _sampled(motion, pieces, shares)
     return ControlledEvidence(
-        times=times, states=kept, nodes=np.vstack([piece[:1, :d] for piece in pieces]), controls=driven, end=end,
-        closes=closed, closure=float(np.abs(end - state - apart).max()),
-        second=float(np.abs((other - state - apart) / units).max()),
-        cost=fitted.cost, action=float(pieces[-1][-1, -1]), stationarity=fitted.left, worst=fitted.worst,
-        pointwise=fitted.pointwise, drift=fitted.drift, phase=fitted.phase, costate=fitted.start,
-        multipliers=fitted.multipliers, tasks=fitted.violations, extents=units,
-        floquet=analyse(monodromy, conservative=False), events=tuple(_events(motion, pieces)), shift=shifted,
-        cost_size=fitted.size, symmetry=_off_symmetry(motion, pieces, units), held=tuple(_held(motion, pieces)),
-        off=0.0 if shown is None else _off_motion(motion, pieces, *shown, units),
+        times=times, states=kept, extents=units, tour=loop, closure=gap(state, end, whole),
+        action=float(pieces[-1][-1, -1]), energy=level, floquet=analyse(loop.map(), conservative=False),
+        nodes=np.vstack([piece[:1, :d] for piece in pieces]),
+        second=gap(state, other, whole, units), fit=fit, events=tuple(_events(motion, pieces)),
+        shift=shifted, symmetry=_off_symmetry(motion, pieces, units), held=tuple(_held(motion, pieces)),
+        off=0.0 if shown is None else off_motion(_paths(motion, pieces), *shown, units, period, thinned=True),
         unseen=_unseen(motion, traces, units),
     )  # fmt: skip
 
@@ -397,77 +341,53 @@ def _unseen(motion: _Motion, traces: list[Trace], units: np.ndarray) -> tuple[fl
     in extents and segments."""
     changed, widest, looks = 0.0, 0.0, max(LOOKS, MOST_LOOKS // sum(len(one.moments) for one in traces))
     for k, trace in enumerate(traces):
-        function = motion.forward[motion.parts.arc(k)].function
-        given, rest = motion.given(k, motion.duration(k)), np.zeros(function.size1_in(1) - units.size)
+        many, rest = rates_of(motion.at(motion.forward, k))[0], trace.states.shape[1] - units.size
 
-        def rates(
-            moments: np.ndarray, rows: np.ndarray, function: ca.Function = function, given: np.ndarray = given,
-            rest: np.ndarray = rest,
-        ) -> np.ndarray:  # fmt: skip
-            whole = np.hstack([rows * units, np.tile(rest, (len(rows), 1))])
-            return np.asarray(function(moments[None], whole.T, given).full().T[:, : units.size] / units)
+        def rates(moments: np.ndarray, rows: np.ndarray, many: Rates = many, rest: int = rest) -> np.ndarray:
+            rest_of = np.zeros((len(rows), rest))
+            return np.asarray(many(moments, np.hstack([rows * units, rest_of]))[:, : units.size] / units)
 
         found, width, _ = overlooked(Trace(trace.moments, trace.states[:, : units.size] / units, rates, True), looks)
         changed, widest = changed + found, max(widest, width)
     return changed, widest
 
 
-def _direction(model: Model, name: str) -> np.ndarray:
-    return np.asarray(shifts_of(model)[name].direction, float)
-
-
-def _sampled(
-    motion: _Motion, pieces: list[np.ndarray], shares: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times, states and controls of a picture: instants where segments meet once, those of events twice."""
-    d, began = motion.parts.size, 0.0
-    times, states, driven = [], [], []
-    for k, piece in enumerate(pieces):
-        h = motion.duration(k)
+def _sampled(motion: _Motion, pieces: list[np.ndarray], shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states of a picture: instants where segments meet once, those of events twice."""
+    times, states = [], []
+    for k, (began, h, _) in enumerate(_paths(motion, pieces)):
         chosen = slice(0, None if k == len(pieces) - 1 or motion.event(k) is not None else -1)
         times.append(began + h * shares[chosen])
-        states.append(piece[chosen, :d])
-        driven.append(motion.control(k, shares[chosen]))
-        began += h
+        states.append(pieces[k][chosen, : motion.parts.size])
     found = np.concatenate(times)
     found[-1] = motion.period
-    return found, np.vstack(states), np.vstack(driven)
+    return found, np.vstack(states)
 
 
-def _off_motion(
-    motion: _Motion, pieces: list[np.ndarray], times: np.ndarray, samples: np.ndarray, units: np.ndarray
-) -> float:
-    """How far recorded samples (k x d) are off the motion at their times (k), in units; infinite if they are none."""
-    edge, began, far = TIED * motion.period, 0.0, np.full(times.size, np.inf)
-    if samples.shape != (times.size, units.size) or times.size < 2 or not np.all(np.diff(times) >= 0):
-        return float("inf")
-    if times[0] != 0.0 or not -edge <= motion.period - times[-1] <= np.diff(times).max():  # thinned, the last may lack
-        return float("inf")
-    for k, piece in enumerate(pieces):
-        h = motion.duration(k)
-        own = (times >= began - edge) & (times <= began + h + edge)
-        shares = np.clip((times[own] - began) / h, 0.0, 1.0)
-        moments = np.unique(np.append(shares, 0.0))
-        field = motion.forward[motion.parts.arc(k)].at(motion.given(k, h))
-        states = integrate(field, piece[0], moments, TIGHTEST, 0.25)
-        off = np.abs((states[np.searchsorted(moments, shares), : units.size] - samples[own]) / units).max(axis=1)
-        far[own], began = np.fmin(far[own], off), began + h
-    return float(far.max())
+def _paths(motion: _Motion, pieces: list[np.ndarray]) -> Iterator[tuple[float, float, StatesAt]]:
+    """When each segment begins, how long it lasts (s), its states at times since."""
+    lasts = [motion.duration(k) for k in range(len(pieces))]
+    for k, (begin, h) in enumerate(zip(np.cumsum([0.0, *lasts]), lasts, strict=False)):
+        yield begin, h, partial(_path, motion, k, pieces[k][0])
+
+
+def _path(motion: _Motion, k: int, start: np.ndarray, since: np.ndarray) -> np.ndarray:
+    """States of a segment at times (s) since its start."""
+    field = motion.at(motion.forward, k)
+    return integrate(field, start, since / motion.duration(k), TIGHTEST, 0.25)[:, : motion.parts.size]
 
 
 def _events(motion: _Motion, pieces: list[np.ndarray]) -> Any:
     """(name, miss of the guard in periods, how early another crossing comes) of each event of a hybrid motion."""
     d, arc_began = motion.parts.size, 0
     for k, piece in enumerate(pieces):
-        one = motion.event(k)
+        one, p = motion.event(k), motion.parts.model.parameter_values
         if one is None:
             continue
-        p = motion.parts.model.parameter_values
-        guard = np.array([float(one.guard(x, p)) for part in pieces[arc_began : k + 1] for x in part[:, :d]])
+        rows = np.vstack([part[:, :d] for part in pieces[arc_began : k + 1]])
+        guard = np.array([float(one.guard(x, p)) for x in rows])
         rate = (guard[-1] - guard[-2]) * (len(piece) - 1) / motion.duration(k)
-        allowed = np.ones(guard.size)
-        if one.allowed is not None:
-            allowed = np.array([float(one.allowed(x, p)) for part in pieces[arc_began : k + 1] for x in part[:, :d]])
+        allowed = np.array([1.0 if one.allowed is None else float(one.allowed(x, p)) for x in rows])
         away = -guard[:-1] * one.direction > NEAR * float(np.ptp(guard))  # at its beginning an arc is at its guard
         crossed = away & (guard[1:] * one.direction >= 0) & (allowed[1:] > 0)
         early = float(np.sum(crossed[: -len(piece) // 2]))
@@ -485,7 +405,7 @@ def _reach(motion: _Motion, pieces: list[np.ndarray], transitions: list[np.ndarr
     for k in reversed(range(len(pieces))):
         carried = carried @ transitions[k]
         x, u = pieces[k][0, : units.size], motion.control(k, np.array([0.0]))[0]
-        by_u = motion.hessian[motion.parts.arc(k)](x, u, motion.free)[2].full() / units[:, None]
+        by_u = motion.instant(k, x, u)[2] / units[:, None]
         strength = np.abs(by_u).max(axis=0)
         columns.append(carried @ by_u[:, strength > 0] / strength[strength > 0] / len(pieces))
     return np.hstack(columns)
@@ -522,53 +442,40 @@ def _off_symmetry(motion: _Motion, pieces: list[np.ndarray], units: np.ndarray) 
     return float(np.abs(wrapped(apart, parts.model.angular) / units).max())
 
 
-class _Fit:
-    """The multipliers that meet the conditions of an optimum best, and what they leave."""
+class Fit:
+    """The multipliers that meet the conditions of an optimum best, and what they leave.
+
+    `left` of the conditions, relative to the cost, at `worst`; `violations` by name how far tasks and limits are
+    violated, relative; `phase` what fixing the phase costs, relative; `costate` at t = 0; `pointwise` the largest |H_u|
+    relative to its terms, `drift` how far H is from constant, relative; `size` of a cost that is not small.
+    """
 
     def __init__(self, motion: _Motion, pieces: list[np.ndarray], units: np.ndarray) -> None:
-        self.motion, self.parts, self.plan, self.pieces, self.units = motion, motion.parts, motion.plan, pieces, units
-        self.names: list[str] = []
-        self.signs: list[int] = []
+        self.motion, self.parts, self.pieces, self.units = motion, motion.parts, pieces, units
         self.violations: dict[str, float] = {}
         self.transitions: list[np.ndarray] = []
         self.first, self.last = motion.parts.symmetry.boundary(motion.parts.model.degrees_of_freedom)
-        basis, parts = self.parts.basis, self.parts
-        self.active = self._actives()
-        for k in range(len(self.first)):
-            self._unknown(f"closing {k}", 0)
-        for k in self.plan.pinned:
-            self._unknown(f"pin {parts.model.state_names[k]}", 0)
-        for k in range(len(self.plan.normals)):
-            self._unknown(f"phase {k}", 0)
-        for k, (_, one) in enumerate(parts.moments):
-            self._unknown(f"task {one.expression} at {one.at}", self._side(one, k))
-        for k, one in enumerate(parts.means):
-            self._unknown(f"mean {one.expression}", self._mean_side(one, k))
-        for segment in range(basis.intervals):
-            if (event := motion.event(segment)) is not None:
-                self._unknown(f"event {event.name} {segment}", 0)
-        self.first_active = len(self.names)
-        for segment, j, task, side in self.active:
-            self._unknown(f"limit {parts.always[task].expression} {segment}.{j}", side)
-        self.bounded = self._bounded()
-        for i, j, side in self.bounded:
-            self._unknown(f"bound {parts.model.controls[i]} {j}", side)
-        for name, side in self.plan.held.items():
-            self._unknown(f"held {name}", side)
+        parts, events = self.parts, [motion.event(k) for k in range(self.parts.basis.intervals)]
+        self.active, self.bounded = self._actives(), self._bounded()
+        signs = [
+            *((f"closing {k}", 0) for k in range(len(self.first))),
+            *((f"pin {parts.model.state_names[k]}", 0) for k in self.motion.pinned),
+            *((f"phase {k}", 0) for k in range(len(self.motion.normals))),
+            *((f"task {one.expression} at {one.at}", self._moment(one, k)) for k, one in parts.moments),
+            *((f"mean {one.expression}", self._mean(one, k)) for k, one in enumerate(parts.means, 1)),
+            *((f"event {event.name} {k}", 0) for k, event in enumerate(events) if event is not None),
+        ]
+        self.first_active = len(signs)
+        signs += [(f"limit {parts.always[task].expression} {k}.{j}", side) for k, j, task, side in self.active]
+        signs += [(f"bound {parts.model.controls[i]} {j}", side) for i, j, side in self.bounded]
+        signs += [(f"held {name}", side) for name, side in self.motion.held.items()]
+        self.names, self.signs = [name for name, _ in signs], np.array([sign for _, sign in signs], int)
         self._assemble()
-
-    def _unknown(self, name: str, sign: int) -> None:
-        self.names.append(name)
-        self.signs.append(sign)
-
-    def _arc(self, segment: int) -> int:
-        return self.parts.arc(segment)
 
     def _place(self, segment: int, j: int) -> tuple[float, np.ndarray, np.ndarray]:
         """(share, x, given) after step j of a segment."""
-        share = j / self.parts.steps
-        given = self.motion.given(segment, 0.0)[:-1]
-        return share, self.pieces[segment][j * SAMPLES, : self.parts.size], given
+        x = self.pieces[segment][j * SAMPLES, : self.parts.size]
+        return j / self.parts.steps, x, self.motion.given(segment)
 
     def _watched(self, tasks: tuple[Task, ...], arc: int) -> ca.Function:
         """(share, x, given, period) -> values, d/dx, d/dgiven, d/dperiod."""
@@ -579,32 +486,33 @@ class _Fit:
         rows = [value, *(ca.jacobian(value, by) for by in (x, given, period))]
         return ca.Function("tasks", [share, x, given, period], [ca.densify(one) for one in rows])
 
-    def _violated(self, name: str, value: np.ndarray, one: Task, size: float = 0.0) -> None:
-        bounds = [abs(bound) for bound in (one.low, one.high) if np.isfinite(bound)]
+    def _violated(self, name: str, value: np.ndarray, low: float, high: float, size: float = 0.0) -> None:
+        bounds = [abs(bound) for bound in (low, high) if np.isfinite(bound)]
         size = nonzero(max(*bounds, size, float(np.ptp(value))))
-        worst = float(np.maximum(one.low - value, value - one.high).max()) / size
+        worst = float(np.maximum(low - value, value - high).max()) / size
         self.violations[name] = max(self.violations.get(name, 0.0), worst)
 
-    def _side(self, one: Task, number: int) -> int:
-        segment, _ = self.parts.moments[number]
-        function = self._watched((one,), self._arc(segment))
-        share, x, given = self._place(segment, 0)
-        value = function(share, x, given, self.motion.period)[0].full().ravel()
+    def _side(self, name: str, one: Task, value: float) -> int:
+        """At which end of its range a task's number stands; by how much it is beyond is noted."""
         size = self._range(one)
-        self._violated(f"{one.expression} at {one.at:g}", value, one, size)
-        return _side_of(one, float(value[0]), size)
+        self._violated(name, np.array([value]), one.low, one.high, size)
+        return _side_of(one, value, size)
+
+    def _moment(self, one: Task, segment: int) -> int:
+        """The side of what is asked for where a segment begins."""
+        value = self._watched((one,), self.parts.arc(segment))(*self._place(segment, 0), self.motion.period)[0]
+        return self._side(f"{one.expression} at {one.at:g}", one, float(value))
+
+    def _mean(self, one: Task, number: int) -> int:
+        """The side of a mean over the period."""
+        return self._side(f"mean {one.expression}", one, self._integral(number) / self.motion.period)
 
     def _range(self, one: Task) -> float:
         """How much an expression varies over the nodes of the motion."""
         functions = [self._watched((one,), arc) for arc in range(max(self.parts.basis.arcs, 1))]
-        found = [float(functions[self._arc(k)](*self._place(k, 0), self.motion.period)[0])
+        found = [float(functions[self.parts.arc(k)](*self._place(k, 0), self.motion.period)[0])
                  for k in range(self.parts.basis.intervals)]  # fmt: skip
         return nonzero(float(np.ptp(found)))
-
-    def _mean_side(self, one: Task, number: int) -> int:
-        total = self._integral(1 + number) / self.motion.period
-        self._violated(f"mean {one.expression}", np.array([total]), one, self._range(one))
-        return _side_of(one, total, self._range(one))
 
     def _integral(self, number: int) -> float:
         """An integral over the whole period."""
@@ -616,20 +524,15 @@ class _Fit:
         self._limits()
         if not parts.always:
             return []
-        shares = np.linspace(0.0, 1.0, SAMPLES * parts.steps + 1)
-        values = []
-        functions = [self.parts.watched(k, parts.always) for k in range(max(parts.basis.arcs, 1))]
-        for segment in range(self.motion.whole.intervals):
-            piece, function = self.pieces[segment], functions[self._arc(segment)]
-            given = self.motion.given(segment, 0.0)[:-1]
-            s = np.zeros(function.size1_in(2))
-            many = function.map(len(shares))
-            values.append(np.asarray(many(shares[None], piece[:, : parts.size].T, np.tile(s[:, None], (1, len(shares))),
-                                          np.tile(given[:, None], (1, len(shares))),
-                                          np.full((1, len(shares)), self.motion.period)).full()).T)  # fmt: skip
+        shares, values = np.linspace(0.0, 1.0, SAMPLES * parts.steps + 1), []
+        functions = [parts.watched(k, parts.always) for k in range(max(parts.basis.arcs, 1))]
+        for segment, piece in enumerate(self.pieces):
+            function, x = functions[parts.arc(segment)], piece[:, : parts.size].T
+            given = np.zeros(function.size1_in(2)), self.motion.given(segment), self.motion.period
+            values.append(function(shares[None], x, *given).full().T)
         everything = np.vstack(values)
         for task, one in enumerate(parts.always):
-            self._violated(f"{one.expression} always", everything[:, task], one)
+            self._violated(f"{one.expression} always", everything[:, task], one.low, one.high)
             size = nonzero(np.ptp(everything[:, task]))
             for segment in range(parts.basis.intervals):
                 for j in range(parts.steps + 1):
@@ -645,9 +548,7 @@ class _Fit:
         for i, name in enumerate(self.parts.model.controls):
             low, high = self.parts.model.limits.get(name, (-np.inf, np.inf))
             if np.isfinite(low) or np.isfinite(high):
-                self._violated(f"{name} within limits", driven[:, i], Task(
-                    name, "always", lowest=low if np.isfinite(low) else None,
-                    highest=high if np.isfinite(high) else None))  # fmt: skip
+                self._violated(f"{name} within limits", driven[:, i], low, high)
 
     def _bounded(self) -> list[tuple[int, int, int]]:
         """(control, free coefficient, side) of coefficients at a limit."""
@@ -660,7 +561,7 @@ class _Fit:
             low, high = self.parts.model.limits[name]
             size = high - low if np.isfinite(high - low) else max(abs(x) for x in (low, high) if np.isfinite(x))
             shape = self.parts.basis.free(i)
-            for j, value in enumerate(np.linalg.lstsq(shape, self.plan.coefficients[i], rcond=None)[0]):
+            for j, value in enumerate(np.linalg.lstsq(shape, self.motion.coefficients[i], rcond=None)[0]):
                 reach = shape[:, j] * value
                 if np.any(reach[shape[:, j] != 0] - low <= ACTIVE * size):
                     found.append((i, j, -1 if value - low <= ACTIVE * size else 1))
@@ -693,7 +594,7 @@ class _Fit:
             for where, one in parts.moments:
                 if where == segment:
                     column = self.place[f"task {one.expression} at {one.at}"]
-                    self._pushed(costate, column, (segment, 0), self._watched((one,), self._arc(segment)), 0)
+                    self._pushed(costate, column, (segment, 0), self._watched((one,), self.parts.arc(segment)), 0)
         self.costates.reverse()
         self._monodromies(transitions[::-1])
         self._solve(costate)
@@ -703,14 +604,14 @@ class _Fit:
     ) -> tuple[np.ndarray, np.ndarray]:
         """The state-transition matrix of a segment, and the costate where it begins; gradients are added up."""
         parts, motion, d = self.parts, self.motion, self.parts.size
-        arc, h, total, picked = self._arc(segment), motion.duration(segment), np.eye(d), self._picked(segment)
+        arc, h, total, picked = self.parts.arc(segment), motion.duration(segment), np.eye(d), self._picked(segment)
         for j in reversed(range(parts.steps + 1)):
             for number, (where, step, task, _) in enumerate(self.active):
                 if (where, step) == (segment, j):
                     self._pushed(costate, self.first_active + number, (segment, j), always[arc], task)
             if j == 0:
                 break
-            piece = self._back(segment, arc, j, h)
+            piece = self._back(segment, j)
             grown = [one[:, :d] @ costate + one[:, d:] @ self.weights for one in piece]
             costate, by_c, by_free, by_h = grown
             np.add.at(self.by_c, picked, by_c)
@@ -747,17 +648,18 @@ class _Fit:
         else:
             self.by_free[first:] -= by_h * slope
 
+    def _slopes(self, event: Any, segment: int) -> tuple[np.ndarray, ...]:
+        """Derivatives of the reset by state and freed parameters, and those of the guard, where a segment ends."""
+        state, free = ca.MX.sym("x", self.parts.size), ca.MX.sym("free", len(self.parts.free))
+        p = self.parts.model.parameters(self.parts.free, free)
+        values = event.reset(state, p), event.guard(state, p)
+        rows = [ca.densify(ca.jacobian(value, by)) for value in values for by in (state, free)]
+        x = self.pieces[segment][-1, : self.parts.size]
+        return tuple(one.full() for one in ca.Function("event", [state, free], rows)(x, self.motion.free))
+
     def _through(self, event: Any, segment: int, costate: np.ndarray) -> np.ndarray:
         """The costate before an event from that after it."""
-        x = self.pieces[segment][-1, : self.parts.size]
-        model = self.parts.model
-        state, free = ca.MX.sym("x", x.size), ca.MX.sym("free", len(self.parts.free))
-        p = model.parameters(self.parts.free, free)
-        after, guard = event.reset(state, p), event.guard(state, p)
-        rows = [ca.densify(ca.jacobian(value, by)) for value in (after, guard) for by in (state, free)]
-        by_x, by_p, guard_x, guard_p = (
-            one.full() for one in ca.Function("event", [state, free], rows)(x, self.motion.free)
-        )
+        by_x, by_p, guard_x, guard_p = self._slopes(event, segment)
         column = self.place[f"event {event.name} {segment}"]
         self.by_free += by_p.T @ costate
         before = by_x.T @ costate
@@ -765,22 +667,17 @@ class _Fit:
         self.by_free[:, column] += guard_p.ravel()
         return np.asarray(before)
 
-    def _back(self, segment: int, arc: int, j: int, h: float) -> list[np.ndarray]:
+    def _back(self, segment: int, j: int) -> list[np.ndarray]:
         """Costates (d x r), gradients by local coefficients, freed parameters and h over step j of a segment."""
-        parts = self.parts
-        d, r = parts.size, parts.size + self.motion.count
-        counts = [d, len(parts.model.controls) * parts.basis.local, len(parts.free), 1]
+        d, r = self.parts.size, self.parts.size + self.motion.count
+        counts = [d, len(self.parts.model.controls) * self.parts.basis.local, len(self.parts.free), 1]
         start = np.zeros(d + sum(counts) * r)
         start[:d] = self.pieces[segment][j * SAMPLES, :d]
         start[d : d + d * r] = np.eye(d, r).ravel("F")
-        field = self.motion.backward[arc].at(self.motion.given(segment, h))
-        span = 1.0 - np.array([j, j - 1]) / parts.steps
-        end = integrate(field, start, span, VARIED)[-1]
-        found, at = [], d
-        for count in counts:
-            found.append(end[at : at + count * r].reshape(count, r, order="F"))
-            at += count * r
-        return found
+        span = 1.0 - np.array([j, j - 1]) / self.parts.steps
+        end = integrate(self.motion.at(self.motion.backward, segment), start, span, VARIED)[-1]
+        parts = np.split(end[d:], r * np.cumsum(counts)[:-1])
+        return [part.reshape(-1, r, order="F") for part in parts]
 
     def _monodromies(self, transitions: list[np.ndarray]) -> None:
         """State-transition matrices of all segments, of events with their own time eliminated, over the period."""
@@ -796,29 +693,24 @@ class _Fit:
 
     def _saltated(self, event: Any, segment: int) -> np.ndarray:
         """DR (1 - f grad g / (grad g . f)): the clock of the control begins again with each arc."""
-        x, model = self.pieces[segment][-1, : self.parts.size], self.parts.model
-        state = ca.MX.sym("x", x.size)
-        after = event.reset(state, ca.DM(model.parameter_values))
-        guard = event.guard(state, ca.DM(model.parameter_values))
-        rows = ca.Function("event", [state], [ca.densify(ca.jacobian(one, state)) for one in (after, guard)])(x)
-        by_x, slope = (one.full() for one in rows)
+        x, (by_x, _, slope, _) = self.pieces[segment][-1, : self.parts.size], self._slopes(event, segment)
         u = self.motion.control(segment, np.array([1.0]))[0]
-        rate = self.motion.hessian[self._arc(segment)](x, u, self.motion.free)[0].full()
+        rate = self.motion.instant(segment, x, u)[0]
         return np.asarray(by_x @ (np.eye(x.size) - rate @ slope / (slope @ rate).item()))
 
     def _solve(self, costate: np.ndarray) -> None:
         """The rows of all conditions, in units of cost."""
         place, by_free = self.place, self.by_free
-        parts, motion, plan = self.parts, self.motion, self.plan
+        parts, motion = self.parts, self.motion
         basis, m = parts.basis, len(parts.model.controls)
         integral = self._integral(0)
         self.cost = integral / (motion.period if parts.control.average else 1.0)
         x = self.pieces[0][0, : parts.size]
         start, period_row = costate.copy(), self.by_period.copy()
         start[:, : len(self.first)] += self.first.T
-        for k in plan.pinned:
+        for k in motion.pinned:
             start[k, place[f"pin {parts.model.state_names[k]}"]] += 1.0
-        for k, row in enumerate(plan.normals):
+        for k, row in enumerate(motion.normals):
             start[:, place[f"phase {k}"]] += row
         final, by_x, by_p, by_t = self._final(x)
         self.cost += final
@@ -828,7 +720,7 @@ class _Fit:
         for k, one in enumerate(parts.means):
             period_row[place[f"mean {one.expression}"]] -= self._integral(1 + k) / motion.period**2
         rows, labels = [start * self.units[:, None]], ["costate closes"] * len(start)
-        sizes = [max(float(np.abs(row).max()), SMALL) for row in plan.coefficients]
+        sizes = [max(float(np.abs(row).max()), SMALL) for row in motion.coefficients]
         for i in range(m):
             shape = basis.free(i)
             own = shape.T @ self.by_c[i * basis.whole : (i + 1) * basis.whole]
@@ -837,14 +729,14 @@ class _Fit:
                     own[j, place[f"bound {parts.model.controls[i]} {self.bounded[number][1]}"]] += 1.0
             rows.append(own * sizes[i])
             labels += [f"control {parts.model.controls[i]}"] * len(own)
-        if plan.period_free:
-            if "period" in plan.held:
+        if motion.period_free:
+            if "period" in motion.held:
                 period_row[place["held period"]] += 1.0
             rows.append(period_row[None] * motion.period)
             labels.append("period")
         for k, name in enumerate(parts.free):
             row = by_free[k] * nonzero(abs(motion.free[k]))
-            if name in plan.held:
+            if name in motion.held:
                 row[place[f"held {name}"]] += 1.0
             rows.append(row[None])
             labels.append(name)
@@ -864,10 +756,10 @@ class _Fit:
         found = 0.0
         for piece in self.pieces[: self.parts.basis.intervals]:
             x, u = piece[0, : self.parts.size], np.zeros(len(self.parts.model.controls))
-            _, idle, by_u, _ = (one.full() for one in self.motion.hessian[0](x, u, self.motion.free))
+            _, idle, by_u, _ = self.motion.instant(0, x, u)
             strong = np.abs(by_u / self.units[:, None]).max(axis=0)
             large = 2 * np.pi / self.motion.period / nonzero(strong)
-            costs = self.motion.hessian[0](x, np.where(strong > 0, large, 0.0), self.motion.free)[1].full()
+            costs = self.motion.instant(0, x, np.where(strong > 0, large, 0.0))[1]
             found = max(found, abs(float(costs[0, 0] - idle[0, 0])))
         return found * SMALL * (1.0 if self.parts.control.average else self.motion.period)
 
@@ -878,7 +770,7 @@ class _Fit:
         self.size = size
         widths = nonzero(np.abs(matrix).max(axis=0, initial=0.0))
         y = np.linalg.lstsq(matrix / widths, right, rcond=1e-13)[0]
-        signs = np.array(self.signs)
+        signs = self.signs
         wrong = (signs != 0) & (y * signs < -1e-9 * size)
         if np.any(wrong):
             low, high = np.where(signs > 0, 0.0, -np.inf), np.where(signs < 0, 0.0, np.inf)
@@ -907,12 +799,12 @@ class _Fit:
             costate = fraction * (matrix @ self.y)
             u = motion.control(segment, np.array([0.0]))[0]
             x = self.pieces[segment][0, : parts.size]
-            rate, costs, by_u, cost_by_u = (one.full() for one in motion.hessian[self._arc(segment)](x, u, motion.free))
+            rate, costs, by_u, cost_by_u = motion.instant(segment, x, u)
             levels.append(float(weights @ costs.ravel() + costate @ rate.ravel()))
             pieces.append(abs(float(weights @ costs.ravel())) + float(np.abs(costate * rate.ravel()).sum()))
             slopes.append(np.abs(weights @ cost_by_u + costate @ by_u).max(initial=0.0))
             terms.append(np.abs(costate @ by_u).max(initial=0.0))
-        self.start = fraction * (self.costates[0] @ self.y)
+        self.costate = fraction * (self.costates[0] @ self.y)
         self.pointwise = float(max(slopes) / nonzero(max(terms)))
         arcs = np.array_split(np.array(levels), max(parts.basis.arcs, 1))
         self.drift = float(max(np.ptp(one) for one in arcs) / nonzero(max(pieces)))

@@ -16,7 +16,7 @@ Lengths, momenta and the time are measured in extents of the motion, so that the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -67,8 +67,14 @@ LONGEST_PHASE = 0.15
 KNOWN = 1e-6
 """Share of a component's size below which its changes are no unit to integrate in: they are round-off, nearly"""
 HAMILTON, GIVEN = "Hamilton's equations", "the rates as given"
+TIED = 1e-9
+"""Share of the period by which times of events may differ"""
 REFLECTED = 1e-9
 """x(T/2) is this near to -x(0), in extents of the motion, where half a period stands for the whole"""
+
+
+StatesAt = Callable[[np.ndarray], np.ndarray]
+"""Increasing times (k, s) since a piece of a motion began -> its states (k x d)"""
 
 
 @dataclass(frozen=True)
@@ -237,19 +243,28 @@ def _pieces(
 ) -> tuple[list[np.ndarray], np.ndarray, float]:
     """State-transition matrices (m x m) of equal pieces of a period that begin at `starts` (or, if there is one, each
     where the one before ended), their ends with the first start, and the action."""
-    size, nodes, action, half = starts.shape[1], [starts[0]], 0.0, starts.shape[1] // 2
+    nodes, action, half = [starts[0]], 0.0, starts.shape[1] // 2
     first_order, variational = equations.model.rates is not None, vector_field(equations.equations.variational)
     work = float(units @ units) / period if first_order else float(units[:half] @ units[half:]) or 1.0
-    matrix = (units[:, None] / units[None, :]).ravel("F")
-    measures, pieces = np.concatenate([units, matrix, [work]]), []
+    pieces = []
     for k in range(PIECES):
-        extended = np.concatenate([starts[k] if len(starts) > 1 else nodes[-1], np.eye(size).ravel(), [0.0]])
-        span = period * np.array([k, k + 1]) / PIECES
-        end = integrate_in(measures, variational, extended, span, varied)[-1]
-        pieces.append(end[size:-1].reshape(size, size, order="F"))
-        nodes.append(end[:size])
-        action += float(end[-1])
+        begin, span = starts[k] if len(starts) > 1 else nodes[-1], period * np.array([k, k + 1]) / PIECES
+        end, piece, done = varied_end(variational, begin, span, units, work, varied)
+        pieces.append(piece)
+        nodes.append(end)
+        action += done
     return pieces, np.array(nodes), action
+
+
+def varied_end(
+    field: VectorField, start: np.ndarray, span: np.ndarray, units: np.ndarray, work: float, settings: ReferenceSettings
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Where a motion (m) ends, its state-transition matrix (m x m) and its action, by the field of all three, measured
+    in units (m) and in `work`."""
+    measures = np.concatenate([units, (units[:, None] / units).ravel("F"), [work]])
+    begin, size = np.concatenate([start, np.eye(start.size).ravel(), [0.0]]), start.size
+    end = integrate_in(measures, field, begin, span, settings)[-1]
+    return end[:size], end[size:-1].reshape(size, size, order="F"), float(end[-1])
 
 
 def evenly(period: float) -> np.ndarray:
@@ -309,34 +324,150 @@ LONGEST_STEPS = (np.inf, 1 / 400, 1 / 1600)
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """What the second integrator on the second formulation says of a state and a period.
+class Tour:
+    """A loop gone round once: `pieces` (m x m each, in extents) of its linearisation, and what is trivial in it.
 
-    `times` are equally spaced; `closes` measures the gap in extents, `closure` in the model's units (its largest
-    component); `exchanged` is the energy (J) that `drift` is relative to, `extents` (2n) those of the motion,
-    `growth` the largest |S^-1 Phi(t, s) S| of all s < t, `varied` what an error that Phi takes up under way grows to
-    in it (the largest |Phi(T, t)| |Phi(t, 0)|) and `norm` |Phi(T, 0)|, both so scaled, `reached` the states at further
-    moments that were asked for, and `trace` the steps that were taken.
+    `gradients` and `directions` (k x m) leave `size` multipliers; `basis` (m x r) spans what constraints leave, `half`
+    (m x m) takes what is half a period on back to the start where the orbit repeats itself there, and the map is then
+    that of half a period. `divergence()` is by how much the integrated divergence misses the sum of the logarithms of
+    all multipliers, and how well that is known.
+    """
+
+    closes: Closure
+    pieces: Sequence[np.ndarray]
+    gradients: np.ndarray
+    directions: np.ndarray
+    conservative: bool
+    units: np.ndarray
+    basis: np.ndarray
+    half: np.ndarray | None = None
+    divergence: Callable[[], tuple[float, float]] = lambda: (0.0, 0.0)
+    motion: tuple[np.ndarray, np.ndarray] = (np.zeros(0), np.zeros((0, 0)))
+    """times (k) and states (k x d) of the period"""
+
+    @property
+    def root(self) -> int:
+        """Of which power of the map the monodromy is."""
+        return 1 if self.half is None else 2
+
+    def map(self, noise: np.random.Generator | None = None, share: float = 0.0) -> np.ndarray:
+        """The root map without trivial multipliers (r x r), each piece with an error that is a `share` of its norm."""
+        return reduce_monodromy(self.inner(noise, share), *self._framed)
+
+    def inner(self, noise: np.random.Generator | None = None, share: float = 0.0) -> np.ndarray:
+        """The same with them, on what constraints leave."""
+        whole = np.eye(self.units.size)
+        for piece in self.pieces[: len(self.pieces) // self.root]:
+            error = 0.0 if noise is None else share * np.linalg.norm(piece, 2) * noise.normal(size=piece.shape)
+            whole = (piece + error) @ whole
+        whole = whole if self.half is None else self.half @ whole
+        return np.asarray(self.basis.T @ whole @ self.basis)
+
+    @property
+    def _framed(self) -> tuple[np.ndarray, np.ndarray]:
+        """Gradients and directions on what constraints leave."""
+        return self.gradients @ self.basis, self.directions @ self.basis
+
+    @property
+    def trivial(self) -> float:
+        """How far the map is from keeping the flow and the gradients of the invariants, relative to its size."""
+        inner, (gradients, directions) = self.inner(), self._framed
+        lost = (
+            relative(directions @ inner.T - directions, directions),
+            relative(gradients @ inner - gradients, gradients),
+        )
+        return max(lost) / max(1.0, float(np.abs(inner).max()))
+
+    @property
+    def asymplectic(self) -> float:
+        """|Phi^T J Phi - J| on what constraints leave, relative to J in extents of the motion and to Phi squared."""
+        inner, form = self.inner(), self._form(self.basis)
+        off = float(np.abs(inner.T @ form @ inner - form).max()) / float(np.abs(form).max())
+        return off / max(1.0, float(np.abs(inner).max())) ** 2
+
+    def _form(self, basis: np.ndarray) -> np.ndarray:
+        """J in extents, on what a basis (columns) spans."""
+        return np.asarray(basis.T @ (self.units[:, None] * symplectic_unit(self.units.size // 2) * self.units) @ basis)
+
+    def krein(self, multipliers: np.ndarray) -> list[tuple[int, bool]]:
+        """Krein signatures of multipliers of a canonical system's whole period, each with whether it can be told."""
+        if not self.conservative or not multipliers.size:
+            return [(0, False)] * multipliers.size
+        form = self._form(self.basis @ complement(*self._framed))
+        values, vectors = np.linalg.eig(np.linalg.matrix_power(self.map(), self.root))
+        found = []
+        for mu in multipliers:
+            k = int(np.argmin(np.abs(values - mu)))
+            size = float((1j * vectors[:, k].conj() @ form @ vectors[:, k]).real) / float(np.linalg.norm(form, 2))
+            away = min(float(np.abs(np.delete(values, k) - mu).min(initial=np.inf)), abs(mu.imag))
+            on_circle = bool(abs(abs(mu) - 1.0) < 1e-6)
+            found.append((int(np.sign(size)) if on_circle else 0, away > 1e-4 and (abs(size) > 1e-6 or not on_circle)))
+        return found
+
+
+@dataclass(frozen=True)
+class Recomputed:
+    """A motion from a state for a period, by an integrator that did not find it: what is asked of every kind.
+
+    `times` (k, s) and `states` (k x d) of the model with their `extents` (d), the loop that they make, its largest gap
+    (`closure`) and action in the model's units, the energy (J) at the start, the multipliers.
     """
 
     times: np.ndarray
     states: np.ndarray
-    closes: Closure
+    extents: np.ndarray
+    tour: Tour
     closure: float
     action: float
-    drift: float
     energy: float
+    floquet: Floquet
+
+    @property
+    def closes(self) -> Closure:
+        """The gap in extents."""
+        return self.tour.closes
+
+
+def off_motion(
+    pieces: Iterable[tuple[float, float, StatesAt]], times: np.ndarray, samples: np.ndarray, units: np.ndarray,
+    period: float, thinned: bool = False,
+) -> float:  # fmt: skip
+    """How far recorded samples (k x d) are off a motion at their times (k, that of an event once or twice), in units.
+
+    `pieces`: when each begins, how long it lasts and its states. Infinite for what are not samples of one period, of
+    which those that are `thinned` may lack the last.
+    """
+    edge = TIED * period
+    if times.size < 2 or samples.shape != (times.size, units.size) or not np.all(np.isfinite(samples)):
+        return float("inf")
+    steps, left = np.diff(times), period - times[-1]
+    if times[0] != 0.0 or not np.all(steps >= 0) or not -edge <= left <= (steps.max() if thinned else edge):
+        return float("inf")
+    far = np.full(times.size, np.inf)
+    for begin, lasts, path in pieces:
+        own = (times >= begin - edge) & (times <= begin + lasts + edge)
+        since = np.clip(times[own] - begin, 0.0, lasts)
+        moments = np.unique(np.append(since, 0.0))
+        states = path(moments)[np.searchsorted(moments, since)]
+        far[own] = np.minimum(far[own], np.abs((states - samples[own]) / units).max(axis=1))
+    return float(far.max())
+
+
+@dataclass(frozen=True)
+class Evidence(Recomputed):
+    """What the second integrator on the second formulation says of a state and a period, at equally spaced times.
+
+    `exchanged` is the energy (J) that `drift` is relative to, `growth` the largest |S^-1 Phi(t, s) S| of all s < t,
+    `varied` what an error that Phi takes up under way grows to in it (the largest |Phi(T, t)| |Phi(t, 0)|) and `norm`
+    |Phi(T, 0)|, both so scaled, `motion` also at further moments that were asked for.
+    """
+
+    drift: float
     exchanged: float
-    extents: np.ndarray
     growth: float
     varied: float
     norm: float
-    trivial: float
-    symplectic: float
-    floquet: Floquet
-    reached: np.ndarray
-    trace: Trace
-    formulation: str = HAMILTON
+    motion: Motion
 
 
 def gather(
@@ -344,66 +475,53 @@ def gather(
     state: np.ndarray,
     period: float,
     turns: np.ndarray,
-    moments: np.ndarray | None = None,
+    moments: Sequence[float] | np.ndarray = (),
     settings: ReferenceSettings = TIGHTEST,
 ) -> Evidence:
     """The `Evidence` of a state (2n) and a period (s), the motion's states at further `moments` with it."""
-    wanted = np.zeros(0) if moments is None else np.asarray(moments, float)
     found = chain_motion if model.constraint is None and is_long(model) else canonical_motion
-    motion = found(model, state, period, turns, np.unique(np.append(evenly(period), wanted)), settings)
-    return _measured(model, motion, state, period, turns, wanted)
-
-
-def _measured(
-    model: Model, motion: Motion, state: np.ndarray, period: float, turns: np.ndarray, moments: np.ndarray
-) -> Evidence:
-    """The `Evidence` of a motion: everything in its own extents, multipliers on the tangent space."""
+    motion = found(model, state, period, turns, np.unique(np.append(evenly(period), moments)), settings)
     at = np.searchsorted(motion.times, evenly(period))
     path, states = motion.path[at], motion.states[at]
-    units = in_momenta(np.ptp(path, axis=0), motion.masses, period)
-    pieces = [piece * units[None, :] / units[:, None] for piece in motion.transitions]
-    gradients, directions = motion.gradients * units, motion.directions / units
-    missed = (path[-1] - path[0] - shift(motion.turns, units.size)) / units
-    found = closes(missed, pieces, path / units, None if model.forced else motion.rate * period / units)
-    monodromy, growth, varied = _products(pieces)
-    basis = tangent_basis(motion.constraints * units) if motion.constraints.size else np.eye(units.size)
-    inner, gradients, directions = basis.T @ monodromy @ basis, gradients @ basis, directions @ basis
-    scale = max(1.0, float(np.abs(inner).max()))
-    trivial = (
-        relative(directions @ inner.T - directions, directions),
-        relative(gradients @ inner - gradients, gradients),
-    )
+    loop = _looped(model, motion, in_momenta(np.ptp(path, axis=0), motion.masses, period), path, period)
+    monodromy, growth, varied = _products(loop.pieces)
     kinetic, potential = energies(model, states)
     total = kinetic + potential
     exchanged = nonzero(max(float(np.ptp(potential)) + float(kinetic.max()), 1e-3 * float(np.abs(potential).max())))
     if model.rates is not None:
-        exchanged = _variable(model, states, units)
+        exchanged = _variable(model, states, loop.units)
     return Evidence(
         times=motion.times[at],
         states=states,
-        closes=found,
+        extents=extents_of(model, states, period),
+        tour=loop,
         closure=gap(np.asarray(state, float), states[-1], turns),
         action=motion.action,
-        drift=float(np.abs(total - total[0]).max()) / exchanged,
         energy=float(total[0]),
+        floquet=analyse(loop.map(), conservative=loop.conservative),
+        drift=float(np.abs(total - total[0]).max()) / exchanged,
         exchanged=exchanged,
-        extents=extents_of(model, states, period),
         growth=growth,
         varied=varied,
         norm=float(np.linalg.norm(monodromy)),
-        trivial=max(trivial) / scale,
-        symplectic=_asymplectic(inner, basis, units) / scale**2 if model.canonical else 0.0,
-        floquet=analyse(reduce_monodromy(inner, gradients, directions), conservative=symplectic(model)),
-        reached=motion.states[np.searchsorted(motion.times, moments)],
-        trace=motion.trace,
-        formulation=motion.formulation,
+        motion=motion,
     )
 
 
-def _asymplectic(inner: np.ndarray, basis: np.ndarray, units: np.ndarray) -> float:
-    """|Phi^T J Phi - J| on the tangent space, relative to J in extents of the motion."""
-    form = basis.T @ (units[:, None] * symplectic_unit(units.size // 2) * units) @ basis
-    return float(np.abs(inner.T @ form @ inner - form).max()) / float(np.abs(form).max())
+def _looped(model: Model, motion: Motion, units: np.ndarray, path: np.ndarray, period: float) -> Tour:
+    """The `Tour` of a motion of which a path (k x m) was looked at, in `units` (m)."""
+    pieces, rate = in_extents(motion.transitions, units), None if model.forced else motion.rate * period / units
+    missed = (path[-1] - path[0] - shift(motion.turns, units.size)) / units
+    return Tour(
+        closes(missed, pieces, path / units, rate), pieces, motion.gradients * units, motion.directions / units,
+        symplectic(model), units,
+        tangent_basis(motion.constraints * units) if motion.constraints.size else np.eye(units.size),
+    )  # fmt: skip
+
+
+def in_extents(matrices: Sequence[np.ndarray], units: np.ndarray) -> list[np.ndarray]:
+    """State-transition matrices (m x m each) between states that are measured in `units` (m)."""
+    return [one * units / units[:, None] for one in matrices]
 
 
 def _variable(model: Model, states: np.ndarray, units: np.ndarray) -> float:
@@ -430,62 +548,6 @@ def _products(pieces: Sequence[np.ndarray]) -> tuple[np.ndarray, float, float]:
     return whole, float(norms.max()), float((norms[:, -1] * norms[0]).max())
 
 
-@dataclass(frozen=True)
-class Tour:
-    """A loop gone round once: `pieces` (m x m each, in extents) of its linearisation, and what is trivial in it.
-
-    `gradients` and `directions` (k x m) leave `size` multipliers; `half` (m x m) takes what is half a period on back to
-    the start where the orbit repeats itself there, and the map is then that of half a period. `divergence()` is by how
-    much the integrated divergence misses the sum of the logarithms of all multipliers, and how well that is known.
-    """
-
-    closes: Closure
-    pieces: Sequence[np.ndarray]
-    gradients: np.ndarray
-    directions: np.ndarray
-    conservative: bool
-    units: np.ndarray
-    half: np.ndarray | None = None
-    basis: np.ndarray | None = None
-    divergence: Callable[[], tuple[float, float]] = lambda: (0.0, 0.0)
-    motion: tuple[np.ndarray, np.ndarray] = (np.zeros(0), np.zeros((0, 0)))
-    """times (k) and states (k x d) of the period"""
-
-    @property
-    def root(self) -> int:
-        """Of which power of the map the monodromy is."""
-        return 1 if self.half is None else 2
-
-    def map(self, noise: np.random.Generator | None = None, share: float = 0.0) -> np.ndarray:
-        """The root map without trivial multipliers (r x r), each piece with an error that is a `share` of its norm."""
-        pieces = self.pieces[: len(self.pieces) // self.root]
-        whole = np.eye(len(pieces[0]))
-        for piece in pieces:
-            error = 0.0 if noise is None else share * np.linalg.norm(piece, 2) * noise.normal(size=piece.shape)
-            whole = (piece + error) @ whole
-        whole = whole if self.half is None else self.half @ whole
-        basis = np.eye(len(whole)) if self.basis is None else self.basis
-        inner = basis.T @ whole @ basis
-        return reduce_monodromy(inner, self.gradients @ basis, self.directions @ basis)
-
-    def krein(self, multipliers: np.ndarray) -> list[tuple[int, bool]]:
-        """Krein signatures of multipliers of a canonical system's whole period, each with whether it can be told."""
-        if not self.conservative or not multipliers.size:
-            return [(0, False)] * multipliers.size
-        outer = np.eye(self.units.size) if self.basis is None else self.basis
-        basis = outer @ complement(self.gradients @ outer, self.directions @ outer)
-        form = basis.T @ (self.units[:, None] * symplectic_unit(self.units.size // 2) * self.units) @ basis
-        values, vectors = np.linalg.eig(np.linalg.matrix_power(self.map(), self.root))
-        found = []
-        for mu in multipliers:
-            k = int(np.argmin(np.abs(values - mu)))
-            size = float((1j * vectors[:, k].conj() @ form @ vectors[:, k]).real) / float(np.linalg.norm(form, 2))
-            away = min(float(np.abs(np.delete(values, k) - mu).min(initial=np.inf)), abs(mu.imag))
-            on_circle = bool(abs(abs(mu) - 1.0) < 1e-6)
-            found.append((int(np.sign(size)) if on_circle else 0, away > 1e-4 and (abs(size) > 1e-6 or not on_circle)))
-        return found
-
-
 def tour(
     model: Model,
     state: np.ndarray,
@@ -501,25 +563,18 @@ def tour(
     moments, long = evenly(period), model.constraint is None and is_long(model)
     given = model, state, period, turns, moments, TIGHTEST
     motion = chain_motion(*given) if long else canonical_motion(*given, varied)
-    path = motion.path
-    units = known_in(path, motion.masses, period, model.angular)
-    pieces = [piece * units[None, :] / units[:, None] for piece in motion.transitions]
-    missed = (path[-1] - path[0] - shift(motion.turns, units.size)) / units
-    rate = None if model.forced else motion.rate * period / units
-    closure, half = closes(missed, pieces, path / units, rate), None
-    if beside is not None and closure.gap > GROWN and not long:
+    units, half = known_in(motion.path, motion.masses, period, model.angular), None
+    loop = _looped(model, motion, units, motion.path, period)
+    if beside is not None and loop.closes.gap > GROWN and not long:
         told, apart = _beside(model, motion, units, *beside, varied)
         motion = told if apart <= GROWN else motion
-        pieces = [piece * units[None, :] / units[:, None] for piece in motion.transitions]
     if forward is not None:
         n = motion.turns.size
         places = forward.places(n) * (units[None, :n] / units[:n, None])
         half = places if n == units.size else np.kron(np.eye(2), forward.places(n)) * units[None, :] / units[:, None]
-    return Tour(
-        closure, pieces, motion.gradients * units, motion.directions / units,
-        symplectic(model), units, half,
-        tangent_basis(motion.constraints * units) if motion.constraints.size else None,
-        partial(_divergence, model, motion, units), (motion.times, motion.states),
+    return replace(
+        loop, pieces=in_extents(motion.transitions, units), half=half,
+        divergence=partial(_divergence, model, motion, units), motion=(motion.times, motion.states),
     )  # fmt: skip
 
 
@@ -539,7 +594,7 @@ def _beside(
         begins.append(integrate_in(units, equations.field, equations.start(states[near]), span, VARIED)[-1])
     pieces, nodes, _ = _pieces(equations, np.array(begins), units, period, varied)
     apart = np.abs((nodes[1:-1] - begins[1:]) / units).max(axis=1)
-    sizes = [np.linalg.norm(piece * units[None, :] / units[:, None]) for piece in pieces]
+    sizes = [np.linalg.norm(piece) for piece in in_extents(pieces, units)]
     return replace(motion, transitions=pieces, begins=np.array(begins)), float(np.max(apart / sizes[:-1]))
 
 

@@ -31,8 +31,9 @@ from orbitfinder.orbits.closure import shift
 from orbitfinder.orbits.measure import versions
 from orbitfinder.orbits.riccati import periodic
 from orbitfinder.orbits.transverse import EFFORT, STEPS, Reference, authority
+from orbitfinder.records.certificate import Certificate, at_most
 from orbitfinder.records.controller import Controller
-from orbitfinder.records.orbit import Certificate, Check, Orbit
+from orbitfinder.records.orbit import Orbit
 
 LEAST_NODES, MOST_NODES = 256, 4096
 INTERPOLATED = 1e-5
@@ -317,10 +318,10 @@ def verified(controller: Controller, model: Model | None = None) -> Controller:
     found, left, right = eig(reduced, left=True, right=True)
     sharp = np.abs(np.einsum("ik,ik->k", left.conj(), right))  # 1 / condition
     checks = (
-        _at_most("reference", gap, CLOSED, "round the orbit, node by node, a motion of the model"),
-        _at_most("multipliers", float(np.abs(found).max()), 1 - MARGIN,
+        at_most("reference", gap, CLOSED, "round the orbit, node by node, a motion of the model"),
+        at_most("multipliers", float(np.abs(found).max()), 1 - MARGIN,
                  "largest modulus, of the nonlinear closed loop"),
-        _at_most("agreement", _apart(found, controller.predicted, sharp), ALIKE,
+        at_most("agreement", _apart(found, controller.predicted, sharp), ALIKE,
                  "of the multipliers with the linear design, over their condition"),
     )  # fmt: skip
     return replace(controller, multipliers=_sorted(found), certificate=Certificate(checks))
@@ -332,12 +333,8 @@ def certify_controller(controller: Controller, model: Model | None = None) -> Ce
     assert found.certificate is not None
     claimed = controller.multipliers
     away = np.abs(found.multipliers - claimed).max() if claimed.shape == found.multipliers.shape else np.inf
-    said = _at_most("recorded_multipliers", float(away), RECORDED, "recorded - recomputed, of the closed loop")
+    said = at_most("recorded_multipliers", float(away), RECORDED, "recorded - recomputed, of the closed loop")
     return Certificate((*found.certificate.checks, said))
-
-
-def _at_most(name: str, value: float, tolerance: float, note: str) -> Check:
-    return Check(name, value, tolerance, bool(value <= tolerance), note)
 
 
 def _apart(found: np.ndarray, predicted: np.ndarray, sharp: np.ndarray) -> float:

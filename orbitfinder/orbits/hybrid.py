@@ -6,14 +6,15 @@ automaton itself, which watches all guards and does not know where an arc should
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from orbitfinder._runtime.sizes import nonzero, relative
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.automaton import Arc, Automaton, arcs_along
 from orbitfinder.integrate.dop853 import (
@@ -21,7 +22,6 @@ from orbitfinder.integrate.dop853 import (
     TIGHTEST,
     ReferenceSettings,
     Trace,
-    integrate_in,
     rates_of,
     scaled,
 )
@@ -34,16 +34,15 @@ from orbitfinder.loops.problem import Guess, Problem, guessed_nodes
 from orbitfinder.loops.symmetry import NONE, RECOGNITION, symmetries_of, turned
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.hybrid import Hybrid, Transition, saltation, share
-from orbitfinder.mechanics.model import Model, energy, wrapped
+from orbitfinder.mechanics.model import Model, energies, energy, wrapped
 from orbitfinder.mechanics.scales import extents_of, snapped
-from orbitfinder.orbits.between import overlooked, risen
-from orbitfinder.orbits.closure import Closure, closes, gap, shift, shift_along
-from orbitfinder.orbits.evidence import CHECKED, ClosureCheck, Tour
-from orbitfinder.orbits.floquet import AREA, Floquet, analyse, generated, reduce_monodromy
+from orbitfinder.orbits.between import Rates, overlooked, risen
+from orbitfinder.orbits.closure import closes, gap, shift, shift_along
+from orbitfinder.orbits.evidence import CHECKED, ClosureCheck, Recomputed, StatesAt, Tour, in_extents, varied_end
+from orbitfinder.orbits.floquet import AREA, Floquet, analyse, generated
+from orbitfinder.orbits.measure import recorded
 from orbitfinder.records.orbit import Orbit
 
-Rates = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Times and rows of states -> their rates"""
 LOOKS = 24
 """Looks at rates and guards between two samples of an arc"""
 PIECES = 4
@@ -54,8 +53,6 @@ STEPS = 16
 """Steps of the simulation in a period, at least: where nothing moves but a clock, there would be one"""
 TRIED = 24
 """States of an arc at which the equations are compared a turn further"""
-TIED = 1e-9
-"""Share of the period by which times of events may differ"""
 ROUGH = ReferenceSettings(relative_tolerance=1e-10, absolute_tolerance=1e-12)
 """Tolerances of the simulation of a guess"""
 
@@ -135,33 +132,19 @@ def carried(equations: Equations, like: Unknowns, guess: Guess) -> Unknowns:
 
 
 @dataclass(frozen=True)
-class HybridEvidence:
-    """What the simulated automaton says of a state: its arcs, the gap, the multipliers, what must hold.
+class HybridEvidence(Recomputed):
+    """What the simulated automaton says of a state: its arcs, how long they take, what must hold.
 
-    `pieces` are state-transition matrices in extents, events included; `trivial` how far the flow and the invariants'
-    gradients are from being kept; `transversal` the least rate at which a guard is crossed, relative;
-    `decided` the least |allowed| at a crossing. In extents too: `slopes` of the invariants, `directions` in which the
-    motion shifts along itself and its symmetries.
+    Times and states are those of all arcs, those of events twice, before and after; `transversal` is the least rate at
+    which a guard is crossed, relative; `decided` the least |allowed| at a crossing.
     """
 
     arcs: tuple[Arc, ...]
     period: float
-    end: np.ndarray
-    closes: Closure
-    closure: float
-    action: float
     drift: float
     balance: float
-    extents: np.ndarray
-    trivial: float
     transversal: float
     decided: float
-    floquet: Floquet
-    monodromy: np.ndarray
-    slopes: np.ndarray
-    directions: np.ndarray
-    times: np.ndarray
-    states: np.ndarray
 
 
 def motion_of(arcs: Sequence[Arc]) -> tuple[np.ndarray, np.ndarray]:
@@ -179,38 +162,29 @@ def gather_hybrid(model: Model, state: np.ndarray, period: float, turns: np.ndar
     times, states = motion_of(arcs)
     units = extents_of(model, states, period)
     automaton = Automaton.about(model, state, period)
-    pieces, action = _variations(automaton, arcs)
-    scaled = [piece * units / units[:, None] for piece in pieces]
-    whole = np.eye(units.size)
-    for piece in scaled:
-        whole = piece @ whole
+    variations, action = _variations(automaton, arcs)
+    pieces = in_extents(variations, units)
     rate = automaton.field(arcs[0].mode)(0.0, np.asarray(state, float)) / units
     slopes = invariant_gradients(model)(state).full().reshape(-1, units.size) * units
-    found = closes((end - state - shift(turns, units.size)) / units, scaled, states / units, rate * period)
-    size = max(1.0, float(np.abs(whole).max()))
+    found = closes((end - state - shift(turns, units.size)) / units, pieces, states / units, rate * period)
     directions = np.vstack([rate, generated(model, state) / units])
-    kept = [relative(row @ whole - row, row) for row in slopes]
-    kept += [relative(whole @ one - one, one) for one in directions]
+    loop = Tour(found, pieces, slopes, directions, False, units, np.eye(units.size), motion=(times, states))
     drift, balance = _energies(model, arcs)
     return HybridEvidence(
-        arcs=tuple(arcs),
-        period=period,
-        end=end,
-        closes=found,
-        closure=gap(state, end, turns),
-        action=action,
-        drift=drift,
-        balance=balance,
-        extents=units,
-        trivial=max(kept) / size,
-        transversal=min(abs(arc.slope) for arc in arcs),
-        decided=min(arc.decided for arc in arcs),
-        floquet=multipliers(whole, slopes, directions),
-        monodromy=whole * units[:, None] / units,
-        slopes=slopes,
-        directions=directions,
         times=times,
         states=states,
+        extents=units,
+        tour=loop,
+        closure=gap(state, end, turns),
+        action=action,
+        energy=energy(model, state),
+        floquet=_multipliers(loop),
+        arcs=tuple(arcs),
+        period=period,
+        drift=drift,
+        balance=balance,
+        transversal=min(abs(arc.slope) for arc in arcs),
+        decided=min(arc.decided for arc in arcs),
     )
 
 
@@ -228,11 +202,7 @@ def repeats(model: Model, name: str, evidence: HybridEvidence, turns: np.ndarray
 def hybrid_tour(model: Model, state: np.ndarray, period: float, turns: np.ndarray) -> Tour:
     """The `Tour` of a hybrid orbit, as its automaton is simulated. Raises `ConvergenceError`, `IntegrationError`."""
     found = gather_hybrid(model, state, period, turns)
-    units = found.extents
-    paired = found.floquet.indices.size > 0
-    monodromy = [found.monodromy * units / units[:, None]]
-    motion = found.times, found.states
-    return Tour(found.closes, monodromy, found.slopes, found.directions, paired, units, motion=motion)
+    return replace(found.tour, pieces=[found.tour.inner()], conservative=found.floquet.indices.size > 0)
 
 
 def retraced(equations: Equations, found: Solution) -> Solution:
@@ -252,41 +222,23 @@ def retraced(equations: Equations, found: Solution) -> Solution:
 
 def hybrid_orbit(problem: Problem, refined: Refined) -> Orbit:
     """The Orbit (without certificate) of a refined one."""
-    model, turns, shift = problem.model, np.asarray(refined.turns, int), dict[str, float]()
+    model, turns, along = problem.model, np.asarray(refined.turns, int), dict[str, float]()
     if problem.relative:
         end = cycle_from(model, refined.state, longest=PATIENCE * refined.period)[-1].after
-        shift = shift_along(model, problem.relative, refined.state, end, turns)
-    found = gather_hybrid(model, refined.state, refined.period, turned(model, turns, shift))
-    return Orbit(
-        name=problem.name,
-        title=problem.title,
-        source=problem.source,
-        system=model.system,
-        state=refined.state,
-        period=refined.period,
-        energy=energy(model, refined.state),
-        action=found.action,
-        closure=found.closure,
-        symmetry=problem.symmetry,
-        shift=shift,
-        winding=tuple(int(k) for k in turns),
-        floquet_multipliers=found.floquet.multipliers,
-        pair_defect=found.floquet.pair_defect,
-        stability=found.floquet.stability,
-        unfolding=tuple(float(s) for s in refined.unfolding),
-        nodes=refined.state[None],
-        times=found.times,
-        samples=found.states,
-        tolerance=problem.tolerance,
-        expected=problem.expected,
-    )
+        along = shift_along(model, problem.relative, refined.state, end, turns)
+    found = gather_hybrid(model, refined.state, refined.period, turned(model, turns, along))
+    return recorded(
+        replace(problem, winding=tuple(int(k) for k in turns)), refined.period, found.arcs[-1].after,
+        refined.state[None], found.times, found.states, refined.unfolding, found.action, found.floquet,
+        problem.symmetry,
+    )  # fmt: skip
 
 
-def multipliers(monodromy: np.ndarray, gradients: np.ndarray, directions: np.ndarray) -> Floquet:
+def _multipliers(loop: Tour) -> Floquet:
     """The multipliers of a hybrid orbit; they come in reciprocal pairs only where the resets keep areas too."""
-    reduced = reduce_monodromy(monodromy, gradients, directions)
+    reduced = loop.map()
     area = abs(float(np.linalg.det(reduced))) if reduced.size else 1.0
-    return analyse(reduced, conservative=bool(len(gradients)) and abs(area - 1.0) < AREA)
+    return analyse(reduced, conservative=bool(len(loop.gradients)) and abs(area - 1.0) < AREA)
 
 
 def second_gap(model: Model, state: np.ndarray, period: float, turns: np.ndarray, units: np.ndarray) -> float:
@@ -301,7 +253,7 @@ def second_gap(model: Model, state: np.ndarray, period: float, turns: np.ndarray
 def _variations(automaton: Automaton, arcs: Sequence[Arc]) -> tuple[list[np.ndarray], float]:
     """State-transition matrices of pieces of all arcs, the last of each through its event; and the action."""
     found, action, units = list[np.ndarray](), 0.0, automaton.units
-    modes, matrix = [automaton.hybrid.mode(one.mode).model for one in arcs], (units[:, None] / units).ravel("F")
+    modes = [automaton.hybrid.mode(one.mode).model for one in arcs]
     for k, arc in enumerate(arcs):
         field, x, size = automaton.varied(arc.mode), arc.states[0], arc.states.shape[1]
         edges, unit = np.linspace(0.0, arc.duration, PIECES + 1), np.eye(size).ravel()
@@ -310,12 +262,9 @@ def _variations(automaton: Automaton, arcs: Sequence[Arc]) -> tuple[list[np.ndar
         ]
         work = float(snapped(np.abs(rates).max() * arc.duration))
         for begin, finish in pairwise(edges):
-            start = np.concatenate([x, unit, [0.0]])
-            measures = np.concatenate([units, matrix, [work]])
-            end = integrate_in(measures, field, start, np.array([begin, finish]), TIGHTEST)[-1]
-            x = end[:size]
-            found.append(end[size:-1].reshape(size, size).T)
-            action += float(end[-1])
+            x, piece, done = varied_end(field, x, np.array([begin, finish]), units, work, TIGHTEST)
+            found.append(piece)
+            action += done
         event = automaton.hybrid.transition(str(arc.ended_by))
         jump = saltation(modes[k], event, modes[(k + 1) % len(modes)])
         found[-1] = jump(arc.states[-1], automaton.model.parameter_values).full() @ found[-1]
@@ -326,24 +275,20 @@ def _energies(model: Model, arcs: Sequence[Arc]) -> tuple[float, float]:
     """The largest drift of the energy in an arc without forces, and the largest error of the energy lost in an impact,
     both relative to the energy exchanged."""
     drift = balance = 0.0
-    exchanged = nonzero(max(_kinetic(model, arc.mode, x) for arc in arcs for x in arc.states))
+    modes = {mode.name: mode.model for mode, _ in model.hybrid.arcs}
+    exchanged = nonzero(max(float(energies(modes[arc.mode], arc.states)[0].max()) for arc in arcs))
     for arc in arcs:
-        own = model.hybrid.mode(arc.mode).model
+        own = modes[arc.mode]
         if own.forces is not None or own.rates is not None:
             continue
-        values = np.array([energy(own, x) for x in arc.states])
+        kinetic, potential = energies(own, arc.states)
+        values = kinetic + potential
         drift = max(drift, float(np.abs(values - values[0]).max()) / exchanged)
         if arc.lost is not None:
-            target = model.hybrid.transition(str(arc.ended_by)).target
-            lost = _kinetic(model, arc.mode, arc.states[-1]) - _kinetic(model, target, arc.after)
-            balance = max(balance, abs(lost - arc.lost) / exchanged)
+            target = modes[model.hybrid.transition(str(arc.ended_by)).target]
+            lost = kinetic[-1] - energies(target, arc.after[None])[0][0]
+            balance = max(balance, abs(float(lost) - arc.lost) / exchanged)
     return drift, balance
-
-
-def _kinetic(model: Model, mode: str, x: np.ndarray) -> float:
-    own = model.hybrid.mode(mode).model
-    n = own.degrees_of_freedom
-    return float(own.kinetic(x[:n], x[n:], own.parameter_values))
 
 
 def unseen(model: Model, evidence: HybridEvidence) -> tuple[float, float, str]:
@@ -379,26 +324,11 @@ def turned_further(model: Model, arcs: Sequence[Arc], turn: np.ndarray) -> float
     return max(automaton.unlike(mode, mode, rows, unit, turn) for mode, rows in each)
 
 
-def off_motion(model: Model, arcs: Sequence[Arc], times: np.ndarray, samples: np.ndarray, units: np.ndarray) -> float:
-    """How far recorded samples (k x d) are off the motion at their times (k, that of an event once or twice), in units.
-
-    Infinite where they are not samples of one period.
-    """
-    size, period = arcs[0].states.shape[1], arcs[-1].times[-1]
-    edge = TIED * period
-    if samples.shape != (times.size, size) or not np.all(np.isfinite(samples)) or not np.all(np.diff(times) >= 0):
-        return float("inf")
-    if times.size < 2 or times[0] != 0.0 or abs(times[-1] - period) > edge:
-        return float("inf")
-    automaton, far = Automaton.about(model, arcs[0].states[0], period), np.full(times.size, np.inf)
+def paths(model: Model, arcs: Sequence[Arc]) -> Iterator[tuple[float, float, StatesAt]]:
+    """When each arc begins, how long it lasts (s), its states at times since."""
+    automaton = Automaton.about(model, arcs[0].states[0], float(arcs[-1].times[-1]))
     for arc in arcs:
-        own = (times >= arc.times[0] - edge) & (times <= arc.times[-1] + edge)
-        within = np.clip(times[own] - arc.times[0], 0.0, arc.duration)
-        moments = np.unique(np.append(within, 0.0))
-        places = np.searchsorted(moments, within)
-        states = automaton.path(arc.mode, arc.states[0], moments)[places]
-        far[own] = np.minimum(far[own], np.abs((states - samples[own]) / units).max(axis=1))
-    return float(far.max())
+        yield float(arc.times[0]), arc.duration, partial(automaton.path, arc.mode, arc.states[0])
 
 
 class HybridCheck(ClosureCheck):

@@ -116,8 +116,10 @@ def recorded(
     unfolding: np.ndarray,
     action: float,
     floquet: Floquet,
+    symmetry: str | None = None,
 ) -> Orbit:
-    """The Orbit (without certificate) that begins at the first of its nodes and is at `end` after a period."""
+    """The Orbit (without certificate) that begins at the first of its nodes and is at `end` after a period, with a
+    symmetry that is known or else looked for."""
     shift, turns = shift_of(problem, nodes[0], end)
     return Orbit(
         name=problem.name,
@@ -129,7 +131,7 @@ def recorded(
         energy=total_energy(problem.model, nodes[0]),
         action=action,
         closure=gap(nodes[0], end, turns),
-        symmetry=recognise(times, samples, problem.model),
+        symmetry=recognise(times, samples, problem.model) if symmetry is None else symmetry,
         winding=tuple(int(k) for k in problem.turns),
         floquet_multipliers=floquet.multipliers,
         pair_defect=floquet.pair_defect,

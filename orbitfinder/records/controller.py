@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
+from orbitfinder.records.certificate import Certified
 from orbitfinder.records.codec import Codec, Complexes
-from orbitfinder.records.orbit import Certified
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.records.certificate import Certified
 from orbitfinder.records.codec import Codec, Dense, Endless, Unknown
-from orbitfinder.records.orbit import Certified
 from orbitfinder.records.reading import write_atomically
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from orbitfinder._runtime import notebook as display
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError
+from orbitfinder.records.certificate import Certified
 from orbitfinder.records.codec import Complexes, Dense, Filed, Unknown, check_format, entries_of
 from orbitfinder.records.control import check_control
 from orbitfinder.records.reading import (
@@ -33,84 +34,8 @@ SHIFT = "shift_"
 """In front of a coordinate's name: how far a relative orbit shifts in it, among expected numbers."""
 
 
-AT_LEAST = (
-    "not_equilibrium", "minimal_period", "minimal_cycle", "transversal", "decided", "angle", "apart", "dimension",
-    "amplitude",
-)  # fmt: skip
-"""Checks whose number must not be smaller than what is allowed, like those whose name begins with HOLDS"""
-HOLDS = "holds: "
-
-
-def asked(name: str, tolerance: Any) -> str:
-    """What a check asks of its number: \N{GREATER-THAN OR EQUAL TO} or \N{LESS-THAN OR EQUAL TO} than its tolerance,
-    or "" where only yes or no was asked, whose tolerance is 0."""
-    if name in AT_LEAST or name.startswith(HOLDS):
-        return "\N{GREATER-THAN OR EQUAL TO}"
-    return "\N{LESS-THAN OR EQUAL TO}" if tolerance else ""
-
-
-@dataclass(frozen=True)
-class Check:
-    """One question asked of an orbit: the number found, the number allowed, the answer."""
-
-    name: str
-    value: Unknown
-    tolerance: float
-    passed: bool
-    note: str = ""
-
-
 VERDICTS = ("linearly stable", "asymptotically stable", "unstable", "open")
 """What a proof decides of an orbit's stability"""
-
-
-@dataclass(frozen=True)
-class Certificate(Shown):
-    """Every check of one orbit; `passed` only when all of them did, `failures` names the others.
-
-    Args:
-        checks: name, number, what is allowed and a note of each.
-        scale: A, how many times round-off grows until the end of the period, at most 1e6: what tolerances were
-            multiplied by.
-        closure: the largest component of the gap round the loop, in the model's units.
-
-    Examples:
-        >>> certificate = of.certify(orbit)
-        >>> [one.name for one in certificate.checks][:3]
-        ['closure', 'distance', 'second_closure']
-    """
-
-    __repr__ = brief("passed", "failures", "closure")
-    _entries = ("passed", "scale", "closure", "checks")
-
-    checks: tuple[Check, ...]
-    scale: float = 1.0
-    closure: Unknown = float("nan")
-
-    @property
-    def passed(self) -> bool:
-        """True when every check passed."""
-        return all(check.passed for check in self.checks)
-
-    @property
-    def failures(self) -> tuple[str, ...]:
-        """Names of the checks that failed."""
-        return tuple(check.name for check in self.checks if not check.passed)
-
-
-def certificate_to_document(certificate: Certificate | None) -> dict[str, Any]:
-    """The `certificate` entry of a file."""
-    return {"passed": False, "scale": 1.0, "checks": []} if certificate is None else entries_of(certificate)
-
-
-def certificate_of(entry: Any, where: str) -> Certificate | None:
-    """The certificate of an entry, None where nothing was checked. Raises `ValueError`."""
-    found: Certificate = typed(Certificate, entry or {"checks": []}, where)
-    return found if found.checks else None
-
-
-Certified = Annotated[Certificate | None, Filed(certificate_to_document, certificate_of)]
-"""A certificate, if there is one"""
 
 
 @dataclass(frozen=True)

@@ -25,9 +25,10 @@ from orbitfinder.orbits.closure import between
 from orbitfinder.orbits.course import Course, course, sampled
 from orbitfinder.orbits.simulate import Simulation
 from orbitfinder.orbits.sweep import Sweep
+from orbitfinder.records.certificate import Certificate
 from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.optima import Optima
-from orbitfinder.records.orbit import Certificate, Orbit, asked
+from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.torus import Tori
 from orbitfinder.show.diagram import diagram_of
 from orbitfinder.show.svg import axis, curves, diagram, greek, moving_mechanism, moving_portrait, ranged, unit_circle
@@ -276,7 +277,7 @@ def certificate_html(certificate: Certificate) -> str:
     """Every check with its number, what is allowed and its note."""
     rows = []
     for one in certificate.checks:
-        sense, yes = asked(one.name, one.tolerance), "yes" if one.passed else "no"
+        sense, yes = one.sense, "yes" if one.passed else "no"
         numbers = (f"{one.value:.2e}", f"{sense} {one.tolerance:.2e}") if sense else (yes, "yes")
         rows.append((one.name, *numbers, "passed" if one.passed else "FAILED", one.note))
     scale = f"closure tolerances scaled by {certificate.scale:.3g}"

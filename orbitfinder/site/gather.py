@@ -17,10 +17,10 @@ from orbitfinder.families.members import whole
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certify
+from orbitfinder.records.certificate import Check, refused
 from orbitfinder.records.family import Family
 from orbitfinder.records.manifold import Connection, Manifold
 from orbitfinder.records.orbit import (
-    Check,
     Orbit,
     level,
     orbit_from_document,
@@ -253,11 +253,11 @@ def judged(orbit: Orbit, model_of: Callable[[Mapping[str, Any]], Model] = build_
     except OrbitfinderError as error:
         return recorded(orbit, str(error))
     if (orbit.state.shape, len(orbit.winding)) != ((len(model.state_names),), model.degrees_of_freedom):
-        return Verdict((Check("record", 0.0, 0.0, False, "state or winding does not belong to the system"),))
+        return Verdict((refused("record", "state or winding does not belong to the system", 0.0),))
     try:
         return Verdict(certify(orbit, model).checks)
     except OrbitfinderError as error:
-        return Verdict((Check("record", 0.0, 0.0, False, str(error)),))
+        return Verdict((refused("record", error, 0.0),))
 
 
 def recorded(orbit: Orbit, why: str) -> Verdict:

@@ -16,8 +16,9 @@ from orbitfinder.families.members import response
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import SI, units
 from orbitfinder.problemfile.write import orbit_name, orbit_text
+from orbitfinder.records.certificate import Check
 from orbitfinder.records.family import Event, Family, FamilyPoint
-from orbitfinder.records.orbit import Check, asked, level, recorded_proof
+from orbitfinder.records.orbit import level, recorded_proof
 from orbitfinder.show.diagram import LOOKS
 from orbitfinder.site.gather import AtlasFile, OrbitFile, Verdict, evenly
 from orbitfinder.site.landscape import landscape
@@ -172,7 +173,7 @@ def _multipliers(document: Mapping[str, Any]) -> list[tuple[float, float, float,
 
 def _check(check: Check) -> dict[str, Any]:
     """A check for reading: its name, what was found and asked, whether it passed, and its note."""
-    sense = asked(check.name, check.tolerance)
+    sense = check.sense
     return {
         "name": check.name.replace("_", " "),
         "found": number(check.value, 3) if sense else "yes" if check.passed else "no",

@@ -1,0 +1,112 @@
+"""What was asked of a record, number by number, and the verdict: the one place where checks are judged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from orbitfinder._runtime.notebook import Shown, brief
+from orbitfinder.records.codec import Filed, Unknown, entries_of
+from orbitfinder.records.reading import typed
+
+AT_MOST, AT_LEAST, EQUAL = "\N{LESS-THAN OR EQUAL TO}", "\N{GREATER-THAN OR EQUAL TO}", ""
+"""What a check may ask of its number and its tolerance; EQUAL where only yes or no was asked, whose tolerance is 0"""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One question asked of an orbit: the number found, the number allowed, the answer."""
+
+    name: str
+    value: Unknown
+    tolerance: float
+    passed: bool
+    note: str = ""
+
+    @property
+    def sense(self) -> str:
+        """`AT_MOST`, `AT_LEAST` or `EQUAL`."""
+        return sense_of(self.value, self.tolerance, self.passed)
+
+
+def sense_of(value: Any, tolerance: Any, passed: bool) -> str:
+    """What was asked of a number, from it and the answer alone: files do not say it, and it cannot disagree."""
+    if not tolerance:
+        return EQUAL
+    known = value is not None and (value > tolerance if passed else value < tolerance)
+    return AT_LEAST if known else AT_MOST
+
+
+def at_most(name: str, value: Any, tolerance: float, note: str = "", also: bool = True) -> Check:
+    """The check that a number is no larger than what is allowed, and that something else holds too."""
+    return Check(name, float(value), float(tolerance), bool(value <= tolerance and also), note)
+
+
+def at_least(name: str, value: Any, tolerance: float, note: str = "") -> Check:
+    """The check that a number is no smaller than what is wanted."""
+    return Check(name, float(value), float(tolerance), bool(value >= tolerance), note)
+
+
+def equal(name: str, value: float, wanted: float, note: str = "") -> Check:
+    """The check that a number is what is wanted."""
+    return Check(name, float(value), float(wanted), bool(value == wanted), note)
+
+
+def same(name: str, recorded: str, found: str) -> Check:
+    """The check that a record's word is the one found."""
+    note = "as recorded" if recorded == found else f"recorded {recorded[:60]}, found {found[:60]}"
+    return equal(name, recorded != found, 0.0, note)
+
+
+def refused(name: str, why: object, value: float = float("inf"), tolerance: float = 0.0) -> Check:
+    """The check that fails because there is no number, or none that could be allowed."""
+    return Check(name, value, tolerance, False, str(why))
+
+
+@dataclass(frozen=True)
+class Certificate(Shown):
+    """Every check of one orbit; `passed` only when all of them did, `failures` names the others.
+
+    Args:
+        checks: name, number, what is allowed and a note of each.
+        scale: A, how many times round-off grows until the end of the period, at most 1e6: what tolerances were
+            multiplied by.
+        closure: the largest component of the gap round the loop, in the model's units.
+
+    Examples:
+        >>> certificate = of.certify(orbit)
+        >>> [one.name for one in certificate.checks][:3]
+        ['closure', 'distance', 'second_closure']
+    """
+
+    __repr__ = brief("passed", "failures", "closure")
+    _entries = ("passed", "scale", "closure", "checks")
+
+    checks: tuple[Check, ...]
+    scale: float = 1.0
+    closure: Unknown = float("nan")
+
+    @property
+    def passed(self) -> bool:
+        """True when every check passed."""
+        return all(check.passed for check in self.checks)
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """Names of the checks that failed."""
+        return tuple(check.name for check in self.checks if not check.passed)
+
+
+def certificate_to_document(certificate: Certificate | None) -> dict[str, Any]:
+    """The `certificate` entry of a file."""
+    return {"passed": False, "scale": 1.0, "checks": []} if certificate is None else entries_of(certificate)
+
+
+def certificate_of(entry: Any, where: str) -> Certificate | None:
+    """The certificate of an entry, None where nothing was checked. Raises `ValueError`."""
+    found: Certificate = typed(Certificate, entry or {"checks": []}, where)
+    return found if found.checks else None
+
+
+Certified = Annotated[Certificate | None, Filed(certificate_to_document, certificate_of)]
+"""A certificate, if there is one"""
