@@ -237,20 +237,13 @@ class _Motion:
     def _backward(self, arc: int) -> ca.Function:
         """(1 - share, (x, costates, gradients by coefficients, h, free), (given, h)) -> their rates, backwards."""
         (moment, x, given), rate, rates, _, h = self._symbols(arc)
-        d, k = x.numel(), rates.numel()
-        local = given[2 : given.numel() - len(self.parts.free)]
-        free = given[given.numel() - len(self.parts.free) :]
+        d, k, last = x.numel(), rates.numel(), given.numel() - len(self.parts.free)
         columns = d + k
         costates = ca.SX.sym("costates", d, columns)
-        outputs = [-h * rate]
-        for motion, integrals, factor in (
-            *((ca.jacobian(rate, by), ca.jacobian(rates, by), h) for by in (x, local, free)), (rate, rates, 1)
-        ):  # fmt: skip
-            slopes = motion.T @ costates
-            slopes[:, d:] += integrals.T
-            outputs.append(ca.vec(factor * slopes))
-        sizes = [columns * local.numel(), columns * free.numel(), columns]
-        rest = ca.SX.sym("gradients", sum(sizes))
+        every = ca.vertcat(costates, ca.horzcat(ca.SX(k, d), ca.SX.eye(k)))  # those of integrals are 1
+        grown = [ca.jacobian(ca.vertcat(rate, rates), by).T @ every for by in (x, given[2:last], given[last:])]
+        outputs = [-h * rate, *(ca.vec(h * part) for part in grown), ca.vec(ca.vertcat(rate, rates).T @ every)]
+        rest = ca.SX.sym("gradients", columns * (given.numel() - 1))
         whole = ca.Function("inner", [moment, x, costates, given, h], [ca.densify(ca.vertcat(*outputs))])
         tau, flat, both = ca.SX.sym("tau"), ca.vertcat(x, ca.vec(costates), rest), ca.vertcat(given, h)
         return ca.Function("backward", [tau, flat, both], [whole(1 - tau, x, costates, given, h)])
@@ -456,13 +449,16 @@ class Fit:
         self.transitions: list[np.ndarray] = []
         self.first, self.last = motion.parts.symmetry.boundary(motion.parts.model.degrees_of_freedom)
         parts, events = self.parts, [motion.event(k) for k in range(self.parts.basis.intervals)]
-        self.active, self.bounded = self._actives(), self._bounded()
+        self.tasks = (*parts.always, *(one for _, one in parts.moments))
+        self.active: list[tuple[int, int, int, int]] = []
+        self.bounded, sides = self._bounded(), self._sides()
+        asked = [*(f"task {one.expression} at {one.at}" for _, one in parts.moments),
+                 *(f"mean {one.expression}" for one in parts.means)]  # fmt: skip
         signs = [
             *((f"closing {k}", 0) for k in range(len(self.first))),
             *((f"pin {parts.model.state_names[k]}", 0) for k in self.motion.pinned),
             *((f"phase {k}", 0) for k in range(len(self.motion.normals))),
-            *((f"task {one.expression} at {one.at}", self._moment(one, k)) for k, one in parts.moments),
-            *((f"mean {one.expression}", self._mean(one, k)) for k, one in enumerate(parts.means, 1)),
+            *zip(asked, sides, strict=True),
             *((f"event {event.name} {k}", 0) for k, event in enumerate(events) if event is not None),
         ]
         self.first_active = len(signs)
@@ -472,83 +468,64 @@ class Fit:
         self.names, self.signs = [name for name, _ in signs], np.array([sign for _, sign in signs], int)
         self._assemble()
 
-    def _place(self, segment: int, j: int) -> tuple[float, np.ndarray, np.ndarray]:
-        """(share, x, given) after step j of a segment."""
-        x = self.pieces[segment][j * SAMPLES, : self.parts.size]
-        return j / self.parts.steps, x, self.motion.given(segment)
-
-    def _watched(self, tasks: tuple[Task, ...], arc: int) -> ca.Function:
-        """(share, x, given, period) -> values, d/dx, d/dgiven, d/dperiod."""
-        function = self.parts.watched(arc, tasks)
+    def _watched(self, arc: int) -> ca.Function:
+        """(share, x, given, period) -> d/dx, d/dgiven, d/dperiod of tasks."""
+        function = self.parts.watched(arc, self.tasks)
         share, x, period = ca.SX.sym("share"), ca.SX.sym("x", self.parts.size), ca.SX.sym("period")
         given = ca.SX.sym("given", function.size1_in(3))
         value = function(share, x, ca.SX.zeros(function.size1_in(2)), given, period)
-        rows = [value, *(ca.jacobian(value, by) for by in (x, given, period))]
-        return ca.Function("tasks", [share, x, given, period], [ca.densify(one) for one in rows])
+        rows = [ca.densify(ca.jacobian(value, by)) for by in (x, given, period)]
+        return ca.Function("tasks", [share, x, given, period], rows)
 
-    def _violated(self, name: str, value: np.ndarray, low: float, high: float, size: float = 0.0) -> None:
-        bounds = [abs(bound) for bound in (low, high) if np.isfinite(bound)]
+    def _values(self, tasks: Sequence[Task]) -> np.ndarray:
+        """Expressions of tasks (segments x looks x k) along the motion."""
+        shares, found = np.linspace(0.0, 1.0, SAMPLES * self.parts.steps + 1), []
+        functions = [self.parts.watched(arc, tasks) for arc in range(max(self.parts.basis.arcs, 1))]
+        for segment, piece in enumerate(self.pieces):
+            function, x = functions[self.parts.arc(segment)], piece[:, : self.parts.size].T
+            given = np.zeros(function.size1_in(2)), self.motion.given(segment), self.motion.period
+            found.append(function(shares[None], x, *given).full().T)
+        return np.array(found)
+
+    def _violated(self, name: str, value: np.ndarray, one: Task, size: float = 0.0) -> None:
+        bounds = [abs(bound) for bound in (one.low, one.high) if np.isfinite(bound)]
         size = nonzero(max(*bounds, size, float(np.ptp(value))))
-        worst = float(np.maximum(low - value, value - high).max()) / size
+        worst = float(np.maximum(one.low - value, value - one.high).max()) / size
         self.violations[name] = max(self.violations.get(name, 0.0), worst)
 
-    def _side(self, name: str, one: Task, value: float) -> int:
-        """At which end of its range a task's number stands; by how much it is beyond is noted."""
-        size = self._range(one)
-        self._violated(name, np.array([value]), one.low, one.high, size)
-        return _side_of(one, value, size)
+    def _sides(self) -> list[int]:
+        """At which end of its range (-1, 1, 0 between) each task at a phase or on average is, how far all are violated.
 
-    def _moment(self, one: Task, segment: int) -> int:
-        """The side of what is asked for where a segment begins."""
-        value = self._watched((one,), self.parts.arc(segment))(*self._place(segment, 0), self.motion.period)[0]
-        return self._side(f"{one.expression} at {one.at:g}", one, float(value))
-
-    def _mean(self, one: Task, number: int) -> int:
-        """The side of a mean over the period."""
-        return self._side(f"mean {one.expression}", one, self._integral(number) / self.motion.period)
-
-    def _range(self, one: Task) -> float:
-        """How much an expression varies over the nodes of the motion."""
-        functions = [self._watched((one,), arc) for arc in range(max(self.parts.basis.arcs, 1))]
-        found = [float(functions[self.parts.arc(k)](*self._place(k, 0), self.motion.period)[0])
-                 for k in range(self.parts.basis.intervals)]  # fmt: skip
-        return nonzero(float(np.ptp(found)))
+        Where what holds always holds just so is `active`: (segment, step, task, side).
+        """
+        parts, found = self.parts, list[int]()
+        driven = np.vstack([self.motion.control(k, np.linspace(0.0, 1.0, SAMPLES + 1))
+                            for k in range(self.motion.whole.intervals)])  # fmt: skip
+        for one in parts.limits:
+            own = driven[:, parts.model.controls.index(one.expression)]
+            self._violated(f"{one.expression} within limits", own, one)
+        if not (self.tasks or parts.means):
+            return found
+        values = self._values((*self.tasks, *parts.means))
+        nodes = values[: parts.basis.intervals, 0]
+        for k, one in enumerate(parts.always):
+            self._violated(f"{one.expression} always", values[:, :, k], one)
+            size, steps = nonzero(float(np.ptp(values[:, :, k]))), values[: len(nodes), ::SAMPLES, k]
+            self.active += [(segment, j, k, side) for segment, j in np.ndindex(steps.shape)
+                            if (side := _side_of(one, float(steps[segment, j]), size))]  # fmt: skip
+        instants = [(f"{one.expression} at {one.at:g}", one, nodes[at, len(parts.always) + k])
+                    for k, (at, one) in enumerate(parts.moments)]  # fmt: skip
+        means = [(f"mean {one.expression}", one, self._integral(1 + k) / self.motion.period)
+                 for k, one in enumerate(parts.means)]  # fmt: skip
+        for k, (name, one, value) in enumerate([*instants, *means], len(parts.always)):
+            size = nonzero(float(np.ptp(nodes[:, k])))
+            self._violated(name, np.array([value]), one, size)
+            found.append(_side_of(one, value, size))
+        return found
 
     def _integral(self, number: int) -> float:
         """An integral over the whole period."""
         return float(self.pieces[-1][-1, self.parts.size + number])
-
-    def _actives(self) -> list[tuple[int, int, int, int]]:
-        """(segment, step, task, side) where what holds always holds just so; violations between are noted."""
-        parts, found = self.parts, []
-        self._limits()
-        if not parts.always:
-            return []
-        shares, values = np.linspace(0.0, 1.0, SAMPLES * parts.steps + 1), []
-        functions = [parts.watched(k, parts.always) for k in range(max(parts.basis.arcs, 1))]
-        for segment, piece in enumerate(self.pieces):
-            function, x = functions[parts.arc(segment)], piece[:, : parts.size].T
-            given = np.zeros(function.size1_in(2)), self.motion.given(segment), self.motion.period
-            values.append(function(shares[None], x, *given).full().T)
-        everything = np.vstack(values)
-        for task, one in enumerate(parts.always):
-            self._violated(f"{one.expression} always", everything[:, task], one.low, one.high)
-            size = nonzero(np.ptp(everything[:, task]))
-            for segment in range(parts.basis.intervals):
-                for j in range(parts.steps + 1):
-                    value = float(values[segment][j * SAMPLES, task])
-                    if side := _side_of(one, value, size):
-                        found.append((segment, j, task, side))
-        return found
-
-    def _limits(self) -> None:
-        """Notes how far controls go beyond the model's limits."""
-        driven = np.vstack([self.motion.control(k, np.linspace(0.0, 1.0, SAMPLES + 1))
-                            for k in range(self.motion.whole.intervals)])  # fmt: skip
-        for i, name in enumerate(self.parts.model.controls):
-            low, high = self.parts.model.limits.get(name, (-np.inf, np.inf))
-            if np.isfinite(low) or np.isfinite(high):
-                self._violated(f"{name} within limits", driven[:, i], low, high)
 
     def _bounded(self) -> list[tuple[int, int, int]]:
         """(control, free coefficient, side) of coefficients at a limit."""
@@ -583,32 +560,30 @@ class Fit:
         self.by_c = np.zeros((len(parts.model.controls) * parts.basis.whole, ny + 1))
         self.by_period, self.by_free = np.zeros(ny + 1), np.zeros((len(parts.free), ny + 1))
         self.costates: list[np.ndarray] = []
-        always = {arc: self._watched(parts.always, arc) for arc in range(max(parts.basis.arcs, 1)) if self.active}
+        arcs = range(max(parts.basis.arcs, 1)) if self.active or parts.moments else ()
+        self.watched = [self._watched(arc) for arc in arcs]
         transitions: list[np.ndarray] = []
         for segment in reversed(range(parts.basis.intervals)):
             if (event := motion.event(segment)) is not None:
                 costate = self._through(event, segment, costate)
-            transition, costate = self._along(segment, costate, always)
+            transition, costate = self._along(segment, costate)
             transitions.append(transition)
             self.costates.append(costate.copy())
-            for where, one in parts.moments:
+            for row, (where, one) in enumerate(parts.moments, len(parts.always)):
                 if where == segment:
-                    column = self.place[f"task {one.expression} at {one.at}"]
-                    self._pushed(costate, column, (segment, 0), self._watched((one,), self.parts.arc(segment)), 0)
+                    self._pushed(costate, self.place[f"task {one.expression} at {one.at}"], (segment, 0), row)
         self.costates.reverse()
         self._monodromies(transitions[::-1])
         self._solve(costate)
 
-    def _along(
-        self, segment: int, costate: np.ndarray, always: Mapping[int, ca.Function]
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _along(self, segment: int, costate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The state-transition matrix of a segment, and the costate where it begins; gradients are added up."""
         parts, motion, d = self.parts, self.motion, self.parts.size
-        arc, h, total, picked = self.parts.arc(segment), motion.duration(segment), np.eye(d), self._picked(segment)
+        h, total, picked = motion.duration(segment), np.eye(d), self._picked(segment)
         for j in reversed(range(parts.steps + 1)):
             for number, (where, step, task, _) in enumerate(self.active):
                 if (where, step) == (segment, j):
-                    self._pushed(costate, self.first_active + number, (segment, j), always[arc], task)
+                    self._pushed(costate, self.first_active + number, (segment, j), task)
             if j == 0:
                 break
             piece = self._back(segment, j)
@@ -617,7 +592,7 @@ class Fit:
             np.add.at(self.by_c, picked, by_c)
             self.by_free += by_free
             self.by_period += by_h[0] * h / motion.period
-            self._by_shares(by_h[0], arc)
+            self._by_shares(by_h[0], parts.arc(segment))
             total = total @ piece[0][:, :d].T
         return total, costate
 
@@ -626,13 +601,15 @@ class Fit:
         basis = self.parts.basis
         return np.concatenate([i * basis.whole + basis.picked(segment) for i in range(len(self.parts.model.controls))])
 
-    def _pushed(self, costate: np.ndarray, column: int, at: tuple[int, int], function: ca.Function, row: int) -> None:
-        """The jump of a costate, and the gradients, of a condition at an instant (segment, step)."""
-        share, x, given = self._place(*at)
-        _, by_x, by_given, by_period = (one.full()[row] for one in function(share, x, given, self.motion.period))
+    def _pushed(self, costate: np.ndarray, column: int, at: tuple[int, int], row: int) -> None:
+        """The jump of a costate, and the gradients, of a task at an instant (segment, step)."""
+        segment, j = at
+        x, given = self.pieces[segment][j * SAMPLES, : self.parts.size], self.motion.given(segment)
+        slopes = self.watched[self.parts.arc(segment)](j / self.parts.steps, x, given, self.motion.period)
+        by_x, by_given, by_period = (one.full()[row] for one in slopes)
         last = by_given.size - len(self.parts.free)
         costate[:, column] += by_x
-        np.add.at(self.by_c[:, column], self._picked(at[0]), by_given[2:last])
+        np.add.at(self.by_c[:, column], self._picked(segment), by_given[2:last])
         self.by_free[:, column] += by_given[last:]
         self.by_period[column] += by_period[0]
 
@@ -701,46 +678,38 @@ class Fit:
     def _solve(self, costate: np.ndarray) -> None:
         """The rows of all conditions, in units of cost."""
         place, by_free = self.place, self.by_free
-        parts, motion = self.parts, self.motion
-        basis, m = parts.basis, len(parts.model.controls)
+        parts, motion, basis = self.parts, self.motion, self.parts.basis
         integral = self._integral(0)
-        self.cost = integral / (motion.period if parts.control.average else 1.0)
-        x = self.pieces[0][0, : parts.size]
+        final, by_x, by_p, by_t = self._final(self.pieces[0][0, : parts.size])
+        self.cost = integral / (motion.period if parts.control.average else 1.0) + final
         start, period_row = costate.copy(), self.by_period.copy()
         start[:, : len(self.first)] += self.first.T
         for k in motion.pinned:
             start[k, place[f"pin {parts.model.state_names[k]}"]] += 1.0
         for k, row in enumerate(motion.normals):
             start[:, place[f"phase {k}"]] += row
-        final, by_x, by_p, by_t = self._final(x)
-        self.cost += final
         start[:, -1] += by_x
         by_free[:, -1] += by_p
         period_row[-1] += by_t - (integral / motion.period**2 if parts.control.average else 0.0)
         for k, one in enumerate(parts.means):
             period_row[place[f"mean {one.expression}"]] -= self._integral(1 + k) / motion.period**2
-        rows, labels = [start * self.units[:, None]], ["costate closes"] * len(start)
-        sizes = [max(float(np.abs(row).max()), SMALL) for row in motion.coefficients]
-        for i in range(m):
-            shape = basis.free(i)
-            own = shape.T @ self.by_c[i * basis.whole : (i + 1) * basis.whole]
-            for number, (control, j, _) in enumerate(self.bounded):
+        rows = [("costate closes", start * self.units[:, None])]
+        for i, name in enumerate(parts.model.controls):
+            own = basis.free(i).T @ self.by_c[i * basis.whole : (i + 1) * basis.whole]
+            for control, j, _ in self.bounded:
                 if control == i:
-                    own[j, place[f"bound {parts.model.controls[i]} {self.bounded[number][1]}"]] += 1.0
-            rows.append(own * sizes[i])
-            labels += [f"control {parts.model.controls[i]}"] * len(own)
+                    own[j, place[f"bound {name} {j}"]] += 1.0
+            rows.append((f"control {name}", own * max(float(np.abs(motion.coefficients[i]).max()), SMALL)))
         if motion.period_free:
             if "period" in motion.held:
                 period_row[place["held period"]] += 1.0
-            rows.append(period_row[None] * motion.period)
-            labels.append("period")
+            rows.append(("period", period_row[None] * motion.period))
         for k, name in enumerate(parts.free):
             row = by_free[k] * nonzero(abs(motion.free[k]))
             if name in motion.held:
                 row[place[f"held {name}"]] += 1.0
-            rows.append(row[None])
-            labels.append(name)
-        self._judge(np.vstack(rows), labels, integral)
+            rows.append((name, row[None]))
+        self._judge(np.vstack([row for _, row in rows]), [name for name, row in rows for _ in row], integral)
 
     def _final(self, x: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, float]:
         function = self.parts.final()
