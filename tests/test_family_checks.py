@@ -13,7 +13,7 @@ from click.testing import CliRunner
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.families.checks import CHECKS, reading
+from orbitfinder.families.checks import KINDS, reading
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.start import curve_of
@@ -67,7 +67,7 @@ def test_an_event_moved_or_renamed_is_rejected(name, kind, tmp_path):
 @pytest.mark.parametrize(("name", "kind"), PLANTED)
 def test_every_kind_moved_or_renamed_is_rejected(name, kind, tmp_path):
     """As every other kind."""
-    rejected(name, kind, [one for one in CHECKS if one not in ("fold", "turn")], tmp_path)
+    rejected(name, kind, [one for one in KINDS if one not in ("fold", "turn")], tmp_path)
 
 
 def rejected(name, kind, renamed, tmp_path):
@@ -158,7 +158,8 @@ def test_what_is_seen_and_is_none_is_said(caplog, monkeypatch):
     """An event whose check fails is in the log and not in the family."""
     family = load_family(RESULTS / "henon-heiles-loop" / "family.json")
     model, point = build_model(family.system), family.points[3]
-    monkeypatch.setitem(CHECKS, "resonance", lambda sides, event: replace(sides.zero(lambda look: 1.0)))
+    missed = replace(KINDS["resonance"], check=lambda sides, event: sides.zero(lambda look: 1.0))
+    monkeypatch.setitem(KINDS, "resonance", missed)
     start = of.load_problem(Path(__file__).parents[1] / "problems" / "families" / "henon-heiles-loop.toml")
     with caplog.at_level(logging.WARNING):
         found = follow_family(start, until=0.08, model=model, settings=replace(FEW, directions="forward"))

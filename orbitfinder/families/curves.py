@@ -16,6 +16,7 @@ import numpy as np
 from orbitfinder.errors import ConvergenceError, InputError, closest
 from orbitfinder.families.branches import Branch, described
 from orbitfinder.families.changes import margins
+from orbitfinder.families.checks import KINDS
 from orbitfinder.families.critical import Critical
 from orbitfinder.families.folder import Progress, follow_family
 from orbitfinder.families.point import FamilySettings, parameter_value, unknowns_of
@@ -28,8 +29,6 @@ from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Event, Family, load_family
 
-FOLLOWED = ("fold", "branch_point", "period_doubling", "torus", "collision", "resonance", "grazing")
-"""Kinds of events that a curve in two parameters leads through"""
 LOST = 1e-6
 """A singular value of the equations below this, relative to the next, is a rank lost at a branch point."""
 
@@ -160,7 +159,7 @@ def _event(family: Family, event: int | Event, where: str) -> tuple[int, Event]:
         raise InputError(f"{where}: curve: missing, an older orbitfinder wrote this file; continue the family again")
     if "test" in family.curve:
         raise InputError(f"{where}: is a curve in two parameters itself; give the family that it was started from")
-    known = [k for k, one in enumerate(family.events) if one.kind in FOLLOWED and not one.detail.startswith("at ")]
+    known = [k for k, one in enumerate(family.events) if KINDS[one.kind].followed and not one.detail.startswith("at ")]
     listed = "; ".join(described(family, k) for k in known)
     choice = f"choose one of {listed}" if listed else "this family has none of which one does"
     if not 0 <= event < len(family.events):
