@@ -381,12 +381,10 @@ def switch_branch(
         if event not in ("start", "end"):
             raise InputError(f"event: families are joined at the start or the end, got {event!r}; or give its number")
         return _joined(family if isinstance(family, Family) else load_family(family), event, settings, model)
-    if isinstance(event, Event):
-        family = family if isinstance(family, Family) else load_family(family)
-        event = next((k for k, one in enumerate(family.events) if one is event), -1)
     found = branches(family, event, settings, model)
     if not 1 <= branch <= len(found):
-        raise InputError(f"branch: {branch} asked for, {len(found)} found at event {event}; give 1 to {len(found)}")
+        at = found[0].number
+        raise InputError(f"branch: {branch} asked for, {len(found)} found at event {at}; give 1 to {len(found)}")
     return found[branch - 1]
 
 
@@ -414,18 +412,19 @@ def _joined(family: Family, which: str, settings: FamilySettings | None, model: 
 
 
 def branches(
-    family: Family | str | Path, event: int, settings: FamilySettings | None = None, model: Model | None = None
+    family: Family | str | Path, event: int | Event, settings: FamilySettings | None = None, model: Model | None = None
 ) -> list[Branch]:
-    """Every branch that leaves a family at its event with this index, named <family>-<event>-<branch>.
+    """Every branch that leaves a family at its event, or that with this number, named <family>-<event>-<branch>.
 
     `model` is the family's where no file describes it. Raises `InputError` (also for events that nothing
     leaves from, with a list of those that something does) and `ConvergenceError` when no branch was found.
     """
-    where = family.name if isinstance(family, Family) else str(family)
-    family = family if isinstance(family, Family) else load_family(family)
-    chosen = _event(family, event, where)
-    if not chosen.shooting_nodes.size:
-        raise InputError(f"{where}: family.npz is not beside it; continue the family again to switch from it")
+    family, event, where = opened(family, event)
+    known = [k for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
+    if event not in known:
+        choice = f"choose one of {counted(known)}" if known else "this family has none from which one does"
+        raise InputError(f"event: no branch leaves at event {event}; {choice}")
+    chosen = with_nodes(family.events[event], where, "switch from it")
     settings = replace(settings or FamilySettings(), parameter=family.parameter)
     curve = curve_of(family.curve, model or build_model(family.system), settings)
     starts = switch(curve, chosen, settings)
@@ -437,14 +436,22 @@ def branches(
     ]
 
 
-def _event(family: Family, number: int, where: str) -> Event:
+def opened(family: Family | str | Path, event: int | Event) -> tuple[Family, int, str]:
+    """A family or that of a file, the number of an event of it (-1 of another), and what to call it in messages."""
+    where = family.name if isinstance(family, Family) else str(family)
+    family = family if isinstance(family, Family) else load_family(family)
+    if isinstance(event, Event):
+        event = next((k for k, one in enumerate(family.events) if one is event), -1)
     if not family.curve:
         raise InputError(f"{where}: curve: missing, an older orbitfinder wrote this file; continue the family again")
-    known = [k for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
-    if number in known:
-        return family.events[number]
-    choice = f"choose one of {counted(known)}" if known else "this family has none from which one does"
-    raise InputError(f"event: no branch leaves at event {number}; {choice}")
+    return family, event, where
+
+
+def with_nodes(event: Event, where: str, purpose: str) -> Event:
+    """The same event. `InputError` where its orbit is known by its state only."""
+    if not event.shooting_nodes.size:
+        raise InputError(f"{where}: family.npz is not beside it; continue the family again to {purpose}")
+    return event
 
 
 def counted(numbers: Sequence[int]) -> str:

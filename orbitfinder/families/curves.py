@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError, InputError, closest
-from orbitfinder.families.branches import Branch, described
+from orbitfinder.families.branches import Branch, described, opened, with_nodes
 from orbitfinder.families.changes import margins
 from orbitfinder.families.checks import KINDS
 from orbitfinder.families.critical import Critical
@@ -27,7 +27,7 @@ from orbitfinder.loops.problem import pinned
 from orbitfinder.loops.symmetry import momenta_of
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
-from orbitfinder.records.family import Event, Family, load_family
+from orbitfinder.records.family import Event, Family
 
 LOST = 1e-6
 """A singular value of the equations below this, relative to the next, is a rank lost at a branch point."""
@@ -114,9 +114,8 @@ def curve_start(
     model: Model | None = None,
 ) -> Locus:
     """The start of the curve of an event in two parameters, named <family>-<event>-<first>-<second>."""
-    where = family.name if isinstance(family, Family) else str(family)
-    family = family if isinstance(family, Family) else load_family(family)
-    number, chosen = _event(family, event, where)
+    family, number, where = opened(family, event)
+    chosen = _event(family, number, where)
     settings = replace(settings or FamilySettings(), parameter=family.parameter)
     base = curve_of(family.curve, model or build_model(family.system), settings)
     names = _parameters(base.equations.model, parameters)
@@ -151,12 +150,8 @@ def curve_start(
     return Locus(start, family.name, chosen, number, 0, f"{family.name}-{number}-{'-'.join(names)}")
 
 
-def _event(family: Family, event: int | Event, where: str) -> tuple[int, Event]:
+def _event(family: Family, event: int, where: str) -> Event:
     """The event of a number, or that one. `InputError` lists those that can be followed."""
-    if isinstance(event, Event):
-        event = next((k for k, one in enumerate(family.events) if one is event), -1)
-    if not family.curve:
-        raise InputError(f"{where}: curve: missing, an older orbitfinder wrote this file; continue the family again")
     if "test" in family.curve:
         raise InputError(f"{where}: is a curve in two parameters itself; give the family that it was started from")
     known = [k for k, one in enumerate(family.events) if KINDS[one.kind].followed and not one.detail.startswith("at ")]
@@ -167,9 +162,7 @@ def _event(family: Family, event: int | Event, where: str) -> tuple[int, Event]:
     chosen = family.events[event]
     if event not in known:
         raise InputError(f"event: no curve leads through event {event} ({chosen.kind}); {choice}")
-    if not chosen.shooting_nodes.size:
-        raise InputError(f"{where}: family.npz is not beside it; continue the family again to follow its event")
-    return event, chosen
+    return with_nodes(chosen, where, "follow its event")
 
 
 def _parameters(model: Model, names: Sequence[str]) -> tuple[str, str]:

@@ -267,13 +267,15 @@ def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -
 
 
 def entry_of(curve: Curve) -> dict[str, Any]:
-    """What `curve_of` rebuilds the conditions of a curve from: invariants held by number, the period, or the clock."""
+    """What `curve_of` rebuilds a curve from (`CurveEntry`), its turns, and the test of a curve of bifurcations."""
     held = [[one.quantity, one.value] for one in curve.conditions if one.normal is None]
     period = next((one.value for one in curve.conditions if one.normal is not None and one.quantity is None), None)
-    relative = list(shifting(curve.equations.symmetry, curve.equations.model))
-    watch = {name: one.entry for name, one in curve.watch.items()}
-    more = {"cycles": curve.cycles, "relative": relative, "watch": watch}
-    return {"held": held, "period": period} | {name: value for name, value in more.items() if value}
+    p, watch = curve.equations, {name: one.entry for name, one in curve.watch.items()}
+    relative = list(shifting(p.symmetry, p.model))
+    known = {"symmetry": p.symmetry.name, "free": list(p.free), "constant": curve.constant, "winding": curve.turns,
+             "weights": curve.weights, "held": held, "period": period}  # fmt: skip
+    more = {"cycles": curve.cycles, "relative": relative, "watch": watch, "test": curve.test}
+    return known | {name: value for name, value in more.items() if value}
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from orbitfinder._runtime import interrupt
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, plural
 from orbitfinder.families.checks import ALIKE, Look, check_known, reading, settled_on
-from orbitfinder.families.critical import critical_of, levelled
+from orbitfinder.families.critical import Critical, levelled
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.start import curve_of
 from orbitfinder.integrate.dop853 import vector_field
@@ -24,8 +24,9 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.newton import equilibrium
 from orbitfinder.orbits.evidence import gather, tour
 from orbitfinder.orbits.floquet import judged
-from orbitfinder.records.family import CLOSURE, UNKNOWN, End, Event, Family, FamilyPoint, number_of
+from orbitfinder.records.family import AGAIN, CLOSURE, UNKNOWN, End, Event, Family, FamilyPoint, number_of
 from orbitfinder.records.orbit import Certificate, Check
+from orbitfinder.records.reading import read_as
 
 ROUNDED = 1e-12
 """Relative error of a number that follows from the state"""
@@ -87,7 +88,7 @@ def family_curve(family: Family, model: Model) -> Curve:
     curve = curve_of(family.curve, model, FamilySettings(parameter=family.parameter))
     if "test" not in family.curve:
         return curve
-    return replace(curve, test=critical_of(family.curve["test"]))
+    return replace(curve, test=read_as(Critical, family.curve["test"], "curve.test", AGAIN))
 
 
 def _in_scales(family: Family, curve: Curve) -> Curve:
