@@ -21,6 +21,7 @@ from orbitfinder._runtime.notebook import brief
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.checks import KINDS
+from orbitfinder.families.critical import Critical
 from orbitfinder.families.motion import full_samples
 from orbitfinder.families.point import FamilySettings, parameter_value, shift_at, unknowns_of
 from orbitfinder.families.run import parameter_slopes
@@ -322,7 +323,10 @@ def _moved(start: Start, event: Event) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Branch:
-    """The start of a family that leaves another one: which family, which of its events, which of the branches there."""
+    """The start of a family that leaves another one: which family, which of its events, which of the branches there.
+
+    Or of the curve of that event in two parameters: no branch, 0.
+    """
 
     __repr__ = brief("name", "event")
 
@@ -335,9 +339,12 @@ class Branch:
 
     def described(self) -> dict[str, Any]:
         """The same in plain numbers."""
+        test, event = self.start.curve.test, self.event
+        branch = {} if test else {"branch": self.branch}
+        curve = {"kind": "curve", "parameters": list(test.parameters)} if isinstance(test, Critical) else {}
         return {
-            "family": self.family, "event": self.number, "branch": self.branch, "kind_of_event": self.event.kind,
-            "order": self.event.order, "energy": finite(self.event.energy), "period": self.event.period,
+            "family": self.family, "event": self.number, **branch, "kind_of_event": event.kind, "order": event.order,
+            "energy": finite(event.energy), "period": event.period, **curve,
         }  # fmt: skip
 
 

@@ -22,7 +22,7 @@ from orbitfinder.families.passages import Test, located
 from orbitfinder.families.run import Interval, Sample
 from orbitfinder.integrate.dop853 import integrate_in
 from orbitfinder.loops.continued import Curve, Solution, crossed
-from orbitfinder.loops.mesh import arc_states
+from orbitfinder.loops.mesh import arc_mesh, arc_states
 from orbitfinder.mechanics.hybrid import Hybrid
 from orbitfinder.orbits.evidence import CHECKED
 
@@ -133,12 +133,11 @@ class _Arc:
     def __init__(self, curve: Curve, found: Solution, k: int) -> None:
         place, arcs = found.place, curve.equations.links.count
         self.curve, self.march, self.place = curve, curve.equations.march.arcs[k], place
-        steps = (place.mesh.size - 1) // arcs
-        self.mesh = (place.mesh[k * steps : (k + 1) * steps + 1] * arcs - k) * place.period / arcs
+        self.mesh = arc_mesh(place, arcs, k) * place.period / arcs
         self.known = arc_states(found, arcs, k)
         slopes = self.march.rates(self.known, place.tail)
         self.times, self.states, self.slopes = self.mesh, self.known, slopes
-        if steps < LOOKS:
+        if self.mesh.size <= LOOKS:
             self.times = np.linspace(self.mesh[0], self.mesh[-1], LOOKS + 1)
             self.states = CubicHermiteSpline(self.mesh, self.known, slopes)(self.times)
             self.states[[0, -1]] = self.known[[0, -1]]

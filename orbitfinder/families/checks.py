@@ -29,10 +29,10 @@ from orbitfinder.families.motion import parameters_at
 from orbitfinder.families.passages import Test, index_levels, multiplier_levels
 from orbitfinder.families.point import freed, parameter_value, shift_at, unknowns_of
 from orbitfinder.families.run import Interval
+from orbitfinder.families.start import fitted
 from orbitfinder.integrate.dop853 import ReferenceSettings
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, plane, scaled, tangent
-from orbitfinder.loops.mesh import remeshed
 from orbitfinder.loops.symmetry import turned
 from orbitfinder.loops.watch import arcs, numbers, unsure
 from orbitfinder.mechanics.catalogue import with_parameters
@@ -475,10 +475,7 @@ def settled_on(curve: Curve, event: Event | FamilyPoint) -> Solution:
     arcs = curve.equations.links.count if curve.equations.links else 1
     mesh = uniform(curve.equations.symmetry.fraction, arcs, STEPS // arcs)
     nodes = _starts(curve, event, arcs)
-    place = unknowns_of(curve, replace(event, shooting_nodes=nodes, mesh=mesh))
-    for _ in range(2):
-        place = remeshed(curve, Solution(place, curve.equations.varied(place, states=True), np.zeros((0, 0)), 0.0))
-    return at_place(curve, place)
+    return at_place(curve, fitted(curve, unknowns_of(curve, replace(event, shooting_nodes=nodes, mesh=mesh))))
 
 
 def _starts(curve: Curve, event: Event | FamilyPoint, arcs: int) -> np.ndarray:

@@ -16,6 +16,7 @@ from orbitfinder.errors import InputError, LimitError, plural
 from orbitfinder.families.branches import Branch
 from orbitfinder.families.changes import checked_cycle
 from orbitfinder.families.checks import checked
+from orbitfinder.families.critical import Critical
 from orbitfinder.families.follow import follow
 from orbitfinder.families.members import batch_certified, certified
 from orbitfinder.families.point import FamilySettings
@@ -178,8 +179,11 @@ def _chosen(parameter: str | None, settings: FamilySettings | None, origin: Any)
 
 
 def parameter_of(origin: Any) -> str:
-    """What a family is followed in when nothing is said: the physical parameter that its start has freed, or energy."""
+    """What a family is followed in when nothing is said: the physical parameter that its start has freed, or energy; of
+    a curve in two parameters the first."""
     start = _start_of(origin)
+    if start and isinstance(start.curve.test, Critical):
+        return start.curve.test.parameters[0]
     return next(iter(start.curve.equations.physical), "energy") if start else "energy"
 
 

@@ -170,14 +170,18 @@ def unknown_parameters(
 
 def _freed(base: Start, free: tuple[str, ...], held: tuple[str, ...], name: str) -> Start:
     """The same orbit on the curve on which a parameter of this name varies and what is held keeps its value."""
-    old, place = base.curve, base.found.place
-    model = old.equations.model
-    equations = Equations(model, old.equations.symmetry, free, action=True)
-    shares = dict(zip(old.equations.free, place.free, strict=True))
-    numbers = [shares.get(name, value) for name, value in zip(equations.free, equations.numbers, strict=True)]
-    place = replace(place, free=np.array(numbers))
-    curve = replace(curve_at(equations, place, held), constant=old.constant)
+    p = base.curve.equations
+    curve, place = released(base.curve, base.found.place, Equations(p.model, p.symmetry, free, action=True), held)
     return corrected(curve, place, _own_aim(curve, place, name))
+
+
+def released(old: Curve, place: Unknowns, equations: Equations, held: tuple[str, ...]) -> tuple[Curve, Unknowns]:
+    """The curve of other equations through an orbit of a curve, and its unknowns there."""
+    known, unfolding = dict(zip(old.equations.free, place.free, strict=True)), np.zeros(equations.march.unfolding)
+    numbers = [known.get(name, value) for name, value in zip(equations.free, equations.numbers, strict=True)]
+    unfolding = place.unfolding if place.unfolding.size == unfolding.size else unfolding
+    place = replace(place, unfolding=unfolding, free=np.array(numbers))
+    return replace(curve_at(equations, place, held), constant=old.constant), place
 
 
 def _start(problem: Problem, free: tuple[str, ...]) -> Start:
