@@ -18,7 +18,7 @@ from scipy.interpolate import CubicHermiteSpline
 from orbitfinder._runtime.sizes import size_of
 from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.families.passages import Test, located
+from orbitfinder.families.passages import located
 from orbitfinder.families.run import Interval, Sample
 from orbitfinder.integrate.dop853 import integrate_in
 from orbitfinder.loops.continued import Curve, Solution, crossed
@@ -79,11 +79,6 @@ def first_lost(interval: Interval) -> tuple[Sample, Margin] | None:
     if crossed(interval.curve, sample.found):  # the rows there tell neither family's tangent
         sample = replace(sample, whole=interval.heading(sample.distance))
     return sample, lost[key]
-
-
-def test_of(lost: Margin) -> Test:
-    """The event that a lost margin is."""
-    return Test(lost.kind, lost.name, lambda sample: 0.0)
 
 
 def _value(curve: Curve, key: tuple[int, str, str], sample: Sample) -> float:

@@ -399,20 +399,19 @@ def _cusp(sides: Sides, _: Event) -> Reading:
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of event."""
+    """A kind of event: what its `check` says at its orbit, and what else is done with it.
+
+    `extremal`: something turns there. `branches`: other families leave there (`of.switch_branch`). `followed`: a curve
+    in two parameters leads through it (`of.follow_curve`). `second`: it is met on such curves only. `test`: what
+    vanishes there within a step, of kinds that are looked for alone.
+    """
 
     check: Callable[[Sides, Event], Reading]
-    """what its definition says at its orbit"""
     extremal: bool = False
-    """whether something turns there"""
     branches: bool = False
-    """whether other families leave there (`of.switch_branch`)"""
     followed: bool = False
-    """whether a curve in two parameters leads through it (`of.follow_curve`)"""
     second: bool = False
-    """whether it is met on such curves only"""
     test: Callable[[Interval], Iterable[Test]] | None = None
-    """what vanishes there within a step, of kinds that are looked for alone"""
 
 
 KINDS = {

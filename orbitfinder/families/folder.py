@@ -155,11 +155,14 @@ def follow_family(
             if not journal.sealed and settings.certify:
                 _check_again(journal, curve, folder)
         goals, away = (until, tuple(map(float, at))), int(journal.header.get("away", 1))
-        runs = list(directions(journal.origin, settings, goals, away, born))
+        curve, check = in_scales(curve, journal.origin), _independent(curve, settings)
+        runs = [
+            Run(curve, settings, sign, journal.origin, check, value, exact, stop)
+            for sign, value, exact in directions(journal.origin, settings, goals, away, born)
+        ]
         if folder is not None:
-            named = {sign: {} if value is None else {settings.parameter: value} for sign, value, _ in runs}
-            journal = _reopened(folder, journal, {sign: goals | dict(stop) for sign, goals in named.items()})
-        return _finish(folder, journal, curve, settings, runs, stop, progress)
+            journal = _reopened(folder, journal, {run.direction: run.goals for run in runs})
+        return _finish(folder, journal, curve, settings, runs, progress)
 
 
 def _read(path: str | Path) -> Orbit:
@@ -359,26 +362,24 @@ def _finish(
     journal: Journal,
     curve: Curve,
     settings: FamilySettings,
-    runs: Sequence[Asked],
-    stop: Mapping[str, float],
+    runs: Sequence[Run],
     progress: Progress | None,
 ) -> Family:
     """Follow what is left in each direction, journalling every step where there is a folder."""
-    origin, batches = journal.origin, list(journal.batches)
-    curve, check = in_scales(curve, origin), _independent(curve, settings)
+    batches = list(journal.batches)
 
     def so_far() -> Family:
         return assemble(replace(journal, batches=tuple(batches)))
 
-    for sign, until, exact in runs:
-        done, end = journal.steps(sign), journal.end(sign)
+    for run in runs:
+        done, end = journal.steps(run.direction), journal.end(run.direction)
         if end is not None and not (end.kind == "point limit" and len(done) < settings.points):
             continue
         if any(one.end is not None and one.end.kind == "returned" for one in batches):
             break  # a closed family has one direction
-        last = done[-1][0] if done else origin
+        last = done[-1][0] if done else journal.origin
         try:
-            for batch in follow(Run(curve, settings, sign, origin, check, until, exact, stop), done):
+            for batch in follow(run, done):
                 reached = [one for one in batch.points if one.role == "step"][-1:]
                 step = abs(reached[0].arclength - last.arclength) if reached else last.step
                 batch, last = checked(curve, batch, step), (*reached, last)[0]

@@ -17,13 +17,13 @@ import numpy as np
 
 from orbitfinder.continuation.follow import walked, zero
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.families.changes import first_lost, test_of
+from orbitfinder.families.changes import first_lost
 from orbitfinder.families.checks import KINDS
 from orbitfinder.families.codimension_two import find_special, left_circle
 from orbitfinder.families.ends import approach, end_at, end_of_failure, merged, returned, shortest_step
 from orbitfinder.families.events import event_at, find_events
 from orbitfinder.families.motion import watched
-from orbitfinder.families.passages import avoided, zeros
+from orbitfinder.families.passages import Test, avoided, zeros
 from orbitfinder.families.point import FamilySettings, make_point, parameter_value
 from orbitfinder.families.run import (
     Interval,
@@ -200,7 +200,7 @@ def _cut(run: Run, before: Step, last: Sample) -> Batch | None:
     if lost is None:
         return None
     sample, margin = lost
-    event = _placed(event_at(run.curve, sample, test_of(margin), name), run, origin)
+    event = _placed(event_at(run.curve, sample, Test(margin.kind, margin.name, lambda sample: 0.0), name), run, origin)
     reach = sample.distance
     points, final = _exactly(run, before, interval, [])
     if _within([point for _, point in final], origin, reach):
