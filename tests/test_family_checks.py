@@ -13,7 +13,8 @@ from click.testing import CliRunner
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.families.checks import KINDS, reading
+from orbitfinder.families import passages
+from orbitfinder.families.checks import KINDS, Kind, reading
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.start import curve_of
@@ -165,6 +166,21 @@ def test_what_is_seen_and_is_none_is_said(caplog, monkeypatch):
         found = follow_family(start, until=0.08, model=model, settings=replace(FEW, directions="forward"))
     assert point and "resonance" not in {one.kind for one in found.events}
     assert any("a resonance was seen at" in one.message for one in caplog.records)
+
+
+def test_a_kind_of_ones_own(monkeypatch):
+    """An entry of the table is all that an event needs to be looked for, checked and recorded."""
+    start = of.load_problem(Path(__file__).parents[1] / "problems" / "families" / "henon-heiles-loop.toml")
+    settings = replace(FEW, directions="forward")
+    plain = follow_family(start, until=0.08, settings=settings)
+    middle = float(np.mean(plain.values("period")[[0, -1]]))
+    passed = passages.Test("on_time", "", lambda sample: sample.found.place.period - middle)
+    own = Kind(lambda sides, event: sides.zero(lambda look: look.value("period") - middle), test=lambda _: [passed])
+    monkeypatch.setitem(KINDS, "on_time", own)
+    found = follow_family(start, until=0.08, settings=settings)
+    (event,) = (one for one in found.events if one.kind == "on_time")
+    assert event.check.passed and event.certified and event.period == pytest.approx(middle, abs=1e-9)
+    assert [one.kind for one in found.events if one is not event] == [one.kind for one in plain.events]
 
 
 @pytest.mark.parametrize(

@@ -20,9 +20,9 @@ import numpy as np
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.families.critical import REAL, Critical, doubled, levelled, nearest_pair, torus_pair
 from orbitfinder.families.doubling import bending, can_bend
-from orbitfinder.families.events import event_at, slope
+from orbitfinder.families.events import slope
 from orbitfinder.families.passages import Measure, Test, zeros
-from orbitfinder.families.point import FamilySettings, parameter_value
+from orbitfinder.families.point import parameter_value
 from orbitfinder.families.run import Interval, Sample
 from orbitfinder.families.stability import Spectrum
 from orbitfinder.loops.continued import Curve, advanced, at_place, correct, kernel, plane
@@ -36,15 +36,13 @@ ASIDE = 1e-3
 """How far aside of a curve of folds its surface is looked at, in the metric"""
 
 
-def find_special(interval: Interval, settings: FamilySettings) -> list[Event]:
-    """The points of codimension two between two points of a curve, in order, their arclength the distance into it."""
+def find_special(interval: Interval) -> list[tuple[Sample, Test]]:
+    """The points of codimension two between two points of a curve, each with the orbit there."""
     wanted = [*tests(_critical(interval), interval.first.about)]
     if can_bend(interval.curve) and not (first := interval.first.about).conservative and first.root == 1:
         measure = partial(_bending, interval.curve)
         wanted.append(Test("degenerate_doubling", "", measure, 2, -1.0 + 0.0j))
-    found = [*_zeros(interval, wanted), *(_turns(interval) if _critical(interval).kind == "fold" else ())]
-    events = [event_at(interval.curve, sample, test, settings.parameter) for sample, test in found]
-    return sorted(events, key=lambda event: event.arclength)
+    return [*_zeros(interval, wanted), *(_turns(interval) if _critical(interval).kind == "fold" else ())]
 
 
 def left_circle(curve: Curve, event: Event) -> End | None:

@@ -104,16 +104,14 @@ def bifurcations(interval: Interval, most: int) -> list[tuple[Sample, Test]]:
     raise ConvergenceError("collisions of multipliers cannot be told apart within one step")
 
 
-def find_events(interval: Interval, settings: FamilySettings) -> list[Event]:
-    """Events of an interval in order, their arclength the distance into it."""
+def find_events(interval: Interval, settings: FamilySettings) -> list[tuple[Sample, Test]]:
+    """What happens in an interval, each with the orbit there."""
     turned = [*zeros(interval, folds(interval))]
     found = sorted(turned + bifurcations(interval, settings.resonances), key=lambda pair: pair[0].distance)
     turns = [sample.distance for sample, test in turned if test.detail != "period"]
     found = [(p, t) for p, t in found if not (t.kind == "branch_point" and _near(p.distance, turns))]
     found = [(p, t) for p, t in found if t.kind != "branch_point" or _told(interval)]
-    found += _changes(interval, found)
-    events = [event_at(interval.curve, sample, test, settings.parameter) for sample, test in found]
-    return sorted(events, key=lambda event: event.arclength)
+    return found + _changes(interval, found)
 
 
 def _told(interval: Interval) -> bool:

@@ -229,10 +229,11 @@ def _events(interval: Interval, settings: FamilySettings) -> list[Event]:
     if not settings.events:
         return []
     try:
-        events = (find_events if interval.curve.test is None else find_special)(interval, settings)
-        tests = [kind.test for kind in KINDS.values() if kind.test and kind.second != (interval.curve.test is None)]
-        found = [one for test in tests for one in zeros(interval, test(interval))]
-        events += [event_at(interval.curve, sample, test, settings.parameter) for sample, test in found]
+        alone = interval.curve.test is None
+        found = find_events(interval, settings) if alone else find_special(interval)
+        tests = [kind.test for kind in KINDS.values() if kind.test and kind.second != alone]
+        found += [one for test in tests for one in zeros(interval, test(interval))]
+        events = [event_at(interval.curve, sample, test, settings.parameter) for sample, test in found]
         return sorted(events, key=lambda event: event.arclength)
     except (ConvergenceError, IntegrationError) as error:
         if interval.length > SHORTEST_SEARCH:

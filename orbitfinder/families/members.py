@@ -12,7 +12,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.families.motion import full_samples
 from orbitfinder.families.point import FamilySettings, shift_at, unknowns_of
 from orbitfinder.families.stability import spectrum
-from orbitfinder.families.start import curve_of
+from orbitfinder.families.start import curve_in, curve_of
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.continued import Curve, at_place
@@ -138,9 +138,7 @@ def amplitudes(family: Family, model: Model) -> np.ndarray:
 
     Without family.npz their states alone are integrated. Raises `InputError`.
     """
-    if not family.curve:
-        raise InputError(f"{family.name}: curve: missing, an older orbitfinder wrote this family; continue it again")
-    curve = curve_of(family.curve, model, FamilySettings(parameter=family.parameter))
+    curve = curve_in(family, model)
     mesh, n = uniform(curve.equations.symmetry.fraction, 1, MOTION), model.degrees_of_freedom
 
     def range_of(one: FamilyPoint | Event) -> np.ndarray:

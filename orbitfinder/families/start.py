@@ -41,6 +41,7 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import lengths
 from orbitfinder.orbits.find import find_orbit, natural_pin
 from orbitfinder.orbits.hybrid import first_unknowns
+from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import Orbit, refuse_controlled
 from orbitfinder.records.reading import read_as
 
@@ -268,6 +269,13 @@ def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -
     scales = Scales.head(known.weights, equations.size)
     watch = watches({name: one for name, one in known.watch.items() if isinstance(one, str)}, model)
     return Curve(equations, known.constant, conditions, weights=known.weights, scales=scales, watch=watch)
+
+
+def curve_in(family: Family, model: Model) -> Curve:
+    """The curve that a family follows. Raises `InputError` where its file does not say."""
+    if not family.curve:
+        raise InputError(f"{family.name}: curve: missing, an older orbitfinder wrote this family; continue it again")
+    return curve_of(family.curve, model, FamilySettings(parameter=family.parameter))
 
 
 def entry_of(curve: Curve) -> dict[str, Any]:

@@ -10,11 +10,10 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from orbitfinder._runtime import interrupt
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, plural
+from orbitfinder.errors import ConvergenceError, IntegrationError, plural
 from orbitfinder.families.checks import ALIKE, Look, check_known, reading, settled_on
 from orbitfinder.families.critical import Critical, levelled
-from orbitfinder.families.point import FamilySettings
-from orbitfinder.families.start import curve_of
+from orbitfinder.families.start import curve_in
 from orbitfinder.integrate.dop853 import vector_field
 from orbitfinder.integrate.equations import hamilton
 from orbitfinder.loops.continued import Curve, begun
@@ -83,9 +82,7 @@ def _watch(curve: Curve, one: FamilyPoint | Event, name: str) -> Check:
 
 def family_curve(family: Family, model: Model) -> Curve:
     """The curve that a family follows, with the test that it keeps."""
-    if not family.curve:
-        raise InputError(f"{family.name}: curve: missing, an older orbitfinder wrote this family; continue it again")
-    curve = curve_of(family.curve, model, FamilySettings(parameter=family.parameter))
+    curve = curve_in(family, model)
     if "test" not in family.curve:
         return curve
     return replace(curve, test=read_as(Critical, family.curve["test"], "curve.test", AGAIN))
