@@ -146,7 +146,7 @@ def _told(family: Family, curve: Curve, event: Event, change: float, exchanged: 
 
 
 def _end(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
-    parameter, joined = getattr(end, "parameter", None), getattr(end, "joined", None)
+    parameter, joined = end.parameter, end.joined
     try:
         if joined:
             return _joined(curve, end, joined)
@@ -168,7 +168,7 @@ def _end(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
 
 def _rest(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
     """The equilibrium that orbits shrink to has a linear oscillation of their period."""
-    value, period = getattr(end, "parameter", None), getattr(end, "period", None)
+    value, period = end.parameter, end.period
     free = dict(at.free) | ({family.parameter: value} if value is not None and family.parameter in at.free else {})
     model, there = (with_parameters(curve.equations.model, one) for one in (free, at.free))
     states = gather(there, at.state, at.period, turned(model, np.array(curve.turns), at.shift)).states
@@ -194,7 +194,7 @@ def _joined(curve: Curve, end: End, joined: Mapping[str, Any]) -> Check:
     a multiplier is +1, beside what is trivial: there is where another family leaves."""
     model = with_parameters(curve.equations.model, joined.get("free", {}))
     state, period = np.array(joined["state"], float), float(joined["period"])
-    whole_period = float(getattr(end, "period", None) or period)
+    whole_period = float(end.period or period)
     times = round(whole_period / period)
     found = tour(model, state, period, turned(model, np.array(joined["winding"]), joined.get("shift", {})))
     whole = np.linalg.matrix_power(found.map(), times)
