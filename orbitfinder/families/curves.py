@@ -28,6 +28,7 @@ from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Event, Family
 
+FOLLOWED = tuple(name for name, kind in KINDS.items() if kind.followed)
 LOST = 1e-6
 """A singular value of the equations below this, relative to the next, is a rank lost at a branch point."""
 
@@ -137,7 +138,7 @@ def _event(family: Family, event: int, where: str) -> Event:
     """The event of a number, or that one. `InputError` lists those that can be followed."""
     if "test" in family.curve:
         raise InputError(f"{where}: is a curve in two parameters itself; give the family that it was started from")
-    known = [k for k, one in enumerate(family.events) if KINDS[one.kind].followed and not one.detail.startswith("at ")]
+    known = [k for k, one in enumerate(family.events) if one.kind in FOLLOWED and not one.detail.startswith("at ")]
     listed = "; ".join(described(family, k) for k in known)
     choice = f"choose one of {listed}" if listed else "this family has none of which one does"
     if not 0 <= event < len(family.events):
