@@ -24,7 +24,8 @@ from peers.auto_curves import DUFFING, PENDULA, AutoLocus, Locus
 from peers.auto_family import AUTO, Clock
 
 import orbitfinder as of
-from orbitfinder.families.curves import Locus as Start
+from orbitfinder.families.branches import Branch
+from orbitfinder.families.critical import Critical
 from orbitfinder.families.curves import curve_start
 from orbitfinder.families.follow import follow
 from orbitfinder.families.point import FamilySettings
@@ -99,14 +100,16 @@ def ours(case: Case, clock: Clock, checked: bool) -> Locus:
     return min(runs, key=lambda one: one.seconds)
 
 
-def timed(begun: Start, last: float, check: ClosureCheck | None, clock: Clock) -> Locus:
+def timed(begun: Branch, last: float, check: ClosureCheck | None, clock: Clock) -> Locus:
     """The points of a curve until the first of its parameters has a value, and seconds a point."""
-    settings, began = FamilySettings(parameter=begun.parameters[0]), clock()
+    test = begun.start.curve.test
+    assert isinstance(test, Critical)
+    settings, began = FamilySettings(parameter=test.parameters[0]), clock()
     origin = first_point(begun.start, settings, check)
     run = Run(begun.start.curve, settings, 1, origin, check, last)
     points = [origin, *(point for batch in follow(run) for point in batch.points)]
     seconds = (clock() - began) / len(points)
-    return Locus(seconds, np.array([[one.free[name] for name in begun.parameters[::-1]] for one in points]))
+    return Locus(seconds, np.array([[one.free[name] for name in test.parameters[::-1]] for one in points]))
 
 
 def main() -> None:

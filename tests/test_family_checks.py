@@ -13,7 +13,8 @@ from click.testing import CliRunner
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.families.checks import CHECKS, reading
+from orbitfinder.families import passages
+from orbitfinder.families.checks import KINDS, Kind, reading
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.start import curve_of
@@ -67,7 +68,7 @@ def test_an_event_moved_or_renamed_is_rejected(name, kind, tmp_path):
 @pytest.mark.parametrize(("name", "kind"), PLANTED)
 def test_every_kind_moved_or_renamed_is_rejected(name, kind, tmp_path):
     """As every other kind."""
-    rejected(name, kind, [one for one in CHECKS if one not in ("fold", "turn")], tmp_path)
+    rejected(name, kind, [one for one in KINDS if one not in ("fold", "turn")], tmp_path)
 
 
 def rejected(name, kind, renamed, tmp_path):
@@ -158,12 +159,28 @@ def test_what_is_seen_and_is_none_is_said(caplog, monkeypatch):
     """An event whose check fails is in the log and not in the family."""
     family = load_family(RESULTS / "henon-heiles-loop" / "family.json")
     model, point = build_model(family.system), family.points[3]
-    monkeypatch.setitem(CHECKS, "resonance", lambda sides, event: replace(sides.zero(lambda look: 1.0)))
+    missed = replace(KINDS["resonance"], check=lambda sides, event: sides.zero(lambda look: 1.0))
+    monkeypatch.setitem(KINDS, "resonance", missed)
     start = of.load_problem(Path(__file__).parents[1] / "problems" / "families" / "henon-heiles-loop.toml")
     with caplog.at_level(logging.WARNING):
         found = follow_family(start, until=0.08, model=model, settings=replace(FEW, directions="forward"))
     assert point and "resonance" not in {one.kind for one in found.events}
     assert any("a resonance was seen at" in one.message for one in caplog.records)
+
+
+def test_a_kind_of_ones_own(monkeypatch):
+    """An entry of the table is all that an event needs to be looked for, checked and recorded."""
+    start = of.load_problem(Path(__file__).parents[1] / "problems" / "families" / "henon-heiles-loop.toml")
+    settings = replace(FEW, directions="forward")
+    plain = follow_family(start, until=0.08, settings=settings)
+    middle = float(np.mean(plain.values("period")[[0, -1]]))
+    passed = passages.Test("on_time", "", lambda sample: sample.found.place.period - middle)
+    own = Kind(lambda sides, event: sides.zero(lambda look: look.value("period") - middle), test=lambda _: [passed])
+    monkeypatch.setitem(KINDS, "on_time", own)
+    found = follow_family(start, until=0.08, settings=settings)
+    (event,) = (one for one in found.events if one.kind == "on_time")
+    assert event.check.passed and event.certified and event.period == pytest.approx(middle, abs=1e-9)
+    assert [one.kind for one in found.events if one is not event] == [one.kind for one in plain.events]
 
 
 @pytest.mark.parametrize(

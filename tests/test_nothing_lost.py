@@ -21,6 +21,7 @@ from orbitfinder.cli.group import cli
 from orbitfinder.continuation import follow as driver
 from orbitfinder.continuation.problem import solved
 from orbitfinder.errors import InputError
+from orbitfinder.records import journal as journals
 from orbitfinder.records.controller import load_controller
 from orbitfinder.records.family import load_family
 from orbitfinder.records.optima import load_optima
@@ -172,7 +173,7 @@ def test_the_file_of_an_earlier_run_is_not_written_over_by_less(tmp_path, monkey
     assert ran(*words, 3).exit_code == 0
     file = tmp_path / "henon-heiles-loop-tori" / "tori.json"
     before = file.read_bytes()
-    monkeypatch.setattr(driver, "read_lines", lambda path, what: None)  # without its journal it begins anew
+    monkeypatch.setattr(journals, "read_lines", lambda path, what: None)  # without its journal it begins anew
     stopped_at(monkeypatch, driver, "advanced", 2, signal.SIGINT)
     done = ran(*words, 9)
     beside = file.with_name("tori-stopped.json")

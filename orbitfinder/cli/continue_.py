@@ -21,7 +21,6 @@ from orbitfinder.records.registry import member
 
 if TYPE_CHECKING:
     from orbitfinder.families.branches import Branch
-    from orbitfinder.families.curves import Locus
 
     Origin = of.Orbit | of.Problem | Branch
     Modelled = tuple[Origin, of.Model | None]
@@ -84,7 +83,6 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
     narrowest = {} if chosen["resolve"] is None else {"narrowest": chosen["resolve"]}
     with display(f"{file}: reading") as shown:
         from orbitfinder.families.branches import SWITCHABLE
-        from orbitfinder.families.curves import Locus
         from orbitfinder.families.folder import parameter_of
 
         _asked_where(file, chosen, shown)
@@ -95,7 +93,7 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
             origin, model = curve_of(file, parameter, chosen), None
         family, places = None, list[int]()
         if getattr(origin, "guess", None) is None or getattr(origin, "control", None) is None:
-            parameter = parameter or (origin.parameters[0] if isinstance(origin, Locus) else parameter_of(origin))
+            parameter = parameter or parameter_of(origin)
             name = folder_of(out, chosen["name"] or origin.name, *NAMED).name
             family = of.follow_family(
                 origin, parameter, until=chosen["until"], at=at, settings=settings, out=out, name=name,
@@ -242,7 +240,7 @@ def origin_of(file: Path, trust: bool, switch: int | str | None = None, branch: 
     return orbit, model
 
 
-def curve_of(file: Path, parameter: str | None, chosen: Mapping[str, Any]) -> Locus:
+def curve_of(file: Path, parameter: str | None, chosen: Mapping[str, Any]) -> Branch:
     """The start of a curve of bifurcations from a family.json. `InputError` for options that do not go together."""
     from orbitfinder.families.curves import curve_start
 

@@ -22,10 +22,10 @@ from scipy.optimize import brentq
 
 from orbitfinder._runtime import limit
 from orbitfinder.continuation.problem import Point, plane, solved
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, plural
+from orbitfinder.errors import ConvergenceError, IntegrationError, plural
 from orbitfinder.records.codec import plain
 from orbitfinder.records.family import End
-from orbitfinder.records.journal import FORMAT, VERSION, append_line, begin_journal, read_lines
+from orbitfinder.records.journal import append_line, begin_journal, header_of, known_lines
 from orbitfinder.records.reading import typed
 
 LOCATED, LOOKS = 1e-12, 60
@@ -268,26 +268,21 @@ class Trace:
         self.events: list[list[Kept]] = []
         self.at: list[tuple[float, Kept]] = []
         self.end: End | None = None
-        header = plain({"format": FORMAT, "version": VERSION, "request": request or {}})
-        lines = None if path is None else read_lines(path, path.name)
-        if lines is not None and lines[0][:1] == [header]:
-            for number, entries in enumerate(lines[0][1:], start=2):
-                self._read(entries, number)
-        if path is not None and not (self.steps and leads(self.steps[0].point)):
+        if path is None:
+            return
+        wanted = plain(request or {})
+        known_lines(path, wanted, self._read)
+        if self.steps and not leads(self.steps[0].point):
             self.steps, self.events, self.at, self.end = [], [], [], None
-            begin_journal(path, header)
+            begin_journal(path, header_of(wanted))
 
-    def _read(self, entries: Mapping[str, Any], number: int) -> None:
-        try:
-            line: _Line = typed(_Line, entries, "")
-            self.at += [(value, Kept("at", *self.keeping.read(entry))) for value, entry in line.at]
-            self.end = line.end
-            if line.step is not None:
-                self.events.append([Kept(name, *self.keeping.read(entry)) for name, entry in line.events])
-                self.steps.append(Kept("step", *self.keeping.read(line.step)))
-        except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
-            again = "restore a copy, or delete the file to start again"
-            raise InputError(f"{self.path}: line {number}: {error}; {again}") from error
+    def _read(self, entries: Mapping[str, Any]) -> None:
+        line: _Line = typed(_Line, entries, "")
+        self.at += [(value, Kept("at", *self.keeping.read(entry))) for value, entry in line.at]
+        self.end = line.end
+        if line.step is not None:
+            self.events.append([Kept(name, *self.keeping.read(entry)) for name, entry in line.events])
+            self.steps.append(Kept("step", *self.keeping.read(line.step)))
 
     def kept(self, role: str, point: Point) -> Kept:
         """A point with its record."""

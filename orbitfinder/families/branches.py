@@ -20,6 +20,8 @@ from scipy.spatial import cKDTree
 from orbitfinder._runtime.notebook import brief
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.families.checks import KINDS
+from orbitfinder.families.critical import Critical
 from orbitfinder.families.motion import full_samples
 from orbitfinder.families.point import FamilySettings, parameter_value, shift_at, unknowns_of
 from orbitfinder.families.run import parameter_slopes
@@ -49,7 +51,7 @@ from orbitfinder.records.orbit import SHARE
 from orbitfinder.records.reading import finite
 
 CHOICE = 'give the number of an event, "start" or "end"'
-SWITCHABLE = ("branch_point", "period_doubling", "resonance")
+SWITCHABLE = tuple(name for name, kind in KINDS.items() if kind.branches)
 DISTANCES = (0.02, 0.005, 0.00125, 0.05, 0.1)
 """How far from the old family, in sizes of its orbit, the new one is looked for; the first that succeeds is taken.
 Families of high resonances may leave along each other, and are told apart only near."""
@@ -321,7 +323,10 @@ def _moved(start: Start, event: Event) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Branch:
-    """The start of a family that leaves another one: which family, which of its events, which of the branches there."""
+    """The start of a family that leaves another one: which family, which of its events, which of the branches there.
+
+    Or of the curve of that event in two parameters: no branch, 0.
+    """
 
     __repr__ = brief("name", "event")
 
@@ -334,9 +339,12 @@ class Branch:
 
     def described(self) -> dict[str, Any]:
         """The same in plain numbers."""
+        test, event = self.start.curve.test, self.event
+        branch = {} if test else {"branch": self.branch}
+        curve = {"kind": "curve", "parameters": list(test.parameters)} if isinstance(test, Critical) else {}
         return {
-            "family": self.family, "event": self.number, "branch": self.branch, "kind_of_event": self.event.kind,
-            "order": self.event.order, "energy": finite(self.event.energy), "period": self.event.period,
+            "family": self.family, "event": self.number, **branch, "kind_of_event": event.kind, "order": event.order,
+            "energy": finite(event.energy), "period": event.period, **curve,
         }  # fmt: skip
 
 
@@ -380,12 +388,10 @@ def switch_branch(
         if event not in ("start", "end"):
             raise InputError(f"event: families are joined at the start or the end, got {event!r}; or give its number")
         return _joined(family if isinstance(family, Family) else load_family(family), event, settings, model)
-    if isinstance(event, Event):
-        family = family if isinstance(family, Family) else load_family(family)
-        event = next((k for k, one in enumerate(family.events) if one is event), -1)
     found = branches(family, event, settings, model)
     if not 1 <= branch <= len(found):
-        raise InputError(f"branch: {branch} asked for, {len(found)} found at event {event}; give 1 to {len(found)}")
+        at = found[0].number
+        raise InputError(f"branch: {branch} asked for, {len(found)} found at event {at}; give 1 to {len(found)}")
     return found[branch - 1]
 
 
@@ -413,18 +419,19 @@ def _joined(family: Family, which: str, settings: FamilySettings | None, model: 
 
 
 def branches(
-    family: Family | str | Path, event: int, settings: FamilySettings | None = None, model: Model | None = None
+    family: Family | str | Path, event: int | Event, settings: FamilySettings | None = None, model: Model | None = None
 ) -> list[Branch]:
-    """Every branch that leaves a family at its event with this index, named <family>-<event>-<branch>.
+    """Every branch that leaves a family at its event, or that with this number, named <family>-<event>-<branch>.
 
     `model` is the family's where no file describes it. Raises `InputError` (also for events that nothing
     leaves from, with a list of those that something does) and `ConvergenceError` when no branch was found.
     """
-    where = family.name if isinstance(family, Family) else str(family)
-    family = family if isinstance(family, Family) else load_family(family)
-    chosen = _event(family, event, where)
-    if not chosen.shooting_nodes.size:
-        raise InputError(f"{where}: family.npz is not beside it; continue the family again to switch from it")
+    family, event, where = opened(family, event)
+    known = [k for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
+    if event not in known:
+        choice = f"choose one of {counted(known)}" if known else "this family has none from which one does"
+        raise InputError(f"event: no branch leaves at event {event}; {choice}")
+    chosen = with_nodes(family.events[event], where, "switch from it")
     settings = replace(settings or FamilySettings(), parameter=family.parameter)
     curve = curve_of(family.curve, model or build_model(family.system), settings)
     starts = switch(curve, chosen, settings)
@@ -436,14 +443,22 @@ def branches(
     ]
 
 
-def _event(family: Family, number: int, where: str) -> Event:
+def opened(family: Family | str | Path, event: int | Event) -> tuple[Family, int, str]:
+    """A family or that of a file, the number of an event of it (-1 of another), and what to call it in messages."""
+    where = family.name if isinstance(family, Family) else str(family)
+    family = family if isinstance(family, Family) else load_family(family)
+    if isinstance(event, Event):
+        event = next((k for k, one in enumerate(family.events) if one is event), -1)
     if not family.curve:
         raise InputError(f"{where}: curve: missing, an older orbitfinder wrote this file; continue the family again")
-    known = [k for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
-    if number in known:
-        return family.events[number]
-    choice = f"choose one of {counted(known)}" if known else "this family has none from which one does"
-    raise InputError(f"event: no branch leaves at event {number}; {choice}")
+    return family, event, where
+
+
+def with_nodes(event: Event, where: str, purpose: str) -> Event:
+    """The same event. `InputError` where its orbit is known by its state only."""
+    if not event.shooting_nodes.size:
+        raise InputError(f"{where}: family.npz is not beside it; continue the family again to {purpose}")
+    return event
 
 
 def counted(numbers: Sequence[int]) -> str:

@@ -18,11 +18,11 @@ from scipy.interpolate import CubicHermiteSpline
 from orbitfinder._runtime.sizes import size_of
 from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.families.passages import Test, located
+from orbitfinder.families.passages import located
 from orbitfinder.families.run import Interval, Sample
 from orbitfinder.integrate.dop853 import integrate_in
 from orbitfinder.loops.continued import Curve, Solution, crossed
-from orbitfinder.loops.mesh import arc_states
+from orbitfinder.loops.mesh import arc_mesh, arc_states
 from orbitfinder.mechanics.hybrid import Hybrid
 from orbitfinder.orbits.evidence import CHECKED
 
@@ -81,11 +81,6 @@ def first_lost(interval: Interval) -> tuple[Sample, Margin] | None:
     return sample, lost[key]
 
 
-def test_of(lost: Margin) -> Test:
-    """The event that a lost margin is."""
-    return Test(lost.kind, lost.name, lambda sample: 0.0)
-
-
 def _value(curve: Curve, key: tuple[int, str, str], sample: Sample) -> float:
     one = margins(curve, sample.found).get(key)
     return ABSENT if one is None else one.value
@@ -133,12 +128,11 @@ class _Arc:
     def __init__(self, curve: Curve, found: Solution, k: int) -> None:
         place, arcs = found.place, curve.equations.links.count
         self.curve, self.march, self.place = curve, curve.equations.march.arcs[k], place
-        steps = (place.mesh.size - 1) // arcs
-        self.mesh = (place.mesh[k * steps : (k + 1) * steps + 1] * arcs - k) * place.period / arcs
+        self.mesh = arc_mesh(place, arcs, k) * place.period / arcs
         self.known = arc_states(found, arcs, k)
         slopes = self.march.rates(self.known, place.tail)
         self.times, self.states, self.slopes = self.mesh, self.known, slopes
-        if steps < LOOKS:
+        if self.mesh.size <= LOOKS:
             self.times = np.linspace(self.mesh[0], self.mesh[-1], LOOKS + 1)
             self.states = CubicHermiteSpline(self.mesh, self.known, slopes)(self.times)
             self.states[[0, -1]] = self.known[[0, -1]]

@@ -4,13 +4,13 @@ All three are gone round by the certificate's integrator and formulation (`orbit
 regular where the event is: the product of level - root over all roots, which are stability indices kappa = mu + 1/mu
 where multipliers come in pairs (mu itself moves like a square root there), else multipliers; the squared distance of
 two indices; the product of a pair less 1; what is extremal; a margin of a hybrid cycle. It must vanish at the event, to
-`SHARP` of a step, and change its sign across it; a kind may ask for more. What has no entry in `CHECKS` is no event.
+`SHARP` of a step, and change its sign across it; a kind may ask for more. What has no entry in `KINDS` is no event.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import SimpleNamespace
@@ -24,13 +24,15 @@ from orbitfinder.families.changes import margins
 from orbitfinder.families.codimension_two import is_centre, tests
 from orbitfinder.families.critical import Critical, discriminant, levelled, torus_pair
 from orbitfinder.families.doubling import bending
+from orbitfinder.families.events import extrema
 from orbitfinder.families.motion import parameters_at
-from orbitfinder.families.passages import index_levels
+from orbitfinder.families.passages import Test, index_levels, multiplier_levels
 from orbitfinder.families.point import freed, parameter_value, shift_at, unknowns_of
+from orbitfinder.families.run import Interval
+from orbitfinder.families.start import fitted
 from orbitfinder.integrate.dop853 import ReferenceSettings
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, plane, scaled, tangent
-from orbitfinder.loops.mesh import remeshed
 from orbitfinder.loops.symmetry import turned
 from orbitfinder.loops.watch import arcs, numbers, unsure
 from orbitfinder.mechanics.catalogue import with_parameters
@@ -236,11 +238,8 @@ def _level(level: float) -> Measure:
 def _passage(sides: Sides, event: Event) -> Reading:
     """A root at the level that the recorded multiplier stands for, of this kind and order and no other."""
     here, told = sides.here.about, (event.kind, event.order)
-    if here.conservative:
-        known: Sequence[Any] = [*index_levels(here.root, min(max(event.order, 3), MOST_ORDER))]
-    else:
-        other = ("branch_point", 1) if here.root == 2 else ("period_doubling", 2)
-        known = [(1.0, "branch_point", 1, 1.0), (-1.0, *other, -1.0)]
+    most = min(max(event.order, 3), MOST_ORDER)
+    known = index_levels(here.root, most) if here.conservative else multiplier_levels(here.root)
     levels = [one for one, *kind, mu in known if tuple(kind) == told and abs(mu - event.multiplier) < ALIKE]
     if not levels or event.detail != (f"q = {event.order}" if event.kind == "resonance" else ""):
         raise ConvergenceError(f"its multiplier {event.multiplier:.6g} and order {event.order} are of another kind")
@@ -398,16 +397,41 @@ def _cusp(sides: Sides, _: Event) -> Reading:
     return Reading(value, error, bool(abs(value) <= error < DOUBTFUL and straight))
 
 
-CHECKS: dict[str, Callable[[Sides, Event], Reading]] = {
-    "fold": _fold, "turn": _turn, "torus": _torus, "collision": _collision, "stability_change": _stability,
-    "extremum": _watched,
-    **dict.fromkeys(("branch_point", "period_doubling", "resonance"), _passage),
-    **dict.fromkeys(("grazing", "cycle_change", "holds"), _margin),
+@dataclass(frozen=True)
+class Kind:
+    """A kind of event: what its `check` says at its orbit, and what else is done with it.
+
+    `extremal`: something turns there. `branches`: other families leave there (`of.switch_branch`). `followed`: a curve
+    in two parameters leads through it (`of.follow_curve`). `second`: it is met on such curves only. `test`: what
+    vanishes there within a step, of kinds that are looked for alone.
+    """
+
+    check: Callable[[Sides, Event], Reading]
+    extremal: bool = False
+    branches: bool = False
+    followed: bool = False
+    second: bool = False
+    test: Callable[[Interval], Iterable[Test]] | None = None
+
+
+KINDS = {
+    "fold": Kind(_fold, extremal=True, followed=True),
+    "turn": Kind(_turn, extremal=True),
+    "extremum": Kind(_watched, extremal=True, test=extrema),
+    "branch_point": Kind(_passage, branches=True, followed=True),
+    "period_doubling": Kind(_passage, branches=True, followed=True),
+    "resonance": Kind(_passage, branches=True, followed=True),
+    "torus": Kind(_torus, followed=True),
+    "collision": Kind(_collision, followed=True),
+    "stability_change": Kind(_stability),
+    "grazing": Kind(_margin, followed=True),
+    **dict.fromkeys(("cycle_change", "holds"), Kind(_margin)),
     **dict.fromkeys(("strong_resonance", "fold_doubling", "fold_torus", "doubling_torus", "degenerate_doubling"),
-                    _second),
-    "cusp": _cusp, **dict.fromkeys(("isola_centre", "transcritical"), _extremal),
+                    Kind(_second, second=True)),
+    "cusp": Kind(_cusp, second=True),
+    **dict.fromkeys(("isola_centre", "transcritical"), Kind(_extremal, second=True)),
 }  # fmt: skip
-"""How each kind of event is checked; what is not here cannot be recorded"""
+"""Every kind of event; what is not here cannot be recorded"""
 
 
 def reading(curve: Curve, event: Event, along: np.ndarray, step: float) -> Reading:
@@ -415,7 +439,8 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float) -> Readi
 
     Raises `ConvergenceError` where it is not known well enough, or its definition is contradicted.
     """
-    if event.kind not in CHECKS or (curve.test is None) != (CHECKS[event.kind] not in (_second, _extremal, _cusp)):
+    kind = KINDS.get(event.kind)
+    if kind is None or kind.second == (curve.test is None):
         raise ConvergenceError(f"a {event.kind} has no check on such a family")
     found = settled_on(curve, event)
     curve = curve.measured(found)
@@ -431,7 +456,7 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float) -> Readi
             ]  # fmt: skip
             before, middle, after = looks[outer : len(looks) - outer]
             sides = Sides(before, here, middle, after, share * step, step, looks[:: len(looks) - 1] if outer else ())
-            result = CHECKS[event.kind](sides, event)
+            result = kind.check(sides, event)
         except (ConvergenceError, IntegrationError) as error:
             said = ConvergenceError(str(error))
             continue
@@ -449,10 +474,7 @@ def settled_on(curve: Curve, event: Event | FamilyPoint) -> Solution:
     arcs = curve.equations.links.count if curve.equations.links else 1
     mesh = uniform(curve.equations.symmetry.fraction, arcs, STEPS // arcs)
     nodes = _starts(curve, event, arcs)
-    place = unknowns_of(curve, replace(event, shooting_nodes=nodes, mesh=mesh))
-    for _ in range(2):
-        place = remeshed(curve, Solution(place, curve.equations.varied(place, states=True), np.zeros((0, 0)), 0.0))
-    return at_place(curve, place)
+    return at_place(curve, fitted(curve, unknowns_of(curve, replace(event, shooting_nodes=nodes, mesh=mesh))))
 
 
 def _starts(curve: Curve, event: Event | FamilyPoint, arcs: int) -> np.ndarray:

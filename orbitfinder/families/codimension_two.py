@@ -10,8 +10,9 @@ degenerate_doubling the orbit of twice the period is born to the other side from
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from functools import partial
 from math import gcd
 
 import numpy as np
@@ -19,9 +20,9 @@ import numpy as np
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.families.critical import REAL, Critical, doubled, levelled, nearest_pair, torus_pair
 from orbitfinder.families.doubling import bending, can_bend
-from orbitfinder.families.events import event_at
-from orbitfinder.families.passages import Measure, Test, located
-from orbitfinder.families.point import FamilySettings, parameter_value
+from orbitfinder.families.events import slope
+from orbitfinder.families.passages import Measure, Test, zeros
+from orbitfinder.families.point import parameter_value
 from orbitfinder.families.run import Interval, Sample
 from orbitfinder.families.stability import Spectrum
 from orbitfinder.loops.continued import Curve, advanced, at_place, correct, kernel, plane
@@ -35,20 +36,13 @@ ASIDE = 1e-3
 """How far aside of a curve of folds its surface is looked at, in the metric"""
 
 
-def find_special(interval: Interval, settings: FamilySettings) -> list[Event]:
-    """The points of codimension two between two points of a curve, in order, their arclength the distance into it."""
-    found = [
-        (sample, test)
-        for test in tests(_critical(interval), interval.first.about)
-        for sample in _zeros(interval, test.measure)
-    ]
-    if _critical(interval).kind == "fold":
-        found += _turns(interval)
+def find_special(interval: Interval) -> list[tuple[Sample, Test]]:
+    """The points of codimension two between two points of a curve, each with the orbit there."""
+    wanted = [*tests(_critical(interval), interval.first.about)]
     if can_bend(interval.curve) and not (first := interval.first.about).conservative and first.root == 1:
-        test = Test("degenerate_doubling", "", lambda sample: bending(interval.curve, sample.found), 2, -1.0 + 0.0j)
-        found += [(sample, test) for sample in _zeros(interval, test.measure)]
-    events = [event_at(interval.curve, sample, test, settings.parameter) for sample, test in found]
-    return sorted(events, key=lambda event: event.arclength)
+        measure = partial(_bending, interval.curve)
+        wanted.append(Test("degenerate_doubling", "", measure, 2, -1.0 + 0.0j))
+    return [*_zeros(interval, wanted), *(_turns(interval) if _critical(interval).kind == "fold" else ())]
 
 
 def left_circle(curve: Curve, event: Event) -> End | None:
@@ -70,12 +64,15 @@ def _critical(interval: Interval) -> Critical:
     return test
 
 
-def _zeros(interval: Interval, measure: Measure) -> Iterator[Sample]:
-    ends = [measure(interval.first), measure(interval.last)]
-    if ends[0] * ends[1] < 0:
-        sample = located(interval, measure, 0.0, interval.length)
-        if abs(measure(sample)) < VANISHED * max(map(abs, ends)):
-            yield sample
+def _zeros(interval: Interval, wanted: Iterable[Test]) -> Iterator[tuple[Sample, Test]]:
+    for sample, test in zeros(interval, wanted):
+        ends = [test.measure(one) for one in (interval.first, interval.last)]
+        if abs(test.measure(sample)) < VANISHED * max(map(abs, ends)):
+            yield sample, test
+
+
+def _bending(curve: Curve, sample: Sample) -> float:
+    return bending(curve, sample.found)
 
 
 def tests(one: Critical, about: Spectrum) -> Iterator[Test]:
@@ -139,43 +136,27 @@ def _beside(mu: float) -> Measure:
     return lambda sample: levelled(torus_pair(sample.about.multipliers)[2], mu)
 
 
-@dataclass(frozen=True)
-class _Along:
-    """d/ds of the two parameters (relative to their sizes) along a direction in their plane."""
-
-    names: tuple[str, str]
-    direction: np.ndarray
-
-    def __call__(self, sample: Sample) -> float:
-        return float(self.direction @ slopes(sample, self.names))
-
-
-def slopes(sample: Sample, names: tuple[str, str]) -> np.ndarray:
-    """d/ds of two parameters."""
-    return np.array([sample.slopes[name] for name in names])
-
-
 def _turns(interval: Interval) -> Iterator[tuple[Sample, Test]]:
     """Cusps, and places where the parameter that folds is extremal along a curve of folds."""
     one = _critical(interval)
-    ends = np.array([slopes(sample, one.parameters) for sample in (interval.first, interval.last)])
+
+    def slopes(sample: Sample) -> np.ndarray:
+        return np.array([sample.slopes[name] for name in one.parameters])
+
+    ends = np.array([slopes(sample) for sample in (interval.first, interval.last)])
     sizes = nonzero(np.abs(ends).max(axis=0))
     ends = ends / sizes
     if ends[0] @ ends[1] < 0:
         across = (ends[0] / np.linalg.norm(ends[0]) - ends[1] / np.linalg.norm(ends[1])) / sizes
-        measure: Measure = _Along(one.parameters, across)
-        for sample in _zeros(interval, measure):
-            if np.linalg.norm(slopes(sample, one.parameters) / sizes) < VANISHED * max(map(np.linalg.norm, ends)):
-                yield sample, Test("cusp", "", measure)
+        for sample, test in _zeros(interval, [Test("cusp", "", lambda sample: float(across @ slopes(sample)))]):
+            if np.linalg.norm(slopes(sample) / sizes) < VANISHED * max(map(np.linalg.norm, ends)):
+                yield sample, test
         return
-    for k, name in enumerate(one.parameters):
-        if name == one.detail:
-            direction = np.eye(2)[k]
-            for sample in _zeros(interval, _Along(one.parameters, direction)):
-                rising = interval.last.slopes[name] - interval.first.slopes[name]
-                centre = is_centre(interval.curve, sample.found.place, name, rising)
-                kind = "isola_centre" if centre else "transcritical"
-                yield sample, Test(kind, name, _Along(one.parameters, direction))
+    wanted = [Test("transcritical", one.detail, slope(one.detail))] if one.detail in one.parameters else []
+    for sample, test in _zeros(interval, wanted):
+        rising = interval.last.slopes[one.detail] - interval.first.slopes[one.detail]
+        centre = is_centre(interval.curve, sample.found.place, one.detail, rising)
+        yield sample, replace(test, kind="isola_centre") if centre else test
 
 
 def is_centre(curve: Curve, place: Unknowns, name: str, rising: float) -> bool:

@@ -7,10 +7,8 @@ Source: Yu. A. Kuznetsov, Elements of Applied Bifurcation Theory (2004), chapter
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
@@ -30,6 +28,8 @@ class Critical:
 
     `multiplier` is the critical one of the root map. `margin` names what is grazed: arc, event and which.
     """
+
+    _sparse = ("margin",)
 
     kind: str
     parameters: tuple[str, str]
@@ -66,25 +66,6 @@ class Critical:
     def roots(self, about: Spectrum) -> tuple[np.ndarray, float]:
         """Indices (conservative) or multipliers of an orbit, and the value that one of them has along the curve."""
         return about.indices if about.conservative else about.multipliers, self.level(about.conservative)
-
-    @property
-    def entry(self) -> dict[str, Any]:
-        """What `critical_of` makes the same of."""
-        found: dict[str, Any] = {
-            "kind": self.kind, "parameters": list(self.parameters), "detail": self.detail, "order": self.order,
-            "multiplier": [self.multiplier.real, self.multiplier.imag],
-        }  # fmt: skip
-        return found if self.margin is None else found | {"margin": list(self.margin)}
-
-
-def critical_of(entry: Mapping[str, Any]) -> Critical:
-    """The test function that an entry of a file stands for."""
-    margin, (re, im) = entry.get("margin"), entry["multiplier"]
-    first, second = entry["parameters"]
-    return Critical(
-        str(entry["kind"]), (str(first), str(second)), str(entry["detail"]), int(entry["order"]), complex(re, im),
-        None if margin is None else (int(margin[0]), str(margin[1]), str(margin[2])),
-    )  # fmt: skip
 
 
 def levelled(roots: np.ndarray, level: float) -> float:

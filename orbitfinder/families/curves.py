@@ -7,50 +7,33 @@ multipliers (`critical.Critical`); they are followed, journalled and certified a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError, InputError, closest
-from orbitfinder.families.branches import Branch, described
+from orbitfinder.families.branches import Branch, described, opened, with_nodes
 from orbitfinder.families.changes import margins
+from orbitfinder.families.checks import KINDS
 from orbitfinder.families.critical import Critical
-from orbitfinder.families.folder import Progress, follow_family
+from orbitfinder.families.folder import Progress, follow_family, parameter_of
 from orbitfinder.families.point import FamilySettings, parameter_value, unknowns_of
-from orbitfinder.families.start import corrected, curve_at, curve_of
+from orbitfinder.families.start import corrected, curve_of, released
 from orbitfinder.loops.continued import TESTED, Curve, Solution, at_place, scaled
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.problem import pinned
 from orbitfinder.loops.symmetry import momenta_of
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
-from orbitfinder.records.family import Event, Family, load_family
+from orbitfinder.records.family import Event, Family
 
-FOLLOWED = ("fold", "branch_point", "period_doubling", "torus", "collision", "resonance", "grazing")
-"""Kinds of events that a curve in two parameters leads through"""
+FOLLOWED = tuple(name for name, kind in KINDS.items() if kind.followed)
 LOST = 1e-6
 """A singular value of the equations below this, relative to the next, is a rank lost at a branch point."""
 
 UNMOVED = 1e-7
 """Change of a test, in units of the metric, below which neither parameter moves the bifurcation: that of round-off"""
-
-
-@dataclass(frozen=True)
-class Locus(Branch):
-    """The start of a curve of bifurcations in two parameters: which family, which of its events, its first orbit."""
-
-    @property
-    def parameters(self) -> tuple[str, str]:
-        """The two parameters."""
-        assert isinstance(self.start.curve.test, Critical)
-        return self.start.curve.test.parameters
-
-    def described(self) -> dict[str, Any]:
-        """The same in plain numbers."""
-        told = {name: value for name, value in super().described().items() if name != "branch"}
-        return told | {"kind": "curve", "parameters": list(self.parameters)}
 
 
 def follow_curve(
@@ -102,7 +85,7 @@ def follow_curve(
     """
     start = curve_start(family, event, parameters, settings, model)
     return follow_family(
-        start, start.parameters[0], until=until, at=at, settings=settings, out=out, name=name, points=points,
+        start, parameter_of(start), until=until, at=at, settings=settings, out=out, name=name, points=points,
         model=model, progress=progress,
     )  # fmt: skip
 
@@ -113,11 +96,10 @@ def curve_start(
     parameters: Sequence[str],
     settings: FamilySettings | None = None,
     model: Model | None = None,
-) -> Locus:
+) -> Branch:
     """The start of the curve of an event in two parameters, named <family>-<event>-<first>-<second>."""
-    where = family.name if isinstance(family, Family) else str(family)
-    family = family if isinstance(family, Family) else load_family(family)
-    number, chosen = _event(family, event, where)
+    family, number, where = opened(family, event)
+    chosen = _event(family, number, where)
     settings = replace(settings or FamilySettings(), parameter=family.parameter)
     base = curve_of(family.curve, model or build_model(family.system), settings)
     names = _parameters(base.equations.model, parameters)
@@ -149,15 +131,11 @@ def curve_start(
             f"event {number} of {family.name}: two real multipliers of product 1, a neutral saddle and no torus; "
             "continue the family again"
         )
-    return Locus(start, family.name, chosen, number, 0, f"{family.name}-{number}-{'-'.join(names)}")
+    return Branch(start, family.name, chosen, number, 0, f"{family.name}-{number}-{'-'.join(names)}")
 
 
-def _event(family: Family, event: int | Event, where: str) -> tuple[int, Event]:
+def _event(family: Family, event: int, where: str) -> Event:
     """The event of a number, or that one. `InputError` lists those that can be followed."""
-    if isinstance(event, Event):
-        event = next((k for k, one in enumerate(family.events) if one is event), -1)
-    if not family.curve:
-        raise InputError(f"{where}: curve: missing, an older orbitfinder wrote this file; continue the family again")
     if "test" in family.curve:
         raise InputError(f"{where}: is a curve in two parameters itself; give the family that it was started from")
     known = [k for k, one in enumerate(family.events) if one.kind in FOLLOWED and not one.detail.startswith("at ")]
@@ -168,9 +146,7 @@ def _event(family: Family, event: int | Event, where: str) -> tuple[int, Event]:
     chosen = family.events[event]
     if event not in known:
         raise InputError(f"event: no curve leads through event {event} ({chosen.kind}); {choice}")
-    if not chosen.shooting_nodes.size:
-        raise InputError(f"{where}: family.npz is not beside it; continue the family again to follow its event")
-    return event, chosen
+    return with_nodes(chosen, where, "follow its event")
 
 
 def _parameters(model: Model, names: Sequence[str]) -> tuple[str, str]:
@@ -215,12 +191,7 @@ def _released(base: Curve, event: Event, names: tuple[str, str], held: tuple[str
     free = tuple(name for name in names if name in model.parameter_names)
     fixed = {name: event.free[name] for name in old.physical if name not in free}
     equations = Equations(with_parameters(model, fixed), old.symmetry, free, action=True, alone=True)
-    known = dict(zip(equations.free, equations.numbers, strict=True)) | dict(event.free)
-    place = unknowns_of(base, event)
-    place = replace(
-        place, unfolding=np.zeros(equations.march.unfolding), free=np.array([known[one] for one in equations.free])
-    )
-    return replace(curve_at(equations, place, held), constant=base.constant), place
+    return released(base, unknowns_of(base, event), equations, held)
 
 
 def _grazed(curve: Curve, found: Solution, event: Event) -> tuple[int, str, str]:

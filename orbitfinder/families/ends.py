@@ -97,7 +97,7 @@ def end_at(run: Run, before: Step, after: Step) -> End | None:
     share, state = slowness(curve, found)
     if share <= SLOW_SHARE:
         return None
-    grown, more = found.place.period / after.shortest_period, None
+    grown, more = after.stretch, None
     if grown > run.settings.longest_period:
         more = ""
     elif not curve.equations.physical and _settled(run.origin, before.point, after.point):
@@ -222,7 +222,7 @@ def end_of_failure(run: Run, step: Step, failure: str) -> End:
     except IntegrationError:
         pass
     share, state = slowness(curve, found)
-    grown = found.place.period / step.shortest_period
+    grown = step.stretch
     slow = grown > UNDERFLOW_GROWTH and share > UNDERFLOW_SHARE and not curve.equations.model.forced
     if slow and near_saddle(curve, found, state):
         return _homoclinic(curve, found, state, grown, f"; then {failure}")
@@ -278,7 +278,7 @@ def _met(run: Run, step: Step, failure: str) -> End | None:
 def shortest_step(run: Run, step: Step) -> float:
     """How short a step may become: near a homoclinic orbit, where round-off rules, not very."""
     curve, found, usual = run.curve, step.found, run.settings.shortest_step
-    if curve.equations.model.forced or not found.place.period > UNDERFLOW_GROWTH * step.shortest_period:
+    if curve.equations.model.forced or not step.stretch > UNDERFLOW_GROWTH:
         return usual
     share, state = slowness(curve, found)
     return HOMOCLINIC_STEP if share > SLOW_SHARE and near_saddle(curve, found, state) else usual

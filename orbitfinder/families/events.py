@@ -25,12 +25,14 @@ from orbitfinder.families.passages import (
     Measure,
     Test,
     collisions,
+    grazed,
     located,
     look,
     meeting,
+    multiplier_levels,
     passages,
     strips,
-    twice,
+    zeros,
 )
 from orbitfinder.families.point import FamilySettings, freed, parameter_value
 from orbitfinder.families.run import Interval, Sample, is_real
@@ -39,12 +41,6 @@ from orbitfinder.loops.symmetry import momenta_of
 from orbitfinder.orbits.floquet import ERROR_FLOOR
 from orbitfinder.records.family import Event
 
-CRITICAL = ("branch_point", "period_doubling", "torus")
-"""Kinds at which a multiplier leaves or enters the unit circle."""
-TURNED = ("fold", "turn")
-"""Kinds at which something is extremal: what a family is told by, then a multiplier is at +1, or the period."""
-EXTREMAL = (*TURNED, "extremum")
-"""... or a number that is watched."""
 ROUNDS = 4
 """How often collisions are looked for again after orbits between them were seen."""
 
@@ -53,35 +49,35 @@ BLURRED = 1e-6
 """Uncertainty of the stability indices beyond which none of their passages can be told from round-off."""
 
 
-def _slope(name: str) -> Measure:
+def slope(name: str) -> Measure:
+    """d/ds of a parameter, of the energy or the period."""
     return lambda sample: sample.slopes[name]
 
 
 def folds(interval: Interval) -> Iterator[Test]:
-    """Every fold of the interval."""
+    """What turns at a fold: each parameter that orbits are told by, or the period."""
     p, held = interval.curve.equations, {one.quantity for one in interval.curve.conditions}
     kept = [one for k, one in enumerate(p.model.invariants) if k in held]
     timed = any(one.normal is not None and one.quantity is None for one in interval.curve.conditions)
     bifurcates = () if timed and not p.model.forced else ("energy", *p.physical)
     swept = momenta_of(p.symmetry, p.model) if any(one.generator is None for one in kept) else ("energy",)
     for name in p.physical or (*(one for one in swept if one not in {each.name for each in kept}), "period"):
-        if interval.first.slopes[name] * interval.last.slopes[name] < 0:
-            yield Test("fold" if name in bifurcates else "turn", name, _slope(name))
+        yield Test("fold" if name in bifurcates else "turn", name, slope(name))
 
 
 def extrema(interval: Interval) -> Iterator[Test]:
-    """Where a watched number is extremal in the interval."""
+    """Watched numbers that may be extremal in the interval: they change by more than round-off."""
     known: dict[float, dict[str, float]] = {}
 
-    def slope(name: str, sample: Sample) -> float:
+    def rise(name: str, sample: Sample) -> float:
         if sample.distance not in known:
             known[sample.distance] = rises(interval.curve, sample.found, sample.whole)
         return known[sample.distance][name]
 
     for name in interval.curve.watch:
-        ends = [slope(name, sample) for sample in (interval.first, interval.last)]
+        ends = [rise(name, sample) for sample in (interval.first, interval.last)]
         if ends[0] * ends[1] < 0 and max(np.abs(ends)) > noise(interval.curve, interval.first.found)[name]:
-            yield Test("extremum", name, partial(slope, name))
+            yield Test("extremum", name, partial(rise, name))
 
 
 def bifurcations(interval: Interval, most: int) -> list[tuple[Sample, Test]]:
@@ -108,18 +104,14 @@ def bifurcations(interval: Interval, most: int) -> list[tuple[Sample, Test]]:
     raise ConvergenceError("collisions of multipliers cannot be told apart within one step")
 
 
-def find_events(interval: Interval, settings: FamilySettings) -> list[Event]:
-    """Events of an interval in order, their arclength the distance into it."""
-    found = [(located(interval, test.measure, 0.0, interval.length), test) for test in folds(interval)]
-    found += bifurcations(interval, settings.resonances)
-    found.sort(key=lambda pair: pair[0].distance)
-    turns = [sample.distance for sample, test in found if test.kind in TURNED and test.detail != "period"]
+def find_events(interval: Interval, settings: FamilySettings) -> list[tuple[Sample, Test]]:
+    """What happens in an interval, each with the orbit there."""
+    turned = [*zeros(interval, folds(interval))]
+    found = sorted(turned + bifurcations(interval, settings.resonances), key=lambda pair: pair[0].distance)
+    turns = [sample.distance for sample, test in turned if test.detail != "period"]
     found = [(p, t) for p, t in found if not (t.kind == "branch_point" and _near(p.distance, turns))]
     found = [(p, t) for p, t in found if t.kind != "branch_point" or _told(interval)]
-    found += _changes(interval, found)
-    found += [(located(interval, test.measure, 0.0, interval.length), test) for test in extrema(interval)]
-    events = [event_at(interval.curve, sample, test, settings.parameter) for sample, test in found]
-    return sorted(events, key=lambda event: event.arclength)
+    return found + _changes(interval, found)
 
 
 def _told(interval: Interval) -> bool:
@@ -162,7 +154,7 @@ def event_at(curve: Curve, sample: Sample, test: Test, parameter: str) -> Event:
 
 def _changes(interval: Interval, found: list[tuple[Sample, Test]]) -> list[tuple[Sample, Test]]:
     """The located events at which the verdict changes, read halfway to their neighbours."""
-    critical = [(p, t) for p, t in found if t.kind in (*CRITICAL, "collision", *TURNED) and t.detail != "period"]
+    critical = [(p, t) for p, t in found if t.kind != "resonance" and t.detail != "period"]
     a, b = (p.about.floquet.stability == "unstable" for p in (interval.first, interval.last))
     if not critical or (a == b and len(critical) < 2):
         return []
@@ -208,9 +200,7 @@ def crossings(interval: Interval) -> list[tuple[Sample, Test]]:
     Raises `ConvergenceError` where they cannot be told apart within so long a step.
     """
     for rank in range(len(interval.first.about.reduced)):
-        ends = [modulus(rank)(sample) for sample in (interval.first, interval.last)]
-        if ends[0] * ends[1] > 0 and min(np.abs(ends)) < GRAZED:
-            twice(interval, modulus(rank))
+        grazed(interval, modulus(rank), GRAZED)
     parts = [(a.distance, b.distance) for a, b in pairwise(interval.known())]
     return [one for low, high in parts for one in _between(interval, low, high, DEEPEST)]
 
@@ -250,11 +240,8 @@ def _named(sample: Sample, rank: int) -> Test:
     mu = complex(multipliers(sample)[rank])
     if not is_real(mu):
         return Test("torus", "", modulus(rank), 0, complex(mu.real, abs(mu.imag)))
-    if mu.real > 0:
-        return Test("branch_point", "", modulus(rank))
-    if sample.about.root == 2:
-        return Test("branch_point", "", modulus(rank), 1, -1.0 + 0.0j)
-    return Test("period_doubling", "", modulus(rank), 2, -1.0 + 0.0j)
+    _, kind, order, multiplier = multiplier_levels(sample.about.root)[mu.real <= 0]
+    return Test(kind, "", modulus(rank), order, multiplier)
 
 
 def _beyond(sample: Sample, sign: int) -> int:

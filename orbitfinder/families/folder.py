@@ -46,7 +46,6 @@ from orbitfinder.records.family import (
     number_of,
     reached,
     read_journal,
-    restored,
     save_family,
 )
 from orbitfinder.records.journal import begin_journal
@@ -136,7 +135,7 @@ def follow_family(
     folder = None if out is None else Path(out) / label
     watch, stop = _watched(origin, watch), stop or {}
     check_stop(stop, watch)
-    request = _request(origin, settings, at, watch)
+    request, source = _request(origin, settings, at, watch)
     with contextlib.nullcontext() if folder is None else locks.alone_in(folder):
         journal = None if folder is None else read_journal(folder)
         born = origin.event.parameter if isinstance(origin, Branch) and isinstance(origin.number, int) else None
@@ -144,7 +143,7 @@ def follow_family(
             start = _started(origin, settings, model)
             curve = replace(start.curve, watch=watches(watch, start.curve.equations.model))
             start = replace(start, curve=curve)
-            journal = Journal(_header(label, start, settings, request, _source(origin)), ())
+            journal = Journal(_header(label, start, settings, request, source), ())
             if folder is not None:
                 begin_journal(folder / JOURNAL, plain(journal.header))
         else:
@@ -155,11 +154,15 @@ def follow_family(
                 curve = replace(curve, test=origin.start.curve.test, degenerate=origin.start.curve.degenerate)
             if not journal.sealed and settings.certify:
                 _check_again(journal, curve, folder)
-        runs = _runs(journal, settings, (until, tuple(map(float, at))), born)
+        goals, away = (until, tuple(map(float, at))), int(journal.header.get("away", 1))
+        curve, check = in_scales(curve, journal.origin), _independent(curve, settings)
+        runs = [
+            Run(curve, settings, sign, journal.origin, check, value, exact, stop)
+            for sign, value, exact in directions(journal.origin, settings, goals, away, born)
+        ]
         if folder is not None:
-            named = {sign: {} if value is None else {settings.parameter: value} for sign, value, _ in runs}
-            journal = _reopened(folder, journal, {sign: goals | dict(stop) for sign, goals in named.items()})
-        return _finish(folder, journal, curve, settings, runs, stop, progress)
+            journal = _reopened(folder, journal, {run.direction: run.goals for run in runs})
+        return _finish(folder, journal, curve, settings, runs, progress)
 
 
 def _read(path: str | Path) -> Orbit:
@@ -179,17 +182,25 @@ def _chosen(parameter: str | None, settings: FamilySettings | None, origin: Any)
 
 
 def parameter_of(origin: Any) -> str:
-    """What a family is followed in when nothing is said: the physical parameter that its start has freed, or energy."""
+    """What a family is followed in when nothing is said: the physical parameter that its start has freed, or energy; of
+    a curve in two parameters the first."""
+    start = _start_of(origin)
+    if start and isinstance(start.curve.test, Critical):
+        return start.curve.test.parameters[0]
+    return next(iter(start.curve.equations.physical), "energy") if start else "energy"
+
+
+def _start_of(origin: Any) -> Start | None:
+    """The start that an origin is or has."""
     start = origin.start if isinstance(origin, Branch) else origin
-    return next(iter(start.curve.equations.physical), "energy") if isinstance(start, Start) else "energy"
+    return start if isinstance(start, Start) else None
 
 
 def _watched(origin: Any, watch: Mapping[str, str | Number] | None) -> Mapping[str, str | Number]:
     """What is watched: as given, or else of a Problem what it states, of a branch what its family's file states."""
     if watch is not None:
         return watch
-    start = origin.start if isinstance(origin, Branch) else origin
-    if isinstance(start, Start):
+    if start := _start_of(origin):
         return {name: one.entry if isinstance(one.entry, str) else one.of for name, one in start.curve.watch.items()}
     return getattr(origin, "watch", {})
 
@@ -211,7 +222,7 @@ def _check_again(journal: Journal, curve: Curve, folder: Path) -> None:
     """`InputError` unless every point of a journal without digests still closes, by independent means."""
     model = curve.equations.model
     check = ClosureCheck(model) if model.hybrid is None else HybridCheck(model)
-    for point in (restored(FamilyPoint, journal.header["origin"]), *(p for one in journal.batches for p in one.points)):
+    for point in (journal.origin, *(p for one in journal.batches for p in one.points)):
         allowed = CLOSURE * max(1.0, float(np.abs(point.floquet_multipliers).max(initial=1.0)))
         turns = turned(curve.equations.model, np.array(curve.turns), point.shift)
         closure = check(point.state, point.period, turns, allowed, point.free)
@@ -222,12 +233,12 @@ def _check_again(journal: Journal, curve: Curve, folder: Path) -> None:
             )
 
 
-def _started(origin: Orbit | Problem | Start | Branch, settings: FamilySettings, model: Model | None) -> Start:
-    if not isinstance(origin, (Branch, Start)):
+def _started(origin: Any, settings: FamilySettings, model: Model | None) -> Start:
+    start = _start_of(origin)
+    if start is None:
         start = begin(origin, settings, model=model)
         checked_cycle(start.curve, start.found)
         return start
-    start = origin.start if isinstance(origin, Branch) else origin
     free, _ = unknown_parameters(start.curve.equations.model, settings)
     if start.curve.test is None and free != start.curve.equations.physical:
         raise InputError(
@@ -237,10 +248,10 @@ def _started(origin: Orbit | Problem | Start | Branch, settings: FamilySettings,
     return start
 
 
-def _model_of(origin: Orbit | Problem | Start | Branch, journal: Journal, model: Model | None) -> Model:
+def _model_of(origin: Any, journal: Journal, model: Model | None) -> Model:
     """The model that the journal's curve is made of: a linkage's is the minimal one that was chosen then."""
-    if isinstance(origin, (Start, Branch)):
-        return (origin.start if isinstance(origin, Branch) else origin).curve.equations.model
+    if start := _start_of(origin):
+        return start.curve.equations.model
     model = model or (origin.model if isinstance(origin, Problem) else None)
     system = journal.header["system"]
     if model is None or "independent" in system or dict(model.system) != system:
@@ -248,18 +259,9 @@ def _model_of(origin: Orbit | Problem | Start | Branch, journal: Journal, model:
     return model
 
 
-def _source(origin: Orbit | Problem | Start | Branch) -> dict[str, Any]:
-    """What the family was started from, for its file."""
-    if isinstance(origin, Branch):
-        return {"kind": "branch", **origin.described()}
-    kind = "orbit" if isinstance(origin, Orbit) else "problem" if isinstance(origin, Problem) else "start"
-    return {"kind": kind, "name": getattr(origin, "name", "")}
-
-
 def _reopened(folder: Path, journal: Journal, stops: Mapping[int, Mapping[str, float]]) -> Journal:
     """The journal as far as it leads to where each direction shall stop, which may be elsewhere than before."""
-    origin: FamilyPoint = restored(FamilyPoint, journal.header["origin"])
-    kept, last = list[Batch](), dict[int, FamilyPoint].fromkeys(stops, origin)
+    kept, last = list[Batch](), dict[int, FamilyPoint].fromkeys(stops, journal.origin)
     for batch in journal.batches:
         side, goals = batch.direction, stops.get(batch.direction, {})
         met = [point for point in batch.points if point.role != "at"]
@@ -283,20 +285,25 @@ def _reopened(folder: Path, journal: Journal, stops: Mapping[int, Mapping[str, f
 def _request(
     origin: Orbit | Problem | Start | Branch, settings: FamilySettings, at: Sequence[float],
     watch: Mapping[str, str | Number],
-) -> dict[str, Any]:  # fmt: skip
-    """What decides whether a journal answers the same question; the number of points and where it ends may differ."""
+) -> tuple[dict[str, Any], dict[str, Any]]:  # fmt: skip
+    """What decides whether a journal answers the same question; the number of points and where it ends may differ.
+
+    And what the family was started from, for its file.
+    """
     head: Any
     if isinstance(origin, Branch):
-        head = origin.described()
+        head, kind = origin.described(), "branch"
     elif isinstance(origin, Start):
-        head = origin.found.place.head.tolist()
+        head, kind = origin.found.place.head.tolist(), "start"
     elif isinstance(origin, Orbit):
-        head = [*origin.state.tolist(), origin.period]
+        head, kind = [*origin.state.tolist(), origin.period], "orbit"
     else:
-        head = [*map(float, origin.guess.state), float(origin.guess.period), plain(origin.pin), origin.symmetry]
+        guess = origin.guess
+        head, kind = [*map(float, guess.state), float(guess.period), plain(origin.pin), origin.symmetry], "problem"
+    source = {"kind": kind, **(head if kind == "branch" else {"name": getattr(origin, "name", "")})}
     chosen = {key: value for key, value in plain(settings).items() if key != "points"}
     more = {"watch": {name: as_recorded(one) for name, one in watch.items()}} if watch else {}
-    return {"origin": plain(head), "settings": chosen, "at": [float(value) for value in at], **more}
+    return {"origin": plain(head), "settings": chosen, "at": [float(value) for value in at], **more}, source
 
 
 def _header(
@@ -309,18 +316,9 @@ def _header(
         "format": FORMAT, "version": VERSION, "name": name, "system": dict(curve.equations.model.system),
         "parameter": settings.parameter, "request": request, "origin": plain(origin), "source": source,
         "away": 1 if np.sum(curve.weights * origin.tangent * start.direction) > 0 else -1,
-        "curve": {
-            "symmetry": curve.equations.symmetry.name, "free": list(curve.equations.free),
-            "constant": curve.constant, "winding": curve.turns, "weights": curve.weights,
-            **entry_of(curve), **tested(curve),
-        },
+        "curve": entry_of(curve),
     })  # fmt: skip
     return header
-
-
-def tested(curve: Curve) -> dict[str, Any]:
-    """What a curve of bifurcations keeps, for its file; nothing of a family in one parameter."""
-    return {"test": curve.test.entry} if isinstance(curve.test, Critical) else {}
 
 
 def directions(
@@ -359,36 +357,29 @@ def directions(
             yield sign, last, tuple(value for value in wanted if value != last)
 
 
-def _runs(
-    journal: Journal, settings: FamilySettings, goals: tuple[float | None, tuple[float, ...]], born: float | None
-) -> list[Asked]:
-    """The directions of a journal's family in which something is wanted."""
-    origin: FamilyPoint = restored(FamilyPoint, journal.header["origin"])
-    return list(directions(origin, settings, goals, int(journal.header.get("away", 1)), born))
-
-
 def _finish(
     folder: Path | None,
     journal: Journal,
     curve: Curve,
     settings: FamilySettings,
-    runs: Sequence[Asked],
-    stop: Mapping[str, float],
+    runs: Sequence[Run],
     progress: Progress | None,
 ) -> Family:
     """Follow what is left in each direction, journalling every step where there is a folder."""
-    origin: FamilyPoint = restored(FamilyPoint, journal.header["origin"])
-    curve, check = in_scales(curve, origin), _independent(curve, settings)
     batches = list(journal.batches)
-    for sign, until, exact in runs:
-        done, end = journal.steps(sign), journal.end(sign)
+
+    def so_far() -> Family:
+        return assemble(replace(journal, batches=tuple(batches)))
+
+    for run in runs:
+        done, end = journal.steps(run.direction), journal.end(run.direction)
         if end is not None and not (end.kind == "point limit" and len(done) < settings.points):
             continue
         if any(one.end is not None and one.end.kind == "returned" for one in batches):
             break  # a closed family has one direction
-        last = done[-1][0] if done else origin
+        last = done[-1][0] if done else journal.origin
         try:
-            for batch in follow(Run(curve, settings, sign, origin, check, until, exact, stop), done):
+            for batch in follow(run, done):
                 reached = [one for one in batch.points if one.role == "step"][-1:]
                 step = abs(reached[0].arclength - last.arclength) if reached else last.step
                 batch, last = checked(curve, batch, step), (*reached, last)[0]
@@ -401,13 +392,13 @@ def _finish(
                 if progress:
                     progress(batch)
                 if folder is not None and len(batches) % SAVE_EVERY == 0:
-                    save_family(assemble(Journal(journal.header, tuple(batches))), folder)
+                    save_family(so_far(), folder)
         except (LimitError, KeyboardInterrupt):
             if folder is not None:
                 with interrupt.held_back():
-                    save_family(assemble(Journal(journal.header, tuple(batches))), folder)
+                    save_family(so_far(), folder)
             raise
-    family = assemble(Journal(journal.header, tuple(batches)))
+    family = so_far()
     if settings.certify:
         first, *rest = family.points
         ends = (certified(curve, first), *rest[:-1], *(certified(curve, one) for one in rest[-1:]))

@@ -17,12 +17,13 @@ import numpy as np
 
 from orbitfinder.continuation.follow import walked, zero
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.families.changes import first_lost, test_of
+from orbitfinder.families.changes import first_lost
+from orbitfinder.families.checks import KINDS
 from orbitfinder.families.codimension_two import find_special, left_circle
 from orbitfinder.families.ends import approach, end_at, end_of_failure, merged, returned, shortest_step
-from orbitfinder.families.events import EXTREMAL, TURNED, event_at, find_events
+from orbitfinder.families.events import event_at, find_events
 from orbitfinder.families.motion import watched
-from orbitfinder.families.passages import avoided
+from orbitfinder.families.passages import Test, avoided, zeros
 from orbitfinder.families.point import FamilySettings, make_point, parameter_value
 from orbitfinder.families.run import (
     Interval,
@@ -180,7 +181,7 @@ def _batch(run: Run, before: Step, after: Step, last: Sample) -> Batch:
     if ended is not None and ended.kind in ("equilibrium", "relative equilibrium"):
         return Batch(run.direction, (), (), ended)
     for event, one in zip(events, found, strict=True):
-        turned = one.kind in TURNED and one.detail != "period"
+        turned = KINDS[one.kind].extremal and one.detail not in ("period", *run.curve.watch)
         joined = merged(interval, one.arclength, settings.parameter) if turned else left_circle(run.curve, one)
         if joined is not None:
             reach = abs(event.arclength - origin.arclength)
@@ -199,7 +200,7 @@ def _cut(run: Run, before: Step, last: Sample) -> Batch | None:
     if lost is None:
         return None
     sample, margin = lost
-    event = _placed(event_at(run.curve, sample, test_of(margin), name), run, origin)
+    event = _placed(event_at(run.curve, sample, Test(margin.kind, margin.name, lambda sample: 0.0), name), run, origin)
     reach = sample.distance
     points, final = _exactly(run, before, interval, [])
     if _within([point for _, point in final], origin, reach):
@@ -228,7 +229,12 @@ def _events(interval: Interval, settings: FamilySettings) -> list[Event]:
     if not settings.events:
         return []
     try:
-        return find_events(interval, settings) if interval.curve.test is None else find_special(interval, settings)
+        alone = interval.curve.test is None
+        found = find_events(interval, settings) if alone else find_special(interval)
+        tests = [kind.test for kind in KINDS.values() if kind.test and kind.second != alone]
+        found += [one for test in tests for one in zeros(interval, test(interval))]
+        events = [event_at(interval.curve, sample, test, settings.parameter) for sample, test in found]
+        return sorted(events, key=lambda event: event.arclength)
     except (ConvergenceError, IntegrationError) as error:
         if interval.length > SHORTEST_SEARCH:
             raise
@@ -255,7 +261,7 @@ def exact_points(
 ) -> list[FamilyPoint]:
     """The points of an interval at which the parameter, or a watched number, has exactly this value."""
     curve, (name, value), first = run.curve, goal, interval.first
-    turns = [event.arclength for event in events if event.kind in EXTREMAL and event.detail == name]
+    turns = [event.arclength for event in events if KINDS[event.kind].extremal and event.detail == name]
     edges, points = [0.0, *turns, interval.length], []
     level = partial(_level, interval, name)
     levels = [level(edge) for edge in edges]

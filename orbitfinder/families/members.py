@@ -4,26 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from orbitfinder.errors import InputError
 from orbitfinder.families.motion import full_samples
-from orbitfinder.families.point import FamilySettings, shift_at, unknowns_of
-from orbitfinder.families.stability import spectrum
-from orbitfinder.families.start import curve_of
+from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
+from orbitfinder.families.start import curve_in, curve_of
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.continued import Curve, at_place
 from orbitfinder.loops.symmetry import recognise
 from orbitfinder.mechanics.catalogue import with_parameters
-from orbitfinder.mechanics.model import Model, energy
+from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certified as with_certificate
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.course import course, sampled
 from orbitfinder.orbits.measure import dense
-from orbitfinder.records.family import CLOSURE, Batch, Event, Family, FamilyPoint
+from orbitfinder.records.family import Batch, Event, Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
 
 SAMPLES, MOTION = 960, 240
@@ -51,11 +50,15 @@ def whole(orbit: Orbit, model: Model) -> Orbit:
     if len(orbit.samples) > 1:
         return orbit
     times, samples = _period(orbit, model, SAMPLES)
-    kept = {one.name: getattr(orbit, one.name) for one in fields(Orbit)} | {"times": times, "samples": samples}
     if not isinstance(orbit, FamilyPoint):
-        return Orbit(**kept)
+        return replace(orbit, times=times, samples=samples)
     symmetry = recognise(times, samples, model)
-    return with_certificate(Orbit(**kept | {"symmetry": symmetry, "closure": 0.0}), model)
+    return with_certificate(_alone(orbit, times=times, samples=samples, symmetry=symmetry, closure=0.0), model)
+
+
+def _alone(point: FamilyPoint, **changed: Any) -> Orbit:
+    """A point as an Orbit of its own."""
+    return Orbit(**{one.name: getattr(point, one.name) for one in fields(Orbit)} | changed)
 
 
 def _period(orbit: Orbit, model: Model, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -84,16 +87,10 @@ def response(family: Family, model: Model) -> tuple[str, np.ndarray]:
 def orbit_at(curve: Curve, event: Event, model: Model) -> Orbit:
     """The orbit of an event, without certificate; the model has its freed parameters."""
     found = at_place(curve, unknowns_of(curve, event))
-    floquet = spectrum(curve, found).floquet
     times, states = full_samples(curve, found, SAMPLES)
-    return Orbit(
-        name="event", system=model.system, state=event.state, period=event.period, energy=energy(model, event.state),
-        action=found.march.integral / curve.equations.symmetry.fraction, closure=0.0,
-        symmetry=recognise(times, states, model), winding=curve.turns,
-        floquet_multipliers=floquet.multipliers, pair_defect=floquet.pair_defect, stability=floquet.stability,
-        unfolding=(), nodes=event.state[None], times=np.zeros(0), samples=np.zeros((0, event.state.size)),
-        tolerance=CLOSURE, shift=shift_at(curve, found.place),
-    )  # fmt: skip
+    index, arclength = event.index, event.arclength
+    point = make_point(curve, found, event.tangent, "energy", None, index=index, arclength=arclength, step=0.0)
+    return _alone(point, name="event", symmetry=recognise(times, states, model))
 
 
 def certified(curve: Curve, member: Member) -> Member:
@@ -138,9 +135,7 @@ def amplitudes(family: Family, model: Model) -> np.ndarray:
 
     Without family.npz their states alone are integrated. Raises `InputError`.
     """
-    if not family.curve:
-        raise InputError(f"{family.name}: curve: missing, an older orbitfinder wrote this family; continue it again")
-    curve = curve_of(family.curve, model, FamilySettings(parameter=family.parameter))
+    curve = curve_in(family, model)
     mesh, n = uniform(curve.equations.symmetry.fraction, 1, MOTION), model.degrees_of_freedom
 
     def range_of(one: FamilyPoint | Event) -> np.ndarray:

@@ -12,7 +12,7 @@ from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.march import divided
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
-from orbitfinder.loops.mesh import arc_states
+from orbitfinder.loops.mesh import arc_mesh, arc_states
 from orbitfinder.loops.watch import numbers, unsure
 
 SAMPLES = 512
@@ -47,13 +47,10 @@ def _linked_samples(curve: Curve, found: Solution, count: int) -> tuple[np.ndarr
     """The same of a hybrid orbit; at an event the state after it."""
     p, place = curve.equations, found.place
     arcs = p.links.count
-    steps = (place.mesh.size - 1) // arcs
-    ends = place.period * np.cumsum(p.links.shares(place.free))
-    begins, pieces = np.concatenate([[0.0], ends[:-1]]), []
+    ends, pieces = place.period * np.append(0.0, np.cumsum(p.links.shares(place.free))), []
     times = np.linspace(0.0, place.period, count + 1)
-    for k, (begin, end) in enumerate(zip(begins, ends, strict=True)):
-        states = arc_states(found, arcs, k)
-        mesh = place.mesh[k * steps : (k + 1) * steps + 1] * arcs - k
+    for k, (begin, end) in enumerate(pairwise(ends)):
+        states, mesh = arc_states(found, arcs, k), arc_mesh(place, arcs, k)
         slopes = p.march.arcs[k].rates(states, place.tail) * place.period / arcs
         own = times[(times >= begin) & ((times < end) if k < arcs - 1 else (times <= place.period))]
         pieces.append(CubicHermiteSpline(mesh, states, slopes)((own - begin) / (end - begin)))

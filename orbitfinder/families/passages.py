@@ -6,7 +6,7 @@ what an index does before it meets another one is told apart from what it does a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -60,7 +60,10 @@ def passage(level: float) -> Measure:
     return measure
 
 
-def index_levels(root: int, most: int) -> Iterator[tuple[float, str, int, complex]]:
+Level = tuple[float, str, int, complex]
+
+
+def index_levels(root: int, most: int) -> Iterator[Level]:
     """(level of the index, kind, order q, critical multiplier of the root map) of every bifurcation."""
     yield 2.0, "branch_point", 1, 1.0 + 0.0j
     if root == 1:
@@ -75,12 +78,10 @@ def index_levels(root: int, most: int) -> Iterator[tuple[float, str, int, comple
                 yield 2 * float(np.cos(angle)), "resonance", q, complex(np.exp(1j * angle))
 
 
-def level_tests(root: int, most: int) -> list[tuple[Test, float]]:
-    """Every bifurcation that an index may pass, with its level."""
-    return [
-        (Test(kind, f"q = {order}" if kind == "resonance" else "", passage(level), order, multiplier), level)
-        for level, kind, order, multiplier in index_levels(root, most)
-    ]
+def multiplier_levels(root: int) -> tuple[Level, Level]:
+    """The same of real multipliers, where they are in no pairs."""
+    other = ("branch_point", 1) if root == 2 else ("period_doubling", 2)
+    return (1.0, "branch_point", 1, 1.0 + 0.0j), (-1.0, *other, -1.0 + 0.0j)
 
 
 def located(interval: Interval, measure: Measure, low: float, high: float) -> Sample:
@@ -99,6 +100,13 @@ def located(interval: Interval, measure: Measure, low: float, high: float) -> Sa
         with suppress(ConvergenceError, IntegrationError):  # as of a step that is too short to look beyond
             return _across(interval, measure, sample)
     return sample
+
+
+def zeros(interval: Interval, tests: Iterable[Test]) -> Iterator[tuple[Sample, Test]]:
+    """The tests that change their sign across an interval, each with the orbit at which it vanishes."""
+    for test in tests:
+        if test.measure(interval.first) * test.measure(interval.last) < 0:
+            yield located(interval, test.measure, 0.0, interval.length), test
 
 
 def _across(interval: Interval, measure: Measure, near: Sample) -> Sample:
@@ -206,9 +214,11 @@ def passages(interval: Interval, most: int, met: Sequence[Sample] = ()) -> list[
 
     Raises `ConvergenceError` where two indices cannot be told apart within so long a step.
     """
-    levels = level_tests(interval.first.about.root, most)
-    parts = subintervals(interval, met)
-    return [(sample, test) for part in parts for test, level in levels for sample in _passed(interval, part, level)]
+    levels, parts = [*index_levels(interval.first.about.root, most)], subintervals(interval, met)
+    return [
+        (sample, Test(kind, f"q = {order}" if kind == "resonance" else "", passage(level), order, multiplier))
+        for part in parts for level, kind, order, multiplier in levels for sample in _passed(interval, part, level)
+    ]  # fmt: skip
 
 
 def _passed(interval: Interval, part: Subinterval, level: float) -> list[Sample]:
@@ -302,8 +312,15 @@ def twice(interval: Interval, measure: Measure, thorough: bool = False) -> float
     def height(distance: float) -> float:
         return sign * measure(interval.sample(distance))
 
-    place = (_lowest if thorough else _vertex)(height, interval.length)
+    place = _lowest(height, interval.length)[0] if thorough else _vertex(height, interval.length)
     return place if height(place) < 0 else None
+
+
+def grazed(interval: Interval, measure: Measure, near: float) -> None:
+    """Looks between the ends where a measure of one sign at both is `near` 0 at one."""
+    ends = [measure(sample) for sample in (interval.first, interval.last)]
+    if ends[0] * ends[1] > 0 and min(np.abs(ends)) < near:
+        twice(interval, measure)
 
 
 def _vertex(height: Callable[[float], float], length: float) -> float:
@@ -315,9 +332,11 @@ def _vertex(height: Callable[[float], float], length: float) -> float:
     return share * length if m >= 0 and 0 < share < 1 and low < 0.2 * min(a, b) else 0.5 * length
 
 
-def _lowest(height: Callable[[float], float], length: float) -> float:
+def _lowest(height: Callable[[float], float], length: float) -> tuple[float, float]:
+    """Where it is lowest, and how low."""
     options = {"xatol": SEARCH * length, "maxiter": 25}
-    return float(minimize_scalar(height, bounds=(0.0, length), method="bounded", options=options).x)
+    best = minimize_scalar(height, bounds=(0.0, length), method="bounded", options=options)
+    return float(best.x), float(best.fun)
 
 
 def _exchanged(a: Sample, b: Sample) -> bool:
@@ -375,9 +394,7 @@ def strips(interval: Interval) -> list[tuple[Test, float]]:
     turned = flips(interval.first, interval.last)
     found = [one for flip in turned for one in _strip(interval, flip)]
     for level in {2.0, -2.0} - {flip.level for flip in turned}:
-        ends = [passage(level)(sample) for sample in (interval.first, interval.last)]
-        if ends[0] * ends[1] > 0 and min(np.abs(ends)) < GRAZED:
-            twice(interval, passage(level))
+        grazed(interval, passage(level), GRAZED)
     return found
 
 
@@ -387,14 +404,10 @@ def _strip(interval: Interval, flip: Flip) -> list[tuple[Test, float]]:
     def below(distance: float) -> float:
         return float(2.0 - sign * interval.sample(distance).indices[j].real)
 
-    options = {"xatol": SEARCH * interval.length, "maxiter": 25}
     try:
-        best = minimize_scalar(below, bounds=(0.0, interval.length), method="bounded", options=options)
-        place, least = float(best.x), float(best.fun)
+        place, least = _lowest(below, interval.length)
     except (ConvergenceError, IntegrationError):  # the families have turned away on both sides
-        heights = {one.distance: float(2.0 - sign * one.indices[j].real) for one in interval.known()}
-        place = min(heights, key=lambda distance: heights[distance])
-        least = heights[place]
+        least, place = min((below(one.distance), one.distance) for one in interval.known())
     if least < 0:
         return []
     what = f"at {flip.level / 2:+.0f}: an avoided crossing stepped over within an arclength of {interval.length:.1g}"

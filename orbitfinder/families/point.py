@@ -147,19 +147,10 @@ def action_at(curve: Curve, found: Solution) -> float:
 
 
 def checked_pieces(curve: Curve, found: Solution, check: ClosureCheck, free: Mapping[str, float]) -> float:
-    """The largest gap between the pieces of an orbit. Raises `ConvergenceError` when they do not fit."""
-    defect, growth = piecewise_defect(curve, found, check, free)
-    if not defect <= CLOSURE * growth:
-        raise ConvergenceError(f"the pieces of the orbit fit only to {defect:.2g} with growth {growth:.3g}")
-    return defect
+    """The largest gap between the pieces of an orbit, the boundary's included, relative to the motion.
 
-
-def piecewise_defect(
-    curve: Curve, found: Solution, check: ClosureCheck, free: Mapping[str, float]
-) -> tuple[float, float]:
-    """The largest gap between the pieces of an orbit, the boundary's included, and the largest growth.
-
-    Both relative to the motion; the growth of a piece is the 2-norm of its state-transition matrix.
+    Raises `ConvergenceError` when they do not fit to what errors grow by over a piece, the 2-norm of its
+    state-transition matrix.
     """
     place, units = found.place, extents(curve, found.march.states)
     first, last = curve.equations.boundary
@@ -168,8 +159,11 @@ def piecewise_defect(
     ends = check.ends(place.nodes, durations, free, units)
     boundary = first @ place.nodes[0] + last @ ends[-1] - curve.equations.aimed(curve.constant)
     gaps = np.concatenate([((ends[:-1] - place.nodes[1:]) / units).ravel(), boundary / across])
-    growth = max(np.linalg.norm(matrix * units / units[:, None], 2) for matrix in found.march.transitions)
-    return float(np.abs(gaps).max()), max(1.0, float(growth))
+    growth = max(1.0, *(float(np.linalg.norm(one * units / units[:, None], 2)) for one in found.march.transitions))
+    defect = float(np.abs(gaps).max())
+    if not defect <= CLOSURE * growth:
+        raise ConvergenceError(f"the pieces of the orbit fit only to {defect:.2g} with growth {growth:.3g}")
+    return defect
 
 
 def shift_at(curve: Curve, place: Unknowns) -> dict[str, float]:

@@ -228,7 +228,6 @@ class Step:
     sample: Sample
     curvature: np.ndarray
     trend: np.ndarray
-    shortest_period: float
     portraits: np.ndarray
     drift: np.ndarray | None = None
 
@@ -236,6 +235,11 @@ class Step:
     def found(self) -> Solution:
         """The orbit of the point."""
         return self.sample.found
+
+    @property
+    def stretch(self) -> float:
+        """The period, in units of the shortest one met."""
+        return float(self.point.period / self.portraits[:, 0].min())
 
 
 def first_point(start: Start, settings: FamilySettings, check: ClosureCheck | None) -> FamilyPoint:
@@ -254,7 +258,7 @@ def step_at(run: Run, done: Sequence[tuple[FamilyPoint, Standing | None]]) -> tu
     known = portrait(curve, found)[None]
     whole = tangent(curve, found, run.direction * origin.tangent)
     sample = make_sample(curve, 0.0, found, whole, origin.indices)
-    step = Step(curve, origin, sample, np.zeros_like(whole), np.zeros_like(origin.indices), origin.period, known)
+    step = Step(curve, origin, sample, np.zeros_like(whole), np.zeros_like(origin.indices), known)
     for point, standing in done:
         run = replace(run, curve=step.curve)
         found, whole = standing_at(step.curve, point, standing)
@@ -301,7 +305,7 @@ def step_from(
         slopes = parameter_slopes(curve, here.place, here.place.head_of(whole))
         sample = replace(last, distance=0.0, found=here, whole=whole, slopes=slopes)
     return Step(
-        curve, point, sample, bend(curve, found.place, whole, place), trend, min(before.shortest_period, point.period),
+        curve, point, sample, bend(curve, found.place, whole, place), trend,
         np.vstack([before.portraits, portrait(curve, found)]), drifted(curve, before.found, here),
     )  # fmt: skip
 

@@ -41,6 +41,7 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import lengths
 from orbitfinder.orbits.find import find_orbit, natural_pin
 from orbitfinder.orbits.hybrid import first_unknowns
+from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import Orbit, refuse_controlled
 from orbitfinder.records.reading import read_as
 
@@ -170,14 +171,18 @@ def unknown_parameters(
 
 def _freed(base: Start, free: tuple[str, ...], held: tuple[str, ...], name: str) -> Start:
     """The same orbit on the curve on which a parameter of this name varies and what is held keeps its value."""
-    old, place = base.curve, base.found.place
-    model = old.equations.model
-    equations = Equations(model, old.equations.symmetry, free, action=True)
-    shares = dict(zip(old.equations.free, place.free, strict=True))
-    numbers = [shares.get(name, value) for name, value in zip(equations.free, equations.numbers, strict=True)]
-    place = replace(place, free=np.array(numbers))
-    curve = replace(curve_at(equations, place, held), constant=old.constant)
+    p = base.curve.equations
+    curve, place = released(base.curve, base.found.place, Equations(p.model, p.symmetry, free, action=True), held)
     return corrected(curve, place, _own_aim(curve, place, name))
+
+
+def released(old: Curve, place: Unknowns, equations: Equations, held: tuple[str, ...]) -> tuple[Curve, Unknowns]:
+    """The curve of other equations through an orbit of a curve, and its unknowns there."""
+    known, unfolding = dict(zip(old.equations.free, place.free, strict=True)), np.zeros(equations.march.unfolding)
+    numbers = [known.get(name, value) for name, value in zip(equations.free, equations.numbers, strict=True)]
+    unfolding = place.unfolding if place.unfolding.size == unfolding.size else unfolding
+    place = replace(place, unfolding=unfolding, free=np.array(numbers))
+    return replace(curve_at(equations, place, held), constant=old.constant), place
 
 
 def _start(problem: Problem, free: tuple[str, ...]) -> Start:
@@ -266,14 +271,23 @@ def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -
     return Curve(equations, known.constant, conditions, weights=known.weights, scales=scales, watch=watch)
 
 
+def curve_in(family: Family, model: Model) -> Curve:
+    """The curve that a family follows. Raises `InputError` where its file does not say."""
+    if not family.curve:
+        raise InputError(f"{family.name}: curve: missing, an older orbitfinder wrote this family; continue it again")
+    return curve_of(family.curve, model, FamilySettings(parameter=family.parameter))
+
+
 def entry_of(curve: Curve) -> dict[str, Any]:
-    """What `curve_of` rebuilds the conditions of a curve from: invariants held by number, the period, or the clock."""
+    """What `curve_of` rebuilds a curve from (`CurveEntry`), its turns, and the test of a curve of bifurcations."""
     held = [[one.quantity, one.value] for one in curve.conditions if one.normal is None]
     period = next((one.value for one in curve.conditions if one.normal is not None and one.quantity is None), None)
-    relative = list(shifting(curve.equations.symmetry, curve.equations.model))
-    watch = {name: one.entry for name, one in curve.watch.items()}
-    more = {"cycles": curve.cycles, "relative": relative, "watch": watch}
-    return {"held": held, "period": period} | {name: value for name, value in more.items() if value}
+    p, watch = curve.equations, {name: one.entry for name, one in curve.watch.items()}
+    relative = list(shifting(p.symmetry, p.model))
+    known = {"symmetry": p.symmetry.name, "free": list(p.free), "constant": curve.constant, "winding": curve.turns,
+             "weights": curve.weights, "held": held, "period": period}  # fmt: skip
+    more = {"cycles": curve.cycles, "relative": relative, "watch": watch, "test": curve.test}
+    return known | {name: value for name, value in more.items() if value}
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,10 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from orbitfinder._runtime import interrupt
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, plural
+from orbitfinder.errors import ConvergenceError, IntegrationError, plural
 from orbitfinder.families.checks import ALIKE, Look, check_known, reading, settled_on
-from orbitfinder.families.critical import critical_of, levelled
-from orbitfinder.families.point import FamilySettings
-from orbitfinder.families.start import curve_of
+from orbitfinder.families.critical import Critical, levelled
+from orbitfinder.families.start import curve_in
 from orbitfinder.integrate.dop853 import vector_field
 from orbitfinder.integrate.equations import hamilton
 from orbitfinder.loops.continued import Curve, begun
@@ -25,7 +24,8 @@ from orbitfinder.mechanics.newton import equilibrium
 from orbitfinder.orbits.evidence import gather, tour
 from orbitfinder.orbits.floquet import judged
 from orbitfinder.records.certificate import Certificate, Check, at_most, equal, refused
-from orbitfinder.records.family import CLOSURE, UNKNOWN, End, Event, Family, FamilyPoint, number_of
+from orbitfinder.records.family import AGAIN, CLOSURE, UNKNOWN, End, Event, Family, FamilyPoint, number_of
+from orbitfinder.records.reading import read_as
 
 ROUNDED = 1e-12
 """Relative error of a number that follows from the state"""
@@ -82,12 +82,10 @@ def _watch(curve: Curve, one: FamilyPoint | Event, name: str) -> Check:
 
 def family_curve(family: Family, model: Model) -> Curve:
     """The curve that a family follows, with the test that it keeps."""
-    if not family.curve:
-        raise InputError(f"{family.name}: curve: missing, an older orbitfinder wrote this family; continue it again")
-    curve = curve_of(family.curve, model, FamilySettings(parameter=family.parameter))
+    curve = curve_in(family, model)
     if "test" not in family.curve:
         return curve
-    return replace(curve, test=critical_of(family.curve["test"]))
+    return replace(curve, test=read_as(Critical, family.curve["test"], "curve.test", AGAIN))
 
 
 def _in_scales(family: Family, curve: Curve) -> Curve:
@@ -148,7 +146,7 @@ def _told(family: Family, curve: Curve, event: Event, change: float, exchanged: 
 
 
 def _end(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
-    parameter, joined = getattr(end, "parameter", None), getattr(end, "joined", None)
+    parameter, joined = end.parameter, end.joined
     try:
         if joined:
             return _joined(curve, end, joined)
@@ -170,7 +168,7 @@ def _end(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
 
 def _rest(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
     """The equilibrium that orbits shrink to has a linear oscillation of their period."""
-    value, period = getattr(end, "parameter", None), getattr(end, "period", None)
+    value, period = end.parameter, end.period
     free = dict(at.free) | ({family.parameter: value} if value is not None and family.parameter in at.free else {})
     model, there = (with_parameters(curve.equations.model, one) for one in (free, at.free))
     states = gather(there, at.state, at.period, turned(model, np.array(curve.turns), at.shift)).states
@@ -196,7 +194,7 @@ def _joined(curve: Curve, end: End, joined: Mapping[str, Any]) -> Check:
     a multiplier is +1, beside what is trivial: there is where another family leaves."""
     model = with_parameters(curve.equations.model, joined.get("free", {}))
     state, period = np.array(joined["state"], float), float(joined["period"])
-    whole_period = float(getattr(end, "period", None) or period)
+    whole_period = float(end.period or period)
     times = round(whole_period / period)
     found = tour(model, state, period, turned(model, np.array(joined["winding"]), joined.get("shift", {})))
     whole = np.linalg.matrix_power(found.map(), times)

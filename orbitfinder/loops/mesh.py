@@ -162,6 +162,12 @@ def arc_states(found: Solution, arcs: int, k: int) -> np.ndarray:
     return np.vstack([found.march.states[k * steps : (k + 1) * steps], end])
 
 
+def arc_mesh(w: Unknowns, arcs: int, k: int) -> np.ndarray:
+    """The mesh in arc k, over its own duration (0 to 1)."""
+    steps = (w.mesh.size - 1) // arcs
+    return np.asarray(w.mesh[k * steps : (k + 1) * steps + 1] * arcs - k)
+
+
 def _rounded(steps: float) -> int:
     """A tenth more than so many steps, and an even number, of which the approach can leave out every other."""
     each = int(np.ceil(1.1 * steps + 0.25))

@@ -262,9 +262,7 @@ class _Walk:
     progress: Report | None
     name: str
     journal: Checkpoints[_Line]
-    orbits: list[Orbit] = field(default_factory=list)
-    values: list[float] = field(default_factory=list)
-    descents: list[int] = field(default_factory=list)
+    kept: list[tuple[_Line, Orbit]] = field(default_factory=list)
     last: int = -1
     lines: int = 0
     stand: _Line = field(init=False)
@@ -297,7 +295,7 @@ class _Walk:
         if line.after < 0 or self.stand.leg == len(self.targets):
             return line.after < 0
         stand, kind, target = self.stand, "" if line.end is None else line.end.kind, self.targets[self.stand.leg]
-        full = stand.taken >= self.pace.points or len(self.orbits) >= self.pace.points
+        full = stand.taken >= self.pace.points or len(self.kept) >= self.pace.points
         if (full and line.taken > stand.taken) or (kind == "point limit" and not full):
             return False
         passed = (target - stand.value) * (target - line.value) <= 0
@@ -312,7 +310,7 @@ class _Walk:
             if reached and abs(self.system.cost(self.stand.point)) <= COSTLESS * self.stand.largest:
                 self._extreme()
             self.stand = replace(self.stand, tangent=None, leg=self.stand.leg + reached)
-        keep = step.keep and self.values[-1:] != [self.value]
+        keep = step.keep and not (self.kept and self.kept[-1][0].value == self.value)
         orbit, descents = self._optimum() if keep else (None, 0)
         line = replace(
             self.stand, after=self.last, target=target, value=self.value, end=step.end, descents=descents,
@@ -326,19 +324,18 @@ class _Walk:
         """On to where a line leads, a new one or one that the journal knows."""
         self.last, self.stand = number, line
         if orbit is not None:
-            self.orbits.append(orbit)
-            self.values.append(line.value)
-            self.descents.append(line.descents)
+            self.kept.append((line, orbit))
             finished(lambda: self._optima(STOPPED))
             if self.progress:
                 self.progress(line.value, orbit)
 
     def _optima(self, end: str) -> Optima:
         """What there is of the family."""
-        last = len(self.orbits) - 1
+        last = len(self.kept) - 1
         changes = tuple(replace(one, index=min(one.index, last)) for one in self.stand.changes)
-        return Optima(self.name, self.parameter, tuple(self.orbits), np.array(self.values), tuple(self.descents),
-                      changes, end)  # fmt: skip
+        lines, orbits = zip(*self.kept, strict=True) if self.kept else ((), ())
+        values, descents = np.array([one.value for one in lines]), tuple(one.descents for one in lines)
+        return Optima(self.name, self.parameter, orbits, values, descents, changes, end)
 
     @cached_property
     def system(self) -> Stationary:
@@ -398,15 +395,15 @@ class _Walk:
             if (error := program.error(solution)) <= AGREEMENT or steps >= MOST_STEPS:
                 break
             self._renew(finer(steps, error, AGREEMENT, 8))
-        index, descents = len(self.orbits), self.system.descents(self.stand.point)
+        index, descents = len(self.kept), self.system.descents(self.stand.point)
         named = replace(problem, name=f"{self.problem.name}-{index}", expected={})
         orbit, model = recorded(named, program, solution, self.settings, began)
         if descents:
             said = f"stationary, no least: to second order the cost falls in {descents} of the directions left"
             orbit = replace(orbit, provenance={**orbit.provenance, "optimum": said})
         told = any(one.index in (index - 1, index) and one.kind in TOLD for one in self.stand.changes)
-        if self.every and self.descents and self.descents[-1] != descents and not told:
-            self._changed("branch", f"before it: the cost falls in {descents} directions, not {self.descents[-1]}")
+        if self.every and self.kept and (last := self.kept[-1][0].descents) != descents and not told:
+            self._changed("branch", f"before it: the cost falls in {descents} directions, not {last}")
         orbit = certified(orbit, model)
         largest = max(self.stand.largest, abs(self.system.cost(self.stand.point)))
         self.stand = replace(self.stand, largest=largest)
@@ -425,7 +422,7 @@ class _Walk:
         stand, target = self.stand, self.targets[self.stand.leg]
         if abs(target - self.value) <= HERE * self.system.span:
             return 0.0, End("target", f"{self.parameter} reached {target:g}")
-        if len(self.orbits) >= self.pace.points:
+        if len(self.kept) >= self.pace.points:
             return 0.0, point_limit(self.pace.points)
         if stand.tangent is None:
             sense = np.zeros(stand.point.z.size)
@@ -462,7 +459,7 @@ class _Walk:
         return _Step(False)
 
     def ended(self, end: End) -> _Step:
-        return _Step(end.kind == "target" or self.every or not self.orbits, end)
+        return _Step(end.kind == "target" or self.every or not self.kept, end)
 
     def _met(self, length: float, new: Point, ahead: Tangent) -> _Step:
         """On to the end of a step, or to the first of what lies before."""
@@ -569,5 +566,5 @@ class _Walk:
         if changes and changes[-1].kind == kind and abs(changes[-1].value - self.value) <= TOGETHER * self.system.span:
             return
         period = self.system.solution(point).unknowns.period
-        new = Change(kind, len(self.orbits), self.value, self.system.cost(point), period, detail)
+        new = Change(kind, len(self.kept), self.value, self.system.cost(point), period, detail)
         self.stand = replace(self.stand, changes=(*changes, new))

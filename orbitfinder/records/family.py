@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -350,6 +351,12 @@ class Journal:
     sealed: bool = True
     """False when it was written without digests"""
 
+    @cached_property
+    def origin(self) -> FamilyPoint:
+        """The point that the family begins with."""
+        found: FamilyPoint = restored(FamilyPoint, self.header["origin"])
+        return found
+
     def steps(self, direction: int) -> list[tuple[FamilyPoint, Standing | None]]:
         """The steps already taken in one direction, and what the next one begins with."""
         batches = [batch for batch in self.batches if batch.direction == direction]
@@ -449,8 +456,7 @@ def _journal(path: Path, entries: Sequence[Mapping[str, Any]], sealed: bool) -> 
 
 def assemble(journal: Journal) -> Family:
     """The family in order along the curve, points numbered from one end to the other."""
-    origin: FamilyPoint = restored(FamilyPoint, journal.header["origin"])
-    points = [origin, *(point for batch in journal.batches for point in batch.points)]
+    points = [journal.origin, *(point for batch in journal.batches for point in batch.points)]
     points.sort(key=lambda point: point.arclength)
     header = journal.header
     about = header["name"], header["system"], header["curve"]

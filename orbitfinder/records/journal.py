@@ -54,17 +54,26 @@ def checkpoints(
         yield Checkpoints(None, [])
         return
     with locks.alone_in(path.parent):
-        header, known = {"format": FORMAT, "version": VERSION, "request": request}, list[Line]()
-        lines = read_lines(path, path.name)
-        if lines is None or lines[0][:1] != [header]:
-            begin_journal(path, header)
-            lines = [], True
-        for number, entries in enumerate(lines[0][1:], start=2):
-            try:
-                known.append(read(entries))
-            except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
-                raise InputError(f"{path}: line {number}: {error}; {AGAIN}") from error
-        yield Checkpoints(path, known)
+        yield Checkpoints(path, known_lines(path, request, read))
+
+
+def known_lines(path: Path, request: Mapping[str, Any], read: Callable[[dict[str, Any]], Line]) -> list[Line]:
+    """The lines of the journal of a request; that of another is begun anew. Raises `InputError`."""
+    lines, known = read_lines(path, path.name), list[Line]()
+    if lines is None or lines[0][:1] != [header_of(request)]:
+        begin_journal(path, header_of(request))
+        return known
+    for number, entries in enumerate(lines[0][1:], start=2):
+        try:
+            known.append(read(entries))
+        except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+            raise InputError(f"{path}: line {number}: {error}; {AGAIN}") from error
+    return known
+
+
+def header_of(request: Mapping[str, Any]) -> dict[str, Any]:
+    """The first line of the journal of a request."""
+    return {"format": FORMAT, "version": VERSION, "request": request}
 
 
 def fill(arrays: Iterable[np.ndarray], matrix: np.ndarray) -> None:
