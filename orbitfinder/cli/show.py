@@ -62,6 +62,8 @@ def _words(value: Any) -> str:
     """A value in a line."""
     if isinstance(value, Mapping):
         return ", ".join(f"{name.replace('_', ' ')} {_words(one)}" for name, one in value.items() if one != [])
+    if value and isinstance(value, list) and isinstance(value[0], Mapping):
+        return f"{len(value)} of {', '.join(value[0])}"
     if isinstance(value, list):
         inner = ", ".join(map(_words, value))
         return f"[{inner}]" if value and isinstance(value[0], float) else inner
