@@ -146,6 +146,8 @@ def test_every_command_answers_or_refuses_in_a_sentence(kind, records, tmp_path,
         raise ConvergenceError(CUT)
 
     for name in DEAR:
+        if name.rpartition(".")[2] in of.__all__:  # first, or the front door keeps a cut one
+            monkeypatch.setattr(of, name.rpartition(".")[2], cut)
         monkeypatch.setattr(f"orbitfinder.{name}", cut)
     wrong = []
     for name, words in COMMANDS.items():

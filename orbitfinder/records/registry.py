@@ -25,7 +25,7 @@ from orbitfinder.records.section import load_section
 from orbitfinder.records.torus import Tori, load_tori
 
 DATABASES = (".sqlite", ".sqlite3", ".db")
-OURS = re.compile(rb'\s*(?:(\[)|\{[^\[{]*?"format"\s*:\s*"orbitfinder/([\w-]+)")')
+OURS = re.compile(rb'\s*(?:(\[)\s*[{\]]|\{[^\[{]*?"format"\s*:\s*"orbitfinder/([\w-]+)")')
 HEAD = 400
 """Bytes of a file in which its format is said"""
 Answer = str | Callable[..., Any]
