@@ -34,6 +34,7 @@ from orbitfinder.mechanics.hybrid import Transition, freed, share
 from orbitfinder.mechanics.model import Model, vector_field
 from orbitfinder.records.orbit import SHARE
 
+NO_GUARDS = np.zeros(0)
 GRAZED = 1e-30
 """A guard's rate at least, by which what grazes it is multiplied"""
 ROUND_OFF = float(np.finfo(float).eps)
@@ -348,6 +349,8 @@ class Links:
 
     def passed(self, w: Unknowns, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The ends with those of arcs reset, and the guards (K)."""
+        if not self.transitions:
+            return ends, NO_GUARDS
         after, guards = ends.copy(), np.empty(len(self.transitions))
         for k, (one, place) in enumerate(zip(self._passes, self.ends(len(ends)), strict=True)):
             reset, guard = one(ends[place], w.free)
