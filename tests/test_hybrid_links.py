@@ -168,6 +168,7 @@ def test_a_trajectory_of_a_rough_simulation_is_a_guess(mirrored, cycle, symmetry
     assert orbit.certificate.passed and np.allclose(orbit.state, mirrored.state, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_trajectory_of_an_unstable_gait_twice_over():
     """Errors grow threefold in a step; of samples off by 1e-3, times of events twice, each arc begins at its own."""
     model = simplest_walker(0.03)
