@@ -98,19 +98,9 @@ def point_limit(most: int) -> End:
 def zero(value: Callable[[float], float], low: float, high: float, tolerance: float) -> float:
     """Where a function that changes its sign between two lengths vanishes, by Brent's method.
 
-    It ends, too, where the secant to the nearest place that was looked at puts the zero within the tolerance. Round-off
-    may keep the last bracket wider than asked for.
+    Round-off may keep the last bracket wider than asked for.
     """
-    known: dict[float, float] = {}
-
-    def height(length: float) -> float:
-        here = float(value(length))
-        near = min(known, key=lambda other: abs(other - length), default=length)
-        within = abs(here * (length - near)) < tolerance * abs(here - known.get(near, here))
-        known[length] = here
-        return 0.0 if within else here
-
-    return float(brentq(height, low, high, xtol=tolerance, rtol=1e-14, maxiter=LOOKS, disp=False))
+    return float(brentq(value, low, high, xtol=tolerance, rtol=1e-14, maxiter=LOOKS, disp=False))
 
 
 Test = Callable[[Point], float]
