@@ -26,8 +26,8 @@ from orbitfinder.integrate.cvodes import IntegratorSettings, build_flow
 from orbitfinder.integrate.rk8 import variational_field
 from orbitfinder.loops import newton
 from orbitfinder.loops.loop import Loop
-from orbitfinder.orbits import find as solve
 from orbitfinder.orbits import objectives
+from orbitfinder.orbits import shoot as solve
 
 STAGES = {
     "nodes of the guess": (solve, "initial_nodes"),

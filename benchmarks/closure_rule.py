@@ -17,7 +17,7 @@ import numpy as np
 import orbitfinder as of
 from benchmarks.validation.literature import ARENSTORF, arenstorf_orbit
 from orbitfinder.errors import IntegrationError
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import LARGEST_SCALE, Tolerances
 from orbitfinder.orbits.closure import EPSILON

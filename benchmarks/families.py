@@ -37,11 +37,11 @@ from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.run import Run as FamilyRun
 from orbitfinder.families.run import first_point
 from orbitfinder.families.start import Start, begin
-from orbitfinder.guesses.modes import mode_problem
 from orbitfinder.integrate.compiled import compiling
-from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.evidence import ClosureCheck
+from orbitfinder.orbits.guesses.modes import mode_problem
 from orbitfinder.records.family import FamilyPoint
 
 ROOT = Path(__file__).parents[1]

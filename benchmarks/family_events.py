@@ -44,7 +44,7 @@ from orbitfinder.families.branches import SWITCHABLE, branches, described
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.loops.problem import Problem
-from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.evidence import gather
 from orbitfinder.problemfile.read import load_problem
@@ -336,7 +336,7 @@ def compared(problem: Problem, points: int, step: float, folder: Path) -> str:
     told = follow_family(problem, points=points, out=folder / "told", settings=settings)
     model = problem.model if problem.model.constraint is None else None
     if model is None:
-        from orbitfinder.mechanics.catalogue import build_model
+        from orbitfinder.mechanics.kind import build_model
 
         model = build_model(fine.system)
     counts, last = brute(fine, model)

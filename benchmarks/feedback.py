@@ -21,10 +21,10 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import linear_sum_assignment
 
 import orbitfinder as of
-from orbitfinder.exports.controller import law_of
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.control.export import law_of
+from orbitfinder.control.transverse import Reference
+from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import vector_field
-from orbitfinder.orbits.transverse import Reference
 
 ROOT = Path(__file__).parents[1]
 SIZES = (0.01, 0.03, 0.1, 0.3)

@@ -57,10 +57,10 @@ def spent() -> float:
 def one_size(links: int, amplitude: float) -> dict[str, Any]:
     """Find, measure and certify one chain; seconds and MB of each stage, and the orbit's numbers."""
     import orbitfinder as of
-    from orbitfinder.guesses.balance import FEWEST
-    from orbitfinder.guesses.modes import normal_mode
     from orbitfinder.integrate.evaluate import one_thread
-    from orbitfinder.orbits import long_chain
+    from orbitfinder.mechanisms import long_chain
+    from orbitfinder.orbits.guesses.balance import FEWEST
+    from orbitfinder.orbits.guesses.modes import normal_mode
 
     row: dict[str, Any] = {"links": links, "start_mb": peak()}
     wall, clock = time.perf_counter(), [spent()]
@@ -104,11 +104,12 @@ def ordinary(links: int, amplitude: float) -> dict[str, Any]:
     """The same problem by multiple shooting, started from the linear mode, without a certificate."""
     import orbitfinder as of
     from orbitfinder.errors import OrbitfinderError
-    from orbitfinder.guesses.modes import normal_mode
     from orbitfinder.loops.ipopt import SolveSettings
-    from orbitfinder.orbits import find
+    from orbitfinder.orbits.guesses.modes import normal_mode
+    from orbitfinder.orbits.method import METHODS, method_of
 
-    find.suits = lambda problem: False
+    method_of(of.Problem(of.chain(1), of.Guess([0.1, 0.0], 2.0)))  # fills the table
+    METHODS.pop("long chain")
     began = time.process_time()
     model = of.chain(links)
     pins = of.pin(**{f"theta{links}": amplitude})

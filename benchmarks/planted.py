@@ -24,7 +24,7 @@ from closure_rule import Case, shipped, unstable, upright
 import orbitfinder as of
 from orbitfinder.errors import OrbitfinderError
 from orbitfinder.loops.symmetry import recognise
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.orbits.certify import certify

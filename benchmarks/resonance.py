@@ -29,7 +29,7 @@ from orbitfinder.families.run import Run, first_point
 from orbitfinder.families.start import Start, begin, full_samples
 from orbitfinder.integrate.compiled import compiling
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.library import forced_duffing
+from orbitfinder.mechanisms.library import forced_duffing
 
 ROOT = Path(__file__).parents[1]
 NUMBERS = {"stiffness": 1.0, "cubic": 1.0, "damping": 0.1, "force": 0.3, "frequency": 0.8}

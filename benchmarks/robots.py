@@ -52,7 +52,7 @@ def main() -> None:
 
 def rest(problem):
     """The equilibrium that the mode is of."""
-    from orbitfinder.guesses.modes import equilibrium
+    from orbitfinder.orbits.guesses.modes import equilibrium
 
     return equilibrium(problem.model)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from orbitfinder.guesses.modes import rest_near
-from orbitfinder.mechanics.catalogue import BUILT_IN
+from orbitfinder.mechanics.kind import BUILT_IN
 from orbitfinder.mechanics.model import Model
+from orbitfinder.orbits.guesses.modes import rest_near
 from orbitfinder.problemfile.read import ProblemFile
 
 FIRST = {
@@ -32,7 +32,7 @@ def python_form(loaded: ProblemFile) -> str:
     system = loaded.document["system"]
     lines = ["import orbitfinder as of"]
     if needs_description(system):
-        lines.append("from orbitfinder.mechanics.catalogue import build_model")
+        lines.append("from orbitfinder.mechanics.kind import build_model")
     lines += ["", f"model = {system_call(system)}"]
     if loaded.problem is not None:
         lines += [

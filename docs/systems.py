@@ -146,7 +146,7 @@ def kind_of(entry: Entry) -> str:
         return "hybrid" if model.hybrid else "fields" if model.hamiltonian else "first-order"
     if system["kind"] != "python":
         return f"{system['kind']}s"
-    from orbitfinder.mechanics.machines import MACHINES
+    from orbitfinder.mechanisms.machines import MACHINES
 
     if function in MACHINES:
         return "hybrid"

@@ -8,9 +8,12 @@
 The names are in `__init__.pyi`. Importing this package is cheap: each loads what it needs on first use (SPEC 1).
 """
 
+from sys import modules as _modules
+
 from orbitfinder._runtime import __version__ as __version__
 from orbitfinder._runtime import notebook as _notebook
 from orbitfinder._runtime.front import door as _door
+from orbitfinder.orbits import guesses as _guesses
 
 _ROOMS = {
     "guesses": ("normal_mode", "normal_modes", "normal_mode_sum", "recurrences", "close_returns"),
@@ -32,5 +35,6 @@ _MOVED |= {
 }
 """Names of 0.1 that are elsewhere now; for one version"""
 
+_modules[f"{__name__}.guesses"] = _guesses
 _notebook.drawn_by("orbitfinder.show.html", "orbitfinder.studio.widget")
 __getattr__, __dir__, __all__ = _door(__name__, __file__, _MOVED)

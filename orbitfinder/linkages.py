@@ -1,12 +1,12 @@
 """What is special to closed linkages: assembly, states, modes, joint forces, the native DAE's simulation."""
 
 from orbitfinder._runtime.front import fronted
-from orbitfinder.guesses.modes import linkage_equilibrium, linkage_mode, linkage_modes
-from orbitfinder.guesses.returns import first_return
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
-from orbitfinder.mechanics.chain import maximal_states, minimal_states
-from orbitfinder.mechanics.linkage import assemble, joint_forces, linkage_rates, linkage_state, minimal_linkage
-from orbitfinder.mechanics.mechanism import body_point, mechanism_state, minimal_mechanism
+from orbitfinder.mechanics.constrained import maximal_states, minimal_states
+from orbitfinder.mechanisms.linkage import assemble, joint_forces, linkage_rates, linkage_state, minimal_linkage
+from orbitfinder.mechanisms.mechanism import body_point, mechanism_state, minimal_mechanism
+from orbitfinder.orbits.guesses.modes import linkage_equilibrium, linkage_mode, linkage_modes
+from orbitfinder.orbits.guesses.returns import first_return
 
 __all__ = [
     "DaeSettings", "assemble", "body_point", "first_return", "joint_forces", "linkage_equilibrium", "linkage_mode",

@@ -1,9 +1,10 @@
 """Poincare sections, invariant manifolds, connections of orbits: their records, files, certificates and pictures."""
 
 from orbitfinder._runtime.front import fronted
-from orbitfinder.families.connections import certify_connection, follow_connection
-from orbitfinder.families.manifolds import ManifoldSettings
-from orbitfinder.records.manifold import (
+from orbitfinder.show.frequencies import draw_frequencies
+from orbitfinder.show.sections import draw_manifolds, draw_section
+from orbitfinder.structures.connections import certify_connection, follow_connection
+from orbitfinder.structures.manifold import (
     Connection,
     Manifold,
     load_connection,
@@ -11,9 +12,8 @@ from orbitfinder.records.manifold import (
     save_connection,
     save_manifold,
 )
-from orbitfinder.records.section import Section, load_section, save_section
-from orbitfinder.show.frequencies import draw_frequencies
-from orbitfinder.show.sections import draw_manifolds, draw_section
+from orbitfinder.structures.manifolds import ManifoldSettings
+from orbitfinder.structures.section import Section, load_section, save_section
 
 __all__ = [
     "Connection", "Manifold", "ManifoldSettings", "Section", "certify_connection", "draw_frequencies",

@@ -1,6 +1,6 @@
 """Built-in systems: each function returns a Model, and problem files name them with kind = "python"."""
 
-from orbitfinder.mechanics.driven import (
+from orbitfinder.mechanisms.driven import (
     DRIVEN,
     driven_cart_pole,
     driven_compass,
@@ -8,8 +8,8 @@ from orbitfinder.mechanics.driven import (
     driven_oscillator,
     driven_swing,
 )
-from orbitfinder.mechanics.library import FUNCTIONS as SMOOTH
-from orbitfinder.mechanics.library import (
+from orbitfinder.mechanisms.library import FUNCTIONS as SMOOTH
+from orbitfinder.mechanisms.library import (
     brusselator,
     cart_chain,
     coupled_pendula,
@@ -35,7 +35,7 @@ from orbitfinder.mechanics.library import (
     van_der_pol,
     vibrated_pendulum,
 )
-from orbitfinder.mechanics.machines import (
+from orbitfinder.mechanisms.machines import (
     MACHINES,
     bouncing_ball,
     compass_gait,

@@ -17,8 +17,8 @@ import pytest
 from orbitfinder.integrate.cvodes import Flow
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.records.orbit import Orbit
 

@@ -4,6 +4,7 @@ Imports are counted wherever they stand: at the top, in functions, for type chec
 """
 
 import ast
+import re
 from collections import defaultdict
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
@@ -16,10 +17,13 @@ PACKAGE = Path(__file__).parents[1] / "orbitfinder"
 # low to high; the rooms of one floor do not import each other
 FLOORS = (
     ("errors",), ("_runtime",), ("records",), ("mechanics",), ("integrate",), ("loops",),
-    ("continuation",), ("exports", "guesses", "proof"), ("orbits", "problemfile"), ("families",), ("atlas",),
+    ("continuation",), ("orbits",), ("families",),
+    ("mechanisms",), ("problemfile", "proof"), ("exports",), ("control",), ("structures",), ("atlas",),
     ("show",), ("site",), ("studio",), ("reproduce",), ("", "systems", "linkages", "flows", "sections"), ("cli",),
     ("__main__",),
 )  # fmt: skip
+CORE = 9
+"""Floors of the core: what is above the border registers itself"""
 LIBRARIES = {
     "casadi": (
         "mechanics",
@@ -27,12 +31,11 @@ LIBRARIES = {
         "loops",
         "proof",
         "exports",
-        "orbits.control",
-        "orbits.find",
+        "orbits.shoot",
         "orbits.objectives",
-        "orbits.feedback",
-        "orbits.transverse",
-        "orbits.basin",
+        "mechanisms",
+        "control",
+        "structures.crossings",
     ),
     "click": ("cli",),
     "rich": ("cli",),
@@ -110,6 +113,22 @@ def test_arrows_go_down_only():
     assert not upward
 
 
+def test_the_core_is_closed():
+    """What stands above the border registers itself: nothing below it imports or names it."""
+    assert not [
+        f"{module} -> {needed}"
+        for module in MODULES
+        if module and floor(module) < CORE
+        for needed in needs(module)
+        if needed and floor(needed) >= CORE
+    ]
+    named = re.compile(r"\"(?:%s)\.[a-z_.]+:[a-z_]+\"" % "|".join(room for rooms in FLOORS[CORE:] for room in rooms if room))
+    assert not [
+        module for module in MODULES
+        if module and floor(module) < CORE and named.search(ast.unparse(MODULES[module]).replace("'", '"'))
+    ]  # fmt: skip
+
+
 def circles(graph: dict[str, set[str]]) -> Iterator[tuple[str, ...]]:
     """Modules of which each needs the next, the last the first; one after the other is cut out."""
     left = {module: set(needed) for module, needed in graph.items()}
@@ -176,7 +195,7 @@ def test_the_library_does_not_print_and_names_what_it_handles():
 
 
 def test_the_top_of_the_house_can_be_seen_at_once():
-    assert len([path for path in PACKAGE.iterdir() if path.name != "__pycache__"]) <= 27
+    assert len([path for path in PACKAGE.iterdir() if path.name != "__pycache__"]) <= 29
 
 
 def code_lines(node):
@@ -196,7 +215,7 @@ def test_functions_are_short():
 
 
 def test_kinds_of_systems_are_asked_in_one_file():
-    """What is special to a kind stands in its entry of `mechanics.catalogue.KINDS`."""
+    """What is special to a kind stands in its entry of `mechanics.kind.KINDS`."""
     kinds, asked = {"chain", "linkage", "mechanism", "robot", "python"}, set()
     for module, tree in MODULES.items():
         for node in (one for one in ast.walk(tree) if isinstance(one, ast.Compare)):
@@ -227,14 +246,14 @@ ITERATIONS = {
     "mechanics.newton": "the one: whole, chord and halved steps, closures, equilibria",
     "loops.continued": "families' corrector, with a border whose derivatives are measured on the way",
     "atlas.solver": "Levenberg and Marquardt's, asked at every evaluation whether a start is hopeless or creeps",
-    "mechanics.mechanism": "the minimal form's steps: an expression graph, whose number of steps is fixed",
-    "mechanics.pose": "a hand pulls to the least distance, which is no zero",
-    "orbits.section": "many states at once, each of which may fail alone",
+    "mechanisms.mechanism": "the minimal form's steps: an expression graph, whose number of steps is fixed",
+    "mechanisms.pose": "a hand pulls to the least distance, which is no zero",
+    "structures.sections": "many states at once, each of which may fail alone",
     "orbits.product": "no Newton: directions of a periodic Schur form, block by block",
-    "orbits.frequencies": "no Newton: lines of a spectrum, taken off one after the other",
-    "orbits.riccati": "no Newton: the doubling of a Riccati equation",
-    "loops.stationary": "no Newton: constraints that are met or let go",
-    "guesses.balance": "no Newton: harmonics are doubled",
+    "structures.frequencies": "no Newton: lines of a spectrum, taken off one after the other",
+    "control.riccati": "no Newton: the doubling of a Riccati equation",
+    "control.stationary": "no Newton: constraints that are met or let go",
+    "orbits.guesses.balance": "no Newton: harmonics are doubled",
 }
 """Files outside proof/ in which something is solved again and again, and why `mechanics.newton` does not do it"""
 
@@ -267,7 +286,7 @@ BRACKETS = {
     "integrate.automaton": "the events of a motion",
     "atlas.starts": "where a ray meets an energy",
     "atlas.regions": "where a ray meets an energy",
-    "mechanics.library": "the collinear points of the restricted problem",
+    "mechanisms.library": "the collinear points of the restricted problem",
 }
 HALVED = {
     "continuation.follow": "the one: steps of what is followed",

@@ -12,7 +12,7 @@ from orbitfinder.atlas.starts import Target, context_of
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.atlas.workers import Request
 from orbitfinder.errors import InputError, OrbitfinderError
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanisms.chain import chain
 
 distributed = pytest.importorskip("distributed")
 pytestmark = [

@@ -25,7 +25,7 @@ from orbitfinder.atlas.starts import Target
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.atlas.workers import Pool, Request
 from orbitfinder.errors import InputError, OrbitfinderError
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanisms.chain import chain
 
 PARTS, STARTS = 8, 24
 

@@ -26,10 +26,10 @@ from orbitfinder.atlas.store import Atlas
 from orbitfinder.atlas.workers import DIED, Inline, Job, Local, Request, perform
 from orbitfinder.errors import ConvergenceError, InputError, OrbitfinderError
 from orbitfinder.loops.symmetry import undeclared_mirrors
-from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
-from orbitfinder.mechanics.linkage import linkage
+from orbitfinder.mechanisms.chain import chain
+from orbitfinder.mechanisms.linkage import linkage
 from orbitfinder.orbits.certify import certify
 
 ROOT = Path(__file__).parents[1]

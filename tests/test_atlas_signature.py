@@ -19,7 +19,7 @@ from orbitfinder.atlas.signature import (
 )
 from orbitfinder.atlas.starts import Target, context_of, make_start
 from orbitfinder.integrate.cvodes import build_flow, end_state
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanisms.chain import chain
 
 
 @pytest.fixture(scope="module")

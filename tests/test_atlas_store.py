@@ -19,7 +19,7 @@ from orbitfinder.atlas.merge import merge_atlases
 from orbitfinder.atlas.signature import LOOP_SAMPLES, Signature, signature_of
 from orbitfinder.atlas.store import Atlas, Filter
 from orbitfinder.errors import InputError
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.certify import certify
 from orbitfinder.records.orbit import orbit_to_document
 

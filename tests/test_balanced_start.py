@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.guesses.balance import balanced_guess, suits
-from orbitfinder.guesses.modes import normal_mode
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
-from orbitfinder.orbits import find as solve
+from orbitfinder.mechanisms.chain import chain
+from orbitfinder.orbits import shoot as solve
 from orbitfinder.orbits.find import find_orbit
+from orbitfinder.orbits.guesses.balance import balanced_guess, suits
+from orbitfinder.orbits.guesses.modes import normal_mode
 
 
 def mode(links: int, number: int, amplitude: float) -> Problem:

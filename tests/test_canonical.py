@@ -6,9 +6,9 @@ import pytest
 
 from orbitfinder.integrate.dop853 import integrate, vector_field
 from orbitfinder.mechanics.canonical import canonical
-from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import energies
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.evidence import ClosureCheck, Hamiltonian, gather
 from orbitfinder.orbits.measure import frame
 from orbitfinder.systems import henon_heiles, pendulum_on_cart

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from orbitfinder.integrate.cvodes import Flow
-from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits import evidence
 from orbitfinder.orbits.certify import Tolerances, certify
 from orbitfinder.orbits.evidence import gather

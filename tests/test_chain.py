@@ -8,9 +8,9 @@ import pytest
 
 from orbitfinder.errors import InputError
 from orbitfinder.integrate.cvodes import build_flow, end_state
-from orbitfinder.mechanics.catalogue import build_model, with_parameters
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import energy, positions
+from orbitfinder.mechanisms.chain import chain
 
 
 @cache

@@ -38,7 +38,7 @@ from orbitfinder.integrate.compiled import (
 )
 from orbitfinder.integrate.cvodes import IntegratorSettings, build_flow
 from orbitfinder.integrate.rk8 import march, marcher
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanisms.chain import chain
 
 pytestmark = pytest.mark.skipif(not available()[0], reason="no C compiler: " + available()[1])
 

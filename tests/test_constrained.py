@@ -10,12 +10,12 @@ from scipy.special import ellipk
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.integrate.idas import DaeSettings, algebraic, simulate_dae
-from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.chain import chain, chain_dae, maximal_states, minimal_states
-from orbitfinder.mechanics.constrained import constrained
+from orbitfinder.mechanics.constrained import constrained, maximal_states, minimal_states
 from orbitfinder.mechanics.factorise import solve_positive_definite
+from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.lagrange import Symbols
 from orbitfinder.mechanics.model import Baumgarte
+from orbitfinder.mechanisms.chain import chain, chain_dae
 
 GRAVITY = 9.8
 HORIZONTAL_REST = np.r_[np.full(3, np.pi / 2), np.zeros(3)]

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 import orbitfinder as of
+from orbitfinder.control.find import gather_controlled
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.minimal import native_state
 from orbitfinder.loops.control import METHODS, history
-from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.controls import actuated, with_controls
 from orbitfinder.mechanics.expression import expression
-from orbitfinder.mechanics.linkage import minimal_linkage
+from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import vector_field
-from orbitfinder.orbits.control import gather_controlled
+from orbitfinder.mechanisms.linkage import minimal_linkage
 
 
 def driven_field(model: of.Model, state: np.ndarray, torques: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.critical import discriminant, doubled, levelled, torus_pair
 from orbitfinder.families.curves import curve_start
 from orbitfinder.families.doubling import bending
-from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.records.family import Event, load_family, save_family
 from orbitfinder.show.plot import save_figures, two_parameters
 from orbitfinder.systems import impact_oscillator

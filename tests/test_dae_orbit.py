@@ -13,13 +13,13 @@ from scipy.special import ellipk
 import orbitfinder as of
 from orbitfinder.cli.group import cli as main
 from orbitfinder.errors import InputError
-from orbitfinder.guesses.modes import linkage_equilibrium, linkage_mode, linkage_modes
-from orbitfinder.guesses.returns import first_return
 from orbitfinder.integrate.cvodes import transition
 from orbitfinder.integrate.dop853 import integrate
 from orbitfinder.integrate.idas import build_dae_flow
-from orbitfinder.mechanics.linkage import minimal_linkage
 from orbitfinder.mechanics.model import energy
+from orbitfinder.mechanisms.linkage import minimal_linkage
+from orbitfinder.orbits.guesses.modes import linkage_equilibrium, linkage_mode, linkage_modes
+from orbitfinder.orbits.guesses.returns import first_return
 
 FILES = Path(__file__).parents[1] / "problems" / "linkages"
 FOUR_BAR = {"length": [0.5, 1.2, 1.0], "ground": [0.2, 1.0]}  # a crank-rocker

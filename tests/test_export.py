@@ -25,7 +25,7 @@ from orbitfinder.exports import source
 from orbitfinder.exports.auto import ENERGY, PERIOD, auto_files
 from orbitfinder.exports.source import FORTRAN, C, dense_states, fortran_number, source_of, straight_line
 from orbitfinder.exports.write import export_orbit, julia_file
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import vector_field
 from orbitfinder.problemfile.read import read_trajectory
 

@@ -12,8 +12,8 @@ from orbitfinder.loops.failure import explain, worst_defects
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.shooting import transcribe
-from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.systems import FUNCTIONS
 

@@ -25,16 +25,16 @@ from orbitfinder.families.run import Run, first_point
 from orbitfinder.families.stability import Spectrum, matching
 from orbitfinder.families.start import begin, curve_of
 from orbitfinder.families.verified import verified
-from orbitfinder.guesses.modes import equilibria, mode_problem, normal_modes, oscillating
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.loops.condensed import Linearised
 from orbitfinder.loops.continued import at_place, correct, plane, tangent
 from orbitfinder.loops.mesh import between, carried
 from orbitfinder.loops.problem import Problem
-from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.kind import build_model
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.evidence import ClosureCheck, tour
 from orbitfinder.orbits.floquet import judged
+from orbitfinder.orbits.guesses.modes import equilibria, mode_problem, normal_modes, oscillating
 from orbitfinder.orbits.measure import multipliers
 from orbitfinder.records.family import family_to_document, load_family, plain, read_journal
 from orbitfinder.records.registry import load_orbit
@@ -267,11 +267,11 @@ SCRIPT = """
 import sys
 sys.path.insert(0, {root!r})
 from orbitfinder.families.folder import follow_family
-from orbitfinder.guesses.modes import mode_problem
+from orbitfinder.orbits.guesses.modes import mode_problem
 from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
 from orbitfinder.integrate.cvodes import build_flow
-from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.kind import build_model
+from orbitfinder.mechanisms.chain import chain
 settings = FamilySettings(directions="forward", longest_step={step})
 follow_family(mode_problem(chain(2), 1), points={points}, out={out!r}, settings=settings)
 """

@@ -19,7 +19,7 @@ from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.start import curve_of
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.kind import build_model
 from orbitfinder.records.family import Event, Reading, load_family, save_family
 
 ROOT = Path(__file__).parents[1]

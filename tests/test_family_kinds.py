@@ -14,17 +14,18 @@ from orbitfinder.families.minimal import dead_point, minimal_problem, native_sta
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.stability import spectrum
 from orbitfinder.families.start import begin
-from orbitfinder.guesses.modes import linkage_mode, mode_problem
 from orbitfinder.integrate.cvodes import build_flow, end_state
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.catalogue import build_model, with_parameters
-from orbitfinder.mechanics.chain import chain, minimal_states
+from orbitfinder.mechanics.constrained import minimal_states
+from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
-from orbitfinder.mechanics.linkage import linkage
 from orbitfinder.mechanics.model import energy
+from orbitfinder.mechanisms.chain import chain
+from orbitfinder.mechanisms.linkage import linkage
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.orbits.find import find_orbit
+from orbitfinder.orbits.guesses.modes import linkage_mode, mode_problem
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.systems import henon_heiles, pendulum_on_cart
 
@@ -183,7 +184,7 @@ def test_motion_through_a_dead_point_is_refused():
     """A parallelogram's bars all come into line in one turn: no two bars can be left out."""
     model = linkage([0.5, 1.0, 0.5], ground=(0.0, 1.0))
     start = np.array([0.3, np.pi / 2, 0.3 + np.pi, 9.0, 0.0, 9.0])
-    from orbitfinder.mechanics.chain import maximal_states
+    from orbitfinder.mechanics.constrained import maximal_states
 
     problem = Problem(model, Guess(maximal_states(model, start), 1.0))
     with pytest.raises(InputError, match="dead point"):

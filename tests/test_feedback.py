@@ -18,16 +18,16 @@ from scipy.optimize import linear_sum_assignment
 from test_search_command import run
 
 import orbitfinder as of
+from orbitfinder.control.basin import disturbed
+from orbitfinder.control.controller import save_controller
+from orbitfinder.control.export import export_controller, law_of
+from orbitfinder.control.feedback import certify_controller, verified
+from orbitfinder.control.riccati import Scattering, periodic, whole
+from orbitfinder.control.transverse import Reference
 from orbitfinder.errors import ConvergenceError, InputError
-from orbitfinder.exports.controller import export_controller, law_of
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.lagrange import Symbols
 from orbitfinder.mechanics.model import vector_field
-from orbitfinder.orbits.basin import disturbed
-from orbitfinder.orbits.feedback import certify_controller, verified
-from orbitfinder.orbits.riccati import Scattering, periodic, whole
-from orbitfinder.orbits.transverse import Reference
-from orbitfinder.records.controller import save_controller
 from orbitfinder.records.orbit import save_orbit
 
 ROOT = Path(__file__).parents[1]

@@ -15,11 +15,12 @@ from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.ipopt import Progress, SolveSettings
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import SYMMETRIES
-from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import energy
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.certify import certify
-from orbitfinder.orbits.find import find_orbit, initial_nodes
+from orbitfinder.orbits.find import find_orbit
+from orbitfinder.orbits.shoot import initial_nodes
 from orbitfinder.problemfile.read import load_problem
 
 PROBLEMS = Path(__file__).parents[1] / "problems"

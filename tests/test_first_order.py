@@ -14,9 +14,9 @@ from scipy.special import ellipk
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import CountError, InputError
-from orbitfinder.guesses.modes import first_order_modes
 from orbitfinder.loops.symmetry import symmetries_of
 from orbitfinder.mechanics.model import vector_field
+from orbitfinder.orbits.guesses.modes import first_order_modes
 from orbitfinder.problemfile.read import load_problem
 
 LORENZ = of.Guess([-13.7636, -19.5788, 27.0], 1.5587)

@@ -21,9 +21,10 @@ from orbitfinder.integrate.dop853 import integrate
 from orbitfinder.integrate.dop853 import vector_field as numeric_field
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.lagrange import Symbols, acceleration_function, lagrange, mass_matrix_and_bias
-from orbitfinder.orbits.find import find_orbit, initial_nodes
+from orbitfinder.mechanisms.chain import chain
+from orbitfinder.orbits.find import find_orbit
+from orbitfinder.orbits.shoot import initial_nodes
 
 OMEGA = 1.7
 

@@ -14,7 +14,7 @@ from orbitfinder.integrate.compiled import compiling
 from orbitfinder.integrate.cvodes import IntegratorSettings, build_flow, end_state
 from orbitfinder.integrate.idas import DaeFlow, build_dae_flow
 from orbitfinder.loops.ipopt import SolveSettings
-from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.mechanics.kind import with_parameters
 
 BARE = SolveSettings(with_certificate=False)
 

@@ -18,9 +18,9 @@ from orbitfinder.families.point import FamilySettings, unknowns_of
 from orbitfinder.families.start import begin, curve_of
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import symplectic
-from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
-from orbitfinder.mechanics.library import forced_duffing, vibrated_pendulum
+from orbitfinder.mechanisms.library import forced_duffing, vibrated_pendulum
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.problemfile.read import load_problem

@@ -9,8 +9,8 @@ import pytest
 from orbitfinder.integrate import equations as module
 from orbitfinder.integrate.compiled import available, compiling
 from orbitfinder.integrate.equations import KEPT, accelerations, hamilton, prepare
-from orbitfinder.mechanics.catalogue import with_parameters
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.kind import with_parameters
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.certify import certify
 
 

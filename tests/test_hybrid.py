@@ -16,9 +16,9 @@ from orbitfinder.integrate.automaton import Automaton
 from orbitfinder.loops.condensed import eliminated
 from orbitfinder.loops.loop import Equations, Loop
 from orbitfinder.loops.symmetry import NONE
-from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.hybrid import Mode, Transition, changed, hybrid, impact, with_cycle
-from orbitfinder.mechanics.machines import (
+from orbitfinder.mechanics.kind import build_model
+from orbitfinder.mechanisms.machines import (
     bouncing_ball,
     compass_gait,
     five_link_walker,

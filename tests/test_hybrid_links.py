@@ -11,7 +11,7 @@ from scipy.optimize import fsolve
 import orbitfinder as of
 from orbitfinder.errors import ConvergenceError, CountError, InputError
 from orbitfinder.mechanics.hybrid import changed
-from orbitfinder.mechanics.machines import rocking_block, simplest_walker
+from orbitfinder.mechanisms.machines import rocking_block, simplest_walker
 
 GAP, KEPT, PACE = 0.5, 0.8, 2.0
 """Of the walls from the middle, of the speed at one, of the forcing"""

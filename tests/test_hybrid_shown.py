@@ -15,9 +15,9 @@ import orbitfinder as of
 from orbitfinder.errors import InputError
 from orbitfinder.exports.write import export_orbit
 from orbitfinder.families.members import motions, whole
-from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.hybrid import Mode, Transition, hybrid, with_cycle
-from orbitfinder.mechanics.machines import MACHINES, kneed_walker, simplest_walker
+from orbitfinder.mechanics.kind import build_model
+from orbitfinder.mechanisms.machines import MACHINES, kneed_walker, simplest_walker
 from orbitfinder.orbits.course import course, course_of, sampled
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.problemfile.write import orbit_text

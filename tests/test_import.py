@@ -107,7 +107,7 @@ def test_a_misspelt_name_is_answered_with_the_one_that_was_meant():
     said = subprocess.run([sys.executable, "-c", "import orbitfinder; orbitfinder.find_orbti"], capture_output=True)
     assert said.stderr.strip().endswith(b"has no attribute 'find_orbti', did you mean 'find_orbit'?")  # and only once
     with pytest.raises(AttributeError, match="did you mean 'normal_mode'"):
-        _ = orbitfinder.guesses.normal_mod
+        _ = orbitfinder.orbits.guesses.normal_mod
 
 
 def test_a_misspelt_attribute_is_answered_with_the_one_that_was_meant(pendulum_orbit):

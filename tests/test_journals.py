@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 import orbitfinder as of
+from orbitfinder.control import basin
 from orbitfinder.errors import InputError
-from orbitfinder.integrate import crossings
-from orbitfinder.orbits import basin, section, sweep
+from orbitfinder.orbits import sweep
 from orbitfinder.orbits.refine import Refiner
 from orbitfinder.records.journal import append_line, packed, read_lines, unpacked
+from orbitfinder.structures import crossings
+from orbitfinder.structures import sections as section
 
 
 def counted(monkeypatch, owner, name):

@@ -10,7 +10,7 @@ import pytest
 
 import orbitfinder as of
 from orbitfinder.errors import InputError
-from orbitfinder.mechanics.catalogue import KINDS, Kind, build_model, system_kind, with_parameters
+from orbitfinder.mechanics.kind import KINDS, Kind, build_model, system_kind, with_parameters
 
 GUESS = "[guess]\nstate = [0.3, 0.0]\nperiod = 3.0\n[find]\npin = { energy = 0.09 }\n"
 

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from orbitfinder.errors import InputError
-from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.factorise import acceleration_function, solve_positive_definite
 from orbitfinder.mechanics.lagrange import (
     Symbols,
@@ -13,6 +12,7 @@ from orbitfinder.mechanics.lagrange import (
     mass_matrix_and_bias,
 )
 from orbitfinder.mechanics.model import energies, energy, positions
+from orbitfinder.mechanisms.chain import chain
 
 
 def double_pendulum():

@@ -7,8 +7,8 @@ import pytest
 
 from orbitfinder.errors import InputError
 from orbitfinder.integrate.idas import simulate_dae
-from orbitfinder.mechanics.catalogue import build_model, with_parameters
-from orbitfinder.mechanics.linkage import (
+from orbitfinder.mechanics.kind import build_model, with_parameters
+from orbitfinder.mechanisms.linkage import (
     assemble,
     closure_jacobian,
     joint_forces,

@@ -11,25 +11,24 @@ import pytest
 from conftest import pendulum_period
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, OrbitfinderError
-from orbitfinder.guesses import balance as harmonic_balance
-from orbitfinder.guesses.balance import Series
-from orbitfinder.guesses.modes import normal_mode
-from orbitfinder.integrate import chain_march
-from orbitfinder.integrate.chain_march import ClosedChain
 from orbitfinder.integrate.cvodes import build_flow, transition
 from orbitfinder.integrate.march import March, uniform
 from orbitfinder.integrate.rk8 import MOST_DOUBLINGS
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.chain import chain
-from orbitfinder.mechanics.chain_lagrange import chain_lagrange, is_long
 from orbitfinder.mechanics.model import energies, vector_field
-from orbitfinder.orbits import evidence
+from orbitfinder.mechanisms import chain_march, chain_motion
+from orbitfinder.mechanisms.chain import chain
+from orbitfinder.mechanisms.chain_lagrange import chain_lagrange, is_long
+from orbitfinder.mechanisms.chain_march import ClosedChain
+from orbitfinder.mechanisms.long_chain import balanced, build_chain, find_long_chain, measured, shot, suits
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.evidence import gather
 from orbitfinder.orbits.find import find_orbit
-from orbitfinder.orbits.long_chain import balanced, build_chain, find_long_chain, measured, shot, suits
+from orbitfinder.orbits.guesses import balance as harmonic_balance
+from orbitfinder.orbits.guesses.balance import Series
+from orbitfinder.orbits.guesses.modes import normal_mode
 from orbitfinder.systems import henon_heiles
 
 PROBLEMS = Path(__file__).parents[1] / "problems" / "chains"
@@ -225,7 +224,7 @@ def test_evidence_agrees_with_hamiltons_equations(monkeypatch):
     orbit = find_long_chain(problem, BARE)
     turns = np.zeros(8, int)
     generic = gather(problem.model, orbit.state, orbit.period, turns)
-    monkeypatch.setattr(evidence, "is_long", lambda _: True)
+    monkeypatch.setattr(chain_motion, "is_long", lambda _: True)
     found = gather(problem.model, orbit.state, orbit.period, turns)
     assert max(generic.closure, found.closure) <= 1e-12
     assert found.action == pytest.approx(generic.action, rel=1e-11)
@@ -237,23 +236,23 @@ def test_evidence_agrees_with_hamiltons_equations(monkeypatch):
 
 def test_half_a_period_gives_the_multipliers_of_the_whole(twelve, monkeypatch):
     """Of a reflection symmetric motion; one that is not at -x(0) after T/2 is followed all the way."""
-    lengths, transitions = [], evidence._chain_pieces
+    lengths, transitions = [], chain_motion._chain_pieces
 
     def noted(closed, state, duration, units):
         lengths.append(duration / twelve.period)
         return transitions(closed, state, duration, units)
 
-    monkeypatch.setattr(evidence, "_chain_pieces", noted)
+    monkeypatch.setattr(chain_motion, "_chain_pieces", noted)
     turns = np.zeros(12, int)
     half = gather(chain(12), twelve.state, twelve.period, turns)
     assert lengths == [0.5]
-    monkeypatch.setattr(evidence, "REFLECTED", -1.0)
+    monkeypatch.setattr(chain_motion, "REFLECTED", -1.0)
     whole = gather(chain(12), twelve.state, twelve.period, turns)
     assert lengths == [0.5, 1.0]
     assert largest_difference(half.floquet.multipliers, whole.floquet.multipliers) <= 1e-8
     assert half.tour.asymplectic <= 1e-9 and half.tour.trivial <= 1e-9
     monkeypatch.undo()
-    monkeypatch.setattr(evidence, "_chain_pieces", noted)
+    monkeypatch.setattr(chain_motion, "_chain_pieces", noted)
     gather(chain(12), twelve.samples[64] * 1.0001, twelve.period, turns)
     assert lengths[-1] == pytest.approx(1.0)
 

@@ -12,9 +12,16 @@ from scipy.optimize import brentq
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
-from orbitfinder.families import connections
-from orbitfinder.families.connections import Chain, certified_connection, certify_connection, connect, described, solved
-from orbitfinder.families.manifolds import ManifoldSettings, local_manifold, manifold, surface_of
+from orbitfinder.structures import connections
+from orbitfinder.structures.connections import (
+    Chain,
+    certified_connection,
+    certify_connection,
+    connect,
+    described,
+    solved,
+)
+from orbitfinder.structures.manifolds import ManifoldSettings, local_manifold, manifold, surface_of
 
 LEVEL = 0.1
 SEEN = {"plane": "y=0", "axes": ("x", "px")}
@@ -278,7 +285,7 @@ def test_orbits_without_a_manifold_say_why(saddle, first):
 
 def test_a_complex_multiplier_has_no_single_direction():
     """A quartet of multipliers off the unit circle and off the real axis."""
-    from orbitfinder.families.manifolds import _eigenpair
+    from orbitfinder.structures.manifolds import _eigenpair
 
     turn = 1.5 * np.array([[0.6, -0.8], [0.8, 0.6]])
     matrix = np.block([[turn, np.zeros((2, 2))], [np.zeros((2, 2)), np.linalg.inv(turn).T]])

@@ -14,7 +14,7 @@ import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.families.minimal import dead_point, minimal_problem, native_state
-from orbitfinder.mechanics.catalogue import build_model, with_parameters
+from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.lagrange import Symbols, mass_matrix_and_bias
 from orbitfinder.mechanics.model import wrapped
 from orbitfinder.problemfile.read import load_problem

@@ -19,7 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import orbitfinder as of
-from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.problemfile.read import load_problem_file
 from orbitfinder.systems import spring_pendulum
 

@@ -14,13 +14,13 @@ from orbitfinder.families.point import FamilySettings, unknowns_of
 from orbitfinder.families.run import Run, first_point
 from orbitfinder.families.stability import SPREAD, Spectrum, asymplectic, spectrum
 from orbitfinder.families.start import begin
-from orbitfinder.guesses.modes import mode_problem
 from orbitfinder.integrate.march import March, divided
 from orbitfinder.loops.continued import at_place
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.chain import chain
-from orbitfinder.mechanics.library import lorenz
+from orbitfinder.mechanisms.chain import chain
+from orbitfinder.mechanisms.library import lorenz
 from orbitfinder.orbits.floquet import judged, symplectic_unit
+from orbitfinder.orbits.guesses.modes import mode_problem
 from orbitfinder.orbits.product import product
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.records.family import FamilyPoint, load_family, plain, restored

@@ -31,9 +31,9 @@ from orbitfinder.errors import OrbitfinderError
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.start import curve_of
-from orbitfinder.guesses.modes import mode_problem
-from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.kind import build_model
+from orbitfinder.mechanisms.chain import chain
+from orbitfinder.orbits.guesses.modes import mode_problem
 from orbitfinder.problemfile.read import load_problem_file
 from orbitfinder.records.family import JOURNAL, assemble, load_family, read_journal, save_family
 from orbitfinder.records.journal import SEAL, seal

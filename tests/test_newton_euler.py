@@ -5,18 +5,18 @@ import numpy as np
 import pytest
 
 from orbitfinder.integrate.cvodes import build_flow, sample
-from orbitfinder.mechanics.chain import (
+from orbitfinder.mechanics.constrained import maximal_states
+from orbitfinder.mechanics.model import energies
+from orbitfinder.mechanisms.chain import (
     FORMULATIONS,
     chain,
     chain_dae,
     chain_symbols,
     chain_system,
     inertial_forces,
-    maximal_states,
     outboard_balances,
     recursive_acceleration,
 )
-from orbitfinder.mechanics.model import energies
 
 STATES = 200
 METHODS = ("lagrange", "newton-euler", "dae", "recursive")

@@ -16,7 +16,7 @@ from orbitfinder._runtime import notebook as display
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
-from orbitfinder.guesses.modes import mode_problem
+from orbitfinder.orbits.guesses.modes import mode_problem
 from orbitfinder.show import svg
 from orbitfinder.show.html import html
 

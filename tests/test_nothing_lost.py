@@ -20,13 +20,13 @@ from orbitfinder._runtime import keeping, limit
 from orbitfinder.cli.group import cli
 from orbitfinder.continuation import follow as driver
 from orbitfinder.continuation.problem import solved
+from orbitfinder.control.controller import load_controller
+from orbitfinder.control.optimum import load_optima
 from orbitfinder.errors import InputError
 from orbitfinder.records import journal as journals
-from orbitfinder.records.controller import load_controller
 from orbitfinder.records.family import load_family
-from orbitfinder.records.optima import load_optima
-from orbitfinder.records.section import load_section
-from orbitfinder.records.torus import load_tori
+from orbitfinder.structures.section import load_section
+from orbitfinder.structures.torus import load_tori
 
 ROOT = Path(__file__).parents[1]
 LOOP = ROOT / "results" / "gallery" / "henon-heiles-loop" / "orbit.json"
@@ -76,7 +76,7 @@ def test_tori_that_were_found_stay(tmp_path, monkeypatch, how):
 
 @pytest.mark.parametrize("how", STOPS)
 def test_optima_that_were_found_stay(tmp_path, monkeypatch, how):
-    from orbitfinder.orbits import optima
+    from orbitfinder.control import optima
 
     stopped_at(monkeypatch, optima, "certified", 3, how)
     words = ("--parameter", "damping", "--until", "0.4", "--limit", 3600, "--no-figures", "-o", tmp_path)
@@ -108,7 +108,7 @@ def test_swept_orbits_stay(tmp_path, monkeypatch, how):
 
 @pytest.mark.parametrize("how", STOPS)
 def test_the_crossings_of_a_section_stay(tmp_path, monkeypatch, how):
-    from orbitfinder.integrate import crossings
+    from orbitfinder.structures import crossings
 
     stopped_at(monkeypatch, crossings._Run, "step", 400, how)
     words = ("--energy", -14, "--plane", "theta1=0", "--seeds", 5, "--returns", 1000, "--limit", 3600)
@@ -122,7 +122,7 @@ def test_the_crossings_of_a_section_stay(tmp_path, monkeypatch, how):
 
 @pytest.mark.parametrize("how", STOPS)
 def test_a_controller_stays_when_its_trial_is_stopped(tmp_path, monkeypatch, how):
-    from orbitfinder.orbits import basin
+    from orbitfinder.control import basin
 
     stopped_at(monkeypatch, basin, "disturbed", 1, how)
     done = ran("stabilise", TRIPLE, "--motors", 1, "--limit", 3600, "-o", tmp_path)
@@ -199,7 +199,7 @@ def test_stopped_tori_go_on(tmp_path, monkeypatch, how):
 @pytest.mark.parametrize("how", STOPS)
 def test_stopped_optima_go_on(tmp_path, monkeypatch, how):
     """The third, of which the certificate was not finished, is the first that is solved again."""
-    from orbitfinder.orbits import optima
+    from orbitfinder.control import optima
 
     words = ("continue", OSCILLATOR, "--parameter", "damping", "--until", 0.24, "--no-figures", "-o")
     assert ran(*words, tmp_path / "calm").exit_code == 0
@@ -221,7 +221,7 @@ def test_stopped_optima_go_on(tmp_path, monkeypatch, how):
 
 
 def test_nothing_finished_is_said(tmp_path, monkeypatch):
-    from orbitfinder.families import tori
+    from orbitfinder.structures import tori
 
     stopped_at(monkeypatch, tori, "_from_orbit", 1, signal.SIGINT)
     done = ran("torus", LOOP, "-o", tmp_path)
@@ -363,7 +363,7 @@ def test_the_environment_names_no_backend(tmp_path):
 
 def test_modes_of_a_linkage_that_moves_no_mass_are_refused(monkeypatch):
     """LAPACK's complaint of a mutated file was a traceback."""
-    from orbitfinder.guesses import modes
+    from orbitfinder.orbits.guesses import modes
 
     whole = modes.stationary_terms
     monkeypatch.setattr(modes, "stationary_terms", lambda *given: (*whole(*given)[:3], 0 * whole(*given)[3]))

@@ -15,7 +15,7 @@ from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.families.members import whole
 from orbitfinder.loops.symmetry import SYMMETRIES
-from orbitfinder.mechanics.catalogue import build_model, with_parameters
+from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import energy
 from orbitfinder.orbits.certify import certify
 from orbitfinder.records.family import FamilyPoint, load_family, save_family, situated

@@ -14,8 +14,9 @@ from orbitfinder.loops.conditions import Constraint
 from orbitfinder.loops.ipopt import SolveSettings, hessian
 from orbitfinder.loops.shooting import transcribe
 from orbitfinder.loops.symmetry import NONE, SYMMETRIES
-from orbitfinder.orbits.find import find_orbit, initial_nodes
+from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.objectives import instability, instability_of, rank
+from orbitfinder.orbits.shoot import initial_nodes
 
 FAST = SolveSettings(with_certificate=False)
 DOUBLE = of.chain(2)

@@ -15,7 +15,7 @@ import orbitfinder as of
 from orbitfinder._runtime.processes import NAMES, children_see
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.orbits import certify as certifying
-from orbitfinder.orbits import find as solve
+from orbitfinder.orbits import shoot as solve
 
 
 def threads() -> set[int]:

@@ -11,11 +11,11 @@ from click.testing import CliRunner
 
 import orbitfinder as of
 from orbitfinder.cli.group import cli
+from orbitfinder.control import optima
+from orbitfinder.control.program import optimum
+from orbitfinder.control.stationary import Stationary, Varying
 from orbitfinder.errors import ConvergenceError, InputError
-from orbitfinder.loops.controlled import optimum
-from orbitfinder.loops.stationary import Stationary, Varying
 from orbitfinder.mechanics.controls import with_controls
-from orbitfinder.orbits import optima
 
 PICK = (of.Task("x", 0.5, equals=1.0), of.Task("xdot", 0.5, equals=0.0))
 

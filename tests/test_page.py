@@ -22,12 +22,12 @@ from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError, plural
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
-from orbitfinder.guesses.modes import mode_problem
 from orbitfinder.integrate.rk8 import march
 from orbitfinder.loops.symmetry import REVERSAL, SYMMETRIES
-from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import positions, vector_field
+from orbitfinder.mechanisms.chain import chain
+from orbitfinder.orbits.guesses.modes import mode_problem
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.problemfile.write import orbit_name, orbit_text, toml
 from orbitfinder.records.certificate import at_least, at_most

@@ -12,12 +12,12 @@ from test_page import NASTY, SHIPPED, document, material, site  # noqa: F401  (f
 
 import orbitfinder as of
 from orbitfinder.orbits.certify import certify
-from orbitfinder.orbits.section import section
 from orbitfinder.records.family import load_family
 from orbitfinder.records.registry import load_orbit
 from orbitfinder.site.build import Settings, build_site
 from orbitfinder.site.gather import gather
 from orbitfinder.site.writing import write_site
+from orbitfinder.structures.sections import section
 
 webdriver = pytest.importorskip("selenium.webdriver")
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

@@ -8,7 +8,7 @@ from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate import parallel
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.rk8 import step_of, variational_field
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanisms.chain import chain
 
 
 @pytest.fixture(scope="module")

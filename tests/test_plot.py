@@ -11,12 +11,12 @@ from matplotlib.text import Text
 import orbitfinder as of
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.errors import InputError
-from orbitfinder.guesses.modes import normal_mode
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Problem
-from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.kind import build_model
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.find import find_orbit
+from orbitfinder.orbits.guesses.modes import normal_mode
 from orbitfinder.records.family import load_family
 from orbitfinder.show import plot
 from orbitfinder.show.strokes import tip

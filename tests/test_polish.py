@@ -11,7 +11,7 @@ from orbitfinder.loops import polish
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.polish import end_of, graded_end, segment, tail_of
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.measure import action, dense, loop_action
 from orbitfinder.systems import FUNCTIONS

@@ -8,9 +8,9 @@ import pytest
 
 from orbitfinder.errors import InputError
 from orbitfinder.families.minimal import minimal_problem
-from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import constraint_of, positions
-from orbitfinder.mechanics.pose import movable, pulled, thrown
+from orbitfinder.mechanisms.chain import chain
+from orbitfinder.mechanisms.pose import movable, pulled, thrown
 from orbitfinder.problemfile.read import load_problem
 
 PROBLEMS = Path(__file__).parents[1] / "problems"

@@ -8,8 +8,8 @@ from orbitfinder.errors import CountError, InputError
 from orbitfinder.loops.conditions import lowest_energy, pin
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import SYMMETRIES
-from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits import objectives
 from orbitfinder.orbits.find import find_orbit
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from orbitfinder.errors import InputError
-from orbitfinder.guesses.modes import normal_mode, normal_modes
-from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
+from orbitfinder.mechanisms.chain import chain
+from orbitfinder.orbits.guesses.modes import normal_mode, normal_modes
 from orbitfinder.problemfile.read import load_problem, load_problem_file
 from orbitfinder.problemfile.write import TEMPLATE
 

@@ -26,12 +26,12 @@ from orbitfinder.mechanics.expression import expression
 from orbitfinder.mechanics.scales import units
 from orbitfinder.problemfile.write import orbit_text
 from orbitfinder.records.family import plain, restored
-from orbitfinder.records.manifold import End
 from orbitfinder.records.orbit import digest, orbit_from_document, orbit_to_document
 from orbitfinder.records.registry import VERBS, load_orbit, taken
 from orbitfinder.show import html
 from orbitfinder.site import gather, text
 from orbitfinder.site.build import Settings, build_site
+from orbitfinder.structures.manifold import End
 from orbitfinder.studio.session import opened
 
 ROOT = Path(__file__).parents[1]

@@ -90,7 +90,7 @@ def test_full_formulation_agrees_with_the_symmetric_one(found):
 
 def test_another_formulation_of_the_equations_agrees(found):
     """Lagrange's dense equations, another graph, prove the same period."""
-    from orbitfinder.mechanics.chain import chain
+    from orbitfinder.mechanisms.chain import chain
 
     orbit = found("pendulum")
     other = prove(orbit, chain(1, formulation="lagrange"))

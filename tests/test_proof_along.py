@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("flint")
 
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.proof import along as module
 from orbitfinder.proof.along import Along, bundle, ranged
 from orbitfinder.proof.balls import arb, arb_poly, precision

@@ -10,8 +10,8 @@ pytest.importorskip("flint")
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.dop853 import TIGHTEST, integrate, vector_field
 from orbitfinder.loops.symmetry import BRAKE, REFLECTION, REVERSAL, SYMMETRIES
-from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.proof import enclosure
 from orbitfinder.proof.balls import arb, decimal, floats, precision, radii, radius
 from orbitfinder.proof.enclosure import Settings, cloud

@@ -83,7 +83,7 @@ def test_every_name_is_on_one_page():
     homes = {f"{home}.{name}" for home, name in re.findall(r"^from \.(\S+) import (\w+)", front, re.MULTILINE)}
     homes |= {f"{one.__module__.removeprefix('orbitfinder.')}.{one.__name__}" for one in offered_by_the_namespaces()}
     assert homes - {"_runtime.__version__"} <= set(described)
-    assert {"mechanics.library", "mechanics.machines", "mechanics.driven", "errors"} <= set(described)
+    assert {"mechanisms.library", "mechanisms.machines", "mechanisms.driven", "errors"} <= set(described)
 
 
 def offered_by_the_namespaces():

@@ -18,8 +18,8 @@ from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
-from orbitfinder.guesses.modes import mode_problem
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanisms.chain import chain
+from orbitfinder.orbits.guesses.modes import mode_problem
 from orbitfinder.records.family import JOURNAL, load_family, read_journal
 from orbitfinder.records.journal import SEAL
 from orbitfinder.records.orbit import save_orbit

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from orbitfinder.errors import InputError
-from orbitfinder.guesses.modes import normal_modes
-from orbitfinder.guesses.returns import close_returns, normal_mode_sum, recurrences
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Problem
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.find import find_orbit
+from orbitfinder.orbits.guesses.modes import normal_modes
+from orbitfinder.orbits.guesses.returns import close_returns, normal_mode_sum, recurrences
 from orbitfinder.systems import FUNCTIONS
 
 CHAOTIC = [0.0, -0.15, 0.4728636, 0.0]

@@ -17,7 +17,7 @@ from orbitfinder.integrate.dop853 import (
     vector_field,
 )
 from orbitfinder.mechanics.canonical import canonical
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanisms.chain import chain
 
 
 def pendulum(n: int = 1):

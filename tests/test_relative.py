@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 import orbitfinder as of
 from orbitfinder.errors import ConvergenceError, CountError, InputError
 from orbitfinder.loops.symmetry import NONE, Symmetry, beside, named, related, shifts_of
-from orbitfinder.mechanics.chain import chain_dae
+from orbitfinder.mechanisms.chain import chain_dae
 from orbitfinder.orbits.reduction import held, reduction, steady
 from orbitfinder.problemfile.write import orbit_text
 from orbitfinder.proof.formulation import approach

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from orbitfinder.integrate.cvodes import IntegratorSettings, build_flow, sample
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.reproduce import runner
 from orbitfinder.reproduce.facts import ORBITS
 from orbitfinder.reproduce.orbits import printed_closure

@@ -13,15 +13,15 @@ from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
-from orbitfinder.guesses.modes import gyroscopic_modes, normal_mode, rest_near
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import NONE, Symmetry, called, named
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.kind import build_model
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.floquet import analyse
+from orbitfinder.orbits.guesses.modes import gyroscopic_modes, normal_mode, rest_near
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.records.family import load_family
 from orbitfinder.show.paths import has_path, path_views

@@ -11,7 +11,7 @@ import orbitfinder as of
 from orbitfinder.families.start import begin
 from orbitfinder.loops.condensed import Linearised, eliminated
 from orbitfinder.loops.scales import HARMONIC, Scales, sizes
-from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.mechanics.kind import with_parameters
 
 SHIPPED = Path(__file__).parents[1] / "problems" / "gallery"
 

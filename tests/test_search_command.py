@@ -76,7 +76,7 @@ def test_list_show_and_verify(book, tmp_path):
 
 def test_show_trusts_a_module_beside_the_atlas(book, tmp_path):
     """Names of the state come from the module, which is imported only with --trust; the document needs none."""
-    module = "from orbitfinder.mechanics.chain import chain\n\ndef made():\n    return chain(3)\n"
+    module = "from orbitfinder.mechanisms.chain import chain\n\ndef made():\n    return chain(3)\n"
     (tmp_path / "homemade.py").write_text(module)
     path = tmp_path / "own.sqlite"
     path.write_bytes(book[0].read_bytes())

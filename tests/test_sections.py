@@ -11,14 +11,14 @@ from scipy.special import ellipk
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
-from orbitfinder.integrate.crossings import FINE, Crossings, Plane
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.integrate.dop853 import integrate
 from orbitfinder.integrate.dop853 import vector_field as second
 from orbitfinder.integrate.equations import accelerations
 from orbitfinder.mechanics.model import vector_field
-from orbitfinder.orbits.frequencies import frequency_table
-from orbitfinder.orbits.section import section, surface
+from orbitfinder.structures.crossings import FINE, Crossings, Plane
+from orbitfinder.structures.frequencies import frequency_table
+from orbitfinder.structures.sections import section, surface
 
 
 def oscillator():
@@ -142,7 +142,7 @@ def swing():
 
 def test_an_orbit_is_drawn_where_it_crosses(swing, tmp_path):
     """Its crossing is its own: a motion from there comes back to it after the period."""
-    from orbitfinder.orbits.section import level_of, pierced
+    from orbitfinder.structures.sections import level_of, pierced
 
     model = of.chain(2)
     found = surface(model, "theta1=0", levels=level_of(model, swing.energy, None))

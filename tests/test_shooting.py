@@ -16,9 +16,9 @@ from orbitfinder.loops.polish import polish, residual
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.shooting import Shooting, transcribe
 from orbitfinder.loops.symmetry import SYMMETRIES
-from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
-from orbitfinder.orbits.find import at_section, initial_nodes
+from orbitfinder.mechanisms.chain import chain
+from orbitfinder.orbits.shoot import at_section, initial_nodes
 from orbitfinder.systems import FUNCTIONS
 
 

@@ -20,8 +20,8 @@ from studio_browser import BROWSER, Server, Tab, children, shared
 
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
-from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy, positions
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.problemfile.read import load_problem
@@ -107,9 +107,9 @@ def test_saving_leaves_what_others_wrote_alone(tasks, session):
 
 
 def _swing(model=None):
-    from orbitfinder.guesses.modes import normal_mode
     from orbitfinder.loops.conditions import pin
     from orbitfinder.loops.problem import Problem
+    from orbitfinder.orbits.guesses.modes import normal_mode
 
     model = model or chain(2)
     guess = normal_mode(model, 1, 0.4)
@@ -135,7 +135,7 @@ def test_an_orbit_follows_a_parameter_warm_and_back(tasks):
 def _swing_at(orbit):
     from orbitfinder.loops.conditions import pin
     from orbitfinder.loops.problem import Guess, Problem
-    from orbitfinder.mechanics.catalogue import build_model
+    from orbitfinder.mechanics.kind import build_model
 
     return Problem(build_model(orbit.system), Guess(orbit.state, orbit.period), pin(energy=orbit.energy))
 

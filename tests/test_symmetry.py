@@ -8,7 +8,6 @@ import pytest
 import orbitfinder as of
 from orbitfinder.errors import InputError
 from orbitfinder.families.start import begin
-from orbitfinder.guesses.modes import mode_problem
 from orbitfinder.integrate.cvodes import build_flow, transition
 from orbitfinder.integrate.rk8 import march
 from orbitfinder.loops.conditions import pin
@@ -31,14 +30,15 @@ from orbitfinder.loops.symmetry import (
     symmetries_of,
     undeclared_mirrors,
 )
-from orbitfinder.mechanics.library import (
+from orbitfinder.mechanics.model import vector_field
+from orbitfinder.mechanisms.library import (
     henon_heiles,
     pendulum_on_cart,
     planar_oscillator,
     restricted_three_body,
 )
-from orbitfinder.mechanics.model import vector_field
 from orbitfinder.orbits.find import find_orbit
+from orbitfinder.orbits.guesses.modes import mode_problem
 from orbitfinder.problemfile.read import load_problem
 
 FORWARD = Involution("swap", 1, 1, order=(1, 0))

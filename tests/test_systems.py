@@ -11,9 +11,9 @@ from scipy.special import ellipk
 from orbitfinder.errors import InputError
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.catalogue import build_model, with_parameters
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import energy
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.records.orbit import save_orbit
@@ -114,7 +114,7 @@ def test_the_bead_on_a_hoop_has_the_period_of_its_small_motions():
 
 def test_cart_chain_modes_are_those_of_the_linear_chain():
     """Without cubic springs every mode k has period 2 pi / (2 sin(k pi / (2 n + 2))) at any amplitude."""
-    from orbitfinder.guesses.modes import normal_mode
+    from orbitfinder.orbits.guesses.modes import normal_mode
 
     model = FUNCTIONS["cart_chain"](carts=4)
     for k in (1, 2, 3, 4):

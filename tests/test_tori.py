@@ -17,15 +17,15 @@ from scipy.special import ellipk
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
-from orbitfinder.families.ring import Ring, Turned, at_angles, resampled, turning
-from orbitfinder.families.tori import certify_torus, crossed, filled, resonance
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.symmetry import NONE
-from orbitfinder.orbits.section import surface
 from orbitfinder.show.tori import save_torus_figures
 from orbitfinder.site.gather import gather
 from orbitfinder.site.section import section_data
+from orbitfinder.structures.ring import Ring, Turned, at_angles, resampled, turning
+from orbitfinder.structures.sections import surface
+from orbitfinder.structures.tori import certify_torus, crossed, filled, resonance
 
 GOLDEN = (3 - 5**0.5) / 4
 REFERENCE = next(

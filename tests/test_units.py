@@ -16,9 +16,9 @@ from orbitfinder.errors import InputError
 from orbitfinder.families.branches import branches
 from orbitfinder.families.point import FamilySettings, extents
 from orbitfinder.families.start import begin
-from orbitfinder.guesses.modes import equilibrium, normal_modes
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.kind import build_model
 from orbitfinder.orbits.evidence import ClosureCheck
+from orbitfinder.orbits.guesses.modes import equilibrium, normal_modes
 from orbitfinder.systems import bouncing_ball, compass_gait, duffing, impact_oscillator, slip_runner, vertical_hopper
 
 UNITS = {

@@ -15,8 +15,8 @@ from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.newton import NewtonSettings
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import SYMMETRIES
-from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.refine import Refined, Refiner
 
 

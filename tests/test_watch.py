@@ -15,7 +15,7 @@ from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.verified import verified
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.watch import watches
-from orbitfinder.mechanics.library import forced_duffing
+from orbitfinder.mechanisms.library import forced_duffing
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.records.family import load_family
 from orbitfinder.records.reading import content_digest

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.validation.comparison import Comparison, Section, attempted, number
-from orbitfinder.guesses.modes import normal_modes
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.find import find_orbit
+from orbitfinder.orbits.guesses.modes import normal_modes
 from orbitfinder.systems import double_well, duffing
 
 EXACT = 1e-12

@@ -24,9 +24,9 @@ from orbitfinder.errors import OrbitfinderError
 from orbitfinder.families.branches import switch_branch
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
-from orbitfinder.guesses.modes import normal_mode
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.orbits.find import find_orbit
+from orbitfinder.orbits.guesses.modes import normal_mode
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.records.family import Event, Family
 from orbitfinder.records.orbit import Orbit

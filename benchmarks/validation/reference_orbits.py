@@ -15,8 +15,8 @@ from orbitfinder.errors import InputError
 from orbitfinder.integrate.cvodes import build_flow, end_state
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.reproduce.facts import ORBITS, PrintedOrbit

@@ -19,7 +19,7 @@ from orbitfinder.errors import OrbitfinderError
 from orbitfinder.exports.write import export_orbit
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.reproduce.facts import ORBITS, PrintedOrbit
 

@@ -14,9 +14,10 @@ import lazy_loader
 
 
 def door(
-    package: str, file: str, moved: Mapping[str, str] | None = None
+    package: str, file: str, moved: Mapping[str, str] | None = None, public: str = ""
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """`__getattr__`, `__dir__` and `__all__` of a package with a stub; `moved`: what to say of names that have gone."""
+    """`__getattr__`, `__dir__` and `__all__` of a package with a stub; `moved`: what to say of names that have gone,
+    `public`: by which name it is imported too."""
     load, _, names = lazy_loader.attach_stub(package, file)
     gone, module = moved or {}, sys.modules[package]
 
@@ -27,7 +28,7 @@ def door(
             meant = "" if name.startswith("_") else closest(name, names)
             said = gone.get(name) or f"module {package!r} has no attribute {name!r}{meant}"
             raise AttributeError(said, name=name, obj=None)  # or Python says once more what may have been meant
-        value = fronted(load(name), package)
+        value = fronted(load(name), public or package)
         setattr(module, name, value)
         return value
 

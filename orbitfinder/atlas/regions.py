@@ -12,12 +12,12 @@ import numpy as np
 from scipy.optimize import brentq
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
-from orbitfinder.guesses.modes import first_order_modes
 from orbitfinder.integrate.dop853 import ReferenceSettings, integrate, vector_field
 from orbitfinder.integrate.equations import accelerations
 from orbitfinder.loops.symmetry import Involution
 from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.scales import alike, given_or
+from orbitfinder.orbits.guesses.modes import first_order_modes
 
 DRAWN = 48
 """States from which equilibria, and later attractors, are looked for"""

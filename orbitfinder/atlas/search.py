@@ -30,7 +30,7 @@ from orbitfinder.atlas.store import Atlas, check_range
 from orbitfinder.atlas.tables import explained, transaction
 from orbitfinder.atlas.workers import Cluster, Inline, Job, Local, Pool, Request, Workers
 from orbitfinder.errors import InputError
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
 
 AHEAD = 32

@@ -18,7 +18,6 @@ from orbitfinder.atlas.regions import Region, region_of
 from orbitfinder.atlas.sections import TURNS as TURNED
 from orbitfinder.atlas.sections import Section
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
-from orbitfinder.guesses.modes import normal_modes, resting_place
 from orbitfinder.integrate.cvodes import Flow, build_flow
 from orbitfinder.integrate.equations import prepare
 from orbitfinder.integrate.march import rounded, uniform
@@ -41,6 +40,7 @@ from orbitfinder.loops.symmetry import (
 )
 from orbitfinder.mechanics.model import Model, wrapped
 from orbitfinder.mechanics.scales import alike, given_or, snapped, unless_one
+from orbitfinder.orbits.guesses.modes import normal_modes, resting_place
 
 CYCLES = 3
 """Cycles of a hybrid system that an orbit goes through at most unless told otherwise."""

@@ -22,7 +22,7 @@ from orbitfinder.atlas.signature import Signature, in_words, neighbours, same_or
 from orbitfinder.atlas.tables import connect, explained, transaction
 from orbitfinder.errors import InputError, closest
 from orbitfinder.loops.symmetry import SYMMETRIES
-from orbitfinder.mechanics.catalogue import OTHER, build_model, system_kind
+from orbitfinder.mechanics.kind import OTHER, build_model, system_kind
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.orbits.floquet import STABILITIES
 from orbitfinder.records.orbit import (

@@ -32,7 +32,7 @@ from orbitfinder.atlas.signature import Numbers
 from orbitfinder.atlas.starts import Context, Target, context_of, strategy_of
 from orbitfinder.errors import InputError, LimitError, OrbitfinderError
 from orbitfinder.integrate.evaluate import one_thread
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.kind import build_model
 
 LONGEST_START = 120.0
 """s after which one start is given up, or a budget would be overrun without end; ordinary ones take 0.01 to 10"""

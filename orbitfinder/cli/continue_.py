@@ -274,7 +274,7 @@ def _branch_of(file: Path, trust: bool, switch: int | str | None, branch: int) -
 def model_in(origin: Origin, model: of.Model | None, family: of.Family) -> of.Model:
     """The model that a family's points belong to: a linkage's is minimal."""
     from orbitfinder.families.branches import Branch
-    from orbitfinder.mechanics.catalogue import build_model
+    from orbitfinder.mechanics.kind import build_model
 
     if isinstance(origin, Branch):
         return origin.start.curve.equations.model

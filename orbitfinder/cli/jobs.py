@@ -131,7 +131,7 @@ def folder_of(out: Path, name: str, *why: str) -> Path:
 
 def model_of(record: Any, file: Path, trust: bool) -> Model:
     """The Model of the system of a record that was read from a file; with `trust` modules beside it may make it."""
-    from orbitfinder.mechanics.catalogue import build_model
+    from orbitfinder.mechanics.kind import build_model
 
     return build_model(record.system, file.parent.resolve() if trust else None)
 
@@ -177,7 +177,7 @@ def progress(name: str, iteration: Iteration) -> Progress:
 
 def _written(job: Job, orbit: Orbit, model: Model, began: float) -> Outcome:
     """Write the result under the name it deserves; figures only of certified orbits."""
-    from orbitfinder.mechanics.catalogue import with_parameters
+    from orbitfinder.mechanics.kind import with_parameters
     from orbitfinder.orbits.reduction import reduction
 
     certificate, folder = orbit.certificate, job.out / job.name
@@ -230,7 +230,7 @@ def orbit_and_model(
     `InputError` names the file.
     """
     from orbitfinder.families.members import whole
-    from orbitfinder.mechanics.catalogue import build_model
+    from orbitfinder.mechanics.kind import build_model
 
     try:
         record = read(file)

@@ -17,8 +17,8 @@ from orbitfinder.errors import InputError, plural
 from orbitfinder.records.registry import held, load, load_orbit
 
 if TYPE_CHECKING:
-    from orbitfinder.records.manifold import Connection
-    from orbitfinder.records.section import Section
+    from orbitfinder.structures.manifold import Connection
+    from orbitfinder.structures.section import Section
 
 DIRECTIONS = {"growing": 1, "falling": -1, "both": 0}
 WITH = {"orbit": "orbits", "manifold": "manifolds", "connection": "connections", "tori": "tori"}
@@ -68,9 +68,9 @@ def section(
       orbitfinder section orbits/lyapunov/orbit.json --plane y=0 --range x=0.5:0.9 --range xdot=-0.3:0.3
     """
     from orbitfinder.families.branches import Branch
-    from orbitfinder.mechanics.catalogue import build_model
-    from orbitfinder.records.section import save_section
+    from orbitfinder.mechanics.kind import build_model
     from orbitfinder.show.sections import draw_section
+    from orbitfinder.structures.section import save_section
 
     origin, model = origin_of(file, trust)
     if isinstance(origin, Branch):  # pragma: no cover - origin_of asks for --switch before
@@ -104,9 +104,9 @@ def mapped(found: Section, model: of.Model, duration: float, written: list[Path]
     """The frequencies of a section's motions beside it: frequencies.csv and .png."""
     import numpy as np
 
-    from orbitfinder.orbits.frequencies import frequency_table
     from orbitfinder.records.reading import write_atomically
     from orbitfinder.show.frequencies import draw_frequencies
+    from orbitfinder.structures.frequencies import frequency_table
 
     made, folder = of.frequency_map(model, found.starts, duration), written[0].parent
     table = folder / "frequencies.csv"
@@ -167,8 +167,8 @@ def manifold(
       orbitfinder manifold orbits/lyapunov/orbit.json --plane y=0 --axes x,xdot --returns 2
       orbitfinder manifold orbits/lyapunov/orbit.json --tube 8
     """
-    from orbitfinder.records.manifold import save_manifold
     from orbitfinder.show.sections import draw_manifolds, draw_section
+    from orbitfinder.structures.manifold import save_manifold
 
     ((_, orbit, model),) = named_orbits([file], trust)
     folder = folder_of(out, orbit.name)
@@ -220,9 +220,9 @@ def connect(
       orbitfinder connect orbits/l1/orbit.json orbits/l2/orbit.json --plane y=0 --axes x,xdot
       orbitfinder connect orbits/l1/orbit.json --follow connections/l1/connection-1.json --at -1.519,-1.518
     """
-    from orbitfinder.families.connections import follow_connection
-    from orbitfinder.records.manifold import load_connection, save_connection
     from orbitfinder.show.sections import draw_section
+    from orbitfinder.structures.connections import follow_connection
+    from orbitfinder.structures.manifold import load_connection, save_connection
 
     ((_, orbit, model),) = named_orbits([file], trust)
     goal: of.Orbit | None = None if other is None else named_orbits([other], trust)[0][1]

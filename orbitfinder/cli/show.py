@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from orbitfinder.cli.options import FILES, finish, json_option, text
-from orbitfinder.records.registry import KINDS, answers_of, held, shown
+from orbitfinder.records.registry import answers_of, held, kinds, shown
 
 
 @click.command()
@@ -32,7 +32,7 @@ def show(files: tuple[Path, ...]) -> None:
         kind, found = shown(file)
         _followed(found)
         results.append({"file": str(file), "kind": kind, **found})
-        text(f"{file}: {KINDS[kind].words}")
+        text(f"{file}: {kinds()[kind].words}")
         for line in _lines(found):
             text(line)
         text(f"  for {', '.join(answers_of(held(file)[1]))}")

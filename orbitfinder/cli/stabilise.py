@@ -47,7 +47,7 @@ def stabilise(
       orbitfinder stabilise orbits/triple-1/orbit.json --motors 1
       orbitfinder stabilise orbits/triple-1/orbit.json --saturation 5 --noise 0.001 --animate
     """
-    from orbitfinder.mechanics.catalogue import system_kind
+    from orbitfinder.mechanics.kind import system_kind
     from orbitfinder.records.codec import entries_of
 
     orbit, model = orbit_and_model(file, trust, pictured=True)
@@ -98,7 +98,7 @@ def _print_basin(made: of.Controller) -> None:
 
 def _animated(made: of.Controller, model: of.Model | None, trial: Mapping[str, Any], target: Path) -> Path:
     """A picture that moves of a disturbed motion recovering."""
-    from orbitfinder.mechanics.catalogue import build_model
+    from orbitfinder.mechanics.kind import build_model
 
     model, size = model or build_model(made.system), max(trial["sizes"])
     run = of.recovery(made, size, 6, noise=trial["noise"], seed=trial["seed"], model=model)

@@ -43,8 +43,8 @@ def torus(
       orbitfinder torus orbits/henon-heiles-loop/orbit.json --until 0.2071
       orbitfinder torus tori/henon-heiles-loop-tori/tori.json#4 --hold rotation --until 0.13 --name golden
     """
-    from orbitfinder.families.tori import torus_value
     from orbitfinder.show.tori import save_torus_figures
+    from orbitfinder.structures.tori import torus_value
 
     origin, model, label = _origin(file, trust)
     folder = folder_of(out, name or label)

@@ -69,7 +69,7 @@ def _each(file: Path) -> list[Path]:
 def verified(file: Path, trust: bool) -> dict[str, Any]:
     """What of FILE or FILE#K was checked again, from the file alone."""
     from orbitfinder.families.verified import point_checks
-    from orbitfinder.mechanics.catalogue import build_model
+    from orbitfinder.mechanics.kind import build_model
     from orbitfinder.records.family import Family, FamilyPoint, load_family
 
     answers = answer("verify", file)

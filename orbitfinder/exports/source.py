@@ -13,7 +13,7 @@ from scipy.interpolate import CubicHermiteSpline
 from orbitfinder._runtime import __version__
 from orbitfinder.errors import InputError
 from orbitfinder.integrate.cvodes import build_flow, sample
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, vector_field
 from orbitfinder.records.orbit import Orbit
 

@@ -10,7 +10,7 @@ import numpy as np
 from orbitfinder.errors import InputError
 from orbitfinder.exports.auto import auto_files
 from orbitfinder.exports.source import JULIA, C, Source, c_number, c_numbers, samples_of, source_of, straight_line
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.orbit import Orbit, refuse_controlled
 from orbitfinder.records.reading import write_atomically

@@ -43,8 +43,8 @@ from orbitfinder.loops.continued import CRITICAL, Curve, advanced, at_place, cor
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import Symmetry, called, involutions, momenta_of, named, turned
-from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.hybrid import repeated
+from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Event, Family, load_family
 from orbitfinder.records.orbit import SHARE

@@ -35,7 +35,7 @@ from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, plane, scaled, tangent
 from orbitfinder.loops.symmetry import turned
 from orbitfinder.loops.watch import arcs, numbers, unsure
-from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.orbits.evidence import COARSER, VARIED, Tour, tour
 from orbitfinder.orbits.floquet import ERROR_FLOOR, analyse, judged
 from orbitfinder.orbits.hybrid import PATIENCE, cycle_from, hybrid_tour, retraced

@@ -24,7 +24,7 @@ from orbitfinder.loops.continued import TESTED, Curve, Solution, at_place, scale
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.problem import pinned
 from orbitfinder.loops.symmetry import momenta_of
-from orbitfinder.mechanics.catalogue import build_model, with_parameters
+from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Event, Family
 

@@ -27,7 +27,7 @@ from orbitfinder.loops.continued import Curve
 from orbitfinder.loops.problem import Problem
 from orbitfinder.loops.symmetry import turned
 from orbitfinder.loops.watch import Number, as_recorded, check_stop, watches
-from orbitfinder.mechanics.catalogue import build_model, system_kind
+from orbitfinder.mechanics.kind import build_model, system_kind
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.orbits.hybrid import HybridCheck

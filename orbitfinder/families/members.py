@@ -16,7 +16,7 @@ from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.continued import Curve, at_place
 from orbitfinder.loops.symmetry import recognise
-from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certified as with_certificate
 from orbitfinder.orbits.certify import certify

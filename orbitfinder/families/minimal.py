@@ -18,8 +18,8 @@ from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.idas import SEGMENT_SETTINGS, simulate_dae
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.catalogue import build_model, system_kind
 from orbitfinder.mechanics.constrained import Loops
+from orbitfinder.mechanics.kind import build_model, loops_of
 from orbitfinder.mechanics.model import Model, constraint_of, energy, wrapped
 
 SAMPLES = 200
@@ -34,7 +34,7 @@ def minimal_problem(problem: Problem) -> Problem:
     native, n = problem.model, problem.model.degrees_of_freedom
     if native.constraint is None:
         return problem
-    loops = system_kind(native.system).loops
+    loops = loops_of(native.system)
     if loops.minimal is None:
         raise InputError(
             "system: families of constrained systems are followed for linkages and mechanisms only; describe this one "
@@ -96,7 +96,7 @@ def native_state(system: Mapping[str, Any], state: np.ndarray, free: Mapping[str
 
 def _native(system: Mapping[str, Any], free: Mapping[str, float] | None) -> tuple[Model, Loops, Any]:
     """The native DAE of a family's system, and (u, udot) -> all coordinates (n) and their rates."""
-    loops = system_kind(system).loops
+    loops = loops_of(system)
     if "independent" not in system:
         raise InputError("system: not a linkage in minimal coordinates; give the system of a linkage's family")
     found = build_model({key: value for key, value in system.items() if key not in ("independent", "branch")})

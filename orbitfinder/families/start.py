@@ -36,11 +36,12 @@ from orbitfinder.loops.symmetry import (
     symmetries_of,
 )
 from orbitfinder.loops.watch import watches
-from orbitfinder.mechanics.catalogue import build_model, with_parameters
+from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import lengths
-from orbitfinder.orbits.find import find_orbit, natural_pin
+from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.hybrid import first_unknowns
+from orbitfinder.orbits.shoot import natural_pin
 from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import Orbit, refuse_controlled
 from orbitfinder.records.reading import read_as

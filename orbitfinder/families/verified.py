@@ -18,7 +18,7 @@ from orbitfinder.integrate.dop853 import vector_field
 from orbitfinder.integrate.equations import hamilton
 from orbitfinder.loops.continued import Curve, begun
 from orbitfinder.loops.symmetry import turned
-from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.newton import equilibrium
 from orbitfinder.orbits.evidence import gather, tour

@@ -13,7 +13,7 @@ from orbitfinder._runtime.arguments import check_fields
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError, closest
 from orbitfinder.loops.symmetry import Symmetry
-from orbitfinder.mechanics.catalogue import system_kind
+from orbitfinder.mechanics.kind import system_kind
 from orbitfinder.mechanics.model import Model, constraint_of
 
 

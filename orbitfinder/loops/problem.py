@@ -26,10 +26,10 @@ from orbitfinder.loops.control import Control
 from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns
 from orbitfinder.loops.symmetry import Shift, Symmetry, beside, knowing, named, related, shifts_of, time_dependent
 from orbitfinder.loops.watch import Number, watches
-from orbitfinder.mechanics.catalogue import with_parameters
-from orbitfinder.mechanics.chain import maximal_states
+from orbitfinder.mechanics.constrained import maximal_states
 from orbitfinder.mechanics.controls import actuated, check_constant
 from orbitfinder.mechanics.hybrid import with_cycle
+from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model, counted
 from orbitfinder.mechanics.scales import proportions, surroundings
 

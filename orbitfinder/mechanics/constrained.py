@@ -256,3 +256,26 @@ def with_rates(u: ca.SX, q: ca.SX) -> ca.Function:
     """(u, udot) -> all coordinates q(u) (n) and their rates."""
     rate = ca.SX.sym("udot", u.numel())
     return ca.Function("everywhere", [u, rate], [q, ca.jtimes(q, u, rate)])
+
+
+def maximal_states(model: Model, states: np.ndarray) -> np.ndarray:
+    """Maximal states (6n, or k x 6n) from states in the angles and rates (2n, or k x 2n)."""
+    lift = constraint_of(model).lift
+    if lift is None:
+        raise InputError("this system has no link angles to start from; give its state in its own coordinates")
+    rows = np.atleast_2d(np.asarray(states, float))
+    count = model.degrees_of_freedom // 3
+    if rows.shape[1] != 2 * count:
+        raise InputError(f"state: {rows.shape[1]} numbers for {count} links; give {count} angles, then {count} rates")
+    lifted = model.along(lift, rows.T[:count], rows.T[count:]).T
+    return np.asarray(lifted[0] if np.ndim(states) == 1 else lifted)
+
+
+def minimal_states(model: Model, states: np.ndarray) -> np.ndarray:
+    """Angles and rates (2n, or k x 2n) of maximal states (6n, or k x 6n): theta and thetadot picked out."""
+    if constraint_of(model).lift is None:
+        raise InputError("this system has no link angles to go to; use its own coordinates")
+    rows, size = np.asarray(states, float), len(model.state_names)
+    if rows.ndim == 0 or rows.shape[-1] != size:
+        raise InputError(f"states: shape {rows.shape}; give {size} numbers, or rows of that many")
+    return np.asarray(rows[..., 2::3])

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import gcd
+from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from orbitfinder._runtime.rooms import filled
 from orbitfinder._runtime.sizes import LEAST, size_of
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.integrate.automaton import Arc
@@ -16,13 +18,12 @@ from orbitfinder.integrate.dop853 import rates_of, vector_field
 from orbitfinder.integrate.equations import accelerations, invariant_gradients
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.loops.symmetry import NONE, beside, knowing, recognise, shifts_of, symmetries_of, symplectic, turned
-from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.hybrid import as_recorded
+from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Invariant, Model, counted, wrapped
 from orbitfinder.mechanics.scales import extents
 from orbitfinder.orbits.between import early_return, overlooked
 from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, between, shift, shift_along
-from orbitfinder.orbits.control import ControlledEvidence, gather_controlled
 from orbitfinder.orbits.evidence import (
     VARIED,
     Evidence,
@@ -155,35 +156,47 @@ def _judged(orbit: Orbit, model: Model, allowed: Tolerances, better: bool = Fals
     turned(model, turns, orbit.shift)
     if not (np.all(np.isfinite(orbit.state)) and np.isfinite(orbit.period) and orbit.period > 0):
         return orbit, Certificate((refused("finite", "state or period is not a number", float("nan")),))
+    verifier = verifier_of(orbit, model)
     try:
-        seen, second = _gathered(orbit, model, turns)
+        seen, second = verifier.gather(orbit, model, turns)
     except (ConvergenceError, IntegrationError) as error:
-        events = model.hybrid is not None and orbit.control is None
-        return orbit, Certificate((refused("events" if events else "integration", error),))
+        return orbit, Certificate((refused(verifier.missing, error),))
     orbit = _better_known(orbit, seen.floquet) if better and isinstance(seen, Evidence) else orbit
-    trial = _Trial(orbit, model, turns, allowed, seen, second)
-    if isinstance(seen, Evidence):
-        checks = _smooth_checks(trial, seen)
-    else:
-        checks = _hybrid_checks(trial, seen) if isinstance(seen, HybridEvidence) else _controlled_checks(trial, seen)
-    return orbit, Certificate(tuple(check for check in checks if check), trial.scale, seen.closure)
+    trial = Trial(orbit, model, turns, allowed, seen, second)
+    return orbit, Certificate(tuple(check for check in verifier.checks(trial) if check), trial.scale, seen.closure)
 
 
-def _gathered(
-    orbit: Orbit, model: Model, turns: np.ndarray
-) -> tuple[Evidence | HybridEvidence | ControlledEvidence, float]:
-    """The motion of an orbit by the integrator of its kind, and its closure at a second tolerance."""
-    given = model, orbit.state, orbit.period
-    if orbit.control is not None:
-        shown = (orbit.times, orbit.samples) if orbit.samples.size or orbit.times.size else None
-        driven = gather_controlled(*given, turns, orbit.control, orbit.symmetry, tuple(orbit.shift), shown)
-        return driven, driven.second
-    whole = turned(model, turns, orbit.shift)
-    if model.hybrid is not None:
-        impacting = gather_hybrid(*given, whole)
-        return impacting, second_gap(*given, whole, impacting.extents)
-    smooth = gather(*given, whole, np.concatenate([times for _, times, _, _ in _pictured(orbit)]))
-    return smooth, second_closure(*given, whole, smooth.extents)
+@dataclass(frozen=True)
+class Verifier:
+    """A way to go through an orbit again, and what is then asked of it."""
+
+    suits: Callable[[Orbit, Model], bool]
+    """(orbit, model) -> whether it is for this one"""
+    gather: Callable[[Orbit, Model, np.ndarray], tuple[Recomputed, float]]
+    """(orbit, model, turns (n)) -> what another integrator says of its state and period alone, and its closure at a
+    second tolerance; raises `ConvergenceError`, `IntegrationError`"""
+    checks: Callable[[Any], Iterator[Check | None]]
+    """(`Trial`) -> the checks"""
+    missing: str = "integration"
+    """the check that fails where there is no such motion"""
+
+
+def verifier_of(orbit: Orbit, model: Model) -> Verifier:
+    """The `Verifier` of an orbit: the latest entry that suits it."""
+    filled("verifiers")
+    return next(verifier for verifier in reversed(VERIFIERS.values()) if verifier.suits(orbit, model))
+
+
+def _through_impacts(orbit: Orbit, model: Model, turns: np.ndarray) -> tuple[HybridEvidence, float]:
+    given = model, orbit.state, orbit.period, turned(model, turns, orbit.shift)
+    impacting = gather_hybrid(*given)
+    return impacting, second_gap(*given, impacting.extents)
+
+
+def _smoothly(orbit: Orbit, model: Model, turns: np.ndarray) -> tuple[Evidence, float]:
+    given = model, orbit.state, orbit.period, turned(model, turns, orbit.shift)
+    smooth = gather(*given, np.concatenate([times for _, times, _, _ in _pictured(orbit)]))
+    return smooth, second_closure(*given, smooth.extents)
 
 
 def _better_known(orbit: Orbit, found: Floquet) -> Orbit:
@@ -201,7 +214,7 @@ def _model_of(orbit: Orbit, model: Model | None) -> Model:
     return as_recorded(model or build_model(orbit.system), orbit.system)
 
 
-class _Trial:
+class Trial:
     """A record beside the motion that was recomputed, by whatever kind of integrator, and the checks of every kind.
 
     `turns` (n) are whole, `second` is the closure at a second tolerance; tolerances of closure and its kin are
@@ -210,7 +223,7 @@ class _Trial:
     """
 
     def __init__(
-        self, orbit: Orbit, model: Model, turns: np.ndarray, allowed: Tolerances, seen: Recomputed, second: float
+        self, orbit: Orbit, model: Model, turns: np.ndarray, allowed: Tolerances, seen: Any, second: float
     ) -> None:
         self.orbit, self.model, self.turns = orbit, model, turns
         self.allowed, self.seen, self.second = allowed, seen, second
@@ -283,13 +296,15 @@ class _Trial:
             yield at_most("winding", off(shift(self.turns, self.seen.extents.size)), EXACT, note.format(names))
 
 
-def _between_steps(found: float, width: float, of: str) -> Check:
+def between_steps(found: float, width: float, of: str) -> Check:
+    """What features narrower than the steps change (in extents); `of` what the width of the looks is a share of."""
     note = f"change by what lies between steps; looks {width:.1e} of {of} or less apart"
     return at_most("resolution", found, RESOLVED, note)
 
 
-def _smooth_checks(trial: _Trial, seen: Evidence) -> Iterator[Check | None]:
+def _smooth_checks(trial: Trial) -> Iterator[Check | None]:
     """The checks of a smooth orbit: its motion by other equations and another integrator, from state and period."""
+    seen: Evidence = trial.seen
     orbit, model, allowed, gap = trial.orbit, trial.model, trial.allowed, seen.closes.gap
     # near a saddle errors grow between any two instants; Phi takes up more than what it is at the end
     passing = ROUND_OFF * EPSILON * min(seen.growth, LARGEST_GROWTH)
@@ -320,11 +335,12 @@ def _smooth_checks(trial: _Trial, seen: Evidence) -> Iterator[Check | None]:
     for name, times, states, share in _pictured(orbit):
         there = seen.motion.states[np.searchsorted(seen.motion.times, times)]
         yield trial.shown(name, np.abs((there - states) / seen.extents).max(), share, seen.growth)
-    yield from _expected_checks(orbit, model)
+    yield from expected_checks(orbit, model)
 
 
-def _hybrid_checks(trial: _Trial, seen: HybridEvidence) -> Iterator[Check | None]:
+def _hybrid_checks(trial: Trial) -> Iterator[Check | None]:
     """The checks of a hybrid orbit: its automaton simulated, all guards watched, from the state alone."""
+    seen: HybridEvidence = trial.seen
     orbit, model, allowed, gap = trial.orbit, trial.model, trial.allowed, seen.closes.gap
     lasted, pairs = abs(seen.period / orbit.period - 1), seen.floquet.pair_defect
     events = [str(arc.ended_by) for arc in seen.arcs]
@@ -341,7 +357,7 @@ def _hybrid_checks(trial: _Trial, seen: HybridEvidence) -> Iterator[Check | None
     yield at_least("transversal", seen.transversal, allowed.transversal, "least rate of a guard, relative")
     if np.isfinite(seen.decided):
         yield at_least("decided", seen.decided, allowed.transversal, "least |allowed| at a crossing, relative")
-    yield from _holding(held(seen.arcs), allowed)
+    yield from holding(held(seen.arcs), allowed)
     yield at_most("trivial_multipliers", seen.tour.trivial, allowed.trivial, "flow and gradients are kept")
     yield trial.unfolding(10 * gap)
     yield trial.energy(size_of(seen.energy))
@@ -352,7 +368,7 @@ def _hybrid_checks(trial: _Trial, seen: HybridEvidence) -> Iterator[Check | None
     if orbit.pair_defect != pairs:
         yield at_most("pair_defect", abs(orbit.pair_defect - pairs), allowed.multipliers, RECORDED)
     yield trial.record()
-    yield from _expected_checks(orbit, model)
+    yield from expected_checks(orbit, model)
 
     def moved_on(by: np.ndarray) -> float:
         return max(turned_further(model, seen.arcs, k * by) for k in TURNS[1:5])
@@ -370,87 +386,10 @@ def _hybrid_checks(trial: _Trial, seen: HybridEvidence) -> Iterator[Check | None
         yield trial.shown("samples", off, SAMPLES_OFF, seen.closes.amplification)
 
 
-def _holding(least: Iterable[tuple[str, float]], allowed: Tolerances) -> Iterator[Check]:
+def holding(least: Iterable[tuple[str, float]], allowed: Tolerances) -> Iterator[Check]:
     """What must not be negative along a motion."""
     for name, value in least:
         yield at_least(f"holds: {name}", value, -allowed.holds, "least value along the motion")
-
-
-def _controlled_checks(trial: _Trial, seen: ControlledEvidence) -> Iterator[Check | None]:
-    """The checks of a controlled orbit: its motion, cost and costate, from state, period and control alone."""
-    orbit, model, allowed, fit = trial.orbit, trial.model, trial.allowed, seen.fit
-    assert orbit.control is not None
-    yield from trial.closing("DOP853, the recorded control; ", "orbit and control, in extents")
-    yield trial.moving()
-    yield _covered(trial, seen)
-    yield _between_steps(*seen.unseen, "a segment")
-    for name, value in fit.violations.items():
-        yield _task_check(name, value, allowed)
-    for name, miss, _ in seen.events:
-        yield at_most(f"event: {name}", miss, allowed.distance, "miss of its guard, in periods")
-    for name, _, early in seen.events:
-        yield at_most(f"earlier: {name}", early, 0.0, "crossings of its guard before")
-    yield from _holding(seen.held, allowed)
-    yield at_most("cost", abs(orbit.control.get("cost", np.nan) - fit.cost) / fit.size, trial.room, RECORDED)
-    yield at_most(
-        "stationarity", fit.left, allowed.stationarity,
-        f"the costate, gradients and multipliers' signs; worst: {fit.worst}; of controls of any form: |H_u| up to "
-        f"{fit.pointwise:.2g} in instants, relative, and H varies by {fit.drift:.2g}; local: that nothing else costs "
-        "less is not shown",
-    )  # fmt: skip
-    if orbit.control["normals"]:
-        room = allowed.stationarity if orbit.control["shape"] == "fourier" else allowed.between
-        yield at_most("phase_multiplier", fit.phase, room, "what fixing the phase costs, relative")
-    yield trial.number("action", size_of(seen.action), trial.room)
-    yield trial.energy(size_of(seen.energy))
-    yield from trial.linear(allowed.multipliers)
-    if orbit.symmetry != NONE.name:
-        note = f"{orbit.symmetry}: off it, in extents of the motion"
-        yield at_most("symmetry", seen.symmetry, allowed.distance, note)
-    alike = orbit.nodes.shape == seen.nodes.shape
-    nodes = np.abs((orbit.nodes - seen.nodes) / seen.extents).max() if alike else np.inf
-    yield at_most("nodes", nodes, NODES_OFF * max(trial.scale, 1.0), "off the recomputed motion")
-    yield at_most("costate", _costate_off(orbit, seen), allowed.stationarity, f"{RECORDED}, with the multipliers")
-    own = {name: list(pair) for name, pair in model.limits.items()}
-    yield at_most("limits", bool(own) and own != orbit.control["limits"], 0.0, "those of the system")
-    yield trial.unfolding(0.0, "back at 0")
-    if orbit.samples.size or orbit.times.size:
-        yield trial.shown("samples", seen.off, SAMPLES_OFF, seen.closes.amplification)
-    yield trial.record()
-    yield from _expected_checks(orbit, model)
-
-
-def _task_check(name: str, value: float, allowed: Tolerances) -> Check:
-    """How far a task is violated, relative; what holds always is asked for at points and looked at between them."""
-    between = name.endswith((" always", " within limits"))
-    note = "largest violation, also between the points at which it was asked for" if between else "violation"
-    return at_most(f"task: {name}", value, allowed.between if between else allowed.distance, note)
-
-
-def _covered(trial: _Trial, seen: ControlledEvidence) -> Check | None:
-    """The motion does not come back at all times after a part of its period."""
-    nodes, turns, away = seen.nodes, trial.turns, {}
-    for k in range(2, 1 if seen.events else len(nodes) + 1):
-        if len(nodes) % k == 0 and not np.any(turns % k):
-            moved = np.roll(nodes, -(len(nodes) // k), axis=0)[: len(nodes) - len(nodes) // k]
-            part = np.concatenate([2 * np.pi * turns / k, np.zeros(nodes.shape[1] - turns.size)])
-            away[k] = float(np.abs((moved - nodes[: len(moved)] - part) / seen.extents).max())
-    if not away:
-        return None
-    least = min(away, key=lambda k: away[k])
-    return trial.apart("minimal_period", away[least], f"least distance, after 1/{least} of the period")
-
-
-def _costate_off(orbit: Orbit, seen: ControlledEvidence) -> float:
-    """How far the recorded costate and multipliers are from those found again, relative to the cost and the largest."""
-    assert orbit.control is not None
-    fit = seen.fit
-    claimed, multipliers = np.array(orbit.control.get("costate", []), float), orbit.control.get("multipliers", {})
-    if claimed.shape != fit.costate.shape or set(multipliers) != set(fit.multipliers):
-        return np.inf
-    largest = max([fit.size, *map(abs, fit.multipliers.values())])
-    apart = [abs(multipliers[name] - value) / largest for name, value in fit.multipliers.items()]
-    return float(max([*np.abs((claimed - fit.costate) * seen.extents) / fit.size, *apart]))
 
 
 def _hybrid_resolution(model: Model, seen: HybridEvidence) -> Check:
@@ -459,10 +398,10 @@ def _hybrid_resolution(model: Model, seen: HybridEvidence) -> Check:
     if crossed:
         note = f"the guard of {crossed} is crossed where the simulation saw nothing"
         return at_most("resolution", 1.0, RESOLVED, note)
-    return _between_steps(found, width, "an arc")
+    return between_steps(found, width, "an arc")
 
 
-def _minimal_cycle(trial: _Trial, arcs: Sequence[Arc]) -> Check | None:
+def _minimal_cycle(trial: Trial, arcs: Sequence[Arc]) -> Check | None:
     """The recorded cycle is gone through once: no earlier event brings the motion back to its beginning."""
     names = [arc.ended_by for arc in arcs]
     count = len(names)
@@ -486,7 +425,7 @@ def _turns(orbit: Orbit, model: Model) -> np.ndarray:
     return np.asarray(orbit.winding, int)
 
 
-def _constraint_checks(trial: _Trial) -> Iterator[Check]:
+def _constraint_checks(trial: Trial) -> Iterator[Check]:
     """The state on the constraints and, by IDAS on the native DAE, back where it was after a period."""
     orbit, model, units = trial.orbit, trial.model, trial.seen.extents
     if model.constraint is None:
@@ -506,7 +445,7 @@ def _forcing_check(orbit: Orbit, model: Model) -> Check | None:
     return at_most("forcing_period", abs(orbit.period / wanted - 1), 1e-14, f"period / {cycles} forcing periods - 1")
 
 
-def _minimal_period(trial: _Trial, near: _Nearby, seen: Evidence) -> Check | None:
+def _minimal_period(trial: Trial, near: _Nearby, seen: Evidence) -> Check | None:
     """The motion, and what forces it, do not come back before the period is over."""
     forced, shifts = near.model.forced, shifts_of(near.model)
     apart = beside(trial.turns, [shifts[name].direction for name in trial.orbit.shift])
@@ -555,7 +494,7 @@ def return_distances(times: np.ndarray, states: np.ndarray, angles: np.ndarray, 
     return [float(one) for one in np.abs(wrapped(there - states[0], angles) / units).max(axis=1)]
 
 
-def _record_checks(trial: _Trial, seen: Evidence, multipliers: float) -> Iterator[Check | None]:
+def _record_checks(trial: Trial, seen: Evidence, multipliers: float) -> Iterator[Check | None]:
     """What the record claims against what was recomputed; catches a file edited by hand."""
     orbit, model = trial.orbit, trial.model
     bulk = max(abs(seen.action), 1e-3 * seen.exchanged * orbit.period)
@@ -617,7 +556,7 @@ def _multiplier_distance(orbit: Orbit, floquet: Floquet) -> float:
     return float(distance[rows, columns].max())
 
 
-def _expected_checks(orbit: Orbit, model: Model) -> list[Check]:
+def expected_checks(orbit: Orbit, model: Model) -> list[Check]:
     """Numbers known from elsewhere: of the orbit, or of physical parameters that were free."""
     checks = []
     for name, (value, tolerance) in orbit.expected.items():
@@ -747,3 +686,10 @@ class _Nearby:
     def _constants(self, one: Invariant, states: np.ndarray) -> np.ndarray:
         """An invariant's values (k) at states (k x 2n)."""
         return self.model.along(one.value, *np.split(states.T, [self.model.degrees_of_freedom])).ravel()
+
+
+VERIFIERS = {
+    "smooth": Verifier(lambda orbit, model: True, _smoothly, _smooth_checks),
+    "impacts": Verifier(lambda orbit, model: model.hybrid is not None, _through_impacts, _hybrid_checks, "events"),
+}
+"""Every kind of motion by its name; others may join (`verifier_of` asks them all)"""

@@ -39,9 +39,8 @@ from orbitfinder.integrate.dop853 import (
 from orbitfinder.integrate.equations import accelerations, hamilton, invariant_gradients
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
 from orbitfinder.loops.symmetry import Involution, symplectic
-from orbitfinder.mechanics.catalogue import system_kind, with_parameters
-from orbitfinder.mechanics.chain_lagrange import ChainLagrange, chain_lagrange, is_long
 from orbitfinder.mechanics.constrained import tangent_basis
+from orbitfinder.mechanics.kind import system_kind, with_parameters
 from orbitfinder.mechanics.model import Model, constraint_of, energies
 from orbitfinder.mechanics.scales import extents, extents_of, masses_of, snapped
 from orbitfinder.orbits.closure import Closure, closes, gap, shift
@@ -49,9 +48,8 @@ from orbitfinder.orbits.floquet import Floquet, analyse, complement, generated, 
 
 SAMPLES = 512
 """Intervals at which the certifying integration is inspected."""
-PIECES, PIECES_OF_HALF = 16, 4
-"""State-transition matrices in a period, where an error may be made that is carried to the end; in half a long
-chain's, where each start costs a few short steps with all columns"""
+PIECES = 16
+"""State-transition matrices in a period, where an error may be made that is carried to the end"""
 GROWN = 1e-11
 """A motion from its start alone closes to this, in extents, or its linearisation is not that of the orbit; pieces of
 another one join to as much, relative to what each makes of an error"""
@@ -61,16 +59,11 @@ COARSER = ReferenceSettings(relative_tolerance=1e-12, absolute_tolerance=1e-13)
 and for what they may be wrong by"""
 ROUGH = ReferenceSettings(relative_tolerance=1e-10, absolute_tolerance=1e-13)
 """For the extents of the motion, before there are any."""
-LONGEST_PHASE = 0.15
-"""Radians of the fastest linear mode in a step: at 20 links the rates close to 2e-13, with 800 steps a period to
-8e-13."""
 KNOWN = 1e-6
 """Share of a component's size below which its changes are no unit to integrate in: they are round-off, nearly"""
 HAMILTON, GIVEN = "Hamilton's equations", "the rates as given"
 TIED = 1e-9
 """Share of the period by which times of events may differ"""
-REFLECTED = 1e-9
-"""x(T/2) is this near to -x(0), in extents of the motion, where half a period stands for the whole"""
 
 
 StatesAt = Callable[[np.ndarray], np.ndarray]
@@ -272,49 +265,6 @@ def evenly(period: float) -> np.ndarray:
     return np.linspace(0.0, period, SAMPLES + 1)
 
 
-def chain_motion(
-    model: Model, state: np.ndarray, period: float, turns: np.ndarray, moments: np.ndarray, settings: ReferenceSettings
-) -> Motion:
-    """The `Motion` of a state (2n) of a long chain, its canonical coordinates those of the linear modes.
-
-    The motion is integrated at `settings`, its variations (2n columns) at the second tolerance, which
-    keeps eight digits of the multipliers and saves half the steps. Where the motion found here is at -x(0)
-    after half a period, the equations take the second half from the first: Phi(T) = Phi(T/2)^2.
-    """
-    closed, n = chain_lagrange(model), turns.size
-    masses = np.diag(closed.coupling)
-    units = units_of(closed.field, state, masses, period) / np.concatenate([np.ones(n), masses])
-    longest = min(period / STEPS_PER_PERIOD, LONGEST_PHASE / float(np.sqrt(nonzero(closed.squared[-1]))))
-    states = integrate_in(units, closed.field, state, moments, settings, longest, traces := list[Trace]())
-    even = states[np.searchsorted(moments, evenly(period))]
-    reflected = np.abs((even[SAMPLES // 2] + state) / units).max() <= REFLECTED
-    pieces = _chain_pieces(closed, state, period / 2 if reflected else period, units)
-    lift = closed.momentum_frame(state)
-    flow = lift @ closed.field(0.0, state)
-    return Motion(
-        moments, states, closed.canonical(states), [*pieces, *pieces] if reflected else pieces,
-        float(trapezoid(2.0 * energies(model, even)[0], evenly(period))), flow,
-        *canonical_frame(model, state, flow, lift), np.ones(n), closed.modes.T @ closed.coupling @ turns,
-        drifting(traces[0], turns, units), "Lagrange's equations in closed form",
-    )  # fmt: skip
-
-
-def _chain_pieces(closed: ChainLagrange, state: np.ndarray, duration: float, units: np.ndarray) -> list[np.ndarray]:
-    """Phi of equal pieces (2n x 2n) in the canonical coordinates of `momentum_frame`, from the linear modes' shapes.
-
-    The frames at the two ends of a piece differ; at -x it is that at x, since every entry is even in (q, v) together.
-    """
-    modes, found, now = np.kron(np.eye(2), closed.modes), [], state
-    measures = np.concatenate([units, np.ones(modes.size)])
-    for k in range(PIECES_OF_HALF):
-        extended = np.concatenate([now, modes.ravel("F")])
-        span = duration * np.array([k, k + 1]) / PIECES_OF_HALF
-        end = integrate_in(measures, closed.variational, extended, span, SECOND)[-1]
-        before, now = now, end[: state.size]
-        found.append(closed.carried(before, now, end[state.size :].reshape(modes.shape, order="F")))
-    return found
-
-
 CHECKED = replace(TIGHTEST, max_evaluations=100_000)
 """Ten times what a tame period needs at the finest of `LONGEST_STEPS`."""
 PIECE_STEPS = 40
@@ -479,8 +429,8 @@ def gather(
     settings: ReferenceSettings = TIGHTEST,
 ) -> Evidence:
     """The `Evidence` of a state (2n) and a period (s), the motion's states at further `moments` with it."""
-    found = chain_motion if model.constraint is None and is_long(model) else canonical_motion
-    motion = found(model, state, period, turns, np.unique(np.append(evenly(period), moments)), settings)
+    motion_of = system_kind(model.system).motion(model) or canonical_motion
+    motion = motion_of(model, state, period, turns, np.unique(np.append(evenly(period), moments)), settings)
     at = np.searchsorted(motion.times, evenly(period))
     path, states = motion.path[at], motion.states[at]
     loop = _looped(model, motion, in_momenta(np.ptp(path, axis=0), motion.masses, period), path, period)
@@ -560,12 +510,12 @@ def tour(
     """The `Tour` of a state (d) and a period of a smooth Model, of an orbit that is its own image by `forward` after
     half a period. Where errors grow, what is known of the motion `beside` it (k times from 0 to 1, k x d states) and
     found to be one by this integrator says what the state alone cannot."""
-    moments, long = evenly(period), model.constraint is None and is_long(model)
-    given = model, state, period, turns, moments, TIGHTEST
-    motion = chain_motion(*given) if long else canonical_motion(*given, varied)
+    own = system_kind(model.system).motion(model)
+    given = model, state, period, turns, evenly(period), TIGHTEST
+    motion = own(*given) if own else canonical_motion(*given, varied)
     units, half = known_in(motion.path, motion.masses, period, model.angular), None
     loop = _looped(model, motion, units, motion.path, period)
-    if beside is not None and loop.closes.gap > GROWN and not long:
+    if beside is not None and loop.closes.gap > GROWN and not own:
         told, apart = _beside(model, motion, units, *beside, varied)
         motion = told if apart <= GROWN else motion
     if forward is not None:

@@ -32,8 +32,8 @@ from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.newton import Refined
 from orbitfinder.loops.problem import Guess, Problem, guessed_nodes
 from orbitfinder.loops.symmetry import NONE, RECOGNITION, symmetries_of, turned
-from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.hybrid import Hybrid, Transition, saltation, share
+from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model, energies, energy, wrapped
 from orbitfinder.mechanics.scales import extents_of, snapped
 from orbitfinder.orbits.between import Rates, overlooked, risen

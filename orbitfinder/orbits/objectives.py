@@ -27,7 +27,7 @@ from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.problem import PEAKS, Guess, Problem, guessed_nodes
 from orbitfinder.loops.shooting import Shooting, transcribe
 from orbitfinder.loops.symmetry import symplectic
-from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import shared
 from orbitfinder.orbits.measure import dense, full_period

@@ -34,7 +34,7 @@ from orbitfinder.loops.problem import (
 from orbitfinder.loops.scales import Measures
 from orbitfinder.loops.shooting import flow_of
 from orbitfinder.loops.symmetry import NONE
-from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import units_of as measured_in
 from orbitfinder.orbits.certify import certified

@@ -36,8 +36,8 @@ from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.loops.conditions import Pin, check_pin, is_parameter
 from orbitfinder.loops.newton import Refined
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.hybrid import freed
+from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import alone, proportions
 from orbitfinder.orbits.find import find_orbit

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.errors import InputError, OrbitfinderError
-from orbitfinder.guesses.modes import linkage_equilibrium, normal_mode, normal_modes
-from orbitfinder.guesses.returns import close_returns, recurrences
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.loops.problem import Guess
-from orbitfinder.mechanics.catalogue import system_kind
+from orbitfinder.mechanics.kind import loops_of
 from orbitfinder.mechanics.model import energy, wrapped
+from orbitfinder.orbits.guesses.modes import linkage_equilibrium, normal_mode, normal_modes
+from orbitfinder.orbits.guesses.returns import close_returns, recurrences
 from orbitfinder.problemfile.read import ProblemFile
 
 AMPLITUDE = 0.1
@@ -108,7 +108,7 @@ def modes(loaded: ProblemFile, amplitude: float) -> list[Proposal]:
     model = loaded.model
     if model.degrees_of_freedom > MOST_COORDINATES:
         raise InputError(f"{model.degrees_of_freedom} coordinates; give mode and amplitude in [guess]")
-    if model.constraint is not None and system_kind(model.system).loops.minimal is None:
+    if model.constraint is not None and loops_of(model.system).minimal is None:
         raise InputError("redundant coordinates; give a state and a period")
     place = None if model.constraint is None else linkage_equilibrium(model)
     (squared, shapes), found = normal_modes(model, place), []

@@ -20,15 +20,15 @@ from pydantic_core import PydanticCustomError
 
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError, plural
-from orbitfinder.guesses.modes import normal_mode, rest_near
-from orbitfinder.guesses.returns import first_return, normal_mode_sum, recurrences
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.control import Control, Task
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.catalogue import OTHER, PROBLEM, build_model, described, system_kind
-from orbitfinder.mechanics.chain import maximal_states
+from orbitfinder.mechanics.constrained import maximal_states
+from orbitfinder.mechanics.kind import OTHER, PROBLEM, build_model, described, loops_of, system_kind
 from orbitfinder.mechanics.model import Model, constraint_of
-from orbitfinder.mechanics.robot import robot
+from orbitfinder.mechanisms.robot import robot
+from orbitfinder.orbits.guesses.modes import normal_mode, rest_near
+from orbitfinder.orbits.guesses.returns import first_return, normal_mode_sum, recurrences
 from orbitfinder.problemfile.schema import (
     ControlTable,
     FindTable,
@@ -294,9 +294,9 @@ def _load_python(source: Path, trust: bool) -> ProblemFile:
 
 def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
     """The starting point that a table stands for; `folder` is where its CSV file may be."""
-    kind, state = system_kind(model.system), np.asarray(given.state or [], float)
-    looped = model.constraint is not None or (kind.drawn and given.angles is not None)
-    looped &= kind.loops.minimal is not None
+    loops, state = loops_of(model.system), np.asarray(given.state or [], float)
+    looped = model.constraint is not None or (system_kind(model.system).drawn and given.angles is not None)
+    looped &= loops.minimal is not None
     linkage_keys = [key for key in ("angles", "branch", "rates") if getattr(given, key) is not None]
     if linkage_keys and not looped:
         raise InputError(
@@ -315,7 +315,7 @@ def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
         return normal_mode_sum(model, modes, sizes)
     if looped:
         if given.angles is not None:
-            state = kind.loops.state(model, given.angles, given.rates, branch=given.branch)
+            state = loops.state(model, given.angles, given.rates, branch=given.branch)
         elif constraint_of(model).lift is not None and state.size == 2 * (model.degrees_of_freedom // 3):
             state = maximal_states(model, state)
         forced = None if model.forcing_period is None else float(model.forcing_period(model.parameter_values))

@@ -25,8 +25,8 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from orbitfinder.errors import closest, shortened
-from orbitfinder.mechanics.catalogue import KINDS
-from orbitfinder.mechanics.robot import robot
+from orbitfinder.mechanics.kind import kinds
+from orbitfinder.mechanisms.robot import robot
 
 MOST_LINKS = 2000
 """Chains longer than this are refused: their state-transition matrices alone fill the memory."""
@@ -262,8 +262,8 @@ what is no argument also the description"""
 
 
 def systems() -> dict[str, type[Table]]:
-    """The `[system]` table of each `kind`: of what its function takes, see `mechanics.catalogue.KINDS`."""
-    made = {name: table_of(name, kind.takes) for name, kind in KINDS.items() if kind.takes}
+    """The `[system]` table of each `kind`: of what its function takes, see `mechanics.kind.KINDS`."""
+    made = {name: table_of(name, kind.takes) for name, kind in kinds().items() if kind.takes}
     return made | {"robot": table_of("robot", robot), "python": PythonSystem}
 
 

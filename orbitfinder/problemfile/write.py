@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from orbitfinder.errors import InputError
-from orbitfinder.mechanics.catalogue import OTHER, system_kind
+from orbitfinder.mechanics.kind import OTHER, system_kind
 from orbitfinder.problemfile.proposals import Proposal, Proposals
 from orbitfinder.problemfile.read import ProblemFile, checked_name
 

@@ -26,7 +26,7 @@ from orbitfinder._runtime import __version__
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.loops.symmetry import named
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.along import DEGREE, Along, along, bundle, ranged, ranges, table
 from orbitfinder.proof.balls import (

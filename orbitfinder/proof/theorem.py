@@ -18,7 +18,7 @@ import numpy as np
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, plural
 from orbitfinder.loops.symmetry import Symmetry, named
-from orbitfinder.mechanics.catalogue import build_model, system_kind
+from orbitfinder.mechanics.kind import build_model, system_kind
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import Vector, arb, decimal, magnitude, precision, radius
 from orbitfinder.proof.enclosure import Settings

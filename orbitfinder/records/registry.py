@@ -1,6 +1,7 @@
 """What files hold: every kind of record, what reads it, what FILE#K is of it, and what answers each verb about it.
 
-Answers stand in rooms above this one, so they are named here, "module:function", and loaded when they are asked.
+Rooms above this one enter theirs (`<room>/records.py`): kinds of their own, and what answers verbs about others'. An
+answer is a function or its name, "module:function", which is loaded when it is asked.
 """
 
 from __future__ import annotations
@@ -13,16 +14,12 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
+from orbitfinder._runtime.rooms import filled
 from orbitfinder.errors import InputError
 from orbitfinder.records.codec import outline
-from orbitfinder.records.controller import load_controller
 from orbitfinder.records.family import load_family
-from orbitfinder.records.manifold import load_connection, load_manifold
-from orbitfinder.records.optima import load_optima
-from orbitfinder.records.orbit import AGAIN, Orbit, orbit_from_document, read_orbit
-from orbitfinder.records.reading import file_head, json_file
-from orbitfinder.records.section import load_section
-from orbitfinder.records.torus import Tori, load_tori
+from orbitfinder.records.orbit import Orbit, orbit_from_document, read_orbit
+from orbitfinder.records.reading import file_head
 
 DATABASES = (".sqlite", ".sqlite3", ".db")
 OURS = re.compile(rb'\s*(?:(\[)\s*[{\]]|\{[^\[{]*?"format"\s*:\s*"orbitfinder/([\w-]+)")')
@@ -71,54 +68,24 @@ VERBS = ("verify", "plot", "animate", "export", "page", "studio")
 """What not every kind answers; every one is shown"""
 
 
-def _each(found: Tori) -> list[Tori]:
-    return [replace(found, tori=(torus,)) for torus in found.tori]
-
-
 KINDS = {
-    "orbit": Kind(
-        "an orbit", read_orbit, verify="orbits.certify:certify", plot="show.plot:save_figures",
-        animate="show.animate:orbit_clip", export="exports.write:export_orbit", page="site.gather:add_orbit",
-        studio="orbit",
-    ),
+    "orbit": Kind("an orbit", read_orbit, verify="orbits.certify:certify", studio="orbit"),
     "family": Kind(
-        "a family", load_family, attrgetter("points"), verify="families.verified:verified",
-        plot="show.plot:save_figures", page="families", studio="family",
-    ),
-    "atlas": Kind(
-        "an atlas", "atlas.store:Atlas", one="atlas.store:stored", first=1, page="site.gather:add_atlas",
-        facts=lambda atlas: {"system": atlas.system, **loaded("atlas.report:summarise")(atlas).document()},
-        plot=lambda atlas, folder, _: loaded("show.plot:save_atlas_figures")(atlas, folder), studio="atlas",
-    ),
-    "export": Kind(
-        "an export of an atlas", lambda path: json_file(path, "atlas export", AGAIN), list,
-        facts=lambda entries: {"orbits": len(entries)}, page="site.gather:add_export",
-    ),
-    "optima": Kind(
-        "a family of optima", load_optima, attrgetter("points"), apart=True, verify="orbits.certify:certify",
-        plot=lambda optima, folder, _: [loaded("show.optima:save_optima_figure")(optima, folder)],
-        page="site.gather:add_optima",
-    ),
-    "tori": Kind(
-        "a family of tori", load_tori, _each, holds="tori", apart=True, plot="show.tori:save_torus_figures",
-        verify=lambda tori, model: loaded("families.tori:certify_torus")(tori.tori[-1], model).certificate, page="laid",
-    ),
-    "section": Kind("a section", load_section, plot="show.figures:section_figures", page="sections"),
-    "manifold": Kind("a manifold", load_manifold, plot="show.figures:section_figures", page="laid"),
-    "connection": Kind(
-        "a connection", load_connection, verify="families.connections:certify_connection",
-        plot="show.figures:section_figures", page="laid",
-    ),
-    "controller": Kind(
-        "a controller", load_controller, verify="orbits.feedback:certify_controller",
-        plot="show.figures:controller_figures", export="exports.controller:export_program",
-    ),
-    "branch-proof": Kind(
-        "a proof of a family's branch (`verify --proof` replays it)", "proof.branch:read_branch",
-        facts="proof.branch:branch_document",
+        "a family", load_family, attrgetter("points"), verify="families.verified:verified", studio="family",
     ),
 }  # fmt: skip
-"""Every kind by its format; others may join"""
+"""Every kind by its format; others may join (`kinds` has them all)"""
+
+
+def kinds() -> Mapping[str, Kind]:
+    """Every kind by its format."""
+    filled("records")
+    return KINDS
+
+
+def answers(kind: str, **verbs: Answer) -> None:
+    """Enter what answers verbs about a kind that a lower room has."""
+    KINDS[kind] = replace(KINDS[kind], **verbs)  # type: ignore[arg-type]
 
 
 def kind_of(file: Path) -> str:
@@ -127,7 +94,7 @@ def kind_of(file: Path) -> str:
         return "atlas"
     found = OURS.match(file_head(file, HEAD))
     kind = "" if found is None else "export" if found[1] else found[2].decode()
-    return kind if kind in KINDS else ""
+    return kind if kind in kinds() else ""
 
 
 def member(path: str | Path) -> tuple[Path, int | None]:
@@ -144,18 +111,18 @@ def held(path: str | Path) -> tuple[str, Kind]:
     """The kind of FILE or FILE#K and its name; what is no record of ours is read, and refused, as an orbit."""
     file, number = member(path)
     name = kind_of(file) or "orbit"
-    if number is not None and not (KINDS[name].parts or KINDS[name].one):
+    if number is not None and not (kinds()[name].parts or kinds()[name].one):
         raise InputError(f"{path}: #{number}: not a family or an atlas, of which orbits have numbers; "
                          f"leave #{number} out")  # fmt: skip
-    name = name if number is None else KINDS[name].holds
-    return name, KINDS[name]
+    name = name if number is None else kinds()[name].holds
+    return name, kinds()[name]
 
 
 def load(path: str | Path) -> Any:
     """The record of FILE or FILE#K. Raises `InputError`."""
     held(path)
     file, number = member(path)
-    kind = KINDS[kind_of(file) or "orbit"]
+    kind = kinds()[kind_of(file) or "orbit"]
     if number is None:
         return loaded(kind.read)(file)
     if kind.parts is None:
@@ -179,7 +146,7 @@ def taken(verb: str, path: str | Path) -> Answer:
         return found  # type: ignore[no-any-return]
     several = kind.parts or kind.one
     one = f", or one orbit of the file: {path}#{kind.first}" if several and kind.holds == "orbit" else ""
-    takes = ", ".join(each.words for each in KINDS.values() if getattr(each, verb))
+    takes = ", ".join(each.words for each in kinds().values() if getattr(each, verb))
     raise InputError(f"{path}: {kind.words}, which `{verb}` does not take; give {takes}{one}; "
                      f"this file is for {', '.join(answers_of(kind))}")  # fmt: skip
 

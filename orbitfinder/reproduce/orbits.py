@@ -12,8 +12,8 @@ from scipy.optimize import minimize_scalar
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import Model, energy, positions
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.closure import gap
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.measure import dense

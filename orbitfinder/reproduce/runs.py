@@ -12,9 +12,10 @@ from matplotlib import colormaps
 
 from orbitfinder.integrate.cvodes import IntegratorSettings, build_flow, sample, transition
 from orbitfinder.integrate.idas import DaeSettings, DaeTrajectory, simulate_dae
-from orbitfinder.mechanics.chain import chain, chain_dae, maximal_states, minimal_states
-from orbitfinder.mechanics.linkage import assemble, linkage, linkage_rates, linkage_state
+from orbitfinder.mechanics.constrained import maximal_states, minimal_states
 from orbitfinder.mechanics.model import Baumgarte, energies, positions
+from orbitfinder.mechanisms.chain import chain, chain_dae
+from orbitfinder.mechanisms.linkage import assemble, linkage, linkage_rates, linkage_state
 from orbitfinder.reproduce.facts import FIGURE_OF_METHOD, HOURS_FOR_100_LINKS, METHODS, SEPARATION, TITLES, TOLERANCE
 from orbitfinder.show.animate import AnimationSettings, save_animation, simulation_clip
 from orbitfinder.show.style import dress, new_figure, plane, save_both

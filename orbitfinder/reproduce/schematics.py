@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import positions
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.show.style import new_figure, place_labels, save_both
 from orbitfinder.show.svg import COLOURS
 

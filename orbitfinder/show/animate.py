@@ -21,7 +21,7 @@ from orbitfinder._runtime.notebook import brief
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError
 from orbitfinder.families.members import whole
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.course import course_of
 from orbitfinder.records.orbit import Orbit

@@ -9,7 +9,7 @@ import numpy as np
 
 from orbitfinder.errors import OrbitfinderError
 from orbitfinder.families.members import response
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.kind import build_model
 from orbitfinder.records.family import Family
 
 

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from orbitfinder.control.controller import Controller
 from orbitfinder.mechanics.model import Model
-from orbitfinder.records.controller import Controller
-from orbitfinder.records.manifold import Connection, Manifold
-from orbitfinder.records.section import Section
 from orbitfinder.show.sections import draw_manifolds, draw_section
 from orbitfinder.show.style import dress, new_figure, save_png
 from orbitfinder.show.svg import axis
+from orbitfinder.structures.manifold import Connection, Manifold
+from orbitfinder.structures.section import Section
 
 
 def section_figures(record: Section | Manifold | Connection, folder: Path, model: Model) -> list[Path]:

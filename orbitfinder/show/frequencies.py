@@ -9,9 +9,9 @@ import numpy as np
 
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.model import Model, wrapped
-from orbitfinder.orbits.frequencies import FrequencyMap
 from orbitfinder.show.style import dress, new_figure, save_png
 from orbitfinder.show.svg import axis
+from orbitfinder.structures.frequencies import FrequencyMap
 
 LEAST = -12.0
 """Decimal logarithm of the diffusion below which all have one colour"""

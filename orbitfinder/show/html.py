@@ -14,11 +14,12 @@ import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, facts
 from orbitfinder.atlas.store import Atlas
+from orbitfinder.control.optimum import Optima
 from orbitfinder.errors import OrbitfinderError, plural
 from orbitfinder.families.members import STEADY
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.loops.problem import Count, Problem
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.mechanics.scales import unit_names
 from orbitfinder.orbits.closure import between
@@ -27,11 +28,10 @@ from orbitfinder.orbits.simulate import Simulation
 from orbitfinder.orbits.sweep import Sweep
 from orbitfinder.records.certificate import Certificate
 from orbitfinder.records.family import Family, FamilyPoint
-from orbitfinder.records.optima import Optima
 from orbitfinder.records.orbit import Orbit
-from orbitfinder.records.torus import Tori
 from orbitfinder.show.diagram import diagram_of
 from orbitfinder.show.svg import axis, curves, diagram, greek, moving_mechanism, moving_portrait, ranged, unit_circle
+from orbitfinder.structures.torus import Tori
 
 SAMPLES = 121
 """Points of one period where an object carries no dense samples."""

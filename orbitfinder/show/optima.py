@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from pathlib import Path
 
-from orbitfinder.records.optima import Optima
+from orbitfinder.control.optimum import Optima
 from orbitfinder.show.style import dress, new_figure, save_png
 from orbitfinder.show.svg import COLOURS
 

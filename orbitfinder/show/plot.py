@@ -19,7 +19,7 @@ from orbitfinder.atlas.store import Atlas, Filter, Row
 from orbitfinder.errors import InputError, plural
 from orbitfinder.families.members import Motion, amplitudes, motions, whole
 from orbitfinder.loops.control import history
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.mechanics.scales import unit_names
 from orbitfinder.mechanics.scales import units as units_of

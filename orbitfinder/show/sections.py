@@ -10,16 +10,16 @@ import numpy as np
 from matplotlib.collections import LineCollection
 
 from orbitfinder.errors import InputError
-from orbitfinder.families.tori import crossed
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, wrapped
-from orbitfinder.orbits.section import check_plane, crossings, named_surface
-from orbitfinder.records.manifold import Connection, Manifold, reach
 from orbitfinder.records.orbit import Orbit
-from orbitfinder.records.section import Section
-from orbitfinder.records.torus import Torus
 from orbitfinder.show.style import dress, landmark, legend, new_figure, save_png
 from orbitfinder.show.svg import COLOURS, axis
+from orbitfinder.structures.manifold import Connection, Manifold, reach
+from orbitfinder.structures.section import Section
+from orbitfinder.structures.sections import check_plane, crossings, named_surface
+from orbitfinder.structures.tori import crossed
+from orbitfinder.structures.torus import Torus
 
 CHAOS = "0.62"
 """Colour of returns that belong to no regular motion"""

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from orbitfinder.families.ring import at_angles, coefficients, harmonics
-from orbitfinder.families.tori import filled, torus_value
 from orbitfinder.mechanics.model import Model
-from orbitfinder.records.torus import Tori, Torus
 from orbitfinder.show.style import dress, new_figure, save_png
 from orbitfinder.show.svg import COLOURS, axis
+from orbitfinder.structures.ring import at_angles, coefficients, harmonics
+from orbitfinder.structures.tori import filled, torus_value
+from orbitfinder.structures.torus import Tori, Torus
 
 LINES = 48
 """Arcs drawn of a torus"""

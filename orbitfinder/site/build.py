@@ -19,7 +19,6 @@ from orbitfinder.errors import plural
 from orbitfinder.mechanics.scales import units
 from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import level
-from orbitfinder.records.section import Section
 from orbitfinder.site.gather import AtlasFile, Gathered, Verdict, evenly, judged, recorded
 from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import Simulator, framed, packed
@@ -48,6 +47,7 @@ from orbitfinder.site.text import (
     with_unit,
 )
 from orbitfinder.site.writing import MARK, mark
+from orbitfinder.structures.section import Section
 
 WEIGHT = "@@WEIGHT@@"
 NEAR = 0.003

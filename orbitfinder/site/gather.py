@@ -14,12 +14,11 @@ from orbitfinder._runtime import __version__
 from orbitfinder.atlas.store import Atlas, Filter
 from orbitfinder.errors import InputError, OrbitfinderError, plural
 from orbitfinder.families.members import whole
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certify
 from orbitfinder.records.certificate import Check, refused
 from orbitfinder.records.family import Family
-from orbitfinder.records.manifold import Connection, Manifold
 from orbitfinder.records.orbit import (
     Orbit,
     level,
@@ -29,8 +28,9 @@ from orbitfinder.records.orbit import (
     unconserved,
 )
 from orbitfinder.records.registry import DATABASES, answer, kind_of, load, load_orbit, member, taken
-from orbitfinder.records.section import Section
-from orbitfinder.records.torus import Tori
+from orbitfinder.structures.manifold import Connection, Manifold
+from orbitfinder.structures.section import Section
+from orbitfinder.structures.torus import Tori
 
 MOST_ITEMS = 500
 """Orbits of an atlas that are shown, evenly chosen in order of energy."""

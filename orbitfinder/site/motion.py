@@ -19,7 +19,7 @@ from orbitfinder._runtime.sizes import size_of
 from orbitfinder.errors import IntegrationError, OrbitfinderError
 from orbitfinder.integrate.rk8 import march
 from orbitfinder.loops.symmetry import NONE, named, symmetries_of
-from orbitfinder.mechanics.catalogue import build_model, with_parameters
+from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model, energies, positions, vector_field
 from orbitfinder.mechanics.scales import shared
 from orbitfinder.orbits.course import Course, Piece, course, sampled

@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.errors import InputError, OrbitfinderError, plural
-from orbitfinder.families.tori import crossed
 from orbitfinder.mechanics.model import Model
-from orbitfinder.orbits.section import Surface, check_plane, crossings, named_surface
-from orbitfinder.records.manifold import Connection, Manifold
-from orbitfinder.records.section import Section
-from orbitfinder.records.torus import Torus
 from orbitfinder.site.gather import Gathered, evenly
 from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import framed, packed, places, recorded
 from orbitfinder.site.text import coordinate, mechanism, number
+from orbitfinder.structures.manifold import Connection, Manifold
+from orbitfinder.structures.section import Section
+from orbitfinder.structures.sections import Surface, check_plane, crossings, named_surface
+from orbitfinder.structures.tori import crossed
+from orbitfinder.structures.torus import Torus
 
 MOST_MOTIONS, MOST_POINTS = 150, 6000
 """Motions that can be picked, and points that are drawn of all of them"""

@@ -14,7 +14,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from orbitfinder.mechanics.catalogue import NAMES, system_kind
+from orbitfinder.mechanics.kind import NAMES, system_kind
 from orbitfinder.records.reading import finite
 
 ASSETS = "assets"

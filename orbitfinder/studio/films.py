@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.mechanics.catalogue import system_kind
+from orbitfinder.mechanics.kind import system_kind
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.pose import movable
+from orbitfinder.mechanisms.pose import movable
 from orbitfinder.site.motion import packed, places, recorded
 
 FRAMES = 40

@@ -16,8 +16,8 @@ from nicegui import ui
 
 from orbitfinder import site
 from orbitfinder.errors import InputError, OrbitfinderError, plural
-from orbitfinder.guesses.returns import CloseReturn
-from orbitfinder.mechanics.catalogue import build_model, with_parameters
+from orbitfinder.mechanics.kind import build_model, with_parameters
+from orbitfinder.orbits.guesses.returns import CloseReturn
 from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.html import certificate_html

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.errors import InputError
-from orbitfinder.guesses.returns import CloseReturn
+from orbitfinder.orbits.guesses.returns import CloseReturn
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.site.text import coordinate
 from orbitfinder.studio.tasks import Cut

@@ -20,11 +20,11 @@ from orbitfinder.atlas.store import Atlas, Row
 from orbitfinder.errors import InputError, plural
 from orbitfinder.families.branches import SWITCHABLE
 from orbitfinder.families.minimal import minimal_problem
-from orbitfinder.guesses.modes import normal_modes
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.catalogue import build_model, system_kind
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.kind import build_model, loops_of, system_kind
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanisms.chain import chain
+from orbitfinder.orbits.guesses.modes import normal_modes
 from orbitfinder.problemfile.read import load_problem_file
 from orbitfinder.problemfile.write import entries, orbit_text, toml
 from orbitfinder.records.family import JOURNAL, Family, load_family, read_journal, save_family
@@ -126,7 +126,7 @@ def _hanging(model: Model, name: str, state: np.ndarray | None) -> Opened:
 
 def _together(model: Model) -> np.ndarray:
     """The state (2n) at rest of a system with loops, put together somewhere. Raises `InputError`."""
-    loops = system_kind(model.system).loops
+    loops = loops_of(model.system)
     if loops.minimal is None:
         raise InputError("system: has loops and says not how it starts; add [simulate] with a state")
     return loops.state(model)

@@ -19,22 +19,22 @@ from orbitfinder.families.branches import branches
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.members import whole
 from orbitfinder.families.point import FamilySettings
-from orbitfinder.guesses.returns import CloseReturn, close_returns
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.ipopt import Progress
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.catalogue import build_model, with_parameters
+from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.pose import pulled, thrown
+from orbitfinder.mechanisms.pose import pulled, thrown
+from orbitfinder.orbits.guesses.returns import CloseReturn, close_returns
 from orbitfinder.orbits.refine import Refiner
-from orbitfinder.orbits.section import crossings, section
 from orbitfinder.orbits.simulate import SAMPLES_PER_SECOND, simulate
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.records.family import Batch, Event, Family, FamilyPoint, read_journal
 from orbitfinder.records.orbit import Orbit, save_orbit, system_at
 from orbitfinder.records.registry import load_orbit
-from orbitfinder.records.section import Section
 from orbitfinder.site.motion import Simulator, packed
+from orbitfinder.structures.section import Section
+from orbitfinder.structures.sections import crossings, section
 from orbitfinder.studio.films import film, pose, view
 
 Say = Callable[[Any], None]

@@ -1,0 +1,26 @@
+"""The records of this room, for the registry of records."""
+
+from pathlib import Path
+from typing import Any
+
+from orbitfinder.records.orbit import AGAIN
+from orbitfinder.records.reading import json_file
+from orbitfinder.records.registry import KINDS, Kind, loaded
+
+
+def _facts(atlas: Any) -> dict[str, Any]:
+    return {"system": atlas.system, **loaded("atlas.report:summarise")(atlas).document()}
+
+
+def _drawn(atlas: Any, folder: Path, _: Any) -> Any:
+    return loaded("show.plot:save_atlas_figures")(atlas, folder)
+
+
+KINDS["atlas"] = Kind(
+    "an atlas", "atlas.store:Atlas", one="atlas.store:stored", first=1, facts=_facts, plot=_drawn,
+    page="site.gather:add_atlas", studio="atlas",
+)  # fmt: skip
+KINDS["export"] = Kind(
+    "an export of an atlas", lambda path: json_file(path, "atlas export", AGAIN), list,
+    facts=lambda entries: {"orbits": len(entries)}, page="site.gather:add_export",
+)  # fmt: skip

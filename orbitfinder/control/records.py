@@ -1,0 +1,23 @@
+"""The records of this room, for the registry of records."""
+
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+from orbitfinder.control.controller import load_controller
+from orbitfinder.control.optimum import load_optima
+from orbitfinder.records.registry import KINDS, Kind, loaded
+
+
+def _drawn(optima: Any, folder: Path, _: Any) -> list[Path]:
+    return [loaded("show.optima:save_optima_figure")(optima, folder)]
+
+
+KINDS["optima"] = Kind(
+    "a family of optima", load_optima, attrgetter("points"), apart=True, verify="orbits.certify:certify", plot=_drawn,
+    page="site.gather:add_optima",
+)  # fmt: skip
+KINDS["controller"] = Kind(
+    "a controller", load_controller, verify="control.feedback:certify_controller",
+    plot="show.figures:controller_figures", export="control.export:export_program",
+)  # fmt: skip

@@ -1,0 +1,222 @@
+"""From a plain description (the `system` entry of a file) back to a Model: the registry of the kinds of [system].
+
+Systems made by Python functions are rebuilt too: the built-in ones for everybody, others only where the user vouches
+for them. What makes other kinds registers itself (`mechanisms.kinds`).
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from orbitfinder._runtime.rooms import filled
+from orbitfinder.errors import InputError, closest
+from orbitfinder.mechanics.constrained import Loops
+from orbitfinder.mechanics.controls import check_constant, with_controls
+from orbitfinder.mechanics.hybrid import at_numbers, with_cycle
+from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import with_scales
+from orbitfinder.records.orbit import system_at
+
+BUILT_IN = "orbitfinder.systems"
+"""The module whose functions everybody may name"""
+PROBLEM = "problem"
+"""The function of a Python problem file, which returns a Problem and not a Model"""
+FUNCTIONS: dict[str, Callable[..., Any]] = {}
+"""What `BUILT_IN` has, by name"""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a kind of [system] says of itself: every question about kinds is answered by an entry of this table."""
+
+    build: Callable[[Mapping[str, Any], Path | None], Model]
+    """(system, folder that is trusted) -> the Model"""
+    words: Callable[[Mapping[str, Any]], str] = lambda system: str(system.get("kind"))
+    """the kind of mechanism in two or three words, for captions"""
+    described: bool = True
+    """whether the description is all that it is made of"""
+    takes: Callable[..., Model] | None = None
+    """the function whose arguments are the keys of a file's table"""
+    reread: bool = False
+    """whether its description is read again where a parameter changes"""
+    pendulum: bool = False
+    """whether links hang on each other: each coordinate enters V as -c cos theta, with c > 0 at rest"""
+    joints: Callable[[Mapping[str, Any]], int] = lambda system: 0
+    """how many joints may have motors by their number"""
+    drawn: bool = False
+    """whether it is drawn: bodies and joints, near a pose, at a pace of its own"""
+    loops: Loops | None = None
+    """how its loops are closed, where that is not as any constraint's are"""
+    motion: Callable[[Model], Callable[..., Any] | None] = lambda model: None
+    """(model) -> what integrates it for certificates by equations of its own, as `orbits.evidence.canonical_motion`"""
+
+
+def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model:
+    """The Model that a description stands for; of a linkage the one in maximal coordinates, or (with
+    `independent` bars and `branch`) the minimal one; of a mechanism with loops the native DAE, or (with
+    `independent` coordinates) the minimal one; of a chain with `baumgarte` terms the native DAE.
+
+    `trusted` is the folder of a file whose Python functions may be imported (see `python_model`).
+    Raises `InputError` for an unknown or wrong description.
+    """
+    try:
+        return system_kind(system).build(system, trusted)
+    except InputError:
+        raise
+    except (TypeError, ValueError, KeyError, IndexError, OverflowError, AttributeError) as error:
+        raise InputError(f"system: {error}; compare with a freshly written orbit.json") from error
+
+
+def system_kind(system: Mapping[str, Any]) -> Kind:
+    """What a description's kind says of itself."""
+    return kinds().get(str(system.get("kind")), OTHER)
+
+
+def kinds() -> Mapping[str, Kind]:
+    """Every kind by its name."""
+    filled("kinds")
+    return KINDS
+
+
+def loops_of(system: Mapping[str, Any]) -> Loops:
+    """How the loops of a system under constraints are closed."""
+    return system_kind(system).loops or CLOSING[""]
+
+
+def _unknown(system: Mapping[str, Any], _: Path | None) -> Model:
+    raise InputError(
+        f"system.kind: cannot rebuild {system.get('kind')!r} from a file; in Python give the Model itself (model=...), "
+        "and for commands find the orbit by a program with problem() (run FILE.py --trust), or by a problem file "
+        "of kind = " + " or ".join(map(repr, kinds()))
+    )
+
+
+def python_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model:
+    """The Model of a `kind = "python"` description {module, function, arguments}.
+
+    `orbitfinder.systems` is always allowed and only its registered functions are. With `trusted`
+    (the folder of a file that the user vouches for) any other module is imported (see `module_file`). The function
+    `problem` is that of a Python problem file: its Problem's Model, arguments being physical parameters.
+    Raises `InputError`, also for whatever the function raises.
+    """
+    module, name = system.get("module", BUILT_IN), system.get("function")
+    arguments = system.get("arguments", {})
+    if not (isinstance(module, str) and isinstance(name, str) and isinstance(arguments, Mapping)):
+        raise InputError("system: a python system needs module and function (text) and arguments (a table)")
+    function = _built_in(name) if module == BUILT_IN else _foreign(module, name, trusted)
+    try:
+        model = with_parameters(function().model, arguments) if name == PROBLEM else function(**arguments)
+    except InputError:
+        raise
+    except TypeError as error:
+        raise InputError(f"system.arguments: {error}; compare with help({module}.{name})") from error
+    except Exception as error:
+        raise InputError(f"system.function: {module}.{name} failed with {type(error).__name__}: {error}") from error
+    if not isinstance(model, Model):
+        raise InputError(f"system.function: {module}.{name} returned {type(model).__name__}; return a Model")
+    scales = system.get("scales", model.scales)
+    if module != BUILT_IN:
+        model = replace(model, system=described({}, module, name, arguments))
+    if not isinstance(scales, Mapping):
+        raise InputError("system.scales: must be a table of names and sizes")
+    model = with_scales(_controlled(model, system), scales)
+    return with_cycle(model, system["cycle"]) if "cycle" in system else model
+
+
+def described(
+    system: Mapping[str, Any], module: str, function: str, arguments: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """The description of a system that a module's function makes, with what else (a cycle) was said of it."""
+    made = {"kind": "python", "module": module, "function": function, "arguments": dict(arguments or {})}
+    return {**system, **made}
+
+
+def _controlled(model: Model, system: Mapping[str, Any]) -> Model:
+    """The Model with the controls and limits that a description gives, its own without."""
+    given = {name: system[name] for name in ("controls", "limits") if name in system}
+    if not given:
+        return model
+    found = with_controls(model, given.get("controls", model.controls), {**model.limits, **given.get("limits", {})})
+    return replace(found, system={**model.system, **given})
+
+
+def module_file(module: str, folder: Path) -> Path | None:
+    """Where a trusted module lies: beside the file that names it, else in the working folder; None: installed.
+
+    The one answer for every command: an orbit.json is seldom in the folder of the problem that it came from.
+    """
+    places = (folder / f"{module}.py", Path.cwd() / f"{module}.py")
+    return next((place for place in places if place.is_file()), None)
+
+
+def _built_in(name: str) -> Callable[..., Any]:
+    filled("kinds")
+    if name not in FUNCTIONS:
+        known = ", ".join(FUNCTIONS)
+        raise InputError(f"system.function: {BUILT_IN} has no {name!r}{closest(name, FUNCTIONS)}; it has {known}")
+    return FUNCTIONS[name]
+
+
+def _foreign(module: str, name: str, trusted: Path | None) -> Callable[..., Any]:
+    """A function of a module that is not ours, imported only for a trusted file."""
+    if trusted is None:
+        raise InputError(
+            f"system.module: {module!r} is a program that is not part of orbitfinder, so it was not run; read it, "
+            f"then add --trust (in Python give the Model), or use module = {BUILT_IN!r}"
+        )
+    if not all(part.isidentifier() for part in module.split(".")):
+        raise InputError(f"system.module: {module!r} is no module name; give one such as 'my_system' (my_system.py)")
+    try:
+        if (place := module_file(module, trusted)) is not None:
+            spec = importlib.util.spec_from_file_location(f"orbitfinder_trusted_{module}", place)
+            assert spec is not None and spec.loader is not None
+            found = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(found)
+        else:
+            found = importlib.import_module(module)
+    except Exception as error:
+        raise InputError(
+            f"system.module: {module!r} cannot be imported ({type(error).__name__}: {error}); "
+            f"work in the folder of {module}.py, or put it beside the file"
+        ) from error
+    function = getattr(found, name, None)
+    if not callable(function):
+        raise InputError(f"system.function: {module} has no function {name!r}; define it there")
+    return function  # type: ignore[no-any-return]
+
+
+def with_parameters(model: Model, values: Mapping[str, float]) -> Model:
+    """The same Model with some physical parameters changed, its description included; itself where none is."""
+    if not values:
+        return model
+    check_constant(model, values)
+    numbers = model.parameter_values.copy()
+    for name, value in values.items():
+        numbers[model.parameter_index(name)] = value
+    system = system_at(model.system, values)
+    if system_kind(model.system).reread:
+        return build_model(system)
+    return replace(model, parameter_values=numbers, system=system, hybrid=at_numbers(model.hybrid, numbers))
+
+
+NAMES = {"henon_heiles": "Hénon-Heiles", "van_der_pol": "Van der Pol", "duffing": "Duffing",
+         "forced_duffing": "forced Duffing", "restricted_three_body": "restricted three-body"}  # fmt: skip
+
+
+def _function(system: Mapping[str, Any]) -> str:
+    name = str(system.get("function", "python"))
+    name = str(system.get("module", name)) if name == PROBLEM else name  # the program of a Python problem file
+    return NAMES.get(name, name.replace("_", " "))
+
+
+KINDS = {"python": Kind(python_model, _function, described=False)}
+"""Every kind by its name; others may join (`kinds` has them all)"""
+CLOSING: dict[str, Loops] = {}
+"""How loops are closed of what has no entry of its own: that of ''"""
+OTHER = Kind(_unknown, described=False)
+"""Models that no file describes"""

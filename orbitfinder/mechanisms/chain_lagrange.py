@@ -1,0 +1,182 @@
+"""Lagrange's equations of a chain in closed form, in NumPy: the certificate's formulation of long chains.
+
+With absolute angles the energies of every open planar chain of rigid links are
+
+    T = 1/2 sum_ij m_ij cos(theta_i - theta_j) v_i v_j,    V = -sum_i g_i cos theta_i,
+
+so that n (n + 1) / 2 + n numbers, read off the Model's own energies, are all there is to know.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from scipy.linalg import eigh
+from scipy.linalg.lapack import dposv, dpotrs
+
+from orbitfinder.errors import InputError
+from orbitfinder.mechanics.kind import system_kind
+from orbitfinder.mechanics.model import Model
+
+AGREEMENT = 1e-10
+"""The closed form must give the Model's energies to this, relative, at states it was not read from."""
+FEWEST_LINKS = 11
+"""Chains from this length on are long: Hamilton's equations as one graph take seconds to derive, later minutes."""
+
+
+@dataclass(frozen=True, eq=False)
+class ChainLagrange:
+    """m (n x n, kg m^2), g (n, N m) and the linear modes of the hanging chain.
+
+    `modes` are the columns of U, slowest first, with diag(g) U = m U diag(w^2) and U^T m U = 1; `squared`
+    are the w^2 in rad^2/s^2.
+    """
+
+    coupling: np.ndarray
+    weights: np.ndarray
+    modes: np.ndarray
+    squared: np.ndarray
+
+    def mass_matrix(self, q: np.ndarray) -> np.ndarray:
+        """M_ij = m_ij cos(q_i - q_j)."""
+        return _weighed(self.coupling, np.stack([np.cos(q), np.sin(q)]))
+
+    def field(self, _: float, x: np.ndarray) -> np.ndarray:
+        """x' = (v, a) with M a = -h, h_i = sum_j m_ij sin(q_i - q_j) v_j^2 + g_i sin q_i."""
+        n = self.weights.size
+        v, parts = x[n:], np.stack([np.cos(x[:n]), np.sin(x[:n])])
+        return np.concatenate([v, _solved(_weighed(self.coupling, parts), self._pull(parts, v))[1]])
+
+    def _pull(self, parts: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """-h from (cos q, sin q) (2 x n): the sines of differences written out, so that no matrix of them is made."""
+        along, across = (parts * (v * v)) @ self.coupling
+        cosine, sine = parts
+        return np.asarray(cosine * across - sine * (along + self.weights))
+
+    def linearised(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Accelerations a(q, v) (n) and their slopes da/dq and da/dv (n x n each)."""
+        factor, a, slopes = self._slopes(q, v)
+        by_state = -_backed(factor, slopes)
+        return a, by_state[:, : q.size], by_state[:, q.size :]
+
+    def _slopes(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Cholesky factor of M, accelerations a, and [dr/dq | dr/dv] (n x 2n) of r = M a + h at fixed a.
+
+        dr_i/dq_k = S_ik a_k - M_ik v_k^2 with S_ik = m_ik sin(q_i - q_k) off the diagonal, the diagonal
+        minus the sum of those of its row plus g_i cos q_i; dr_i/dv_k = 2 S_ik v_k.
+        """
+        n = q.size
+        parts = np.stack([np.cos(q), np.sin(q)])
+        matrix = _weighed(self.coupling, parts)
+        swing = self.coupling * (parts[::-1].T @ (parts * [[1.0], [-1.0]]))
+        factor, a = _solved(matrix.copy(), self._pull(parts, v))
+        slopes = np.empty((n, 2 * n))
+        by_place, by_rate = slopes[:, :n], slopes[:, n:]
+        np.multiply(swing, a, out=by_place)
+        by_place -= matrix * (v * v)
+        by_place[np.diag_indices(n)] += self.weights * parts[0] - by_place.sum(axis=1)
+        np.multiply(swing, 2.0 * v, out=by_rate)
+        return factor, a, slopes
+
+    def variational(self, _: float, z: np.ndarray) -> np.ndarray:
+        """z' for z = (x, vec Y), Y (2n x k) by columns: Y_q' = Y_v, M Y_v' = -(dr/dq Y_q + dr/dv Y_v)."""
+        n = self.weights.size
+        found, rows = np.empty_like(z), z[2 * n :].reshape(-1, 2 * n)  # the rows are the columns of Y
+        factor, a, slopes = self._slopes(z[:n], z[n : 2 * n])
+        found[:n], found[n : 2 * n] = z[n : 2 * n], a
+        rates = found[2 * n :].reshape(-1, 2 * n)
+        rates[:, :n] = rows[:, n:]
+        np.negative(_backed(factor, (rows @ slopes.T).T).T, out=rates[:, n:])
+        return found
+
+    def momentum_frame(self, x: np.ndarray) -> np.ndarray:
+        """d(eta, pi)/d(q, v) (2n x 2n) at x, the canonical pair q = U eta, pi = U^T M v.
+
+        In these coordinates the high modes, whose momenta are small beside those of the whole chain, keep
+        their digits: (theta, momentum) would lose cond(M) = 5e4 of them at 100 links.
+        """
+        n = self.weights.size
+        q, v = np.split(x, 2)
+        swing = self.coupling * np.sin(q[:, None] - q[None, :])
+        slope = swing * v
+        slope[np.diag_indices(n)] -= swing @ v
+        return np.block([
+            [self.modes.T @ self.coupling, np.zeros((n, n))],
+            [self.modes.T @ slope, self.modes.T @ self.mass_matrix(q)],
+        ])  # fmt: skip
+
+    def carried(self, before: np.ndarray, after: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Phi in the coordinates of `momentum_frame` between two states, from variations (2n x 2n) of the modes."""
+        modes = np.kron(np.eye(2), self.modes)
+        first, last = self.momentum_frame(before) @ modes, self.momentum_frame(after) @ columns
+        return np.asarray(np.linalg.solve(first.T, last.T).T)
+
+    def canonical(self, states: np.ndarray) -> np.ndarray:
+        """(eta, pi) along states (k x 2n): the coordinates of `momentum_frame`."""
+        q, v = np.split(states, 2, axis=1)
+        cosine, sine = np.cos(q), np.sin(q)
+        momenta = cosine * ((v * cosine) @ self.coupling) + sine * ((v * sine) @ self.coupling)
+        return np.hstack([q @ self.coupling @ self.modes, momenta @ self.modes])
+
+    def energies(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Kinetic and potential energy (k each, J) along states (k x 2n), the potential without its constant."""
+        q, v = np.split(np.atleast_2d(states), 2, axis=1)
+        along, across = v * np.cos(q), v * np.sin(q)
+        kinetic = 0.5 * (np.sum(along @ self.coupling * along, 1) + np.sum(across @ self.coupling * across, 1))
+        return kinetic, -np.cos(q) @ self.weights
+
+
+def _weighed(coupling: np.ndarray, parts: np.ndarray) -> np.ndarray:
+    """M from m and (cos q, sin q)."""
+    return np.asarray(coupling * (parts.T @ parts))
+
+
+def _solved(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Cholesky factor and solution of a symmetric matrix, which is overwritten; NaN where it is not positive definite.
+
+    LAPACK without SciPy's checks, which at 100 links take as long as the solution.
+    """
+    factor, found, info = dposv(matrix.T, right, lower=True, overwrite_a=True)
+    return factor, found if info == 0 else np.full_like(found, np.nan)
+
+
+def _backed(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """The solution for more right-hand sides (n x k), which are overwritten where they are stored by columns."""
+    return np.asarray(dpotrs(factor, right, lower=True, overwrite_b=True)[0])
+
+
+def is_long(model: Model) -> bool:
+    """True for chains that are certified on these equations."""
+    plain = model.forces is None and model.gyroscopic is None and not model.forced
+    return plain and system_kind(model.system).pendulum and model.degrees_of_freedom >= FEWEST_LINKS
+
+
+def chain_lagrange(model: Model) -> ChainLagrange:
+    """The closed form of a chain, from its energies at 2n + 1 states. Raises `InputError` when it is no chain.
+
+    Column j of m is dT/dv at q = 0 for v = e_j; g_i = dV/dq_i at q_i = pi/2, the others 0.
+    """
+    n, values = model.degrees_of_freedom, model.parameter_values
+    q, v = ca.SX.sym("q", n), ca.SX.sym("v", n)
+    momenta = ca.Function("momenta", [q, v], [ca.gradient(model.kinetic(q, v, values), v)])
+    forces = ca.Function("forces", [q], [ca.gradient(model.potential(q, values), q)])
+    coupling = np.column_stack([momenta(np.zeros(n), column).full().ravel() for column in np.eye(n)])
+    weights = forces(np.full(n, np.pi / 2)).full().ravel()
+    squared, modes = eigh(np.diag(weights), coupling)
+    found = ChainLagrange((coupling + coupling.T) / 2, weights, modes, squared)
+    _check(found, model)
+    return found
+
+
+def _check(found: ChainLagrange, model: Model) -> None:
+    """`InputError` unless the closed form gives the Model's energies at random states."""
+    n, values, random = found.weights.size, model.parameter_values, np.random.default_rng(0)
+    rest = float(model.potential(np.zeros(n), values)) + float(found.weights.sum())
+    for x in random.normal(0.0, 1.0, (3, 2 * n)):
+        kinetic, potential = (float(part[0]) for part in found.energies(x))
+        wanted = float(model.kinetic(x[:n], x[n:], values)), float(model.potential(x[:n], values))
+        far, size = abs(potential + rest - wanted[1]), float(np.abs(found.weights).sum())
+        if not (abs(kinetic - wanted[0]) < AGREEMENT * abs(wanted[0]) and far <= AGREEMENT * size):
+            raise InputError("system: the energies are not those of an open planar chain in absolute angles")

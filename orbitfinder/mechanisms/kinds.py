@@ -1,0 +1,71 @@
+"""The kinds of [system] that are mechanisms, and the systems that come with this library, for the registry of kinds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from orbitfinder.mechanics.kind import CLOSING, FUNCTIONS, KINDS, Kind
+from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanisms import library
+from orbitfinder.mechanisms.chain import chain, chain_dae
+from orbitfinder.mechanisms.chain_motion import motion_of
+from orbitfinder.mechanisms.driven import DRIVEN
+from orbitfinder.mechanisms.linkage import LOOPS, linkage, minimal_linkage
+from orbitfinder.mechanisms.machines import MACHINES
+from orbitfinder.mechanisms.mechanism import JOINED, mechanism, minimal_mechanism
+
+
+def _built(builder: Callable[..., Model], system: Mapping[str, Any], *without: str) -> Model:
+    return builder(**{key: value for key, value in system.items() if key not in ("kind", *without)})
+
+
+def _chain(system: Mapping[str, Any], _: Path | None) -> Model:
+    return _built(chain_dae, system, "formulation") if "baumgarte" in system else _built(chain, system)
+
+
+def _linkage(system: Mapping[str, Any], _: Path | None) -> Model:
+    model = _built(linkage, system, "independent", "branch")
+    chosen = system.get("independent")
+    return model if chosen is None else minimal_linkage(model, chosen, system.get("branch", 1))
+
+
+def _mechanism(system: Mapping[str, Any], _: Path | None) -> Model:
+    model = _built(mechanism, system, "independent")
+    return minimal_mechanism(model, system["independent"]) if "independent" in system else model
+
+
+COUNTS = ("", "single", "double", "triple", "quadruple", "quintuple", "sextuple")
+BARS = {3: "three-bar", 4: "four-bar", 5: "five-bar", 6: "six-bar", 7: "seven-bar", 8: "eight-bar"}
+
+
+def _pendulum(system: Mapping[str, Any]) -> str:
+    links = system.get("links")
+    known = isinstance(links, int) and 1 <= links < len(COUNTS)
+    return f"{COUNTS[links] if known else f'{links}-link'} pendulum"  # type: ignore[index]
+
+
+def _bars(system: Mapping[str, Any]) -> str:
+    lengths = system.get("length")
+    bars = len(lengths) + 1 if isinstance(lengths, list) else 0
+    return f"{BARS.get(bars, f'{bars}-bar')} linkage"
+
+
+def _drawn(system: Mapping[str, Any]) -> str:
+    return f"{'spatial' if system.get('dimension') == 3 else 'planar'} mechanism"
+
+
+KINDS.update(
+    chain=Kind(
+        _chain, _pendulum, takes=chain, reread=True, pendulum=True, joints=lambda system: int(system["links"]),
+        motion=motion_of,
+    ),
+    linkage=Kind(
+        _linkage, _bars, takes=linkage, reread=True, joints=lambda system: len(system["length"]) + 1, loops=LOOPS
+    ),
+    mechanism=Kind(_mechanism, _drawn, takes=mechanism, drawn=True, loops=JOINED),
+)  # fmt: skip
+CLOSING[""] = replace(JOINED, minimal=None)  # other constraints have no minimal form
+FUNCTIONS.update(library.FUNCTIONS | MACHINES | DRIVEN)

@@ -1,0 +1,102 @@
+"""Configurations that a hand pulls a mechanism into: one of its points as near to a place as the joints allow."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orbitfinder._runtime.sizes import LEAST, nonzero, size_of
+from orbitfinder.errors import InputError
+from orbitfinder.mechanics.constrained import allowed_velocities
+from orbitfinder.mechanics.model import Model, positions
+from orbitfinder.mechanics.scales import surroundings
+from orbitfinder.mechanisms.mechanism import Closure
+
+STEPS = 40
+LONGEST = 0.2
+"""Longest step of a coordinate in its unit: a hand does not take a mechanism through itself to another assembly"""
+DAMPING, SOFTER, HARDER, HARDEST = 1e-4, 5.0, 8.0, 1e4
+"""Of steps, relative to how far the point goes with its coordinates: at first, less after one that helps, more after
+one that does not, and where there is none"""
+FASTEST = 5.0
+"""Speed of any point that is thrown, over that of the hand"""
+SMALL = 1e-6
+NEAR = 1e-10
+"""A place is reached to this, and steps end that gain less, relative to the distance"""
+
+
+def pulled(model: Model, state: np.ndarray, point: int, place: np.ndarray) -> np.ndarray:
+    """The state (2n) at rest near another one whose `point` is as near to a place (down, right, m) as can be.
+
+    Damped least squares in the velocities that the closures allow: min |p(q) - place| by small motions. Source: C. W.
+    Wampler, IEEE Transactions on Systems, Man, and Cybernetics 16 (1986) 93-101. Raises `InputError`.
+    """
+    q, n = np.array(state[: model.degrees_of_freedom], float), model.degrees_of_freedom
+    units, there = surroundings(model, q)[0], _seen(model, q[None])[0]
+    missed = place - there[_checked(there, point)]
+    damping, closure = DAMPING, None if model.constraint is None else Closure.of(model, units)
+    for _ in range(STEPS):
+        away = float(np.hypot(*missed))
+        slopes, ways = _slopes(model, q, units)
+        reach, damping = slopes[point] @ slopes[point].T, damping / SOFTER
+        while damping < HARDEST:
+            damped = reach + (damping * np.trace(reach) + LEAST) * np.eye(2)
+            step = ways @ (slopes[point].T @ np.linalg.solve(damped, missed))
+            step *= units * min(1.0, LONGEST / size_of(step))
+            trial = q + step if closure is None else closure.near(q + step)
+            left = place - _seen(model, trial[None])[0, point]
+            if np.hypot(*left) < away * (1 - NEAR):
+                break
+            damping *= HARDER
+        else:
+            break
+        q, missed = trial, left
+        if np.hypot(*missed) <= NEAR * max(away, float(np.abs(place).max())):
+            break
+    return np.concatenate([q, np.zeros(n)])
+
+
+def thrown(model: Model, state: np.ndarray, point: int, velocity: np.ndarray) -> np.ndarray:
+    """The state (2n) in the configuration of another one, with the least rates that give a point a velocity (m/s).
+
+    Near a dead point, where the point hardly follows its coordinates, nothing moves faster than `FASTEST` times that.
+    """
+    q = np.array(state[: model.degrees_of_freedom], float)
+    units = surroundings(model, q)[0]
+    slopes, ways = _slopes(model, q, units)
+    moved = np.linalg.pinv(slopes[_checked(slopes, point)], rcond=1e-3) @ velocity
+    speed = float(np.hypot(*(slopes @ moved).T).max())
+    slower = min(1.0, FASTEST * float(np.hypot(*velocity)) / nonzero(speed))
+    return np.concatenate([q, slower * units * (ways @ moved)])
+
+
+def movable(model: Model, state: np.ndarray) -> list[int]:
+    """The points of a Model that its coordinates move; none of a system that draws none."""
+    if model.points is None:
+        return []
+    q = np.array(state[: model.degrees_of_freedom], float)
+    sizes = np.abs(_slopes(model, q, surroundings(model, q)[0])[0]).max(axis=(1, 2))
+    return [int(k) for k in np.flatnonzero(sizes > SMALL * sizes.max())]
+
+
+def _checked(points: np.ndarray, point: int) -> int:
+    """The number of a point. Raises `InputError`."""
+    if not 0 <= point < len(points):
+        raise InputError(f"point: {point} is none; this system draws points 0 to {len(points) - 1}")
+    return point
+
+
+def _seen(model: Model, q: np.ndarray) -> np.ndarray:
+    """Where all points are at configurations (k x n): (k x m x 2), nan where a loop cannot be closed."""
+    with np.errstate(all="ignore"):
+        found = positions(model, np.hstack([q, np.zeros_like(q)]))
+    return np.asarray(found.transpose(0, 2, 1))
+
+
+def _slopes(model: Model, q: np.ndarray, units: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """d points/d(what can move) (m x 2 x f) by central differences, and a basis (n x f) of what can, in units."""
+    moves = SMALL * np.diag(units)
+    slopes = np.nan_to_num(_seen(model, q + moves) - _seen(model, q - moves)).transpose(1, 2, 0) / (2 * SMALL)
+    if model.constraint is None:
+        return slopes, np.eye(q.size)
+    basis = np.linalg.qr(allowed_velocities(model, q) / units[:, None])[0]
+    return slopes @ basis, basis

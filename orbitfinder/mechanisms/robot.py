@@ -1,0 +1,564 @@
+"""Robots as others describe them: URDF and MJCF files read into a mechanism (see `mechanism`).
+
+Every body's axes are turned as the ground's in the robot's zero position, so that no joint is turned, and the file's z,
+which points up, becomes x, down: (x, y, z) of a file is (-z, y, x) here. Links that are fixed to each other, and joints
+that are locked, are one body. Files are read by the libraries that define them: `urdf_parser_py` and `mujoco`, the
+extra [robot].
+"""
+
+from __future__ import annotations
+
+import codecs
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from xml.parsers import expat
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from orbitfinder._runtime.processes import alone
+from orbitfinder._runtime.quiet import captured
+from orbitfinder.errors import InputError, closest, plural
+from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanisms.mechanism import GROUND, mechanism
+from orbitfinder.records.reading import file_bytes
+
+DOWN = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+"""From a file's axes (z up) to ours (x down)"""
+STRAIGHT = 1e-9
+"""What entries of a turn are 0 or 1 to, where angles of a file are rounded"""
+KINDS = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "fixed"}
+DIGITS = 15
+LARGEST, MOST_BODIES = 4_000_000, 1000
+"""Bytes of a file, and bodies in it"""
+SECONDS, MEMORY = 30.0, 4_000_000_000
+"""What MuJoCo gets to read a file: s, bytes"""
+UNKNOWN = (
+    "body_gravcomp", "jnt_stiffnesspoly", "jnt_springyield", "dof_dampingpoly", "tendon_stiffness", "tendon_damping",
+    "tendon_frictionloss", "tendon_armature",
+)  # fmt: skip
+"""What acts in a MuJoCo model where it is not 0, by its names, and is not known here"""
+ARRAYS = ("qpos", "body_", "jnt_", "dof_", "eq_", "tendon_")
+"""What is read of a MuJoCo model begins with these"""
+MJCF = {"damping": "damping", "rotor": "armature", "friction": "frictionloss"}
+BASE, WORLD = "base_joint", "world_of_base"
+"""The free joint of a floating base, and what it hangs on"""
+
+
+@dataclass
+class _Body:
+    """A link: mass, centre of mass (3), inertia about it (3 x 3), axes (3 x 3) and origin (3) in the ground's at 0."""
+
+    mass: float = 0.0
+    com: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    inertia: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
+    turn: np.ndarray = field(default_factory=lambda: np.eye(3))
+    place: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+
+@dataclass
+class _Joint:
+    """A joint: kind, bodies, its place (3) and turn (3 x 3) in the parent, axis (3) in its own, what acts in it."""
+
+    kind: str
+    parent: str
+    child: str
+    place: np.ndarray
+    turn: np.ndarray
+    axis: np.ndarray
+    damping: float = 0.0
+    stiffness: float = 0.0
+    rest: float = 0.0
+    rotor: float = 0.0
+    limit: float = 0.0
+    friction: float = 0.0
+    range: tuple[float, float] | None = None
+    mimics: tuple[str, float, float] | None = None
+    """(joint, ratio, offset): where it is another joint's coordinate times a ratio, plus an offset"""
+
+
+@dataclass
+class _Read:
+    """What a file says of a robot."""
+
+    name: str
+    bodies: dict[str, _Body]
+    joints: dict[str, _Joint]
+    root: str
+    gravity: Sequence[float] = (0.0, 0.0, -9.80665)
+    """m/s^2, in the file's axes"""
+
+
+def robot(
+    file: str | Path,
+    *,
+    locked: Mapping[str, float] | Sequence[str] = (),
+    stiffness: Mapping[str, float] | float | None = None,
+    rest: Mapping[str, float] | None = None,
+    damping: Mapping[str, float] | float | None = None,
+    motors: Sequence[str] | str = (),
+    floating: bool = False,
+    gravity: Sequence[float] | float | None = None,
+    values: Mapping[str, float] | None = None,
+) -> Model:
+    """The Model of a robot in a URDF or MJCF file; needs the extra [robot].
+
+    Contacts, actuators and sensors are left out; what else acts and is not known is refused by name. Stops of joints do
+    not act, and a found orbit that passes one is hinted at. Joints that mimic another follow it. Numbers are physical
+    parameters named after links and joints ("link3_mass"), in the axes of the zero position, x down.
+
+    Args:
+        file: the URDF or MJCF file, in a problem file beside it unless the path says otherwise.
+        locked: joints that stay at 0, or at the angles given.
+        stiffness: springs in all joints, or in each by name (N m/rad, N/m); the file's own when left out.
+        rest: where springs are at ease, by joint, 0 otherwise.
+        damping: dampers in all joints, or in each by name; the file's own when left out, whose Coulomb friction is
+            refused.
+        motors: joints with a control torque of their own, within the file's effort; "all" for all.
+        floating: the base moves freely instead of being fixed to the ground.
+        gravity: m/s^2, along the file's -z, or [x, y, z] in the file's axes; the file's own, or 9.80665.
+        values: physical parameters that replace the file's, such as link3_mass.
+
+    Returns:
+        A Model.
+
+    Raises:
+        InputError: naming link and joint, and where the extra `[robot]` is not installed.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> _ = Path("arm.urdf").write_text('''<robot name="arm"><link name="base"/><link name="arm"><inertial>
+        ... <origin xyz="0 0 -0.5"/><mass value="1"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>
+        ... </inertial></link><joint name="hinge" type="continuous"><parent link="base"/><child link="arm"/>
+        ... <axis xyz="0 1 0"/></joint></robot>''')
+        >>> of.robot("arm.urdf").state_names
+        ('hinge', 'hingedot')
+
+    See Also:
+        `of.mechanism`, which it makes.
+    """
+    path = Path(file)
+    made = _numbers(path, _file(path))
+    return mechanism(**tables(path, made, locked=locked, stiffness=stiffness, rest=rest, damping=damping,
+                              motors=motors, floating=floating, gravity=gravity), values=values)  # fmt: skip
+
+
+def _file(path: Path) -> bytes:
+    try:
+        return file_bytes(path, "URDF or MJCF file", LARGEST)
+    except InputError as error:
+        raise InputError(f"file: {error}") from error
+
+
+def _numbers(path: Path, data: bytes) -> _Read:
+    """A file's bodies and joints; `InputError` for what is no robot."""
+    match _root(data):
+        case "robot":
+            return _checked(_urdf(path, data))
+        case "mujoco":
+            return _checked(_mjcf(path, data))
+    raise InputError(f"file: {path.name} is no robot; give a URDF (<robot ...>) or an MJCF file (<mujoco ...>)")
+
+
+def _root(data: bytes) -> str:
+    """The name of an XML text's first element, in whatever encoding and after whatever comments; "" of other texts."""
+
+    def first(name: str, _: Any) -> None:
+        raise StopIteration(name)
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = first
+    try:
+        parser.Parse(data, True)
+    except StopIteration as found:
+        return str(found.value)
+    except (expat.ExpatError, ValueError, LookupError):
+        pass
+    return ""
+
+
+def _put(table: dict[str, Any], kinds: str, name: str, value: Any) -> None:
+    """Add a body or a joint; `InputError` where there is one of that name."""
+    if name in table:
+        raise InputError(f"file: two {kinds} are named {name!r}; rename one")
+    table[name] = value
+
+
+def _checked(made: _Read) -> _Read:
+    """What was read; `InputError` for numbers that are none, and for names that are one once they are identifiers."""
+    if len(made.bodies) > MOST_BODIES:
+        raise InputError(f"file: {len(made.bodies)} bodies, {MOST_BODIES} can be read; give a part of the robot")
+    for kind, names in (("link", made.bodies), ("joint", made.joints)):
+        whose = dict[str, str]()
+        for name in names:
+            if (other := whose.setdefault(_word(name), name)) != name:
+                raise InputError(
+                    f"file: {kind}s {other!r} and {name!r} are both {_word(name)!r} where names are letters, digits "
+                    "and _; rename one"
+                )
+    for name, body in made.bodies.items():
+        if not np.all(np.isfinite([body.mass, *body.com, *body.inertia.ravel()])):
+            raise InputError(f"file: link {name!r} has a mass, place or inertia that is no finite number; correct it")
+        if body.mass < 0:
+            raise InputError(f"file: link {name!r} has the mass {body.mass:g} kg; give one that is not negative")
+    for name, joint in made.joints.items():
+        numbers = [*joint.place, *joint.turn.ravel(), *joint.axis, joint.damping, joint.limit, joint.friction]
+        if not np.all(np.isfinite([*numbers, *(joint.range or ()), *(joint.mimics or ())[1:]])):
+            raise InputError(
+                f"file: joint {name!r} has an origin, axis, damping or effort that is no finite number; correct it"
+            )
+    return made
+
+
+def _urdf(path: Path, data: bytes) -> _Read:
+    try:
+        from urdf_parser_py.urdf import URDF  # noqa: PLC0415
+    except ImportError as error:
+        raise InputError("file: URDF files need the extra: pip install 'orbitfinder[robot]'") from error
+    try:
+        with captured():
+            found = URDF.from_xml_string(data)
+            root = found.get_root()
+    except Exception as error:
+        said = " ".join(str(error).split())
+        raise InputError(f"file: {path.name} is no URDF that can be read ({type(error).__name__}: {said})") from error
+    bodies, joints = dict[str, _Body](), dict[str, _Joint]()
+    for link in found.links:
+        _put(bodies, "links", link.name, body := _Body())
+        if (weight := link.inertial) is not None:
+            turn, place = _placed(weight.origin)
+            one = weight.inertia
+            matrix = np.array([[one.ixx, one.ixy, one.ixz], [one.ixy, one.iyy, one.iyz], [one.ixz, one.iyz, one.izz]])
+            body.mass, body.com, body.inertia = float(weight.mass), place, turn @ matrix @ turn.T
+    for joint in found.joints:
+        if joint.type not in KINDS:
+            raise InputError(f"file: joint {joint.name!r} is {joint.type}; known are {', '.join(KINDS)}")
+        turn, place = _placed(joint.origin)
+        axis = np.array(joint.axis if joint.axis is not None else [1.0, 0.0, 0.0], float)
+        worn, limit, rule = joint.dynamics, joint.limit, joint.mimic
+        low, high = (float(getattr(limit, name, None) or 0.0) for name in ("lower", "upper"))
+        ratio, offset = getattr(rule, "multiplier", None), float(getattr(rule, "offset", None) or 0.0)
+        _put(joints, "joints", joint.name, _Joint(
+            KINDS[joint.type], joint.parent, joint.child, place, turn, axis,
+            damping=float(getattr(worn, "damping", None) or 0.0),
+            friction=float(getattr(worn, "friction", None) or 0.0), limit=float(getattr(limit, "effort", None) or 0.0),
+            range=(low, high) if low < high and joint.type != "continuous" else None,
+            mimics=(str(rule.joint), 1.0 if ratio is None else float(ratio), offset) if rule is not None else None,
+        ))  # fmt: skip
+    return _Read(str(found.name), bodies, joints, str(root))
+
+
+def _placed(origin: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Turn (3 x 3) and place (3) of an <origin>: fixed-axis roll, pitch and yaw."""
+    if origin is None:
+        return np.eye(3), np.zeros(3)
+    roll, pitch, yaw = origin.rpy if origin.rpy is not None else (0.0, 0.0, 0.0)
+    place = np.array(origin.xyz if origin.xyz is not None else (0.0, 0.0, 0.0), float)
+    return _straight(Rotation.from_euler("xyz", [roll, pitch, yaw]).as_matrix()), place
+
+
+def _straight(turn: np.ndarray) -> np.ndarray:
+    """A turn whose entries that are 0 or 1 but for a file's rounding are so."""
+    near = np.round(turn)
+    return np.where(np.abs(turn - near) < STRAIGHT, near, turn) if np.abs(turn - near).max() < STRAIGHT else turn
+
+
+def compiled(file: str) -> dict[str, Any]:
+    """What MuJoCo makes of a file, as lists; or why it makes nothing of it, `refused`."""
+    import mujoco  # noqa: PLC0415
+
+    try:
+        one = mujoco.MjModel.from_xml_path(file)
+    except Exception as error:
+        return {"refused": " ".join(str(error).split())}
+    found: dict[str, Any] = {name: getattr(one, name).tolist() for name in dir(one) if name.startswith(ARRAYS)}
+    found |= {name: np.asarray(getattr(one.opt, name)).tolist() for name in ("gravity", "density", "viscosity")}
+    return found | {
+        "nflex": one.nflex,
+        "bodies": [_word(one.body(k).name or f"body{k}") for k in range(one.nbody)],
+        "joints": [_word(one.joint(k).name or f"joint{k}") for k in range(one.njnt)],
+        "kinds": [mujoco.mjtJoint(k).name for k in one.jnt_type.tolist()],
+        "equalities": [mujoco.mjtEq(k).name for k in one.eq_type.tolist()],
+        "off": [name for name, bit in mujoco.mjtDisableBit.__members__.items() if one.opt.disableflags & int(bit)],
+    }
+
+
+def _mjcf(path: Path, data: bytes) -> _Read:
+    """Bodies and joints of a MuJoCo model, as MuJoCo itself compiles them, in a process of its own."""
+    if find_spec("mujoco") is None:
+        raise InputError("file: MJCF files need the extra: pip install 'orbitfinder[robot]'")
+    if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+        raise InputError(f"file: {path.name} is UTF-16, which MuJoCo does not read; save it as UTF-8")
+    lists = alone(__name__, "compiled", str(path.resolve()), SECONDS, MEMORY)
+    if lists is None:
+        raise InputError(
+            f"file: {path.name} was not read within {SECONDS:g} s and {MEMORY / 1e9:g} GB; take out keyframes, "
+            "<replicate> and meshes that the motion does not need"
+        )
+    if "refused" in lists:
+        raise InputError(f"file: {path.name} is no MJCF that can be read ({lists['refused']})")
+    one = SimpleNamespace(**lists)
+    _check_smooth(one)
+    names, gravity = one.bodies, [0.0] * 3 if "mjDSBL_GRAVITY" in one.off else one.gravity
+    made = _Read(path.stem, {names[0]: _Body()}, {}, names[0], gravity)
+    for k in range(1, len(names)):
+        turn = _straight(Rotation.from_quat(np.roll(one.body_iquat[k], -1)).as_matrix())
+        inertia = turn @ np.diag(one.body_inertia[k]) @ turn.T
+        _put(made.bodies, "bodies", names[k], _Body(one.body_mass[k], np.array(one.body_ipos[k]), inertia))
+        place, parent = np.array(one.body_pos[k]), names[one.body_parentid[k]]
+        turned = _straight(Rotation.from_quat(np.roll(one.body_quat[k], -1)).as_matrix())
+        if one.body_jntnum[k] > 1:
+            raise InputError(f"file: body {names[k]!r} has {one.body_jntnum[k]} joints; give each a body of its own")
+        name, joint = f"{names[k]}_weld", _Joint("fixed", parent, names[k], place, turned, np.eye(3)[0])
+        if one.body_jntnum[k]:
+            name, joint = _mjcf_joint(one, one.body_jntadr[k], joint)
+        _put(made.joints, "joints", name, joint)
+    return made
+
+
+def _mjcf_joint(one: SimpleNamespace, k: int, joint: _Joint) -> tuple[str, _Joint]:
+    """Name and numbers of a MuJoCo model's joint, as its flags and equalities have it."""
+    name, dof, place = one.joints[k], one.jnt_dofadr[k], one.jnt_qposadr[k]
+    kind = {"mjJNT_HINGE": "revolute", "mjJNT_SLIDE": "prismatic", "mjJNT_FREE": "free"}.get(one.kinds[k])
+    if kind is None:
+        raise InputError(f"file: the joint of body {joint.child!r} is a ball, which is not known; use three hinges")
+    if np.any(one.jnt_pos[k]):
+        raise InputError(f"file: the joint of body {joint.child!r} is off its origin; move the body's frame to it")
+    loss = {"damping": one.dof_damping[dof], "rotor": one.dof_armature[dof], "friction": one.dof_frictionloss[dof]}
+    if kind == "free" and any(loss.values()):
+        what = next(entry for entry, value in loss.items() if value)
+        raise InputError(f"file: the free joint {name!r} has {MJCF[what]}, which is not known; make it a <freejoint/>")
+    if kind != "free" and one.qpos0[place]:
+        raise InputError(f"file: joint {name!r} counts from ref = {one.qpos0[place]:g}; take ref out, 0 is as drawn")
+    for entry, flag in (("damping", "DAMPER"), ("friction", "FRICTIONLOSS")):
+        loss[entry] *= f"mjDSBL_{flag}" not in one.off and "mjDSBL_PASSIVE" not in one.off
+    sprung = not {"mjDSBL_SPRING", "mjDSBL_PASSIVE"} & {*one.off}
+    stops = one.jnt_limited[k] and not {"mjDSBL_LIMIT", "mjDSBL_CONSTRAINT"} & {*one.off}
+    rules = ((one.joints[one.eq_obj2id[i]], one.eq_data[i][1], one.eq_data[i][0]) for i in _held(one)
+             if one.eq_obj1id[i] == k)  # fmt: skip
+    return name, replace(
+        joint, kind=kind, axis=np.array(one.jnt_axis[k]), **loss, stiffness=one.jnt_stiffness[k] * sprung,
+        rest=one.qpos_spring[place], range=tuple(one.jnt_range[k]) if stops else None, mimics=next(rules, None),
+    )  # fmt: skip
+
+
+def _held(one: SimpleNamespace) -> list[int]:
+    """The equalities that act."""
+    return [] if {"mjDSBL_EQUALITY", "mjDSBL_CONSTRAINT"} & {*one.off} else np.flatnonzero(one.eq_active0).tolist()
+
+
+def _check_smooth(one: SimpleNamespace) -> None:
+    """`InputError` naming what acts in a MuJoCo model and is not known here."""
+    named = {"body": one.bodies, "jnt": one.joints, "dof": [one.joints[k] for k in one.dof_jntid]}
+    wrong = [f"{name} (drag)" for name in ("density", "viscosity") if getattr(one, name)] + ["flex"] * one.nflex
+    for name in UNKNOWN:
+        owner, _, what = name.partition("_")
+        acting = [k for k, value in enumerate(getattr(one, name, [])) if np.any(value)]
+        wrong += [f"{what} of {owner} {named[owner][k] if owner in named else k!r}" for k in acting]
+    bound: set[int] = set()
+    for k in _held(one):
+        linear = one.equalities[k] == "mjEQ_JOINT" and one.eq_obj2id[k] >= 0 and not any(one.eq_data[k][2:5])
+        wrong += [] if linear and one.eq_obj1id[k] not in bound else [f"equality {k} ({one.equalities[k]})"]
+        bound.add(one.eq_obj1id[k])
+    if wrong:
+        raise InputError(f"file: {wrong[0]} acts in MuJoCo and is not known here; take it out of the file")
+
+
+def tables(
+    path: Path,
+    made: _Read,
+    *,
+    locked: Mapping[str, float] | Sequence[str] = (),
+    stiffness: Mapping[str, float] | float | None = None,
+    rest: Mapping[str, float] | None = None,
+    damping: Mapping[str, float] | float | None = None,
+    motors: Sequence[str] | str = (),
+    floating: bool = False,
+    gravity: Sequence[float] | float | None = None,
+) -> dict[str, Any]:
+    """The tables of the mechanism that a robot is, with `drawn`: the file's name and SHA-256."""
+    if floating:
+        made = _afloat(made)
+    free = [name for name, one in made.joints.items() if one.kind != "fixed"]
+    still = dict(locked) if isinstance(locked, Mapping) else dict.fromkeys(locked, 0.0)
+    _check_names("locked", still, free)
+    still |= _following(made, still)
+    moving = [name for name in free if name not in still]
+    if not moving:
+        raise InputError("locked: no joint is left to move; unlock one")
+    bodies, whose = _lumped(made, still)
+    found: dict[str, Any] = {"dimension": 3, "gravity": _fall(made, gravity), "bodies": {}, "joints": {}}
+    held = whose[made.root]
+    for name in moving:
+        one = made.joints[name]
+        parent, (turn, place) = whose[one.parent], _frame(made, name)
+        before = bodies[parent].place if parent != held else np.zeros(3)
+        table: dict[str, Any] = {
+            "kind": one.kind, "between": [GROUND if parent == held else _word(parent), _word(whose[one.child])],
+            "at": [_listed(DOWN @ (place - before)), [0.0, 0.0, 0.0]],
+        }  # fmt: skip
+        if one.kind != "free":
+            table["axis"] = _listed(DOWN @ turn @ one.axis)
+        if one.rotor:
+            table["rotor"] = one.rotor
+        table |= {"range": list(one.range)} if one.range is not None else {}
+        table |= {"mimics": [_word(one.mimics[0]), *one.mimics[1:]]} if one.mimics is not None else {}
+        found["joints"][_word(name)] = table
+    for name, body in bodies.items():
+        if name == held:
+            continue
+        if not body.mass > 0:
+            joint = next(j for j, one in made.joints.items() if whose[one.child] == name)
+            raise InputError(
+                f"file: link {name!r} moves with joint {joint!r} and has no mass; give it one, or lock the joint"
+            )
+        inertia = DOWN @ body.inertia @ DOWN.T
+        six = [inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+        found["bodies"][_word(name)] = {
+            "mass": body.mass, "com": _listed(DOWN @ (body.com - body.place)), "inertia": _listed(six)
+        }  # fmt: skip
+    _acting(found, made, moving, stiffness, rest or {}, damping, motors)
+    found["drawn"] = {"file": path.name, "sha256": hashlib.sha256(_file(path)).hexdigest()}
+    return found
+
+
+def _fall(made: _Read, gravity: Sequence[float] | float | None) -> list[float]:
+    """Gravity (3) in our axes."""
+    given = np.asarray(made.gravity if gravity is None else gravity, float)
+    found = np.array([0.0, 0.0, -float(given)]) if given.ndim == 0 else given
+    if found.shape != (3,) or not np.all(np.isfinite(found)):
+        raise InputError(f"gravity: {gravity}; give m/s^2 along the file's -z, or three numbers (x, y, z)")
+    return _listed(DOWN @ found)
+
+
+def _following(made: _Read, still: Mapping[str, float]) -> dict[str, float]:
+    """Where joints stay that mimic joints that do."""
+    found = {}
+    for name, one in made.joints.items():
+        if one.mimics is None or name in still or one.kind == "fixed":
+            continue
+        first, ratio, offset = one.mimics
+        if first not in made.joints or first == name or made.joints[first].mimics is not None:
+            why = "which mimics" if first in made.joints else "which is not there"
+            raise InputError(f"file: joint {name!r} mimics {first!r}, {why}; name one that moves by itself, or lock it")
+        if first in still or made.joints[first].kind == "fixed":
+            found[name] = ratio * still.get(first, 0.0) + offset
+    return found
+
+
+def _afloat(made: _Read) -> _Read:
+    """The same with its base on a free joint."""
+    if BASE in made.joints or WORLD in made.bodies:
+        raise InputError(f"floating: the file has a joint {BASE!r} or a link {WORLD!r} already; rename it")
+    joint = _Joint("free", WORLD, made.root, np.zeros(3), np.eye(3), np.eye(3)[0])
+    return replace(made, bodies={WORLD: _Body(), **made.bodies}, joints={BASE: joint, **made.joints}, root=WORLD)
+
+
+def _acting(
+    found: dict[str, Any], made: _Read, moving: list[str], stiffness: Any, rest: Mapping[str, float], damping: Any,
+    motors: Sequence[str] | str,
+) -> None:  # fmt: skip
+    """Springs, dampers and motors of the moving joints."""
+    moving = [name for name in moving if made.joints[name].kind != "free"]
+    _check_names("rest", rest, moving)
+    for key, given, entry in (("springs", stiffness, "stiffness"), ("dampers", damping, "damping")):
+        own = {name: getattr(made.joints[name], entry) for name in moving}
+        replaced = given if isinstance(given, Mapping) else () if given is None else moving
+        rough = next((name for name in moving if made.joints[name].friction and name not in replaced), None)
+        if key == "dampers" and rough is not None:
+            raise InputError(
+                f"file: joint {rough!r} has the friction {made.joints[rough].friction:g}, whose force jumps where the "
+                f"rate changes sign; give a damping in its place (damping = {{ {_word(rough)} = 0.0 }}), or lock it"
+            )
+        if isinstance(given, Mapping):
+            _check_names(entry, given, moving)
+            own |= given
+        elif given is not None:
+            own = dict.fromkeys(moving, float(given))
+        table = {}
+        for name, value in own.items():
+            if value < 0:
+                raise InputError(f"{entry}: of joint {name!r} must not be negative, got {value:g}")
+            if value:
+                table[f"{_word(name)}_{key[:-1]}"] = {"joint": _word(name), entry: float(value)}
+                if key == "springs" and (ease := rest.get(name, made.joints[name].rest)):
+                    table[f"{_word(name)}_spring"]["rest"] = float(ease)
+        if table:
+            found[key] = table
+    chosen = moving if motors == "all" else [motors] if isinstance(motors, str) else list(motors)
+    _check_names("motors", chosen, moving)
+    if chosen:
+        limits = {name: {"limit": one} if (one := made.joints[name].limit) else {} for name in chosen}
+        found["motors"] = {f"{_word(name)}_torque": {"joint": _word(name)} | limits[name] for name in chosen}
+
+
+def _check_names(field: str, given: Iterable[str], known: Sequence[str]) -> None:
+    for name in given:
+        if name not in known:
+            raise InputError(f"{field}: no moving joint {name!r}{closest(name, known)}; they are {', '.join(known)}")
+
+
+def _word(name: str) -> str:
+    """A name of a file as an identifier."""
+    found = "".join(one if one.isalnum() else "_" for one in name)
+    return found if found[:1].isalpha() or found[:1] == "_" else f"_{found}"
+
+
+def _listed(numbers: Iterable[float]) -> list[float]:
+    """Numbers without what the turning of axes leaves of round-off."""
+    values = np.array(list(numbers), float)
+    values[np.abs(values) < 1e-15 * np.abs(values).max(initial=0.0)] = 0.0
+    return [float(f"{one:.{DIGITS}g}") for one in values]
+
+
+def _frame(made: _Read, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Axes (3 x 3) and place (3) of a joint in the ground's, at the zero position."""
+    one = made.joints[name]
+    parent = made.bodies[one.parent]
+    return parent.turn @ one.turn, parent.place + parent.turn @ one.place
+
+
+def _lumped(made: _Read, still: Mapping[str, float]) -> tuple[dict[str, _Body], dict[str, str]]:
+    """Bodies that move, in the ground's axes at 0, and of which of them each link is a part."""
+    whose, order = {made.root: made.root}, [made.root]
+    for parent in order:
+        for name, one in made.joints.items():
+            if one.parent != parent:
+                continue
+            if one.child in whose:
+                raise InputError(f"file: link {one.child!r} hangs on two joints, {name!r} the second; a URDF is a tree")
+            turn, place = _frame(made, name)
+            fixed = one.kind == "fixed" or name in still
+            if name in still and one.kind == "revolute":
+                turn = turn @ Rotation.from_rotvec(one.axis / np.linalg.norm(one.axis) * still[name]).as_matrix()
+            elif name in still:
+                place = place + turn @ one.axis / np.linalg.norm(one.axis) * still[name]
+            body = made.bodies.get(one.child)
+            if body is None:
+                raise InputError(f"file: joint {name!r} leads to link {one.child!r}, which is not there")
+            body.turn, body.place = _straight(turn), place
+            whose[one.child] = whose[parent] if fixed else one.child
+            order.append(one.child)
+    lost = [name for name in made.bodies if name not in whose]
+    if lost:
+        raise InputError(f"file: {plural(len(lost), 'link')} hang on nothing, {', '.join(lost[:3])}; join them")
+    return {head: _together(made, [n for n, one in whose.items() if one == head], head) for head in
+            dict.fromkeys(whose.values())}, whose  # fmt: skip
+
+
+def _together(made: _Read, names: Sequence[str], head: str) -> _Body:
+    """Links that move as one: mass, centre of mass and inertia about it in the ground's axes at 0 (Steiner)."""
+    parts = [made.bodies[name] for name in names]
+    mass = sum(one.mass for one in parts)
+    centres = [one.place + one.turn @ one.com for one in parts]
+    centre = sum((one.mass * at for one, at in zip(parts, centres, strict=True)), np.zeros(3)) / (mass or 1.0)
+    inertia = np.zeros((3, 3))
+    for one, at in zip(parts, centres, strict=True):
+        away = at - centre
+        inertia += one.turn @ one.inertia @ one.turn.T + one.mass * (away @ away * np.eye(3) - np.outer(away, away))
+    return _Body(mass, centre, inertia, np.eye(3), made.bodies[head].place)

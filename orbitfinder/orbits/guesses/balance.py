@@ -1,0 +1,306 @@
+"""Harmonic balance by collocation for motions that start at rest and pass q = 0 after a quarter period.
+
+Such a motion is a series of odd cosines, q(t) = sum_j c_j cos((2 j + 1) w t), j = 0 .. N - 1. Asking for
+q'' = a(q, q') at the N times w t_k = (2 k + 1) pi / (4 N) and for one pin makes N n + 1 equations in
+(c, w). Nothing is integrated: a mode that is faster than the last harmonic is slaved to the slow
+ones, where shooting would follow hundreds of its oscillations. The family of the linear mode that a guess
+resembles most is followed up to the pin; shooting starts from there. Source: Z. Yan, H. Dai, Q. Wang,
+S. N. Atluri, "Harmonic Balance Methods: A Review and Recent Developments", CMES 137 (2023)
+1419-1459 (the time-domain form, whose aliased solutions shooting must sort out afterwards).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import LinAlgError, LinAlgWarning, solve
+
+from orbitfinder.continuation.follow import Known, Pace, reached
+from orbitfinder.errors import ConvergenceError, InputError
+from orbitfinder.integrate.equations import linearised
+from orbitfinder.integrate.march import uniform
+from orbitfinder.loops.conditions import Pin
+from orbitfinder.loops.loop import Equations, Loop
+from orbitfinder.loops.problem import Guess, Problem, pinned
+from orbitfinder.loops.symmetry import QUARTER
+from orbitfinder.mechanics.model import Model, energy
+from orbitfinder.mechanics.newton import Settings, stepped
+from orbitfinder.orbits.guesses.modes import normal_modes
+
+Accelerations = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
+"""(q, v) -> a (n), da/dq, da/dv (n x n each)"""
+PinRow = Callable[[np.ndarray, float], tuple[float, np.ndarray, float]]
+"""(q(0), T) -> residual of the pin and its derivatives in q(0) (n) and in T, for a start at rest"""
+
+NEWTON = Settings(floor=1e-9, converged=1e-9, most_evaluations=8, farthest=np.pi)
+"""Of steps, rad (or m) and rad/s"""
+TAIL = 1e-3
+"""Harmonics are doubled until the last quarter of them is below this, rad (or m)"""
+FINE_TAIL = 1e-5
+MOST_UNKNOWNS = 3200
+"""N n stays below this: the dense matrix has its square of entries, 82 MB"""
+FEWEST = 6
+LARGEST_CORRECTION = 0.2
+"""A step is halved where Newton moves a coefficient further than this from the prediction"""
+SMALLEST_STEP, FIRST_STEP, LARGEST_STEP = 1e-3, 0.1, 0.5
+QUICK = 4
+"""Newton iterations up to which the next step is larger"""
+GROWTHS = (1.7, 1.4, 1.2)
+"""Growths of the steps along the family, tried in turn: a resonance that stops one is stepped over by another."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """Odd cosine coefficients (N x n, rad or m) and the frequency w (rad/s)."""
+
+    coefficients: np.ndarray
+    frequency: float
+
+    @property
+    def period(self) -> float:
+        """T = 2 pi / w in s."""
+        return 2 * np.pi / self.frequency
+
+    @property
+    def start(self) -> np.ndarray:
+        """q(0) (n), where the motion is at rest."""
+        return np.asarray(self.coefficients.sum(axis=0))
+
+    @property
+    def tail(self) -> float:
+        """Largest coefficient in the last quarter of the harmonics."""
+        count = len(self.coefficients)
+        return float(np.abs(self.coefficients[count - max(1, count // 4) :]).max())
+
+    def padded(self, count: int) -> Series:
+        """The same motion with `count` harmonics."""
+        more = np.zeros((count - len(self.coefficients), self.coefficients.shape[1]))
+        return Series(np.vstack([self.coefficients, more]), self.frequency)
+
+    def moved(self, step: np.ndarray) -> Series:
+        """The same after a step of the coefficients and of the frequency."""
+        shape = self.coefficients.shape
+        return Series(self.coefficients + step[:-1].reshape(shape), self.frequency + float(step[-1]))
+
+    def towards(self, other: Series, factor: float) -> Series:
+        """The point at `factor` on the straight line through this (0) and another (1)."""
+        count = max(len(self.coefficients), len(other.coefficients))
+        mine, its = self.padded(count), other.padded(count)
+        return Series(
+            mine.coefficients + factor * (its.coefficients - mine.coefficients),
+            mine.frequency + factor * (its.frequency - mine.frequency),
+        )
+
+
+def most_harmonics(coordinates: int) -> int:
+    """The largest N for n coordinates."""
+    return max(FEWEST, MOST_UNKNOWNS // coordinates)
+
+
+def correct(
+    series: Series, accelerations: Accelerations, pin: PinRow, settings: Settings = NEWTON
+) -> tuple[Series, int] | None:
+    """Newton's method from a prediction: the solution and its iterations, or None where it does not converge."""
+
+    def step(series: Series) -> np.ndarray:
+        matrix, rows = _system(series, accelerations, pin)
+        if series.frequency <= 0 or not (np.all(np.isfinite(rows)) and np.all(np.isfinite(matrix))):
+            return np.full(rows.size, np.nan)
+        try:
+            return np.asarray(solve(matrix.T, -rows, overwrite_a=True, check_finite=False, transposed=True))
+        except (LinAlgError, LinAlgWarning):
+            return np.full(rows.size, np.nan)
+
+    found = stepped(series, step, settings, Series.moved)
+    return (found.w, found.count) if found.converged else None
+
+
+def _system(series: Series, accelerations: Accelerations, pin: PinRow) -> tuple[np.ndarray, np.ndarray]:
+    """The Newton matrix (N n + 1 square) and the residuals q'' - a(q, q') at the nodes, then the pin's."""
+    coefficients, w = series.coefficients, series.frequency
+    count, n = coefficients.shape
+    orders = 2 * np.arange(count) + 1
+    angles = np.outer(orders, orders) * np.pi / (4 * count)
+    cosines, sines = np.cos(angles), orders * np.sin(angles)
+    curvature = -(cosines * orders**2)
+    q, v, bend = cosines @ coefficients, -w * sines @ coefficients, curvature @ coefficients
+    matrix, rows = np.zeros((count * n + 1, count * n + 1)), np.zeros(count * n + 1)
+    blocks = matrix[:-1, :-1].reshape(count, n, count, n)
+    diagonal = np.arange(n)
+    for k in range(count):
+        a, by_place, by_rate = accelerations(q[k], v[k])
+        rows[k * n : (k + 1) * n] = w**2 * bend[k] - a
+        for j in range(count):
+            block = blocks[k, :, j, :]
+            block[...] = w * sines[k, j] * by_rate - cosines[k, j] * by_place
+            block[diagonal, diagonal] += w**2 * curvature[k, j]
+        matrix[k * n : (k + 1) * n, -1] = 2 * w * bend[k] - by_rate @ v[k] / w
+    rows[-1], by_start, by_period = pin(series.start, series.period)
+    matrix[-1, :-1] = np.tile(by_start, count)
+    matrix[-1, -1] = -by_period * series.period / w
+    return matrix, rows
+
+
+def resolved(series: Series, accelerations: Accelerations, pin: PinRow, tail: float) -> tuple[Series, int] | None:
+    """The solution with as many harmonics as its tail asks for (or the memory allows); iterations of the first."""
+    found = correct(series, accelerations, pin)
+    first = None if found is None else found[1]
+    most = most_harmonics(series.coefficients.shape[1])
+    while found is not None and found[0].tail > tail and len(found[0].coefficients) < most:
+        found = correct(found[0].padded(min(2 * len(found[0].coefficients), most)), accelerations, pin)
+    return None if found is None or first is None else (found[0], first)
+
+
+def follow(
+    start: Series,
+    accelerations: Accelerations,
+    pin: Callable[[float], PinRow],
+    report: Callable[[float, Series], None],
+    growth: float,
+) -> Series | None:
+    """The solution at the full pin, pin(1), from a small one predicted at pin(FIRST_STEP); None where it is lost.
+
+    Steps in the fraction of the pin grow by `growth` while Newton is quick and are halved where it is slow or
+    goes far from its prediction, the secant through the last two solutions. Internal resonances on
+    the way, where the family is a gap of exponentially small width, are stepped over.
+    """
+    known = [(0.0, start.padded(max(FEWEST, len(start.coefficients))))]
+
+    def corrected(fraction: float) -> tuple[Series, int]:
+        guess = _predicted(known, fraction)
+        found = resolved(guess, accelerations, pin(fraction), TAIL)
+        if found is None or not near(guess, found[0]):
+            raise ConvergenceError("the family is lost")
+        report(fraction, found[0])
+        return found
+
+    try:
+        pace = Pace(FIRST_STEP, SMALLEST_STEP, LARGEST_STEP, quick=QUICK, growth=growth)
+        return _finer(reached(known, 1.0, corrected, pace), accelerations, pin(1.0))
+    except ConvergenceError:
+        return None
+
+
+def _finer(series: Series, accelerations: Accelerations, pin: PinRow) -> Series:
+    """The same solution with a finer tail, itself where that fails."""
+    found = resolved(series, accelerations, pin, FINE_TAIL)
+    return series if found is None else found[0]
+
+
+def near(guess: Series, found: Series) -> bool:
+    """True when no coefficient is further than LARGEST_CORRECTION from its prediction."""
+    count = len(found.coefficients)
+    return bool(np.abs(found.coefficients - guess.padded(count).coefficients).max() < LARGEST_CORRECTION)
+
+
+def _predicted(known: Known[Series], fraction: float) -> Series:
+    """On the secant through the last two; where one of them is rest, at the frequency of the other."""
+    (first, one), (second, other) = known[0], known[-1]
+    if not first:
+        return replace(other, coefficients=other.coefficients * (fraction / (second or FIRST_STEP)))
+    return one.towards(other, (fraction - first) / (second - first))
+
+
+def balanced_guess(problem: Problem) -> Guess | None:
+    """Rest state and period near the orbit; None for a problem of another kind or a family that is lost on the way."""
+    if not suits(problem):
+        return None
+    try:
+        squared, shapes = normal_modes(problem.model)
+    except InputError:  # q = 0 is no equilibrium
+        return None
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = along_family(
+            problem, squared, shapes, linearised(problem.model), pins(Equations(problem.model, QUARTER))
+        )
+    return None if found is None else Guess(np.append(found.start, np.zeros(found.start.size)), found.period)
+
+
+def suits(problem: Problem) -> bool:
+    """True for brake and reflection symmetric motions of a conservative model from a guess at rest, with one pin."""
+    model, n = problem.model, problem.model.degrees_of_freedom
+    plain = model.conservative and not model.forced and model.constraint is None and model.gyroscopic is None
+    return (
+        plain
+        and model.forces is None
+        and only_pinned(problem)
+        and problem.pin[0].name in ("energy", "period", *model.state_names[:n])
+        and not np.any(np.asarray(problem.guess.state, float)[n:])
+        and bool(np.any(np.asarray(problem.guess.state, float)[:n]))
+    )
+
+
+def only_pinned(problem: Problem) -> bool:
+    """True where a brake and reflection symmetric motion near a state is asked for by one pin and nothing else."""
+    chosen = problem.free or problem.bounds or problem.constraints or problem.objective != "nearest"
+    symmetric = problem.boundary == QUARTER and problem.phase_condition is None
+    return symmetric and not chosen and problem.guess.states is None and len(problem.pin) == 1
+
+
+def pins(equations: Equations) -> Callable[[Pin], PinRow]:
+    """A pin's residual at rest and its derivatives in q(0), T, as a NumPy function for each pin."""
+    n, mesh = equations.model.degrees_of_freedom, uniform(QUARTER.fraction, 1, 1)
+
+    def made(one: Pin) -> PinRow:
+        conditions = (pinned(equations, one.name, one.value),)
+        loop = Loop(equations, np.zeros(equations.size), conditions)
+
+        def row(place: np.ndarray, period: float) -> tuple[float, np.ndarray, float]:
+            w = equations.unknowns(np.append(place, np.zeros(n))[None], period, mesh)
+            slopes = loop.slopes(w, conditions)[0]
+            return float(loop.values(w, conditions)[0]), slopes[:n], float(slopes[2 * n])
+
+        return row
+
+    return made
+
+
+def along_family(
+    problem: Problem,
+    squared: np.ndarray,
+    shapes: np.ndarray,
+    accelerations: Accelerations,
+    pinned: Callable[[Pin], PinRow],
+    report: Callable[[float, Series], None] = lambda *_: None,
+) -> Series | None:
+    """The orbit that a problem pins in the family of the linear mode nearest to its guess, None where it is lost.
+
+    On the way the pin has its value at rest plus the fraction (squared for the energy) of the rest of it. The period
+    tells nothing near the linear mode, so the guess's largest coordinate takes its place.
+    """
+    model, pin, start = problem.model, problem.pin[0], np.asarray(problem.guess.state, float)[: len(shapes)]
+    linear = _linear(model, pin, start, squared, shapes)
+    followed, rest, power = pin, 0.0, 1
+    if pin.name == "period":
+        largest = int(np.abs(start).argmax())
+        followed = Pin(model.state_names[largest], float(start[largest]))
+    if pin.name == "energy":
+        rest, power = energy(model, np.zeros(2 * start.size)), 2
+
+    def at(fraction: float) -> PinRow:
+        return pinned(replace(followed, value=rest + fraction**power * (followed.value - rest)))
+
+    if linear is None:
+        return None
+    for growth in GROWTHS:
+        found = follow(linear, accelerations, at, report, growth)
+        if found is not None and pin.name == "period":
+            again = resolved(found, accelerations, pinned(pin), FINE_TAIL)
+            found = None if again is None else again[0]
+        if found is not None:
+            return found
+    return None
+
+
+def _linear(model: Model, pin: Pin, start: np.ndarray, squared: np.ndarray, shapes: np.ndarray) -> Series | None:
+    """The linear mode that moves most in the guess, at the first step of the way; None where it does not oscillate."""
+    shares = np.linalg.solve(shapes, start)
+    mode = int(np.abs(shares * np.abs(shapes).max(axis=0)).argmax())
+    if not squared[mode] > 0:
+        return None
+    shape = shapes[:, mode] * shares[mode]
+    index = model.state_index(pin.name) if pin.name in model.state_names else None
+    factor = pin.value / shape[index] if index is not None and shape[index] else 1.0
+    return Series(FIRST_STEP * factor * shape[None, :], float(np.sqrt(squared[mode])))

@@ -1,0 +1,8 @@
+"""The records of this room, for the registry of records."""
+
+from orbitfinder.records.registry import KINDS, Kind
+
+KINDS["branch-proof"] = Kind(
+    "a proof of a family's branch (`verify --proof` replays it)", "proof.branch:read_branch",
+    facts="proof.branch:branch_document",
+)  # fmt: skip

@@ -1,0 +1,6 @@
+"""The answers of this room about orbits and families, for the registry of records."""
+
+from orbitfinder.records.registry import answers
+
+answers("orbit", plot="show.plot:save_figures", animate="show.animate:orbit_clip")
+answers("family", plot="show.plot:save_figures")

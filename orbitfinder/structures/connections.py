@@ -1,0 +1,615 @@
+"""Connections of orbits: motions on the unstable manifold of one and on the stable manifold of another, or of the
+same.
+
+The curves that both manifolds draw on a section of two dimensions are intersected. Each intersection is a problem of
+two points, solved by Newton's method with the derivatives of the flow: with P the return to the section,
+
+    P(x_u(a)) = y_1,   P(y_i) = y_i+1,   P(y_m-1) = x_s(b)
+
+in the places a, b on both local manifolds and the crossings y_i between (two numbers each), so that round-off grows
+over one return only. The tangents of both manifolds, carried to a crossing, give the angle at which they meet: where
+it is 0 they only touch, and nothing is claimed.
+
+The certificate takes another integrator on another formulation (DOP853 on Hamilton's equations) from each recorded
+crossing to the next, and once round each orbit from nearer to it than the motion begins and ends, which shows how far
+off the local manifolds are. The error of a point is what the linearised problem makes of all that.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice, product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.continuation.follow import Known, reached
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.integrate.dop853 import integrate_in
+from orbitfinder.loops.conditions import Pin
+from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.mechanics.kind import build_model
+from orbitfinder.mechanics.model import Model, energy, vector_field, wrapped
+from orbitfinder.mechanics.newton import Settings, Solver, full
+from orbitfinder.mechanics.scales import extents_of
+from orbitfinder.orbits.certify import certify
+from orbitfinder.orbits.evidence import Hamiltonian
+from orbitfinder.orbits.refine import Refiner
+from orbitfinder.records.certificate import Certificate, at_least, at_most, refused
+from orbitfinder.records.codec import entries_of, plain
+from orbitfinder.records.journal import checkpoints
+from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.reading import typed
+from orbitfinder.structures.crossings import FINE
+from orbitfinder.structures.manifold import Connection, End
+from orbitfinder.structures.manifolds import Local, ManifoldSettings, Part, grown, local_manifold, surface_of
+from orbitfinder.structures.sections import Surface, solved_component, surface
+
+NEWTON = Settings(floor=1e-13, round_off=1e-10, converged=1e-10, contraction=0.5, most_evaluations=25, patience=4)
+"""How a connection is solved: gaps in extents of the orbits"""
+LARGEST_STEP = 0.3
+"""Change of a place's logarithm in one step of Newton's method"""
+GAP, POINT, TANGENT = 1e-9, 1e-8, 1e-4
+"""What a certificate allows: gaps between crossings and error of the point, in extents; the least angle (rad)"""
+LEVEL = 1e-11
+"""Difference of the energies of all crossings, relative"""
+CURVED = 0.01
+"""How far along its manifold a start may be from its place, relative to that"""
+LINEAR = 1e-6
+"""How far off its manifold a start may be, in extents of the orbit"""
+APART = 1e-3
+"""A connection's point is at least this far from its orbits, in extents: else it is the orbit itself"""
+SAME_POINT = 1e-5
+"""Crossings nearer to each other than this, in extents, are one"""
+TRIED = 12
+"""Crossings of curves that are tried for each connection asked for: manifolds that coincide cross in their round-off"""
+COARSE = ManifoldSettings(spacing=0.03, turning=0.5, halvings=6)
+"""How finely curves are grown that are only to be intersected"""
+SAMPLES = 40
+"""Recorded states between two crossings"""
+
+
+@dataclass(frozen=True)
+class Chain:
+    """A connection's unknowns: crossings (m + 1 x d) from one local manifold to the other, their places there, and
+    which crossing it is looked at."""
+
+    origin: Local
+    goal: Local
+    states: np.ndarray
+    places: tuple[float, float]
+    chosen: int
+
+
+@dataclass(frozen=True)
+class Linear:
+    """A chain's gaps (m x 2), the derivative of each return (m x 2 x 2), durations (m, s), the matrix of the
+    problem."""
+
+    gaps: np.ndarray
+    slopes: np.ndarray
+    durations: np.ndarray
+    matrix: np.ndarray
+
+
+def connect(
+    orbit: Orbit,
+    other: Orbit | None = None,
+    *,
+    plane: str | None = None,
+    axes: Sequence[str] | None = None,
+    direction: int = 1,
+    returns: int = 1,
+    most: int = 8,
+    near: Sequence[float] | None = None,
+    settings: ManifoldSettings | None = None,
+    model: Model | None = None,
+) -> tuple[Connection, ...]:
+    """Connections from an orbit to another, or back to itself, certified.
+
+    Args:
+        orbit: whose unstable manifold is followed.
+        other: whose stable manifold is met, of the same energy; the orbit itself if None.
+        plane: which both cross, as in `of.section`.
+        axes: the two components that are drawn.
+        direction: how the plane is crossed.
+        returns: fundamental domains of each manifold that are grown beyond the orbit's own size.
+        most: how many are found at most, those of few returns first.
+        near: a point of the axes near which they are looked for.
+        settings: how finely manifolds are grown.
+        model: needed only for systems that no file describes.
+
+    Returns:
+        Connections; none where the curves do not cross.
+
+    Raises:
+        InputError: for orbits of different energies and a plane that they do not cross.
+
+    Examples:
+        >>> found = of.connect(saddle, plane="theta1=0", returns=2, most=1)
+        >>> [one.certificate.passed for one in found]
+        [True]
+
+    See Also:
+        `of.sections.follow_connection` follows one in the energy.
+    """
+    goal, chosen = other or orbit, settings or COARSE
+    found = surface_of(orbit, model, plane, axes, direction)
+    _check_section(found, orbit, goal)
+    for one in (orbit, goal) if other else (orbit,):
+        if not certify(one, found.model).passed:
+            raise InputError(f"orbit: {one.name} does not pass its certificate; connections join orbits")
+    ends = local_manifold(orbit, found, "unstable"), local_manifold(goal, found, "stable")
+    if near is not None and (len(near) != 2 or not np.all(np.isfinite(near))):
+        raise InputError(f"near: need two numbers, one for each axis, got {', '.join(map(str, near))}")
+    here, there = (_curves(one, returns, chosen) for one in ends)
+    point = None if near is None else np.asarray(near, float)
+    called = orbit.name if other is None else f"{orbit.name}-{goal.name}"
+    connections: list[Connection] = []
+    for guess in islice(_crossings(*ends, here, there, point), TRIED * most):
+        if any(_met(found, guess.states[guess.chosen], one) for one in connections):
+            continue
+        try:
+            made = solved(guess)
+        except (ConvergenceError, IntegrationError):
+            continue
+        if _own(made) < APART or any(_met(found, made.states[made.chosen], one) for one in connections):
+            continue
+        known = certified_connection(described(made, f"{called}-{len(connections) + 1}"), found.model)
+        if known.certificate is None or not known.certificate.passed:
+            continue
+        connections.append(known)
+        if len(connections) >= most:
+            break
+    return tuple(connections)
+
+
+def _check_section(found: Surface, orbit: Orbit, goal: Orbit) -> None:
+    """`InputError` where the manifolds of both orbits are no curves in one plane."""
+    model, held = found.model, len(found.levels)
+    size = len(model.state_names) - held - (found.plane.component >= 0)
+    if size != 2:
+        raise InputError(
+            f"orbit: its section has {size} dimensions, in which curves do not meet; connections are found in 2, as of "
+            "two degrees of freedom at one energy"
+        )
+    if goal.system != orbit.system:
+        raise InputError("other: an orbit of another system; connections join orbits of one")
+    here, there = energy(model, orbit.state), energy(model, goal.state)
+    if held and abs(here - there) > 1e-9 * max(abs(here), abs(there)):
+        raise InputError(
+            f"other: its energy is {there!r}, that of the first {here!r}; motions keep theirs, find both at one energy"
+        )
+
+
+def _curves(base: Local, returns: int, chosen: ManifoldSettings) -> list[Part]:
+    place = base.displacement(chosen.accuracy)[0]
+    return [part for way in (1, -1) for part in grown(base, way * place, returns, chosen)]
+
+
+def _crossings(
+    origin: Local, goal: Local, here: Sequence[Part], there: Sequence[Part], near: np.ndarray | None
+) -> Iterator[Chain]:
+    """Where polylines cross, those of few returns first, or those nearest to a point (2) of the axes: guesses of
+    chains."""
+    found = []
+    for (states, places, count, _), (others, marks, number, _) in product(here, there):
+        if count + number < 2:
+            continue
+        p, q = origin.surface.chart(states), origin.surface.chart(others)
+        for i, j, s, t in _intersections(p, q):
+            away = count + number if near is None else float(np.linalg.norm(p[i] + s * (p[i + 1] - p[i]) - near))
+            found.append((away, _between(places, i, s), count, _between(marks, j, t), number))
+    for _, a, count, b, number in sorted(found):
+        forth, back = _returned(origin, a, count), _returned(goal, b, number)
+        if np.isfinite(forth).all() and np.isfinite(back).all():
+            yield Chain(origin, goal, np.vstack([forth, back[-2::-1]]), (a, b), count)
+
+
+def _between(places: np.ndarray, k: int, share: float) -> float:
+    """The displacement part of the way from the k-th to the next."""
+    return float(places[k] * (places[k + 1] / places[k]) ** share)
+
+
+def _returned(base: Local, place: float, count: int) -> np.ndarray:
+    """A start on a local manifold and its returns (count + 1 x d)."""
+    start = base.states(np.array([place]))
+    return np.vstack([start, base.returned(start, count).states[0]]) if count else start
+
+
+def _intersections(p: np.ndarray, q: np.ndarray) -> Iterator[tuple[int, int, float, float]]:
+    """Numbers of the chords of two polylines (k x 2) that cross, and where along them."""
+    if (p.min(axis=0) > q.max(axis=0)).any() or (q.min(axis=0) > p.max(axis=0)).any():
+        return
+    da, b, db = np.diff(p, axis=0), q[:-1], np.diff(q, axis=0)
+    with np.errstate(all="ignore"):
+        for i in range(len(da)):
+            turn, off = da[i, 0] * db[:, 1] - da[i, 1] * db[:, 0], b - p[i]
+            s = (off[:, 0] * db[:, 1] - off[:, 1] * db[:, 0]) / turn
+            t = (off[:, 0] * da[i, 1] - off[:, 1] * da[i, 0]) / turn
+            for j in np.flatnonzero((s >= 0) & (s < 1) & (t >= 0) & (t < 1)):
+                yield i, int(j), float(s[j]), float(t[j])
+
+
+def _frames(found: Surface, states: np.ndarray) -> np.ndarray:
+    """d state / d axes (k x d x 2) on the section at the held energy."""
+    frames = np.zeros((*states.shape, 2))
+    frames[:, list(found.axes), [0, 1]] = 1.0
+    if found.levels:
+        i, slopes = solved_component(found), found.invariants(states)[1][:, 0]
+        frames[:, i] = -slopes[:, list(found.axes)] / slopes[:, i, None]
+    return frames
+
+
+def _linear(chain: Chain) -> Linear:
+    """The gaps of a chain and their derivatives. Raises `IntegrationError` where a crossing has no return."""
+    base, found, starts = chain.origin, chain.origin.surface, chain.states[:-1]
+    size, axes, plane = starts.shape[1], list(found.axes), found.plane
+    begins = np.hstack([starts, np.tile(np.eye(size).ravel(), (len(starts), 1))])
+    passing = base.varied.passing(plane, begins, 1, longest=20 * base.orbit.period, tolerance=FINE)
+    if not passing.complete.all():
+        raise IntegrationError("the motion does not come back to the section")
+    ends = passing.states[:, 0, :size]
+    moved = passing.states[:, 0, size:].reshape(-1, size, size).transpose(0, 2, 1) @ _frames(found, starts)
+    if plane.component >= 0:
+        rates = found.motions.rates(passing.times[:, 0], ends)
+        moved = moved - rates[:, :, None] * (moved[:, None, plane.component] / rates[:, plane.component, None, None])
+    gaps = wrapped(ends - chain.states[1:], found.model.angular)
+    return Linear(gaps[:, axes], moved[:, axes], passing.times[:, 0], _matrix(chain, moved[:, axes]))
+
+
+def _matrix(chain: Chain, slopes: np.ndarray) -> np.ndarray:
+    """d gaps / d (log a, y_1, ..., y_m-1, log b) (2 m x 2 m)."""
+    count, axes = len(slopes), list(chain.origin.surface.axes)
+    found = np.zeros((2 * count, 2 * count))
+    ends = [end.direction[axes] * place for end, place in zip((chain.origin, chain.goal), chain.places, strict=True)]
+    found[:2, 0] = slopes[0] @ ends[0]
+    found[-2:, -1] = -ends[1]
+    for k in range(1, count):
+        found[2 * k : 2 * k + 2, 2 * k - 1 : 2 * k + 1] = slopes[k]
+        found[2 * k - 2 : 2 * k, 2 * k - 1 : 2 * k + 1] = -np.eye(2)
+    return found
+
+
+def solved(chain: Chain, settings: Settings = NEWTON) -> Chain:
+    """The connection near a guess, by Newton's method. Raises `ConvergenceError` where the manifolds do not meet
+    there."""
+    axes = list(chain.origin.surface.axes)
+
+    def linearised(chain: Chain) -> tuple[np.ndarray, Solver]:
+        linear = _linear(chain)
+
+        def solver(_: np.ndarray) -> np.ndarray:
+            try:
+                step = np.linalg.solve(linear.matrix, -linear.gaps.ravel())
+            except np.linalg.LinAlgError as error:
+                raise ConvergenceError("connection: the manifolds touch and do not cross there") from error
+            return step / max(1.0, float(np.abs(step[[0, -1]]).max()) / LARGEST_STEP)
+
+        return linear.gaps / np.maximum(chain.origin.extents[axes], np.abs(chain.states[1:, axes])), solver
+
+    found = full(chain, linearised, settings, _moved)
+    if not found.converged:
+        raise ConvergenceError(
+            f"connection: the manifolds come within {found.size:.2g} of each other there and do not meet"
+        )
+    return found.w
+
+
+def _moved(chain: Chain, step: np.ndarray) -> Chain:
+    """The chain after a step of its unknowns, its crossings held at their energy."""
+    found = chain.origin.surface
+    places = chain.places[0] * float(np.exp(step[0])), chain.places[1] * float(np.exp(step[-1]))
+    inner = chain.states[1:-1].copy()
+    inner[:, list(found.axes)] += step[1:-1].reshape(-1, 2)
+    if len(inner) and found.levels:
+        inner = found.held(inner, along=[solved_component(found)])
+    first, last = (end.states(np.array([at])) for end, at in zip((chain.origin, chain.goal), places, strict=True))
+    states = np.vstack([first, inner, last])
+    if not np.isfinite(states).all():
+        raise ConvergenceError("connection: Newton's method leaves the energy's states; start nearer to a crossing")
+    return replace(chain, states=states, places=places)
+
+
+def tangents(chain: Chain, linear: Linear) -> np.ndarray:
+    """The tangents (2 x 2) of the unstable and of the stable manifold at the chosen crossing, on the axes."""
+    axes = list(chain.origin.surface.axes)
+    forth, back = chain.origin.direction[axes], chain.goal.direction[axes]
+    for slope in linear.slopes[: chain.chosen]:
+        forth = slope @ forth
+        forth = forth / np.linalg.norm(forth)
+    for slope in linear.slopes[chain.chosen :][::-1]:
+        back = np.linalg.solve(slope, back)
+        back = back / np.linalg.norm(back)
+    return np.array([forth, back])
+
+
+def _angle(chain: Chain, linear: Linear, units: np.ndarray) -> float:
+    """Between the manifolds at the chosen crossing (rad, 0 to pi / 2), the axes being measured in extents."""
+    a, b = (one / np.linalg.norm(one) for one in tangents(chain, linear) / units[list(chain.origin.surface.axes)])
+    return float(np.arcsin(min(1.0, abs(a[0] * b[1] - a[1] * b[0]))))
+
+
+def _own(chain: Chain) -> float:
+    """How far the chosen crossing is from the points of its orbits, in their extents."""
+    state = chain.states[chain.chosen]
+    return min(float(np.linalg.norm((state - one.point) / one.extents)) for one in (chain.origin, chain.goal))
+
+
+def _met(found: Surface, state: np.ndarray, other: Connection) -> bool:
+    """Whether a crossing is one of a connection that is known."""
+    units = nonzero(np.ptp(other.states, axis=0))
+    return bool(np.abs(wrapped(other.states - state, found.model.angular) / units).max(axis=1).min() <= SAME_POINT)
+
+
+def described(chain: Chain, name: str) -> Connection:
+    """The Connection (without certificate) of a chain."""
+    found, linear = chain.origin.surface, _linear(chain)
+    names = found.model.state_names
+    ends = [
+        End(
+            one.orbit.name,
+            one.orbit.state,
+            one.orbit.period,
+            one.multiplier,
+            one.point,
+            one.direction,
+            place,
+            one.extents,
+        )
+        for one, place in zip((chain.origin, chain.goal), chain.places, strict=True)
+    ]
+    units = extents_of(found.model, chain.states, chain.origin.orbit.period)
+    parts, since = [], 0.0
+    times = np.linspace(0.0, 1.0, SAMPLES + 1)
+    for state, duration in zip(chain.states, linear.durations, strict=False):
+        rows = found.motions.along(state[None], times * duration, tolerance=FINE)[0, :-1]
+        parts.append(np.column_stack([since + times[:-1] * duration, rows]))
+        since += duration
+    whole = np.vstack([*parts, np.append(since, chain.states[-1])])
+    return Connection(
+        name, dict(found.model.system), names, found.name, found.plane.component,
+        (names[found.axes[0]], names[found.axes[1]]), chain.origin.orbit.energy, chain.states, linear.durations,
+        chain.chosen, _angle(chain, linear, units), float("inf"), ends[0], ends[1], None, whole[:, 0], whole[:, 1:],
+    )  # fmt: skip
+
+
+def certified_connection(connection: Connection, model: Model) -> Connection:
+    """The connection with its certificate, and the error found there."""
+    certificate, error = _certificate(connection, model)
+    return replace(connection, certificate=certificate, error=error)
+
+
+def certify_connection(connection: Connection, model: Model | None = None) -> Certificate:
+    """The certificate of a connection, from its record alone, by DOP853 on Hamilton's equations."""
+    return _certificate(connection, model or build_model(connection.system))[0]
+
+
+class _Independent:
+    """Motions of a Model by DOP853 on the certificate's formulation, forwards and backwards."""
+
+    def __init__(self, model: Model) -> None:
+        self.model, self.hamiltonian = model, Hamiltonian(model)
+
+    def end(self, state: np.ndarray, duration: float) -> np.ndarray:
+        """The state after a time, which may be negative."""
+        field, sense, start = self.hamiltonian.field, float(np.sign(duration)), self.hamiltonian.start(state)
+        units = np.maximum(np.abs(start), 1e-3 * np.abs(start).max())
+        moments = np.array([0.0, abs(duration)])
+        path = integrate_in(units, lambda t, y: sense * field(sense * t, y), start, moments)
+        return np.asarray(self.hamiltonian.states(path)[-1])
+
+
+def _certificate(connection: Connection, model: Model) -> tuple[Certificate, float]:
+    """The certificate of a record, by where DOP853 comes from its crossings, how far both orbits are from closing and
+    both ends off the local manifolds; and the error of its point in the state's units."""
+    states, durations, ends = connection.states, connection.durations, (connection.origin, connection.goal)
+    if not (np.isfinite(states).all() and np.isfinite(durations).all() and (durations > 0).all()):
+        return Certificate((refused("finite", "a crossing or a duration is not a number"),)), np.inf
+    motion = _Independent(model)
+    try:
+        came = np.array([motion.end(x, t) for x, t in zip(states, durations, strict=False)])
+        closed = [wrapped(motion.end(one.point, one.period) - one.point, model.angular) for one in ends]
+        local = [_off(motion, one, x, sense) for one, x, sense in zip(ends, states[[0, -1]], (1, -1), strict=True)]
+        chain = _chain(connection, model)
+        linear = _linear(chain)
+    except (IntegrationError, ConvergenceError, InputError) as failure:
+        return Certificate((refused("integration", failure),)), np.inf
+    units, growth = extents_of(model, states, connection.origin.period), [_growth(one) for one in ends]
+    axes, gaps = list(chain.origin.surface.axes), wrapped(came - states[1:], model.angular)
+    errors = np.abs(gaps[:, axes])
+    errors[0] += np.abs(linear.slopes[0] @ local[0][axes])
+    errors[-1] += np.abs(local[1][axes])
+    place = 2 * chain.chosen - 1
+    error = float(np.linalg.norm((np.abs(_inverse(linear.matrix)) @ errors.ravel())[place : place + 2]))
+    away = [np.linalg.norm(wrapped(states[chain.chosen] - one.point, model.angular) / one.extents) for one in ends]
+    gap = max(np.abs(gap / one.extents).max() / g for gap, one, g in zip(closed, ends, growth, strict=True))
+    off = max(np.linalg.norm(gap / one.extents) for gap, one in zip(local, ends, strict=True))
+    level = [energy(model, x) for x in (*states, *(one.state for one in ends))]
+    plane = max(float(np.abs(_off_plane(chain, x)).max()) for x in (states, came))
+    checks = [
+        at_most("orbits", gap, GAP, "gap of both orbits after a period, over their multipliers"),
+        at_most("local", off, LINEAR, "of the first and the last crossing off the local manifolds, in extents"),
+        *([at_most("energy", float(np.ptp(level)) / nonzero(abs(level[0])), LEVEL,
+                   "of all crossings and both orbits, relative")] if model.conservative else []),
+        at_most("gap", float(np.abs(gaps / units).max()), GAP, "from each crossing to the next, by DOP853, in extents"),
+        at_most("section", plane, GAP, "crossings off the plane, in extents"),
+        at_least("angle", _angle(chain, linear, units), TANGENT,
+                 "between the manifolds (rad); 0 where they only touch"),
+        at_most("error", error / float(units[axes].max()), POINT, "of the point, in extents: all that, carried"),
+        at_least("apart", float(min(away)), APART, "the point is not the orbit's own"),
+    ]  # fmt: skip
+    return Certificate(tuple(checks)), error
+
+
+def _growth(end: End) -> float:
+    """How many times errors grow in a period of an orbit."""
+    return max(abs(end.multiplier), 1 / abs(end.multiplier))
+
+
+def _inverse(matrix: np.ndarray) -> np.ndarray:
+    try:
+        return np.linalg.inv(matrix)
+    except np.linalg.LinAlgError:
+        return np.full_like(matrix, np.inf)
+
+
+def _off_plane(chain: Chain, states: np.ndarray) -> np.ndarray:
+    """How far states (k x d) are off the section, in extents."""
+    plane, units = chain.origin.surface.plane, chain.origin.extents
+    if plane.component < 0:
+        return np.zeros(1)
+    own = states[:, plane.component]
+    nearest = np.round((own - plane.level) / plane.cycle) if plane.cycle else np.zeros(own.shape)
+    return np.asarray(plane.off(own, nearest) / units[plane.component])
+
+
+def _chain(connection: Connection, model: Model) -> Chain:
+    """The chain of a record."""
+    n, p, x = model.degrees_of_freedom, model.parameter_values, connection.origin.state
+    levels = {one.name: float(one.value(x[:n], x[n:], p)) for one in model.invariants}
+    plane = None
+    if connection.component >= 0:
+        level = float(connection.states[connection.chosen][connection.component])
+        plane = f"{model.state_names[connection.component]}={level!r}"
+    rate = vector_field(model)(0.0, connection.states[connection.chosen], [], []).full().ravel()
+    direction = 1 if connection.component < 0 else int(np.sign(rate[connection.component])) or 1
+    found = surface(model, plane, connection.axes, direction, levels=levels)
+    ends = [
+        Local(_no_orbit(one), found, sense, one.point, one.direction, one.multiplier, 1, one.extents)
+        for one, sense in ((connection.origin, 1), (connection.goal, -1))
+    ]
+    places = connection.origin.place, connection.goal.place
+    return Chain(ends[0], ends[1], connection.states, places, connection.chosen)
+
+
+def _no_orbit(end: End) -> Orbit:
+    """What a local manifold asks of its orbit."""
+    nothing = np.zeros(0)
+    return Orbit(
+        end.orbit, {}, end.state, end.period, float("nan"), 0.0, 0.0, "", (), nothing, 0.0, "", (), end.state[None],
+        nothing, nothing, 0.0,
+    )  # fmt: skip
+
+
+def _off(independent: _Independent, end: End, state: np.ndarray, sense: int) -> np.ndarray:
+    """How far (d) a start is off the local manifold, but for the flow: by a motion of a period from nearer by."""
+    model, turns = independent.model, 1 if end.multiplier > 0 else 2
+    growth = _growth(end) ** turns
+    gap = wrapped(independent.end(end.point + end.place / growth * end.direction, sense * turns * end.period) - state,
+                  model.angular) / end.extents  # fmt: skip
+    rate = vector_field(model)(0.0, state, [], []).full().ravel() / end.extents
+    spanned = [end.direction / end.extents, *([] if model.forced else [rate])]
+    along = np.linalg.qr(np.column_stack(spanned))[0]
+    own = float(gap @ spanned[0])  # along the manifold only as far as its curvature goes
+    beyond = np.sign(own) * max(abs(own) - CURVED * abs(end.place), 0.0)
+    return np.asarray((gap - along @ (along.T @ gap) + beyond * spanned[0]) * end.extents)
+
+
+def follow_connection(
+    connection: Connection,
+    orbit: Orbit,
+    energies: Sequence[float],
+    other: Orbit | None = None,
+    *,
+    model: Model | None = None,
+    progress: Callable[[Connection], None] | None = None,
+    name: str = "",
+    out: str | Path | None = None,
+) -> tuple[Connection, ...]:
+    """A connection at other energies, one after another; it ends before the list does where the manifolds part.
+
+    `orbit` and `other` are its orbits, which are refined at each energy; `progress` is called with each connection.
+    OUT/<name>/connection.jsonl keeps them as they come, and what was asked before goes on from there, also to more
+    energies. Raises `InputError`.
+    """
+    model, levels, label = model or build_model(orbit.system), tuple(map(float, energies)), name or connection.name
+    if not model.conservative:
+        raise InputError("energies: this system conserves none; connections are followed in energy")
+    if not np.isfinite(levels).all():
+        raise InputError(f"energies: must be finite, got {', '.join(map(str, levels))}")
+    if any(plain(one.system) != plain(connection.system) for one in (orbit, other) if one):
+        raise InputError("orbit: of another system than the connection; give the orbits that it joins")
+    orbits, found = (orbit,) if other is None else (orbit, other), [connection]
+    joined = [(one.state, one.period, one.symmetry) for one in orbits]
+    request = plain({"name": label, "connection": entries_of(connection), "orbits": joined})
+    path, refiners = None if out is None else Path(out) / label / "connection.jsonl", list[Refiner]()
+    with checkpoints(path, request, _read) as journal:
+        known = dict(journal.known)
+        for k, level in enumerate(levels, 1):
+            if levels[:k] not in known:
+                refiners = refiners or [_refiner(one, model) for one in orbits]
+                known[levels[:k]] = _next(found[-2:], refiners, level, f"{label}-{k}")
+                journal.add(_entry(levels[:k], known[levels[:k]]))
+            one = known[levels[:k]]
+            if isinstance(one, str):
+                logging.getLogger(__name__).warning("energies: %r: %s; give some nearer ones before it", level, one)
+                break
+            found.append(one)
+            if progress:
+                progress(one)
+    return tuple(found[1:])
+
+
+def _entry(levels: tuple[float, ...], found: Connection | str) -> dict[str, Any]:
+    """The line of a journal: energies up to one, and the connection there or why there is none."""
+    if isinstance(found, str):
+        return {"energies": levels, "end": found}
+    motion = {"times": found.times, "samples": found.samples}
+    return dict(plain({"energies": levels, "connection": entries_of(found), **motion}))
+
+
+def _read(line: Mapping[str, Any]) -> tuple[tuple[float, ...], Connection | str]:
+    """Both from what was written. Raises `ValueError`."""
+    levels = tuple(map(float, line["energies"]))
+    if "end" in line:
+        return levels, str(line["end"])
+    motion = {name: np.array(line[name], float) for name in ("times", "samples")}
+    return levels, typed(Connection, {**line["connection"], **motion}, "")
+
+
+def _next(known: Sequence[Connection], refiners: Sequence[Refiner], level: float, name: str) -> Connection | str:
+    """The connection at another energy, from one or two that are known; or why there is none."""
+    model = refiners[0].problem.model
+    chains = [(one.energy, _chain(one, model)) for one in known]
+    try:
+        chain = reached(chains, level, partial(_at_level, chains, refiners))
+    except (ConvergenceError, IntegrationError) as error:
+        return str(error)
+    return certified_connection(described(chain, name), model)
+
+
+def _refiner(orbit: Orbit, model: Model) -> Refiner:
+    """What refines an orbit at other energies, in its symmetry where the equations have it."""
+    problem = Problem(model, Guess(orbit.state, orbit.period), pin=(Pin("energy", orbit.energy),))
+    try:
+        return Refiner(replace(problem, symmetry=orbit.symmetry))
+    except InputError:
+        return Refiner(problem)
+
+
+def _at_level(known: Known[Chain], refiners: Sequence[Refiner], level: float) -> tuple[Chain, int]:
+    """The chain at another energy: its orbits there, motions from places on the secant through the last two, Newton."""
+    (before, past), (here, chain) = known[0], known[-1]
+    found = chain.origin.surface
+    orbits = [one.orbit(one.refine(None, (Pin("energy", level),)), False) for one in refiners]
+    names = found.model.state_names
+    text, axes = f"{names[found.plane.component]}={found.plane.level!r}", [names[k] for k in found.axes]
+    surfaces = [surface_of(one, found.model, text, axes, found.plane.direction) for one in orbits]
+    origin, goal = (
+        local_manifold(orbits[k], surfaces[k], which, point=end.point)
+        for k, which, end in ((0, "unstable", chain.origin), (-1, "stable", chain.goal))
+    )
+    goal = replace(goal, surface=surfaces[0])
+    share = np.clip((level - here) / (here - before), -2.0, 2.0) if here != before else 0.0
+    a, b = (one * abs(one / other) ** share for one, other in zip(chain.places, past.places, strict=True))
+    forth, back = _returned(origin, a, chain.chosen), _returned(goal, b, len(chain.states) - 1 - chain.chosen)
+    if not (np.isfinite(forth).all() and np.isfinite(back).all()):
+        raise ConvergenceError("connection: its motion does not come back to the section at this energy")
+    states = np.vstack([forth, back[-2::-1]])
+    return solved(replace(chain, origin=origin, goal=goal, states=states, places=(a, b))), 0

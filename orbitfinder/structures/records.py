@@ -1,0 +1,30 @@
+"""The records of this room, for the registry of records."""
+
+from dataclasses import replace
+from typing import Any
+
+from orbitfinder.mechanics.model import Model
+from orbitfinder.records.registry import KINDS, Kind, loaded
+from orbitfinder.structures.manifold import load_connection, load_manifold
+from orbitfinder.structures.section import load_section
+from orbitfinder.structures.torus import Tori, load_tori
+
+
+def _each(tori: Tori) -> list[Tori]:
+    return [replace(tori, tori=(torus,)) for torus in tori.tori]
+
+
+def _verified(tori: Tori, model: Model) -> Any:
+    return loaded("structures.tori:certify_torus")(tori.tori[-1], model).certificate
+
+
+KINDS["tori"] = Kind(
+    "a family of tori", load_tori, _each, holds="tori", apart=True, verify=_verified,
+    plot="show.tori:save_torus_figures", page="laid",
+)  # fmt: skip
+KINDS["section"] = Kind("a section", load_section, plot="show.figures:section_figures", page="sections")
+KINDS["manifold"] = Kind("a manifold", load_manifold, plot="show.figures:section_figures", page="laid")
+KINDS["connection"] = Kind(
+    "a connection", load_connection, verify="structures.connections:certify_connection",
+    plot="show.figures:section_figures", page="laid",
+)  # fmt: skip
