@@ -26,7 +26,7 @@ from orbitfinder.errors import OrbitfinderError
 from orbitfinder.loops.symmetry import recognise
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
-from orbitfinder.mechanics.model import Model, energy
+from orbitfinder.mechanics.model import Model, altered, energy
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.evidence import Evidence, gather
 from orbitfinder.orbits.hybrid import gather_hybrid
@@ -103,14 +103,14 @@ def physical(orbit: of.Orbit, model: Model, units: np.ndarray, random: np.random
     for name, place in list(zip(model.parameter_names, range(len(model.parameter_values)), strict=True))[:3]:
         values = model.parameter_values.copy()
         values[place] = values[place] * (1 + 1e-6) if values[place] else 1e-6
-        other = replace(model, parameter_values=values)
+        other = altered(model, parameter_values=values)
         if not np.allclose(recorded_field(other, orbit), recorded_field(model, orbit), rtol=1e-9, atol=0):
             yield Plant(f"{name} 1e-6", refreshed(orbit, other), other)
     if model.forcing_period is not None:
         p = ca.MX.sym("p", len(model.parameter_values))
         for share in (0.5, 2 / 3, 1 / 3):
             clock = ca.Function("clock", [p], [share * model.forcing_period(p)])
-            yield Plant(f"forcing period {share:.3g}", orbit, replace(model, forcing_period=clock))
+            yield Plant(f"forcing period {share:.3g}", orbit, altered(model, forcing_period=clock))
 
 
 def recorded_field(model: Model, orbit: of.Orbit) -> np.ndarray:

@@ -10,7 +10,7 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.model import energy
+from orbitfinder.mechanics.model import altered, energy
 from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits import shoot as solve
 from orbitfinder.orbits.find import find_orbit
@@ -96,7 +96,7 @@ def test_other_problems_have_no_such_start():
         {"symmetry": "none"}, {"guess": moving}, {"guess": resting}, {"pin": ()}, {"pin": pin(theta1dot=0.0)},
         {"pin": pin(theta1=0.5, theta2=0.4)}, {"free": ("length1",)}, {"objective": "min_instability"},
         {"bounds": {"period": (1.0, 3.0)}},
-        {"model": replace(problem.model, forces=ca.Function("f", [t, q, v, p], [-v]))},
+        {"model": altered(problem.model, forces=ca.Function("f", [t, q, v, p], [-v]))},
     ):  # fmt: skip
         other = replace(problem, **changed)
         assert not suits(other) and balanced_guess(other) is None
@@ -108,4 +108,4 @@ def test_a_system_that_does_not_rest_at_zero_has_no_such_start():
     assert balanced_guess(replace(problem, model=chain(2, gravity=-9.8))) is None
     q, p = ca.SX.sym("q", 2), ca.SX.sym("p", problem.model.parameter_values.size)
     tilted = ca.Function("V", [q, p], [problem.model.potential(q, p) + ca.sum1(q)])
-    assert balanced_guess(replace(problem, model=replace(problem.model, potential=tilted))) is None
+    assert balanced_guess(replace(problem, model=altered(problem.model, potential=tilted))) is None

@@ -50,7 +50,7 @@ def test_a_family_and_its_record(tmp_path):
     clock = of.ode(lambda t, x, p: [x.v, p.mu * (1 - x.u**2) * x.v - x.u], ["u", "v"], {"mu": 1.0})
     cycle = of.find_orbit(of.Problem(clock, of.Guess([2.0, 0.0], 6.7)))
     family = of.follow_family(cycle, parameter="mu", until=1.3, model=clock)
-    assert abs(family.points[-1].place - 1.3) < 1e-9
+    assert abs(family.points[-1].value - 1.3) < 1e-9
 """
 FILES = ("test_codec.py", "test_floquet.py", "test_offset.py", "test_caches.py")
 """Tests of the core that need nothing else"""

@@ -26,7 +26,7 @@ from orbitfinder.exports.auto import ENERGY, PERIOD, auto_files
 from orbitfinder.exports.source import FORTRAN, C, dense_states, fortran_number, source_of, straight_line
 from orbitfinder.exports.write import export_orbit, julia_file
 from orbitfinder.mechanics.kind import build_model
-from orbitfinder.mechanics.model import vector_field
+from orbitfinder.mechanics.model import altered, vector_field
 from orbitfinder.problemfile.read import read_trajectory
 
 ROOT = Path(__file__).parents[1]
@@ -309,10 +309,10 @@ def test_what_the_auto_files_cannot_state_is_refused(triple, monkeypatch):
     cart = replace(triple, system=SYSTEMS["pendulum_on_cart"], state=x, samples=samples, times=times)
     source = source_of(cart)
     assert "IPS = 4" in auto_files(source)["c.triple_1"]
-    many = replace(source, model=replace(source.model, invariants=source.model.invariants * 5))
+    many = replace(source, model=altered(source.model, invariants=source.model.invariants * 5))
     with pytest.raises(InputError, match="^to: more than 9 first integrals have no place in AUTO's PAR"):
         auto_files(many)
-    forced = replace(source, model=replace(source.model, forcing_period=ca.Function("P", [ca.SX.sym("p", 4)], [1.0])))
+    forced = replace(source, model=altered(source.model, forcing_period=ca.Function("P", [ca.SX.sym("p", 4)], [1.0])))
     with pytest.raises(InputError, match="^to: a forced system that keeps a momentum is not covered for AUTO"):
         auto_files(forced)
 

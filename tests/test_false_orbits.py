@@ -11,6 +11,7 @@ import orbitfinder as of
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.loops.symmetry import recognise
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
+from orbitfinder.mechanics.model import altered
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.evidence import gather
 from orbitfinder.systems import pendulum_on_cart
@@ -104,7 +105,7 @@ def test_a_force_that_depends_on_time_without_saying_so_is_rejected():
     """A model whose forcing period was taken off is seen to differ at another time."""
     model = forced(ca.cos, 2 * np.pi)
     orbit = of.find_orbit(of.Problem(model, of.Guess([0.3, 0.1], 2 * np.pi)))
-    hidden = replace(model, forcing_period=None)
+    hidden = altered(model, forcing_period=None)
     assert "time_dependence" in certify(orbit, hidden).failures
 
 
@@ -158,7 +159,7 @@ def test_an_invariant_that_is_none_is_named(report_orbits):
     """Angular momentum declared of a hanging chain: it is not constant along the motion."""
     orbit, model = report_orbits["triple-1"], of.chain(3)
     turning = of.chain(3, gravity=0.0).invariants[1]
-    declared = replace(model, invariants=(*model.invariants, turning))
+    declared = altered(model, invariants=(*model.invariants, turning))
     assert f"invariant_{turning.name}" in certify(orbit, declared).failures
 
 

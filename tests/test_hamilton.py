@@ -1,7 +1,5 @@
 """The certificate's equations are derived once a model, and compiled for those whose orbits are many."""
 
-from dataclasses import replace
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -10,6 +8,7 @@ from orbitfinder.integrate import equations as module
 from orbitfinder.integrate.compiled import available, compiling
 from orbitfinder.integrate.equations import KEPT, accelerations, hamilton, prepare
 from orbitfinder.mechanics.kind import with_parameters
+from orbitfinder.mechanics.model import altered
 from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.certify import certify
 
@@ -23,12 +22,12 @@ def forgetful():
 def test_equations_are_derived_once():
     """The same model gives the same functions; another value, force or model gives others."""
     model = chain(2)
-    assert hamilton(model) is hamilton(replace(model, points=None))
+    assert hamilton(model) is hamilton(altered(model, points=None))
     assert accelerations(model) is accelerations(model)
     longer = with_parameters(model, {model.parameter_names[0]: 1.5})
     n = model.degrees_of_freedom
     t, q, v, p = ca.SX.sym("t"), ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("p", model.parameter_values.size)
-    damped = replace(model, forces=ca.Function("damping", [t, q, v, p], [-v]))
+    damped = altered(model, forces=ca.Function("damping", [t, q, v, p], [-v]))
     others = [hamilton(one) for one in (model, longer, damped, chain(2))]
     assert len({id(one) for one in others}) == 4
     y = np.array([0.3, 0.1, 0.2, 0.5])

@@ -1,6 +1,5 @@
 """Mechanisms that are pulled by a point, and thrown."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +7,7 @@ import pytest
 
 from orbitfinder.errors import InputError
 from orbitfinder.families.minimal import minimal_problem
-from orbitfinder.mechanics.model import constraint_of, positions
+from orbitfinder.mechanics.model import altered, constraint_of, positions
 from orbitfinder.mechanisms.chain import chain
 from orbitfinder.mechanisms.pose import movable, pulled, thrown
 from orbitfinder.problemfile.read import load_problem
@@ -52,7 +51,7 @@ def test_both_descriptions_of_a_mechanism_follow_the_hand_alike(file, point):
 
 def test_points_without_picture_and_dead_points():
     model, straight = chain(2), np.zeros(4)
-    assert movable(model, straight) == [1, 2] and movable(replace(model, points=None), straight) == []
+    assert movable(model, straight) == [1, 2] and movable(altered(model, points=None), straight) == []
     lifted = thrown(model, straight, 2, np.array([-1.0, 0.0]))  # along the links: nothing follows
     assert np.abs(lifted[2:]).max() < 10.0
     for function in (pulled, thrown):

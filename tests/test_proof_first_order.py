@@ -13,6 +13,7 @@ pytest.importorskip("flint")
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
+from orbitfinder.mechanics.model import altered
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.proof.balls import arb, precision
 from orbitfinder.proof.field import programs
@@ -152,11 +153,11 @@ def test_a_false_hamiltonian_is_refused(loop):
     t, x, p = ca.SX.sym("t"), ca.SX.sym("x", 4), ca.SX.sym("p", 0)
     leaking = ca.Function("rates", [t, x, p], [model.rates(t, x, p) - 1e-12 * x])
     with pytest.raises(InputError, match="not Hamilton's of its energy"):
-        prove(orbit, replace(model, rates=leaking))
+        prove(orbit, altered(model, rates=leaking))
     with pytest.raises(InputError, match="conserves energy is declared"):
-        prove(orbit, replace(model, hamiltonian=False))
+        prove(orbit, altered(model, hamiltonian=False))
     with pytest.raises(InputError, match="forced systems cannot be proved"):
-        prove(orbit, replace(model, forcing_period=ca.Function("T", [p], [1.0])))
+        prove(orbit, altered(model, forcing_period=ca.Function("T", [p], [1.0])))
     with pytest.raises(InputError, match="orbits with events cannot be proved"):
         programs(of.systems.simplest_walker())
 

@@ -17,7 +17,7 @@ Source: A. Bryson, Y. Ho, Applied Optimal Control (1975), sections 2.5, 2.7, 3.1
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -44,7 +44,7 @@ from orbitfinder.loops.problem import Problem
 from orbitfinder.loops.symmetry import named, related, turned
 from orbitfinder.mechanics.controls import actuated
 from orbitfinder.mechanics.kind import with_parameters
-from orbitfinder.mechanics.model import Model, energy, wrapped
+from orbitfinder.mechanics.model import Model, altered, energy, wrapped
 from orbitfinder.mechanics.scales import extents_of
 from orbitfinder.orbits.between import LOOKS, MOST_LOOKS, Rates, overlooked
 from orbitfinder.orbits.closure import closes, gap, shift, shift_along
@@ -178,7 +178,7 @@ class _Motion:
             )  # fmt: skip
             names, self.coefficients = tuple(entry["names"]), np.array(entry["coefficients"], float)
             limits = {name: tuple(pair) for name, pair in entry["limits"].items()}
-            model = with_parameters(actuated(replace(model, controls=names, limits=limits)), entry["shares"])
+            model = with_parameters(actuated(altered(model, controls=names, limits=limits)), entry["shares"])
             boundary = related(named(symmetry, model), model, relative)
             self.parts = arranged(model, boundary, tuple(entry["free"]), control, int(entry["points"]))
             self.pinned = [model.state_names.index(name) for name in entry["pins"] if name in model.state_names]

@@ -31,6 +31,7 @@ from orbitfinder.loops.control import Task
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.kind import with_parameters
+from orbitfinder.mechanics.model import altered
 from orbitfinder.orbits.certify import certified
 from orbitfinder.records.codec import plain
 from orbitfinder.records.family import End
@@ -151,7 +152,7 @@ def set_to(problem: Problem, parameter: str, value: float) -> Problem:
     if parameter.startswith("limit "):
         limits = {**model.limits, name: _range(*model.limits[name], value)}
         system = {**model.system, "limits": {one: list(pair) for one, pair in limits.items()}}
-        return replace(problem, model=replace(model, limits=limits, system=system))
+        return replace(problem, model=altered(model, limits=limits, system=system))
     if parameter.startswith("task "):
         tasks = list(control.tasks)
         tasks[int(name) - 1] = _asking(tasks[int(name) - 1], value)

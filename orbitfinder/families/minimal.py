@@ -20,7 +20,7 @@ from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.constrained import Loops
 from orbitfinder.mechanics.kind import build_model, loops_of
-from orbitfinder.mechanics.model import Model, constraint_of, energy, wrapped
+from orbitfinder.mechanics.model import Model, altered, constraint_of, energy, wrapped
 
 SAMPLES = 200
 
@@ -102,5 +102,5 @@ def _native(system: Mapping[str, Any], free: Mapping[str, float] | None) -> tupl
     found = build_model({key: value for key, value in system.items() if key not in ("independent", "branch")})
     names, values = found.parameter_names, dict(free or {})
     numbers = [values.get(name, value) for name, value in zip(names, found.parameter_values, strict=True)]
-    native = replace(found, parameter_values=np.array(numbers, float))
+    native = altered(found, parameter_values=np.array(numbers, float))
     return native, loops, loops.whole(native, system)

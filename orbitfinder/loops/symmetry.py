@@ -23,7 +23,7 @@ from scipy.interpolate import CubicHermiteSpline, PPoly
 
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.constrained import allowed_velocities
-from orbitfinder.mechanics.model import Invariant, Model, wrapped
+from orbitfinder.mechanics.model import Invariant, Model, altered, wrapped
 from orbitfinder.mechanics.scales import masses_of, proportions, shared, snapped, surroundings
 
 RECOGNITION = 1e-6
@@ -658,7 +658,7 @@ def undeclared_mirrors(model: Model) -> tuple[Involution, ...]:
 def with_mirrors(model: Model) -> Model:
     """The Model with the mirrors that nobody declares declared."""
     found = tuple((one.name, one.sense, one.signs) for one in undeclared_mirrors(model))
-    return replace(model, symmetries=(*model.symmetries, *found)) if found else model  # type: ignore[arg-type]
+    return altered(model, symmetries=(*model.symmetries, *found)) if found else model  # type: ignore[arg-type]
 
 
 def knowing(model: Model, name: str) -> Model:
@@ -788,7 +788,7 @@ def moved(model: Model, free: Sequence[str]) -> Model:
     numbers = model.parameter_values.copy()
     places = [model.parameter_index(name) for name in free]
     numbers[places] = np.where(numbers[places], 1.1 * numbers[places], 0.1)
-    return replace(model, parameter_values=numbers) if free else model
+    return altered(model, parameter_values=numbers) if free else model
 
 
 SIZES = (1.0, 1e-3, 1e-6, 1e-12)

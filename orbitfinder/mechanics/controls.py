@@ -8,14 +8,13 @@ that a Model has of its own (0 unless said) it is the mechanism without motors, 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import InputError, closest
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, altered
 
 TORQUE = "torque"
 """Name of a motor's torque (N m), followed by the number of its joint"""
@@ -29,7 +28,7 @@ Limits = Mapping[str, float | Sequence[float]]
 def with_controls(model: Model, names: Sequence[str], limits: Limits | None = None) -> Model:
     """The Model with these physical parameters as its controls, within `limits`. Raises `InputError`."""
     checked_controls(names, model.parameter_names)
-    return replace(model, controls=tuple(names), limits=checked_limits(limits or {}, names))
+    return altered(model, controls=tuple(names), limits=checked_limits(limits or {}, names))
 
 
 def checked_controls(names: Sequence[str], known: Sequence[str]) -> tuple[str, ...]:
@@ -105,7 +104,7 @@ def actuated(model: Model) -> Model:
         inputs = drive.sx_in() if drive.is_a("SXFunction") else drive.mx_in()
         drive = ca.Function("forces", inputs, [forces(*inputs) + drive(*inputs)])
     kept = tuple(one for one, broken in zip(model.invariants, _broken(model), strict=True) if not broken)
-    return replace(model, forces=drive or forces, actuation=None, invariants=kept, hamiltonian=False)
+    return altered(model, forces=drive or forces, actuation=None, invariants=kept, hamiltonian=False)
 
 
 def _broken(model: Model) -> list[bool]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from re import sub
 from typing import Any
 
@@ -15,7 +14,7 @@ from orbitfinder._runtime.arguments import checked
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.controls import Limits, with_controls
-from orbitfinder.mechanics.model import Invariant, Model
+from orbitfinder.mechanics.model import Dynamics, Invariant, Mechanics, Model, Structure, altered
 
 Field = Callable[[Any, "Named", "Named"], Any]
 """(t, x, p) -> x'"""
@@ -125,7 +124,7 @@ def ode(
     if isinstance(found, Mapping):
         found = [symbols.invariant(name, _expression(name, one, symbols)) for name, one in found.items()]
     made = with_controls(_model(rate, symbols, found, angles, forcing_period, symmetries, system), controls, limits)
-    return made if points is None else replace(made, points=symbols.positions(points))
+    return made if points is None else altered(made, points=symbols.positions(points))
 
 
 @checked
@@ -264,23 +263,23 @@ def _model(
     if level is not None:
         energy = ca.substitute(level, symbols.t, ca.SX(0))
     clock = None if forcing_period is None else _clock(forcing_period, symbols)
-    return Model(
-        system=dict(system or {"kind": "custom"}),
-        state_names=symbols.names,
-        parameter_names=tuple(symbols.values),
-        parameter_values=np.array(list(symbols.values.values()), float),
-        acceleration=symbols.function("acceleration", ca.SX(0, 1), timed=True),
-        kinetic=symbols.function("kinetic", ca.SX(0)),
-        potential=ca.Function("potential", [symbols.column, symbols.numbers], [energy]),
-        invariants=invariants,
-        angles=tuple(name in angles for name in symbols.names),
-        forcing_period=clock,
-        symmetries=tuple(
-            (name, _sense(name, sense), symbols.signs(moved)) for name, (sense, moved) in (symmetries or {}).items()
-        ),
-        rates=ca.Function("rates", [symbols.t, symbols.column, symbols.numbers], [ca.densify(rate)]),
-        hamiltonian=level is not None,
+    reversals = (
+        (name, _sense(name, sense), symbols.signs(moved)) for name, (sense, moved) in (symmetries or {}).items()
     )
+    return Model(
+        dict(system or {"kind": "custom"}),
+        Dynamics(
+            symbols.names, tuple(symbols.values), np.array(list(symbols.values.values()), float),
+            symbols.function("acceleration", ca.SX(0, 1), timed=True),
+            ca.Function("rates", [symbols.t, symbols.column, symbols.numbers], [ca.densify(rate)]), level is not None,
+            clock,
+        ),
+        Mechanics(
+            symbols.function("kinetic", ca.SX(0)),
+            ca.Function("potential", [symbols.column, symbols.numbers], [energy]),
+        ),
+        Structure(invariants, tuple(reversals), tuple(name in angles for name in symbols.names)),
+    )  # fmt: skip
 
 
 def _parameters(given: Mapping[str, float] | None) -> dict[str, float]:

@@ -22,7 +22,7 @@ from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.controls import Limits, with_controls
 from orbitfinder.mechanics.factorise import LinearBalances, eliminated
 from orbitfinder.mechanics.first_order import Named, in_symbols
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import PART_OF, Model, altered
 from orbitfinder.records.orbit import SHARE
 
 Expression = Callable[[Named, Named], Any]
@@ -280,12 +280,12 @@ def hybrid(
     names = (*first.parameter_names, *(f"{SHARE}{k + 1}" for k in range(count - 1)))
     values = np.concatenate([first.parameter_values, np.full(count - 1, 1.0 / count)])
     begins = parts.first.model
-    whole = replace(begins, parameter_names=names, parameter_values=values)
+    whole = altered(begins, parameter_names=names, parameter_values=values)
     built = Hybrid(
         tuple(_mode(one, whole) for one in named), tuple(_transition(one, whole) for one in transitions), cycle,
         (named, tuple(transitions), tuple(conserved)), None if ground is None else _drawn(ground, first),
     )  # fmt: skip
-    found = replace(
+    found = altered(
         built.first.model, parameter_names=names, parameter_values=values, hybrid=built,
         system=dict(system or {"kind": "custom"}),
     )  # fmt: skip
@@ -309,7 +309,7 @@ def with_cycle(model: Model, cycle: Sequence[str]) -> Model:
     numbers = np.append(model.parameter_values[:kept], made.parameter_values[kept:])
     built = replace(made.hybrid, ground=model.hybrid.ground)
     controls = {"controls": model.controls, "limits": model.limits}
-    return replace(made, parameter_values=numbers, hybrid=at_numbers(built, numbers), **controls)  # type: ignore[arg-type]
+    return altered(made, parameter_values=numbers, hybrid=at_numbers(built, numbers), **controls)  # type: ignore[arg-type]
 
 
 def as_recorded(model: Model, system: Mapping[str, Any]) -> Model:
@@ -349,14 +349,14 @@ def _conserving(mode: Mode, names: Sequence[str]) -> Model:
                 f"conserved: mode {mode.name} does not conserve {name!r}{closest(name, found)}; it conserves "
                 f"{', '.join(found) or 'nothing'}"
             )
-    return replace(mode.model, invariants=tuple(found[name] for name in names))
+    return altered(mode.model, invariants=tuple(found[name] for name in names))
 
 
 def at_numbers(parts: Hybrid | None, numbers: np.ndarray) -> Hybrid | None:
     """The same modes at other values of the parameters."""
     if parts is None:
         return None
-    modes = (replace(one, model=replace(one.model, parameter_values=numbers)) for one in parts.modes)
+    modes = (replace(one, model=altered(one.model, parameter_values=numbers)) for one in parts.modes)
     return replace(parts, modes=tuple(modes))
 
 
@@ -388,7 +388,7 @@ def share(model: Model, arc: int, p: Any, parts: int = 1) -> Any:
 def _mode(mode: Mode, whole: Model) -> Mode:
     """A mode whose functions take the whole system's parameters."""
     kept = len(mode.model.parameter_names)
-    model = replace(
+    model = altered(
         widened(mode.model, len(whole.parameter_names), kept),
         parameter_names=whole.parameter_names,
         parameter_values=whole.parameter_values,
@@ -410,12 +410,13 @@ def widened(model: Model, count: int, kept: int) -> Model:
         more = type(symbols[0]).sym("p", count)
         return ca.Function(function.name(), [*symbols[:-1], more], function.call([*symbols[:-1], more[:kept]]))
 
-    functions = {name: wide(value) for name, value in vars(model).items() if isinstance(value, ca.Function)}
+    fields = {name: getattr(model, name) for name in PART_OF}
+    functions = {name: wide(value) for name, value in fields.items() if isinstance(value, ca.Function)}
     invariants = tuple(
         replace(one, value=wide(one.value), unfolding=wide(one.unfolding), generator=wide(one.generator))
         for one in model.invariants
     )
-    return replace(model, **functions, invariants=invariants)  # type: ignore[arg-type]
+    return altered(model, **functions, invariants=invariants)  # type: ignore[arg-type]
 
 
 def _transition(one: Transition, model: Model) -> Transition:

@@ -18,7 +18,7 @@ from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.constrained import Loops
 from orbitfinder.mechanics.controls import check_constant, with_controls
 from orbitfinder.mechanics.hybrid import at_numbers, with_cycle
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, altered
 from orbitfinder.mechanics.scales import with_scales
 from orbitfinder.records.orbit import system_at
 
@@ -201,7 +201,7 @@ def with_parameters(model: Model, values: Mapping[str, float]) -> Model:
     system = system_at(model.system, values)
     if system_kind(model.system).reread:
         return build_model(system)
-    return replace(model, parameter_values=numbers, system=system, hybrid=at_numbers(model.hybrid, numbers))
+    return altered(model, parameter_values=numbers, system=system, hybrid=at_numbers(model.hybrid, numbers))
 
 
 NAMES = {"henon_heiles": "Hénon-Heiles", "van_der_pol": "Van der Pol", "duffing": "Duffing",

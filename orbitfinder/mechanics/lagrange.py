@@ -14,7 +14,7 @@ from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.controls import Limits, checked_controls, checked_limits, divided
 from orbitfinder.mechanics.factorise import acceleration_function
-from orbitfinder.mechanics.model import Invariant, Model
+from orbitfinder.mechanics.model import Drive, Dynamics, Invariant, Mechanics, Model, Structure, altered
 from orbitfinder.mechanics.scales import with_scales
 
 
@@ -255,7 +255,7 @@ def lagrange(
         controls=controls,
         limits=limits,
     )
-    return with_scales(replace(model, strokes=tuple(strokes)), scales)
+    return with_scales(altered(model, strokes=tuple(strokes)), scales)
 
 
 def _reversals(symmetries: Mapping[str, Sequence[int]], count: int) -> tuple[tuple[str, int, tuple[int, ...]], ...]:
@@ -286,23 +286,25 @@ def mechanical_model(
     """The Model of accelerations a(t, q, v, p) and of the Lagrangian's terms; other `parts` go in as they are."""
     arguments, clock = symbols.arguments, symbols.forcing_period
     _, q, v, p = arguments
-    return Model(
-        system=dict(system or {"kind": "custom"}),
-        state_names=(*names, *(f"{name}dot" for name in names)),
-        parameter_names=tuple(symbols.parameter_names),
-        parameter_values=np.asarray(symbols.parameter_values, float),
-        acceleration=acceleration,
-        kinetic=ca.Function("kinetic", [q, v, p], [terms.kinetic]),
-        potential=ca.Function("potential", [q, p], [terms.potential]),
-        forces=None if terms.forces is None else ca.Function("forces", arguments, [terms.forces]),
-        actuation=None if terms.actuation is None else ca.Function("actuation", arguments, [terms.actuation]),
-        controls=checked_controls(controls, symbols.parameter_names),
-        limits=checked_limits(limits or {}, controls),
-        invariants=tuple(invariants),
-        gyroscopic=None if terms.gyroscopic is None else ca.Function("gyroscopic", [q, v, p], [terms.gyroscopic]),
-        forcing_period=None if clock is None else ca.Function("forcing_period", [p], [ca.SX(clock)]),
-        **parts,
-    )
+    model = Model(
+        dict(system or {"kind": "custom"}),
+        Dynamics(
+            (*names, *(f"{name}dot" for name in names)), tuple(symbols.parameter_names),
+            np.asarray(symbols.parameter_values, float), acceleration,
+            forcing_period=None if clock is None else ca.Function("forcing_period", [p], [ca.SX(clock)]),
+        ),
+        Mechanics(
+            ca.Function("kinetic", [q, v, p], [terms.kinetic]), ca.Function("potential", [q, p], [terms.potential]),
+            None if terms.forces is None else ca.Function("forces", arguments, [terms.forces]),
+            None if terms.gyroscopic is None else ca.Function("gyroscopic", [q, v, p], [terms.gyroscopic]),
+        ),
+        Structure(tuple(invariants)),
+        drive=Drive(
+            checked_controls(controls, symbols.parameter_names), checked_limits(limits or {}, controls),
+            None if terms.actuation is None else ca.Function("actuation", arguments, [terms.actuation]),
+        ),
+    )  # fmt: skip
+    return altered(model, **parts)
 
 
 def coordinate_names(names: Sequence[str] | None, symbols: Symbols) -> tuple[str, ...]:

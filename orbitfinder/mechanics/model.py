@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Any
+from typing import Any, Generic, Self, TypeVar, overload
 
 import casadi as ca
 import numpy as np
@@ -13,6 +13,8 @@ import numpy as np
 from orbitfinder._runtime.arguments import check_fields
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError
+
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
@@ -102,42 +104,140 @@ class HolonomicConstraint:
 
 
 @dataclass(frozen=True)
+class Dynamics:
+    """The equations of motion of a state.
+
+    Args:
+        state_names: of the components of x (2n, or d of a first-order system).
+        parameter_names: of the physical parameters (k).
+        parameter_values: the numbers that go there when a parameter is not freed (k).
+        acceleration: a(t, q, v, p) (n).
+        rates: of a first-order system x' = rates(t, x, p): q is then its whole state, v and a are empty.
+        hamiltonian: whether the rates are Hamilton's, q being (coordinates, momenta), half each.
+        forcing_period: (p) -> s, the period of an explicit dependence on time.
+    """
+
+    state_names: tuple[str, ...]
+    parameter_names: tuple[str, ...]
+    parameter_values: np.ndarray
+    acceleration: ca.Function
+    rates: ca.Function | None = None
+    hamiltonian: bool = False
+    forcing_period: ca.Function | None = None
+
+
+@dataclass(frozen=True)
+class Mechanics:
+    """The energies and forces that equations of motion come from.
+
+    Args:
+        kinetic: T(q, v, p), its part quadratic in v where there is a `gyroscopic` one.
+        potential: V(q, p); of a first-order system its energy, nan where nothing is conserved.
+        forces: generalized, non-conservative Q(t, q, v, p) (n).
+        gyroscopic: the part of the Lagrangian that is linear in v, (q, v, p); kinetic + potential is then the Jacobi
+            integral v.dL/dv - L.
+        constraint: the holonomic constraint with its native DAE.
+    """
+
+    kinetic: ca.Function
+    potential: ca.Function
+    forces: ca.Function | None = None
+    gyroscopic: ca.Function | None = None
+    constraint: HolonomicConstraint | None = None
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What motions keep and repeat.
+
+    Args:
+        invariants: first integrals, with what unfolds them.
+        symmetries: what orbits may have besides the usual: name, sense of time (1 or -1), sign of each coordinate.
+        angles: which coordinates are angles (n).
+    """
+
+    invariants: tuple[Invariant, ...] = ()
+    symmetries: tuple[tuple[str, int, tuple[int, ...]], ...] = ()
+    angles: tuple[bool, ...] = ()
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What may be controlled.
+
+    Args:
+        controls: physical parameters that may vary in time; all else here holds at their own values, 0 unless said.
+        limits: lowest and highest of controls, by name.
+        actuation: (t, q, v, p) -> what controls add to the forces (n).
+    """
+
+    controls: tuple[str, ...] = ()
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    actuation: ca.Function | None = None
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What is drawn.
+
+    Args:
+        points: positions that are drawn (q, p) -> 2 x k; for a chain the joints.
+        centres: centres of mass (q, p) -> 2 x k.
+        strokes: what is drawn through which of the points: rod (of one point a mass), spring, ground, slider, disc
+            (centre, rim); () is a polyline.
+        landmarks: places (n each) that pictures mark and guesses may start from, at the model's own parameter values.
+    """
+
+    points: ca.Function | None = None
+    centres: ca.Function | None = None
+    strokes: tuple[tuple[str, tuple[int, ...]], ...] = ()
+    landmarks: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+
+class Of(Generic[Value]):
+    """A field of a Model's part by its name alone: `model.kinetic` is `model.mechanics.kinetic`."""
+
+    def __init__(self, part: str) -> None:
+        self._part = part
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name, PART_OF[name] = name, self._part
+
+    @overload
+    def __get__(self, model: None, owner: type) -> Self: ...
+    @overload
+    def __get__(self, model: Any, owner: type) -> Value: ...
+    def __get__(self, model: Any, owner: type) -> Self | Value:
+        if model is None:
+            return self
+        value: Value = getattr(getattr(model, self._part), self._name)
+        vars(model)[self._name] = value  # next time it is an attribute like any other
+        return value
+
+
+PART_OF: dict[str, str] = {}
+"""The part of a Model that has a field"""
+
+
+@dataclass(frozen=True)
 class Model(Shown):
     """Equations of motion x' = (v, a(t, q, v, p)) of a state x = (q, v), and what belongs to them.
 
     `of.chain`, `of.linkage`, `of.mechanism`, `of.lagrange`, `of.ode`, ... make one. All functions are CasADi's and
     take the full parameter vector p. SI units, angles in rad; positions have x down, y right. Under a constraint the
     coordinates are redundant and the energies carry no constraint forces: a is what the elimination of the DAE's
-    algebraic variables gives, so that x' has the DAE's flow.
+    algebraic variables gives, so that x' has the DAE's flow. Fields of the parts are known by their own names too:
+    `model.kinetic` is `model.mechanics.kinetic`.
 
     Args:
         system: plain description from which files rebuild it.
-        state_names: of the components of x (2n, or d of a first-order system).
-        parameter_names: of the physical parameters (k).
-        parameter_values: the numbers that go there when a parameter is not freed (k).
-        acceleration: a(t, q, v, p) (n).
-        kinetic: T(q, v, p), its part quadratic in v where there is a `gyroscopic` one.
-        potential: V(q, p); of a first-order system its energy, nan where nothing is conserved.
-        forces: generalized, non-conservative Q(t, q, v, p) (n).
-        invariants: first integrals, with what unfolds them.
-        angles: which coordinates are angles (n).
-        points: positions that are drawn (q, p) -> 2 x k; for a chain the joints.
-        centres: centres of mass (q, p) -> 2 x k.
-        gyroscopic: the part of the Lagrangian that is linear in v, (q, v, p); kinetic + potential is then the Jacobi
-            integral v.dL/dv - L.
-        forcing_period: (p) -> s, the period of an explicit dependence on time.
-        symmetries: what orbits may have besides the usual: name, sense of time (1 or -1), sign of each coordinate.
-        landmarks: places (n each) that pictures mark and guesses may start from, at the model's own parameter values.
-        constraint: the holonomic constraint with its native DAE.
+        dynamics: the equations of motion, names and numbers of what stands in them.
+        mechanics: energies, forces, constraint.
+        structure: invariants, symmetries, which coordinates are angles.
         hybrid: modes, transitions and the cycle of a hybrid system.
-        rates: of a first-order system x' = rates(t, x, p): q is then its whole state, v and a are empty.
-        hamiltonian: whether the rates are Hamilton's, q being (coordinates, momenta), half each.
-        strokes: what is drawn through which of the points: rod (of one point a mass), spring, ground, slider, disc
-            (centre, rim); () is a polyline.
+        drive: controls with their limits.
+        picture: what is drawn.
         scales: sizes to measure in: of coordinates by name, of all that are no angles by "length", of parameters.
-        controls: physical parameters that may vary in time; all else here holds at their own values, 0 unless said.
-        limits: lowest and highest of controls, by name.
-        actuation: (t, q, v, p) -> what controls add to the forces (n).
 
     Examples:
         >>> pendulum.degrees_of_freedom, pendulum.conservative, pendulum.parameter_names[:3]
@@ -149,30 +249,36 @@ class Model(Shown):
     __repr__ = brief("system", "state_names")
 
     system: Mapping[str, Any]
-    state_names: tuple[str, ...]
-    parameter_names: tuple[str, ...]
-    parameter_values: np.ndarray
-    acceleration: ca.Function
-    kinetic: ca.Function
-    potential: ca.Function
-    forces: ca.Function | None = None
-    invariants: tuple[Invariant, ...] = ()
-    angles: tuple[bool, ...] = ()
-    points: ca.Function | None = None
-    centres: ca.Function | None = None
-    gyroscopic: ca.Function | None = None
-    forcing_period: ca.Function | None = None
-    symmetries: tuple[tuple[str, int, tuple[int, ...]], ...] = ()
-    landmarks: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    constraint: HolonomicConstraint | None = None
+    dynamics: Dynamics
+    mechanics: Mechanics
+    structure: Structure = Structure()
     hybrid: Any = None
-    rates: ca.Function | None = None
-    hamiltonian: bool = False
-    strokes: tuple[tuple[str, tuple[int, ...]], ...] = ()
+    drive: Drive = Drive()
+    picture: Picture = Picture()
     scales: Mapping[str, float] = field(default_factory=dict)
-    controls: tuple[str, ...] = ()
-    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    actuation: ca.Function | None = None
+
+    state_names = Of[tuple[str, ...]]("dynamics")
+    parameter_names = Of[tuple[str, ...]]("dynamics")
+    parameter_values = Of[np.ndarray]("dynamics")
+    acceleration = Of[ca.Function]("dynamics")
+    rates = Of[ca.Function | None]("dynamics")
+    hamiltonian = Of[bool]("dynamics")
+    forcing_period = Of[ca.Function | None]("dynamics")
+    kinetic = Of[ca.Function]("mechanics")
+    potential = Of[ca.Function]("mechanics")
+    forces = Of[ca.Function | None]("mechanics")
+    gyroscopic = Of[ca.Function | None]("mechanics")
+    constraint = Of[HolonomicConstraint | None]("mechanics")
+    invariants = Of[tuple[Invariant, ...]]("structure")
+    symmetries = Of[tuple[tuple[str, int, tuple[int, ...]], ...]]("structure")
+    angles = Of[tuple[bool, ...]]("structure")
+    controls = Of[tuple[str, ...]]("drive")
+    limits = Of[Mapping[str, tuple[float, float]]]("drive")
+    actuation = Of[ca.Function | None]("drive")
+    points = Of[ca.Function | None]("picture")
+    centres = Of[ca.Function | None]("picture")
+    strokes = Of[tuple[tuple[str, tuple[int, ...]], ...]]("picture")
+    landmarks = Of[Mapping[str, tuple[float, ...]]]("picture")
 
     @property
     def conservative(self) -> bool:
@@ -262,6 +368,14 @@ class Model(Shown):
             known = ", ".join(self.state_names)
             raise InputError(f"unknown state component {name!r}; this system has {known}")
         return self.state_names.index(name)
+
+
+def altered(model: Model, **changes: Any) -> Model:
+    """The Model with some fields changed, those of its parts by their own names."""
+    parts: dict[str, dict[str, Any]] = {}
+    for name in changes.keys() & PART_OF.keys():
+        parts.setdefault(PART_OF[name], {})[name] = changes.pop(name)
+    return replace(model, **changes, **{part: replace(getattr(model, part), **new) for part, new in parts.items()})
 
 
 def constraint_of(model: Model) -> HolonomicConstraint:

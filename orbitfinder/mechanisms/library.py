@@ -6,7 +6,7 @@ Only what is listed in `FUNCTIONS` can be named in a problem file without --trus
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -16,7 +16,7 @@ from scipy.optimize import brentq
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.first_order import Named, hamiltonian, ode
 from orbitfinder.mechanics.lagrange import Symbols, energy_invariant, lagrange
-from orbitfinder.mechanics.model import Invariant, Model
+from orbitfinder.mechanics.model import Invariant, Model, altered
 
 BUILT_IN = "orbitfinder.systems"
 
@@ -394,7 +394,7 @@ def restricted_three_body(ratio: float = 0.012277471, spatial: bool = False) -> 
     )  # fmt: skip
     own = (("mirror", -1, (1, -1, 1)), ("axis", -1, (1, -1, -1)), ("plane", 1, (1, 1, -1)))
     places = {name: (*place, 0.0)[: 2 + spatial] for name, place in _bodies_and_libration_points(float(ratio)).items()}
-    return replace(model, symmetries=own if spatial else (("mirror", -1, (1, -1)),), landmarks=places)
+    return altered(model, symmetries=own if spatial else (("mirror", -1, (1, -1)),), landmarks=places)
 
 
 def _bodies_and_libration_points(ratio: float) -> dict[str, tuple[float, float]]:

@@ -41,7 +41,7 @@ from orbitfinder.integrate.idas import DaeSettings, simulate_dae
 from orbitfinder.loops.symmetry import Involution, symplectic
 from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.kind import system_kind, with_parameters
-from orbitfinder.mechanics.model import Model, constraint_of, energies
+from orbitfinder.mechanics.model import Model, altered, constraint_of, energies
 from orbitfinder.mechanics.scales import extents, extents_of, masses_of, snapped
 from orbitfinder.orbits.closure import Closure, closes, gap, shift
 from orbitfinder.orbits.floquet import Floquet, analyse, complement, generated, reduce_monodromy, symplectic_unit
@@ -143,7 +143,7 @@ class Hamiltonian:
         if model.rates is not None:
             directions = np.vstack([*([] if model.forced else [flow]), generated(model, state)])
             return invariant_gradients(model)(state).full(), directions, tangent
-        free = None if model.forces is None else hamilton(replace(model, forces=None)).field(0.0, start).full().ravel()
+        free = None if model.forces is None else hamilton(altered(model, forces=None)).field(0.0, start).full().ravel()
         lift = self.equations.lift(*self._halves(state)).full()
         return *canonical_frame(model, state, flow, lift, free), tangent
 

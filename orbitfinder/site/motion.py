@@ -20,7 +20,7 @@ from orbitfinder.errors import IntegrationError, OrbitfinderError
 from orbitfinder.integrate.rk8 import march
 from orbitfinder.loops.symmetry import NONE, named, symmetries_of
 from orbitfinder.mechanics.kind import build_model, with_parameters
-from orbitfinder.mechanics.model import Model, energies, positions, vector_field
+from orbitfinder.mechanics.model import Model, altered, energies, positions, vector_field
 from orbitfinder.mechanics.scales import shared
 from orbitfinder.orbits.course import Course, Piece, course, sampled
 from orbitfinder.records.family import Event, FamilyPoint
@@ -211,7 +211,7 @@ class Simulator:
         numbers = [
             free.get(name, value) for name, value in zip(model.parameter_names, model.parameter_values, strict=True)
         ]
-        return _motion(replace(model, parameter_values=np.array(numbers)), *symmetry.whole(*path))
+        return _motion(altered(model, parameter_values=np.array(numbers)), *symmetry.whole(*path))
 
 
 def _path(
