@@ -1,4 +1,4 @@
-"""How long each file's slow tests take, and whether they pass: the table in docs/contributing.md.
+"""How long each file's slow tests take, and whether they pass: the table in docs/explanation/testing.md.
 
 Each file is run by itself, in one process, one after the other; a file that was not run keeps its row, and a new one
 says "not measured". Run all on the final code of a release.
@@ -20,7 +20,7 @@ from pathlib import Path
 from machine import load, processor
 
 ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs" / "contributing.md"
+PAGE = ROOT / "docs" / "explanation" / "testing.md"
 BEGIN, END = "<!-- slow tests: benchmarks/slow_tests.py -->", "<!-- end of slow tests -->"
 HEAD = ["| file | slow tests | seconds | the longest | result |", "|---|---|---|---|---|"]
 LIMIT = 3600.0

@@ -36,6 +36,8 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
 GENERATED = {"problem-file.md"}
+OWN = {"contributing.md"}
+"""Pages that a test of their own runs: tests/test_contributing.py."""
 PARSED_ONLY = {"cluster.md"}
 """Pages whose blocks need a cluster: Python is compiled, the options of our commands are parsed, nothing runs."""
 FENCE = re.compile(r"^( *)```(\w*)([^\n]*)\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
@@ -97,7 +99,7 @@ def is_slow(page):
 def parameters():
     for page in PAGES:
         runs = [block for block in blocks(page) if block.language in ("python", "sh")]
-        if page.name not in GENERATED | PARSED_ONLY and runs:
+        if page.name not in GENERATED | OWN | PARSED_ONLY and runs:
             marks = [pytest.mark.slow] if is_slow(page) else []
             marks += map(pytest.mark.needs, re.findall(r"<!-- needs: (\w+) -->", page.read_text(encoding="utf-8")))
             yield pytest.param(page, id=str(page.relative_to(DOCS).with_suffix("")), marks=marks)

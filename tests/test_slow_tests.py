@@ -1,4 +1,4 @@
-"""The table of slow tests in docs/contributing.md: read from what pytest prints, kept where it was not run."""
+"""The table of slow tests in docs/explanation/testing.md: read from what pytest prints, kept where it was not run."""
 
 import re
 import sys
