@@ -22,9 +22,9 @@ from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.guesses.modes import normal_modes
 from orbitfinder.integrate.equations import linearised
 from orbitfinder.integrate.march import uniform
-from orbitfinder.loops.conditions import Pin
+from orbitfinder.loops.conditions import Pin, pinned
 from orbitfinder.loops.loop import Equations, Loop
-from orbitfinder.loops.problem import Guess, Problem, pinned
+from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import QUARTER
 from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.newton import Settings, stepped
@@ -236,7 +236,8 @@ def only_pinned(problem: Problem) -> bool:
     """True where a brake and reflection symmetric motion near a state is asked for by one pin and nothing else."""
     chosen = problem.free or problem.bounds or problem.constraints or problem.objective != "nearest"
     symmetric = problem.boundary == QUARTER and problem.phase_condition is None
-    return symmetric and not chosen and problem.guess.states is None and len(problem.pin) == 1
+    named = [pin.name in ("energy", "period", *problem.model.state_names) for pin in problem.pin]
+    return symmetric and not chosen and problem.guess.states is None and named == [True]
 
 
 def pins(equations: Equations) -> Callable[[Pin], PinRow]:

@@ -1,10 +1,14 @@
-"""What a user asks of an orbit besides closing: pins, ranges, constraints of the unknowns by name."""
+"""What is asked of an orbit besides closing: pins, ranges, constraints of the unknowns by name, and the rows they make.
+
+`QUANTITIES` has each kind of thing that a pin, a range, a family's parameter and `variables[...]` may name: its names,
+its expression, its row, and why it cannot be pinned. Another kind is an entry more (`tests/test_toy_condition.py`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
@@ -12,6 +16,7 @@ import numpy as np
 from orbitfinder._runtime.arguments import check_fields
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError, closest
+from orbitfinder.loops.loop import Condition, Equations, Unknowns, levels
 from orbitfinder.loops.symmetry import Symmetry
 from orbitfinder.mechanics.catalogue import system_kind
 from orbitfinder.mechanics.model import Model, constraint_of
@@ -64,24 +69,19 @@ def constrained_brake_rows(model: Model, start: Any, end: Any, parameters: Any, 
     return ca.vertcat(start[n:], constraint_of(model).phi(start[:n], parameters), basis.T @ end[n:])
 
 
-def quantity(model: Model, name: str, state: Any, period: Any, parameters: Any) -> Any:
-    """What pins and bounds name: the period, an invariant, the energy, a state component at t = 0, a parameter."""
-    n = model.degrees_of_freedom
-    if name == "period":
-        return period
-    for invariant in model.invariants:
-        if invariant.name == name:
-            return invariant.value(state[:n], state[n:], parameters)
-    if name == "energy":
-        return model.kinetic(state[:n], state[n:], parameters) + model.potential(state[:n], parameters)
-    if name in model.parameter_names and name not in model.state_names:
-        return parameters[model.parameter_index(name)]
-    return state[model.state_index(name)]
-
-
 def quantities(model: Model) -> list[str]:
     """What pins may name beside physical parameters."""
-    return ["energy", "period", *(one.name for one in model.invariants), *model.state_names]
+    return [name for kind, each in QUANTITIES.items() if kind != PARAMETER for name in each.names(model)]
+
+
+def followed(model: Model) -> list[str]:
+    """What a family may be followed in beside physical parameters."""
+    return [name for kind in QUANTITIES.values() if kind.followed for name in kind.names(model)]
+
+
+def kind_of(model: Model, name: str) -> Quantity | None:
+    """What is held by a name, None where that is nothing of this model."""
+    return next((kind for kind in QUANTITIES.values() if name in kind.names(model)), None)
 
 
 def is_parameter(model: Model, name: str) -> bool:
@@ -89,18 +89,42 @@ def is_parameter(model: Model, name: str) -> bool:
     return name in model.parameter_names and name not in quantities(model)
 
 
-def check_pin(model: Model, one: Pin) -> None:
-    """`InputError` when a pin names nothing of this model or an energy that it cannot have."""
-    known = [*quantities(model), *model.parameter_names]
-    if one.name not in known:
+def is_known(model: Model, name: str) -> bool:
+    """True for the name of what has a row of its own, and not that of an expression."""
+    kind = kind_of(model, name)
+    return kind is not None and kind.row is not None
+
+
+def check_pin(problem: Posed, one: Pin) -> None:
+    """`InputError` when a pin names nothing of this problem's model or a value that it cannot have."""
+    kind = kind_of(problem.model, one.name)
+    if kind is None:
+        known = [*quantities(problem.model), *problem.model.parameter_names]
         names = ", ".join(dict.fromkeys(known))
         raise InputError(f"pin: unknown quantity {one.name!r}{closest(one.name, known)}; use one of {names}")
-    floor = lowest_energy(model)
-    if one.name == "energy" and floor is not None and one.value <= floor:
-        raise InputError(
-            f"pin: energy {one.value:.9g} J cannot be reached, the lowest energy of this system is "
-            f"{floor:.9g} J (at rest); give a larger energy (potential zero at the fixed joint)"
-        )
+    if why := kind.refused(problem, one):
+        raise InputError(f"pin: {why}")
+
+
+def pinned(equations: Equations, name: str, value: float) -> Condition:
+    """The condition that a quantity or a freed parameter has a value."""
+    kind = QUANTITIES[PARAMETER] if name in equations.free else kind_of(equations.model, name)
+    if kind is None:
+        known = [*quantities(equations.model), *equations.free]
+        raise InputError(f"pin: unknown quantity {name!r}{closest(name, known)}; use one of {', '.join(known)}")
+    if kind.row is not None:
+        return kind.row(equations, name, value)
+    return Expressed(value, name, lambda variables: kind.value(variables, name))
+
+
+def measured(equations: Equations, w: Unknowns, name: str) -> float:
+    """What a quantity or a freed parameter is at w."""
+    return pinned(equations, name, 0.0).row(equations, w)
+
+
+def clock(equations: Equations, cycles: int) -> tuple[Condition, ...]:
+    """The condition that a motion lasts so many periods of the forcing; none where nothing is forced."""
+    return (Clock(cycles),) if equations.model.forced else ()
 
 
 def lowest_energy(model: Model) -> float | None:
@@ -167,7 +191,7 @@ class Variables:
         if name in self.model.parameter_names:
             return self.parameters[self.model.parameter_index(name)]
         check_quantity(self.model, name, "variables")
-        return quantity(self.model, name, self.start, self.period, self.parameters)
+        return kind_of(self.model, name).value(self, name)  # type: ignore[union-attr]
 
     @property
     def rate(self) -> ca.MX:
@@ -193,6 +217,26 @@ class Variables:
             part, lambda other: ca.solve(part, other), part.size1(), made=lambda one: ca.MX(ca.sparsify(ca.DM(one)))
         )
         return root @ root if power == 2 else root
+
+
+def variables_of(
+    equations: Equations,
+    nodes: Sequence[ca.MX],
+    period: ca.MX,
+    free: ca.MX,
+    ends: Sequence[ca.MX] = (),
+    transitions: Callable[[], list[ca.MX]] | None = None,
+) -> Variables:
+    """The unknowns of a loop by name; without `transitions` what needs them is refused."""
+
+    def none() -> list[ca.MX]:
+        raise InputError("monodromy: is not known where a pin is stated; ask for it in constraints or an objective")
+
+    named = {name: free[k] for k, name in enumerate(equations.physical)}
+    model, parameters = equations.model, equations.model.parameters(equations.free, free)
+    return Variables(
+        model, equations.symmetry, tuple(nodes), tuple(ends), period, named, parameters, transitions or none
+    )
 
 
 Expression = Callable[[Variables], Any]
@@ -238,6 +282,244 @@ class Constraint:
         return found
 
 
+@dataclass(frozen=True, eq=False)
+class Hyperplane:
+    """The condition `normal`.(x(0), T, free), or .w, = `value`."""
+
+    value: float
+    normal: np.ndarray
+    name: str = ""
+
+    def row(self, _: Equations, w: Unknowns) -> float:
+        """The residual at w."""
+        return float(w.over(self.normal) @ w.vector) - self.value
+
+    def slope(self, _: Equations, w: Unknowns) -> np.ndarray:
+        """Its derivative over w."""
+        return w.over(self.normal)
+
+    def stated(self, _: Equations, nodes: Sequence[ca.MX], period: ca.MX, free: ca.MX) -> ca.MX:
+        """The same row as an expression of CasADi."""
+        return ca.MX(-self.value) + ca.sparsify(ca.DM(self.normal)).T @ ca.vertcat(nodes[0], period, free)
+
+
+@dataclass(frozen=True)
+class Conserved:
+    """The condition that an invariant or the energy, by its `number` among the `levels`, has a value at t = 0."""
+
+    value: float
+    name: str
+    number: int
+
+    def row(self, equations: Equations, w: Unknowns) -> float:
+        """The residual at w."""
+        return float(equations.quantities_at(w)[0][self.number]) - self.value
+
+    def slope(self, equations: Equations, w: Unknowns) -> np.ndarray:
+        """Its derivative over w."""
+        _, by_state, by_free = equations.quantities_at(w)
+        return w.spread(np.concatenate([by_state[self.number], [0.0], by_free[self.number]]))
+
+    def stated(self, equations: Equations, nodes: Sequence[ca.MX], _: ca.MX, free: ca.MX) -> ca.MX:
+        """The same row as an expression of CasADi."""
+        parameters = equations.model.parameters(equations.free, free)
+        return ca.MX(-self.value) + levels(equations.model, nodes[0], parameters)[self.number]
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The condition that a motion lasts so many periods of the forcing."""
+
+    cycles: int
+    name: str = field(default="forcing period", init=False)
+    value: float = field(default=0.0, init=False)
+
+    def row(self, equations: Equations, w: Unknowns) -> float:
+        """The residual at w."""
+        return w.period - self.cycles * float(equations.quantities_at(w)[0][-1])
+
+    def slope(self, equations: Equations, w: Unknowns) -> np.ndarray:
+        """Its derivative over w."""
+        _, by_state, by_free = equations.quantities_at(w)
+        return w.spread(np.concatenate([-self.cycles * by_state[-1], [1.0], -self.cycles * by_free[-1]]))
+
+    def stated(self, equations: Equations, nodes: Sequence[ca.MX], period: ca.MX, free: ca.MX) -> ca.MX:
+        """The same row as an expression of CasADi."""
+        parameters = equations.model.parameters(equations.free, free)
+        return period + -float(self.cycles) * levels(equations.model, nodes[0], parameters)[-1]
+
+
+@dataclass(frozen=True)
+class Expressed:
+    """The condition that an expression of `Variables`, known by its name, has a value; its derivatives are CasADi's."""
+
+    value: float
+    name: str
+    expression: Expression
+
+    def row(self, equations: Equations, w: Unknowns) -> float:
+        """The residual at w."""
+        return float(self._at(equations, w)[0]) - self.value
+
+    def slope(self, equations: Equations, w: Unknowns) -> np.ndarray:
+        """Its derivative over w."""
+        return self._at(equations, w)[1:]
+
+    def stated(self, equations: Equations, nodes: Sequence[ca.MX], period: ca.MX, free: ca.MX) -> ca.MX:
+        """The same row as an expression of CasADi."""
+        return self._expression(equations, nodes, period, free) - self.value
+
+    def _expression(self, equations: Equations, nodes: Sequence[ca.MX], period: ca.MX, free: ca.MX) -> ca.MX:
+        expression = ca.MX(self.expression(variables_of(equations, nodes, period, free)))
+        if expression.numel() != 1:
+            raise InputError(f"pin: {self.name} is {expression.numel()} numbers; hold each by a name of its own")
+        return expression
+
+    def _at(self, equations: Equations, w: Unknowns) -> np.ndarray:
+        """The expression and its derivative at w, one after the other."""
+        key = self.name, len(w.nodes)
+        if key not in equations.derived:
+            nodes, (period, unfolding, free) = w.symbols()
+            parts, value = [*nodes, period, unfolding, free], self._expression(equations, nodes, period, free)
+            both = ca.horzcat(value, ca.densify(ca.jacobian(value, ca.vertcat(*parts))))
+            equations.derived[key] = ca.Function("expressed", parts, [both])
+        return np.asarray(equations.derived[key](*w.nodes, w.period, w.unfolding, w.free)).ravel()
+
+
+class Posed(Protocol):
+    """What is known of a problem when its pins are looked at."""
+
+    @property
+    def model(self) -> Model:
+        """The system."""
+
+    @property
+    def boundary(self) -> Symmetry:
+        """The symmetry as a boundary condition."""
+
+    @property
+    def forcing_cycles(self) -> int:
+        """Periods of the forcing in one of the orbit."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A kind of what pins, ranges, families' parameters and `variables[...]` may name.
+
+    Args:
+        names: of a model, those that it has.
+        value: (variables, name) -> the expression of CasADi.
+        row: (equations, name, value) -> the condition that it has that value; None: the expression's.
+        refused: (problem, pin) -> why it cannot be pinned there, with a remedy; "" where it can.
+        followed: whether a family may be followed in it, wherever on an orbit t = 0 is.
+        held: whether a family in a physical parameter may keep it, as the energy.
+    """
+
+    names: Callable[[Model], Sequence[str]]
+    value: Callable[[Variables, str], Any]
+    row: Callable[[Equations, str, float], Condition] | None = None
+    refused: Callable[[Posed, Pin], str] = lambda *_: ""
+    followed: bool = False
+    held: bool = False
+
+
+def _level(variables: Variables, name: str) -> Any:
+    """An invariant, or the energy."""
+    return levels(variables.model, variables.start, variables.parameters)[_number(variables.model, name)]
+
+
+def _number(model: Model, name: str) -> int:
+    return (*(invariant.name for invariant in model.invariants), "energy").index(name)
+
+
+def _kept(equations: Equations, name: str, value: float) -> Condition:
+    """The row of a level."""
+    return Conserved(value, name, _number(equations.model, name))
+
+
+def _unknown(equations: Equations, name: str, value: float) -> Condition:
+    """The row of what is an unknown itself."""
+    size, known = equations.size, ("period", *equations.free)
+    normal = np.zeros(size + len(known))
+    normal[size + known.index(name) if name in known else equations.model.state_index(name)] = 1.0
+    return Hyperplane(value, normal, name)
+
+
+def _energy_refused(problem: Posed, one: Pin) -> str:
+    floor = lowest_energy(problem.model)
+    if floor is not None and one.value <= floor:
+        return (
+            f"energy {one.value:.9g} J cannot be reached, the lowest energy of this system is {floor:.9g} J (at "
+            "rest); give a larger energy (potential zero at the fixed joint)"
+        )
+    if not problem.model.conservative:
+        return (
+            "energy is not conserved by this system; leave the pin out, or free a parameter and pin the period or a "
+            "state component"
+        )
+    return ""
+
+
+def _period_refused(problem: Posed, _: Pin) -> str:
+    if problem.model.forcing_period is None:
+        return ""
+    clock = float(problem.model.forcing_period(problem.model.parameter_values))
+    return (
+        f"the forcing prescribes the period, a multiple of {clock:.9g} s (guess.period chooses which, now "
+        f"{problem.forcing_cycles}); leave period out"
+    )
+
+
+def _state_refused(problem: Posed, one: Pin) -> str:
+    n, symmetry = problem.model.degrees_of_freedom, problem.boundary
+    if one.name not in problem.model.state_names[:n] or not symmetry.held(n)[problem.model.state_index(one.name)]:
+        return ""
+    return (
+        f"{one.name} is a multiple of pi, or 0, where a {symmetry.name} orbit starts; pin its rate, the energy or the "
+        "period"
+    )
+
+
+PARAMETER = "a physical parameter"
+QUANTITIES: dict[str, Quantity] = {
+    "the energy": Quantity(
+        lambda _: ("energy",),
+        _level,
+        _kept,
+        _energy_refused,
+        followed=True,
+        held=True,
+    ),
+    "the period": Quantity(
+        lambda _: ("period",),
+        lambda variables, _: variables.period,
+        _unknown,
+        _period_refused,
+        followed=True,
+        held=True,
+    ),
+    "an invariant": Quantity(
+        lambda model: [invariant.name for invariant in model.invariants],
+        _level,
+        _kept,
+        followed=True,
+    ),
+    "a state component at t = 0": Quantity(
+        lambda model: model.state_names,
+        lambda variables, name: variables.start[variables.model.state_index(name)],
+        _unknown,
+        _state_refused,
+        followed=True,
+    ),
+    PARAMETER: Quantity(
+        lambda model: model.parameter_names,
+        lambda variables, name: variables.parameters[variables.model.parameter_index(name)],
+        _unknown,
+    ),
+}
+"""What may be named, by its kind; where a name is of two, the first is meant"""
+
+
 def check_constraint(one: Constraint) -> None:
     """`InputError` for bounds that contradict each other."""
     if np.isnan(one.lower) or np.isnan(one.upper) or one.lower > one.upper or one.rows < 1:
@@ -249,7 +531,7 @@ def check_constraint(one: Constraint) -> None:
 
 def check_quantity(model: Model, name: str, where: str, more: tuple[str, ...] = ()) -> None:
     """`InputError` when `name` is no quantity of this model."""
-    known = list(dict.fromkeys(["period", "energy", *(i.name for i in model.invariants), *more, *model.state_names]))
+    known = list(dict.fromkeys([*quantities(model), *more]))
     if name not in known:
         raise InputError(f"{where}: unknown quantity {name!r}{closest(name, known)}; use one of {', '.join(known)}")
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import casadi as ca
 import numpy as np
@@ -146,9 +146,8 @@ class Unknowns:
 class Equations:
     """Everything about a loop that depends on the equations alone: built once, used for any number of guesses.
 
-    `quantities(x, free)` gives what conditions may name, by the invariants' order, then the energy, then where there is
-    one the forcing period: values, d/dx, d/dfree. `action` says whether the action is integrated with the motion,
-    `alone` whether that keeps to one processor.
+    `quantities(x, free)` gives the `levels`: values, d/dx, d/dfree. `action` says whether the action is integrated with
+    the motion, `alone` whether that keeps to one processor.
     """
 
     model: Model
@@ -220,8 +219,10 @@ class Equations:
 
     @cached_property
     def quantities(self) -> ca.Function:
-        """What conditions may name, with its derivatives."""
-        return _quantities(self.model, self.free)
+        """Invariants, energy, forcing period, with their derivatives."""
+        x, free = ca.MX.sym("x", len(self.model.state_names)), ca.MX.sym("free", len(self.free))
+        values = levels(self.model, x, self.model.parameters(self.free, free))
+        return ca.Function("quantities", [x, free], [values, ca.jacobian(values, x), ca.jacobian(values, free)])
 
     @cached_property
     def momenta(self) -> ca.Function:
@@ -255,6 +256,11 @@ class Equations:
 
     @cached_property
     def _watched(self) -> dict[int, ca.Function]:
+        return {}
+
+    @cached_property
+    def derived(self) -> dict[Any, ca.Function]:
+        """What conditions have derived for themselves, so that it is once."""
         return {}
 
     @property
@@ -397,14 +403,28 @@ def _link(model: Model, one: Transition, free: tuple[str, ...], varied: bool) ->
     return ca.Function("link", [x, chosen], [after, guard, *map(ca.densify, slopes)])
 
 
-@dataclass(frozen=True)
-class Condition:
-    """One row: `normal`.(x(0), T, free), or .w, + `weight` times the quantity of a number (-1: the last) = `value`."""
+class Condition(Protocol):
+    """One row of a loop: what it holds, less its `value`. The kinds of them are in `loops.conditions`.
 
-    value: float
-    normal: np.ndarray | None = None
-    quantity: int | None = None
-    weight: float = 1.0
+    What the row is measured in, and what of it may be round-off, follows from its slope.
+    """
+
+    @property
+    def name(self) -> str:
+        """What it holds, by name; "" of what has none, as a hyperplane."""
+
+    @property
+    def value(self) -> float:
+        """What that is to be."""
+
+    def row(self, equations: Equations, w: Unknowns, /) -> float:
+        """The residual at w."""
+
+    def slope(self, equations: Equations, w: Unknowns, /) -> np.ndarray:
+        """Its derivative over w."""
+
+    def stated(self, equations: Equations, nodes: Sequence[ca.MX], period: ca.MX, free: ca.MX, /) -> ca.MX:
+        """The same row as an expression of CasADi."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -416,12 +436,6 @@ class Loop:
     conditions: tuple[Condition, ...] = ()
     normals: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     reference: np.ndarray = field(default_factory=lambda: np.zeros(0))
-
-    @property
-    def cycles(self) -> int:
-        """Periods of the forcing in one of the orbit, as its clock says; 0 without one."""
-        clocks = (one for one in self.conditions if one.normal is not None and one.quantity is not None)
-        return next((round(-one.weight) for one in clocks), 0)
 
     def through(self, w: Unknowns) -> Self:
         """The same loop with its phases fixed by hyperplanes through w."""
@@ -444,22 +458,14 @@ class Loop:
         """The same rows as an expression of CasADi."""
         first, last = (ca.sparsify(ca.DM(one)) for one in self.equations.boundary)
         links, ends, guards = self.equations.links, list(ends), list[ca.MX]()
-        model, p = self.equations.model, self.equations.model.parameters(self.equations.free, free)
+        p = self.equations.model.parameters(self.equations.free, free)
         for one, place in zip(links.transitions, links.ends(len(ends)), strict=True):
             guards.append(one.guard(ends[place], p))
             ends[place] = one.reset(ends[place], p)
         rows = [end - node for end, node in zip(ends, nodes[1:], strict=False)]
         rows.append(first @ nodes[0] + last @ ends[-1] - self.equations.aimed(self.constant))
         rows += [ca.dot(ca.DM(normal), nodes[0] - self.reference) for normal in self.normals]
-        head = ca.vertcat(nodes[0], period, free)
-        named = _values(model, nodes[0], p)
-        for one in self.conditions:
-            row = ca.MX(-one.value)
-            if one.normal is not None:
-                row += ca.sparsify(ca.DM(one.normal)).T @ head
-            if one.quantity is not None:
-                row += one.weight * named[one.quantity]
-            rows.append(row)
+        rows += [condition.stated(self.equations, nodes, period, free) for condition in self.conditions]
         return ca.vertcat(*rows, *guards)
 
     def linearised(self, w: Unknowns, path: Varied) -> Linearised:
@@ -490,7 +496,7 @@ class Loop:
         Told for conditions by the sizes of their terms; 0 of all other rows. `slopes` are those of conditions and aims.
         """
         chosen, count = (*self.conditions, *aims), len(self.conditions)
-        values = np.abs(np.array([one.value for one in chosen]))
+        values = np.abs(np.array([condition.value for condition in chosen]))
         slopes = self.slopes(w, chosen) if slopes is None else slopes
         named = ROUND_OFF * (np.abs(slopes) @ np.abs(w.vector) + 2 * values)
         return np.concatenate([np.zeros(self._unnamed(w)), named[:count], np.zeros(self._guards), named[count:]])
@@ -508,28 +514,14 @@ class Loop:
 
     def values(self, w: Unknowns, conditions: Sequence[Condition]) -> np.ndarray:
         """The residuals of conditions."""
-        found = []
-        for one in conditions:
-            row = -one.value
-            if one.normal is not None:
-                row += float(w.over(one.normal) @ w.vector)
-            if one.quantity is not None:
-                row += one.weight * float(self.equations.quantities_at(w)[0][one.quantity])
-            found.append(row)
-        return np.array(found, float)
+        return np.array([condition.row(self.equations, w) for condition in conditions], float)
 
     def slopes(self, w: Unknowns, conditions: Sequence[Condition]) -> np.ndarray:
         """Their derivatives by w."""
-        size, last = self.equations.size, w.vector.size - w.free.size
-        found = np.zeros((len(conditions), w.vector.size))
-        for row, one in zip(found, conditions, strict=True):
-            if one.normal is not None:
-                row += w.over(one.normal)
-            if one.quantity is not None:
-                _, by_state, by_free = self.equations.quantities_at(w)
-                row[:size] += one.weight * by_state[one.quantity]
-                row[last:] += one.weight * by_free[one.quantity]
-        return found
+        slopes = np.zeros((len(conditions), w.vector.size))
+        for row, condition in zip(slopes, conditions, strict=True):
+            row += condition.slope(self.equations, w)
+        return slopes
 
 
 def beyond(rows: np.ndarray, lost: np.ndarray) -> np.ndarray:
@@ -544,20 +536,14 @@ def _action_rate(model: Model, flow: ca.Function, free: tuple[str, ...]) -> ca.F
     return ca.Function("action_rate", inputs, [rate])
 
 
-def _values(model: Model, x: Any, parameters: Any) -> Any:
-    """What conditions may name (see `Equations`)."""
+def levels(model: Model, x: Any, parameters: Any) -> Any:
+    """The invariants at a state in their order, then the energy, then where there is one the forcing period."""
     q, v = x[: model.degrees_of_freedom], x[model.degrees_of_freedom :]
     values = [one.value(q, v, parameters) for one in model.invariants]
     values.append(model.kinetic(q, v, parameters) + model.potential(q, parameters))
     if model.forcing_period is not None:
         values.append(model.forcing_period(parameters))
     return ca.vertcat(*values)
-
-
-def _quantities(model: Model, free: tuple[str, ...]) -> ca.Function:
-    x, chosen = ca.MX.sym("x", len(model.state_names)), ca.MX.sym("free", len(free))
-    values = _values(model, x, model.parameters(free, chosen))
-    return ca.Function("quantities", [x, chosen], [values, ca.jacobian(values, x), ca.jacobian(values, chosen)])
 
 
 def _momenta(model: Model, free: tuple[str, ...]) -> ca.Function:

@@ -20,10 +20,13 @@ from orbitfinder.loops.conditions import (
     check_bounds,
     check_constraint,
     check_pin,
+    clock,
+    is_known,
     is_parameter,
+    pinned,
 )
 from orbitfinder.loops.control import Control
-from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns
+from orbitfinder.loops.loop import Equations, Loop, Unknowns
 from orbitfinder.loops.symmetry import Shift, Symmetry, beside, knowing, named, related, shifts_of, time_dependent
 from orbitfinder.loops.watch import Number, watches
 from orbitfinder.mechanics.catalogue import with_parameters
@@ -351,7 +354,7 @@ def _check(problem: Problem) -> None:
     state = np.asarray(guess.state, float)
     _check_state(model, state)
     _check_relative(problem)
-    symmetry, n = problem.boundary, model.degrees_of_freedom
+    symmetry = problem.boundary
     _check_winding(problem)
     if problem.segments is not None and problem.segments < 1:
         raise InputError(f"segments: must be at least 1, got {problem.segments}; leave it out for the default")
@@ -365,24 +368,18 @@ def _check(problem: Problem) -> None:
     check_constant(model, problem.free)
     if model.constraint is None:  # a linkage's family is followed in other coordinates
         watches(problem.watch, model)
-    for one in problem.pin:
-        check_pin(model, one)
-        if one.name in model.state_names[:n] and symmetry.held(n)[model.state_index(one.name)]:
+    if not model.conservative:
+        _check_forcing(problem)
+    for pin in problem.pin:
+        check_pin(problem, pin)
+        if problem.control is not None and not is_known(model, pin.name):
             raise InputError(
-                f"pin: {one.name} is a multiple of pi, or 0, where a {symmetry.name} orbit starts; pin its rate, the "
-                "energy or the period"
+                f"pin: {pin.name} is not of controlled motions, whose costate does not know it; ask for it in a task"
             )
     check_bounds(model, problem.bounds, problem.free, tuple(one.name for one in problem.pin))
     for condition in problem.constraints:
         check_constraint(condition)
     _check_objective(problem)
-    if not model.conservative and "energy" in {one.name for one in problem.pin}:
-        raise InputError(
-            "pin: energy is not conserved by this system; leave the pin out, or free a parameter and pin the "
-            "period or a state component"
-        )
-    if not model.conservative:
-        _check_forcing(problem)
     if model.constraint is not None:
         check_consistent(model, state)
     if model.hybrid is None or not symmetry.maps:
@@ -490,11 +487,6 @@ def _check_forcing(problem: Problem) -> None:
     clock = float(model.forcing_period(model.parameter_values))
     if not (np.isfinite(clock) and clock > 0):
         raise InputError(f"forcing_period: must be positive and finite, got {clock}; check the forcing's frequency")
-    if "period" in {one.name for one in problem.pin}:
-        raise InputError(
-            f"pin: the forcing prescribes the period, a multiple of {clock:.9g} s (guess.period chooses which, now "
-            f"{problem.forcing_cycles}); leave period out"
-        )
 
 
 def _check_winding(problem: Problem) -> None:
@@ -572,24 +564,6 @@ def loop_of(problem: Problem, equations: Equations, w: Unknowns, end: np.ndarray
     given = (pinned(equations, one.name, one.value) for one in pins)
     conditions = (*clock(equations, problem.forcing_cycles), *given)
     return Loop(equations, displacement(problem, w, end), conditions).through(w)
-
-
-def clock(equations: Equations, cycles: int) -> tuple[Condition, ...]:
-    """The condition that a motion lasts so many periods of the forcing; none where nothing is forced."""
-    model, unit = equations.model, np.eye(equations.size + 1 + len(equations.free))
-    return (Condition(0.0, unit[equations.size], len(model.invariants) + 1, -float(cycles)),) if model.forced else ()
-
-
-def pinned(equations: Equations, name: str, value: float) -> Condition:
-    """The condition that a period, an invariant, the energy, a freed parameter or a state at t = 0 has a value."""
-    model, size = equations.model, equations.size
-    names = (*(one.name for one in model.invariants), "energy")
-    if name in names:
-        return Condition(value, quantity=names.index(name))
-    normal = np.zeros(size + 1 + len(equations.free))
-    known = ("period", *equations.free)
-    normal[size + known.index(name) if name in known else model.state_index(name)] = 1.0
-    return Condition(value, normal)
 
 
 def displacement(problem: Problem, w: Unknowns, end: np.ndarray | None) -> np.ndarray:

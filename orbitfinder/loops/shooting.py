@@ -11,7 +11,7 @@ import numpy as np
 
 from orbitfinder.integrate.cvodes import Flow, IntegratorSettings, build_flow, end_state, transition_function
 from orbitfinder.integrate.march import March, uniform
-from orbitfinder.loops.conditions import Variables, constrained_brake_rows
+from orbitfinder.loops.conditions import Variables, constrained_brake_rows, variables_of
 from orbitfinder.loops.loop import Equations, Loop, Unknowns
 from orbitfinder.loops.problem import Problem, loop_of
 from orbitfinder.mechanics import scales
@@ -195,10 +195,7 @@ def _variables(loop: Loop, flow: Flow, parts: list[ca.MX], tail: list[ca.MX], en
             found[k] = saltation(mode.model, one, after.model)(reached[k], p) @ found[k]
         return found
 
-    return Variables(
-        model, equations.symmetry, tuple(parts), reached, period,
-        {name: free[k] for k, name in enumerate(equations.physical)}, p, transitions,
-    )  # fmt: skip
+    return variables_of(equations, parts, period, free, reached, transitions)
 
 
 def _objective(problem: Problem, known: Variables) -> tuple[ca.MX, ca.MX]:
