@@ -122,6 +122,6 @@ def test_its_slope_is_that_of_its_value(problem):
     for name in ("kinetic_energy", "swing", "theta1dot", "energy", "period", "length1"):
         condition = pinned(equations, name, 0.5)
         loop, slope = Loop(equations, np.zeros(2), (condition,)), condition.slope(equations, w)
-        each = [condition.row(equations, w.moved(step)) - condition.row(equations, w.moved(-step))
+        each = [condition.at(equations, w.moved(step)) - condition.at(equations, w.moved(-step))
                 for step in 1e-5 * np.eye(w.vector.size)]  # fmt: skip
         assert np.array(each) / 2e-5 == pytest.approx(slope, abs=1e-8) and loop.size(w) == 5

@@ -15,7 +15,7 @@ from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.families.motion import SAMPLES, full_samples
 from orbitfinder.families.point import FamilySettings, parameter_value
 from orbitfinder.integrate.march import rounded, uniform
-from orbitfinder.loops.conditions import QUANTITIES, Conserved, Pin, clock, followed, measured, pinned, quantities
+from orbitfinder.loops.conditions import QUANTITIES, Pin, clock, conserved, followed, measured, pinned, quantities
 from orbitfinder.loops.continued import Curve, Solution, begun, correct, kernel, make_curve
 from orbitfinder.loops.loop import Condition, Equations, Unknowns
 from orbitfinder.loops.mesh import carried, remeshed, settled
@@ -270,7 +270,7 @@ def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -
     if not all(0 <= k < len(model.invariants) for k, _ in known.held):
         raise InputError(f"curve.held: {list(known.held)} of {len(model.invariants)} invariants; continue again")
     names = [one.name for one in model.invariants]
-    conditions = clock(equations, known.cycles) + tuple(Conserved(value, names[k], k) for k, value in known.held)
+    conditions = clock(equations, known.cycles) + tuple(conserved(value, names[k], k) for k, value in known.held)
     others = {"period": known.period} if known.period is not None else {}
     conditions += tuple(pinned(equations, name, value) for name, value in (others | dict(known.pins)).items())
     scales = Scales.head(known.weights, equations.size)
@@ -287,10 +287,10 @@ def curve_in(family: Family, model: Model) -> Curve:
 
 def entry_of(curve: Curve) -> dict[str, Any]:
     """What `curve_of` rebuilds a curve from (`CurveEntry`), its turns, and the test of a curve of bifurcations."""
-    held = [[kept.number, kept.value] for kept in curve.kept if isinstance(kept, Conserved)]
-    pins = {kept.name: kept.value for kept in curve.kept if not isinstance(kept, Conserved)}
-    period = pins.pop("period", None)
-    p, watch = curve.equations, {name: one.entry for name, one in curve.watch.items()}
+    p, pins = curve.equations, {kept.name: kept.value for kept in curve.kept}
+    names, period = [one.name for one in p.model.invariants], pins.pop("period", None)
+    held = [[names.index(name), pins.pop(name)] for name in list(pins) if name in names]
+    watch = {name: one.entry for name, one in curve.watch.items()}
     relative = list(shifting(p.symmetry, p.model))
     known = {"symmetry": p.symmetry.name, "free": list(p.free), "constant": curve.constant, "winding": curve.turns,
              "weights": curve.weights, "held": held, "period": period}  # fmt: skip

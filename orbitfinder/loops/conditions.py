@@ -7,8 +7,8 @@ its expression, its row, and why it cannot be pinned. Another kind is an entry m
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -79,9 +79,13 @@ def followed(model: Model) -> list[str]:
     return [name for kind in QUANTITIES.values() if kind.followed for name in kind.names(model)]
 
 
-def kind_of(model: Model, name: str) -> Quantity | None:
-    """What is held by a name, None where that is nothing of this model."""
-    return next((kind for kind in QUANTITIES.values() if name in kind.names(model)), None)
+def kind_of(model: Model, name: str, where: str = "pin", more: Sequence[str] = ()) -> Quantity:
+    """The kind of what a name stands for; `InputError` where that is no quantity of this model, nor one `more`."""
+    kind = next((kind for kind in QUANTITIES.values() if name in kind.names(model)), None)
+    if kind is None or (kind is QUANTITIES[PARAMETER] and name not in more):
+        known = list(dict.fromkeys([*quantities(model), *more]))
+        raise InputError(f"{where}: unknown quantity {name!r}{closest(name, known)}; use one of {', '.join(known)}")
+    return kind
 
 
 def is_parameter(model: Model, name: str) -> bool:
@@ -89,42 +93,27 @@ def is_parameter(model: Model, name: str) -> bool:
     return name in model.parameter_names and name not in quantities(model)
 
 
-def is_known(model: Model, name: str) -> bool:
-    """True for the name of what has a row of its own, and not that of an expression."""
-    kind = kind_of(model, name)
-    return kind is not None and kind.row is not None
-
-
-def check_pin(problem: Posed, one: Pin) -> None:
+def check_pin(problem: Any, one: Pin) -> None:
     """`InputError` when a pin names nothing of this problem's model or a value that it cannot have."""
-    kind = kind_of(problem.model, one.name)
-    if kind is None:
-        known = [*quantities(problem.model), *problem.model.parameter_names]
-        names = ", ".join(dict.fromkeys(known))
-        raise InputError(f"pin: unknown quantity {one.name!r}{closest(one.name, known)}; use one of {names}")
-    if why := kind.refused(problem, one):
+    kind = kind_of(problem.model, one.name, more=problem.model.parameter_names)
+    why = kind.refused(problem, one)
+    if not why and kind.row is None and problem.control is not None:
+        why = f"{one.name} is not of controlled motions, whose costate does not know it; ask for it in a task"
+    if why:
         raise InputError(f"pin: {why}")
 
 
 def pinned(equations: Equations, name: str, value: float) -> Condition:
     """The condition that a quantity or a freed parameter has a value."""
-    kind = QUANTITIES[PARAMETER] if name in equations.free else kind_of(equations.model, name)
-    if kind is None:
-        known = [*quantities(equations.model), *equations.free]
-        raise InputError(f"pin: unknown quantity {name!r}{closest(name, known)}; use one of {', '.join(known)}")
+    kind = QUANTITIES[PARAMETER] if name in equations.free else kind_of(equations.model, name, more=equations.free)
     if kind.row is not None:
         return kind.row(equations, name, value)
-    return Expressed(value, name, lambda variables: kind.value(variables, name))
+    return expressed(value, name, lambda variables: kind.value(variables, name))
 
 
 def measured(equations: Equations, w: Unknowns, name: str) -> float:
     """What a quantity or a freed parameter is at w."""
-    return pinned(equations, name, 0.0).row(equations, w)
-
-
-def clock(equations: Equations, cycles: int) -> tuple[Condition, ...]:
-    """The condition that a motion lasts so many periods of the forcing; none where nothing is forced."""
-    return (Clock(cycles),) if equations.model.forced else ()
+    return pinned(equations, name, 0.0).at(equations, w)
 
 
 def lowest_energy(model: Model) -> float | None:
@@ -190,8 +179,7 @@ class Variables:
         """A quantity by name; `InputError` names the known ones."""
         if name in self.model.parameter_names:
             return self.parameters[self.model.parameter_index(name)]
-        check_quantity(self.model, name, "variables")
-        return kind_of(self.model, name).value(self, name)  # type: ignore[union-attr]
+        return kind_of(self.model, name, "variables").value(self, name)
 
     @property
     def rate(self) -> ca.MX:
@@ -282,124 +270,65 @@ class Constraint:
         return found
 
 
-@dataclass(frozen=True, eq=False)
-class Hyperplane:
+def hyperplane(value: float, normal: np.ndarray, name: str = "") -> Condition:
     """The condition `normal`.(x(0), T, free), or .w, = `value`."""
-
-    value: float
-    normal: np.ndarray
-    name: str = ""
-
-    def row(self, _: Equations, w: Unknowns) -> float:
-        """The residual at w."""
-        return float(w.over(self.normal) @ w.vector) - self.value
-
-    def slope(self, _: Equations, w: Unknowns) -> np.ndarray:
-        """Its derivative over w."""
-        return w.over(self.normal)
-
-    def stated(self, _: Equations, nodes: Sequence[ca.MX], period: ca.MX, free: ca.MX) -> ca.MX:
-        """The same row as an expression of CasADi."""
-        return ca.MX(-self.value) + ca.sparsify(ca.DM(self.normal)).T @ ca.vertcat(nodes[0], period, free)
+    return Condition(
+        name,
+        value,
+        lambda _, w: float(w.over(normal) @ w.vector),
+        lambda _, w: w.over(normal),
+        lambda _, nodes, period, free: ca.sparsify(ca.DM(normal)).T @ ca.vertcat(nodes[0], period, free),
+    )
 
 
-@dataclass(frozen=True)
-class Conserved:
-    """The condition that an invariant or the energy, by its `number` among the `levels`, has a value at t = 0."""
+def conserved(value: float, name: str, number: int) -> Condition:
+    """The condition that one of the `levels` has a value at t = 0."""
 
-    value: float
-    name: str
-    number: int
-
-    def row(self, equations: Equations, w: Unknowns) -> float:
-        """The residual at w."""
-        return float(equations.quantities_at(w)[0][self.number]) - self.value
-
-    def slope(self, equations: Equations, w: Unknowns) -> np.ndarray:
-        """Its derivative over w."""
+    def slope(equations: Equations, w: Unknowns) -> np.ndarray:
         _, by_state, by_free = equations.quantities_at(w)
-        return w.spread(np.concatenate([by_state[self.number], [0.0], by_free[self.number]]))
+        return w.spread(np.concatenate([by_state[number], [0.0], by_free[number]]))
 
-    def stated(self, equations: Equations, nodes: Sequence[ca.MX], _: ca.MX, free: ca.MX) -> ca.MX:
-        """The same row as an expression of CasADi."""
-        parameters = equations.model.parameters(equations.free, free)
-        return ca.MX(-self.value) + levels(equations.model, nodes[0], parameters)[self.number]
+    def expression(equations: Equations, nodes: Sequence[ca.MX], _: ca.MX, free: ca.MX) -> ca.MX:
+        return levels(equations.model, nodes[0], equations.model.parameters(equations.free, free))[number]
 
-
-@dataclass(frozen=True)
-class Clock:
-    """The condition that a motion lasts so many periods of the forcing."""
-
-    cycles: int
-    name: str = field(default="forcing period", init=False)
-    value: float = field(default=0.0, init=False)
-
-    def row(self, equations: Equations, w: Unknowns) -> float:
-        """The residual at w."""
-        return w.period - self.cycles * float(equations.quantities_at(w)[0][-1])
-
-    def slope(self, equations: Equations, w: Unknowns) -> np.ndarray:
-        """Its derivative over w."""
-        _, by_state, by_free = equations.quantities_at(w)
-        return w.spread(np.concatenate([-self.cycles * by_state[-1], [1.0], -self.cycles * by_free[-1]]))
-
-    def stated(self, equations: Equations, nodes: Sequence[ca.MX], period: ca.MX, free: ca.MX) -> ca.MX:
-        """The same row as an expression of CasADi."""
-        parameters = equations.model.parameters(equations.free, free)
-        return period + -float(self.cycles) * levels(equations.model, nodes[0], parameters)[-1]
+    return Condition(name, value, lambda equations, w: float(equations.quantities_at(w)[0][number]), slope, expression)
 
 
-@dataclass(frozen=True)
-class Expressed:
+def clock(equations: Equations, cycles: int) -> tuple[Condition, ...]:
+    """The condition that a motion lasts so many periods of the forcing; none where nothing is forced."""
+    if not equations.model.forced:
+        return ()
+    period, beat = _unknown(equations, "period", 0.0), conserved(0.0, "", -1)
+    return (
+        Condition(
+            "forcing period",
+            0.0,
+            lambda *at: period.at(*at) - cycles * beat.at(*at),
+            lambda *at: period.slope(*at) - cycles * beat.slope(*at),
+            lambda *at: period.expression(*at) - float(cycles) * beat.expression(*at),
+            cycles,
+        ),
+    )
+
+
+def expressed(value: float, name: str, expression: Expression) -> Condition:
     """The condition that an expression of `Variables`, known by its name, has a value; its derivatives are CasADi's."""
 
-    value: float
-    name: str
-    expression: Expression
+    def stated(*where: Any) -> ca.MX:
+        made = ca.MX(expression(variables_of(*where)))
+        if made.numel() != 1:
+            raise InputError(f"pin: {name} is {made.numel()} numbers; hold each by a name of its own")
+        return made
 
-    def row(self, equations: Equations, w: Unknowns) -> float:
-        """The residual at w."""
-        return float(self._at(equations, w)[0]) - self.value
-
-    def slope(self, equations: Equations, w: Unknowns) -> np.ndarray:
-        """Its derivative over w."""
-        return self._at(equations, w)[1:]
-
-    def stated(self, equations: Equations, nodes: Sequence[ca.MX], period: ca.MX, free: ca.MX) -> ca.MX:
-        """The same row as an expression of CasADi."""
-        return self._expression(equations, nodes, period, free) - self.value
-
-    def _expression(self, equations: Equations, nodes: Sequence[ca.MX], period: ca.MX, free: ca.MX) -> ca.MX:
-        expression = ca.MX(self.expression(variables_of(equations, nodes, period, free)))
-        if expression.numel() != 1:
-            raise InputError(f"pin: {self.name} is {expression.numel()} numbers; hold each by a name of its own")
-        return expression
-
-    def _at(self, equations: Equations, w: Unknowns) -> np.ndarray:
-        """The expression and its derivative at w, one after the other."""
-        key = self.name, len(w.nodes)
-        if key not in equations.derived:
+    def both(equations: Equations, w: Unknowns) -> np.ndarray:
+        if (key := (name, len(w.nodes))) not in equations.derived:
             nodes, (period, unfolding, free) = w.symbols()
-            parts, value = [*nodes, period, unfolding, free], self._expression(equations, nodes, period, free)
-            both = ca.horzcat(value, ca.densify(ca.jacobian(value, ca.vertcat(*parts))))
-            equations.derived[key] = ca.Function("expressed", parts, [both])
+            parts, made = [*nodes, period, unfolding, free], stated(equations, nodes, period, free)
+            rows = ca.horzcat(made, ca.densify(ca.jacobian(made, ca.vertcat(*parts))))
+            equations.derived[key] = ca.Function("expressed", parts, [rows])
         return np.asarray(equations.derived[key](*w.nodes, w.period, w.unfolding, w.free)).ravel()
 
-
-class Posed(Protocol):
-    """What is known of a problem when its pins are looked at."""
-
-    @property
-    def model(self) -> Model:
-        """The system."""
-
-    @property
-    def boundary(self) -> Symmetry:
-        """The symmetry as a boundary condition."""
-
-    @property
-    def forcing_cycles(self) -> int:
-        """Periods of the forcing in one of the orbit."""
+    return Condition(name, value, lambda *where: float(both(*where)[0]), lambda *where: both(*where)[1:], stated)
 
 
 @dataclass(frozen=True)
@@ -418,7 +347,7 @@ class Quantity:
     names: Callable[[Model], Sequence[str]]
     value: Callable[[Variables, str], Any]
     row: Callable[[Equations, str, float], Condition] | None = None
-    refused: Callable[[Posed, Pin], str] = lambda *_: ""
+    refused: Callable[[Any, Pin], str] = lambda *_: ""
     followed: bool = False
     held: bool = False
 
@@ -434,7 +363,7 @@ def _number(model: Model, name: str) -> int:
 
 def _kept(equations: Equations, name: str, value: float) -> Condition:
     """The row of a level."""
-    return Conserved(value, name, _number(equations.model, name))
+    return conserved(value, name, _number(equations.model, name))
 
 
 def _unknown(equations: Equations, name: str, value: float) -> Condition:
@@ -442,10 +371,10 @@ def _unknown(equations: Equations, name: str, value: float) -> Condition:
     size, known = equations.size, ("period", *equations.free)
     normal = np.zeros(size + len(known))
     normal[size + known.index(name) if name in known else equations.model.state_index(name)] = 1.0
-    return Hyperplane(value, normal, name)
+    return hyperplane(value, normal, name)
 
 
-def _energy_refused(problem: Posed, one: Pin) -> str:
+def _energy_refused(problem: Any, one: Pin) -> str:
     floor = lowest_energy(problem.model)
     if floor is not None and one.value <= floor:
         return (
@@ -460,7 +389,7 @@ def _energy_refused(problem: Posed, one: Pin) -> str:
     return ""
 
 
-def _period_refused(problem: Posed, _: Pin) -> str:
+def _period_refused(problem: Any, _: Pin) -> str:
     if problem.model.forcing_period is None:
         return ""
     clock = float(problem.model.forcing_period(problem.model.parameter_values))
@@ -470,7 +399,7 @@ def _period_refused(problem: Posed, _: Pin) -> str:
     )
 
 
-def _state_refused(problem: Posed, one: Pin) -> str:
+def _state_refused(problem: Any, one: Pin) -> str:
     n, symmetry = problem.model.degrees_of_freedom, problem.boundary
     if one.name not in problem.model.state_names[:n] or not symmetry.held(n)[problem.model.state_index(one.name)]:
         return ""
@@ -529,19 +458,12 @@ def check_constraint(one: Constraint) -> None:
         )
 
 
-def check_quantity(model: Model, name: str, where: str, more: tuple[str, ...] = ()) -> None:
-    """`InputError` when `name` is no quantity of this model."""
-    known = list(dict.fromkeys([*quantities(model), *more]))
-    if name not in known:
-        raise InputError(f"{where}: unknown quantity {name!r}{closest(name, known)}; use one of {', '.join(known)}")
-
-
 def check_bounds(model: Model, bounds: Mapping[str, Any], free: tuple[str, ...], pinned: tuple[str, ...]) -> None:
     """`InputError` about ranges: an unknown, fixed or pinned quantity, or two numbers in the wrong order."""
     for name, given in bounds.items():
         if name in model.parameter_names and name not in free:
             raise InputError(f"bounds: {name} is not free to change; add it to free, or leave its bounds out")
-        check_quantity(model, name, "bounds", free)
+        kind_of(model, name, "bounds", free)
         if name in pinned:
             raise InputError(f"bounds: {name} is pinned already; leave out one of the two")
         pair = np.asarray(given, float)

@@ -17,7 +17,7 @@ from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied
 from orbitfinder.loops.condensed import Broyden, Factors
-from orbitfinder.loops.conditions import Clock, Hyperplane
+from orbitfinder.loops.conditions import hyperplane
 from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns, beyond
 from orbitfinder.loops.problem import clocked
 from orbitfinder.loops.scales import Measures, Scales, sizes
@@ -78,14 +78,9 @@ class Curve(Loop):
         return snapped(np.sqrt(self._unit / self.weights[: self.equations.size]))
 
     @property
-    def cycles(self) -> int:
-        """Periods of the forcing in one of the orbit, as its clock says; 0 without one."""
-        return next((condition.cycles for condition in self.conditions if isinstance(condition, Clock)), 0)
-
-    @property
     def kept(self) -> tuple[Condition, ...]:
         """What the family keeps, but for a forcing's period."""
-        return tuple(condition for condition in self.conditions if not isinstance(condition, Clock))
+        return tuple(condition for condition in self.conditions if not condition.cycles)
 
     def through(self, w: Unknowns) -> Self:
         """The same with its phases over all nodes fixed by w."""
@@ -349,7 +344,7 @@ def _solved(curve: Curve, w: Unknowns, matrix: np.ndarray, right: np.ndarray) ->
 def plane(curve: Curve, w: Unknowns, along: np.ndarray, ahead: float = 0.0) -> Condition:
     """The aim in the hyperplane through w, or so far ahead of it, normal to a direction over w or over the head."""
     normal = curve.scales.metric(w) * w.over(along)
-    return Hyperplane(float(normal @ w.vector) + ahead, normal)
+    return hyperplane(float(normal @ w.vector) + ahead, normal)
 
 
 def scaled(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:

@@ -17,10 +17,10 @@ Nothing here integrates (see `integrate.march`) or solves (see `loops.newton`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import casadi as ca
 import numpy as np
@@ -403,28 +403,27 @@ def _link(model: Model, one: Transition, free: tuple[str, ...], varied: bool) ->
     return ca.Function("link", [x, chosen], [after, guard, *map(ca.densify, slopes)])
 
 
-class Condition(Protocol):
-    """One row of a loop: what it holds, less its `value`. The kinds of them are in `loops.conditions`.
+@dataclass(frozen=True, eq=False)
+class Condition:
+    """One row of a loop: a number of its unknowns that has a `value`. `loops.conditions` makes them.
 
     What the row is measured in, and what of it may be round-off, follows from its slope.
+
+    Args:
+        name: of what it holds, "" of a hyperplane.
+        value: what that is to be.
+        at: (equations, w) -> what it is.
+        slope: (equations, w) -> its derivative over w.
+        expression: (equations, nodes, T, free) -> the same in CasADi.
+        cycles: of what says how many periods of the forcing the motion lasts, these.
     """
 
-    @property
-    def name(self) -> str:
-        """What it holds, by name; "" of what has none, as a hyperplane."""
-
-    @property
-    def value(self) -> float:
-        """What that is to be."""
-
-    def row(self, equations: Equations, w: Unknowns, /) -> float:
-        """The residual at w."""
-
-    def slope(self, equations: Equations, w: Unknowns, /) -> np.ndarray:
-        """Its derivative over w."""
-
-    def stated(self, equations: Equations, nodes: Sequence[ca.MX], period: ca.MX, free: ca.MX, /) -> ca.MX:
-        """The same row as an expression of CasADi."""
+    name: str
+    value: float
+    at: Callable[[Equations, Unknowns], float]
+    slope: Callable[[Equations, Unknowns], np.ndarray]
+    expression: Callable[[Equations, Sequence[ca.MX], ca.MX, ca.MX], ca.MX]
+    cycles: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -436,6 +435,11 @@ class Loop:
     conditions: tuple[Condition, ...] = ()
     normals: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     reference: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def cycles(self) -> int:
+        """Periods of the forcing in one of the orbit, as its clock says; 0 without one."""
+        return next((condition.cycles for condition in self.conditions if condition.cycles), 0)
 
     def through(self, w: Unknowns) -> Self:
         """The same loop with its phases fixed by hyperplanes through w."""
@@ -465,7 +469,7 @@ class Loop:
         rows = [end - node for end, node in zip(ends, nodes[1:], strict=False)]
         rows.append(first @ nodes[0] + last @ ends[-1] - self.equations.aimed(self.constant))
         rows += [ca.dot(ca.DM(normal), nodes[0] - self.reference) for normal in self.normals]
-        rows += [condition.stated(self.equations, nodes, period, free) for condition in self.conditions]
+        rows += [ca.MX(-each.value) + each.expression(self.equations, nodes, period, free) for each in self.conditions]
         return ca.vertcat(*rows, *guards)
 
     def linearised(self, w: Unknowns, path: Varied) -> Linearised:
@@ -514,7 +518,7 @@ class Loop:
 
     def values(self, w: Unknowns, conditions: Sequence[Condition]) -> np.ndarray:
         """The residuals of conditions."""
-        return np.array([condition.row(self.equations, w) for condition in conditions], float)
+        return np.array([each.at(self.equations, w) - each.value for each in conditions], float)
 
     def slopes(self, w: Unknowns, conditions: Sequence[Condition]) -> np.ndarray:
         """Their derivatives by w."""

@@ -21,7 +21,6 @@ from orbitfinder.loops.conditions import (
     check_constraint,
     check_pin,
     clock,
-    is_known,
     is_parameter,
     pinned,
 )
@@ -372,10 +371,6 @@ def _check(problem: Problem) -> None:
         _check_forcing(problem)
     for pin in problem.pin:
         check_pin(problem, pin)
-        if problem.control is not None and not is_known(model, pin.name):
-            raise InputError(
-                f"pin: {pin.name} is not of controlled motions, whose costate does not know it; ask for it in a task"
-            )
     check_bounds(model, problem.bounds, problem.free, tuple(one.name for one in problem.pin))
     for condition in problem.constraints:
         check_constraint(condition)
