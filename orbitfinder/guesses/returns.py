@@ -60,18 +60,18 @@ def close_returns(
     lags = np.arange(1, int(min(longest or span / 2, span / 2) / step) + 1)
     starts = len(times) - lags[-1]
     table = np.stack([_distance(states[lag : lag + starts], states[:starts], extent, wrapping) for lag in lags])
-    found: list[CloseReturn] = []
+    returns: list[CloseReturn] = []
     rows, columns = _local_minima(table)
     for k in np.argsort(table[rows, columns]):
         row, column = int(rows[k]), int(columns[k])
         if table[: row + 1, column].max() < max(AWAY, 3 * table[row, column]):
             continue
-        one = _close_return(times, states, column, lags[row] * step, float(table[row, column]))
-        if all(abs(one.period / other.period - 1) > SAME_PERIOD for other in found):
-            found.append(one)
-        if len(found) == count:
+        back = _close_return(times, states, column, lags[row] * step, float(table[row, column]))
+        if all(abs(back.period / other.period - 1) > SAME_PERIOD for other in returns):
+            returns.append(back)
+        if len(returns) == count:
             break
-    return found
+    return returns
 
 
 def recurrences(
@@ -85,10 +85,10 @@ def recurrences(
         raise InputError(f"guess.state: {plural(start.size, 'number')}; give {len(model.state_names)}")
     states = sample(build_flow(model), start, float(duration), MOST_SAMPLES)
     times = np.linspace(0.0, duration, len(states))
-    found = close_returns(times, states, model.angles, count, longest)
+    returns = close_returns(times, states, model.angles, count, longest)
     if model.forcing_period is None:
-        return found
-    return [_on_the_beat(one, times, states, float(model.forcing_period(model.parameter_values))) for one in found]
+        return returns
+    return [_on_the_beat(each, times, states, float(model.forcing_period(model.parameter_values))) for each in returns]
 
 
 def first_return(model: Model, state: np.ndarray, longest: float | None = None) -> float:
@@ -100,9 +100,9 @@ def first_return(model: Model, state: np.ndarray, longest: float | None = None) 
     pace = _pace(model)
     longest = 400.0 / pace if longest is None else longest
     for share in (1 / 16, 1 / 4, 1.0):
-        found = _returned(model, state, share * longest, 10 * pace)
-        if found is not None:
-            return found
+        back = _returned(model, state, share * longest, 10 * pace)
+        if back is not None:
+            return back
     raise InputError(f"guess.period: the motion does not come back within {longest:g} s; give a period")
 
 
@@ -198,12 +198,12 @@ def _local_minima(table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return rows + 1, columns
 
 
-def _on_the_beat(one: CloseReturn, times: np.ndarray, states: np.ndarray, clock: float) -> CloseReturn:
+def _on_the_beat(back: CloseReturn, times: np.ndarray, states: np.ndarray, clock: float) -> CloseReturn:
     """The same return of a forced motion from the next whole period of the forcing, where t = 0 belongs."""
-    period = max(1, round(one.period / clock)) * clock
-    moment = float(np.ceil(one.time / clock) * clock)
+    period = max(1, round(back.period / clock)) * clock
+    moment = float(np.ceil(back.time / clock) * clock)
     state = np.array([np.interp(moment, times, column) for column in states.T])
-    return CloseReturn(state, period, one.distance, moment, Guess(state, period))
+    return CloseReturn(state, period, back.distance, moment, Guess(state, period))
 
 
 def _close_return(times: np.ndarray, states: np.ndarray, start: int, period: float, distance: float) -> CloseReturn:

@@ -181,8 +181,11 @@ class Automaton:
             atol=settings.absolute_tolerance, max_step=nonzero(self.longest),
         )  # fmt: skip
         self._asked = []
-        guards = [self._watch(one.guard, one.direction, field, x, by in ("", one.name)) for one in leaving]
-        holds = {name: self._watch(one, -1, field, x) for name, one in self.hybrid.mode(mode).holds.items()}
+        guards = [
+            self._watch(transition.guard, transition.direction, field, x, by in ("", transition.name))
+            for transition in leaving
+        ]
+        holds = {name: self._watch(hold, -1, field, x) for name, hold in self.hybrid.mode(mode).holds.items()}
         times: list[np.ndarray] = [np.zeros(1)]
         states: list[np.ndarray] = [x[None]]
         for _ in range(MOST_STEPS):
@@ -193,22 +196,22 @@ class Automaton:
             dense, looks = self._told(solver.dense_output()), np.linspace(solver.t_old, solver.t, LOOKS)[1:]
             within = dense(looks).T
             within[-1] = solver.y * units
-            found = self._crossing(guards, leaving, looks, within, dense, field, (solver.t_old, states[-1][-1]))
-            if found is not None:
-                moment, end, which = found
+            crossed = self._crossing(guards, leaving, looks, within, dense, field, (solver.t_old, states[-1][-1]))
+            if crossed is not None:
+                moment, end, which = crossed
                 kept = looks < moment
                 looks, within = np.append(looks[kept], moment), np.vstack([within[kept], end])
-            for one in holds.values():
-                one.seen(looks, within, dense)
+            for hold in holds.values():
+                hold.seen(looks, within, dense)
             times.append(looks)
             states.append(within)
-            if found is None and solver.status != "finished":
+            if crossed is None and solver.status != "finished":
                 continue
             spent, path = np.concatenate(times), np.vstack(states)
             if len(spent) > 2 and t + spent[-2] == t + spent[-1]:  # the event where a step ended is one moment
                 spent, path = np.delete(spent, -2), np.delete(path, -2, axis=0)
-            margins = tuple((name, -one.most / nonzero(one.range)) for name, one in holds.items())
-            if found is None:
+            margins = tuple((name, -hold.most / nonzero(hold.range)) for name, hold in holds.items())
+            if crossed is None:
                 return Arc(mode, t + spent, path, None, path[-1], 0.0, margins)
             return self._ended(mode, leaving[which], t, spent, path, guards[which].range, margins)
         raise IntegrationError(f"no event ends mode {mode} within {MOST_STEPS} steps", time=solver.t, state=solver.y)
@@ -237,57 +240,57 @@ class Automaton:
         dense: Callable[[float], np.ndarray], field: VectorField, begin: tuple[float, np.ndarray],
     ) -> tuple[float, np.ndarray, int] | None:  # fmt: skip
         """The first crossing that counts among those within a step: moment, state, number of its transition."""
-        found: list[tuple[float, np.ndarray, int]] = []
-        for k, one in enumerate(leaving):
+        crossings: list[tuple[float, np.ndarray, int]] = []
+        for k, transition in enumerate(leaving):
             for before, after in guards[k].seen(looks, within, dense):
                 moment = self._located(guards[k].height, before, after, dense)
-                moment, state = self._polished(one, field, begin, moment)
-                if self._counts(one, state):
-                    found.append((moment, state, k))
+                moment, state = self._polished(transition, field, begin, moment)
+                if self._counts(transition, state):
+                    crossings.append((moment, state, k))
                     break
-        if not found:
+        if not crossings:
             return None
-        moment, state, which = min(found, key=lambda each: each[0])
-        for k, one in enumerate(leaving):
+        moment, state, which = min(crossings, key=lambda each: each[0])
+        for k, transition in enumerate(leaving):
             low, rising = guards[k].height(state), guards[k].climb(state)
-            if k != which and rising > 0 and abs(low) <= TOGETHER * moment * rising and self._counts(one, state):
+            if k != which and rising > 0 and abs(low) <= TOGETHER * moment * rising and self._counts(transition, state):
                 both = " and ".join(leaving[j].name for j in sorted((k, which)))
                 raise IntegrationError(f"events {both} are simultaneous at t = {moment:.6g} s", time=moment)
         return moment, state, which
 
-    def _counts(self, one: Transition, x: np.ndarray) -> bool:
+    def _counts(self, transition: Transition, x: np.ndarray) -> bool:
         """Whether a crossing is an event."""
-        if one.allowed is None:
+        if transition.allowed is None:
             return True
-        value = float(self.value(one.allowed, x)[0])
-        self._asked.append((one, abs(value)))
+        value = float(self.value(transition.allowed, x)[0])
+        self._asked.append((transition, abs(value)))
         return value > 0
 
     def _located(self, height: Height, before: float, after: float, dense: Callable[[float], np.ndarray]) -> float:
         return _root(lambda moment: height(dense(moment)), before, after)
 
     def _polished(
-        self, one: Transition, field: VectorField, begin: tuple[float, np.ndarray], moment: float
+        self, transition: Transition, field: VectorField, begin: tuple[float, np.ndarray], moment: float
     ) -> tuple[float, np.ndarray]:
         """Newton's method on the event's time, with the integrator itself instead of its dense output."""
         start, x = begin
         for _ in range(3):
             if moment - start > NEAR * np.spacing(abs(moment)):
-                state = self.path(one.source, x, np.array([start, moment]))[-1]
+                state = self.path(transition.source, x, np.array([start, moment]))[-1]
             else:  # no integrator takes a step of a few units in the last place of its clock
                 state = x + (moment - start) * np.asarray(field(start, x))
-            rate = self.rate(one, state)
+            rate = self.rate(transition, state)
             if rate == 0.0:
                 break
-            step = -float(self.value(one.guard, state)[0]) / rate
+            step = -float(self.value(transition.guard, state)[0]) / rate
             if abs(step) <= 4 * np.spacing(abs(moment)) or not np.isfinite(step):
                 break
             moment = max(moment + step, start)
         return moment, state
 
-    def rate(self, one: Transition, x: np.ndarray) -> float:
+    def rate(self, transition: Transition, x: np.ndarray) -> float:
         """The guard's rate of change where its mode ends."""
-        return float(self.value(one.slope, x) @ self.field(one.source)(0.0, x))
+        return float(self.value(transition.slope, x) @ self.field(transition.source)(0.0, x))
 
     def unlike(
         self, arc: tuple[str, str], image: tuple[str, str], rows: np.ndarray, matrix: np.ndarray, moved: np.ndarray
@@ -302,28 +305,40 @@ class Automaton:
     def _said(self, mode: str, event: str, x: np.ndarray, matrix: np.ndarray, moved: np.ndarray) -> np.ndarray:
         """Rates, guards, resets and conditions at a state; rates and resets taken by S x + d."""
         parts = [matrix @ self.field(mode)(0.0, x)]
-        parts += [self.value(one, x) for one in self.hybrid.mode(mode).holds.values() if not event]
-        for one in (one for one in self.hybrid.leaving(mode) if event in ("", one.name)):
-            parts += [matrix @ self.value(one.reset, x) + moved, one.direction * self.value(one.guard, x)]
-            parts += [self.value(each, x) for each in (one.allowed, one.impulse, one.lost) if each is not None]
+        parts += [self.value(hold, x) for hold in self.hybrid.mode(mode).holds.values() if not event]
+        for transition in (transition for transition in self.hybrid.leaving(mode) if event in ("", transition.name)):
+            parts += [
+                matrix @ self.value(transition.reset, x) + moved,
+                transition.direction * self.value(transition.guard, x),
+            ]
+            parts += [
+                self.value(each, x)
+                for each in (transition.allowed, transition.impulse, transition.lost)
+                if each is not None
+            ]
         return np.concatenate(parts)
 
     def _ended(
-        self, mode: str, one: Transition, start: float, times: np.ndarray, states: np.ndarray, span: float,
+        self, mode: str, transition: Transition, start: float, times: np.ndarray, states: np.ndarray, span: float,
         margins: tuple[tuple[str, float], ...],
     ) -> Arc:  # fmt: skip
         end = states[-1]
-        slope = self.rate(one, end) * one.direction
-        impulse, lost = (None if f is None else float(self.value(f, end)[0]) for f in (one.impulse, one.lost))
+        slope = self.rate(transition, end) * transition.direction
+        impulse, lost = (
+            None if f is None else float(self.value(f, end)[0]) for f in (transition.impulse, transition.lost)
+        )
         return Arc(
-            mode, start + times, states, one.name, self.value(one.reset, end), slope * times[-1] / nonzero(span),
-            margins, impulse, lost, self._decided(states),
+            mode, start + times, states, transition.name, self.value(transition.reset, end),
+            slope * times[-1] / nonzero(span), margins, impulse, lost, self._decided(states),
         )  # fmt: skip
 
     def _decided(self, states: np.ndarray) -> float:
         """How far from their change of mind the answers were on which crossings count."""
-        sizes = {one.name: max(abs(float(self.value(one.allowed, x)[0])) for x in states) for one, _ in self._asked}
-        return min((value / nonzero(sizes[one.name]) for one, value in self._asked), default=np.inf)
+        sizes = {
+            transition.name: max(abs(float(self.value(transition.allowed, x)[0])) for x in states)
+            for transition, _ in self._asked
+        }
+        return min((value / nonzero(sizes[transition.name]) for transition, value in self._asked), default=np.inf)
 
 
 Seen = tuple[float, float, float]
@@ -345,15 +360,15 @@ def arcs_along(model: Model, times: np.ndarray, states: np.ndarray) -> list[Arc]
     a guard, the last perhaps a little later. One more arc goes on from there to the next event, where there is one.
     """
     hybrid, automaton = model.hybrid, Automaton.about(model, states[0], float(np.ptp(times)), SECOND)
-    mode, clock, path, found = hybrid.first.name, [times[0]], [states[0]], list[Arc]()
+    mode, clock, path, arcs = hybrid.first.name, [times[0]], [states[0]], list[Arc]()
     spans, twice = np.append(np.diff(times), 0.0), np.flatnonzero(np.diff(times) == 0) + 1
     for own, rows in zip(np.split(times, twice), np.split(states, twice), strict=True) if twice.size else ():
-        values = [(automaton.value(one.guard, rows[-1])[0], one) for one in hybrid.leaving(mode)]
-        one = min(values, key=lambda each: abs(each[0]) / nonzero(abs(automaton.rate(each[1], rows[-1]))))[1]
-        found.append(Arc(mode, own, rows, one.name, automaton.value(one.reset, rows[-1])))
-        mode = one.target
-    if found:
-        return found
+        values = [(automaton.value(transition.guard, rows[-1])[0], transition) for transition in hybrid.leaving(mode)]
+        first = min(values, key=lambda each: abs(each[0]) / nonzero(abs(automaton.rate(each[1], rows[-1]))))[1]
+        arcs.append(Arc(mode, own, rows, first.name, automaton.value(first.reset, rows[-1])))
+        mode = first.target
+    if arcs:
+        return arcs
 
     def met(begin: float, until: float, most: int = MOST_EVENTS) -> float:
         """How late after a moment the last event is that the motion from the newest state meets, 0 without one."""
@@ -362,7 +377,7 @@ def arcs_along(model: Model, times: np.ndarray, states: np.ndarray) -> list[Arc]
         for arc in (arc for arc in automaton.arcs(path[-1], mode, until, most) if arc.ended_by is not None):
             late, before = float(arc.times[-1]), arc.states[-1]
             own = np.array([*clock, begin + late])
-            found.append(Arc(mode, own, np.vstack([*path, before]), arc.ended_by, arc.after))
+            arcs.append(Arc(mode, own, np.vstack([*path, before]), arc.ended_by, arc.after))
             mode, clock, path = hybrid.transition(str(arc.ended_by)).target, [begin + late], [arc.after]
         return late
 
@@ -370,9 +385,9 @@ def arcs_along(model: Model, times: np.ndarray, states: np.ndarray) -> list[Arc]
         late = met(moment, span * (1 + TOGETHER)) if more else met(moment, span * (1 + RETURN), 1)
         if late < span * (1 - TOGETHER):
             clock, path = [*clock, moment + span], [*path, row]
-    if len(path) > 1 or not found:
+    if len(path) > 1 or not arcs:
         met(times[-1], float(np.ptp(times)), 1)
-    return found
+    return arcs
 
 
 def recognised(
@@ -384,19 +399,19 @@ def recognised(
     Raises `ConvergenceError` where it does not come back to the mode in which it began.
     """
     hybrid = model.hybrid
-    found, nearest = list[Arc](), (RETURN, 0)
+    arcs, nearest = list[Arc](), (RETURN, 0)
     automaton = Automaton.about(model, state, period, SECOND, period / 16)
     simulated = automaton.arcs(state, hybrid.first.name, (1 + RETURN) * period)
     for arc in simulated if trajectory is None else arcs_along(model, *trajectory):
         if arc.ended_by is None:
             break
-        found.append(arc)
-        extent = nonzero(np.ptp(np.vstack([one.states for one in found]), axis=0))
+        arcs.append(arc)
+        extent = nonzero(np.ptp(np.vstack([one.states for one in arcs]), axis=0))
         away = np.abs(wrapped(arc.after - state, model.angular))
         off = max(float((away / extent).max()), abs(float(arc.times[-1]) / period - 1))
         if hybrid.transition(arc.ended_by).target == hybrid.first.name and off < nearest[0]:
-            nearest = off, len(found)
-    names = tuple(str(arc.ended_by) for arc in found)
+            nearest = off, len(arcs)
+    names = tuple(str(arc.ended_by) for arc in arcs)
     if not nearest[1]:
         through = ", ".join(names) or "no event"
         raise ConvergenceError(
@@ -424,14 +439,14 @@ class _Watch:
 
         An arc that starts on a guard and goes on through it crosses it there, unless that guard began the arc.
         """
-        found = []
+        risen = []
         for t, x in zip(map(float, looks), within, strict=True):
             value, rate = self.height(x), self.climb(x)
             self.range = max(self.range, abs(value))
             for a, b in pairwise([self.last, *self._between(self.last, (t, value, rate), dense, DEEPEST)]):
-                found += self._risen(a, b, dense)
+                risen += self._risen(a, b, dense)
             self.last = t, value, rate
-        return found
+        return risen
 
     def _between(self, a: Seen, b: Seen, dense: Callable[[float], np.ndarray], depth: int) -> list[Seen]:
         """Looks after a, up to b."""

@@ -193,18 +193,18 @@ def _library(function: ca.Function, effort: float | None) -> ca.Function:
 def _fetched(function: ca.Function, effort: float | None, code: str, compiler: Compiler, key: str) -> ca.Function:
     """The compiled function from the disk or made now."""
     place = usable()
-    found = _loaded(find_entry(place, key), function)
-    if found is None:
+    library = _loaded(find_entry(place, key), function)
+    if library is None:
         _worth_it(len(code), effort)
         # one process at a time per key (256 locks in all); where files cannot be locked the work may be done twice
         with locks.held(place / f"lock-{key[:2]}", expected_seconds(len(code)) * 10 + 10) as held:
-            found = _loaded(find_entry(place, key), function)  # another process may have made it meanwhile
-            if found is None:
+            library = _loaded(find_entry(place, key), function)  # another process may have made it meanwhile
+            if library is None:
                 if not held:
                     raise Unavailable("another process is compiling the same")
-                found = _opened(publish(make_library(compiler, code, place), place, key), function, new=True)
+                library = _opened(publish(make_library(compiler, code, place), place, key), function, new=True)
                 _count(made=1)
-    return found
+    return library
 
 
 def _code(function: ca.Function) -> str:
@@ -239,24 +239,24 @@ def _loaded(path: Path | None, function: ca.Function) -> ca.Function | None:
     if path is None:
         return None
     try:
-        found = _opened(path, function)
+        library = _opened(path, function)
     except Unavailable:
         return None
     _count(loaded=1)
-    return found
+    return library
 
 
 def _opened(path: Path, function: ca.Function, new: bool = False) -> ca.Function:
     """A library loaded and, when new, compared with the interpreter at one point; `Unavailable` removes its file."""
     try:
-        found = ca.external(function.name(), str(path))
+        library = ca.external(function.name(), str(path))
     except RuntimeError as error:
         path.unlink(missing_ok=True)
         raise Unavailable(f"the library cannot be loaded: {error}") from None
-    if _signature(found) != _signature(function) or (new and not _agrees(found, function)):
+    if _signature(library) != _signature(function) or (new and not _agrees(library, function)):
         path.unlink(missing_ok=True)
         raise Unavailable("the compiled function disagrees with the interpreted one")
-    return found
+    return library
 
 
 def _signature(function: ca.Function) -> tuple[list[ca.Sparsity], list[ca.Sparsity]]:
@@ -266,11 +266,11 @@ def _signature(function: ca.Function) -> tuple[list[ca.Sparsity], list[ca.Sparsi
     )
 
 
-def _agrees(found: ca.Function, function: ca.Function) -> bool:
+def _agrees(library: ca.Function, function: ca.Function) -> bool:
     random = np.random.default_rng(0)
     point = [ca.DM(pattern, random.uniform(0.1, 0.9, pattern.nnz())) for pattern in _signature(function)[0]]
-    for one, two in zip(found.call(point), function.call(point), strict=True):
-        a, b = one.full(), two.full()
+    for ours, two in zip(library.call(point), function.call(point), strict=True):
+        a, b = ours.full(), two.full()
         size = np.abs(b[np.isfinite(b)]).max(initial=1.0)
         if not np.allclose(a, b, rtol=AGREEMENT, atol=AGREEMENT * size, equal_nan=True):
             return False

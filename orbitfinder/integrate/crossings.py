@@ -130,8 +130,8 @@ class Crossings:
             self._made.append(compiled(_stepper(self.field), effort=EFFORT))
         start, parameters = np.empty((len(states), 1 + self.size)), np.empty((len(states), 1 + self.tail.size))
         start[:, 0], start[:, 1:], parameters[:, 0], parameters[:, 1:] = times, states, lengths, self.tail
-        found, d = self._lanes.evaluated(self._made[0], STAGES, start, parameters), self.size
-        return found[:, :d], found[:, d : 2 * d], found[:, 2 * d :]
+        values, d = self._lanes.evaluated(self._made[0], STAGES, start, parameters), self.size
+        return values[:, :d], values[:, d : 2 * d], values[:, 2 * d :]
 
     def rates(self, times: np.ndarray, states: np.ndarray) -> np.ndarray:
         """x' (k x d)."""
@@ -179,16 +179,16 @@ class Crossings:
 
     def along(self, states: np.ndarray, moments: np.ndarray, *, tolerance: float = SEEN, sense: int = 1) -> np.ndarray:
         """States (k x m x d) of motions at the same increasing moments, the first of which is 0; nan from an end on."""
-        found = np.full((len(states), moments.size, self.size), np.nan)
-        found[:, 0] = now = np.array(states, float)
+        states_at = np.full((len(states), moments.size, self.size), np.nan)
+        states_at[:, 0] = now = np.array(states, float)
         for k in range(1, moments.size):
             span = moments[k] - moments[k - 1]
             well = np.isfinite(now).all(axis=1)
             clock = Plane(-1, span, 0, 0.0)
             there = self.passing(clock, now[well], 1, longest=2 * span, sense=sense, tolerance=tolerance).states[:, 0]
             now = np.full_like(now, np.nan)
-            now[well] = found[well, k] = there
-        return found
+            now[well] = states_at[well, k] = there
+        return states_at
 
 
 class _Run:
@@ -253,12 +253,12 @@ class _Run:
         end: tuple[np.ndarray, np.ndarray],
     ) -> np.ndarray:  # fmt: skip
         """Where within steps that end on the side on which they began a cubic comes to the plane; else nan."""
-        found = np.full(h.size, np.nan)
+        turns = np.full(h.size, np.nan)
         if self.plane.component < 0:
-            return found
+            return turns
         (a, slope), (b, last) = self._watched(*begin), self._watched(begin[0], *end)
         if not (turning := slope * last < 0).any():
-            return found
+            return turns
         a, b, h, cells = a[turning], b[turning], h[turning], self.cells[here[turning]]
         slope, last = slope[turning] * h * self.sense, last[turning] * h * self.sense
         c3, c2 = 2 * (a - b) + slope + last, 3 * (b - a) - 2 * slope - last
@@ -274,8 +274,8 @@ class _Run:
                 away = np.minimum(*(np.abs(self.plane.off(height, cells + k)) for k in (0.0, 1.0)))
                 other |= (away < room) & (s > 0.05) & (s < 0.95)
                 peak = np.where(other & (self.plane.cell(b) == cells), s * h, peak)
-        found[turning] = peak
-        return found
+        turns[turning] = peak
+        return turns
 
     def _accept(self, here: np.ndarray, h: np.ndarray, after: np.ndarray, rates: np.ndarray) -> None:
         """Take steps, and note those that cross, which are located all together at the end."""

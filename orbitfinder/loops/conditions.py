@@ -93,12 +93,12 @@ def is_parameter(model: Model, name: str) -> bool:
     return name in model.parameter_names and name not in quantities(model)
 
 
-def check_pin(problem: Any, one: Pin) -> None:
+def check_pin(problem: Any, asked: Pin) -> None:
     """`InputError` when a pin names nothing of this problem's model or a value that it cannot have."""
-    kind = kind_of(problem.model, one.name, more=problem.model.parameter_names)
-    why = kind.refused(problem, one)
+    kind = kind_of(problem.model, asked.name, more=problem.model.parameter_names)
+    why = kind.refused(problem, asked)
     if not why and kind.row is None and problem.control is not None:
-        why = f"{one.name} is not of controlled motions, whose costate does not know it; ask for it in a task"
+        why = f"{asked.name} is not of controlled motions, whose costate does not know it; ask for it in a task"
     if why:
         raise InputError(f"pin: {why}")
 
@@ -199,10 +199,13 @@ class Variables:
         Over a symmetric part of the period it follows from that of the part.
         """
         part = ca.MX.eye(self.start.numel())
-        for one in self.transitions():
-            part = one @ part
+        for transition in self.transitions():
+            part = transition @ part
         root, power = self.symmetry.root(
-            part, lambda other: ca.solve(part, other), part.size1(), made=lambda one: ca.MX(ca.sparsify(ca.DM(one)))
+            part,
+            lambda other: ca.solve(part, other),
+            part.size1(),
+            made=lambda matrix: ca.MX(ca.sparsify(ca.DM(matrix))),
         )
         return root @ root if power == 2 else root
 
@@ -264,10 +267,10 @@ class Constraint:
 
     def value(self, variables: Variables) -> ca.MX:
         """The expression as a column; `InputError` when it has another length than announced."""
-        found = ca.vec(ca.MX(self.expression(variables)))
-        if found.numel() != self.rows:
-            raise InputError(f"constraints: {self.name} has {found.numel()} rows, announced {self.rows}; set rows=")
-        return found
+        rows = ca.vec(ca.MX(self.expression(variables)))
+        if rows.numel() != self.rows:
+            raise InputError(f"constraints: {self.name} has {rows.numel()} rows, announced {self.rows}; set rows=")
+        return rows
 
 
 def hyperplane(value: float, normal: np.ndarray, name: str = "") -> Condition:
@@ -374,11 +377,11 @@ def _unknown(equations: Equations, name: str, value: float) -> Condition:
     return hyperplane(value, normal, name)
 
 
-def _energy_refused(problem: Any, one: Pin) -> str:
+def _energy_refused(problem: Any, asked: Pin) -> str:
     floor = lowest_energy(problem.model)
-    if floor is not None and one.value <= floor:
+    if floor is not None and asked.value <= floor:
         return (
-            f"energy {one.value:.9g} J cannot be reached, the lowest energy of this system is {floor:.9g} J (at "
+            f"energy {asked.value:.9g} J cannot be reached, the lowest energy of this system is {floor:.9g} J (at "
             "rest); give a larger energy (potential zero at the fixed joint)"
         )
     if not problem.model.conservative:
@@ -399,13 +402,13 @@ def _period_refused(problem: Any, _: Pin) -> str:
     )
 
 
-def _state_refused(problem: Any, one: Pin) -> str:
+def _state_refused(problem: Any, asked: Pin) -> str:
     n, symmetry = problem.model.degrees_of_freedom, problem.boundary
-    if one.name not in problem.model.state_names[:n] or not symmetry.held(n)[problem.model.state_index(one.name)]:
+    if asked.name not in problem.model.state_names[:n] or not symmetry.held(n)[problem.model.state_index(asked.name)]:
         return ""
     return (
-        f"{one.name} is a multiple of pi, or 0, where a {symmetry.name} orbit starts; pin its rate, the energy or the "
-        "period"
+        f"{asked.name} is a multiple of pi, or 0, where a {symmetry.name} orbit starts; pin its rate, the energy or "
+        "the period"
     )
 
 
@@ -449,12 +452,17 @@ QUANTITIES: dict[str, Quantity] = {
 """What may be named, by its kind; where a name is of two, the first is meant"""
 
 
-def check_constraint(one: Constraint) -> None:
+def check_constraint(constraint: Constraint) -> None:
     """`InputError` for bounds that contradict each other."""
-    if np.isnan(one.lower) or np.isnan(one.upper) or one.lower > one.upper or one.rows < 1:
+    if (
+        np.isnan(constraint.lower)
+        or np.isnan(constraint.upper)
+        or constraint.lower > constraint.upper
+        or constraint.rows < 1
+    ):
         raise InputError(
-            f"constraints: {one.name} asks for {one.lower} <= expression <= {one.upper} in {one.rows} rows; give "
-            "lower <= upper and at least one row"
+            f"constraints: {constraint.name} asks for {constraint.lower} <= expression <= {constraint.upper} in "
+            f"{constraint.rows} rows; give lower <= upper and at least one row"
         )
 
 

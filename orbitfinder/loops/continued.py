@@ -86,14 +86,14 @@ class Curve(Loop):
         """The same with its phases over all nodes fixed by w."""
         return replace(self, normals=self.equations.phases(w, self.scales.states), reference=w.nodes.ravel())
 
-    def measured(self, found: Solution) -> Self:
+    def measured(self, solution: Solution) -> Self:
         """The same with its scales renewed at an orbit that was accepted."""
-        return replace(self, scales=self.scales.renewed(self.sizes(found), found.place))
+        return replace(self, scales=self.scales.renewed(self.sizes(solution), solution.place))
 
-    def sizes(self, found: Solution) -> np.ndarray:
+    def sizes(self, solution: Solution) -> np.ndarray:
         """The extents (d) of the whole motion."""
-        p, place = self.equations, found.place
-        states = p.symmetry.whole(place.mesh, found.march.states, self.constant)[1]
+        p, place = self.equations, solution.place
+        states = p.symmetry.whole(place.mesh, solution.march.states, self.constant)[1]
         return sizes(p.model, self.shares, states, place.period)
 
     @cached_property
@@ -153,22 +153,22 @@ def make_curve(
     return replace(curve, scales=Scales.of(sizes(equations.model, curve.shares, states, w.period), w, relative))
 
 
-def begun(curve: Curve, found: Solution, along: np.ndarray) -> tuple[Curve, np.ndarray]:
+def begun(curve: Curve, solution: Solution, along: np.ndarray) -> tuple[Curve, np.ndarray]:
     """The curve in the scales of its first orbit, and its direction over w there along one over w or over the head."""
-    w, size = found.place, curve.equations.size
+    w, size = solution.place, curve.equations.size
     usual = 1.0 / np.sqrt(curve.weights[size + 1 :])
     zero = np.abs(w.free) < AT_ZERO * usual
-    curve = replace(curve, scales=Scales.of(curve.sizes(found), w, np.where(zero, usual, np.abs(w.free))))
-    curve = replace(curve, scales=curve.scales.begun(w, tangent(curve, found, along), zero))
-    return curve, tangent(curve, found, along)
+    curve = replace(curve, scales=Scales.of(curve.sizes(solution), w, np.where(zero, usual, np.abs(w.free))))
+    curve = replace(curve, scales=curve.scales.begun(w, tangent(curve, solution, along), zero))
+    return curve, tangent(curve, solution, along)
 
 
 def _measures(curve: Curve, w: Unknowns, slopes: np.ndarray | None = None) -> Measures:
     """What unknowns are measured in by the metric, and with that the rows, a test's and then an aim's last."""
-    found = Measures.of(curve, w, curve.scales.columns(w), slopes)
+    measures = Measures.of(curve, w, curve.scales.columns(w), slopes)
     if curve.test is None:
-        return found
-    return replace(found, rows=np.insert(found.rows, found.rows.size - (slopes is not None), TESTED))
+        return measures
+    return replace(measures, rows=np.insert(measures.rows, measures.rows.size - (slopes is not None), TESTED))
 
 
 def _all_rows(curve: Curve, w: Unknowns, ends: np.ndarray, aim: Condition, lost: np.ndarray) -> np.ndarray:
@@ -276,9 +276,9 @@ class Border:
         self._free, self._across = np.zeros((0, 0)), np.zeros((0, 0))
         self._value = np.inf
 
-    def value(self, found: Solution) -> float:
+    def value(self, solution: Solution) -> float:
         """The test at an orbit."""
-        self._value = self.test(self.curve, found)
+        self._value = self.test(self.curve, solution)
         return self._value
 
     def row(self, w: Unknowns, jacobian: np.ndarray, exact: bool = True) -> np.ndarray:
@@ -306,12 +306,12 @@ class Border:
 
     def _differenced(self, w: Unknowns, columns: np.ndarray) -> np.ndarray:
         """The row over unknowns in units of the metric, 0 along what nothing was moved in."""
-        free = np.array([self._at(w, columns * one) - self._at(w, -columns * one) for one in self._free]) / 2
-        found = free @ self._free
-        for one in self._across:
-            beside = one - (self._free @ one) @ self._free
-            found = found + (self._at(w, columns * one) - self._value - DIFFERENCE * found @ one) * beside
-        return np.asarray(found / DIFFERENCE)
+        free = np.array([self._at(w, columns * along) - self._at(w, -columns * along) for along in self._free]) / 2
+        row = free @ self._free
+        for along in self._across:
+            beside = along - (self._free @ along) @ self._free
+            row = row + (self._at(w, columns * along) - self._value - DIFFERENCE * row @ along) * beside
+        return np.asarray(row / DIFFERENCE)
 
     def _at(self, w: Unknowns, direction: np.ndarray) -> float:
         """The test a small step along a direction."""
@@ -347,40 +347,40 @@ def plane(curve: Curve, w: Unknowns, along: np.ndarray, ahead: float = 0.0) -> C
     return hyperplane(float(normal @ w.vector) + ahead, normal)
 
 
-def scaled(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
+def scaled(curve: Curve, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """The Jacobian of all rows but the aim in units of the metric, and those of its columns."""
-    measures = _measures(curve.through(found.place), found.place)
-    return measures.matrix(found.jacobian), measures.columns
+    measures = _measures(curve.through(solution.place), solution.place)
+    return measures.matrix(solution.jacobian), measures.columns
 
 
-def distance(curve: Curve, one: Unknowns, other: Unknowns) -> float:
+def distance(curve: Curve, w: Unknowns, other: Unknowns) -> float:
     """Distance of two orbits over one mesh in the family's metric."""
-    return float(np.sqrt(curve.scales.metric(one) @ (other.vector - one.vector) ** 2))
+    return float(np.sqrt(curve.scales.metric(w) @ (other.vector - w.vector) ** 2))
 
 
-def tangent(curve: Curve, found: Solution, along: np.ndarray) -> np.ndarray:
+def tangent(curve: Curve, solution: Solution, along: np.ndarray) -> np.ndarray:
     """The family's direction over w, of unit length, with <along, t> > 0; `along` is over w or over the head."""
-    metric = curve.scales.metric(found.place)
-    right = np.zeros(len(found.jacobian) + 1)
+    metric = curve.scales.metric(solution.place)
+    right = np.zeros(len(solution.jacobian) + 1)
     right[-1] = 1.0
-    matrix = np.vstack([found.jacobian, metric * found.place.over(along)])
-    whole = _solved(curve, found.place, matrix, right)
+    matrix = np.vstack([solution.jacobian, metric * solution.place.over(along)])
+    whole = _solved(curve, solution.place, matrix, right)
     return np.asarray(whole / np.sqrt(metric @ whole**2))
 
 
-def kernel(curve: Curve, found: Solution) -> np.ndarray:
+def kernel(curve: Curve, solution: Solution) -> np.ndarray:
     """The same without a direction to go by: the right singular vector of the smallest singular value."""
-    matrix, units = scaled(curve, found)
+    matrix, units = scaled(curve, solution)
     last = np.linalg.svd(matrix)[2][-2:]
     if curve.degenerate:  # the direction in which a symmetry is lost is the kernel's too, and moves no parameter
-        last = np.linalg.svd(last[:, -found.place.free.size :])[0].T[:1] @ last
+        last = np.linalg.svd(last[:, -solution.place.free.size :])[0].T[:1] @ last
     whole = units * last[-1]
-    return np.asarray(whole / np.sqrt(curve.scales.metric(found.place) @ whole**2))
+    return np.asarray(whole / np.sqrt(curve.scales.metric(solution.place) @ whole**2))
 
 
-def crossed(curve: Curve, found: Solution, share: float = CRITICAL) -> bool:
+def crossed(curve: Curve, solution: Solution, share: float = CRITICAL) -> bool:
     """Whether another family crosses there: the rows without an aim have a kernel of two dimensions."""
-    sizes = np.linalg.svd(scaled(curve, found)[0], compute_uv=False)
+    sizes = np.linalg.svd(scaled(curve, solution)[0], compute_uv=False)
     return bool(sizes[-1] < share * sizes[-2:][0])
 
 
@@ -392,12 +392,12 @@ def advanced(w: Unknowns, whole: np.ndarray, length: float, curvature: np.ndarra
 def at_place(curve: Curve, w: Unknowns) -> Solution:
     """A Solution out of unknowns that are already on the family (those read from a file)."""
     path = curve.equations.varied(w, states=True)
-    found = Solution(w, path, curve.through(w).linearised(w, path).matrix(), 0.0)
+    solution = Solution(w, path, curve.through(w).linearised(w, path).matrix(), 0.0)
     if curve.test is None:
-        return found
+        return solution
     border = Border(curve)
-    border.value(found)
-    return replace(found, jacobian=np.vstack([found.jacobian, border.row(w, found.jacobian)]))
+    border.value(solution)
+    return replace(solution, jacobian=np.vstack([solution.jacobian, border.row(w, solution.jacobian)]))
 
 
 def bend(curve: Curve, w: Unknowns, whole: np.ndarray, other: Unknowns) -> np.ndarray:

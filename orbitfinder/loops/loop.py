@@ -87,9 +87,9 @@ class Unknowns:
         count, size = self.nodes.shape
         cut, last = count * size, vector.size - self.free.size
         nodes = vector[:cut].reshape(count, size)
-        found = Unknowns(nodes, float(vector[cut]), vector[cut + 1 : last], vector[last:], self.mesh)
-        found.__dict__.update(vector=vector, tail=vector[cut:])  # known already
-        return found
+        w = Unknowns(nodes, float(vector[cut]), vector[cut + 1 : last], vector[last:], self.mesh)
+        w.__dict__.update(vector=vector, tail=vector[cut:])  # known already
+        return w
 
     def symbols(self) -> tuple[list[ca.MX], list[ca.MX]]:
         """Symbols of CasADi for the nodes and for T, s and free, which stacked stand for the vector."""
@@ -247,8 +247,8 @@ class Equations:
             rows = ca.densify(ca.vertcat(value, ca.jacobian(value, x).T))
             self._watched[key] = ca.Function("watched", [x, chosen], [rows])
         free = np.broadcast_to(free, (len(states), free.size))
-        found = self.march.arcs[0].along(self._watched[key], states, free)
-        return found[:, 0], found[:, 1:]
+        both = self.march.arcs[0].along(self._watched[key], states, free)
+        return both[:, 0], both[:, 1:]
 
     @cached_property
     def _known(self) -> dict[str, tuple[Unknowns, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
@@ -302,13 +302,13 @@ class Equations:
         nodes = w.nodes[:1] if units is None else w.nodes
         weights = np.ones((1, 1)) if units is None else w.shares[:, None] / units**2
         sizes = np.ones(nodes.shape) if units is None else np.broadcast_to(units, nodes.shape)
-        found = []
+        normals = []
         if not (self.symmetry.reverses or self.model.forced or self.model.hybrid):
-            found.append(self.march.rates(nodes, w.tail))
+            normals.append(self.march.rates(nodes, w.tail))
         n, values = self.model.degrees_of_freedom, self.model.parameter_values
-        for one in self._generators:
-            found.append(np.array([one(x[:n], x[n:], values).full().ravel() for x in nodes]))
-        rows = np.array([(one * weights).ravel() for one in found]).reshape(len(found), nodes.size)
+        for generator in self._generators:
+            normals.append(np.array([generator(x[:n], x[n:], values).full().ravel() for x in nodes]))
+        rows = np.array([(normal * weights).ravel() for normal in normals]).reshape(len(normals), nodes.size)
         return np.asarray(rows / nonzero(np.linalg.norm(rows * sizes.ravel(), axis=1, keepdims=True)))
 
 
@@ -320,9 +320,9 @@ class Links:
 
     def __init__(self, model: Model, free: tuple[str, ...], parts: int = 1) -> None:
         arcs = () if model.hybrid is None else model.hybrid.part(parts)
-        self.count, self.parts, self.transitions = max(1, len(arcs)), parts, tuple(one for _, one in arcs)
-        self._parts = [Buffered(_link(model, one, free, True)) for one in self.transitions]
-        self._passes = [Buffered(_link(model, one, free, False)) for one in self.transitions]
+        self.count, self.parts, self.transitions = max(1, len(arcs)), parts, tuple(transition for _, transition in arcs)
+        self._parts = [Buffered(_link(model, transition, free, True)) for transition in self.transitions]
+        self._passes = [Buffered(_link(model, transition, free, False)) for transition in self.transitions]
 
     def __bool__(self) -> bool:
         return bool(self.transitions)
@@ -351,15 +351,15 @@ class Links:
     def at(self, w: Unknowns, ends: np.ndarray) -> list[list[np.ndarray]]:
         """(R, g, dR/dx, dR/dfree, dg/dx, dg/dfree) of each arc."""
         places = self.ends(len(ends))
-        return [[value.T for value in one(ends[k], w.free)] for one, k in zip(self._parts, places, strict=True)]
+        return [[value.T for value in part(ends[k], w.free)] for part, k in zip(self._parts, places, strict=True)]
 
     def passed(self, w: Unknowns, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The ends with those of arcs reset, and the guards (K)."""
         if not self.transitions:
             return ends, NO_GUARDS
         after, guards = ends.copy(), np.empty(len(self.transitions))
-        for k, (one, place) in enumerate(zip(self._passes, self.ends(len(ends)), strict=True)):
-            reset, guard = one(ends[place], w.free)
+        for k, (crossed, place) in enumerate(zip(self._passes, self.ends(len(ends)), strict=True)):
+            reset, guard = crossed(ends[place], w.free)
             after[place], guards[k] = reset, guard.item()
         return after, guards
 
@@ -385,20 +385,20 @@ class Links:
         S = DR + (f+ - DR f-) grad g / (grad g . f-). Source: R. Leine, H. Nijmeijer, Dynamics and Bifurcations of
         Non-Smooth Mechanical Systems (2004), section 7.
         """
-        found = path.transitions.copy()
-        each = zip(self.ends(len(found)), self.at(w, path.ends), late, early, strict=True)
+        transitions = path.transitions.copy()
+        each = zip(self.ends(len(transitions)), self.at(w, path.ends), late, early, strict=True)
         for k, (_, _, by_x, _, slope, _), before, after in each:
             rate = (slope @ before).item()  # 0 where the guard is grazed
             turn = np.outer(after - by_x @ before, slope) / (rate if abs(rate) > GRAZED else GRAZED)
-            found[k] = (by_x + turn) @ found[k]
-        return found
+            transitions[k] = (by_x + turn) @ transitions[k]
+        return transitions
 
 
-def _link(model: Model, one: Transition, free: tuple[str, ...], varied: bool) -> ca.Function:
+def _link(model: Model, transition: Transition, free: tuple[str, ...], varied: bool) -> ca.Function:
     """(R, g) and, where asked for, their derivatives by state and freed parameters."""
     x, chosen = ca.MX.sym("x", len(model.state_names)), ca.MX.sym("free", len(free))
     p = model.parameters(free, chosen)
-    after, guard = one.reset(x, p), one.guard(x, p)
+    after, guard = transition.reset(x, p), transition.guard(x, p)
     slopes = [ca.jacobian(value, by) for value in (after, guard) for by in (x, chosen)] if varied else []
     return ca.Function("link", [x, chosen], [after, guard, *map(ca.densify, slopes)])
 
@@ -460,12 +460,12 @@ class Loop:
 
     def stated(self, nodes: Sequence[ca.MX], period: ca.MX, free: ca.MX, ends: Sequence[ca.MX]) -> ca.MX:
         """The same rows as an expression of CasADi."""
-        first, last = (ca.sparsify(ca.DM(one)) for one in self.equations.boundary)
+        first, last = (ca.sparsify(ca.DM(part)) for part in self.equations.boundary)
         links, ends, guards = self.equations.links, list(ends), list[ca.MX]()
         p = self.equations.model.parameters(self.equations.free, free)
-        for one, place in zip(links.transitions, links.ends(len(ends)), strict=True):
-            guards.append(one.guard(ends[place], p))
-            ends[place] = one.reset(ends[place], p)
+        for transition, place in zip(links.transitions, links.ends(len(ends)), strict=True):
+            guards.append(transition.guard(ends[place], p))
+            ends[place] = transition.reset(ends[place], p)
         rows = [end - node for end, node in zip(ends, nodes[1:], strict=False)]
         rows.append(first @ nodes[0] + last @ ends[-1] - self.equations.aimed(self.constant))
         rows += [ca.dot(ca.DM(normal), nodes[0] - self.reference) for normal in self.normals]
@@ -543,7 +543,7 @@ def _action_rate(model: Model, flow: ca.Function, free: tuple[str, ...]) -> ca.F
 def levels(model: Model, x: Any, parameters: Any) -> Any:
     """The invariants at a state in their order, then the energy, then where there is one the forcing period."""
     q, v = x[: model.degrees_of_freedom], x[model.degrees_of_freedom :]
-    values = [one.value(q, v, parameters) for one in model.invariants]
+    values = [invariant.value(q, v, parameters) for invariant in model.invariants]
     values.append(model.kinetic(q, v, parameters) + model.potential(q, parameters))
     if model.forcing_period is not None:
         values.append(model.forcing_period(parameters))

@@ -212,13 +212,13 @@ class Problem(Shown):
     def _settle(self) -> None:
         """Guessed values of freed parameters, and pins of others, become the model's."""
         check_guessed(self.guess, self.free)
-        pinned = {one.name: one.value for one in self.pin if is_parameter(self.model, one.name)}
+        pinned = {pin.name: pin.value for pin in self.pin if is_parameter(self.model, pin.name)}
         fixed = {name: value for name, value in pinned.items() if name not in self.free}
         values = {**{name: float(value) for name, value in self.guess.free.items()}, **pinned}
         if values:
             object.__setattr__(self, "model", with_parameters(self.model, values))
             object.__setattr__(self, "guess", replace(self.guess, free={}))
-            object.__setattr__(self, "pin", tuple(one for one in self.pin if one.name not in fixed))
+            object.__setattr__(self, "pin", tuple(pin for pin in self.pin if pin.name not in fixed))
 
     def _settle_cycle(self) -> None:
         """The cycle of a hybrid system is that of its guess's motion where none is given."""
@@ -265,7 +265,7 @@ class Problem(Shown):
         size, symmetry = len(self.model.state_names), self.boundary
         unfolded = symmetry.unfolded(self.model)
         arcs = 0 if self.model.hybrid is None else len(self.model.hybrid.part(symmetry.parts))
-        others = sum(one.generator is not None for one in unfolded)
+        others = sum(invariant.generator is not None for invariant in unfolded)
         equations = {
             "defects": size * (intervals - 1),
             "boundary": size - len(self.relative),
@@ -273,7 +273,7 @@ class Problem(Shown):
             "guards": arcs,
             "forcing period": int(self.model.forced),
             "pins": len(self.pin),
-            "constraints": sum(one.rows for one in self.constraints if one.equation),
+            "constraints": sum(constraint.rows for constraint in self.constraints if constraint.equation),
         }
         unknowns = {
             "node states": size * intervals,
@@ -299,7 +299,7 @@ class Problem(Shown):
         if self.objective != "nearest":
             return self._check_choice(count)
         if self.pin and not self.free and not self.constraints and count.freedom > 0:
-            names = ", ".join(one.name for one in self.model.invariants)
+            names = ", ".join(invariant.name for invariant in self.model.invariants)
             raise CountError(
                 f"pin: under-determined, {count}: orbits of this system come in "
                 f"{count.freedom + len(self.pin)}-parameter families (invariants: {names}); add "
@@ -430,8 +430,10 @@ def _check_halves(problem: Problem, state: np.ndarray) -> None:
         units = np.concatenate([lengths, lengths[: state.size - n] / clock])
         rows = state + units * np.random.default_rng(0).normal(0, 0.3, (4, state.size))
         turned = (np.zeros(n), np.ones(n)) if problem.winding is None else (np.asarray(problem.winding) % 2,)
-        half = (np.append(np.pi * one * (model.angular & forward.keeps(n)), np.zeros(state.size - n)) for one in turned)
-        arcs, automaton = [(mode.name, one.name) for mode, one in model.hybrid.arcs], Automaton(model)
+        half = (
+            np.append(np.pi * turn * (model.angular & forward.keeps(n)), np.zeros(state.size - n)) for turn in turned
+        )
+        arcs, automaton = [(mode.name, transition.name) for mode, transition in model.hybrid.arcs], Automaton(model)
         pairs = list(zip(arcs, arcs[len(arcs) // 2 :], strict=False))
         off = (max(automaton.unlike(*pair, rows, forward.matrix(n), by) for pair in pairs) for by in half)
         if min(off) > LARGEST_TOLERANCE:
@@ -556,7 +558,7 @@ WINDING_MARGIN = 0.25
 
 def loop_of(problem: Problem, equations: Equations, w: Unknowns, end: np.ndarray | None, pins: Sequence[Pin]) -> Loop:
     """The loop of a Problem at these pins, its phases and displacement as w has them, whose motion ends at `end`."""
-    given = (pinned(equations, one.name, one.value) for one in pins)
+    given = (pinned(equations, pin.name, pin.value) for pin in pins)
     conditions = (*clock(equations, problem.forcing_cycles), *given)
     return Loop(equations, displacement(problem, w, end), conditions).through(w)
 
@@ -597,11 +599,11 @@ def clocked(model: Model, clock: float, state: np.ndarray | None = None) -> np.n
     With a `state` (d) of a motion they are relative to what its coordinates are measured in.
     """
     n = model.degrees_of_freedom
-    found = np.concatenate([np.ones(n), np.full(len(model.state_names) - n, clock)])
-    return found if state is None else found / np.resize(proportions(model, state), found.size)
+    units = np.concatenate([np.ones(n), np.full(len(model.state_names) - n, clock)])
+    return units if state is None else units / np.resize(proportions(model, state), units.size)
 
 
 def segments_for(matrix: np.ndarray, units: np.ndarray, growth: float, between: tuple[int, int]) -> int:
     """Segments that share the growth of a state-transition matrix, times `units` (d), so that none has more."""
-    found = max(float(np.linalg.norm(matrix * units[:, None] / units[None, :], 2)), 2.0)
-    return min(max(int(np.ceil(np.log(found) / np.log(growth))), between[0]), between[1])
+    grown = max(float(np.linalg.norm(matrix * units[:, None] / units[None, :], 2)), 2.0)
+    return min(max(int(np.ceil(np.log(grown) / np.log(growth))), between[0]), between[1])

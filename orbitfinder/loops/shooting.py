@@ -115,9 +115,9 @@ def transcribe(problem: Problem, nodes: np.ndarray | Unknowns, flow: Flow | None
     rows = ca.Function("rows", [w, given], [equalities if np.all(sizes == 1.0) else equalities / ca.DM(sizes)])
     limits, low, high = _inequalities(problem, known)
     aims = ca.Function("aims", [w, given], [*_objective(problem, known), limits])
-    ends = ca.horzcat(*(one.end(*given) for one, given in spans(equations, flow, parts, tail)))
+    ends = ca.horzcat(*(part.end(*given) for part, given in spans(equations, flow, parts, tail)))
     constraints = rows(w, ends)
-    lower, upper = (one.vector / units for one in _bounds(problem, flow, guess, guess.at(units)))
+    lower, upper = (bound.vector / units for bound in _bounds(problem, flow, guess, guess.at(units)))
     weights = _weights(problem, guess.at(start))
     value, residuals, inequalities = aims(w, ends)
     if problem.objective == "nearest":
@@ -132,9 +132,9 @@ def transcribe(problem: Problem, nodes: np.ndarray | Unknowns, flow: Flow | None
 def flow_of(problem: Problem, settings: IntegratorSettings | None = None) -> Flow:
     """The flow of a Problem's model, or of each arc of its cycle, in the units of its guess's motion."""
     symmetry, units, model = problem.boundary, units_of(problem), problem.model
-    arcs = [model] if model.hybrid is None else [one.model for one, _ in model.hybrid.part(symmetry.parts)]
+    arcs = [model] if model.hybrid is None else [mode.model for mode, _ in model.hybrid.part(symmetry.parts)]
     free = freed(model, problem.free, symmetry.parts)
-    first, *later = (build_flow(one, free, symmetry.unfolded(one), settings, units) for one in arcs)
+    first, *later = (build_flow(arc, free, symmetry.unfolded(arc), settings, units) for arc in arcs)
     return replace(first, later=tuple(later)) if later else first
 
 
@@ -157,8 +157,8 @@ def _times(parts: tuple[list[ca.MX], list[ca.MX]], units: np.ndarray) -> tuple[l
     """The parts of w in the model's units."""
     nodes, tail = parts
     ends = np.cumsum([0, *(part.numel() for part in [*nodes, *tail])])
-    found = [part * ca.DM(units[ends[k] : ends[k + 1]]) for k, part in enumerate([*nodes, *tail])]
-    return found[: len(nodes)], found[len(nodes) :]
+    scaled = [part * ca.DM(units[ends[k] : ends[k + 1]]) for k, part in enumerate([*nodes, *tail])]
+    return scaled[: len(nodes)], scaled[len(nodes) :]
 
 
 def _sizes(rows: ca.MX, inputs: tuple[ca.MX, ca.MX], start: np.ndarray, guess: Unknowns, flow: Flow) -> np.ndarray:
@@ -185,15 +185,15 @@ def _variables(loop: Loop, flow: Flow, parts: list[ca.MX], tail: list[ca.MX], en
     model, p = equations.model, equations.model.parameters(equations.free, free)
 
     def transitions() -> list[ca.MX]:
-        functions = [transition_function(one) for one in (flow, *flow.later)]
+        functions = [transition_function(part) for part in (flow, *flow.later)]
         each = len(parts) // len(functions)
         given = (inputs for _, inputs in spans(equations, flow, parts, tail))
-        found = [functions[k // each](*inputs) for k, inputs in enumerate(given)]
+        matrices = [functions[k // each](*inputs) for k, inputs in enumerate(given)]
         arcs = () if model.hybrid is None else model.hybrid.arcs
         for arc, k in enumerate(equations.links.ends(len(parts))):
-            (mode, one), (after, _) = arcs[arc], arcs[(arc + 1) % len(arcs)]
-            found[k] = saltation(mode.model, one, after.model)(reached[k], p) @ found[k]
-        return found
+            (mode, transition), (after, _) = arcs[arc], arcs[(arc + 1) % len(arcs)]
+            matrices[k] = saltation(mode.model, transition, after.model)(reached[k], p) @ matrices[k]
+        return matrices
 
     return variables_of(equations, parts, period, free, reached, transitions)
 
@@ -202,8 +202,8 @@ def _objective(problem: Problem, known: Variables) -> tuple[ca.MX, ca.MX]:
     """f and, where f = |r|^2 / 2, r. Raises `InputError` when the objective is not an expression of the unknowns."""
     if not callable(problem.objective):
         return ca.MX(0), ca.MX(0, 1)
-    found = ca.vec(ca.MX(problem.objective(known)))
-    return (found, ca.MX(0, 1)) if found.numel() == 1 else (0.5 * ca.dot(found, found), found)
+    value = ca.vec(ca.MX(problem.objective(known)))
+    return (value, ca.MX(0, 1)) if value.numel() == 1 else (0.5 * ca.dot(value, value), value)
 
 
 def _inequalities(problem: Problem, known: Variables) -> tuple[ca.MX, np.ndarray, np.ndarray]:
@@ -215,10 +215,10 @@ def _inequalities(problem: Problem, known: Variables) -> tuple[ca.MX, np.ndarray
         if name != "period" and name not in problem.free:
             rows.append(known[name])
             low, high = [*low, smallest], [*high, largest]
-    for one in problem.constraints:
-        if not one.equation:
-            rows.append(one.value(known))
-            low, high = [*low, *[one.lower] * one.rows], [*high, *[one.upper] * one.rows]
+    for constraint in problem.constraints:
+        if not constraint.equation:
+            rows.append(constraint.value(known))
+            low, high = [*low, *[constraint.lower] * constraint.rows], [*high, *[constraint.upper] * constraint.rows]
     return ca.vertcat(*rows), np.asarray(low, float), np.asarray(high, float)
 
 
@@ -233,7 +233,9 @@ def _rows(loop: Loop, problem: Problem, known: Variables, tail: list[ca.MX], far
     if model.constraint is not None and far is not None:
         closing = constrained_brake_rows(model, start, end, known.parameters, allowed_velocities(model, far))
     own = [] if problem.phase_condition is None else [ca.MX(problem.phase_condition(known))]
-    equations = [one.value(known) - one.lower for one in problem.constraints if one.equation]
+    equations = [
+        constraint.value(known) - constraint.lower for constraint in problem.constraints if constraint.equation
+    ]
     return ca.vertcat(rows[: closed - start.numel()], closing, *own, rows[closed:], *equations)
 
 
