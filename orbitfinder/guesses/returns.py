@@ -19,13 +19,22 @@ from orbitfinder.mechanics.model import Model, wrapped
 
 MOST_SAMPLES = 3000
 """Samples of a trajectory that are compared with each other, in all pairs."""
-AWAY = 0.25
-"""A return counts when the motion went at least this far away in between, relative to its extent."""
-SAME_PERIOD = 0.02
-"""Of returns whose periods differ by less than this, relative, only the closest is kept."""
-MOST_MODES_PERIODS = 12
-NEAR_RETURN = 0.1
-"""A motion has come back when it is this near its start, relative to its extent."""
+
+
+@dataclass(frozen=True)
+class ReturnSettings:
+    """What counts as a return."""
+
+    away: float = 0.25
+    """A return counts when the motion went at least this far away in between, relative to its extent."""
+    same_period: float = 0.02
+    """Of returns whose periods differ by less than this, relative, only the closest is kept."""
+    most_modes_periods: int = 12
+    near_return: float = 0.1
+    """A motion has come back when it is this near its start, relative to its extent."""
+
+
+RETURNS = ReturnSettings()
 
 
 @dataclass(frozen=True)
@@ -64,10 +73,10 @@ def close_returns(
     rows, columns = _local_minima(table)
     for k in np.argsort(table[rows, columns]):
         row, column = int(rows[k]), int(columns[k])
-        if table[: row + 1, column].max() < max(AWAY, 3 * table[row, column]):
+        if table[: row + 1, column].max() < max(RETURNS.away, 3 * table[row, column]):
             continue
         back = _close_return(times, states, column, lags[row] * step, float(table[row, column]))
-        if all(abs(back.period / other.period - 1) > SAME_PERIOD for other in returns):
+        if all(abs(back.period / other.period - 1) > RETURNS.same_period for other in returns):
             returns.append(back)
         if len(returns) == count:
             break
@@ -132,7 +141,7 @@ def _returned(model: Model, state: np.ndarray, longest: float, often: float) -> 
     clock = np.ptp(states[:, n:] / units) or 1.0
     gone = np.abs(away[:, :n] / units).max(axis=1)
     distance = np.maximum(gone / (gone.max() or 1.0), np.abs(rates).max(axis=1) / clock)
-    near = NEAR_RETURN * float(distance.max())
+    near = RETURNS.near_return * float(distance.max())
     left = int(np.argmax(distance > near))
     lowest = (distance[1:-1] < near) & (distance[1:-1] <= distance[:-2]) & (distance[1:-1] <= distance[2:])
     back = [k for k in np.flatnonzero(lowest) + 1 if k > left]
@@ -169,10 +178,10 @@ def normal_mode_sum(
     place[:n] = 0.0 if equilibrium is None else np.asarray(equilibrium, float)
     state = place + sum(np.sign(a) * (part.state - place) for a, part in zip(amplitudes, parts, strict=True))
     frequencies = np.sqrt(normal_modes(model, equilibrium)[0][[mode - 1 for mode in modes]])
-    periods = parts[0].period * np.arange(1, MOST_MODES_PERIODS + 1)
+    periods = parts[0].period * np.arange(1, RETURNS.most_modes_periods + 1)
     mismatch = (1 - np.cos(np.outer(periods, frequencies))) @ np.square(amplitudes)
     # a longer period has to earn its length
-    best = int(np.argmin(mismatch * np.arange(1, MOST_MODES_PERIODS + 1) + 1e-12 * periods))
+    best = int(np.argmin(mismatch * np.arange(1, RETURNS.most_modes_periods + 1) + 1e-12 * periods))
     return Guess(state, float(periods[best]))
 
 

@@ -35,24 +35,34 @@ from orbitfinder.mechanics.model import Model, wrapped
 from orbitfinder.mechanics.model import vector_field as field_of
 from orbitfinder.mechanics.scales import units_of
 
-LOOKS = 8
-"""Times at which guards are looked at within a step, at least"""
+
+@dataclass(frozen=True)
+class AutomatonSettings:
+    """How closely guards are watched, and what is one event."""
+
+    looks: int = 8
+    """Times at which guards are looked at within a step, at least"""
+    most_steps: int = 20_000
+    zeno: int = 20
+    """Arcs in a row of which each is shorter than the one before, that make a Zeno motion where they end in nothing"""
+    nothing: float = 1e-5
+    """Share of the whole time that the last arc of a Zeno motion takes at most"""
+    near: int = 64
+    """Units in the last place of the clock below which a step is a line: its error is their square"""
+    together: float = 1e-9
+    """Share of an arc within which two events are simultaneous"""
+    back: float = 0.5
+    """Share of the motion's extents, and of the period, within which a motion is back near its start"""
+    round_off: float = 1e-12
+    """A guard this small, relative to how it changes along the arc, is 0"""
+
+
+WATCHED = AutomatonSettings()
+
+
 DEEPEST, FINE = 8, 1e-4
 """Halvings between two looks until a cubic is this near to a guard's value, relative to its range"""
-MOST_STEPS = 20_000
 MOST_EVENTS = 10_000
-ZENO = 20
-"""Arcs in a row of which each is shorter than the one before, that make a Zeno motion where they end in nothing"""
-NOTHING = 1e-5
-"""Share of the whole time that the last arc of a Zeno motion takes at most"""
-NEAR = 64
-"""Units in the last place of the clock below which a step is a line: its error is their square"""
-TOGETHER = 1e-9
-"""Share of an arc within which two events are simultaneous"""
-RETURN = 0.5
-"""Share of the motion's extents, and of the period, within which a motion is back near its start"""
-ROUND_OFF = 1e-12
-"""A guard this small, relative to how it changes along the arc, is 0"""
 
 
 Height = Callable[[np.ndarray], float]
@@ -164,8 +174,8 @@ class Automaton:
             x, t, mode = arc.after, float(arc.times[-1]), self.hybrid.transition(arc.ended_by).target
 
     def _check_zeno(self, lengths: Sequence[float], arc: Arc) -> None:
-        last = lengths[-ZENO:]
-        if len(last) == ZENO and all(b < a for a, b in pairwise(last)) and (last[-1] < NOTHING * sum(lengths)):
+        last, nothing = lengths[-WATCHED.zeno :], WATCHED.nothing * sum(lengths)
+        if len(last) == WATCHED.zeno and all(b < a for a, b in pairwise(last)) and last[-1] < nothing:
             raise IntegrationError(
                 f"Zeno: events {arc.ended_by} follow each other ever faster and accumulate at t = {arc.times[-1]:.6g} "
                 "s; give the model a mode in which contact lasts",
@@ -188,12 +198,12 @@ class Automaton:
         holds = {name: self._watch(hold, -1, field, x) for name, hold in self.hybrid.mode(mode).holds.items()}
         times: list[np.ndarray] = [np.zeros(1)]
         states: list[np.ndarray] = [x[None]]
-        for _ in range(MOST_STEPS):
+        for _ in range(WATCHED.most_steps):
             limit.check()
             solver.step()
             if solver.status == "failed" or not np.all(np.isfinite(solver.y)):
                 raise IntegrationError("DOP853 fails: the motion is singular there", time=solver.t, state=x)
-            dense, looks = self._told(solver.dense_output()), np.linspace(solver.t_old, solver.t, LOOKS)[1:]
+            dense, looks = self._told(solver.dense_output()), np.linspace(solver.t_old, solver.t, WATCHED.looks)[1:]
             within = dense(looks).T
             within[-1] = solver.y * units
             crossed = self._crossing(guards, leaving, looks, within, dense, field, (solver.t_old, states[-1][-1]))
@@ -214,7 +224,8 @@ class Automaton:
             if crossed is None:
                 return Arc(mode, t + spent, path, None, path[-1], 0.0, margins)
             return self._ended(mode, leaving[which], t, spent, path, guards[which].range, margins)
-        raise IntegrationError(f"no event ends mode {mode} within {MOST_STEPS} steps", time=solver.t, state=solver.y)
+        steps = WATCHED.most_steps
+        raise IntegrationError(f"no event ends mode {mode} within {steps} steps", time=solver.t, state=solver.y)
 
     def _told(self, dense: Callable[..., np.ndarray]) -> Callable[..., np.ndarray]:
         """Dense output (d, or d x k) in the model's own units."""
@@ -253,7 +264,8 @@ class Automaton:
         moment, state, which = min(crossings, key=lambda each: each[0])
         for k, transition in enumerate(leaving):
             low, rising = guards[k].height(state), guards[k].climb(state)
-            if k != which and rising > 0 and abs(low) <= TOGETHER * moment * rising and self._counts(transition, state):
+            near = rising > 0 and abs(low) <= WATCHED.together * moment * rising
+            if k != which and near and self._counts(transition, state):
                 both = " and ".join(leaving[j].name for j in sorted((k, which)))
                 raise IntegrationError(f"events {both} are simultaneous at t = {moment:.6g} s", time=moment)
         return moment, state, which
@@ -275,7 +287,7 @@ class Automaton:
         """Newton's method on the event's time, with the integrator itself instead of its dense output."""
         start, x = begin
         for _ in range(3):
-            if moment - start > NEAR * np.spacing(abs(moment)):
+            if moment - start > WATCHED.near * np.spacing(abs(moment)):
                 state = self.path(transition.source, x, np.array([start, moment]))[-1]
             else:  # no integrator takes a step of a few units in the last place of its clock
                 state = x + (moment - start) * np.asarray(field(start, x))
@@ -382,8 +394,8 @@ def arcs_along(model: Model, times: np.ndarray, states: np.ndarray) -> list[Arc]
         return late
 
     for moment, span, more, row in zip(times, spans, spans[1:], states[1:], strict=False):
-        late = met(moment, span * (1 + TOGETHER)) if more else met(moment, span * (1 + RETURN), 1)
-        if late < span * (1 - TOGETHER):
+        late = met(moment, span * (1 + WATCHED.together)) if more else met(moment, span * (1 + WATCHED.back), 1)
+        if late < span * (1 - WATCHED.together):
             clock, path = [*clock, moment + span], [*path, row]
     if len(path) > 1 or not arcs:
         met(times[-1], float(np.ptp(times)), 1)
@@ -399,9 +411,9 @@ def recognised(
     Raises `ConvergenceError` where it does not come back to the mode in which it began.
     """
     hybrid = model.hybrid
-    arcs, nearest = list[Arc](), (RETURN, 0)
+    arcs, nearest = list[Arc](), (WATCHED.back, 0)
     automaton = Automaton.about(model, state, period, SECOND, period / 16)
-    simulated = automaton.arcs(state, hybrid.first.name, (1 + RETURN) * period)
+    simulated = automaton.arcs(state, hybrid.first.name, (1 + WATCHED.back) * period)
     for arc in simulated if trajectory is None else arcs_along(model, *trajectory):
         if arc.ended_by is None:
             break
@@ -415,8 +427,8 @@ def recognised(
     if not nearest[1]:
         through = ", ".join(names) or "no event"
         raise ConvergenceError(
-            f"cycle: the motion from the guess goes through {through} in {(1 + RETURN) * period:.4g} s and is not back "
-            f"near its start in mode {hybrid.first.name}; start nearer to an orbit, or give the cycle"
+            f"cycle: the motion from the guess goes through {through} in {(1 + WATCHED.back) * period:.4g} s and is "
+            f"not back near its start in mode {hybrid.first.name}; start nearer to an orbit, or give the cycle"
         )
     return names[: nearest[1]]
 
@@ -430,7 +442,7 @@ class _Watch:
     def __init__(self, height: Height, climb: Height, x: np.ndarray, size: float, own: bool) -> None:
         self.height, self.climb, self.own = height, climb, own
         self.last: Seen = 0.0, height(x), climb(x)
-        self.range, self.most, self.floor = abs(self.last[1]), self.last[1], ROUND_OFF * size
+        self.range, self.most, self.floor = abs(self.last[1]), self.last[1], WATCHED.round_off * size
 
     def seen(
         self, looks: np.ndarray, within: np.ndarray, dense: Callable[[float], np.ndarray]
@@ -462,7 +474,7 @@ class _Watch:
     def _risen(self, a: Seen, b: Seen, dense: Callable[[float], np.ndarray]) -> list[tuple[float, float]]:
         (before, low, rising), (after, value, rate) = a, b
         self.most = max(self.most, value)
-        on_it = before == 0.0 and abs(low) <= max(ROUND_OFF * self.range, self.floor)
+        on_it = before == 0.0 and abs(low) <= max(WATCHED.round_off * self.range, self.floor)
         if value >= 0 and (not self.own if on_it else low < 0):
             return [(before, after)]
         if rising > 0 > rate:

@@ -29,22 +29,33 @@ from orbitfinder.records.journal import fill
 
 FINE, SEEN = 2e-14, 1e-10
 """Relative tolerances of one step: of what is refined, and of what is drawn"""
-EFFORT = 3.0
-"""Seconds of interpreted stepping that a section takes, for `compiled`"""
+
+
+@dataclass(frozen=True)
+class StepSettings:
+    """How long the steps of many motions are."""
+
+    effort: float = 3.0
+    """Seconds of interpreted stepping that a section takes, for `compiled`"""
+    on_it: float = 1e-11
+    """A start this near to the plane, in units of its motion, is on it"""
+    shortest: float = 1e-13
+    """Steps shorter than this share of the longest mean that a motion ends in a singularity"""
+    touching: float = 0.02
+    """A cubic turns back at the plane where it comes as near as this, relative to how far it came and goes"""
+    short: int = 500
+    """Operations of a field up to which a step and its error are one expression"""
+    every: int = 4
+    """Crossings of each motion, on average, between two lines of a track"""
+
+
+STEPS = StepSettings()
+
+
 SAFETY, LEAST, MOST = 0.8, 0.2, 5.0
 """A step aims at this share of the length that its error allows, and changes by no more than these factors"""
 NEWTON, ROOM = 50, 8 * float(np.finfo(float).eps)
 """Steps of Newton's method on a crossing at most, and how near to the plane it must come, relative"""
-ON_IT = 1e-11
-"""A start this near to the plane, in units of its motion, is on it"""
-SHORTEST = 1e-13
-"""Steps shorter than this share of the longest mean that a motion ends in a singularity"""
-TOUCHING = 0.02
-"""A cubic turns back at the plane where it comes as near as this, relative to how far it came and goes"""
-SHORT = 500
-"""Operations of a field up to which a step and its error are one expression"""
-EVERY = 4
-"""Crossings of each motion, on average, between two lines of a track"""
 
 
 @dataclass(frozen=True)
@@ -70,7 +81,7 @@ class Plane:
     def start(self, values: np.ndarray, rates: np.ndarray, unit: float) -> np.ndarray:
         """The cells that motions go into, some of which start on the plane."""
         nearest = np.round((values - self.level) / self.cycle) if self.cycle else np.zeros(values.shape)
-        there = np.abs(self.off(values, nearest)) <= ON_IT * unit
+        there = np.abs(self.off(values, nearest)) <= STEPS.on_it * unit
         return np.where(there, np.where(rates > 0, nearest, nearest - 1), self.cell(values))
 
 
@@ -102,7 +113,7 @@ class Track:
 @lru_cache(maxsize=16)
 def _stepper(field: ca.Function) -> ca.Function:
     """(t, x), (h, s, free) -> (x after, error, x' after); one expression of a short field, or calls."""
-    short = field.is_a("SXFunction") and field.n_instructions() <= SHORT
+    short = field.is_a("SXFunction") and field.n_instructions() <= STEPS.short
     z = (ca.SX.sym if short else ca.MX.sym)("z", 1 + field.size1_in(1))
     p = type(z).sym("p", 1 + field.size1_in(2) + field.size1_in(3))
     step, error = (
@@ -127,7 +138,7 @@ class Crossings:
     def stepped(self, times: np.ndarray, states: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, ...]:
         """States after steps of these lengths from states (k x d) at times (k), errors and rates there (k x d each)."""
         if not self._made:
-            self._made.append(compiled(_stepper(self.field), effort=EFFORT))
+            self._made.append(compiled(_stepper(self.field), effort=STEPS.effort))
         start, parameters = np.empty((len(states), 1 + self.size)), np.empty((len(states), 1 + self.tail.size))
         start[:, 0], start[:, 1:], parameters[:, 0], parameters[:, 1:] = times, states, lengths, self.tail
         values, d = self._lanes.evaluated(self._made[0], STAGES, start, parameters), self.size
@@ -160,13 +171,13 @@ class Crossings:
         run = _Run(self, plane, np.asarray(states, float), count, (longest, sense, tolerance), times)
         for line in () if track is None else track.known:
             run.restore(*line)
-        due = run.crossed.sum() + EVERY * len(states)
+        due = run.crossed.sum() + STEPS.every * len(states)
         while run.alive.any():
             limit.check()
             run.step(path)
             if track is not None and (run.crossed.sum() >= due or not run.alive.any()):
                 track.add(*run.line())
-                due = run.crossed.sum() + EVERY * len(states)
+                due = run.crossed.sum() + STEPS.every * len(states)
             if seen is not None:
                 seen(run.passing)
         return run.passing()
@@ -246,7 +257,7 @@ class _Run:
         if path is not None:
             path(here[taken], t[taken] + self.sense * h[taken], after[taken])
         self._accept(here[taken], h[taken], after[taken], rates[taken])
-        self.alive[here[~taken & (self.lengths[here] < SHORTEST * self.longest)]] = False
+        self.alive[here[~taken & (self.lengths[here] < STEPS.shortest * self.longest)]] = False
 
     def _turn(
         self, here: np.ndarray, h: np.ndarray, begin: tuple[np.ndarray, np.ndarray, np.ndarray],
@@ -270,7 +281,7 @@ class _Run:
             for s in (q / (3 * c3), slope / q):
                 height = a + s * (slope + s * (c2 + s * c3))
                 other = (self.plane.cell(height) != cells) & (s > 1e-3) & (s < 1 - 1e-3)
-                room = TOUCHING * (np.abs(height - a) + np.abs(height - b))
+                room = STEPS.touching * (np.abs(height - a) + np.abs(height - b))
                 away = np.minimum(*(np.abs(self.plane.off(height, cells + k)) for k in (0.0, 1.0)))
                 other |= (away < room) & (s > 0.05) & (s < 0.95)
                 peak = np.where(other & (self.plane.cell(b) == cells), s * h, peak)

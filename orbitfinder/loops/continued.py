@@ -24,29 +24,40 @@ from orbitfinder.loops.scales import Measures, Scales, sizes
 from orbitfinder.loops.watch import Watch
 from orbitfinder.mechanics.scales import parameter_sizes, snapped
 
-NEWTON_READY = 1e-11
-"""Residual, in units of the metric, from which one more Newton step, not evaluated again, reaches round-off."""
-APPROACHED = 3e-7
-"""Residual at which the approach with an old Jacobian hands over to Newton's method."""
-FITTING = 1e-4
-"""Residual below which an orbit is known well enough to fit a mesh to it."""
-FEWEST_STEPS = 32
-"""Steps of a horizon from which on the approach takes only half of them."""
-NEWTON_FLOOR = 1e-9
-"""... or below this, where round-off on an unstable orbit keeps the residual from shrinking further."""
-MOST_NEWTON = 12
+
+@dataclass(frozen=True)
+class CorrectorSettings:
+    """When the corrector of a family is content, and how it differences a test."""
+
+    newton_ready: float = 1e-11
+    """Residual, in units of the metric, from which one more Newton step, not evaluated again, reaches round-off."""
+    approached: float = 3e-7
+    """Residual at which the approach with an old Jacobian hands over to Newton's method."""
+    fitting: float = 1e-4
+    """Residual below which an orbit is known well enough to fit a mesh to it."""
+    fewest_steps: int = 32
+    """Steps of a horizon from which on the approach takes only half of them."""
+    newton_floor: float = 1e-9
+    """... or below this, where round-off on an unstable orbit keeps the residual from shrinking further."""
+    most_newton: int = 12
+    slow: float = 0.1
+    """A step that leaves more than this share of the residual asks for the differences of a test function anew."""
+    across: float = 1e-3
+    """A step of which less than this share, squared, leads off the surface of orbits tells how a test changes along
+    it."""
+    at_zero: float = 1e-6
+    """A parameter that is below this share of its usual size (`mechanics.scales.parameter_sizes`) is at 0."""
+    difference: float = 1e-4
+    """Half of a central difference of a test function, in the metric: its error and round-off are both some 1e-8."""
+
+
+CORRECTOR = CorrectorSettings()
+
+
 TESTED = 1e3
 """What a test function is measured in: it may be so much farther from 0 before the last step, whose row is exact."""
-SLOW = 0.1
-"""A step that leaves more than this share of the residual asks for the differences of a test function anew."""
-ACROSS = 1e-3
-"""A step of which less than this share, squared, leads off the surface of orbits tells how a test changes along it."""
-AT_ZERO = 1e-6
-"""A parameter that is below this share of its usual size (`mechanics.scales.parameter_sizes`) is at 0."""
 CRITICAL = 1e-3
 """A singular value below this, relative to the next larger ones, belongs to the kernel."""
-DIFFERENCE = 1e-4
-"""Half of a central difference of a test function, in the metric: its error and round-off are both some 1e-8."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +168,7 @@ def begun(curve: Curve, solution: Solution, along: np.ndarray) -> tuple[Curve, n
     """The curve in the scales of its first orbit, and its direction over w there along one over w or over the head."""
     w, size = solution.place, curve.equations.size
     usual = 1.0 / np.sqrt(curve.weights[size + 1 :])
-    zero = np.abs(w.free) < AT_ZERO * usual
+    zero = np.abs(w.free) < CORRECTOR.at_zero * usual
     curve = replace(curve, scales=Scales.of(curve.sizes(solution), w, np.where(zero, usual, np.abs(w.free))))
     curve = replace(curve, scales=curve.scales.begun(w, tangent(curve, solution, along), zero))
     return curve, tangent(curve, solution, along)
@@ -183,7 +194,7 @@ def _approached(
 
     Stops where a step no longer helps. `measures` are what each row is measured in, and what it loses to round-off.
     """
-    coarser = 2 if guess.steps % 2 == 0 and guess.mesh.size > FEWEST_STEPS else 1
+    coarser = 2 if guess.steps % 2 == 0 and guess.mesh.size > CORRECTOR.fewest_steps else 1
     w, best = guess.on(guess.mesh[::coarser]), np.inf
     cut = (len(guess.nodes) - 1) * curve.equations.size + len(curve.equations.boundary[0])
     matrix[cut : cut + len(curve.normals), : curve.normals.shape[1]] = curve.normals
@@ -192,7 +203,7 @@ def _approached(
         method = Broyden(Factors(matrix))
     except np.linalg.LinAlgError:
         return guess
-    for _ in range(MOST_NEWTON):
+    for _ in range(CORRECTOR.most_newton):
         try:
             rows = _all_rows(curve, w, curve.equations.ends(w), aim, lost)
         except IntegrationError:
@@ -201,7 +212,7 @@ def _approached(
         if not largest < 0.5 * best:
             break
         kept, best = w, largest
-        if largest < APPROACHED:
+        if largest < CORRECTOR.approached:
             break
         w = w.moved(method.step(rows))
     return kept.on(guess.mesh)
@@ -230,20 +241,20 @@ def correct(
     border, patience = (None, 2) if curve.test is None else (Border(curve, slope), 5)
     if slope is not None and border is None:
         w = _approached(curve, guess, aim, np.vstack([slope, slopes[-1]]), (units, lost))
-    for iteration in range(MOST_NEWTON):
+    for iteration in range(CORRECTOR.most_newton):
         path = curve.equations.varied(w, states=True)
         rows, jacobian = _all_rows(curve, w, path.ends, aim, lost), curve.linearised(w, path).matrix()
         if border is not None:
             rows = np.insert(rows, -1, border.value(Solution(w, path, jacobian, 0.0)))
         largest = float(np.abs(rows / units).max())
         stays = 0.1 if border is None else 0.7  # by less it shrinks where the border is not yet known
-        ready = largest < NEWTON_READY or (largest < NEWTON_FLOOR and largest > stays * previous)
+        ready = largest < CORRECTOR.newton_ready or (largest < CORRECTOR.newton_floor and largest > stays * previous)
         if not np.isfinite(largest) or (iteration > patience and largest > 0.5 * previous and not ready):
             raise ConvergenceError(f"the corrector stalled at a residual of {largest:.2g}; take a smaller step")
         if not np.isfinite(jacobian).all():
             raise ConvergenceError("the variations of the corrector's orbit overflow; take a smaller step")
         if border is not None:
-            slow = iteration > 0 and largest > SLOW * previous
+            slow = iteration > 0 and largest > CORRECTOR.slow * previous
             jacobian = np.vstack([jacobian, border.row(w, jacobian, ready or slow)])
         whole = np.vstack([jacobian, curve.slopes(w, (aim,))])
         step = -_solved(curve, w, whole, rows)
@@ -254,11 +265,11 @@ def correct(
             return Solution(moved, path, jacobian, largest, distance(curve, moved, w), w)
         if not distance(curve, moved, guess) < reach or not moved.period > 0:
             raise ConvergenceError("the corrector left the neighbourhood of its guess; take a smaller step")
-        if fit is not None and largest < FITTING:
+        if fit is not None and largest < CORRECTOR.fitting:
             moved = moved.on(fit(family, Solution(w, path, jacobian, largest)))
             fit = None
         w, previous = moved, largest
-    raise ConvergenceError(f"the corrector did not finish in {MOST_NEWTON} steps; take a smaller step")
+    raise ConvergenceError(f"the corrector did not finish in {CORRECTOR.most_newton} steps; take a smaller step")
 
 
 class Border:
@@ -298,7 +309,7 @@ class Border:
             row = self._differenced(w, columns)
         else:
             row = self._row * columns
-            told = across if length**2 > ACROSS * (moved @ moved) else moved
+            told = across if length**2 > CORRECTOR.across * (moved @ moved) else moved
             change = self._value - (before[1] if before else self._value)
             row = row + (change - row @ moved) / nonzero(told @ told) * told
         self._row = np.asarray(row / columns)
@@ -310,12 +321,12 @@ class Border:
         row = free @ self._free
         for along in self._across:
             beside = along - (self._free @ along) @ self._free
-            row = row + (self._at(w, columns * along) - self._value - DIFFERENCE * row @ along) * beside
-        return np.asarray(row / DIFFERENCE)
+            row = row + (self._at(w, columns * along) - self._value - CORRECTOR.difference * row @ along) * beside
+        return np.asarray(row / CORRECTOR.difference)
 
     def _at(self, w: Unknowns, direction: np.ndarray) -> float:
         """The test a small step along a direction."""
-        near = w.moved(DIFFERENCE * direction)
+        near = w.moved(CORRECTOR.difference * direction)
         return self.test(self.curve, Solution(near, self.curve.equations.varied(near, states=True), NO_ROWS, 0.0))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import casadi as ca
 import numpy as np
 
@@ -13,14 +15,22 @@ from orbitfinder.loops.shooting import Shooting, spans
 from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.newton import descended
 
-SETTLED = 1e-4
-"""Slope of the potential, relative to its value, below which a way down has come to its end."""
-REST = 1e-6
-"""Nodes whose rates and accelerations are all below this, relative to the guess's, are an equilibrium."""
-STEADY = 1e-6
-"""Rates that are this much, relative, beside the directions of the symmetries count as along them."""
-NO_UNFOLDING = 1e-6
-"""A fictitious damping (per period) above this says that the conserved quantities do not fit together."""
+
+@dataclass(frozen=True)
+class Signs:
+    """What tells why a search failed."""
+
+    settled: float = 1e-4
+    """Slope of the potential, relative to its value, below which a way down has come to its end."""
+    rest: float = 1e-6
+    """Nodes whose rates and accelerations are all below this, relative to the guess's, are an equilibrium."""
+    steady: float = 1e-6
+    """Rates that are this much, relative, beside the directions of the symmetries count as along them."""
+    no_unfolding: float = 1e-6
+    """A fictitious damping (per period) above this says that the conserved quantities do not fit together."""
+
+
+SIGNS = Signs()
 
 
 def explain(shooting: Shooting, w: np.ndarray, status: str, text: str) -> Exception:
@@ -76,7 +86,7 @@ def advice(shooting: Shooting, w: np.ndarray, defects: np.ndarray) -> str:
             return f"{name} ran to the end of its range ({value:.4g}); give a guess nearer to an orbit or free another"
     if _energy_gap(shooting):
         return _energy_gap(shooting)
-    if defects.max() < 1e-6 and reached.period * np.max(np.abs(reached.unfolding), initial=0.0) > NO_UNFOLDING:
+    if defects.max() < 1e-6 and reached.period * np.max(np.abs(reached.unfolding), initial=0.0) > SIGNS.no_unfolding:
         return (
             "it closes only with the fictitious damping of the unfolding, so no such orbit exists at this pin near "
             "the guess; pin another value"
@@ -107,8 +117,10 @@ def at_rest(shooting: Shooting, w: np.ndarray) -> bool:
     units = np.asarray(shooting.flow.units or 1.0)
     nodes, given = shooting.at(w).nodes / units, shooting.at(shooting.start).nodes / units
     if shooting.problem.model.forced:  # at rest although pushed: every node is the same
-        return len(nodes) > 1 and bool(np.ptp(nodes, axis=0).max() < REST * max(np.ptp(given, axis=0).max(), REST))
-    return _speed(shooting, w) < REST * max(_speed(shooting, shooting.start), REST)
+        return len(nodes) > 1 and bool(
+            np.ptp(nodes, axis=0).max() < SIGNS.rest * max(np.ptp(given, axis=0).max(), SIGNS.rest)
+        )
+    return _speed(shooting, w) < SIGNS.rest * max(_speed(shooting, shooting.start), SIGNS.rest)
 
 
 def _turning(shooting: Shooting, w: np.ndarray) -> str:
@@ -124,7 +136,7 @@ def _turning(shooting: Shooting, w: np.ndarray) -> str:
         rate = shooting.flow.field(0.0, node, 0 * reached.unfolding, reached.free).full().ravel()
         missed = rate - along @ np.linalg.lstsq(along, rate, rcond=None)[0]
         left = max(left, relative(missed, rate))
-    return " and ".join(turn.name for turn in turns) if left < STEADY else ""
+    return " and ".join(turn.name for turn in turns) if left < SIGNS.steady else ""
 
 
 def _speed(shooting: Shooting, w: np.ndarray) -> float:
@@ -173,7 +185,7 @@ def _lowest(model: Model, place: np.ndarray) -> float:
     if model.constraint is not None:
         return -np.inf
     _, lowest, slope = descended(lambda q: energy(model, np.concatenate([q, np.zeros(q.size)])), place)
-    return lowest if np.isfinite(lowest) and slope <= SETTLED * abs(lowest) else -np.inf
+    return lowest if np.isfinite(lowest) and slope <= SIGNS.settled * abs(lowest) else -np.inf
 
 
 def worst_defects(shooting: Shooting, w: np.ndarray) -> np.ndarray:

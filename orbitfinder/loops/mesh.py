@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -14,40 +14,49 @@ from orbitfinder.loops.loop import Unknowns
 
 STEP_ERROR = 5e-13
 """Estimated relative error of a Runge-Kutta step on a fresh mesh; the true one is some 100 times smaller."""
-COARSE = 10.0
-"""A mesh is kept until some step's estimate is this many times as large."""
-VARIATION_ERROR = 2e-10
-"""Estimated error of a step's state-transition matrix on a fresh mesh; the true one is some 100 times smaller."""
-SPARE = 5.0
-"""A mesh is looked at again when the motion alone would do with this many times fewer steps."""
-STALE = 5.0
-"""A mesh is graded anew for the orbits to come when some step's estimate is this many times as large."""
-UNEVEN = 1.4
-"""... unless a segment needs this many times the steps of an average one."""
-SAMPLED = 3
-"""One in so many steps is asked for the error of its state-transition matrix, and whether the mesh still fits."""
-WIDENED = 3
-"""Steps over which the density of a fresh mesh is spread."""
-GROWTH = 30.0
-"""Segments are added until each one's state-transition matrix is below this."""
-STEEPEST = 3000.0
-"""... which is done when one has grown to this: with the segments moved at every orbit no predictor would hold."""
-LEAST_NODES = 8
-"""Nodes of a whole period at least, over which an orbit is measured."""
-MOVED = 1e-4
-"""Half of a central difference along a family, in its metric"""
-MOST_SEGMENTS = 60
-MOST_STEPS = 6000
-"""A motion that asks for more Runge-Kutta steps than this in one horizon is singular."""
+
+
+@dataclass(frozen=True)
+class MeshSettings:
+    """How fine a mesh is, and when a family takes a fresh one."""
+
+    coarse: float = 10.0
+    """A mesh is kept until some step's estimate is this many times as large."""
+    variation_error: float = 2e-10
+    """Estimated error of a step's state-transition matrix on a fresh mesh; the true one is some 100 times smaller."""
+    spare: float = 5.0
+    """A mesh is looked at again when the motion alone would do with this many times fewer steps."""
+    stale: float = 5.0
+    """A mesh is graded anew for the orbits to come when some step's estimate is this many times as large."""
+    uneven: float = 1.4
+    """... unless a segment needs this many times the steps of an average one."""
+    sampled: int = 3
+    """One in so many steps is asked for the error of its state-transition matrix, and whether the mesh still fits."""
+    widened: int = 3
+    """Steps over which the density of a fresh mesh is spread."""
+    growth: float = 30.0
+    """Segments are added until each one's state-transition matrix is below this."""
+    steepest: float = 3000.0
+    """... which is done when one has grown to this: with the segments moved at every orbit no predictor would hold."""
+    least_nodes: int = 8
+    """Nodes of a whole period at least, over which an orbit is measured."""
+    moved: float = 1e-4
+    """Half of a central difference along a family, in its metric"""
+    most_segments: int = 60
+    most_steps: int = 6000
+    """A motion that asks for more Runge-Kutta steps than this in one horizon is singular."""
+
+
+MESH = MeshSettings()
 
 
 def needs_mesh(curve: Curve, solution: Solution) -> bool:
     """Whether the mesh is too coarse, or a segment too unstable, for what is asked of a point."""
-    some = _errors(curve, solution, SAMPLED)
+    some = _errors(curve, solution, MESH.sampled)
     allowed = _allowed(curve)
-    if some.max() > COARSE * allowed or _steep(curve, solution):
+    if some.max() > MESH.coarse * allowed or _steep(curve, solution):
         return True
-    if not _density(some, allowed).sum() * SPARE < some.size:
+    if not _density(some, allowed).sum() * MESH.spare < some.size:
         return False
     errors = _errors(curve, solution)
     return bool(wanted_steps(curve, solution, errors).sum() < 0.5 * errors.size)
@@ -55,7 +64,7 @@ def needs_mesh(curve: Curve, solution: Solution) -> bool:
 
 def _allowed(curve: Curve) -> float:
     """Estimated error of a step on a fresh mesh: less where equations are all but singular, as all along a curve."""
-    return STEP_ERROR if curve.test is None else STEP_ERROR / COARSE
+    return STEP_ERROR if curve.test is None else STEP_ERROR / MESH.coarse
 
 
 def _errors(curve: Curve, solution: Solution, every: int = 1) -> np.ndarray:
@@ -70,10 +79,10 @@ def _growths(curve: Curve, solution: Solution) -> np.ndarray:
 
 
 def _steep(curve: Curve, solution: Solution) -> bool:
-    """Whether a segment has grown beyond `STEEPEST`, looked at closely where its entries are as large."""
-    if not curve.equations.size * np.abs(_blocks(curve, solution)).max() > STEEPEST:
+    """Whether a segment has grown beyond `MESH.steepest`, looked at closely where its entries are as large."""
+    if not curve.equations.size * np.abs(_blocks(curve, solution)).max() > MESH.steepest:
         return False
-    return bool(_growths(curve, solution).max() > STEEPEST)
+    return bool(_growths(curve, solution).max() > MESH.steepest)
 
 
 def _blocks(curve: Curve, solution: Solution) -> np.ndarray:
@@ -92,15 +101,17 @@ def _density(errors: np.ndarray, allowed: float) -> np.ndarray:
 def wanted_steps(curve: Curve, solution: Solution, errors: np.ndarray) -> np.ndarray:
     """The same (M) for the motion, whose `errors` are known, and its variations, of which every third step is asked."""
     place, units = solution.place, curve.scales.states
-    asked = np.arange(0, errors.size, SAMPLED)
+    asked = np.arange(0, errors.size, MESH.sampled)
     varied = curve.equations.march.variation_errors(solution.march.states, place.mesh, place.tail, units, asked)
-    variations = np.repeat(_density(varied, VARIATION_ERROR), SAMPLED)[: errors.size]
+    variations = np.repeat(_density(varied, MESH.variation_error), MESH.sampled)[: errors.size]
     return np.asarray(np.maximum(_density(errors, _allowed(curve)), variations))
 
 
 def _spread(density: np.ndarray) -> np.ndarray:
     """The density widened to its neighbours, so that the mesh still fits when the motion has moved a little."""
-    return np.asarray(uniform_filter1d(maximum_filter1d(density, WIDENED, mode="nearest"), WIDENED, mode="nearest"))
+    return np.asarray(
+        uniform_filter1d(maximum_filter1d(density, MESH.widened, mode="nearest"), MESH.widened, mode="nearest")
+    )
 
 
 def remeshed(curve: Curve, solution: Solution) -> Unknowns:
@@ -113,8 +124,8 @@ def remeshed(curve: Curve, solution: Solution) -> Unknowns:
         return _remeshed_arcs(curve, solution)
     density = _spread(np.maximum(wanted_steps(curve, solution, _errors(curve, solution)), 0.15))
     growth = float(np.log(np.maximum(_growths(curve, solution), 1.5)).sum())
-    count = int(np.clip(np.ceil(growth / np.log(GROWTH)), _fewest(curve), MOST_SEGMENTS))
-    if not density.sum() < MOST_STEPS:
+    count = int(np.clip(np.ceil(growth / np.log(MESH.growth)), _fewest(curve), MESH.most_segments))
+    if not density.sum() < MESH.most_steps:
         raise ConvergenceError("the motion is nearly singular, its mesh would become too fine; take a smaller step")
     each = _rounded(density.sum() / count)
     work = np.concatenate([[0.0], np.cumsum(density)])
@@ -139,8 +150,8 @@ def _remeshed_arcs(curve: Curve, solution: Solution) -> Unknowns:
     density = np.maximum(wanted_steps(curve, solution, _errors(curve, solution)), 0.15).reshape(arcs, -1)
     density = np.array([_spread(part) for part in density])
     growth = np.log(np.maximum(_growths(curve, solution), 1.5)).reshape(arcs, -1).sum(axis=1).max()
-    count = int(np.clip(np.ceil(growth / np.log(GROWTH)), np.ceil(LEAST_NODES / arcs), MOST_SEGMENTS))
-    if not density.sum() < MOST_STEPS:
+    count = int(np.clip(np.ceil(growth / np.log(MESH.growth)), np.ceil(MESH.least_nodes / arcs), MESH.most_segments))
+    if not density.sum() < MESH.most_steps:
         raise ConvergenceError("the motion is nearly singular, its mesh would become too fine; take a smaller step")
     each, steps = _rounded(density.sum(axis=1).max() / count), density.shape[1]
     meshes, nodes = [], []
@@ -180,11 +191,11 @@ def regraded(curve: Curve, solution: Solution) -> np.ndarray:
     Nodes, and with them the equations, stay as they are: Newton's method can do so on its way.
     """
     place, errors = solution.place, _errors(curve, solution)
-    if errors.max() < STALE * _allowed(curve):
+    if errors.max() < MESH.stale * _allowed(curve):
         return place.mesh
     density = _spread(np.maximum(wanted_steps(curve, solution, errors), 0.15)).reshape(len(place.nodes), -1)
     needed = density.sum(axis=1)
-    if not needed.max() < min(UNEVEN * needed.mean(), MOST_STEPS / len(needed)):
+    if not needed.max() < min(MESH.uneven * needed.mean(), MESH.most_steps / len(needed)):
         return place.mesh  # the segments themselves are in the wrong place, which `settled` sees in time
     each, old = _rounded(needed.max()), density.shape[1]
     pieces = []
@@ -211,9 +222,9 @@ def carried(curve: Curve, place: Unknowns, whole: np.ndarray, other: Unknowns) -
     """A direction over w as one over others of the same orbit: what moves along it, marched to where segments begin."""
     if np.array_equal(place.edges, other.edges) or whole.size != place.vector.size:
         return whole if whole.size == other.vector.size else other.spread(whole)
-    sides = (advanced(place, whole, length) for length in (-MOVED, MOVED))
+    sides = (advanced(place, whole, length) for length in (-MESH.moved, MESH.moved))
     before, after = (curve.equations.march.states(side.nodes, side.mesh, side.tail) for side in sides)
-    moved = ((after - before) / (2 * MOVED)).T
+    moved = ((after - before) / (2 * MESH.moved)).T
     nodes = np.array([np.interp(other.edges[:-1], place.mesh, component) for component in moved]).T
     return np.concatenate([nodes.ravel(), whole[place.nodes.size :]])
 
@@ -227,7 +238,7 @@ def settled(curve: Curve, solution: Solution, along: np.ndarray) -> Solution:
         if not needs_mesh(curve, solution):
             break
         mesh = solution.place.mesh
-        if _growths(curve, solution).max() <= STEEPEST and len(solution.place.nodes) >= _fewest(curve):
+        if _growths(curve, solution).max() <= MESH.steepest and len(solution.place.nodes) >= _fewest(curve):
             mesh = regraded(curve, solution)
         place = remeshed(curve, solution) if mesh is solution.place.mesh else replace(solution.place, mesh=mesh)
         along = carried(curve, solution.place, along, place)
@@ -237,4 +248,4 @@ def settled(curve: Curve, solution: Solution, along: np.ndarray) -> Solution:
 
 def _fewest(curve: Curve) -> int:
     """Nodes of a horizon at least."""
-    return int(np.ceil(LEAST_NODES * curve.equations.symmetry.fraction))
+    return int(np.ceil(MESH.least_nodes * curve.equations.symmetry.fraction))

@@ -18,20 +18,26 @@ from orbitfinder.mechanics import scales
 from orbitfinder.mechanics.constrained import allowed_velocities
 from orbitfinder.mechanics.hybrid import freed, saltation, share
 
-PERIOD_RANGE = 5.0
-"""The period may change by this factor either way; keeps it away from 0, where every state closes."""
-UNFOLDING_RANGE = 10.0
-"""Bound on |s| in 1/s; a fictitious damping of this size has left the problem."""
-RATE_RANGE = 100.0
-"""Bound on rates, in units of the largest rate of the guess."""
-ANGLE_RANGE = 30.0
-"""Bound on how far a coordinate may move from the guess, in units of max(1, its largest value)."""
-FAR = 30.0
-"""Units of the guess that take the place of the 1 there, where they are not 1"""
+
+@dataclass(frozen=True)
+class ShootingRanges:
+    """How far the unknowns of the nonlinear program may go from the guess."""
+
+    period_range: float = 5.0
+    """The period may change by this factor either way; keeps it away from 0, where every state closes."""
+    unfolding_range: float = 10.0
+    """Bound on |s| in 1/s; a fictitious damping of this size has left the problem."""
+    rate_range: float = 100.0
+    """Bound on rates, in units of the largest rate of the guess."""
+    angle_range: float = 30.0
+    """Bound on how far a coordinate may move from the guess, in units of max(1, its largest value)."""
+    far: float = 30.0
+    """Units of the guess that take the place of the 1 there, where they are not 1"""
+    resolved: float = 1e-10
+    """IPOPT is asked for no more digits of a row than its round-off leaves."""
 
 
-RESOLVED = 1e-10
-"""IPOPT is asked for no more digits of a row than its round-off leaves."""
+RANGES = ShootingRanges()
 
 
 @dataclass(frozen=True)
@@ -111,7 +117,7 @@ def transcribe(problem: Problem, nodes: np.ndarray | Unknowns, flow: Flow | None
         steepest = np.abs(loop.slopes(guess, loop.conditions)).max(axis=1)  # of a large mass by over 256
         last = own.size - len(equations.links.transitions)
         sizes[last - len(loop.conditions) : last] = scales.snapped(steepest, scales.WIDE)
-    sizes = np.maximum(sizes, lost / RESOLVED)
+    sizes = np.maximum(sizes, lost / RANGES.resolved)
     rows = ca.Function("rows", [w, given], [equalities if np.all(sizes == 1.0) else equalities / ca.DM(sizes)])
     limits, low, high = _inequalities(problem, known)
     aims = ca.Function("aims", [w, given], [*_objective(problem, known), limits])
@@ -251,13 +257,15 @@ def far_end(problem: Problem, nodes: np.ndarray, flow: Flow) -> np.ndarray | Non
 def _bounds(problem: Problem, flow: Flow, guess: Unknowns, units: Unknowns) -> tuple[Unknowns, Unknowns]:
     """Lowest and highest unknowns."""
     n, turning = problem.model.degrees_of_freedom, 2 * np.pi / problem.guess.period
-    least = FAR * units.nodes[0, :n] if flow.units else np.ones(n)
+    least = RANGES.far * units.nodes[0, :n] if flow.units else np.ones(n)
     coordinates = np.maximum(least, np.abs(guess.nodes[:, :n]).max(axis=0))
     rate = max(float(np.abs(guess.nodes[:, n:]).max(initial=0.0)), turning * float(least.max()))
-    reach = np.concatenate([ANGLE_RANGE * coordinates, np.full(guess.nodes[0].size - n, RATE_RANGE * rate)])
-    unfolding = UNFOLDING_RANGE * units.unfolding
+    reach = np.concatenate(
+        [RANGES.angle_range * coordinates, np.full(guess.nodes[0].size - n, RANGES.rate_range * rate)]
+    )
+    unfolding = RANGES.unfolding_range * units.unfolding
     spread = 0.95 * np.abs(guess.free) + (guess.free == 0)
-    times = problem.bounds.get("period", (guess.period / PERIOD_RANGE, guess.period * PERIOD_RANGE))
+    times = problem.bounds.get("period", (guess.period / RANGES.period_range, guess.period * RANGES.period_range))
     free = freed(problem.model, problem.free, problem.boundary.parts)
     ends = zip(free, guess.free - spread, guess.free + 10 * spread, strict=True)
     ranges = np.array([problem.bounds.get(name, (low, high)) for name, low, high in ends]).reshape(-1, 2).T

@@ -28,16 +28,31 @@ from orbitfinder.mechanics.scales import masses_of, proportions, shared, snapped
 
 RECOGNITION = 1e-6
 """A symmetry holds when its defect is below this, relative to the motion's extent."""
-MIRROR = 1e-5
-"""Largest harmonic of the motion that breaks the mirror about a turning instant, relative to the largest rate."""
-BROKEN = 1e-8
-"""Relative difference of accelerations there and in the image, above which the equations lack a symmetry."""
-MIRRORED = 1e-9
-"""Relative difference below which they have one that nobody declares"""
-STILL = 1e-9
-"""A component that moves less than this, relative to the one that moves most, is measured in this share of that"""
-MOST_COORDINATES = 8
-"""Mirrors that nobody declares are looked for among this many"""
+
+
+@dataclass(frozen=True)
+class Recognition:
+    """How exactly motions and equations have a symmetry."""
+
+    mirror: float = 1e-5
+    """Largest harmonic of the motion that breaks the mirror about a turning instant, relative to the largest rate."""
+    broken: float = 1e-8
+    """Relative difference of accelerations there and in the image, above which the equations lack a symmetry."""
+    mirrored: float = 1e-9
+    """Relative difference below which they have one that nobody declares"""
+    still: float = 1e-9
+    """A component that moves less than this, relative to the one that moves most, is measured in this share of that"""
+    most_coordinates: int = 8
+    """Mirrors that nobody declares are looked for among this many"""
+    largest_shift: float = 1e100
+    """What a shift in a record is less than, so that nothing overflows on its account"""
+    sizes: tuple[float, ...] = (1.0, 1e-3, 1e-6, 1e-12)
+    """Of states, in lengths, at which the forces of a driven system are tried"""
+
+
+RECOGNISED = Recognition()
+
+
 Affine = tuple[np.ndarray, np.ndarray]
 """(S, d) of x -> S x + d"""
 
@@ -548,10 +563,6 @@ def shifting(symmetry: Symmetry, model: Model) -> Mapping[str, Shift]:
     return {name: shift for name, shift in known.items() if shift.direction in symmetry.relative}
 
 
-LARGEST_SHIFT = 1e100
-"""What a shift in a record is less than, so that nothing overflows on its account"""
-
-
 def turned(model: Model, turns: np.ndarray, shift: Mapping[str, float]) -> np.ndarray:
     """How far coordinates (n) go in a period, in 2 pi: whole turns, and what an orbit shifts by name.
 
@@ -559,7 +570,7 @@ def turned(model: Model, turns: np.ndarray, shift: Mapping[str, float]) -> np.nd
     """
     known, gone = shifts_of(model) if shift else {}, turns
     for name, amount in shift.items():
-        if name not in known or not abs(amount) < LARGEST_SHIFT:
+        if name not in known or not abs(amount) < RECOGNISED.largest_shift:
             raise InputError(
                 f"shift: {name} = {amount} is none of this system, which has {', '.join(known) or 'no'} shifts; the "
                 "record contradicts its system, run the problem again"
@@ -594,7 +605,7 @@ def _parity(model: Model, invariant: Invariant, involution: Involution) -> int:
         x = random.normal(0, 1.0, len(matrix))
         here, there = (float(invariant.value(s[:n], s[n:], model.parameter_values)) for s in (x, matrix @ x))
         if np.isfinite(here - there) and here:
-            return int(np.round(there / here)) if abs(abs(there / here) - 1.0) < BROKEN else 0
+            return int(np.round(there / here)) if abs(abs(there / here) - 1.0) < RECOGNISED.broken else 0
     return 0
 
 
@@ -612,7 +623,7 @@ def _broken(model: Model, state: np.ndarray, involution: Involution, shift: floa
         t = float(random.uniform(0, float(snapped(shift)) + 2 * shift))
         pairs.append(_apart(model, involution, (t, place, rate), shift, lengths))
     aparts, sizes = np.array([pair for pair in pairs if np.isfinite(pair[0])]).reshape(-1, 2).T
-    return bool(np.any(aparts > BROKEN * np.maximum(sizes, sizes.max(initial=0.0) * BROKEN)))
+    return bool(np.any(aparts > RECOGNISED.broken * np.maximum(sizes, sizes.max(initial=0.0) * RECOGNISED.broken)))
 
 
 def _apart(
@@ -645,7 +656,7 @@ def undeclared_mirrors(model: Model) -> tuple[Involution, ...]:
     It is called mirror, or mirror-x after the coordinates that it turns where there are several.
     """
     n, random = model.degrees_of_freedom, np.random.default_rng(0)
-    if n > MOST_COORDINATES or model.constraint is not None or model.rates is not None:
+    if n > RECOGNISED.most_coordinates or model.constraint is not None or model.rates is not None:
         return ()
     lengths, clock = surroundings(model, np.zeros(n))
     states = random.normal(0, 1.0, (4, 2, n)) + np.array([np.ones(n), np.zeros(n)])
@@ -656,7 +667,7 @@ def undeclared_mirrors(model: Model) -> tuple[Involution, ...]:
 
     def kept(candidate: Involution) -> bool:
         return all(
-            apart <= MIRRORED * size
+            apart <= RECOGNISED.mirrored * size
             for apart, size in (_apart(model, candidate, (0.0, *x), 0.0, lengths) for x in states)
         )
 
@@ -728,9 +739,9 @@ def off_centre(involution: Involution, states: np.ndarray, angles: Sequence[bool
 
 
 def _moved(states: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """What components (d) move (k x d) beside each other, of a first-order system at least `STILL` of the largest."""
+    """What components (d) move (k x d) beside each other, of a first-order system at least a share of the largest."""
     extent = np.ptp(states, axis=0)
-    least = STILL * extent.max() if angles.size == extent.size else 0.0
+    least = RECOGNISED.still * extent.max() if angles.size == extent.size else 0.0
     return shared(np.maximum(extent, least), angles)
 
 
@@ -761,7 +772,7 @@ def _reversed(involution: Involution, states: np.ndarray, angles: np.ndarray) ->
     phase = np.angle(harmonics[k + 1, i] * partner[k + 1, i])  # c e^(iks) = conj(S c e^(iks)) at s = -phase / 2k
     for turn in range(2 * (int(k) + 1)):
         shifted = harmonics * np.exp(1j * order * (2 * np.pi * turn - phase) / (2 * (k + 1)))
-        if np.abs(shifted - shifted.conj() @ matrix.T).max() <= MIRROR:
+        if np.abs(shifted - shifted.conj() @ matrix.T).max() <= RECOGNISED.mirror:
             return True
     return False
 
@@ -797,7 +808,7 @@ def _mirrored(involution: Involution, times: np.ndarray, states: np.ndarray, ang
     harmonics = np.fft.rfft(states[:-1, n:], axis=0) * (2.0 / (len(states) - 1))
     turned = harmonics * np.exp(2j * np.pi * np.arange(len(harmonics)) * centre / times[-1])[:, None]
     image = turned.conj() @ involution.places(n).T * involution.sense
-    return bool(np.abs(turned - image).max() / 2 <= MIRROR * np.abs(states[:, n:]).max())
+    return bool(np.abs(turned - image).max() / 2 <= RECOGNISED.mirror * np.abs(states[:, n:]).max())
 
 
 def time_dependent(model: Model) -> bool:
@@ -813,10 +824,6 @@ def moved(model: Model, free: Sequence[str]) -> Model:
     return replace(model, parameter_values=numbers) if free else model
 
 
-SIZES = (1.0, 1e-3, 1e-6, 1e-12)
-"""Of states, in lengths, at which the forces of a driven system are tried"""
-
-
 def symplectic(model: Model) -> bool:
     """Whether the flow is Hamilton's, driven or not, so that multipliers come in reciprocal pairs.
 
@@ -830,12 +837,12 @@ def symplectic(model: Model) -> bool:
     random, slopes, n = np.random.default_rng(0), model.forces.jacobian(), model.degrees_of_freedom
     lengths, _ = surroundings(model, np.zeros(n))
     clock = float(model.forcing_period(model.parameter_values)) / (2 * np.pi)  # type: ignore[misc]
-    for size in np.tile(SIZES, 2):
+    for size in np.tile(RECOGNISED.sizes, 2):
         t, (q, v) = float(random.uniform()) * clock, size * random.normal(0, 1.0, (2, n)) * lengths / [[1.0], [clock]]
         by_q, by_v = (slope.full() for slope in slopes(t, q, v, model.parameter_values, 0)[1:3])
         roots = np.sqrt(np.abs(masses_of(model.kinetic, np.append(q, v), model)))
         work = np.outer(roots, roots) / clock**2
         turned, damped = np.abs(by_q - by_q.T), np.abs(by_v) / clock
-        if max(turned.max(), damped.max()) > MIRRORED * max(work.max(), np.abs(by_q).max()):
+        if max(turned.max(), damped.max()) > RECOGNISED.mirrored * max(work.max(), np.abs(by_q).max()):
             return False
     return True
