@@ -6,6 +6,7 @@ import stat
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
@@ -398,10 +399,10 @@ def test_on_compiles_whatever_the_work():
 
 
 def test_too_much_code(monkeypatch):
-    monkeypatch.setattr(rooms, "LONGEST_AUTO", 0.01)
+    monkeypatch.setattr(rooms, "LIMITS", replace(rooms.LIMITS, longest_auto=0.01))
     function = example()
     assert "compiling would take" in stays_interpreted(function)
-    monkeypatch.setattr(rooms, "LARGEST", 100)
+    monkeypatch.setattr(rooms, "LIMITS", replace(rooms.LIMITS, largest=100))
     with compiling("on"):
         assert "MB of C" in stays_interpreted(example(3.0))
 
@@ -472,7 +473,7 @@ def test_eviction_takes_the_least_recently_used(fresh):
 
 
 def test_evicted_library_goes_on_working(monkeypatch, fresh):
-    monkeypatch.setattr(rooms, "LIMIT", 1)
+    monkeypatch.setattr(rooms, "LIMITS", replace(rooms.LIMITS, limit=1))
     one, two = compiled(example()), compiled(example(3.0))
     assert len(list(fresh.glob("*.so"))) == 1
     np.testing.assert_array_equal(one([1, 2, 3])[0], example()([1, 2, 3])[0])

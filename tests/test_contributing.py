@@ -43,7 +43,7 @@ def test_every_example_does_what_the_page_says(copy):
     environment = {**os.environ, "PYTHONPATH": str(copy), "MPLBACKEND": "Agg"}
     for name, text in EXAMPLES.items():
         printed = ""
-        for language, title, body in FENCE.findall(text):
+        for language, _, body in FENCE.findall(text):
             if language == "sh":
                 for line in body.splitlines():
                     words = [sys.executable, "-P", "-m", *shlex.split(line)]

@@ -24,10 +24,11 @@ from scipy.sparse.linalg import splu
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.integrate.rk8 import one_step
+from orbitfinder.loops.conditions import pinned
 from orbitfinder.loops.control import Basis, Control, Task, stated
 from orbitfinder.loops.ipopt import minimised
 from orbitfinder.loops.loop import Equations, Loop, Unknowns
-from orbitfinder.loops.problem import Problem, boundary_constants, guessed_nodes, pinned
+from orbitfinder.loops.problem import Problem, boundary_constants, guessed_nodes
 from orbitfinder.loops.symmetry import Symmetry
 from orbitfinder.mechanics.hybrid import freed, share
 from orbitfinder.mechanics.model import Model, vector_field

@@ -25,9 +25,9 @@ from orbitfinder.families.passages import Measure, Test, zeros
 from orbitfinder.families.point import parameter_value
 from orbitfinder.families.run import Interval, Sample
 from orbitfinder.families.stability import Spectrum
+from orbitfinder.loops.conditions import pinned
 from orbitfinder.loops.continued import Curve, advanced, at_place, correct, kernel, plane
 from orbitfinder.loops.loop import Unknowns
-from orbitfinder.loops.problem import pinned
 from orbitfinder.records.family import End, Event
 
 VANISHED = 1e-3

@@ -20,9 +20,9 @@ from orbitfinder.families.critical import Critical
 from orbitfinder.families.folder import Progress, follow_family, parameter_of
 from orbitfinder.families.point import FamilySettings, parameter_value, unknowns_of
 from orbitfinder.families.start import corrected, curve_of, released
+from orbitfinder.loops.conditions import pinned
 from orbitfinder.loops.continued import TESTED, Curve, Solution, at_place, scaled
 from orbitfinder.loops.loop import Equations, Unknowns
-from orbitfinder.loops.problem import pinned
 from orbitfinder.loops.symmetry import momenta_of
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model

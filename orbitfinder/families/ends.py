@@ -18,8 +18,8 @@ from orbitfinder.families.point import LEAST, extents, freed, parameter_value
 from orbitfinder.families.rest import Rest, can_rest, rest_of, vanishing
 from orbitfinder.families.run import Interval, Run, Step, portrait
 from orbitfinder.families.start import return_gaps
+from orbitfinder.loops.conditions import hyperplane
 from orbitfinder.loops.continued import Curve, Solution, correct
-from orbitfinder.loops.loop import Condition
 from orbitfinder.loops.symmetry import NONE, beside, named, recognise
 from orbitfinder.mechanics.newton import Settings, equilibrium
 from orbitfinder.records.family import End, FamilyPoint
@@ -438,7 +438,7 @@ def returned(curve: Curve, before: Step, after: Step) -> End | None:
     count, size = 1 + place.free.size, curve.equations.size
     normal = np.concatenate([np.zeros(size), step[:count] / units[:count]])
     for k in np.flatnonzero(near):
-        aim = Condition(float(step[:count] @ past[k][:count]), normal)
+        aim = hyperplane(float(step[:count] @ past[k][:count]), normal)
         try:
             again = correct(curve, place.blended(after.found.place, float(shares[k])), aim, place)
         except (ConvergenceError, IntegrationError):

@@ -56,10 +56,9 @@ def slope(name: str) -> Measure:
 
 def folds(interval: Interval) -> Iterator[Test]:
     """What turns at a fold: each parameter that orbits are told by, or the period."""
-    p, held = interval.curve.equations, {one.quantity for one in interval.curve.conditions}
-    kept = [one for k, one in enumerate(p.model.invariants) if k in held]
-    timed = any(one.normal is not None and one.quantity is None for one in interval.curve.conditions)
-    bifurcates = () if timed and not p.model.forced else ("energy", *p.physical)
+    p, held = interval.curve.equations, {condition.name for condition in interval.curve.kept}
+    kept = [one for one in p.model.invariants if one.name in held]
+    bifurcates = () if "period" in held and not p.model.forced else ("energy", *p.physical)
     swept = momenta_of(p.symmetry, p.model) if any(one.generator is None for one in kept) else ("energy",)
     for name in p.physical or (*(one for one in swept if one not in {each.name for each in kept}), "period"):
         yield Test("fold" if name in bifurcates else "turn", name, slope(name))

@@ -38,9 +38,9 @@ from orbitfinder.families.run import (
     step_from,
 )
 from orbitfinder.families.stability import Spectrum
+from orbitfinder.loops.conditions import pinned
 from orbitfinder.loops.continued import Solution, advanced, correct, distance, plane, tangent
 from orbitfinder.loops.mesh import carried, refined, regraded, settled
-from orbitfinder.loops.problem import pinned
 from orbitfinder.records.family import Batch, End, Event, FamilyPoint, Standing, reached
 
 SHORTEST_SEARCH = 1e-3

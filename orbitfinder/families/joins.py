@@ -24,9 +24,9 @@ from orbitfinder.families.run import Sample, Step, parameter_slopes
 from orbitfinder.families.stability import spectrum
 from orbitfinder.families.start import Start, corrected, curve_at, reformulated, symmetry_of
 from orbitfinder.integrate.march import uniform
+from orbitfinder.loops.conditions import pinned
 from orbitfinder.loops.continued import Curve, Solution, advanced, correct, plane, tangent
 from orbitfinder.loops.loop import Equations, Unknowns
-from orbitfinder.loops.problem import pinned
 from orbitfinder.loops.symmetry import Involution, called, involutions, named
 from orbitfinder.mechanics.model import wrapped
 from orbitfinder.records.family import End
@@ -200,13 +200,9 @@ def _beside_join(curve: Curve, found: Solution, kept: Kept) -> Start | None:
     count = next(k for k in (8, 6, 5, 4, 3, 2, 1) if part % k == 0)
     mesh = uniform(symmetry.fraction, count, STEPS)
     fresh = equations.unknowns(states[: part : part // count], place.period / kept.covers, mesh, place.free)
-    names = (*(one.name for one in p.model.invariants), "energy")
-    held = {
-        names[one.quantity]: one.value for one in curve.conditions if one.normal is None and one.quantity is not None
-    }
-    for one in curve.conditions:
-        if one.quantity is None:
-            held["period"] = one.value / kept.covers
+    held = {condition.name: condition.value for condition in curve.kept}
+    if "period" in held:
+        held["period"] /= kept.covers
     there = curve_at(equations, fresh, tuple(held), np.array(curve.turns) // kept.covers, held)
     own = next(iter(p.physical), "energy")
     return corrected(there, fresh, pinned(equations, own, parameter_value(curve, place, own)))

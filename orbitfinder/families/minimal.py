@@ -16,7 +16,7 @@ import numpy as np
 
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.idas import SEGMENT_SETTINGS, simulate_dae
-from orbitfinder.loops.conditions import Pin
+from orbitfinder.loops.conditions import Pin, quantities
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.constrained import Loops
 from orbitfinder.mechanics.kind import build_model, loops_of
@@ -46,7 +46,7 @@ def minimal_problem(problem: Problem) -> Problem:
     near = places[np.abs(wrapped(places[:, picked] - middle, native.angular[picked])).max(axis=1).argmin()]
     model = loops.minimal(native, picked, near)
     state = np.concatenate([state[:n][picked], state[n:][picked]])
-    pins = tuple(one for one in problem.pin if one.name in ("energy", "period") or one.name in model.state_names)
+    pins = tuple(one for one in problem.pin if one.name in quantities(model))
     if model.conservative:
         pins = pins or (Pin("energy", energy(model, state)),)
     turns = None if problem.winding is None else tuple(problem.turns[k] for k in picked)

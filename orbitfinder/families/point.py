@@ -11,9 +11,9 @@ import numpy as np
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.motion import watched
 from orbitfinder.families.stability import Spectrum, spectrum, transitions
+from orbitfinder.loops.conditions import measured
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
-from orbitfinder.loops.problem import pinned
 from orbitfinder.loops.symmetry import shifting, turned
 from orbitfinder.mechanics.scales import alone, shared
 from orbitfinder.orbits.closure import carried
@@ -76,7 +76,7 @@ class FamilySettings:
 
 def parameter_value(curve: Curve, place: Unknowns, name: str) -> float:
     """The number that the family's parameter has at a place."""
-    return float(curve.values(place, (pinned(curve.equations, name, 0.0),))[0])
+    return measured(curve.equations, place, name)
 
 
 def make_point(

@@ -12,6 +12,7 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
 from orbitfinder.families.stability import Spectrum, matching, spectrum
 from orbitfinder.families.start import Start
+from orbitfinder.loops.conditions import followed, pinned
 from orbitfinder.loops.continued import (
     Curve,
     Solution,
@@ -181,7 +182,9 @@ def parameter_slopes(curve: Curve, place: Unknowns, head: np.ndarray) -> dict[st
         if one.generator is not None:
             slopes[one.name] = float(by_state @ head[:size] + by_free @ head[size + 1 :])
     slopes |= {name: float(head[size + 1 + k]) for k, name in enumerate(p.physical)}
-    return slopes | {name: float(head[k]) for k, name in enumerate(p.model.state_names)}
+    slopes |= {name: float(head[k]) for k, name in enumerate(p.model.state_names)}
+    others = {*followed(p.model)} - {*slopes, *(invariant.name for invariant in p.model.invariants)}
+    return slopes | {name: float(pinned(p, name, 0.0).slope(p, place) @ place.spread(head)) for name in sorted(others)}
 
 
 def make_sample(curve: Curve, distance: float, found: Solution, whole: np.ndarray, expected: np.ndarray) -> Sample:

@@ -15,11 +15,11 @@ from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.families.motion import SAMPLES, full_samples
 from orbitfinder.families.point import FamilySettings, parameter_value
 from orbitfinder.integrate.march import rounded, uniform
-from orbitfinder.loops.conditions import Pin
+from orbitfinder.loops.conditions import QUANTITIES, Pin, clock, conserved, followed, measured, pinned, quantities
 from orbitfinder.loops.continued import Curve, Solution, begun, correct, kernel, make_curve
 from orbitfinder.loops.loop import Condition, Equations, Unknowns
 from orbitfinder.loops.mesh import carried, remeshed, settled
-from orbitfinder.loops.problem import Guess, Problem, clock, clocked, pinned
+from orbitfinder.loops.problem import Guess, Problem, clocked
 from orbitfinder.loops.scales import Scales
 from orbitfinder.loops.symmetry import (
     NONE,
@@ -148,9 +148,9 @@ def unknown_parameters(
     `momenta` of the coordinates that orbits are relative in are held, or one of them is followed and the energy held.
     Others are not: an orbit closes for one value of each, at which nothing drifts.
     """
-    name = settings.parameter
-    turning = {one.name for one in model.invariants if one.generator is not None}
-    if name in ("energy", "period", *model.state_names, *turning):
+    name, alone = settings.parameter, {*ungenerated(model)} - {"energy"}
+    conserved = [each for each in followed(model) if each not in alone]
+    if name in conserved:
         if not model.conservative:
             raise InputError(
                 f"parameter: orbits of this system do not come in families by {name}; continue in a physical parameter"
@@ -159,14 +159,19 @@ def unknown_parameters(
         if name not in momenta:
             return (), momenta
         return (), ("energy", *(one for one in momenta if one != name))
+    if name in quantities(model) and name not in alone:
+        raise InputError(
+            f"parameter: {name} is not the same wherever on an orbit t = 0 is, which a family chooses; pin it in the "
+            "problem, and continue in the energy or a physical parameter"
+        )
     if name not in model.parameter_names:
-        conserved = ["energy", "period", *turning, *model.state_names] if model.conservative else []
-        known = [*conserved, *model.parameter_names]
+        known = [*(conserved if model.conservative else []), *model.parameter_names]
         raise InputError(f"parameter: unknown {name!r}{closest(name, known)}; use one of {', '.join(known[:20])}")
     if not model.conservative:
         return (name,), momenta
-    if settings.hold not in ("energy", "period"):
-        raise InputError(f"hold: must be energy or period, got {settings.hold!r}")
+    holds = [each for kind in QUANTITIES.values() if kind.held for each in kind.names(model)]
+    if settings.hold not in holds:
+        raise InputError(f"hold: must be {' or '.join(holds)}, got {settings.hold!r}")
     return (name,), (settings.hold, *momenta)
 
 
@@ -218,11 +223,12 @@ def curve_at(
         end = equations.links.passed(place, equations.ends(replace(place, mesh=steps)))[0][-1]
     constant = symmetry.constants(np.asarray(model.angles), place.nodes[0], end, whole)
     values, whole_motion = equations.quantities_at(place)[0], symmetry.whole(steps, states, constant)[1]
-    names = [one.name for one in model.invariants]
-    known = {"period": place.period} | dict(zip(names, map(float, values), strict=False)) | dict(given or {})
     cycles = max(1, round(place.period / float(values[-1]))) if model.forced else 0
-    kept = dict.fromkeys((*held, *alone))
-    fixed = clock(equations, cycles) + tuple(pinned(equations, one, known[one]) for one in kept if one in known)
+    kept = {name: (given or {}).get(name) for name in (*held, *alone)}
+    if "energy" in kept and kept["energy"] is None and "energy" not in [one.name for one in model.invariants]:
+        del kept["energy"]
+    numbers = {name: measured(equations, place, name) if value is None else value for name, value in kept.items()}
+    fixed = clock(equations, cycles) + tuple(pinned(equations, name, value) for name, value in numbers.items())
     return make_curve(equations, constant, place, fixed, lengths(model, states), whole_motion)
 
 
@@ -264,9 +270,10 @@ def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -
         raise InputError("curve: constant or weights do not fit the system; continue the family again")
     if not all(0 <= k < len(model.invariants) for k, _ in known.held):
         raise InputError(f"curve.held: {list(known.held)} of {len(model.invariants)} invariants; continue again")
-    conditions = clock(equations, known.cycles) + tuple(Condition(value, quantity=k) for k, value in known.held)
-    if known.period is not None:
-        conditions += (pinned(equations, "period", known.period),)
+    names = [one.name for one in model.invariants]
+    conditions = clock(equations, known.cycles) + tuple(conserved(value, names[k], k) for k, value in known.held)
+    others = {"period": known.period} if known.period is not None else {}
+    conditions += tuple(pinned(equations, name, value) for name, value in (others | dict(known.pins)).items())
     scales = Scales.head(known.weights, equations.size)
     watch = watches({name: one for name, one in known.watch.items() if isinstance(one, str)}, model)
     return Curve(equations, known.constant, conditions, weights=known.weights, scales=scales, watch=watch)
@@ -281,13 +288,15 @@ def curve_in(family: Family, model: Model) -> Curve:
 
 def entry_of(curve: Curve) -> dict[str, Any]:
     """What `curve_of` rebuilds a curve from (`CurveEntry`), its turns, and the test of a curve of bifurcations."""
-    held = [[one.quantity, one.value] for one in curve.conditions if one.normal is None]
-    period = next((one.value for one in curve.conditions if one.normal is not None and one.quantity is None), None)
-    p, watch = curve.equations, {name: one.entry for name, one in curve.watch.items()}
+    p, pins = curve.equations, {kept.name: kept.value for kept in curve.kept}
+    names, period = [one.name for one in p.model.invariants], pins.pop("period", None)
+    held = [[names.index(name), pins.pop(name)] for name in list(pins) if name in names]
+    watch = {name: one.entry for name, one in curve.watch.items()}
     relative = list(shifting(p.symmetry, p.model))
     known = {"symmetry": p.symmetry.name, "free": list(p.free), "constant": curve.constant, "winding": curve.turns,
              "weights": curve.weights, "held": held, "period": period}  # fmt: skip
-    more = {"cycles": curve.cycles, "relative": relative, "watch": watch, "test": curve.test}
+    more = {"cycles": curve.cycles, "relative": relative, "watch": watch, "test": curve.test,
+            "pins": pins}  # fmt: skip
     return known | {name: value for name, value in more.items() if value}
 
 
@@ -307,6 +316,8 @@ class CurveEntry:
     """cyclic coordinates along which the orbits come back shifted"""
     watch: Mapping[str, Any] = field(default_factory=dict)
     """the texts of watched numbers by name, of functions their names"""
+    pins: Mapping[str, float] = field(default_factory=dict)
+    """what else the family keeps, by name"""
 
 
 def _own_aim(curve: Curve, place: Unknowns, name: str = "") -> Condition:

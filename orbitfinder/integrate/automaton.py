@@ -35,24 +35,34 @@ from orbitfinder.mechanics.model import Model, wrapped
 from orbitfinder.mechanics.model import vector_field as field_of
 from orbitfinder.mechanics.scales import units_of
 
-LOOKS = 8
-"""Times at which guards are looked at within a step, at least"""
+
+@dataclass(frozen=True)
+class AutomatonSettings:
+    """How closely guards are watched, and what is one event."""
+
+    looks: int = 8
+    """Times at which guards are looked at within a step, at least"""
+    most_steps: int = 20_000
+    zeno: int = 20
+    """Arcs in a row of which each is shorter than the one before, that make a Zeno motion where they end in nothing"""
+    nothing: float = 1e-5
+    """Share of the whole time that the last arc of a Zeno motion takes at most"""
+    near: int = 64
+    """Units in the last place of the clock below which a step is a line: its error is their square"""
+    together: float = 1e-9
+    """Share of an arc within which two events are simultaneous"""
+    back: float = 0.5
+    """Share of the motion's extents, and of the period, within which a motion is back near its start"""
+    round_off: float = 1e-12
+    """A guard this small, relative to how it changes along the arc, is 0"""
+
+
+WATCHED = AutomatonSettings()
+
+
 DEEPEST, FINE = 8, 1e-4
 """Halvings between two looks until a cubic is this near to a guard's value, relative to its range"""
-MOST_STEPS = 20_000
 MOST_EVENTS = 10_000
-ZENO = 20
-"""Arcs in a row of which each is shorter than the one before, that make a Zeno motion where they end in nothing"""
-NOTHING = 1e-5
-"""Share of the whole time that the last arc of a Zeno motion takes at most"""
-NEAR = 64
-"""Units in the last place of the clock below which a step is a line: its error is their square"""
-TOGETHER = 1e-9
-"""Share of an arc within which two events are simultaneous"""
-RETURN = 0.5
-"""Share of the motion's extents, and of the period, within which a motion is back near its start"""
-ROUND_OFF = 1e-12
-"""A guard this small, relative to how it changes along the arc, is 0"""
 
 
 Height = Callable[[np.ndarray], float]
@@ -164,8 +174,8 @@ class Automaton:
             x, t, mode = arc.after, float(arc.times[-1]), self.hybrid.transition(arc.ended_by).target
 
     def _check_zeno(self, lengths: Sequence[float], arc: Arc) -> None:
-        last = lengths[-ZENO:]
-        if len(last) == ZENO and all(b < a for a, b in pairwise(last)) and (last[-1] < NOTHING * sum(lengths)):
+        last, nothing = lengths[-WATCHED.zeno :], WATCHED.nothing * sum(lengths)
+        if len(last) == WATCHED.zeno and all(b < a for a, b in pairwise(last)) and last[-1] < nothing:
             raise IntegrationError(
                 f"Zeno: events {arc.ended_by} follow each other ever faster and accumulate at t = {arc.times[-1]:.6g} "
                 "s; give the model a mode in which contact lasts",
@@ -181,37 +191,41 @@ class Automaton:
             atol=settings.absolute_tolerance, max_step=nonzero(self.longest),
         )  # fmt: skip
         self._asked = []
-        guards = [self._watch(one.guard, one.direction, field, x, by in ("", one.name)) for one in leaving]
-        holds = {name: self._watch(one, -1, field, x) for name, one in self.hybrid.mode(mode).holds.items()}
+        guards = [
+            self._watch(transition.guard, transition.direction, field, x, by in ("", transition.name))
+            for transition in leaving
+        ]
+        holds = {name: self._watch(hold, -1, field, x) for name, hold in self.hybrid.mode(mode).holds.items()}
         times: list[np.ndarray] = [np.zeros(1)]
         states: list[np.ndarray] = [x[None]]
-        for _ in range(MOST_STEPS):
+        for _ in range(WATCHED.most_steps):
             limit.check()
             solver.step()
             if solver.status == "failed" or not np.all(np.isfinite(solver.y)):
                 raise IntegrationError("DOP853 fails: the motion is singular there", time=solver.t, state=x)
-            dense, looks = self._told(solver.dense_output()), np.linspace(solver.t_old, solver.t, LOOKS)[1:]
+            dense, looks = self._told(solver.dense_output()), np.linspace(solver.t_old, solver.t, WATCHED.looks)[1:]
             within = dense(looks).T
             within[-1] = solver.y * units
-            found = self._crossing(guards, leaving, looks, within, dense, field, (solver.t_old, states[-1][-1]))
-            if found is not None:
-                moment, end, which = found
+            crossed = self._crossing(guards, leaving, looks, within, dense, field, (solver.t_old, states[-1][-1]))
+            if crossed is not None:
+                moment, end, which = crossed
                 kept = looks < moment
                 looks, within = np.append(looks[kept], moment), np.vstack([within[kept], end])
-            for one in holds.values():
-                one.seen(looks, within, dense)
+            for hold in holds.values():
+                hold.seen(looks, within, dense)
             times.append(looks)
             states.append(within)
-            if found is None and solver.status != "finished":
+            if crossed is None and solver.status != "finished":
                 continue
             spent, path = np.concatenate(times), np.vstack(states)
             if len(spent) > 2 and t + spent[-2] == t + spent[-1]:  # the event where a step ended is one moment
                 spent, path = np.delete(spent, -2), np.delete(path, -2, axis=0)
-            margins = tuple((name, -one.most / nonzero(one.range)) for name, one in holds.items())
-            if found is None:
+            margins = tuple((name, -hold.most / nonzero(hold.range)) for name, hold in holds.items())
+            if crossed is None:
                 return Arc(mode, t + spent, path, None, path[-1], 0.0, margins)
             return self._ended(mode, leaving[which], t, spent, path, guards[which].range, margins)
-        raise IntegrationError(f"no event ends mode {mode} within {MOST_STEPS} steps", time=solver.t, state=solver.y)
+        steps = WATCHED.most_steps
+        raise IntegrationError(f"no event ends mode {mode} within {steps} steps", time=solver.t, state=solver.y)
 
     def _told(self, dense: Callable[..., np.ndarray]) -> Callable[..., np.ndarray]:
         """Dense output (d, or d x k) in the model's own units."""
@@ -237,57 +251,58 @@ class Automaton:
         dense: Callable[[float], np.ndarray], field: VectorField, begin: tuple[float, np.ndarray],
     ) -> tuple[float, np.ndarray, int] | None:  # fmt: skip
         """The first crossing that counts among those within a step: moment, state, number of its transition."""
-        found: list[tuple[float, np.ndarray, int]] = []
-        for k, one in enumerate(leaving):
+        crossings: list[tuple[float, np.ndarray, int]] = []
+        for k, transition in enumerate(leaving):
             for before, after in guards[k].seen(looks, within, dense):
                 moment = self._located(guards[k].height, before, after, dense)
-                moment, state = self._polished(one, field, begin, moment)
-                if self._counts(one, state):
-                    found.append((moment, state, k))
+                moment, state = self._polished(transition, field, begin, moment)
+                if self._counts(transition, state):
+                    crossings.append((moment, state, k))
                     break
-        if not found:
+        if not crossings:
             return None
-        moment, state, which = min(found, key=lambda each: each[0])
-        for k, one in enumerate(leaving):
+        moment, state, which = min(crossings, key=lambda each: each[0])
+        for k, transition in enumerate(leaving):
             low, rising = guards[k].height(state), guards[k].climb(state)
-            if k != which and rising > 0 and abs(low) <= TOGETHER * moment * rising and self._counts(one, state):
+            near = rising > 0 and abs(low) <= WATCHED.together * moment * rising
+            if k != which and near and self._counts(transition, state):
                 both = " and ".join(leaving[j].name for j in sorted((k, which)))
                 raise IntegrationError(f"events {both} are simultaneous at t = {moment:.6g} s", time=moment)
         return moment, state, which
 
-    def _counts(self, one: Transition, x: np.ndarray) -> bool:
+    def _counts(self, transition: Transition, x: np.ndarray) -> bool:
         """Whether a crossing is an event."""
-        if one.allowed is None:
+        if transition.allowed is None:
             return True
-        value = float(self.value(one.allowed, x)[0])
-        self._asked.append((one, abs(value)))
+        value = float(self.value(transition.allowed, x)[0])
+        self._asked.append((transition, abs(value)))
         return value > 0
 
     def _located(self, height: Height, before: float, after: float, dense: Callable[[float], np.ndarray]) -> float:
         return _root(lambda moment: height(dense(moment)), before, after)
 
     def _polished(
-        self, one: Transition, field: VectorField, begin: tuple[float, np.ndarray], moment: float
+        self, transition: Transition, field: VectorField, begin: tuple[float, np.ndarray], moment: float
     ) -> tuple[float, np.ndarray]:
         """Newton's method on the event's time, with the integrator itself instead of its dense output."""
         start, x = begin
         for _ in range(3):
-            if moment - start > NEAR * np.spacing(abs(moment)):
-                state = self.path(one.source, x, np.array([start, moment]))[-1]
+            if moment - start > WATCHED.near * np.spacing(abs(moment)):
+                state = self.path(transition.source, x, np.array([start, moment]))[-1]
             else:  # no integrator takes a step of a few units in the last place of its clock
                 state = x + (moment - start) * np.asarray(field(start, x))
-            rate = self.rate(one, state)
+            rate = self.rate(transition, state)
             if rate == 0.0:
                 break
-            step = -float(self.value(one.guard, state)[0]) / rate
+            step = -float(self.value(transition.guard, state)[0]) / rate
             if abs(step) <= 4 * np.spacing(abs(moment)) or not np.isfinite(step):
                 break
             moment = max(moment + step, start)
         return moment, state
 
-    def rate(self, one: Transition, x: np.ndarray) -> float:
+    def rate(self, transition: Transition, x: np.ndarray) -> float:
         """The guard's rate of change where its mode ends."""
-        return float(self.value(one.slope, x) @ self.field(one.source)(0.0, x))
+        return float(self.value(transition.slope, x) @ self.field(transition.source)(0.0, x))
 
     def unlike(
         self, arc: tuple[str, str], image: tuple[str, str], rows: np.ndarray, matrix: np.ndarray, moved: np.ndarray
@@ -302,28 +317,40 @@ class Automaton:
     def _said(self, mode: str, event: str, x: np.ndarray, matrix: np.ndarray, moved: np.ndarray) -> np.ndarray:
         """Rates, guards, resets and conditions at a state; rates and resets taken by S x + d."""
         parts = [matrix @ self.field(mode)(0.0, x)]
-        parts += [self.value(one, x) for one in self.hybrid.mode(mode).holds.values() if not event]
-        for one in (one for one in self.hybrid.leaving(mode) if event in ("", one.name)):
-            parts += [matrix @ self.value(one.reset, x) + moved, one.direction * self.value(one.guard, x)]
-            parts += [self.value(each, x) for each in (one.allowed, one.impulse, one.lost) if each is not None]
+        parts += [self.value(hold, x) for hold in self.hybrid.mode(mode).holds.values() if not event]
+        for transition in (transition for transition in self.hybrid.leaving(mode) if event in ("", transition.name)):
+            parts += [
+                matrix @ self.value(transition.reset, x) + moved,
+                transition.direction * self.value(transition.guard, x),
+            ]
+            parts += [
+                self.value(each, x)
+                for each in (transition.allowed, transition.impulse, transition.lost)
+                if each is not None
+            ]
         return np.concatenate(parts)
 
     def _ended(
-        self, mode: str, one: Transition, start: float, times: np.ndarray, states: np.ndarray, span: float,
+        self, mode: str, transition: Transition, start: float, times: np.ndarray, states: np.ndarray, span: float,
         margins: tuple[tuple[str, float], ...],
     ) -> Arc:  # fmt: skip
         end = states[-1]
-        slope = self.rate(one, end) * one.direction
-        impulse, lost = (None if f is None else float(self.value(f, end)[0]) for f in (one.impulse, one.lost))
+        slope = self.rate(transition, end) * transition.direction
+        impulse, lost = (
+            None if f is None else float(self.value(f, end)[0]) for f in (transition.impulse, transition.lost)
+        )
         return Arc(
-            mode, start + times, states, one.name, self.value(one.reset, end), slope * times[-1] / nonzero(span),
-            margins, impulse, lost, self._decided(states),
+            mode, start + times, states, transition.name, self.value(transition.reset, end),
+            slope * times[-1] / nonzero(span), margins, impulse, lost, self._decided(states),
         )  # fmt: skip
 
     def _decided(self, states: np.ndarray) -> float:
         """How far from their change of mind the answers were on which crossings count."""
-        sizes = {one.name: max(abs(float(self.value(one.allowed, x)[0])) for x in states) for one, _ in self._asked}
-        return min((value / nonzero(sizes[one.name]) for one, value in self._asked), default=np.inf)
+        sizes = {
+            transition.name: max(abs(float(self.value(transition.allowed, x)[0])) for x in states)
+            for transition, _ in self._asked
+        }
+        return min((value / nonzero(sizes[transition.name]) for transition, value in self._asked), default=np.inf)
 
 
 Seen = tuple[float, float, float]
@@ -345,15 +372,15 @@ def arcs_along(model: Model, times: np.ndarray, states: np.ndarray) -> list[Arc]
     a guard, the last perhaps a little later. One more arc goes on from there to the next event, where there is one.
     """
     hybrid, automaton = model.hybrid, Automaton.about(model, states[0], float(np.ptp(times)), SECOND)
-    mode, clock, path, found = hybrid.first.name, [times[0]], [states[0]], list[Arc]()
+    mode, clock, path, arcs = hybrid.first.name, [times[0]], [states[0]], list[Arc]()
     spans, twice = np.append(np.diff(times), 0.0), np.flatnonzero(np.diff(times) == 0) + 1
     for own, rows in zip(np.split(times, twice), np.split(states, twice), strict=True) if twice.size else ():
-        values = [(automaton.value(one.guard, rows[-1])[0], one) for one in hybrid.leaving(mode)]
-        one = min(values, key=lambda each: abs(each[0]) / nonzero(abs(automaton.rate(each[1], rows[-1]))))[1]
-        found.append(Arc(mode, own, rows, one.name, automaton.value(one.reset, rows[-1])))
-        mode = one.target
-    if found:
-        return found
+        values = [(automaton.value(transition.guard, rows[-1])[0], transition) for transition in hybrid.leaving(mode)]
+        first = min(values, key=lambda each: abs(each[0]) / nonzero(abs(automaton.rate(each[1], rows[-1]))))[1]
+        arcs.append(Arc(mode, own, rows, first.name, automaton.value(first.reset, rows[-1])))
+        mode = first.target
+    if arcs:
+        return arcs
 
     def met(begin: float, until: float, most: int = MOST_EVENTS) -> float:
         """How late after a moment the last event is that the motion from the newest state meets, 0 without one."""
@@ -362,17 +389,17 @@ def arcs_along(model: Model, times: np.ndarray, states: np.ndarray) -> list[Arc]
         for arc in (arc for arc in automaton.arcs(path[-1], mode, until, most) if arc.ended_by is not None):
             late, before = float(arc.times[-1]), arc.states[-1]
             own = np.array([*clock, begin + late])
-            found.append(Arc(mode, own, np.vstack([*path, before]), arc.ended_by, arc.after))
+            arcs.append(Arc(mode, own, np.vstack([*path, before]), arc.ended_by, arc.after))
             mode, clock, path = hybrid.transition(str(arc.ended_by)).target, [begin + late], [arc.after]
         return late
 
     for moment, span, more, row in zip(times, spans, spans[1:], states[1:], strict=False):
-        late = met(moment, span * (1 + TOGETHER)) if more else met(moment, span * (1 + RETURN), 1)
-        if late < span * (1 - TOGETHER):
+        late = met(moment, span * (1 + WATCHED.together)) if more else met(moment, span * (1 + WATCHED.back), 1)
+        if late < span * (1 - WATCHED.together):
             clock, path = [*clock, moment + span], [*path, row]
-    if len(path) > 1 or not found:
+    if len(path) > 1 or not arcs:
         met(times[-1], float(np.ptp(times)), 1)
-    return found
+    return arcs
 
 
 def recognised(
@@ -384,24 +411,24 @@ def recognised(
     Raises `ConvergenceError` where it does not come back to the mode in which it began.
     """
     hybrid = model.hybrid
-    found, nearest = list[Arc](), (RETURN, 0)
+    arcs, nearest = list[Arc](), (WATCHED.back, 0)
     automaton = Automaton.about(model, state, period, SECOND, period / 16)
-    simulated = automaton.arcs(state, hybrid.first.name, (1 + RETURN) * period)
+    simulated = automaton.arcs(state, hybrid.first.name, (1 + WATCHED.back) * period)
     for arc in simulated if trajectory is None else arcs_along(model, *trajectory):
         if arc.ended_by is None:
             break
-        found.append(arc)
-        extent = nonzero(np.ptp(np.vstack([one.states for one in found]), axis=0))
+        arcs.append(arc)
+        extent = nonzero(np.ptp(np.vstack([one.states for one in arcs]), axis=0))
         away = np.abs(wrapped(arc.after - state, model.angular))
         off = max(float((away / extent).max()), abs(float(arc.times[-1]) / period - 1))
         if hybrid.transition(arc.ended_by).target == hybrid.first.name and off < nearest[0]:
-            nearest = off, len(found)
-    names = tuple(str(arc.ended_by) for arc in found)
+            nearest = off, len(arcs)
+    names = tuple(str(arc.ended_by) for arc in arcs)
     if not nearest[1]:
         through = ", ".join(names) or "no event"
         raise ConvergenceError(
-            f"cycle: the motion from the guess goes through {through} in {(1 + RETURN) * period:.4g} s and is not back "
-            f"near its start in mode {hybrid.first.name}; start nearer to an orbit, or give the cycle"
+            f"cycle: the motion from the guess goes through {through} in {(1 + WATCHED.back) * period:.4g} s and is "
+            f"not back near its start in mode {hybrid.first.name}; start nearer to an orbit, or give the cycle"
         )
     return names[: nearest[1]]
 
@@ -415,7 +442,7 @@ class _Watch:
     def __init__(self, height: Height, climb: Height, x: np.ndarray, size: float, own: bool) -> None:
         self.height, self.climb, self.own = height, climb, own
         self.last: Seen = 0.0, height(x), climb(x)
-        self.range, self.most, self.floor = abs(self.last[1]), self.last[1], ROUND_OFF * size
+        self.range, self.most, self.floor = abs(self.last[1]), self.last[1], WATCHED.round_off * size
 
     def seen(
         self, looks: np.ndarray, within: np.ndarray, dense: Callable[[float], np.ndarray]
@@ -424,14 +451,14 @@ class _Watch:
 
         An arc that starts on a guard and goes on through it crosses it there, unless that guard began the arc.
         """
-        found = []
+        risen = []
         for t, x in zip(map(float, looks), within, strict=True):
             value, rate = self.height(x), self.climb(x)
             self.range = max(self.range, abs(value))
             for a, b in pairwise([self.last, *self._between(self.last, (t, value, rate), dense, DEEPEST)]):
-                found += self._risen(a, b, dense)
+                risen += self._risen(a, b, dense)
             self.last = t, value, rate
-        return found
+        return risen
 
     def _between(self, a: Seen, b: Seen, dense: Callable[[float], np.ndarray], depth: int) -> list[Seen]:
         """Looks after a, up to b."""
@@ -447,7 +474,7 @@ class _Watch:
     def _risen(self, a: Seen, b: Seen, dense: Callable[[float], np.ndarray]) -> list[tuple[float, float]]:
         (before, low, rising), (after, value, rate) = a, b
         self.most = max(self.most, value)
-        on_it = before == 0.0 and abs(low) <= max(ROUND_OFF * self.range, self.floor)
+        on_it = before == 0.0 and abs(low) <= max(WATCHED.round_off * self.range, self.floor)
         if value >= 0 and (not self.own if on_it else low < 0):
             return [(before, after)]
         if rising > 0 > rate:

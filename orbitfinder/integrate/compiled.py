@@ -47,30 +47,39 @@ from orbitfinder._runtime.quiet import captured
 from orbitfinder.errors import InputError
 
 MODES = ("on", "off", "auto")
-LONGEST_AUTO = 30.0
-"""s of compiling beyond which "auto" leaves a function interpreted, whatever the work"""
-LARGEST = 16 * 1024 * 1024
-"""Bytes of C beyond which nothing is compiled: gcc needs about 1 KB of memory per byte"""
-REMEMBERED = 32
-"""Functions, the latest used, with what became of them: 0.1 MB each of a triple pendulum"""
-AGREEMENT = 1e-6
-"""Relative difference from the interpreter, at one point, beyond which a new library is thrown away"""
+
+
+@dataclass(frozen=True)
+class CompileLimits:
+    """What compiling may take, and what of it is kept."""
+
+    longest_auto: float = 30.0
+    """s of compiling beyond which "auto" leaves a function interpreted, whatever the work"""
+    largest: int = 16 * 1024 * 1024
+    """Bytes of C beyond which nothing is compiled: gcc needs about 1 KB of memory per byte"""
+    remembered: int = 32
+    """Functions, the latest used, with what became of them: 0.1 MB each of a triple pendulum"""
+    agreement: float = 1e-6
+    """Relative difference from the interpreter, at one point, beyond which a new library is thrown away"""
+    small: int = 256 * 1024
+    """Bytes of C up to which -O3 is worth its time: on 560 KB even -O2 takes 2.7 s against 2.1 s by -O1 for nothing"""
+    seconds_per_byte: float = 6e-6
+    """Time to compile, measured with gcc 12: 40 KB 0.3 s, 61 KB 0.4 s, 116 KB 0.7 s"""
+    starting: float = 0.05
+    """s to start a compiler and a linker"""
+    limit: int = 256 * 1024 * 1024
+    """Bytes of libraries kept; the least recently used go first"""
+    stale: float = 3600.0
+    """s after which an unfinished file of a process that died is removed"""
+
+
+LIMITS = CompileLimits()
+
 
 ALWAYS = ("-std=c99", *(() if sys.platform == "win32" else ("-fPIC",)), "-shared", "-ffp-contract=off")
 NATIVE = "-march=native"
-SMALL = 256 * 1024
-"""Bytes of C up to which -O3 is worth its time: on 560 KB even -O2 takes 2.7 s against 2.1 s by -O1 for nothing"""
-SECONDS_PER_BYTE = 6e-6
-"""Time to compile, measured with gcc 12: 40 KB 0.3 s, 61 KB 0.4 s, 116 KB 0.7 s"""
-STARTING = 0.05
-"""s to start a compiler and a linker"""
 TIMEOUT = 300.0
 """s after which a compilation is given up"""
-
-LIMIT = 256 * 1024 * 1024
-"""Bytes of libraries kept; the least recently used go first"""
-STALE = 3600.0
-"""s after which an unfinished file of a process that died is removed"""
 
 
 class Unavailable(Exception):
@@ -89,7 +98,7 @@ class Statistics:
 
 _chosen: list[str] = []
 _statistics = Statistics()
-_known, _libraries = Kept[ca.Function](REMEMBERED), Kept[ca.Function](REMEMBERED)
+_known, _libraries = Kept[ca.Function](LIMITS.remembered), Kept[ca.Function](LIMITS.remembered)
 
 
 def mode() -> str:
@@ -151,7 +160,7 @@ def compiled(function: ca.Function, *, effort: float | None = None) -> ca.Functi
     """
     if mode() == "off" or function.class_name() == "External":
         return function
-    if mode() != "on" and effort is not None and effort < STARTING:
+    if mode() != "on" and effort is not None and effort < LIMITS.starting:
         return function
     surroundings = (os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"))
     key = (Same(function), mode(), *surroundings, mode() == "on" or effort is None or effort)
@@ -193,18 +202,18 @@ def _library(function: ca.Function, effort: float | None) -> ca.Function:
 def _fetched(function: ca.Function, effort: float | None, code: str, compiler: Compiler, key: str) -> ca.Function:
     """The compiled function from the disk or made now."""
     place = usable()
-    found = _loaded(find_entry(place, key), function)
-    if found is None:
+    library = _loaded(find_entry(place, key), function)
+    if library is None:
         _worth_it(len(code), effort)
         # one process at a time per key (256 locks in all); where files cannot be locked the work may be done twice
         with locks.held(place / f"lock-{key[:2]}", expected_seconds(len(code)) * 10 + 10) as held:
-            found = _loaded(find_entry(place, key), function)  # another process may have made it meanwhile
-            if found is None:
+            library = _loaded(find_entry(place, key), function)  # another process may have made it meanwhile
+            if library is None:
                 if not held:
                     raise Unavailable("another process is compiling the same")
-                found = _opened(publish(make_library(compiler, code, place), place, key), function, new=True)
+                library = _opened(publish(make_library(compiler, code, place), place, key), function, new=True)
                 _count(made=1)
-    return found
+    return library
 
 
 def _code(function: ca.Function) -> str:
@@ -219,7 +228,7 @@ def _code(function: ca.Function) -> str:
     refused = re.search(r"#error (.*)|#include (?!<math\.h>)(.*)|/\* (External functions) \*/", code)
     if refused:
         raise Unavailable(refused.group(1) or f"its code needs {refused.group(2) or 'another library'}")
-    if len(code) > LARGEST:
+    if len(code) > LIMITS.largest:
         raise Unavailable(f"{len(code) / 2**20:.0f} MB of C")
     return code
 
@@ -228,7 +237,7 @@ def _worth_it(size: int, effort: float | None) -> None:
     expected = expected_seconds(size)
     if mode() == "on":
         return
-    if expected > LONGEST_AUTO:
+    if expected > LIMITS.longest_auto:
         raise Unavailable(f"compiling would take about {expected:.0f} s")
     if effort is not None and effort < expected:
         raise Unavailable(f"{effort:.2g} s of work, compiling would take about {expected:.2g} s")
@@ -239,24 +248,24 @@ def _loaded(path: Path | None, function: ca.Function) -> ca.Function | None:
     if path is None:
         return None
     try:
-        found = _opened(path, function)
+        library = _opened(path, function)
     except Unavailable:
         return None
     _count(loaded=1)
-    return found
+    return library
 
 
 def _opened(path: Path, function: ca.Function, new: bool = False) -> ca.Function:
     """A library loaded and, when new, compared with the interpreter at one point; `Unavailable` removes its file."""
     try:
-        found = ca.external(function.name(), str(path))
+        library = ca.external(function.name(), str(path))
     except RuntimeError as error:
         path.unlink(missing_ok=True)
         raise Unavailable(f"the library cannot be loaded: {error}") from None
-    if _signature(found) != _signature(function) or (new and not _agrees(found, function)):
+    if _signature(library) != _signature(function) or (new and not _agrees(library, function)):
         path.unlink(missing_ok=True)
         raise Unavailable("the compiled function disagrees with the interpreted one")
-    return found
+    return library
 
 
 def _signature(function: ca.Function) -> tuple[list[ca.Sparsity], list[ca.Sparsity]]:
@@ -266,13 +275,13 @@ def _signature(function: ca.Function) -> tuple[list[ca.Sparsity], list[ca.Sparsi
     )
 
 
-def _agrees(found: ca.Function, function: ca.Function) -> bool:
+def _agrees(library: ca.Function, function: ca.Function) -> bool:
     random = np.random.default_rng(0)
     point = [ca.DM(pattern, random.uniform(0.1, 0.9, pattern.nnz())) for pattern in _signature(function)[0]]
-    for one, two in zip(found.call(point), function.call(point), strict=True):
-        a, b = one.full(), two.full()
+    for ours, two in zip(library.call(point), function.call(point), strict=True):
+        a, b = ours.full(), two.full()
         size = np.abs(b[np.isfinite(b)]).max(initial=1.0)
-        if not np.allclose(a, b, rtol=AGREEMENT, atol=AGREEMENT * size, equal_nan=True):
+        if not np.allclose(a, b, rtol=LIMITS.agreement, atol=LIMITS.agreement * size, equal_nan=True):
             return False
     return True
 
@@ -320,12 +329,12 @@ def _described(path: str, arguments: tuple[str, ...], _changed: int) -> tuple[st
 
 def flags(size: int, tuning: tuple[str, ...] = ()) -> tuple[str, ...]:
     """Flags for `size` bytes of C."""
-    return ("-O3" if size <= SMALL else "-O1", *ALWAYS, *tuning)
+    return ("-O3" if size <= LIMITS.small else "-O1", *ALWAYS, *tuning)
 
 
 def expected_seconds(size: int) -> float:
     """About how long that many bytes of C take to compile."""
-    return STARTING + SECONDS_PER_BYTE * size
+    return LIMITS.starting + LIMITS.seconds_per_byte * size
 
 
 def make_library(compiler: Compiler, code: str, folder: Path) -> Path:
@@ -488,12 +497,12 @@ def publish(made: Path, place: Path, key: str) -> Path:
 
 def evict(place: Path, keep: Path | None = None, limit: int | None = None) -> None:
     """Remove the least recently used libraries beyond the limit, and what dead processes left unfinished."""
-    entries, allowed = [], LIMIT if limit is None else limit
+    entries, allowed = [], LIMITS.limit if limit is None else limit
     for path in place.iterdir():
         with contextlib.suppress(OSError):
             about = path.stat()
             if path.name.startswith("making-"):
-                if time.time() - about.st_mtime > STALE:
+                if time.time() - about.st_mtime > LIMITS.stale:
                     shutil.rmtree(path) if path.is_dir() else path.unlink()
             elif path.suffix == ".so":
                 entries.append((about.st_mtime, about.st_size, path))

@@ -283,8 +283,8 @@ def integration_error(
     text: str, state: np.ndarray, start: float, duration: float, segment: int | None = None
 ) -> IntegrationError:
     """One typed error out of what SUNDIALS printed; the time is read from its message if it is there."""
-    found = re.search(r"[Aa]t t = ([-+0-9.eE]+)", text)
-    time = start + (float(found.group(1)) if found else 0.0) * duration
+    moment = re.search(r"[Aa]t t = ([-+0-9.eE]+)", text)
+    time = start + (float(moment.group(1)) if moment else 0.0) * duration
     causes = {
         r"NaN detected|RHSFUNC": "the equations of motion are not finite there (0 / 0, the root of a negative number, "
         "or a motion that has run off to infinity); write them so that they are smooth along the motion",
@@ -360,8 +360,8 @@ def _second_rates(field: ca.Function, count: int) -> ca.Function:
 
 def _parts(whole: Any, size: int, count: int) -> tuple[Any, Any, Any]:
     """x, dx/da and dvec(Phi)/da from one column."""
-    found = ca.vertsplit(whole, [0, size, size * (1 + count), whole.numel()])
-    return found[0], ca.reshape(found[1], size, count), ca.reshape(found[2], size**2, count)
+    blocks = ca.vertsplit(whole, [0, size, size * (1 + count), whole.numel()])
+    return blocks[0], ca.reshape(blocks[1], size, count), ca.reshape(blocks[2], size**2, count)
 
 
 def _second_integrated(flow: Flow, inputs: list[ca.MX], count: int) -> tuple[ca.MX, ca.MX, ca.MX]:

@@ -60,8 +60,8 @@ def vector_field(function: ca.Function, free: np.ndarray | None = None) -> Vecto
     buffer.set_arg(0, memoryview(time))
     buffer.set_arg(1, memoryview(state))
     given = [] if free is None else [free]
-    for one in given:
-        buffer.set_arg(2, memoryview(one))
+    for values in given:
+        buffer.set_arg(2, memoryview(values))
     buffer.set_res(0, memoryview(rate))
 
     def call(t: float, y: np.ndarray) -> np.ndarray:
@@ -78,14 +78,16 @@ def vector_field(function: ca.Function, free: np.ndarray | None = None) -> Vecto
         size = TOGETHER[len(times) > MANY]
         if size not in mapped:
             mapped[size] = Buffered(dense.map(size))
-        found = np.empty((len(times), rate.size))
+        rates = np.empty((len(times), rate.size))
         for k in range(0, len(times), size):
             block = slice(k, k + size)
             clock, some = times[block, None], states[block]
             if len(some) < size:  # the last block is filled with the last state
-                clock, some = (np.concatenate([one, np.repeat(one[-1:], size - len(some), 0)]) for one in (clock, some))
-            found[block] = mapped[size](clock, some, *given)[0][: len(times) - k]
-        return found
+                clock, some = (
+                    np.concatenate([rows, np.repeat(rows[-1:], size - len(some), 0)]) for rows in (clock, some)
+                )
+            rates[block] = mapped[size](clock, some, *given)[0][: len(times) - k]
+        return rates
 
     call.keep = (dense, buffer)  # type: ignore[attr-defined]  # or both are freed under the evaluation
     call.memory = (time, state, rate, evaluate)  # type: ignore[attr-defined]
@@ -288,8 +290,8 @@ def _between(
     spans = times - moments
 
     def stacked(part: float, flat: np.ndarray) -> np.ndarray:
-        found = rates(moments + part * spans, flat.reshape(states.shape))
-        return np.asarray(spans[:, None] * found).ravel()
+        slopes = rates(moments + part * spans, flat.reshape(states.shape))
+        return np.asarray(spans[:, None] * slopes).ravel()
 
     # a tolerance that accepts the step as it is
     solver = DOP853(stacked, 0.0, states.ravel(), 1.0, first_step=1.0, rtol=1.0, atol=np.inf)

@@ -28,7 +28,7 @@ T = TypeVar("T")
 
 def _key(model: Model, derive: Callable[..., Any], free: tuple[str, ...] = ()) -> tuple[Any, ...]:
     parts = (model.rates, model.acceleration, model.kinetic, model.potential, model.gyroscopic, model.forces,
-             model.constraint, *(one.value for one in model.invariants))  # fmt: skip
+             model.constraint, *(invariant.value for invariant in model.invariants))  # fmt: skip
     return (derive, free, len(model.state_names), model.parameter_values.tobytes(), *map(Same, parts))
 
 
@@ -44,8 +44,8 @@ def _once(derive: Callable[[Model], T]) -> Callable[[Model], T]:
 
 def hamilton(model: Model, free: tuple[str, ...] = ()) -> Canonical:
     """Hamilton's equations of a Model with its parameter values, some of them left free (see `Coordinates`)."""
-    found: Canonical = _derived(_key(model, canonical, free), lambda: canonical(model, free))
-    return found
+    derived: Canonical = _derived(_key(model, canonical, free), lambda: canonical(model, free))
+    return derived
 
 
 @_once
@@ -61,7 +61,7 @@ def invariant_gradients(model: Model) -> ca.Function:
     """The gradients (k x 2n) of a Model's invariants at a state x, with its parameter values."""
     n, p = model.degrees_of_freedom, ca.DM(model.parameter_values)
     x = ca.MX.sym("x", len(model.state_names))
-    rows = [ca.gradient(one.value(x[:n], x[n:], p), x).T for one in model.invariants]
+    rows = [ca.gradient(invariant.value(x[:n], x[n:], p), x).T for invariant in model.invariants]
     return ca.Function("gradients", [x], [ca.densify(ca.vertcat(*rows)) if rows else ca.MX(0, x.numel())])
 
 
@@ -70,7 +70,7 @@ def conserved(model: Model) -> ca.Function:
     """x -> the values (k) of a Model's invariants and, one after another, their gradients, as one column (k + k d)."""
     n, p, gradients = model.degrees_of_freedom, ca.DM(model.parameter_values), invariant_gradients(model)
     x = ca.MX.sym("x", len(model.state_names))
-    values = [one.value(x[:n], x[n:], p) for one in model.invariants]
+    values = [invariant.value(x[:n], x[n:], p) for invariant in model.invariants]
     return ca.Function("conserved", [x], [ca.densify(ca.vertcat(*values, ca.vec(gradients(x).T)))])
 
 
@@ -107,8 +107,8 @@ def linearised(model: Model) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndar
     function = Buffered(ca.Function("accelerations", [q, v], [a, *slopes]))
 
     def call(place: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        found, by_place, by_rate = function(place[None], rate[None])
-        return found[0], by_place.T, by_rate.T
+        value, by_place, by_rate = function(place[None], rate[None])
+        return value[0], by_place.T, by_rate.T
 
     return call
 

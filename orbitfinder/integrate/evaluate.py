@@ -29,10 +29,10 @@ class Buffered:
         self._buffer, self._evaluate = self.function.buffer()
         self.inputs = [np.zeros((function.size2_in(k), function.size1_in(k))) for k in range(function.n_in())]
         self.outputs = [np.zeros((function.size2_out(k), function.size1_out(k))) for k in range(function.n_out())]
-        for k, one in enumerate(self.inputs):
-            self._buffer.set_arg(k, one.data)
-        for k, one in enumerate(self.outputs):
-            self._buffer.set_res(k, one.data)
+        for k, place in enumerate(self.inputs):
+            self._buffer.set_arg(k, place.data)
+        for k, output in enumerate(self.outputs):
+            self._buffer.set_res(k, output.data)
 
     def __call__(self, *arguments: np.ndarray | float) -> list[np.ndarray]:
         """Outputs as new arrays; what is smaller than an input is broadcast. Raises `IntegrationError`."""
@@ -47,18 +47,18 @@ class Buffered:
             failed = True
         if failed:
             raise IntegrationError("the equations of motion cannot be evaluated there")
-        return [one.copy() for one in self.outputs]
+        return [output.copy() for output in self.outputs]
 
 
 def _dense(function: ca.Function) -> ca.Function:
     """The same function, or one around it, with dense inputs and outputs only."""
     inside = [function.sparsity_in(k) for k in range(function.n_in())]
     outside = [function.sparsity_out(k) for k in range(function.n_out())]
-    if all(one.is_dense() for one in (*inside, *outside)):
+    if all(pattern.is_dense() for pattern in (*inside, *outside)):
         return function
-    symbols = [ca.MX.sym(f"i{k}", *one.shape) for k, one in enumerate(inside)]
-    arguments = [ca.project(symbol, one) for symbol, one in zip(symbols, inside, strict=True)]
-    return ca.Function("dense", symbols, [ca.densify(one) for one in function.call(arguments)])
+    symbols = [ca.MX.sym(f"i{k}", *pattern.shape) for k, pattern in enumerate(inside)]
+    arguments = [ca.project(symbol, pattern) for symbol, pattern in zip(symbols, inside, strict=True)]
+    return ca.Function("dense", symbols, [ca.densify(value) for value in function.call(arguments)])
 
 
 class Casadi(threadpoolctl.OpenBLASController):  # type: ignore[misc]

@@ -165,8 +165,8 @@ class March(Refining):
         start = np.zeros(field.size1_in(1))
         start[:size], start[size : size + size * size] = x, np.eye(size).ravel()
         s, free = tail[1 : 1 + self.unfolding], tail[1 + self.unfolding :]
-        found = self.at(field, 0.0, start, s, free)[0].ravel()
-        return np.asarray(found[size : size + size * size].reshape(size, size).T)
+        rates = self.at(field, 0.0, start, s, free)[0].ravel()
+        return np.asarray(rates[size : size + size * size].reshape(size, size).T)
 
     def rates(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray | float = 0.0) -> np.ndarray:
         """dx/dt (k x d) at states (k x d)."""
@@ -247,25 +247,25 @@ class Marches(Refining):
 
     def build(self) -> None:
         """Derive and compile now what integrates states and derivatives, not at first use."""
-        for one in self.arcs:
-            one.build()
+        for arc in self.arcs:
+            arc.build()
 
     def ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (N x d) at the ends of the segments from their nodes (N x d). Raises `IntegrationError`."""
-        return np.vstack([one.ends(own, part, tail) for one, own, part in self._each(nodes, mesh)])
+        return np.vstack([arc.ends(own, part, tail) for arc, own, part in self._each(nodes, mesh)])
 
     def states(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (M + 1 x d) at the mesh."""
-        return _one_after_another([one.states(own, part, tail) for one, own, part in self._each(nodes, mesh)])
+        return _one_after_another([arc.states(own, part, tail) for arc, own, part in self._each(nodes, mesh)])
 
     def varied(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, states: bool = False) -> Varied:
         """Ends and their derivatives; with `states` those at the mesh too. Raises `IntegrationError`."""
-        found = [one.varied(own, part, tail, states) for one, own, part in self._each(nodes, mesh)]
-        along = _one_after_another([one.states for one in found]) if states else nodes
+        paths = [arc.varied(own, part, tail, states) for arc, own, part in self._each(nodes, mesh)]
+        along = _one_after_another([path.states for path in paths]) if states else nodes
         ends, transitions, columns = (
-            np.concatenate([getattr(one, name) for one in found]) for name in ("ends", "transitions", "columns")
+            np.concatenate([getattr(path, name) for path in paths]) for name in ("ends", "transitions", "columns")
         )
-        return Varied(ends, transitions, columns, along, sum(one.integral for one in found))
+        return Varied(ends, transitions, columns, along, sum(path.integral for path in paths))
 
     def rates(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray | float = 0.0) -> np.ndarray:
         """dx/dt (k x d) at states (k x d) that are shared out evenly among the arcs, in periods of its own for each."""
@@ -273,7 +273,7 @@ class Marches(Refining):
         each = max(1, len(states) // len(self.arcs))
         cuts = [each * k for k in range(1, len(self.arcs))]
         return np.vstack(
-            [one.rates(own, tail) for one, own in zip(self.arcs, np.split(states, cuts), strict=True) if len(own)]
+            [arc.rates(own, tail) for arc, own in zip(self.arcs, np.split(states, cuts), strict=True) if len(own)]
         )
 
     def at(self, function: ca.Function, *arguments: np.ndarray | float) -> list[np.ndarray]:
@@ -302,8 +302,8 @@ class Marches(Refining):
     def _each(self, nodes: np.ndarray, mesh: np.ndarray) -> Iterator[tuple[March, np.ndarray, np.ndarray]]:
         count = len(self.arcs)
         steps = (mesh.size - 1) // count
-        for k, (one, own) in enumerate(zip(self.arcs, np.split(nodes, count), strict=True)):
-            yield one, own, mesh[k * steps : (k + 1) * steps + 1]
+        for k, (arc, own) in enumerate(zip(self.arcs, np.split(nodes, count), strict=True)):
+            yield arc, own, mesh[k * steps : (k + 1) * steps + 1]
 
 
 def _one_after_another(pieces: Sequence[np.ndarray]) -> np.ndarray:

@@ -45,7 +45,7 @@ class Lanes:
 
     def called(self, function: ca.Function, *arguments: np.ndarray | float) -> list[np.ndarray]:
         """A function at one place, its outputs as CasADi has them (rows x columns)."""
-        return [one.T for one in self._single(function)(*arguments)]
+        return [value.T for value in self._single(function)(*arguments)]
 
     def marched(self, step: ca.Function, starts: np.ndarray, parameters: np.ndarray, path: bool) -> np.ndarray:
         """Every step's result (M x ...), segment after segment; without `path` the last of each segment (N x ...).
@@ -75,11 +75,11 @@ class Lanes:
         maps = [self._across(function, width, lane) for lane in range(lanes)]
 
         def filled(lane: int) -> list[np.ndarray]:
-            found = []
+            values = []
             for begin in begins[lane::lanes]:
                 rows = np.minimum(np.arange(begin, begin + width), count - 1)
-                found.append(maps[lane](*(one[rows] for one in arguments))[0])
-            return found
+                values.append(maps[lane](*(argument[rows] for argument in arguments))[0])
+            return values
 
         return np.concatenate(_shared(filled, lanes, len(begins)))[:count]
 
@@ -111,5 +111,5 @@ def _shared(task: Callable[[int], list[np.ndarray]], lanes: int, pieces: int) ->
     if lanes == 1:
         return task(0)
     others = [_pool().submit(task, lane) for lane in range(1, lanes)]
-    found = [task(0), *(one.result() for one in others)]
-    return [found[k % lanes][k // lanes] for k in range(pieces)]
+    results = [task(0), *(other.result() for other in others)]
+    return [results[k % lanes][k // lanes] for k in range(pieces)]

@@ -140,10 +140,10 @@ def variational_field(field: ca.Function, quadrature: ca.Function | None = None,
     if size > WIDE or products:
         return _with_columns(ca.Function("slopes", inputs, ca.cse(outputs), NOT_INLINED), size, extra)
     columns = ca.SX.sym("columns", size, size + extra)
-    found = ca.cse([rate, slopes @ columns + ca.horzcat(ca.SX(size, size), forcing), added])
+    rates = ca.cse([rate, slopes @ columns + ca.horzcat(ca.SX(size, size), forcing), added])
     whole = ca.vertcat(x, ca.vec(columns), ca.SX.sym("S", added.numel()))
-    found[1] = ca.vec(found[1])
-    return ca.Function("variations", [t, whole, s, free], [ca.vertcat(*found)], NOT_INLINED)
+    rates[1] = ca.vec(rates[1])
+    return ca.Function("variations", [t, whole, s, free], [ca.vertcat(*rates)], NOT_INLINED)
 
 
 NOT_INLINED = {"never_inline": True}

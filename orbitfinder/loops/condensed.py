@@ -158,11 +158,11 @@ class Broyden:
 
     def step(self, rows: np.ndarray) -> np.ndarray:
         """The step from where the residual is `rows`; the steps before it must have been taken in full."""
-        found = -self._factors.solve(rows)
-        for one, following in pairwise(self._steps):
-            found = found + following * ((one @ found) / (one @ one))
+        right = -self._factors.solve(rows)
+        for step, following in pairwise(self._steps):
+            right = right + following * ((step @ right) / (step @ step))
         if self._steps:
             last = self._steps[-1]
-            found = found / (1.0 - (last @ found) / (last @ last))
-        self._steps.append(found)
-        return found
+            right = right / (1.0 - (last @ right) / (last @ last))
+        self._steps.append(right)
+        return right

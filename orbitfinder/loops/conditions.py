@@ -1,8 +1,12 @@
-"""What a user asks of an orbit besides closing: pins, ranges, constraints of the unknowns by name."""
+"""What is asked of an orbit besides closing: pins, ranges, constraints of the unknowns by name, and the rows they make.
+
+`QUANTITIES` has each kind of thing that a pin, a range, a family's parameter and `variables[...]` may name: its names,
+its expression, its row, and why it cannot be pinned. Another kind is an entry more (`tests/test_toy_condition.py`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +16,7 @@ import numpy as np
 from orbitfinder._runtime.arguments import check_fields
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError, closest
+from orbitfinder.loops.loop import Condition, Equations, Unknowns, levels
 from orbitfinder.loops.symmetry import Symmetry
 from orbitfinder.mechanics.kind import system_kind
 from orbitfinder.mechanics.model import Model, constraint_of
@@ -64,24 +69,23 @@ def constrained_brake_rows(model: Model, start: Any, end: Any, parameters: Any, 
     return ca.vertcat(start[n:], constraint_of(model).phi(start[:n], parameters), basis.T @ end[n:])
 
 
-def quantity(model: Model, name: str, state: Any, period: Any, parameters: Any) -> Any:
-    """What pins and bounds name: the period, an invariant, the energy, a state component at t = 0, a parameter."""
-    n = model.degrees_of_freedom
-    if name == "period":
-        return period
-    for invariant in model.invariants:
-        if invariant.name == name:
-            return invariant.value(state[:n], state[n:], parameters)
-    if name == "energy":
-        return model.kinetic(state[:n], state[n:], parameters) + model.potential(state[:n], parameters)
-    if name in model.parameter_names and name not in model.state_names:
-        return parameters[model.parameter_index(name)]
-    return state[model.state_index(name)]
-
-
 def quantities(model: Model) -> list[str]:
     """What pins may name beside physical parameters."""
-    return ["energy", "period", *(one.name for one in model.invariants), *model.state_names]
+    return [name for kind, each in QUANTITIES.items() if kind != PARAMETER for name in each.names(model)]
+
+
+def followed(model: Model) -> list[str]:
+    """What a family may be followed in beside physical parameters."""
+    return [name for kind in QUANTITIES.values() if kind.followed for name in kind.names(model)]
+
+
+def kind_of(model: Model, name: str, where: str = "pin", more: Sequence[str] = ()) -> Quantity:
+    """The kind of what a name stands for; `InputError` where that is no quantity of this model, nor one `more`."""
+    kind = next((kind for kind in QUANTITIES.values() if name in kind.names(model)), None)
+    if kind is None or (kind is QUANTITIES[PARAMETER] and name not in more):
+        known = list(dict.fromkeys([*quantities(model), *more]))
+        raise InputError(f"{where}: unknown quantity {name!r}{closest(name, known)}; use one of {', '.join(known)}")
+    return kind
 
 
 def is_parameter(model: Model, name: str) -> bool:
@@ -89,18 +93,27 @@ def is_parameter(model: Model, name: str) -> bool:
     return name in model.parameter_names and name not in quantities(model)
 
 
-def check_pin(model: Model, one: Pin) -> None:
-    """`InputError` when a pin names nothing of this model or an energy that it cannot have."""
-    known = [*quantities(model), *model.parameter_names]
-    if one.name not in known:
-        names = ", ".join(dict.fromkeys(known))
-        raise InputError(f"pin: unknown quantity {one.name!r}{closest(one.name, known)}; use one of {names}")
-    floor = lowest_energy(model)
-    if one.name == "energy" and floor is not None and one.value <= floor:
-        raise InputError(
-            f"pin: energy {one.value:.9g} J cannot be reached, the lowest energy of this system is "
-            f"{floor:.9g} J (at rest); give a larger energy (potential zero at the fixed joint)"
-        )
+def check_pin(problem: Any, asked: Pin) -> None:
+    """`InputError` when a pin names nothing of this problem's model or a value that it cannot have."""
+    kind = kind_of(problem.model, asked.name, more=problem.model.parameter_names)
+    why = kind.refused(problem, asked)
+    if not why and kind.row is None and problem.control is not None:
+        why = f"{asked.name} is not of controlled motions, whose costate does not know it; ask for it in a task"
+    if why:
+        raise InputError(f"pin: {why}")
+
+
+def pinned(equations: Equations, name: str, value: float) -> Condition:
+    """The condition that a quantity or a freed parameter has a value."""
+    kind = QUANTITIES[PARAMETER] if name in equations.free else kind_of(equations.model, name, more=equations.free)
+    if kind.row is not None:
+        return kind.row(equations, name, value)
+    return expressed(value, name, lambda variables: kind.value(variables, name))
+
+
+def measured(equations: Equations, w: Unknowns, name: str) -> float:
+    """What a quantity or a freed parameter is at w."""
+    return pinned(equations, name, 0.0).at(equations, w)
 
 
 def lowest_energy(model: Model) -> float | None:
@@ -166,8 +179,7 @@ class Variables:
         """A quantity by name; `InputError` names the known ones."""
         if name in self.model.parameter_names:
             return self.parameters[self.model.parameter_index(name)]
-        check_quantity(self.model, name, "variables")
-        return quantity(self.model, name, self.start, self.period, self.parameters)
+        return kind_of(self.model, name, "variables").value(self, name)
 
     @property
     def rate(self) -> ca.MX:
@@ -187,12 +199,35 @@ class Variables:
         Over a symmetric part of the period it follows from that of the part.
         """
         part = ca.MX.eye(self.start.numel())
-        for one in self.transitions():
-            part = one @ part
+        for transition in self.transitions():
+            part = transition @ part
         root, power = self.symmetry.root(
-            part, lambda other: ca.solve(part, other), part.size1(), made=lambda one: ca.MX(ca.sparsify(ca.DM(one)))
+            part,
+            lambda other: ca.solve(part, other),
+            part.size1(),
+            made=lambda matrix: ca.MX(ca.sparsify(ca.DM(matrix))),
         )
         return root @ root if power == 2 else root
+
+
+def variables_of(
+    equations: Equations,
+    nodes: Sequence[ca.MX],
+    period: ca.MX,
+    free: ca.MX,
+    ends: Sequence[ca.MX] = (),
+    transitions: Callable[[], list[ca.MX]] | None = None,
+) -> Variables:
+    """The unknowns of a loop by name; without `transitions` what needs them is refused."""
+
+    def none() -> list[ca.MX]:
+        raise InputError("monodromy: is not known where a pin is stated; ask for it in constraints or an objective")
+
+    named = {name: free[k] for k, name in enumerate(equations.physical)}
+    model, parameters = equations.model, equations.model.parameters(equations.free, free)
+    return Variables(
+        model, equations.symmetry, tuple(nodes), tuple(ends), period, named, parameters, transitions or none
+    )
 
 
 Expression = Callable[[Variables], Any]
@@ -232,26 +267,203 @@ class Constraint:
 
     def value(self, variables: Variables) -> ca.MX:
         """The expression as a column; `InputError` when it has another length than announced."""
-        found = ca.vec(ca.MX(self.expression(variables)))
-        if found.numel() != self.rows:
-            raise InputError(f"constraints: {self.name} has {found.numel()} rows, announced {self.rows}; set rows=")
-        return found
+        rows = ca.vec(ca.MX(self.expression(variables)))
+        if rows.numel() != self.rows:
+            raise InputError(f"constraints: {self.name} has {rows.numel()} rows, announced {self.rows}; set rows=")
+        return rows
 
 
-def check_constraint(one: Constraint) -> None:
-    """`InputError` for bounds that contradict each other."""
-    if np.isnan(one.lower) or np.isnan(one.upper) or one.lower > one.upper or one.rows < 1:
-        raise InputError(
-            f"constraints: {one.name} asks for {one.lower} <= expression <= {one.upper} in {one.rows} rows; give "
-            "lower <= upper and at least one row"
+def hyperplane(value: float, normal: np.ndarray, name: str = "") -> Condition:
+    """The condition `normal`.(x(0), T, free), or .w, = `value`."""
+    return Condition(
+        name,
+        value,
+        lambda _, w: float(w.over(normal) @ w.vector),
+        lambda _, w: w.over(normal),
+        lambda _, nodes, period, free: ca.sparsify(ca.DM(normal)).T @ ca.vertcat(nodes[0], period, free),
+    )
+
+
+def conserved(value: float, name: str, number: int) -> Condition:
+    """The condition that one of the `levels` has a value at t = 0."""
+
+    def slope(equations: Equations, w: Unknowns) -> np.ndarray:
+        _, by_state, by_free = equations.quantities_at(w)
+        return w.spread(np.concatenate([by_state[number], [0.0], by_free[number]]))
+
+    def expression(equations: Equations, nodes: Sequence[ca.MX], _: ca.MX, free: ca.MX) -> ca.MX:
+        return levels(equations.model, nodes[0], equations.model.parameters(equations.free, free))[number]
+
+    return Condition(name, value, lambda equations, w: float(equations.quantities_at(w)[0][number]), slope, expression)
+
+
+def clock(equations: Equations, cycles: int) -> tuple[Condition, ...]:
+    """The condition that a motion lasts so many periods of the forcing; none where nothing is forced."""
+    if not equations.model.forced:
+        return ()
+    period, beat = _unknown(equations, "period", 0.0), conserved(0.0, "", -1)
+    return (
+        Condition(
+            "forcing period",
+            0.0,
+            lambda *at: period.at(*at) - cycles * beat.at(*at),
+            lambda *at: period.slope(*at) - cycles * beat.slope(*at),
+            lambda *at: period.expression(*at) - float(cycles) * beat.expression(*at),
+            cycles,
+        ),
+    )
+
+
+def expressed(value: float, name: str, expression: Expression) -> Condition:
+    """The condition that an expression of `Variables`, known by its name, has a value; its derivatives are CasADi's."""
+
+    def stated(*where: Any) -> ca.MX:
+        made = ca.MX(expression(variables_of(*where)))
+        if made.numel() != 1:
+            raise InputError(f"pin: {name} is {made.numel()} numbers; hold each by a name of its own")
+        return made
+
+    def both(equations: Equations, w: Unknowns) -> np.ndarray:
+        if (key := (name, len(w.nodes))) not in equations.derived:
+            nodes, (period, unfolding, free) = w.symbols()
+            parts, made = [*nodes, period, unfolding, free], stated(equations, nodes, period, free)
+            rows = ca.horzcat(made, ca.densify(ca.jacobian(made, ca.vertcat(*parts))))
+            equations.derived[key] = ca.Function("expressed", parts, [rows])
+        return np.asarray(equations.derived[key](*w.nodes, w.period, w.unfolding, w.free)).ravel()
+
+    return Condition(name, value, lambda *where: float(both(*where)[0]), lambda *where: both(*where)[1:], stated)
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A kind of what pins, ranges, families' parameters and `variables[...]` may name.
+
+    Args:
+        names: of a model, those that it has.
+        value: (variables, name) -> the expression of CasADi.
+        row: (equations, name, value) -> the condition that it has that value; None: the expression's.
+        refused: (problem, pin) -> why it cannot be pinned there, with a remedy; "" where it can.
+        followed: whether a family may be followed in it, wherever on an orbit t = 0 is.
+        held: whether a family in a physical parameter may keep it, as the energy.
+    """
+
+    names: Callable[[Model], Sequence[str]]
+    value: Callable[[Variables, str], Any]
+    row: Callable[[Equations, str, float], Condition] | None = None
+    refused: Callable[[Any, Pin], str] = lambda *_: ""
+    followed: bool = False
+    held: bool = False
+
+
+def _level(variables: Variables, name: str) -> Any:
+    """An invariant, or the energy."""
+    return levels(variables.model, variables.start, variables.parameters)[_number(variables.model, name)]
+
+
+def _number(model: Model, name: str) -> int:
+    return (*(invariant.name for invariant in model.invariants), "energy").index(name)
+
+
+def _kept(equations: Equations, name: str, value: float) -> Condition:
+    """The row of a level."""
+    return conserved(value, name, _number(equations.model, name))
+
+
+def _unknown(equations: Equations, name: str, value: float) -> Condition:
+    """The row of what is an unknown itself."""
+    size, known = equations.size, ("period", *equations.free)
+    normal = np.zeros(size + len(known))
+    normal[size + known.index(name) if name in known else equations.model.state_index(name)] = 1.0
+    return hyperplane(value, normal, name)
+
+
+def _energy_refused(problem: Any, asked: Pin) -> str:
+    floor = lowest_energy(problem.model)
+    if floor is not None and asked.value <= floor:
+        return (
+            f"energy {asked.value:.9g} J cannot be reached, the lowest energy of this system is {floor:.9g} J (at "
+            "rest); give a larger energy (potential zero at the fixed joint)"
         )
+    if not problem.model.conservative:
+        return (
+            "energy is not conserved by this system; leave the pin out, or free a parameter and pin the period or a "
+            "state component"
+        )
+    return ""
 
 
-def check_quantity(model: Model, name: str, where: str, more: tuple[str, ...] = ()) -> None:
-    """`InputError` when `name` is no quantity of this model."""
-    known = list(dict.fromkeys(["period", "energy", *(i.name for i in model.invariants), *more, *model.state_names]))
-    if name not in known:
-        raise InputError(f"{where}: unknown quantity {name!r}{closest(name, known)}; use one of {', '.join(known)}")
+def _period_refused(problem: Any, _: Pin) -> str:
+    if problem.model.forcing_period is None:
+        return ""
+    clock = float(problem.model.forcing_period(problem.model.parameter_values))
+    return (
+        f"the forcing prescribes the period, a multiple of {clock:.9g} s (guess.period chooses which, now "
+        f"{problem.forcing_cycles}); leave period out"
+    )
+
+
+def _state_refused(problem: Any, asked: Pin) -> str:
+    n, symmetry = problem.model.degrees_of_freedom, problem.boundary
+    if asked.name not in problem.model.state_names[:n] or not symmetry.held(n)[problem.model.state_index(asked.name)]:
+        return ""
+    return (
+        f"{asked.name} is a multiple of pi, or 0, where a {symmetry.name} orbit starts; pin its rate, the energy or "
+        "the period"
+    )
+
+
+PARAMETER = "a physical parameter"
+QUANTITIES: dict[str, Quantity] = {
+    "the energy": Quantity(
+        lambda _: ("energy",),
+        _level,
+        _kept,
+        _energy_refused,
+        followed=True,
+        held=True,
+    ),
+    "the period": Quantity(
+        lambda _: ("period",),
+        lambda variables, _: variables.period,
+        _unknown,
+        _period_refused,
+        followed=True,
+        held=True,
+    ),
+    "an invariant": Quantity(
+        lambda model: [invariant.name for invariant in model.invariants],
+        _level,
+        _kept,
+        followed=True,
+    ),
+    "a state component at t = 0": Quantity(
+        lambda model: model.state_names,
+        lambda variables, name: variables.start[variables.model.state_index(name)],
+        _unknown,
+        _state_refused,
+        followed=True,
+    ),
+    PARAMETER: Quantity(
+        lambda model: model.parameter_names,
+        lambda variables, name: variables.parameters[variables.model.parameter_index(name)],
+        _unknown,
+    ),
+}
+"""What may be named, by its kind; where a name is of two, the first is meant"""
+
+
+def check_constraint(constraint: Constraint) -> None:
+    """`InputError` for bounds that contradict each other."""
+    if (
+        np.isnan(constraint.lower)
+        or np.isnan(constraint.upper)
+        or constraint.lower > constraint.upper
+        or constraint.rows < 1
+    ):
+        raise InputError(
+            f"constraints: {constraint.name} asks for {constraint.lower} <= expression <= {constraint.upper} in "
+            f"{constraint.rows} rows; give lower <= upper and at least one row"
+        )
 
 
 def check_bounds(model: Model, bounds: Mapping[str, Any], free: tuple[str, ...], pinned: tuple[str, ...]) -> None:
@@ -259,7 +471,7 @@ def check_bounds(model: Model, bounds: Mapping[str, Any], free: tuple[str, ...],
     for name, given in bounds.items():
         if name in model.parameter_names and name not in free:
             raise InputError(f"bounds: {name} is not free to change; add it to free, or leave its bounds out")
-        check_quantity(model, name, "bounds", free)
+        kind_of(model, name, "bounds", free)
         if name in pinned:
             raise InputError(f"bounds: {name} is pinned already; leave out one of the two")
         pair = np.asarray(given, float)

@@ -17,35 +17,47 @@ from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied
 from orbitfinder.loops.condensed import Broyden, Factors
+from orbitfinder.loops.conditions import hyperplane
 from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns, beyond
 from orbitfinder.loops.problem import clocked
 from orbitfinder.loops.scales import Measures, Scales, sizes
 from orbitfinder.loops.watch import Watch
 from orbitfinder.mechanics.scales import parameter_sizes, snapped
 
-NEWTON_READY = 1e-11
-"""Residual, in units of the metric, from which one more Newton step, not evaluated again, reaches round-off."""
-APPROACHED = 3e-7
-"""Residual at which the approach with an old Jacobian hands over to Newton's method."""
-FITTING = 1e-4
-"""Residual below which an orbit is known well enough to fit a mesh to it."""
-FEWEST_STEPS = 32
-"""Steps of a horizon from which on the approach takes only half of them."""
-NEWTON_FLOOR = 1e-9
-"""... or below this, where round-off on an unstable orbit keeps the residual from shrinking further."""
-MOST_NEWTON = 12
+
+@dataclass(frozen=True)
+class CorrectorSettings:
+    """When the corrector of a family is content, and how it differences a test."""
+
+    newton_ready: float = 1e-11
+    """Residual, in units of the metric, from which one more Newton step, not evaluated again, reaches round-off."""
+    approached: float = 3e-7
+    """Residual at which the approach with an old Jacobian hands over to Newton's method."""
+    fitting: float = 1e-4
+    """Residual below which an orbit is known well enough to fit a mesh to it."""
+    fewest_steps: int = 32
+    """Steps of a horizon from which on the approach takes only half of them."""
+    newton_floor: float = 1e-9
+    """... or below this, where round-off on an unstable orbit keeps the residual from shrinking further."""
+    most_newton: int = 12
+    slow: float = 0.1
+    """A step that leaves more than this share of the residual asks for the differences of a test function anew."""
+    across: float = 1e-3
+    """A step of which less than this share, squared, leads off the surface of orbits tells how a test changes along
+    it."""
+    at_zero: float = 1e-6
+    """A parameter that is below this share of its usual size (`mechanics.scales.parameter_sizes`) is at 0."""
+    difference: float = 1e-4
+    """Half of a central difference of a test function, in the metric: its error and round-off are both some 1e-8."""
+
+
+CORRECTOR = CorrectorSettings()
+
+
 TESTED = 1e3
 """What a test function is measured in: it may be so much farther from 0 before the last step, whose row is exact."""
-SLOW = 0.1
-"""A step that leaves more than this share of the residual asks for the differences of a test function anew."""
-ACROSS = 1e-3
-"""A step of which less than this share, squared, leads off the surface of orbits tells how a test changes along it."""
-AT_ZERO = 1e-6
-"""A parameter that is below this share of its usual size (`mechanics.scales.parameter_sizes`) is at 0."""
 CRITICAL = 1e-3
 """A singular value below this, relative to the next larger ones, belongs to the kernel."""
-DIFFERENCE = 1e-4
-"""Half of a central difference of a test function, in the metric: its error and round-off are both some 1e-8."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,18 +88,23 @@ class Curve(Loop):
         """The same of a state (2n) in powers of 256, so that a system of order one is computed with as it is."""
         return snapped(np.sqrt(self._unit / self.weights[: self.equations.size]))
 
+    @property
+    def kept(self) -> tuple[Condition, ...]:
+        """What the family keeps, but for a forcing's period."""
+        return tuple(condition for condition in self.conditions if not condition.cycles)
+
     def through(self, w: Unknowns) -> Self:
         """The same with its phases over all nodes fixed by w."""
         return replace(self, normals=self.equations.phases(w, self.scales.states), reference=w.nodes.ravel())
 
-    def measured(self, found: Solution) -> Self:
+    def measured(self, solution: Solution) -> Self:
         """The same with its scales renewed at an orbit that was accepted."""
-        return replace(self, scales=self.scales.renewed(self.sizes(found), found.place))
+        return replace(self, scales=self.scales.renewed(self.sizes(solution), solution.place))
 
-    def sizes(self, found: Solution) -> np.ndarray:
+    def sizes(self, solution: Solution) -> np.ndarray:
         """The extents (d) of the whole motion."""
-        p, place = self.equations, found.place
-        states = p.symmetry.whole(place.mesh, found.march.states, self.constant)[1]
+        p, place = self.equations, solution.place
+        states = p.symmetry.whole(place.mesh, solution.march.states, self.constant)[1]
         return sizes(p.model, self.shares, states, place.period)
 
     @cached_property
@@ -147,22 +164,22 @@ def make_curve(
     return replace(curve, scales=Scales.of(sizes(equations.model, curve.shares, states, w.period), w, relative))
 
 
-def begun(curve: Curve, found: Solution, along: np.ndarray) -> tuple[Curve, np.ndarray]:
+def begun(curve: Curve, solution: Solution, along: np.ndarray) -> tuple[Curve, np.ndarray]:
     """The curve in the scales of its first orbit, and its direction over w there along one over w or over the head."""
-    w, size = found.place, curve.equations.size
+    w, size = solution.place, curve.equations.size
     usual = 1.0 / np.sqrt(curve.weights[size + 1 :])
-    zero = np.abs(w.free) < AT_ZERO * usual
-    curve = replace(curve, scales=Scales.of(curve.sizes(found), w, np.where(zero, usual, np.abs(w.free))))
-    curve = replace(curve, scales=curve.scales.begun(w, tangent(curve, found, along), zero))
-    return curve, tangent(curve, found, along)
+    zero = np.abs(w.free) < CORRECTOR.at_zero * usual
+    curve = replace(curve, scales=Scales.of(curve.sizes(solution), w, np.where(zero, usual, np.abs(w.free))))
+    curve = replace(curve, scales=curve.scales.begun(w, tangent(curve, solution, along), zero))
+    return curve, tangent(curve, solution, along)
 
 
 def _measures(curve: Curve, w: Unknowns, slopes: np.ndarray | None = None) -> Measures:
     """What unknowns are measured in by the metric, and with that the rows, a test's and then an aim's last."""
-    found = Measures.of(curve, w, curve.scales.columns(w), slopes)
+    measures = Measures.of(curve, w, curve.scales.columns(w), slopes)
     if curve.test is None:
-        return found
-    return replace(found, rows=np.insert(found.rows, found.rows.size - (slopes is not None), TESTED))
+        return measures
+    return replace(measures, rows=np.insert(measures.rows, measures.rows.size - (slopes is not None), TESTED))
 
 
 def _all_rows(curve: Curve, w: Unknowns, ends: np.ndarray, aim: Condition, lost: np.ndarray) -> np.ndarray:
@@ -177,7 +194,7 @@ def _approached(
 
     Stops where a step no longer helps. `measures` are what each row is measured in, and what it loses to round-off.
     """
-    coarser = 2 if guess.steps % 2 == 0 and guess.mesh.size > FEWEST_STEPS else 1
+    coarser = 2 if guess.steps % 2 == 0 and guess.mesh.size > CORRECTOR.fewest_steps else 1
     w, best = guess.on(guess.mesh[::coarser]), np.inf
     cut = (len(guess.nodes) - 1) * curve.equations.size + len(curve.equations.boundary[0])
     matrix[cut : cut + len(curve.normals), : curve.normals.shape[1]] = curve.normals
@@ -186,7 +203,7 @@ def _approached(
         method = Broyden(Factors(matrix))
     except np.linalg.LinAlgError:
         return guess
-    for _ in range(MOST_NEWTON):
+    for _ in range(CORRECTOR.most_newton):
         try:
             rows = _all_rows(curve, w, curve.equations.ends(w), aim, lost)
         except IntegrationError:
@@ -195,7 +212,7 @@ def _approached(
         if not largest < 0.5 * best:
             break
         kept, best = w, largest
-        if largest < APPROACHED:
+        if largest < CORRECTOR.approached:
             break
         w = w.moved(method.step(rows))
     return kept.on(guess.mesh)
@@ -224,20 +241,20 @@ def correct(
     border, patience = (None, 2) if curve.test is None else (Border(curve, slope), 5)
     if slope is not None and border is None:
         w = _approached(curve, guess, aim, np.vstack([slope, slopes[-1]]), (units, lost))
-    for iteration in range(MOST_NEWTON):
+    for iteration in range(CORRECTOR.most_newton):
         path = curve.equations.varied(w, states=True)
         rows, jacobian = _all_rows(curve, w, path.ends, aim, lost), curve.linearised(w, path).matrix()
         if border is not None:
             rows = np.insert(rows, -1, border.value(Solution(w, path, jacobian, 0.0)))
         largest = float(np.abs(rows / units).max())
         stays = 0.1 if border is None else 0.7  # by less it shrinks where the border is not yet known
-        ready = largest < NEWTON_READY or (largest < NEWTON_FLOOR and largest > stays * previous)
+        ready = largest < CORRECTOR.newton_ready or (largest < CORRECTOR.newton_floor and largest > stays * previous)
         if not np.isfinite(largest) or (iteration > patience and largest > 0.5 * previous and not ready):
             raise ConvergenceError(f"the corrector stalled at a residual of {largest:.2g}; take a smaller step")
         if not np.isfinite(jacobian).all():
             raise ConvergenceError("the variations of the corrector's orbit overflow; take a smaller step")
         if border is not None:
-            slow = iteration > 0 and largest > SLOW * previous
+            slow = iteration > 0 and largest > CORRECTOR.slow * previous
             jacobian = np.vstack([jacobian, border.row(w, jacobian, ready or slow)])
         whole = np.vstack([jacobian, curve.slopes(w, (aim,))])
         step = -_solved(curve, w, whole, rows)
@@ -248,11 +265,11 @@ def correct(
             return Solution(moved, path, jacobian, largest, distance(curve, moved, w), w)
         if not distance(curve, moved, guess) < reach or not moved.period > 0:
             raise ConvergenceError("the corrector left the neighbourhood of its guess; take a smaller step")
-        if fit is not None and largest < FITTING:
+        if fit is not None and largest < CORRECTOR.fitting:
             moved = moved.on(fit(family, Solution(w, path, jacobian, largest)))
             fit = None
         w, previous = moved, largest
-    raise ConvergenceError(f"the corrector did not finish in {MOST_NEWTON} steps; take a smaller step")
+    raise ConvergenceError(f"the corrector did not finish in {CORRECTOR.most_newton} steps; take a smaller step")
 
 
 class Border:
@@ -270,9 +287,9 @@ class Border:
         self._free, self._across = np.zeros((0, 0)), np.zeros((0, 0))
         self._value = np.inf
 
-    def value(self, found: Solution) -> float:
+    def value(self, solution: Solution) -> float:
         """The test at an orbit."""
-        self._value = self.test(self.curve, found)
+        self._value = self.test(self.curve, solution)
         return self._value
 
     def row(self, w: Unknowns, jacobian: np.ndarray, exact: bool = True) -> np.ndarray:
@@ -292,7 +309,7 @@ class Border:
             row = self._differenced(w, columns)
         else:
             row = self._row * columns
-            told = across if length**2 > ACROSS * (moved @ moved) else moved
+            told = across if length**2 > CORRECTOR.across * (moved @ moved) else moved
             change = self._value - (before[1] if before else self._value)
             row = row + (change - row @ moved) / nonzero(told @ told) * told
         self._row = np.asarray(row / columns)
@@ -300,16 +317,16 @@ class Border:
 
     def _differenced(self, w: Unknowns, columns: np.ndarray) -> np.ndarray:
         """The row over unknowns in units of the metric, 0 along what nothing was moved in."""
-        free = np.array([self._at(w, columns * one) - self._at(w, -columns * one) for one in self._free]) / 2
-        found = free @ self._free
-        for one in self._across:
-            beside = one - (self._free @ one) @ self._free
-            found = found + (self._at(w, columns * one) - self._value - DIFFERENCE * found @ one) * beside
-        return np.asarray(found / DIFFERENCE)
+        free = np.array([self._at(w, columns * along) - self._at(w, -columns * along) for along in self._free]) / 2
+        row = free @ self._free
+        for along in self._across:
+            beside = along - (self._free @ along) @ self._free
+            row = row + (self._at(w, columns * along) - self._value - CORRECTOR.difference * row @ along) * beside
+        return np.asarray(row / CORRECTOR.difference)
 
     def _at(self, w: Unknowns, direction: np.ndarray) -> float:
         """The test a small step along a direction."""
-        near = w.moved(DIFFERENCE * direction)
+        near = w.moved(CORRECTOR.difference * direction)
         return self.test(self.curve, Solution(near, self.curve.equations.varied(near, states=True), NO_ROWS, 0.0))
 
 
@@ -338,43 +355,43 @@ def _solved(curve: Curve, w: Unknowns, matrix: np.ndarray, right: np.ndarray) ->
 def plane(curve: Curve, w: Unknowns, along: np.ndarray, ahead: float = 0.0) -> Condition:
     """The aim in the hyperplane through w, or so far ahead of it, normal to a direction over w or over the head."""
     normal = curve.scales.metric(w) * w.over(along)
-    return Condition(float(normal @ w.vector) + ahead, normal)
+    return hyperplane(float(normal @ w.vector) + ahead, normal)
 
 
-def scaled(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
+def scaled(curve: Curve, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """The Jacobian of all rows but the aim in units of the metric, and those of its columns."""
-    measures = _measures(curve.through(found.place), found.place)
-    return measures.matrix(found.jacobian), measures.columns
+    measures = _measures(curve.through(solution.place), solution.place)
+    return measures.matrix(solution.jacobian), measures.columns
 
 
-def distance(curve: Curve, one: Unknowns, other: Unknowns) -> float:
+def distance(curve: Curve, w: Unknowns, other: Unknowns) -> float:
     """Distance of two orbits over one mesh in the family's metric."""
-    return float(np.sqrt(curve.scales.metric(one) @ (other.vector - one.vector) ** 2))
+    return float(np.sqrt(curve.scales.metric(w) @ (other.vector - w.vector) ** 2))
 
 
-def tangent(curve: Curve, found: Solution, along: np.ndarray) -> np.ndarray:
+def tangent(curve: Curve, solution: Solution, along: np.ndarray) -> np.ndarray:
     """The family's direction over w, of unit length, with <along, t> > 0; `along` is over w or over the head."""
-    metric = curve.scales.metric(found.place)
-    right = np.zeros(len(found.jacobian) + 1)
+    metric = curve.scales.metric(solution.place)
+    right = np.zeros(len(solution.jacobian) + 1)
     right[-1] = 1.0
-    matrix = np.vstack([found.jacobian, metric * found.place.over(along)])
-    whole = _solved(curve, found.place, matrix, right)
+    matrix = np.vstack([solution.jacobian, metric * solution.place.over(along)])
+    whole = _solved(curve, solution.place, matrix, right)
     return np.asarray(whole / np.sqrt(metric @ whole**2))
 
 
-def kernel(curve: Curve, found: Solution) -> np.ndarray:
+def kernel(curve: Curve, solution: Solution) -> np.ndarray:
     """The same without a direction to go by: the right singular vector of the smallest singular value."""
-    matrix, units = scaled(curve, found)
+    matrix, units = scaled(curve, solution)
     last = np.linalg.svd(matrix)[2][-2:]
     if curve.degenerate:  # the direction in which a symmetry is lost is the kernel's too, and moves no parameter
-        last = np.linalg.svd(last[:, -found.place.free.size :])[0].T[:1] @ last
+        last = np.linalg.svd(last[:, -solution.place.free.size :])[0].T[:1] @ last
     whole = units * last[-1]
-    return np.asarray(whole / np.sqrt(curve.scales.metric(found.place) @ whole**2))
+    return np.asarray(whole / np.sqrt(curve.scales.metric(solution.place) @ whole**2))
 
 
-def crossed(curve: Curve, found: Solution, share: float = CRITICAL) -> bool:
+def crossed(curve: Curve, solution: Solution, share: float = CRITICAL) -> bool:
     """Whether another family crosses there: the rows without an aim have a kernel of two dimensions."""
-    sizes = np.linalg.svd(scaled(curve, found)[0], compute_uv=False)
+    sizes = np.linalg.svd(scaled(curve, solution)[0], compute_uv=False)
     return bool(sizes[-1] < share * sizes[-2:][0])
 
 
@@ -386,12 +403,12 @@ def advanced(w: Unknowns, whole: np.ndarray, length: float, curvature: np.ndarra
 def at_place(curve: Curve, w: Unknowns) -> Solution:
     """A Solution out of unknowns that are already on the family (those read from a file)."""
     path = curve.equations.varied(w, states=True)
-    found = Solution(w, path, curve.through(w).linearised(w, path).matrix(), 0.0)
+    solution = Solution(w, path, curve.through(w).linearised(w, path).matrix(), 0.0)
     if curve.test is None:
-        return found
+        return solution
     border = Border(curve)
-    border.value(found)
-    return replace(found, jacobian=np.vstack([found.jacobian, border.row(w, found.jacobian)]))
+    border.value(solution)
+    return replace(solution, jacobian=np.vstack([solution.jacobian, border.row(w, solution.jacobian)]))
 
 
 def bend(curve: Curve, w: Unknowns, whole: np.ndarray, other: Unknowns) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import casadi as ca
 import numpy as np
 
@@ -13,14 +15,22 @@ from orbitfinder.loops.shooting import Shooting, spans
 from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.newton import descended
 
-SETTLED = 1e-4
-"""Slope of the potential, relative to its value, below which a way down has come to its end."""
-REST = 1e-6
-"""Nodes whose rates and accelerations are all below this, relative to the guess's, are an equilibrium."""
-STEADY = 1e-6
-"""Rates that are this much, relative, beside the directions of the symmetries count as along them."""
-NO_UNFOLDING = 1e-6
-"""A fictitious damping (per period) above this says that the conserved quantities do not fit together."""
+
+@dataclass(frozen=True)
+class Signs:
+    """What tells why a search failed."""
+
+    settled: float = 1e-4
+    """Slope of the potential, relative to its value, below which a way down has come to its end."""
+    rest: float = 1e-6
+    """Nodes whose rates and accelerations are all below this, relative to the guess's, are an equilibrium."""
+    steady: float = 1e-6
+    """Rates that are this much, relative, beside the directions of the symmetries count as along them."""
+    no_unfolding: float = 1e-6
+    """A fictitious damping (per period) above this says that the conserved quantities do not fit together."""
+
+
+SIGNS = Signs()
 
 
 def explain(shooting: Shooting, w: np.ndarray, status: str, text: str) -> Exception:
@@ -32,15 +42,15 @@ def explain(shooting: Shooting, w: np.ndarray, status: str, text: str) -> Except
         defects = worst_defects(shooting, w)
     except IntegrationError as error:
         return error
-    found, worst = shooting.at(w), int(np.argmax(defects))
-    segment = found.period * problem.boundary.fraction / count
+    reached, worst = shooting.at(w), int(np.argmax(defects))
+    segment = reached.period * problem.boundary.fraction / count
     place = f"of segment {worst} (t = {(worst + 1) * segment:.4g} s)"
     if worst == count - 1:
         place += ", where the loop should close"
     return ConvergenceError(
         f"no orbit found ({status}): largest defect {defects[worst]:.3g} at the end {place}, "
-        f"period {found.period:.6g} s (guess {problem.guess.period:.6g} s), "
-        f"unfolding {np.max(np.abs(found.unfolding), initial=0.0):.2g}; {advice(shooting, w, defects)}"
+        f"period {reached.period:.6g} s (guess {problem.guess.period:.6g} s), "
+        f"unfolding {np.max(np.abs(reached.unfolding), initial=0.0):.2g}; {advice(shooting, w, defects)}"
     )
 
 
@@ -55,7 +65,7 @@ def refuse_equilibrium(shooting: Shooting, w: np.ndarray) -> None:
 
 def advice(shooting: Shooting, w: np.ndarray, defects: np.ndarray) -> str:
     """What happened and what to try, the most telling sign first."""
-    problem, found = shooting.problem, shooting.at(w)
+    problem, reached = shooting.problem, shooting.at(w)
     if slip := degrees_taken_for_radians(problem):
         return slip
     if at_rest(shooting, w):
@@ -66,22 +76,22 @@ def advice(shooting: Shooting, w: np.ndarray, defects: np.ndarray) -> str:
             "momentum say the same and a pin is one condition too many; leave the pin out"
         )
     low, high = shooting.at(shooting.lower), shooting.at(shooting.upper)
-    if found.period < 1.05 * low.period:
+    if reached.period < 1.05 * low.period:
         return "the period collapsed towards 0, where every state closes; raise guess.period or pin the period"
-    if found.period > 0.95 * high.period:
+    if reached.period > 0.95 * high.period:
         return "the period ran away upwards, as near a separatrix; lower guess.period or pin another energy"
-    bounds = zip(shooting.loop.equations.free, found.free, low.free, high.free, strict=True)
+    bounds = zip(shooting.loop.equations.free, reached.free, low.free, high.free, strict=True)
     for name, value, lowest, highest in bounds:
         if min(value - lowest, highest - value) < 1e-3 * (highest - lowest):
             return f"{name} ran to the end of its range ({value:.4g}); give a guess nearer to an orbit or free another"
     if _energy_gap(shooting):
         return _energy_gap(shooting)
-    if defects.max() < 1e-6 and found.period * np.max(np.abs(found.unfolding), initial=0.0) > NO_UNFOLDING:
+    if defects.max() < 1e-6 and reached.period * np.max(np.abs(reached.unfolding), initial=0.0) > SIGNS.no_unfolding:
         return (
             "it closes only with the fictitious damping of the unfolding, so no such orbit exists at this pin near "
             "the guess; pin another value"
         )
-    if len(found.nodes) == 1:
+    if len(reached.nodes) == 1:
         return "one segment amplifies every error; use more segments, or a guess nearer to an orbit"
     return "try a guess nearer to an orbit, more segments, or another pin"
 
@@ -107,34 +117,38 @@ def at_rest(shooting: Shooting, w: np.ndarray) -> bool:
     units = np.asarray(shooting.flow.units or 1.0)
     nodes, given = shooting.at(w).nodes / units, shooting.at(shooting.start).nodes / units
     if shooting.problem.model.forced:  # at rest although pushed: every node is the same
-        return len(nodes) > 1 and bool(np.ptp(nodes, axis=0).max() < REST * max(np.ptp(given, axis=0).max(), REST))
-    return _speed(shooting, w) < REST * max(_speed(shooting, shooting.start), REST)
+        return len(nodes) > 1 and bool(
+            np.ptp(nodes, axis=0).max() < SIGNS.rest * max(np.ptp(given, axis=0).max(), SIGNS.rest)
+        )
+    return _speed(shooting, w) < SIGNS.rest * max(_speed(shooting, shooting.start), SIGNS.rest)
 
 
 def _turning(shooting: Shooting, w: np.ndarray) -> str:
     """Invariants along whose symmetries all motion goes, x' = sum_k c_k generator_k(x) at every node, or nothing."""
-    model, found = shooting.problem.model, shooting.at(w)
+    model, reached = shooting.problem.model, shooting.at(w)
     n = model.degrees_of_freedom
-    turns = [one for one in model.invariants if one.generator is not None]
+    turns = [invariant for invariant in model.invariants if invariant.generator is not None]
     p = model.parameter_values.copy()
-    p[[model.parameter_index(name) for name in shooting.loop.equations.free]] = found.free
+    p[[model.parameter_index(name) for name in shooting.loop.equations.free]] = reached.free
     left = 1.0 if not turns else 0.0
-    for node in found.nodes if turns else ():
-        along = np.column_stack([one.generator(node[:n], node[n:], p).full() for one in turns])  # type: ignore[misc]
-        rate = shooting.flow.field(0.0, node, 0 * found.unfolding, found.free).full().ravel()
+    for node in reached.nodes if turns else ():
+        along = np.column_stack([turn.generator(node[:n], node[n:], p).full() for turn in turns])  # type: ignore[misc]
+        rate = shooting.flow.field(0.0, node, 0 * reached.unfolding, reached.free).full().ravel()
         missed = rate - along @ np.linalg.lstsq(along, rate, rcond=None)[0]
         left = max(left, relative(missed, rate))
-    return " and ".join(one.name for one in turns) if left < STEADY else ""
+    return " and ".join(turn.name for turn in turns) if left < SIGNS.steady else ""
 
 
 def _speed(shooting: Shooting, w: np.ndarray) -> float:
     """Largest rate or acceleration over the nodes, in units of the period."""
-    found = shooting.at(w)
+    reached = shooting.at(w)
     clock = shooting.problem.guess.period / (2 * np.pi)
     scale = clock * clocked(shooting.problem.model, clock)
     if shooting.flow.units:
         scale /= np.resize(shooting.flow.units[: shooting.problem.model.degrees_of_freedom], scale.size)
-    rates = [shooting.flow.field(0.0, node, found.unfolding, found.free).full().ravel() * scale for node in found.nodes]
+    rates = [
+        shooting.flow.field(0.0, node, reached.unfolding, reached.free).full().ravel() * scale for node in reached.nodes
+    ]
     return float(np.abs(rates).max())
 
 
@@ -147,7 +161,7 @@ def _away_from_rest(shooting: Shooting) -> str:
 def _energy_gap(shooting: Shooting) -> str:
     """A remark when the pinned energy is far from the guess's own, else nothing."""
     problem = shooting.problem
-    pinned = [one.value for one in problem.pin if one.name == "energy"]
+    pinned = [pin.value for pin in problem.pin if pin.name == "energy"]
     if not pinned or problem.model.rates is not None:  # of rest, which the difference is measured by, nothing is known
         return ""
     own = energy(problem.model, problem.guess.state)
@@ -171,7 +185,7 @@ def _lowest(model: Model, place: np.ndarray) -> float:
     if model.constraint is not None:
         return -np.inf
     _, lowest, slope = descended(lambda q: energy(model, np.concatenate([q, np.zeros(q.size)])), place)
-    return lowest if np.isfinite(lowest) and slope <= SETTLED * abs(lowest) else -np.inf
+    return lowest if np.isfinite(lowest) and slope <= SIGNS.settled * abs(lowest) else -np.inf
 
 
 def worst_defects(shooting: Shooting, w: np.ndarray) -> np.ndarray:
@@ -179,14 +193,14 @@ def worst_defects(shooting: Shooting, w: np.ndarray) -> np.ndarray:
 
     `IntegrationError` names its segment.
     """
-    found = shooting.at(w)
-    (count, size), ends, equations = found.nodes.shape, [], shooting.loop.equations
-    tail = found.period, found.unfolding, ca.DM(found.free)
-    for k, (flow, given) in enumerate(spans(equations, shooting.flow, list(found.nodes), tail)):
+    where = shooting.at(w)
+    (count, size), ends, equations = where.nodes.shape, [], shooting.loop.equations
+    tail = where.period, where.unfolding, ca.DM(where.free)
+    for k, (flow, given) in enumerate(spans(equations, shooting.flow, list(where.nodes), tail)):
         with sundials(given[1], float(given[0]), float(given[2]), k):
             ends.append(flow.end(*given).full().ravel())
     reached = np.asarray(ends)
-    off = equations.links.passed(found, reached)[0][:-1] - found.nodes[1:]
+    off = equations.links.passed(where, reached)[0][:-1] - where.nodes[1:]
     gaps = np.abs(off / np.asarray(shooting.flow.units or 1.0)).max(axis=1)
     rows = shooting.rows(w, reached.T).full().ravel()
     boundary = rows[size * (count - 1) : size * count]

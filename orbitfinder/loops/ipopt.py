@@ -158,8 +158,8 @@ def minimised(
     whole = {"print_time": False, "error_on_fail": False, "ipopt": own} | options
     with captured() as output, limit.alarm():
         solver = ca.nlpsol(name, "ipopt", program, whole)
-        found, stats = solver(**given), solver.stats()
-    return found["x"].full().ravel(), stats, output.text
+        answer, stats = solver(**given), solver.stats()
+    return answer["x"].full().ravel(), stats, output.text
 
 
 def _options(shooting: Shooting, settings: SolveSettings) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -17,7 +17,7 @@ Nothing here integrates (see `integrate.march`) or solves (see `loops.newton`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
@@ -87,9 +87,9 @@ class Unknowns:
         count, size = self.nodes.shape
         cut, last = count * size, vector.size - self.free.size
         nodes = vector[:cut].reshape(count, size)
-        found = Unknowns(nodes, float(vector[cut]), vector[cut + 1 : last], vector[last:], self.mesh)
-        found.__dict__.update(vector=vector, tail=vector[cut:])  # known already
-        return found
+        w = Unknowns(nodes, float(vector[cut]), vector[cut + 1 : last], vector[last:], self.mesh)
+        w.__dict__.update(vector=vector, tail=vector[cut:])  # known already
+        return w
 
     def symbols(self) -> tuple[list[ca.MX], list[ca.MX]]:
         """Symbols of CasADi for the nodes and for T, s and free, which stacked stand for the vector."""
@@ -146,9 +146,8 @@ class Unknowns:
 class Equations:
     """Everything about a loop that depends on the equations alone: built once, used for any number of guesses.
 
-    `quantities(x, free)` gives what conditions may name, by the invariants' order, then the energy, then where there is
-    one the forcing period: values, d/dx, d/dfree. `action` says whether the action is integrated with the motion,
-    `alone` whether that keeps to one processor.
+    `quantities(x, free)` gives the `levels`: values, d/dx, d/dfree. `action` says whether the action is integrated with
+    the motion, `alone` whether that keeps to one processor.
     """
 
     model: Model
@@ -220,8 +219,10 @@ class Equations:
 
     @cached_property
     def quantities(self) -> ca.Function:
-        """What conditions may name, with its derivatives."""
-        return _quantities(self.model, self.free)
+        """Invariants, energy, forcing period, with their derivatives."""
+        x, free = ca.MX.sym("x", len(self.model.state_names)), ca.MX.sym("free", len(self.free))
+        values = levels(self.model, x, self.model.parameters(self.free, free))
+        return ca.Function("quantities", [x, free], [values, ca.jacobian(values, x), ca.jacobian(values, free)])
 
     @cached_property
     def momenta(self) -> ca.Function:
@@ -246,8 +247,8 @@ class Equations:
             rows = ca.densify(ca.vertcat(value, ca.jacobian(value, x).T))
             self._watched[key] = ca.Function("watched", [x, chosen], [rows])
         free = np.broadcast_to(free, (len(states), free.size))
-        found = self.march.arcs[0].along(self._watched[key], states, free)
-        return found[:, 0], found[:, 1:]
+        both = self.march.arcs[0].along(self._watched[key], states, free)
+        return both[:, 0], both[:, 1:]
 
     @cached_property
     def _known(self) -> dict[str, tuple[Unknowns, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
@@ -255,6 +256,11 @@ class Equations:
 
     @cached_property
     def _watched(self) -> dict[int, ca.Function]:
+        return {}
+
+    @cached_property
+    def derived(self) -> dict[Any, ca.Function]:
+        """What conditions have derived for themselves, so that it is once."""
         return {}
 
     @property
@@ -296,13 +302,13 @@ class Equations:
         nodes = w.nodes[:1] if units is None else w.nodes
         weights = np.ones((1, 1)) if units is None else w.shares[:, None] / units**2
         sizes = np.ones(nodes.shape) if units is None else np.broadcast_to(units, nodes.shape)
-        found = []
+        normals = []
         if not (self.symmetry.reverses or self.model.forced or self.model.hybrid):
-            found.append(self.march.rates(nodes, w.tail))
+            normals.append(self.march.rates(nodes, w.tail))
         n, values = self.model.degrees_of_freedom, self.model.parameter_values
-        for one in self._generators:
-            found.append(np.array([one(x[:n], x[n:], values).full().ravel() for x in nodes]))
-        rows = np.array([(one * weights).ravel() for one in found]).reshape(len(found), nodes.size)
+        for generator in self._generators:
+            normals.append(np.array([generator(x[:n], x[n:], values).full().ravel() for x in nodes]))
+        rows = np.array([(normal * weights).ravel() for normal in normals]).reshape(len(normals), nodes.size)
         return np.asarray(rows / nonzero(np.linalg.norm(rows * sizes.ravel(), axis=1, keepdims=True)))
 
 
@@ -314,9 +320,9 @@ class Links:
 
     def __init__(self, model: Model, free: tuple[str, ...], parts: int = 1) -> None:
         arcs = () if model.hybrid is None else model.hybrid.part(parts)
-        self.count, self.parts, self.transitions = max(1, len(arcs)), parts, tuple(one for _, one in arcs)
-        self._parts = [Buffered(_link(model, one, free, True)) for one in self.transitions]
-        self._passes = [Buffered(_link(model, one, free, False)) for one in self.transitions]
+        self.count, self.parts, self.transitions = max(1, len(arcs)), parts, tuple(transition for _, transition in arcs)
+        self._parts = [Buffered(_link(model, transition, free, True)) for transition in self.transitions]
+        self._passes = [Buffered(_link(model, transition, free, False)) for transition in self.transitions]
 
     def __bool__(self) -> bool:
         return bool(self.transitions)
@@ -345,15 +351,15 @@ class Links:
     def at(self, w: Unknowns, ends: np.ndarray) -> list[list[np.ndarray]]:
         """(R, g, dR/dx, dR/dfree, dg/dx, dg/dfree) of each arc."""
         places = self.ends(len(ends))
-        return [[value.T for value in one(ends[k], w.free)] for one, k in zip(self._parts, places, strict=True)]
+        return [[value.T for value in part(ends[k], w.free)] for part, k in zip(self._parts, places, strict=True)]
 
     def passed(self, w: Unknowns, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The ends with those of arcs reset, and the guards (K)."""
         if not self.transitions:
             return ends, NO_GUARDS
         after, guards = ends.copy(), np.empty(len(self.transitions))
-        for k, (one, place) in enumerate(zip(self._passes, self.ends(len(ends)), strict=True)):
-            reset, guard = one(ends[place], w.free)
+        for k, (crossed, place) in enumerate(zip(self._passes, self.ends(len(ends)), strict=True)):
+            reset, guard = crossed(ends[place], w.free)
             after[place], guards[k] = reset, guard.item()
         return after, guards
 
@@ -379,32 +385,45 @@ class Links:
         S = DR + (f+ - DR f-) grad g / (grad g . f-). Source: R. Leine, H. Nijmeijer, Dynamics and Bifurcations of
         Non-Smooth Mechanical Systems (2004), section 7.
         """
-        found = path.transitions.copy()
-        each = zip(self.ends(len(found)), self.at(w, path.ends), late, early, strict=True)
+        transitions = path.transitions.copy()
+        each = zip(self.ends(len(transitions)), self.at(w, path.ends), late, early, strict=True)
         for k, (_, _, by_x, _, slope, _), before, after in each:
             rate = (slope @ before).item()  # 0 where the guard is grazed
             turn = np.outer(after - by_x @ before, slope) / (rate if abs(rate) > GRAZED else GRAZED)
-            found[k] = (by_x + turn) @ found[k]
-        return found
+            transitions[k] = (by_x + turn) @ transitions[k]
+        return transitions
 
 
-def _link(model: Model, one: Transition, free: tuple[str, ...], varied: bool) -> ca.Function:
+def _link(model: Model, transition: Transition, free: tuple[str, ...], varied: bool) -> ca.Function:
     """(R, g) and, where asked for, their derivatives by state and freed parameters."""
     x, chosen = ca.MX.sym("x", len(model.state_names)), ca.MX.sym("free", len(free))
     p = model.parameters(free, chosen)
-    after, guard = one.reset(x, p), one.guard(x, p)
+    after, guard = transition.reset(x, p), transition.guard(x, p)
     slopes = [ca.jacobian(value, by) for value in (after, guard) for by in (x, chosen)] if varied else []
     return ca.Function("link", [x, chosen], [after, guard, *map(ca.densify, slopes)])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Condition:
-    """One row: `normal`.(x(0), T, free), or .w, + `weight` times the quantity of a number (-1: the last) = `value`."""
+    """One row of a loop: a number of its unknowns that has a `value`. `loops.conditions` makes them.
 
+    What the row is measured in, and what of it may be round-off, follows from its slope.
+
+    Args:
+        name: of what it holds, "" of a hyperplane.
+        value: what that is to be.
+        at: (equations, w) -> what it is.
+        slope: (equations, w) -> its derivative over w.
+        expression: (equations, nodes, T, free) -> the same in CasADi.
+        cycles: of what says how many periods of the forcing the motion lasts, these.
+    """
+
+    name: str
     value: float
-    normal: np.ndarray | None = None
-    quantity: int | None = None
-    weight: float = 1.0
+    at: Callable[[Equations, Unknowns], float]
+    slope: Callable[[Equations, Unknowns], np.ndarray]
+    expression: Callable[[Equations, Sequence[ca.MX], ca.MX, ca.MX], ca.MX]
+    cycles: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -420,8 +439,7 @@ class Loop:
     @property
     def cycles(self) -> int:
         """Periods of the forcing in one of the orbit, as its clock says; 0 without one."""
-        clocks = (one for one in self.conditions if one.normal is not None and one.quantity is not None)
-        return next((round(-one.weight) for one in clocks), 0)
+        return next((condition.cycles for condition in self.conditions if condition.cycles), 0)
 
     def through(self, w: Unknowns) -> Self:
         """The same loop with its phases fixed by hyperplanes through w."""
@@ -442,24 +460,16 @@ class Loop:
 
     def stated(self, nodes: Sequence[ca.MX], period: ca.MX, free: ca.MX, ends: Sequence[ca.MX]) -> ca.MX:
         """The same rows as an expression of CasADi."""
-        first, last = (ca.sparsify(ca.DM(one)) for one in self.equations.boundary)
+        first, last = (ca.sparsify(ca.DM(part)) for part in self.equations.boundary)
         links, ends, guards = self.equations.links, list(ends), list[ca.MX]()
-        model, p = self.equations.model, self.equations.model.parameters(self.equations.free, free)
-        for one, place in zip(links.transitions, links.ends(len(ends)), strict=True):
-            guards.append(one.guard(ends[place], p))
-            ends[place] = one.reset(ends[place], p)
+        p = self.equations.model.parameters(self.equations.free, free)
+        for transition, place in zip(links.transitions, links.ends(len(ends)), strict=True):
+            guards.append(transition.guard(ends[place], p))
+            ends[place] = transition.reset(ends[place], p)
         rows = [end - node for end, node in zip(ends, nodes[1:], strict=False)]
         rows.append(first @ nodes[0] + last @ ends[-1] - self.equations.aimed(self.constant))
         rows += [ca.dot(ca.DM(normal), nodes[0] - self.reference) for normal in self.normals]
-        head = ca.vertcat(nodes[0], period, free)
-        named = _values(model, nodes[0], p)
-        for one in self.conditions:
-            row = ca.MX(-one.value)
-            if one.normal is not None:
-                row += ca.sparsify(ca.DM(one.normal)).T @ head
-            if one.quantity is not None:
-                row += one.weight * named[one.quantity]
-            rows.append(row)
+        rows += [ca.MX(-each.value) + each.expression(self.equations, nodes, period, free) for each in self.conditions]
         return ca.vertcat(*rows, *guards)
 
     def linearised(self, w: Unknowns, path: Varied) -> Linearised:
@@ -490,7 +500,7 @@ class Loop:
         Told for conditions by the sizes of their terms; 0 of all other rows. `slopes` are those of conditions and aims.
         """
         chosen, count = (*self.conditions, *aims), len(self.conditions)
-        values = np.abs(np.array([one.value for one in chosen]))
+        values = np.abs(np.array([condition.value for condition in chosen]))
         slopes = self.slopes(w, chosen) if slopes is None else slopes
         named = ROUND_OFF * (np.abs(slopes) @ np.abs(w.vector) + 2 * values)
         return np.concatenate([np.zeros(self._unnamed(w)), named[:count], np.zeros(self._guards), named[count:]])
@@ -508,28 +518,14 @@ class Loop:
 
     def values(self, w: Unknowns, conditions: Sequence[Condition]) -> np.ndarray:
         """The residuals of conditions."""
-        found = []
-        for one in conditions:
-            row = -one.value
-            if one.normal is not None:
-                row += float(w.over(one.normal) @ w.vector)
-            if one.quantity is not None:
-                row += one.weight * float(self.equations.quantities_at(w)[0][one.quantity])
-            found.append(row)
-        return np.array(found, float)
+        return np.array([each.at(self.equations, w) - each.value for each in conditions], float)
 
     def slopes(self, w: Unknowns, conditions: Sequence[Condition]) -> np.ndarray:
         """Their derivatives by w."""
-        size, last = self.equations.size, w.vector.size - w.free.size
-        found = np.zeros((len(conditions), w.vector.size))
-        for row, one in zip(found, conditions, strict=True):
-            if one.normal is not None:
-                row += w.over(one.normal)
-            if one.quantity is not None:
-                _, by_state, by_free = self.equations.quantities_at(w)
-                row[:size] += one.weight * by_state[one.quantity]
-                row[last:] += one.weight * by_free[one.quantity]
-        return found
+        slopes = np.zeros((len(conditions), w.vector.size))
+        for row, condition in zip(slopes, conditions, strict=True):
+            row += condition.slope(self.equations, w)
+        return slopes
 
 
 def beyond(rows: np.ndarray, lost: np.ndarray) -> np.ndarray:
@@ -544,20 +540,14 @@ def _action_rate(model: Model, flow: ca.Function, free: tuple[str, ...]) -> ca.F
     return ca.Function("action_rate", inputs, [rate])
 
 
-def _values(model: Model, x: Any, parameters: Any) -> Any:
-    """What conditions may name (see `Equations`)."""
+def levels(model: Model, x: Any, parameters: Any) -> Any:
+    """The invariants at a state in their order, then the energy, then where there is one the forcing period."""
     q, v = x[: model.degrees_of_freedom], x[model.degrees_of_freedom :]
-    values = [one.value(q, v, parameters) for one in model.invariants]
+    values = [invariant.value(q, v, parameters) for invariant in model.invariants]
     values.append(model.kinetic(q, v, parameters) + model.potential(q, parameters))
     if model.forcing_period is not None:
         values.append(model.forcing_period(parameters))
     return ca.vertcat(*values)
-
-
-def _quantities(model: Model, free: tuple[str, ...]) -> ca.Function:
-    x, chosen = ca.MX.sym("x", len(model.state_names)), ca.MX.sym("free", len(free))
-    values = _values(model, x, model.parameters(free, chosen))
-    return ca.Function("quantities", [x, chosen], [values, ca.jacobian(values, x), ca.jacobian(values, chosen)])
 
 
 def _momenta(model: Model, free: tuple[str, ...]) -> ca.Function:

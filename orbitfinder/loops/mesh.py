@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -14,71 +14,80 @@ from orbitfinder.loops.loop import Unknowns
 
 STEP_ERROR = 5e-13
 """Estimated relative error of a Runge-Kutta step on a fresh mesh; the true one is some 100 times smaller."""
-COARSE = 10.0
-"""A mesh is kept until some step's estimate is this many times as large."""
-VARIATION_ERROR = 2e-10
-"""Estimated error of a step's state-transition matrix on a fresh mesh; the true one is some 100 times smaller."""
-SPARE = 5.0
-"""A mesh is looked at again when the motion alone would do with this many times fewer steps."""
-STALE = 5.0
-"""A mesh is graded anew for the orbits to come when some step's estimate is this many times as large."""
-UNEVEN = 1.4
-"""... unless a segment needs this many times the steps of an average one."""
-SAMPLED = 3
-"""One in so many steps is asked for the error of its state-transition matrix, and whether the mesh still fits."""
-WIDENED = 3
-"""Steps over which the density of a fresh mesh is spread."""
-GROWTH = 30.0
-"""Segments are added until each one's state-transition matrix is below this."""
-STEEPEST = 3000.0
-"""... which is done when one has grown to this: with the segments moved at every orbit no predictor would hold."""
-LEAST_NODES = 8
-"""Nodes of a whole period at least, over which an orbit is measured."""
-MOVED = 1e-4
-"""Half of a central difference along a family, in its metric"""
-MOST_SEGMENTS = 60
-MOST_STEPS = 6000
-"""A motion that asks for more Runge-Kutta steps than this in one horizon is singular."""
 
 
-def needs_mesh(curve: Curve, found: Solution) -> bool:
+@dataclass(frozen=True)
+class MeshSettings:
+    """How fine a mesh is, and when a family takes a fresh one."""
+
+    coarse: float = 10.0
+    """A mesh is kept until some step's estimate is this many times as large."""
+    variation_error: float = 2e-10
+    """Estimated error of a step's state-transition matrix on a fresh mesh; the true one is some 100 times smaller."""
+    spare: float = 5.0
+    """A mesh is looked at again when the motion alone would do with this many times fewer steps."""
+    stale: float = 5.0
+    """A mesh is graded anew for the orbits to come when some step's estimate is this many times as large."""
+    uneven: float = 1.4
+    """... unless a segment needs this many times the steps of an average one."""
+    sampled: int = 3
+    """One in so many steps is asked for the error of its state-transition matrix, and whether the mesh still fits."""
+    widened: int = 3
+    """Steps over which the density of a fresh mesh is spread."""
+    growth: float = 30.0
+    """Segments are added until each one's state-transition matrix is below this."""
+    steepest: float = 3000.0
+    """... which is done when one has grown to this: with the segments moved at every orbit no predictor would hold."""
+    least_nodes: int = 8
+    """Nodes of a whole period at least, over which an orbit is measured."""
+    moved: float = 1e-4
+    """Half of a central difference along a family, in its metric"""
+    most_segments: int = 60
+    most_steps: int = 6000
+    """A motion that asks for more Runge-Kutta steps than this in one horizon is singular."""
+
+
+MESH = MeshSettings()
+
+
+def needs_mesh(curve: Curve, solution: Solution) -> bool:
     """Whether the mesh is too coarse, or a segment too unstable, for what is asked of a point."""
-    some = _errors(curve, found, SAMPLED)
+    some = _errors(curve, solution, MESH.sampled)
     allowed = _allowed(curve)
-    if some.max() > COARSE * allowed or _steep(curve, found):
+    if some.max() > MESH.coarse * allowed or _steep(curve, solution):
         return True
-    if not _density(some, allowed).sum() * SPARE < some.size:
+    if not _density(some, allowed).sum() * MESH.spare < some.size:
         return False
-    errors = _errors(curve, found)
-    return bool(wanted_steps(curve, found, errors).sum() < 0.5 * errors.size)
+    errors = _errors(curve, solution)
+    return bool(wanted_steps(curve, solution, errors).sum() < 0.5 * errors.size)
 
 
 def _allowed(curve: Curve) -> float:
     """Estimated error of a step on a fresh mesh: less where equations are all but singular, as all along a curve."""
-    return STEP_ERROR if curve.test is None else STEP_ERROR / COARSE
+    return STEP_ERROR if curve.test is None else STEP_ERROR / MESH.coarse
 
 
-def _errors(curve: Curve, found: Solution, every: int = 1) -> np.ndarray:
+def _errors(curve: Curve, solution: Solution, every: int = 1) -> np.ndarray:
     """Estimated errors of all steps, or of one in so many."""
-    place = found.place
+    place = solution.place
     asked = np.arange(0, place.mesh.size - 1, every)
-    return curve.equations.march.step_errors(found.march.states, place.mesh, place.tail, curve.units, asked)
+    return curve.equations.march.step_errors(solution.march.states, place.mesh, place.tail, curve.units, asked)
 
 
-def _growths(curve: Curve, found: Solution) -> np.ndarray:
-    return np.array([np.linalg.norm(block, 2) for block in _blocks(curve, found)])
+def _growths(curve: Curve, solution: Solution) -> np.ndarray:
+    return np.array([np.linalg.norm(block, 2) for block in _blocks(curve, solution)])
 
 
-def _steep(curve: Curve, found: Solution) -> bool:
-    """Whether a segment has grown beyond `STEEPEST`, looked at closely where its entries are as large."""
-    if not curve.equations.size * np.abs(_blocks(curve, found)).max() > STEEPEST:
+def _steep(curve: Curve, solution: Solution) -> bool:
+    """Whether a segment has grown beyond `MESH.steepest`, looked at closely where its entries are as large."""
+    if not curve.equations.size * np.abs(_blocks(curve, solution)).max() > MESH.steepest:
         return False
-    return bool(_growths(curve, found).max() > STEEPEST)
+    return bool(_growths(curve, solution).max() > MESH.steepest)
 
 
-def _blocks(curve: Curve, found: Solution) -> np.ndarray:
+def _blocks(curve: Curve, solution: Solution) -> np.ndarray:
     units = curve.scales.states
-    blocks = found.march.transitions * units / units[:, None]
+    blocks = solution.march.transitions * units / units[:, None]
     if not np.all(np.isfinite(blocks)):
         raise IntegrationError("the variations of the motion overflow; give a state and a period that fit each other")
     return np.asarray(blocks)
@@ -89,43 +98,45 @@ def _density(errors: np.ndarray, allowed: float) -> np.ndarray:
     return np.asarray((errors / allowed) ** 0.125)
 
 
-def wanted_steps(curve: Curve, found: Solution, errors: np.ndarray) -> np.ndarray:
+def wanted_steps(curve: Curve, solution: Solution, errors: np.ndarray) -> np.ndarray:
     """The same (M) for the motion, whose `errors` are known, and its variations, of which every third step is asked."""
-    place, units = found.place, curve.scales.states
-    asked = np.arange(0, errors.size, SAMPLED)
-    varied = curve.equations.march.variation_errors(found.march.states, place.mesh, place.tail, units, asked)
-    variations = np.repeat(_density(varied, VARIATION_ERROR), SAMPLED)[: errors.size]
+    place, units = solution.place, curve.scales.states
+    asked = np.arange(0, errors.size, MESH.sampled)
+    varied = curve.equations.march.variation_errors(solution.march.states, place.mesh, place.tail, units, asked)
+    variations = np.repeat(_density(varied, MESH.variation_error), MESH.sampled)[: errors.size]
     return np.asarray(np.maximum(_density(errors, _allowed(curve)), variations))
 
 
 def _spread(density: np.ndarray) -> np.ndarray:
     """The density widened to its neighbours, so that the mesh still fits when the motion has moved a little."""
-    return np.asarray(uniform_filter1d(maximum_filter1d(density, WIDENED, mode="nearest"), WIDENED, mode="nearest"))
+    return np.asarray(
+        uniform_filter1d(maximum_filter1d(density, MESH.widened, mode="nearest"), MESH.widened, mode="nearest")
+    )
 
 
-def remeshed(curve: Curve, found: Solution) -> Unknowns:
+def remeshed(curve: Curve, solution: Solution) -> Unknowns:
     """The place on a mesh that spreads the error estimate evenly, with as many segments as the growth asks for.
 
     Nodes are interpolated and must be corrected again.
     """
-    place = found.place
+    place = solution.place
     if curve.equations.links:
-        return _remeshed_arcs(curve, found)
-    density = _spread(np.maximum(wanted_steps(curve, found, _errors(curve, found)), 0.15))
-    growth = float(np.log(np.maximum(_growths(curve, found), 1.5)).sum())
-    count = int(np.clip(np.ceil(growth / np.log(GROWTH)), _fewest(curve), MOST_SEGMENTS))
-    if not density.sum() < MOST_STEPS:
+        return _remeshed_arcs(curve, solution)
+    density = _spread(np.maximum(wanted_steps(curve, solution, _errors(curve, solution)), 0.15))
+    growth = float(np.log(np.maximum(_growths(curve, solution), 1.5)).sum())
+    count = int(np.clip(np.ceil(growth / np.log(MESH.growth)), _fewest(curve), MESH.most_segments))
+    if not density.sum() < MESH.most_steps:
         raise ConvergenceError("the motion is nearly singular, its mesh would become too fine; take a smaller step")
     each = _rounded(density.sum() / count)
     work = np.concatenate([[0.0], np.cumsum(density)])
     mesh = np.interp(np.linspace(0.0, work[-1], count * each + 1), work, place.mesh)
-    nodes = between(curve, found, mesh[each:-1:each])
+    nodes = between(curve, solution, mesh[each:-1:each])
     return replace(place, nodes=np.vstack([place.nodes[:1], nodes]), mesh=mesh)
 
 
-def between(curve: Curve, found: Solution, moments: np.ndarray) -> np.ndarray:
+def between(curve: Curve, solution: Solution, moments: np.ndarray) -> np.ndarray:
     """States (k x d) at moments (k, in periods), exactly where they fix the phase."""
-    place, states, march = found.place, found.march.states, curve.equations.march
+    place, states, march = solution.place, solution.march.states, curve.equations.march
     if curve.equations.model.forced:
         slopes = march.rates(states, place.tail, place.mesh * place.period) * place.period
         return np.asarray(CubicHermiteSpline(place.mesh, states, slopes)(moments))
@@ -133,19 +144,19 @@ def between(curve: Curve, found: Solution, moments: np.ndarray) -> np.ndarray:
     return march.ends(states[before], np.append(0.0, np.cumsum(moments - place.mesh[before])), place.tail)
 
 
-def _remeshed_arcs(curve: Curve, found: Solution) -> Unknowns:
+def _remeshed_arcs(curve: Curve, solution: Solution) -> Unknowns:
     """The same arc by arc of a hybrid orbit, of which each has as many segments and steps as the others."""
-    place, arcs = found.place, curve.equations.links.count
-    density = np.maximum(wanted_steps(curve, found, _errors(curve, found)), 0.15).reshape(arcs, -1)
-    density = np.array([_spread(one) for one in density])
-    growth = np.log(np.maximum(_growths(curve, found), 1.5)).reshape(arcs, -1).sum(axis=1).max()
-    count = int(np.clip(np.ceil(growth / np.log(GROWTH)), np.ceil(LEAST_NODES / arcs), MOST_SEGMENTS))
-    if not density.sum() < MOST_STEPS:
+    place, arcs = solution.place, curve.equations.links.count
+    density = np.maximum(wanted_steps(curve, solution, _errors(curve, solution)), 0.15).reshape(arcs, -1)
+    density = np.array([_spread(part) for part in density])
+    growth = np.log(np.maximum(_growths(curve, solution), 1.5)).reshape(arcs, -1).sum(axis=1).max()
+    count = int(np.clip(np.ceil(growth / np.log(MESH.growth)), np.ceil(MESH.least_nodes / arcs), MESH.most_segments))
+    if not density.sum() < MESH.most_steps:
         raise ConvergenceError("the motion is nearly singular, its mesh would become too fine; take a smaller step")
     each, steps = _rounded(density.sum(axis=1).max() / count), density.shape[1]
     meshes, nodes = [], []
     for k, own in enumerate(density):
-        edges, states = place.mesh[k * steps : (k + 1) * steps + 1], arc_states(found, arcs, k)
+        edges, states = place.mesh[k * steps : (k + 1) * steps + 1], arc_states(solution, arcs, k)
         work = np.concatenate([[0.0], np.cumsum(own)])
         mesh = np.interp(np.linspace(0.0, work[-1], count * each + 1), work, edges)
         slopes = curve.equations.march.arcs[k].rates(states, place.tail) * place.period
@@ -155,11 +166,11 @@ def _remeshed_arcs(curve: Curve, found: Solution) -> Unknowns:
     return replace(place, nodes=np.vstack(nodes), mesh=np.append(np.concatenate(meshes), place.mesh[-1]))
 
 
-def arc_states(found: Solution, arcs: int, k: int) -> np.ndarray:
+def arc_states(solution: Solution, arcs: int, k: int) -> np.ndarray:
     """States at the mesh in arc k, the last of them before its event."""
-    steps = (found.place.mesh.size - 1) // arcs
-    end = found.march.ends[(k + 1) * (len(found.march.ends) // arcs) - 1]
-    return np.vstack([found.march.states[k * steps : (k + 1) * steps], end])
+    steps = (solution.place.mesh.size - 1) // arcs
+    end = solution.march.ends[(k + 1) * (len(solution.march.ends) // arcs) - 1]
+    return np.vstack([solution.march.states[k * steps : (k + 1) * steps], end])
 
 
 def arc_mesh(w: Unknowns, arcs: int, k: int) -> np.ndarray:
@@ -174,17 +185,17 @@ def _rounded(steps: float) -> int:
     return each + each % 2
 
 
-def regraded(curve: Curve, found: Solution) -> np.ndarray:
+def regraded(curve: Curve, solution: Solution) -> np.ndarray:
     """The mesh of an orbit, its steps moved inside their segments to where they are needed.
 
     Nodes, and with them the equations, stay as they are: Newton's method can do so on its way.
     """
-    place, errors = found.place, _errors(curve, found)
-    if errors.max() < STALE * _allowed(curve):
+    place, errors = solution.place, _errors(curve, solution)
+    if errors.max() < MESH.stale * _allowed(curve):
         return place.mesh
-    density = _spread(np.maximum(wanted_steps(curve, found, errors), 0.15)).reshape(len(place.nodes), -1)
+    density = _spread(np.maximum(wanted_steps(curve, solution, errors), 0.15)).reshape(len(place.nodes), -1)
     needed = density.sum(axis=1)
-    if not needed.max() < min(UNEVEN * needed.mean(), MOST_STEPS / len(needed)):
+    if not needed.max() < min(MESH.uneven * needed.mean(), MESH.most_steps / len(needed)):
         return place.mesh  # the segments themselves are in the wrong place, which `settled` sees in time
     each, old = _rounded(needed.max()), density.shape[1]
     pieces = []
@@ -196,9 +207,9 @@ def regraded(curve: Curve, found: Solution) -> np.ndarray:
     return np.append(np.concatenate(pieces), place.mesh[-1])
 
 
-def refined(curve: Curve, found: Solution, along: np.ndarray) -> Solution:
+def refined(curve: Curve, solution: Solution, along: np.ndarray) -> Solution:
     """The same orbit with half as many steps again in every segment, for one whose shear amplifies their errors."""
-    place = found.place
+    place = solution.place
     count = len(place.nodes)
     steps = (place.mesh.size - 1) // count
     more = 4 * int(np.ceil(1.5 * steps / 4))
@@ -211,30 +222,30 @@ def carried(curve: Curve, place: Unknowns, whole: np.ndarray, other: Unknowns) -
     """A direction over w as one over others of the same orbit: what moves along it, marched to where segments begin."""
     if np.array_equal(place.edges, other.edges) or whole.size != place.vector.size:
         return whole if whole.size == other.vector.size else other.spread(whole)
-    sides = (advanced(place, whole, length) for length in (-MOVED, MOVED))
-    before, after = (curve.equations.march.states(one.nodes, one.mesh, one.tail) for one in sides)
-    moved = ((after - before) / (2 * MOVED)).T
+    sides = (advanced(place, whole, length) for length in (-MESH.moved, MESH.moved))
+    before, after = (curve.equations.march.states(side.nodes, side.mesh, side.tail) for side in sides)
+    moved = ((after - before) / (2 * MESH.moved)).T
     nodes = np.array([np.interp(other.edges[:-1], place.mesh, component) for component in moved]).T
     return np.concatenate([nodes.ravel(), whole[place.nodes.size :]])
 
 
-def settled(curve: Curve, found: Solution, along: np.ndarray) -> Solution:
+def settled(curve: Curve, solution: Solution, along: np.ndarray) -> Solution:
     """The same orbit on a fitting mesh, held in the hyperplane through it normal to a direction over w.
 
     Segments stay where they are if they can, for the predictor of the next orbit looks back over them.
     """
     for _ in range(4):
-        if not needs_mesh(curve, found):
+        if not needs_mesh(curve, solution):
             break
-        mesh = found.place.mesh
-        if _growths(curve, found).max() <= STEEPEST and len(found.place.nodes) >= _fewest(curve):
-            mesh = regraded(curve, found)
-        place = remeshed(curve, found) if mesh is found.place.mesh else replace(found.place, mesh=mesh)
-        along = carried(curve, found.place, along, place)
-        found = correct(curve, place, plane(curve, place, along), found.place)
-    return found
+        mesh = solution.place.mesh
+        if _growths(curve, solution).max() <= MESH.steepest and len(solution.place.nodes) >= _fewest(curve):
+            mesh = regraded(curve, solution)
+        place = remeshed(curve, solution) if mesh is solution.place.mesh else replace(solution.place, mesh=mesh)
+        along = carried(curve, solution.place, along, place)
+        solution = correct(curve, place, plane(curve, place, along), solution.place)
+    return solution
 
 
 def _fewest(curve: Curve) -> int:
     """Nodes of a horizon at least."""
-    return int(np.ceil(LEAST_NODES * curve.equations.symmetry.fraction))
+    return int(np.ceil(MESH.least_nodes * curve.equations.symmetry.fraction))

@@ -112,10 +112,10 @@ class Newton:
             solvers.append(solver)
             return rows, shortened
 
-        found = full(w, linearised, chosen.approach, Unknowns.moved, lambda rows: float(np.linalg.norm(rows)))
-        if found.converged:
-            return found.w.moved(found.solver(found.rows)), solvers[-1]
-        if not found.rows.size:
+        solved = full(w, linearised, chosen.approach, Unknowns.moved, lambda rows: float(np.linalg.norm(rows)))
+        if solved.converged:
+            return solved.w.moved(solved.solver(solved.rows)), solvers[-1]
+        if not solved.rows.size:
             raise ConvergenceError("the motion from this guess gives no finite numbers; start elsewhere")
         beyond = "start nearer" if self.loop.equations.links else "find_orbit reaches farther"
         raise ConvergenceError(
@@ -127,15 +127,15 @@ class Newton:
         scale = max(1.0, float(np.abs(w.nodes / w.at(self.measures.columns).nodes).max()))
         rows = self._rows(w)
         for _ in range(self.settings.most_doublings):
-            found = self._chord(w, rows, solver, self.settings.unconfirmed)
-            solver, coarse = found.solver, found.rows
-            w = found.w.on(divided(found.w.mesh, 2))
+            solved = self._chord(w, rows, solver, self.settings.unconfirmed)
+            solver, coarse = solved.solver, solved.rows
+            w = solved.w.on(divided(solved.w.mesh, 2))
             rows = self._rows(w)
             if np.abs(rows - coarse).max() <= self.settings.agreement * scale:
                 break
         floor = self.settings.floor * scale * max(10.0, self.growth)
-        found = self._chord(w, rows, solver, replace(self.settings, floor=floor))
-        return found.w, found.size
+        solved = self._chord(w, rows, solver, replace(self.settings, floor=floor))
+        return solved.w, solved.size
 
     def _chord(self, w: Unknowns, rows: np.ndarray, solver: Solver, settings: Settings) -> Solved[Unknowns]:
         def renewed(w: Unknowns) -> Solver:

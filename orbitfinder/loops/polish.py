@@ -67,13 +67,13 @@ def path_of(
 
 def graded_path(flow: Flow, state: np.ndarray, times: np.ndarray, tail: np.ndarray) -> np.ndarray | None:
     """States at times, the first one given, by graded marches from each to the next; None where one takes too many."""
-    found = [np.asarray(state, float)]
+    states = [np.asarray(state, float)]
     for span in pairwise(times):
-        end = graded_end(flow.field, found[-1], (float(span[0]), float(span[1])), tail, flow.units)
+        end = graded_end(flow.field, states[-1], (float(span[0]), float(span[1])), tail, flow.units)
         if end is None:
             return None
-        found.append(end)
-    return np.stack(found)
+        states.append(end)
+    return np.stack(states)
 
 
 def graded_end(
@@ -106,23 +106,23 @@ def _agreed(
     return fine if agree(coarse, fine, units) else None
 
 
-def residual(shooting: Shooting, found: Unknowns) -> np.ndarray:
+def residual(shooting: Shooting, w: Unknowns) -> np.ndarray:
     """All rows of g with the segments integrated to round-off, without what may be round-off of their own terms."""
-    tail = tail_of(shooting.flow, found.unfolding, found.free)
-    least = least_steps(round(len(found.nodes) / shooting.problem.boundary.fraction))
-    spans = pairwise(found.period * found.edges)
-    ends = [end_of(shooting.flow, node, span, tail, least) for node, span in zip(found.nodes, spans, strict=True)]
-    rows = shooting.rows(shooting.vector(found), np.asarray(ends).T).full().ravel()
+    tail = tail_of(shooting.flow, w.unfolding, w.free)
+    least = least_steps(round(len(w.nodes) / shooting.problem.boundary.fraction))
+    spans = pairwise(w.period * w.edges)
+    ends = [end_of(shooting.flow, node, span, tail, least) for node, span in zip(w.nodes, spans, strict=True)]
+    rows = shooting.rows(shooting.vector(w), np.asarray(ends).T).full().ravel()
     return beyond(np.asarray(rows), shooting.lost)
 
 
-def solver_at(shooting: Shooting, found: Unknowns) -> Solver:
+def solver_at(shooting: Shooting, w: Unknowns) -> Solver:
     """The step by the variational equations, which CVODES integrates; its failure becomes an `IntegrationError`.
 
     The system is square except for brake orbits of conservative systems at rest, so it is the least-squares one.
     """
-    with sundials(found.nodes[0], 0.0, found.period / len(found.nodes)):
-        jacobian = shooting.jacobian(shooting.vector(found)).full()
+    with sundials(w.nodes[0], 0.0, w.period / len(w.nodes)):
+        jacobian = shooting.jacobian(shooting.vector(w)).full()
     return lambda rows: -shooting.units * np.linalg.lstsq(jacobian, rows, rcond=None)[0]
 
 
@@ -132,8 +132,8 @@ def polish(shooting: Shooting, start: np.ndarray) -> np.ndarray:
     Raises `ConvergenceError` when the residual grows instead.
     """
     functions = partial(residual, shooting), partial(solver_at, shooting)
-    found = shooting.at(start)
-    polished = chord(found, functions[0](found), functions[1](found), functions, POLISH, Unknowns.moved, fresh=True)
+    w = shooting.at(start)
+    polished = chord(w, functions[0](w), functions[1](w), functions, POLISH, Unknowns.moved, fresh=True)
     if not polished.converged:
         raise ConvergenceError(
             f"the polish stalled at a residual of {polished.size:.2g}; the orbit is too unstable for "

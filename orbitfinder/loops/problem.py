@@ -20,10 +20,12 @@ from orbitfinder.loops.conditions import (
     check_bounds,
     check_constraint,
     check_pin,
+    clock,
     is_parameter,
+    pinned,
 )
 from orbitfinder.loops.control import Control
-from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns
+from orbitfinder.loops.loop import Equations, Loop, Unknowns
 from orbitfinder.loops.symmetry import Shift, Symmetry, beside, knowing, named, related, shifts_of, time_dependent
 from orbitfinder.loops.watch import Number, watches
 from orbitfinder.mechanics.constrained import maximal_states
@@ -210,13 +212,13 @@ class Problem(Shown):
     def _settle(self) -> None:
         """Guessed values of freed parameters, and pins of others, become the model's."""
         check_guessed(self.guess, self.free)
-        pinned = {one.name: one.value for one in self.pin if is_parameter(self.model, one.name)}
+        pinned = {pin.name: pin.value for pin in self.pin if is_parameter(self.model, pin.name)}
         fixed = {name: value for name, value in pinned.items() if name not in self.free}
         values = {**{name: float(value) for name, value in self.guess.free.items()}, **pinned}
         if values:
             object.__setattr__(self, "model", with_parameters(self.model, values))
             object.__setattr__(self, "guess", replace(self.guess, free={}))
-            object.__setattr__(self, "pin", tuple(one for one in self.pin if one.name not in fixed))
+            object.__setattr__(self, "pin", tuple(pin for pin in self.pin if pin.name not in fixed))
 
     def _settle_cycle(self) -> None:
         """The cycle of a hybrid system is that of its guess's motion where none is given."""
@@ -263,7 +265,7 @@ class Problem(Shown):
         size, symmetry = len(self.model.state_names), self.boundary
         unfolded = symmetry.unfolded(self.model)
         arcs = 0 if self.model.hybrid is None else len(self.model.hybrid.part(symmetry.parts))
-        others = sum(one.generator is not None for one in unfolded)
+        others = sum(invariant.generator is not None for invariant in unfolded)
         equations = {
             "defects": size * (intervals - 1),
             "boundary": size - len(self.relative),
@@ -271,7 +273,7 @@ class Problem(Shown):
             "guards": arcs,
             "forcing period": int(self.model.forced),
             "pins": len(self.pin),
-            "constraints": sum(one.rows for one in self.constraints if one.equation),
+            "constraints": sum(constraint.rows for constraint in self.constraints if constraint.equation),
         }
         unknowns = {
             "node states": size * intervals,
@@ -297,7 +299,7 @@ class Problem(Shown):
         if self.objective != "nearest":
             return self._check_choice(count)
         if self.pin and not self.free and not self.constraints and count.freedom > 0:
-            names = ", ".join(one.name for one in self.model.invariants)
+            names = ", ".join(invariant.name for invariant in self.model.invariants)
             raise CountError(
                 f"pin: under-determined, {count}: orbits of this system come in "
                 f"{count.freedom + len(self.pin)}-parameter families (invariants: {names}); add "
@@ -351,7 +353,7 @@ def _check(problem: Problem) -> None:
     state = np.asarray(guess.state, float)
     _check_state(model, state)
     _check_relative(problem)
-    symmetry, n = problem.boundary, model.degrees_of_freedom
+    symmetry = problem.boundary
     _check_winding(problem)
     if problem.segments is not None and problem.segments < 1:
         raise InputError(f"segments: must be at least 1, got {problem.segments}; leave it out for the default")
@@ -365,24 +367,14 @@ def _check(problem: Problem) -> None:
     check_constant(model, problem.free)
     if model.constraint is None:  # a linkage's family is followed in other coordinates
         watches(problem.watch, model)
-    for one in problem.pin:
-        check_pin(model, one)
-        if one.name in model.state_names[:n] and symmetry.held(n)[model.state_index(one.name)]:
-            raise InputError(
-                f"pin: {one.name} is a multiple of pi, or 0, where a {symmetry.name} orbit starts; pin its rate, the "
-                "energy or the period"
-            )
+    if not model.conservative:
+        _check_forcing(problem)
+    for pin in problem.pin:
+        check_pin(problem, pin)
     check_bounds(model, problem.bounds, problem.free, tuple(one.name for one in problem.pin))
     for condition in problem.constraints:
         check_constraint(condition)
     _check_objective(problem)
-    if not model.conservative and "energy" in {one.name for one in problem.pin}:
-        raise InputError(
-            "pin: energy is not conserved by this system; leave the pin out, or free a parameter and pin the "
-            "period or a state component"
-        )
-    if not model.conservative:
-        _check_forcing(problem)
     if model.constraint is not None:
         check_consistent(model, state)
     if model.hybrid is None or not symmetry.maps:
@@ -438,8 +430,10 @@ def _check_halves(problem: Problem, state: np.ndarray) -> None:
         units = np.concatenate([lengths, lengths[: state.size - n] / clock])
         rows = state + units * np.random.default_rng(0).normal(0, 0.3, (4, state.size))
         turned = (np.zeros(n), np.ones(n)) if problem.winding is None else (np.asarray(problem.winding) % 2,)
-        half = (np.append(np.pi * one * (model.angular & forward.keeps(n)), np.zeros(state.size - n)) for one in turned)
-        arcs, automaton = [(mode.name, one.name) for mode, one in model.hybrid.arcs], Automaton(model)
+        half = (
+            np.append(np.pi * turn * (model.angular & forward.keeps(n)), np.zeros(state.size - n)) for turn in turned
+        )
+        arcs, automaton = [(mode.name, transition.name) for mode, transition in model.hybrid.arcs], Automaton(model)
         pairs = list(zip(arcs, arcs[len(arcs) // 2 :], strict=False))
         off = (max(automaton.unlike(*pair, rows, forward.matrix(n), by) for pair in pairs) for by in half)
         if min(off) > LARGEST_TOLERANCE:
@@ -490,11 +484,6 @@ def _check_forcing(problem: Problem) -> None:
     clock = float(model.forcing_period(model.parameter_values))
     if not (np.isfinite(clock) and clock > 0):
         raise InputError(f"forcing_period: must be positive and finite, got {clock}; check the forcing's frequency")
-    if "period" in {one.name for one in problem.pin}:
-        raise InputError(
-            f"pin: the forcing prescribes the period, a multiple of {clock:.9g} s (guess.period chooses which, now "
-            f"{problem.forcing_cycles}); leave period out"
-        )
 
 
 def _check_winding(problem: Problem) -> None:
@@ -569,27 +558,9 @@ WINDING_MARGIN = 0.25
 
 def loop_of(problem: Problem, equations: Equations, w: Unknowns, end: np.ndarray | None, pins: Sequence[Pin]) -> Loop:
     """The loop of a Problem at these pins, its phases and displacement as w has them, whose motion ends at `end`."""
-    given = (pinned(equations, one.name, one.value) for one in pins)
+    given = (pinned(equations, pin.name, pin.value) for pin in pins)
     conditions = (*clock(equations, problem.forcing_cycles), *given)
     return Loop(equations, displacement(problem, w, end), conditions).through(w)
-
-
-def clock(equations: Equations, cycles: int) -> tuple[Condition, ...]:
-    """The condition that a motion lasts so many periods of the forcing; none where nothing is forced."""
-    model, unit = equations.model, np.eye(equations.size + 1 + len(equations.free))
-    return (Condition(0.0, unit[equations.size], len(model.invariants) + 1, -float(cycles)),) if model.forced else ()
-
-
-def pinned(equations: Equations, name: str, value: float) -> Condition:
-    """The condition that a period, an invariant, the energy, a freed parameter or a state at t = 0 has a value."""
-    model, size = equations.model, equations.size
-    names = (*(one.name for one in model.invariants), "energy")
-    if name in names:
-        return Condition(value, quantity=names.index(name))
-    normal = np.zeros(size + 1 + len(equations.free))
-    known = ("period", *equations.free)
-    normal[size + known.index(name) if name in known else model.state_index(name)] = 1.0
-    return Condition(value, normal)
 
 
 def displacement(problem: Problem, w: Unknowns, end: np.ndarray | None) -> np.ndarray:
@@ -628,11 +599,11 @@ def clocked(model: Model, clock: float, state: np.ndarray | None = None) -> np.n
     With a `state` (d) of a motion they are relative to what its coordinates are measured in.
     """
     n = model.degrees_of_freedom
-    found = np.concatenate([np.ones(n), np.full(len(model.state_names) - n, clock)])
-    return found if state is None else found / np.resize(proportions(model, state), found.size)
+    units = np.concatenate([np.ones(n), np.full(len(model.state_names) - n, clock)])
+    return units if state is None else units / np.resize(proportions(model, state), units.size)
 
 
 def segments_for(matrix: np.ndarray, units: np.ndarray, growth: float, between: tuple[int, int]) -> int:
     """Segments that share the growth of a state-transition matrix, times `units` (d), so that none has more."""
-    found = max(float(np.linalg.norm(matrix * units[:, None] / units[None, :], 2)), 2.0)
-    return min(max(int(np.ceil(np.log(found) / np.log(growth))), between[0]), between[1])
+    grown = max(float(np.linalg.norm(matrix * units[:, None] / units[None, :], 2)), 2.0)
+    return min(max(int(np.ceil(np.log(grown) / np.log(growth))), between[0]), between[1])

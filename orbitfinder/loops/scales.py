@@ -124,11 +124,11 @@ class Measures:
             changes, node, clock = np.linalg.norm(loop.slopes(w, loop.conditions), axis=1), np.ones(size), 1.0
             if np.all((changes > 1 / EVEN) & (changes < EVEN)):
                 return cls.plain(loop, w)
-        found = cls.of(loop, w, w.joined(node, clock, 1.0 / clock, snapped(np.abs(w.free))))
+        measures = cls.of(loop, w, w.joined(node, clock, 1.0 / clock, snapped(np.abs(w.free))))
         ends = (len(w.nodes) - 1) * size + np.array([0, size + len(loop.normals)])
-        defects, closing, named = np.split(found.rows, ends)
+        defects, closing, named = np.split(measures.rows, ends)
         rounded = snapped(named, 2.0 if loop.equations.links else WIDE)
-        return cls(found.columns, np.concatenate([defects, snapped(closing), rounded]))
+        return cls(measures.columns, np.concatenate([defects, snapped(closing), rounded]))
 
     def matrix(self, jacobian: np.ndarray) -> np.ndarray:
         """The derivatives of the first of the rows, measured."""

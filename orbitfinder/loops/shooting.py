@@ -11,27 +11,33 @@ import numpy as np
 
 from orbitfinder.integrate.cvodes import Flow, IntegratorSettings, build_flow, end_state, transition_function
 from orbitfinder.integrate.march import March, uniform
-from orbitfinder.loops.conditions import Variables, constrained_brake_rows
+from orbitfinder.loops.conditions import Variables, constrained_brake_rows, variables_of
 from orbitfinder.loops.loop import Equations, Loop, Unknowns
 from orbitfinder.loops.problem import Problem, loop_of
 from orbitfinder.mechanics import scales
 from orbitfinder.mechanics.constrained import allowed_velocities
 from orbitfinder.mechanics.hybrid import freed, saltation, share
 
-PERIOD_RANGE = 5.0
-"""The period may change by this factor either way; keeps it away from 0, where every state closes."""
-UNFOLDING_RANGE = 10.0
-"""Bound on |s| in 1/s; a fictitious damping of this size has left the problem."""
-RATE_RANGE = 100.0
-"""Bound on rates, in units of the largest rate of the guess."""
-ANGLE_RANGE = 30.0
-"""Bound on how far a coordinate may move from the guess, in units of max(1, its largest value)."""
-FAR = 30.0
-"""Units of the guess that take the place of the 1 there, where they are not 1"""
+
+@dataclass(frozen=True)
+class ShootingRanges:
+    """How far the unknowns of the nonlinear program may go from the guess."""
+
+    period_range: float = 5.0
+    """The period may change by this factor either way; keeps it away from 0, where every state closes."""
+    unfolding_range: float = 10.0
+    """Bound on |s| in 1/s; a fictitious damping of this size has left the problem."""
+    rate_range: float = 100.0
+    """Bound on rates, in units of the largest rate of the guess."""
+    angle_range: float = 30.0
+    """Bound on how far a coordinate may move from the guess, in units of max(1, its largest value)."""
+    far: float = 30.0
+    """Units of the guess that take the place of the 1 there, where they are not 1"""
+    resolved: float = 1e-10
+    """IPOPT is asked for no more digits of a row than its round-off leaves."""
 
 
-RESOLVED = 1e-10
-"""IPOPT is asked for no more digits of a row than its round-off leaves."""
+RANGES = ShootingRanges()
 
 
 @dataclass(frozen=True)
@@ -111,13 +117,13 @@ def transcribe(problem: Problem, nodes: np.ndarray | Unknowns, flow: Flow | None
         steepest = np.abs(loop.slopes(guess, loop.conditions)).max(axis=1)  # of a large mass by over 256
         last = own.size - len(equations.links.transitions)
         sizes[last - len(loop.conditions) : last] = scales.snapped(steepest, scales.WIDE)
-    sizes = np.maximum(sizes, lost / RESOLVED)
+    sizes = np.maximum(sizes, lost / RANGES.resolved)
     rows = ca.Function("rows", [w, given], [equalities if np.all(sizes == 1.0) else equalities / ca.DM(sizes)])
     limits, low, high = _inequalities(problem, known)
     aims = ca.Function("aims", [w, given], [*_objective(problem, known), limits])
-    ends = ca.horzcat(*(one.end(*given) for one, given in spans(equations, flow, parts, tail)))
+    ends = ca.horzcat(*(part.end(*given) for part, given in spans(equations, flow, parts, tail)))
     constraints = rows(w, ends)
-    lower, upper = (one.vector / units for one in _bounds(problem, flow, guess, guess.at(units)))
+    lower, upper = (bound.vector / units for bound in _bounds(problem, flow, guess, guess.at(units)))
     weights = _weights(problem, guess.at(start))
     value, residuals, inequalities = aims(w, ends)
     if problem.objective == "nearest":
@@ -132,9 +138,9 @@ def transcribe(problem: Problem, nodes: np.ndarray | Unknowns, flow: Flow | None
 def flow_of(problem: Problem, settings: IntegratorSettings | None = None) -> Flow:
     """The flow of a Problem's model, or of each arc of its cycle, in the units of its guess's motion."""
     symmetry, units, model = problem.boundary, units_of(problem), problem.model
-    arcs = [model] if model.hybrid is None else [one.model for one, _ in model.hybrid.part(symmetry.parts)]
+    arcs = [model] if model.hybrid is None else [mode.model for mode, _ in model.hybrid.part(symmetry.parts)]
     free = freed(model, problem.free, symmetry.parts)
-    first, *later = (build_flow(one, free, symmetry.unfolded(one), settings, units) for one in arcs)
+    first, *later = (build_flow(arc, free, symmetry.unfolded(arc), settings, units) for arc in arcs)
     return replace(first, later=tuple(later)) if later else first
 
 
@@ -157,8 +163,8 @@ def _times(parts: tuple[list[ca.MX], list[ca.MX]], units: np.ndarray) -> tuple[l
     """The parts of w in the model's units."""
     nodes, tail = parts
     ends = np.cumsum([0, *(part.numel() for part in [*nodes, *tail])])
-    found = [part * ca.DM(units[ends[k] : ends[k + 1]]) for k, part in enumerate([*nodes, *tail])]
-    return found[: len(nodes)], found[len(nodes) :]
+    scaled = [part * ca.DM(units[ends[k] : ends[k + 1]]) for k, part in enumerate([*nodes, *tail])]
+    return scaled[: len(nodes)], scaled[len(nodes) :]
 
 
 def _sizes(rows: ca.MX, inputs: tuple[ca.MX, ca.MX], start: np.ndarray, guess: Unknowns, flow: Flow) -> np.ndarray:
@@ -185,28 +191,25 @@ def _variables(loop: Loop, flow: Flow, parts: list[ca.MX], tail: list[ca.MX], en
     model, p = equations.model, equations.model.parameters(equations.free, free)
 
     def transitions() -> list[ca.MX]:
-        functions = [transition_function(one) for one in (flow, *flow.later)]
+        functions = [transition_function(part) for part in (flow, *flow.later)]
         each = len(parts) // len(functions)
         given = (inputs for _, inputs in spans(equations, flow, parts, tail))
-        found = [functions[k // each](*inputs) for k, inputs in enumerate(given)]
+        matrices = [functions[k // each](*inputs) for k, inputs in enumerate(given)]
         arcs = () if model.hybrid is None else model.hybrid.arcs
         for arc, k in enumerate(equations.links.ends(len(parts))):
-            (mode, one), (after, _) = arcs[arc], arcs[(arc + 1) % len(arcs)]
-            found[k] = saltation(mode.model, one, after.model)(reached[k], p) @ found[k]
-        return found
+            (mode, transition), (after, _) = arcs[arc], arcs[(arc + 1) % len(arcs)]
+            matrices[k] = saltation(mode.model, transition, after.model)(reached[k], p) @ matrices[k]
+        return matrices
 
-    return Variables(
-        model, equations.symmetry, tuple(parts), reached, period,
-        {name: free[k] for k, name in enumerate(equations.physical)}, p, transitions,
-    )  # fmt: skip
+    return variables_of(equations, parts, period, free, reached, transitions)
 
 
 def _objective(problem: Problem, known: Variables) -> tuple[ca.MX, ca.MX]:
     """f and, where f = |r|^2 / 2, r. Raises `InputError` when the objective is not an expression of the unknowns."""
     if not callable(problem.objective):
         return ca.MX(0), ca.MX(0, 1)
-    found = ca.vec(ca.MX(problem.objective(known)))
-    return (found, ca.MX(0, 1)) if found.numel() == 1 else (0.5 * ca.dot(found, found), found)
+    value = ca.vec(ca.MX(problem.objective(known)))
+    return (value, ca.MX(0, 1)) if value.numel() == 1 else (0.5 * ca.dot(value, value), value)
 
 
 def _inequalities(problem: Problem, known: Variables) -> tuple[ca.MX, np.ndarray, np.ndarray]:
@@ -218,10 +221,10 @@ def _inequalities(problem: Problem, known: Variables) -> tuple[ca.MX, np.ndarray
         if name != "period" and name not in problem.free:
             rows.append(known[name])
             low, high = [*low, smallest], [*high, largest]
-    for one in problem.constraints:
-        if not one.equation:
-            rows.append(one.value(known))
-            low, high = [*low, *[one.lower] * one.rows], [*high, *[one.upper] * one.rows]
+    for constraint in problem.constraints:
+        if not constraint.equation:
+            rows.append(constraint.value(known))
+            low, high = [*low, *[constraint.lower] * constraint.rows], [*high, *[constraint.upper] * constraint.rows]
     return ca.vertcat(*rows), np.asarray(low, float), np.asarray(high, float)
 
 
@@ -236,7 +239,9 @@ def _rows(loop: Loop, problem: Problem, known: Variables, tail: list[ca.MX], far
     if model.constraint is not None and far is not None:
         closing = constrained_brake_rows(model, start, end, known.parameters, allowed_velocities(model, far))
     own = [] if problem.phase_condition is None else [ca.MX(problem.phase_condition(known))]
-    equations = [one.value(known) - one.lower for one in problem.constraints if one.equation]
+    equations = [
+        constraint.value(known) - constraint.lower for constraint in problem.constraints if constraint.equation
+    ]
     return ca.vertcat(rows[: closed - start.numel()], closing, *own, rows[closed:], *equations)
 
 
@@ -252,13 +257,15 @@ def far_end(problem: Problem, nodes: np.ndarray, flow: Flow) -> np.ndarray | Non
 def _bounds(problem: Problem, flow: Flow, guess: Unknowns, units: Unknowns) -> tuple[Unknowns, Unknowns]:
     """Lowest and highest unknowns."""
     n, turning = problem.model.degrees_of_freedom, 2 * np.pi / problem.guess.period
-    least = FAR * units.nodes[0, :n] if flow.units else np.ones(n)
+    least = RANGES.far * units.nodes[0, :n] if flow.units else np.ones(n)
     coordinates = np.maximum(least, np.abs(guess.nodes[:, :n]).max(axis=0))
     rate = max(float(np.abs(guess.nodes[:, n:]).max(initial=0.0)), turning * float(least.max()))
-    reach = np.concatenate([ANGLE_RANGE * coordinates, np.full(guess.nodes[0].size - n, RATE_RANGE * rate)])
-    unfolding = UNFOLDING_RANGE * units.unfolding
+    reach = np.concatenate(
+        [RANGES.angle_range * coordinates, np.full(guess.nodes[0].size - n, RANGES.rate_range * rate)]
+    )
+    unfolding = RANGES.unfolding_range * units.unfolding
     spread = 0.95 * np.abs(guess.free) + (guess.free == 0)
-    times = problem.bounds.get("period", (guess.period / PERIOD_RANGE, guess.period * PERIOD_RANGE))
+    times = problem.bounds.get("period", (guess.period / RANGES.period_range, guess.period * RANGES.period_range))
     free = freed(problem.model, problem.free, problem.boundary.parts)
     ends = zip(free, guess.free - spread, guess.free + 10 * spread, strict=True)
     ranges = np.array([problem.bounds.get(name, (low, high)) for name, low, high in ends]).reshape(-1, 2).T

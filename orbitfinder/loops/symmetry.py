@@ -28,16 +28,31 @@ from orbitfinder.mechanics.scales import masses_of, proportions, shared, snapped
 
 RECOGNITION = 1e-6
 """A symmetry holds when its defect is below this, relative to the motion's extent."""
-MIRROR = 1e-5
-"""Largest harmonic of the motion that breaks the mirror about a turning instant, relative to the largest rate."""
-BROKEN = 1e-8
-"""Relative difference of accelerations there and in the image, above which the equations lack a symmetry."""
-MIRRORED = 1e-9
-"""Relative difference below which they have one that nobody declares"""
-STILL = 1e-9
-"""A component that moves less than this, relative to the one that moves most, is measured in this share of that"""
-MOST_COORDINATES = 8
-"""Mirrors that nobody declares are looked for among this many"""
+
+
+@dataclass(frozen=True)
+class Recognition:
+    """How exactly motions and equations have a symmetry."""
+
+    mirror: float = 1e-5
+    """Largest harmonic of the motion that breaks the mirror about a turning instant, relative to the largest rate."""
+    broken: float = 1e-8
+    """Relative difference of accelerations there and in the image, above which the equations lack a symmetry."""
+    mirrored: float = 1e-9
+    """Relative difference below which they have one that nobody declares"""
+    still: float = 1e-9
+    """A component that moves less than this, relative to the one that moves most, is measured in this share of that"""
+    most_coordinates: int = 8
+    """Mirrors that nobody declares are looked for among this many"""
+    largest_shift: float = 1e100
+    """What a shift in a record is less than, so that nothing overflows on its account"""
+    sizes: tuple[float, ...] = (1.0, 1e-3, 1e-6, 1e-12)
+    """Of states, in lengths, at which the forces of a driven system are tried"""
+
+
+RECOGNISED = Recognition()
+
+
 Affine = tuple[np.ndarray, np.ndarray]
 """(S, d) of x -> S x + d"""
 
@@ -58,8 +73,8 @@ class Involution:
 
     def places(self, n: int) -> np.ndarray:
         """P (n x n)."""
-        found = np.eye(n)[list(self.order)] if self.order else np.eye(n)
-        return np.asarray(np.broadcast_to(self.signs, n).astype(float)[:, None] * found)
+        placed = np.eye(n)[list(self.order)] if self.order else np.eye(n)
+        return np.asarray(np.broadcast_to(self.signs, n).astype(float)[:, None] * placed)
 
     def keeps(self, n: int) -> np.ndarray:
         """Which coordinates (n) stay as they are."""
@@ -74,10 +89,14 @@ class Involution:
         if self.order or other.order:
             raise InputError(f"symmetries: {other.name!r} with {self.name!r} is known for plain signs only")
         pair = np.broadcast_arrays(self.signs, other.signs)
-        signs = tuple(int(one) for one in np.ravel(pair[0] * pair[1]))
+        signs = tuple(int(sign) for sign in np.ravel(pair[0] * pair[1]))
         made: int | tuple[int, ...] = signs[0] if len(set(signs)) == 1 else signs
         sense = self.sense * other.sense
-        alike = (one for one in USUAL if (one.sense, one.signs) == (sense, made) and not self.first_order)
+        alike = (
+            involution
+            for involution in USUAL
+            if (involution.sense, involution.signs) == (sense, made) and not self.first_order
+        )
         return next(alike, Involution(f"{other.name} with {self.name}", sense, made, first_order=self.first_order))
 
     def in_words(self, names: tuple[str, ...]) -> str:
@@ -97,10 +116,14 @@ class Involution:
 
 
 @lru_cache(maxsize=64)
-def _matrix(one: Involution, n: int) -> np.ndarray:
-    found = one.places(n) if one.first_order else np.kron(np.diag([1.0, one.sense]), one.places(n))
-    found.flags.writeable = False
-    return found
+def _matrix(involution: Involution, n: int) -> np.ndarray:
+    matrix = (
+        involution.places(n)
+        if involution.first_order
+        else np.kron(np.diag([1.0, involution.sense]), involution.places(n))
+    )
+    matrix.flags.writeable = False
+    return matrix
 
 
 @dataclass(frozen=True)
@@ -118,8 +141,8 @@ class _Fixed:
 
 
 @lru_cache(maxsize=64)
-def _fixed(one: Involution, n: int) -> _Fixed:
-    matrix = one.matrix(n)
+def _fixed(involution: Involution, n: int) -> _Fixed:
+    matrix = involution.matrix(n)
     apart = np.eye(len(matrix)) - matrix
     partner = np.abs(matrix).argmax(axis=1)
     kept = [i for i in range(len(matrix)) if i <= partner[i] and np.any(apart[i])]
@@ -145,7 +168,7 @@ class Symmetry:
     @property
     def name(self) -> str:
         """Its name in files and messages."""
-        return "+".join(one.name for one in self.maps) or "none"
+        return "+".join(involution.name for involution in self.maps) or "none"
 
     @property
     def parts(self) -> int:
@@ -160,7 +183,7 @@ class Symmetry:
     @property
     def forward(self) -> Involution | None:
         """The involution after which the orbit repeats itself half a period later, if there is one."""
-        return next((one for one in self.maps if one.sense > 0), None)
+        return next((involution for involution in self.maps if involution.sense > 0), None)
 
     @property
     def reverses(self) -> bool:
@@ -211,8 +234,8 @@ class Symmetry:
             gap = np.where(angles, 2 * np.pi * np.round(gap / (2 * np.pi)), 0.0)
             return np.concatenate([np.where(forward.keeps(n) & (turns is not None), np.pi * whole, gap), rest])
 
-        def nearest(one: Involution, x: np.ndarray) -> np.ndarray:
-            fixed = _fixed(one, n)
+        def nearest(involution: Involution, x: np.ndarray) -> np.ndarray:
+            fixed = _fixed(involution, n)
             counted = 2 * np.pi * fixed.share
             return np.where(fixed.turning(angles), counted * np.round(fixed.rows @ x / counted), 0.0)
 
@@ -345,7 +368,7 @@ class Symmetry:
         n = self.coordinates(size)
         if not self.reverses:
             return (part, 1) if self.forward is None else (times(made(self.forward.matrix(n)), part), 2)
-        first, last = (made(one.matrix(n)) for one in self.mirrors)
+        first, last = (made(mirror.matrix(n)) for mirror in self.mirrors)
         return times(first, inverse_of(times(last, part))), len(self.maps)
 
     # ---- what it removes, who has it ---------------------------------------------------------------
@@ -357,12 +380,14 @@ class Symmetry:
         Noether's theorem these are the same ones.
         """
         return tuple(
-            one for one in model.invariants if all(_parity(model, one, each) == each.sense for each in self.both)
+            invariant
+            for invariant in model.invariants
+            if all(_parity(model, invariant, each) == each.sense for each in self.both)
         )
 
     def generators(self, model: Model) -> tuple[Any, ...]:
         """The model's continuous symmetries besides time that keep the boundary rows."""
-        return tuple(one.generator for one in self.unfolded(model) if one.generator is not None)
+        return tuple(invariant.generator for invariant in self.unfolded(model) if invariant.generator is not None)
 
     @property
     def both(self) -> tuple[Involution, ...]:
@@ -376,7 +401,8 @@ class Symmetry:
         if self.reverses and self.forward is not None:
             first, last = self.mirrors
             yield from (
-                (replace(self, maps=(one,)), share) for one, share in ((first, 0.0), (last, 0.25), (self.forward, 0.0))
+                (replace(self, maps=(involution,)), share)
+                for involution, share in ((first, 0.0), (last, 0.25), (self.forward, 0.0))
             )
         elif self.reverses:
             yield self, 0.5
@@ -387,7 +413,7 @@ class Symmetry:
         a(sense t, P q, sense P v) = P a(t, q, v) is needed, of one that runs forwards at t + T/2, where T is `cycles`
         periods of the forcing.
         """
-        if model.constraint is not None and any(one.signs != 1 or one.order for one in self.maps):
+        if model.constraint is not None and any(involution.signs != 1 or involution.order for involution in self.maps):
             raise InputError(
                 f"symmetry: {self.name!r} cannot be imposed in redundant coordinates, where x -> -x moves the joints; "
                 f"use symmetry = {BRAKE.name!r} or 'none' (symmetric orbits are recognised)"
@@ -395,9 +421,9 @@ class Symmetry:
         half = 0.0
         if model.forcing_period is not None:
             half = cycles * float(model.forcing_period(model.parameter_values)) / 2
-        for one in self.maps:
-            if _broken(model, state, one, half if one.sense > 0 else 0.0):
-                meaning = one.in_words(model.state_names[: model.degrees_of_freedom])
+        for involution in self.maps:
+            if _broken(model, state, involution, half if involution.sense > 0 else 0.0):
+                meaning = involution.in_words(model.state_names[: model.degrees_of_freedom])
                 raise InputError(
                     f"symmetry: this system's equations change under {meaning}, so {self.name!r} cannot be imposed; "
                     "use symmetry = 'none' (symmetric orbits are recognised)"
@@ -434,7 +460,7 @@ def _rows(symmetry: Symmetry, n: int) -> tuple[np.ndarray, np.ndarray]:
         forward = symmetry.forward
         unit = np.eye(n if symmetry.first_order else 2 * n)
         return -(unit if forward is None else forward.matrix(n)), unit
-    first, last = (_fixed(one, n).rows for one in symmetry.mirrors)
+    first, last = (_fixed(mirror, n).rows for mirror in symmetry.mirrors)
     return np.vstack([first, 0 * last]), np.vstack([0 * first, last])
 
 
@@ -483,13 +509,13 @@ def symmetries_of(model: Model) -> Mapping[str, Symmetry]:
     if model.rates is not None:
         own = involutions(model)
         pairs = [(first, last) for first in own for last in own if first.sense < last.sense]
-        alone = (ALONE, *(Symmetry(maps, True) for maps in (*((one,) for one in own), *pairs)))
-        return {one.name: one for one in alone}
-    backward = [BRAKE_MAP, *(one for one in own if one.sense < 0)]
+        alone = (ALONE, *(Symmetry(maps, True) for maps in (*((involution,) for involution in own), *pairs)))
+        return {symmetry.name: symmetry for symmetry in alone}
+    backward = [BRAKE_MAP, *(involution for involution in own if involution.sense < 0)]
     pairs = [(first, last) for first in backward for last in own if last.sense > 0]
-    pairs += [(one, REFLECTION_MAP) for one in own if one.sense < 0]
-    found = (*SYMMETRIES.values(), *(Symmetry((one,)) for one in own), *map(Symmetry, pairs))
-    return {one.name: one for one in found} if own else SYMMETRIES
+    pairs += [(involution, REFLECTION_MAP) for involution in own if involution.sense < 0]
+    symmetries = (*SYMMETRIES.values(), *(Symmetry((involution,)) for involution in own), *map(Symmetry, pairs))
+    return {symmetry.name: symmetry for symmetry in symmetries} if own else SYMMETRIES
 
 
 def named(name: str, model: Model) -> Symmetry:
@@ -510,17 +536,17 @@ class Shift:
 
 def shifts_of(model: Model) -> Mapping[str, Shift]:
     """The shifts of a model by name: its cyclic coordinates, and the momenta kept with other constant directions."""
-    n, found, random = model.degrees_of_freedom, {}, np.random.default_rng(0)
+    n, shifts, random = model.degrees_of_freedom, {}, np.random.default_rng(0)
     states = random.normal(0, 1.0, (2, len(model.state_names)))
-    for one in model.invariants:
-        if one.generator is None:
+    for invariant in model.invariants:
+        if invariant.generator is None:
             continue
-        here, there = (one.generator(x[:n], x[n:], model.parameter_values).full().ravel() for x in states)
+        here, there = (invariant.generator(x[:n], x[n:], model.parameter_values).full().ravel() for x in states)
         if np.array_equal(here, there) and not np.any(here[n:]) and np.any(here[:n]):
             moving = np.flatnonzero(here[:n])
-            name = model.state_names[moving[0]] if moving.size == 1 else one.name
-            found[name] = Shift(tuple(map(float, here[:n])), one.name)
-    return found
+            name = model.state_names[moving[0]] if moving.size == 1 else invariant.name
+            shifts[name] = Shift(tuple(map(float, here[:n])), invariant.name)
+    return shifts
 
 
 def related(symmetry: Symmetry, model: Model, names: Sequence[str]) -> Symmetry:
@@ -534,11 +560,7 @@ def related(symmetry: Symmetry, model: Model, names: Sequence[str]) -> Symmetry:
 def shifting(symmetry: Symmetry, model: Model) -> Mapping[str, Shift]:
     """What `relative` of a symmetry is called in a model."""
     known = shifts_of(model) if symmetry.relative else {}
-    return {name: one for name, one in known.items() if one.direction in symmetry.relative}
-
-
-LARGEST_SHIFT = 1e100
-"""What a shift in a record is less than, so that nothing overflows on its account"""
+    return {name: shift for name, shift in known.items() if shift.direction in symmetry.relative}
 
 
 def turned(model: Model, turns: np.ndarray, shift: Mapping[str, float]) -> np.ndarray:
@@ -546,67 +568,67 @@ def turned(model: Model, turns: np.ndarray, shift: Mapping[str, float]) -> np.nd
 
     Raises `InputError` where the system has no such shift.
     """
-    known, found = shifts_of(model) if shift else {}, turns
+    known, gone = shifts_of(model) if shift else {}, turns
     for name, amount in shift.items():
-        if name not in known or not abs(amount) < LARGEST_SHIFT:
+        if name not in known or not abs(amount) < RECOGNISED.largest_shift:
             raise InputError(
                 f"shift: {name} = {amount} is none of this system, which has {', '.join(known) or 'no'} shifts; the "
                 "record contradicts its system, run the problem again"
             )
-        found = found + amount / (2 * np.pi) * np.asarray(known[name].direction)
-    return found
+        gone = gone + amount / (2 * np.pi) * np.asarray(known[name].direction)
+    return gone
 
 
 def momenta_of(symmetry: Symmetry, model: Model) -> tuple[str, ...]:
     """The momenta that are kept with what orbits of a symmetry are relative in."""
-    return tuple(one.momentum for one in shifting(symmetry, model).values())
+    return tuple(shift.momentum for shift in shifting(symmetry, model).values())
 
 
 def called(symmetry: Symmetry, model: Model) -> Symmetry:
     """The same symmetry by the name that its model knows it by."""
     n = model.degrees_of_freedom
 
-    def acts(one: Symmetry) -> list[tuple[int, bytes]]:
-        return [(each.sense, each.matrix(n).tobytes()) for each in one.maps]
+    def acts(symmetry: Symmetry) -> list[tuple[int, bytes]]:
+        return [(each.sense, each.matrix(n).tobytes()) for each in symmetry.maps]
 
     wanted = acts(symmetry)
     return next((one for one in symmetries_of(model).values() if acts(one) == wanted), symmetry)
 
 
-def _parity(model: Model, invariant: Invariant, one: Involution) -> int:
+def _parity(model: Model, invariant: Invariant, involution: Involution) -> int:
     """1 or -1 as an invariant keeps or changes its sign under an involution, 0 for neither; an energy keeps it."""
     if invariant.generator is None:
         return 1
     n, random = model.degrees_of_freedom, np.random.default_rng(0)
-    matrix = one.matrix(n)
+    matrix = involution.matrix(n)
     for _ in range(4):
         x = random.normal(0, 1.0, len(matrix))
         here, there = (float(invariant.value(s[:n], s[n:], model.parameter_values)) for s in (x, matrix @ x))
         if np.isfinite(here - there) and here:
-            return int(np.round(there / here)) if abs(abs(there / here) - 1.0) < BROKEN else 0
+            return int(np.round(there / here)) if abs(abs(there / here) - 1.0) < RECOGNISED.broken else 0
     return 0
 
 
-def _broken(model: Model, state: np.ndarray, one: Involution, shift: float) -> bool:
+def _broken(model: Model, state: np.ndarray, involution: Involution, shift: float) -> bool:
     random, n, state = np.random.default_rng(0), model.degrees_of_freedom, np.asarray(state, float)
     q, v = state[:n], state[n:]
     lengths, clock = surroundings(model, q)
     paces = lengths[: v.size]
-    quick, found = 0.3 / clock + np.abs(v / paces).max(initial=0.0), []
+    quick, pairs = 0.3 / clock + np.abs(v / paces).max(initial=0.0), []
     for _ in range(4):
         place, rate = q + lengths * random.normal(0, 0.3, q.size), v + paces * random.normal(0, quick, v.size)
         if model.constraint is not None:  # off the constraints the stabilisation is damped
             basis = allowed_velocities(model, q)
             place, rate = q, basis @ (basis.T @ rate)
         t = float(random.uniform(0, float(snapped(shift)) + 2 * shift))
-        found.append(_apart(model, one, (t, place, rate), shift, lengths))
-    aparts, sizes = np.array([pair for pair in found if np.isfinite(pair[0])]).reshape(-1, 2).T
-    return bool(np.any(aparts > BROKEN * np.maximum(sizes, sizes.max(initial=0.0) * BROKEN)))
+        pairs.append(_apart(model, involution, (t, place, rate), shift, lengths))
+    aparts, sizes = np.array([pair for pair in pairs if np.isfinite(pair[0])]).reshape(-1, 2).T
+    return bool(np.any(aparts > RECOGNISED.broken * np.maximum(sizes, sizes.max(initial=0.0) * RECOGNISED.broken)))
 
 
 def _apart(
     model: Model,
-    one: Involution,
+    involution: Involution,
     at: tuple[float, np.ndarray, np.ndarray],
     shift: float,
     lengths: np.ndarray,
@@ -617,13 +639,13 @@ def _apart(
     its rates.
     """
     t, q, v = at
-    places = one.places(q.size)
+    places = involution.places(q.size)
     if model.rates is not None:
-        here = one.sense * places @ model.rates(t, q, model.parameter_values).full().ravel()
-        there = model.rates(one.sense * t + shift, places @ q, model.parameter_values).full().ravel()
+        here = involution.sense * places @ model.rates(t, q, model.parameter_values).full().ravel()
+        there = model.rates(involution.sense * t + shift, places @ q, model.parameter_values).full().ravel()
         return float(np.abs((there - here) / lengths).max()), float(np.abs(here / lengths).max())
     here = places @ model.acceleration(t, q, v, model.parameter_values).full().ravel()
-    image = (one.sense * t + shift, places @ q, one.sense * (places @ v))
+    image = (involution.sense * t + shift, places @ q, involution.sense * (places @ v))
     there = model.acceleration(*image, model.parameter_values).full().ravel()
     return float(np.abs((there - here) / lengths).max()), float(np.abs(here / lengths).max())
 
@@ -634,31 +656,32 @@ def undeclared_mirrors(model: Model) -> tuple[Involution, ...]:
     It is called mirror, or mirror-x after the coordinates that it turns where there are several.
     """
     n, random = model.degrees_of_freedom, np.random.default_rng(0)
-    if n > MOST_COORDINATES or model.constraint is not None or model.rates is not None:
+    if n > RECOGNISED.most_coordinates or model.constraint is not None or model.rates is not None:
         return ()
     lengths, clock = surroundings(model, np.zeros(n))
     states = random.normal(0, 1.0, (4, 2, n)) + np.array([np.ones(n), np.zeros(n)])
     known = {signs for _, sense, signs in model.symmetries if sense < 0}
-    signs = [one for one in product((1, -1), repeat=n) if len(set(one)) > 1 and one not in known]
-    candidates = [Involution("mirror", -1, one) for one in signs]
+    signs = [pattern for pattern in product((1, -1), repeat=n) if len(set(pattern)) > 1 and pattern not in known]
+    candidates = [Involution("mirror", -1, sign) for sign in signs]
     states *= np.array([lengths, lengths / clock])
 
-    def kept(one: Involution) -> bool:
+    def kept(candidate: Involution) -> bool:
         return all(
-            apart <= MIRRORED * size for apart, size in (_apart(model, one, (0.0, *x), 0.0, lengths) for x in states)
+            apart <= RECOGNISED.mirrored * size
+            for apart, size in (_apart(model, candidate, (0.0, *x), 0.0, lengths) for x in states)
         )
 
-    found, names = [one for one in candidates if kept(one)], model.state_names[:n]
-    if len(found) + len(model.symmetries) < 2:
-        return tuple(found)
-    turned = ["-".join(name for name, sign in zip(names, one.signs, strict=True) if sign < 0) for one in found]  # type: ignore[arg-type]
-    return tuple(replace(one, name=f"mirror-{which}") for one, which in zip(found, turned, strict=True))
+    mirrors, names = [candidate for candidate in candidates if kept(candidate)], model.state_names[:n]
+    if len(mirrors) + len(model.symmetries) < 2:
+        return tuple(mirrors)
+    turned = ["-".join(name for name, sign in zip(names, mirror.signs, strict=True) if sign < 0) for mirror in mirrors]  # type: ignore[arg-type]
+    return tuple(replace(mirror, name=f"mirror-{which}") for mirror, which in zip(mirrors, turned, strict=True))
 
 
 def with_mirrors(model: Model) -> Model:
     """The Model with the mirrors that nobody declares declared."""
-    found = tuple((one.name, one.sense, one.signs) for one in undeclared_mirrors(model))
-    return altered(model, symmetries=(*model.symmetries, *found)) if found else model  # type: ignore[arg-type]
+    mirrors = tuple((mirror.name, mirror.sense, mirror.signs) for mirror in undeclared_mirrors(model))
+    return altered(model, symmetries=(*model.symmetries, *mirrors)) if mirrors else model  # type: ignore[arg-type]
 
 
 def knowing(model: Model, name: str) -> Model:
@@ -681,73 +704,83 @@ def recognise(times: np.ndarray, states: np.ndarray, model: Model, *, own: bool 
     if model.rates is not None:
         return _first_order(states, involutions(model) if own else _usual_alone(model), angles)
     states = states / np.tile(proportions(model, states[0]), 2)
-    found = [one for one in QUARTER.maps if has(one, times, states, angles)]
-    for one in (REVERSAL_MAP, *(declared(model) if own else ())):
+    found = [involution for involution in QUARTER.maps if has(involution, times, states, angles)]
+    for involution in (REVERSAL_MAP, *(declared(model) if own else ())):
         taken = {each.sense for each in found}
-        if one.sense not in taken and (one is not REVERSAL_MAP or not found) and has(one, times, states, angles):
-            found.append(one)
-    return Symmetry(tuple(sorted(found, key=lambda one: one.sense))).name
+        if (
+            involution.sense not in taken
+            and (involution is not REVERSAL_MAP or not found)
+            and has(involution, times, states, angles)
+        ):
+            found.append(involution)
+    return Symmetry(tuple(sorted(found, key=lambda involution: involution.sense))).name
 
 
-def has(one: Involution, times: np.ndarray, states: np.ndarray, angles: np.ndarray) -> bool:
+def has(involution: Involution, times: np.ndarray, states: np.ndarray, angles: np.ndarray) -> bool:
     """Whether samples over a period have a symmetry, wherever in it they begin."""
-    if one.sense < 0:
-        return _mirrored(one, times, states, angles)
-    return bool(np.all(half_period_gaps(one, states, angles) <= RECOGNITION * _moved(states, angles)))
+    if involution.sense < 0:
+        return _mirrored(involution, times, states, angles)
+    return bool(np.all(half_period_gaps(involution, states, angles) <= RECOGNITION * _moved(states, angles)))
 
 
-def half_period_gaps(one: Involution, states: np.ndarray, angles: np.ndarray) -> np.ndarray:
+def half_period_gaps(involution: Involution, states: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """|x(t + T/2) - S x(t)| of samples over a period, angles modulo 2 pi."""
     half = (len(states) - 1) // 2
-    return np.asarray(np.abs(wrapped(states[half : 2 * half] - states[:half] @ one.matrix(angles.size).T, angles)))
+    return np.asarray(
+        np.abs(wrapped(states[half : 2 * half] - states[:half] @ involution.matrix(angles.size).T, angles))
+    )
 
 
-def off_centre(one: Involution, states: np.ndarray, angles: Sequence[bool] | np.ndarray) -> np.ndarray:
+def off_centre(involution: Involution, states: np.ndarray, angles: Sequence[bool] | np.ndarray) -> np.ndarray:
     """rows x - constant (k x n) at states (k x 2n): how far they are from the fixed set, the nearest for angles."""
-    fixed = _fixed(one, len(angles))
+    fixed = _fixed(involution, len(angles))
     gaps = states @ fixed.rows.T
     return np.asarray(wrapped(gaps / fixed.share, fixed.turning(angles)) * fixed.share)
 
 
 def _moved(states: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """What components (d) move (k x d) beside each other, of a first-order system at least `STILL` of the largest."""
+    """What components (d) move (k x d) beside each other, of a first-order system at least a share of the largest."""
     extent = np.ptp(states, axis=0)
-    least = STILL * extent.max() if angles.size == extent.size else 0.0
+    least = RECOGNISED.still * extent.max() if angles.size == extent.size else 0.0
     return shared(np.maximum(extent, least), angles)
 
 
 def _first_order(states: np.ndarray, known: Sequence[Involution], angles: np.ndarray) -> str:
     """The name of the symmetry, of the known ones, that states (k+1 x d) of a first-order system over T have."""
     found: list[Involution] = []
-    for one in known:
-        holds = _reversed(one, states, angles) if one.sense < 0 else has(one, np.zeros(0), states, angles)
-        if holds and one.sense not in {each.sense for each in found}:
-            found.append(one)
-    return Symmetry(tuple(sorted(found, key=lambda one: one.sense)), True).name
+    for involution in known:
+        holds = (
+            _reversed(involution, states, angles)
+            if involution.sense < 0
+            else has(involution, np.zeros(0), states, angles)
+        )
+        if holds and involution.sense not in {each.sense for each in found}:
+            found.append(involution)
+    return Symmetry(tuple(sorted(found, key=lambda involution: involution.sense)), True).name
 
 
-def _reversed(one: Involution, states: np.ndarray, angles: np.ndarray) -> bool:
+def _reversed(involution: Involution, states: np.ndarray, angles: np.ndarray) -> bool:
     """Whether x(t0 + t) = S x(t0 - t) for some t0: about it harmonics are c = S conj(c).
 
     The phase of the largest harmonic leaves twice as many candidates for t0 as its number.
     """
     drift = np.linspace(0, 1, len(states))[:, None] * (states[-1] - states[0])
     harmonics = np.fft.rfft((states - drift)[:-1] / _moved(states, angles), axis=0) / (len(states) - 1)
-    order, matrix = np.arange(len(harmonics))[:, None], one.matrix(states.shape[1])
+    order, matrix = np.arange(len(harmonics))[:, None], involution.matrix(states.shape[1])
     partner = harmonics @ matrix.T
     k, i = np.unravel_index(int(np.abs(harmonics[1:] * partner[1:]).argmax()), harmonics[1:].shape)
     phase = np.angle(harmonics[k + 1, i] * partner[k + 1, i])  # c e^(iks) = conj(S c e^(iks)) at s = -phase / 2k
     for turn in range(2 * (int(k) + 1)):
         shifted = harmonics * np.exp(1j * order * (2 * np.pi * turn - phase) / (2 * (k + 1)))
-        if np.abs(shifted - shifted.conj() @ matrix.T).max() <= MIRROR:
+        if np.abs(shifted - shifted.conj() @ matrix.T).max() <= RECOGNISED.mirror:
             return True
     return False
 
 
-def _mirrored(one: Involution, times: np.ndarray, states: np.ndarray, angles: np.ndarray) -> bool:
+def _mirrored(involution: Involution, times: np.ndarray, states: np.ndarray, angles: np.ndarray) -> bool:
     """True when the motion passes the fixed set, and its rates about that instant are even or odd as they must be."""
     n = angles.size
-    rows = _fixed(one, n).rows
+    rows = _fixed(involution, n).rows
     spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
     rates = spline.derivative()
     sizes = shared(np.append(np.ptp(states[:, :n], axis=0), np.abs(states[:, n:]).max(axis=0)), angles)
@@ -759,14 +792,14 @@ def _mirrored(one: Involution, times: np.ndarray, states: np.ndarray, angles: np
     chosen: PPoly = CubicHermiteSpline(times, *parts.T)
     levels = [0.0]
     if coordinate[leading] and angles[np.flatnonzero(rows[leading])].all():
-        turn = 2 * np.pi * _fixed(one, n).share[leading]
+        turn = 2 * np.pi * _fixed(involution, n).share[leading]
         levels = list(np.arange(np.floor(parts[:, 0].min() / turn), parts[:, 0].max() / turn + 1) * turn)
     elif not coordinate[leading]:
         chosen = CubicHermiteSpline(times, states[:, :n] @ rows[leading, n:], moved[:, leading]).derivative()
     roots = [PPoly(chosen.c, chosen.x).solve(level, extrapolate=False) for level in levels]
-    moments = np.concatenate([*(np.append(found[np.isfinite(found)], times) for found in roots)])
+    moments = np.concatenate([*(np.append(root[np.isfinite(root)], times) for root in roots)])
     there = np.hstack([spline(moments), rates(moments)])
-    defects = np.abs(off_centre(one, there, angles) / units).max(axis=1)
+    defects = np.abs(off_centre(involution, there, angles) / units).max(axis=1)
     # the spline's rates are good to about the fourth power of the sampling interval
     if not defects.size or not defects.min() <= 10 * RECOGNITION:
         return False
@@ -774,8 +807,8 @@ def _mirrored(one: Involution, times: np.ndarray, states: np.ndarray, angles: np
     # v odd (even) about the centre: Fourier coefficients there are imaginary (real); exact for periodic samples
     harmonics = np.fft.rfft(states[:-1, n:], axis=0) * (2.0 / (len(states) - 1))
     turned = harmonics * np.exp(2j * np.pi * np.arange(len(harmonics)) * centre / times[-1])[:, None]
-    image = turned.conj() @ one.places(n).T * one.sense
-    return bool(np.abs(turned - image).max() / 2 <= MIRROR * np.abs(states[:, n:]).max())
+    image = turned.conj() @ involution.places(n).T * involution.sense
+    return bool(np.abs(turned - image).max() / 2 <= RECOGNISED.mirror * np.abs(states[:, n:]).max())
 
 
 def time_dependent(model: Model) -> bool:
@@ -791,10 +824,6 @@ def moved(model: Model, free: Sequence[str]) -> Model:
     return altered(model, parameter_values=numbers) if free else model
 
 
-SIZES = (1.0, 1e-3, 1e-6, 1e-12)
-"""Of states, in lengths, at which the forces of a driven system are tried"""
-
-
 def symplectic(model: Model) -> bool:
     """Whether the flow is Hamilton's, driven or not, so that multipliers come in reciprocal pairs.
 
@@ -808,12 +837,12 @@ def symplectic(model: Model) -> bool:
     random, slopes, n = np.random.default_rng(0), model.forces.jacobian(), model.degrees_of_freedom
     lengths, _ = surroundings(model, np.zeros(n))
     clock = float(model.forcing_period(model.parameter_values)) / (2 * np.pi)  # type: ignore[misc]
-    for size in np.tile(SIZES, 2):
+    for size in np.tile(RECOGNISED.sizes, 2):
         t, (q, v) = float(random.uniform()) * clock, size * random.normal(0, 1.0, (2, n)) * lengths / [[1.0], [clock]]
-        by_q, by_v = (one.full() for one in slopes(t, q, v, model.parameter_values, 0)[1:3])
+        by_q, by_v = (slope.full() for slope in slopes(t, q, v, model.parameter_values, 0)[1:3])
         roots = np.sqrt(np.abs(masses_of(model.kinetic, np.append(q, v), model)))
         work = np.outer(roots, roots) / clock**2
         turned, damped = np.abs(by_q - by_q.T), np.abs(by_v) / clock
-        if max(turned.max(), damped.max()) > MIRRORED * max(work.max(), np.abs(by_q).max()):
+        if max(turned.max(), damped.max()) > RECOGNISED.mirrored * max(work.max(), np.abs(by_q).max()):
             return False
     return True

@@ -38,13 +38,15 @@ class Watch:
 
 def watches(given: Mapping[str, str | Number], model: Model) -> dict[str, Watch]:
     """What is watched, by name. Raises `InputError` for what is no number of a motion of this model."""
-    taken = {*model.state_names, *model.parameter_names, *(one.name for one in fields(FamilyPoint))}
-    found = {}
-    for name, one in given.items():
+    taken = {*model.state_names, *model.parameter_names, *(field.name for field in fields(FamilyPoint))}
+    watched = {}
+    for name, number in given.items():
         if not name.isidentifier() or name in taken:
             raise InputError(f"watch.{name}: no name for a number, or one that orbits have already; choose another")
-        found[name] = Watch(as_recorded(one), one if callable(one) else _stated(one, model, f"watch.{name}"))
-    return found
+        watched[name] = Watch(
+            as_recorded(number), number if callable(number) else _stated(number, model, f"watch.{name}")
+        )
+    return watched
 
 
 def as_recorded(given: str | Number) -> Any:
@@ -68,24 +70,24 @@ def numbers(
     watch: Mapping[str, Watch], times: np.ndarray, states: np.ndarray, parameters: Mapping[str, float]
 ) -> dict[str, float]:
     """The watched numbers of a motion. Raises `ConvergenceError` where one is not finite."""
-    found = {name: float(one.of(times, states, parameters)) for name, one in watch.items()}
-    for name, value in found.items():
+    values = {name: float(number.of(times, states, parameters)) for name, number in watch.items()}
+    for name, value in values.items():
         if not np.isfinite(value):
             raise ConvergenceError(f"watch.{name}: {value} there, and no finite number")
-    return found
+    return values
 
 
 def unsure(
     watch: Mapping[str, Watch], times: np.ndarray, states: np.ndarray, parameters: Mapping[str, float], share: float
 ) -> dict[str, float]:
     """What errors of such a share of a motion's sizes make of its numbers, the most in some draws."""
-    known, found = numbers(watch, times, states, parameters), dict.fromkeys(watch, 0.0)
+    known, spread = numbers(watch, times, states, parameters), dict.fromkeys(watch, 0.0)
     random, wrong = np.random.default_rng(0), share * np.abs(states).max(axis=0)
     for _ in range(DRAWS):
         noise = wrong * (random.normal(size=states.shape) + random.normal(size=states.shape[1]))
         other = numbers(watch, times, states + noise, parameters)
-        found = {name: max(most, abs(other[name] - known[name])) for name, most in found.items()}
-    return found
+        spread = {name: max(most, abs(other[name] - known[name])) for name, most in spread.items()}
+    return spread
 
 
 def arcs(times: np.ndarray) -> list[slice]:
@@ -110,9 +112,9 @@ def _stated(text: str, model: Model, where: str) -> Number:
     outer = ca.SX(expression(text, named(model, x, p, period), where, calls))
     if ca.depends_on(outer, x):
         raise InputError(f"{where}: {text!r} varies along an orbit; put what does into max(), min() or mean()")
-    known = ca.vertcat(ca.SX(0, 1), *(one for _, _, one in reductions))
+    known = ca.vertcat(ca.SX(0, 1), *(symbol for _, _, symbol in reductions))
     given = [x, p, period, known]
-    inner = [ca.Function("inner", given, [one]) for _, one, _ in reductions]
+    inner = [ca.Function("inner", given, [inside]) for _, inside, _ in reductions]
     last = ca.Function("outer", given, [outer])
 
     def of(times: np.ndarray, states: np.ndarray, parameters: Mapping[str, float]) -> float:
@@ -127,12 +129,12 @@ def _stated(text: str, model: Model, where: str) -> Number:
 
 def _mean(times: np.ndarray, values: np.ndarray) -> float:
     """The mean over the period, to the fourth order of the samples, or of whatever order where values are periodic."""
-    return float(sum(simpson(values[one], x=times[one]) for one in arcs(times)) / (times[-1] - times[0]))
+    return float(sum(simpson(values[arc], x=times[arc]) for arc in arcs(times)) / (times[-1] - times[0]))
 
 
 def _greatest(times: np.ndarray, values: np.ndarray) -> float:
     """The largest value of a motion between its samples, to their seventh order."""
-    return max(_top(times[one], values[one]) for one in arcs(times))
+    return max(_top(times[arc], values[arc]) for arc in arcs(times))
 
 
 def _top(times: np.ndarray, values: np.ndarray) -> float:

@@ -46,7 +46,7 @@ def checked_controls(names: Sequence[str], known: Sequence[str]) -> tuple[str, .
 
 def checked_limits(limits: Limits, names: Sequence[str]) -> dict[str, tuple[float, float]]:
     """(lowest, highest) of each control that has limits; `InputError` for what is none."""
-    found = {}
+    numbers = {}
     for name, given in limits.items():
         if name not in names:
             raise InputError(f"limits: {name!r} is no control{closest(name, names)}; controls are {', '.join(names)}")
@@ -56,18 +56,18 @@ def checked_limits(limits: Limits, names: Sequence[str]) -> dict[str, tuple[floa
             pair = np.array([])
         if pair.shape != (2,) or np.any(np.isnan(pair)) or not pair[0] < pair[1]:
             raise InputError(f"limits.{name}: must be a positive number or [lowest, highest], got {given!r}")
-        found[name] = (float(pair[0]), float(pair[1]))
-    return found
+        numbers[name] = (float(pair[0]), float(pair[1]))
+    return numbers
 
 
 def checked_motors(motors: Sequence[int], joints: int) -> list[int]:
     """Numbers of the joints that have motors, 1 to `joints`, none twice; `InputError` otherwise."""
     given: list[Any] = [motors] if isinstance(motors, int | str) else list(motors)
-    for one in given:
-        whole = isinstance(one, (int, np.integer)) and not isinstance(one, bool)
-        if not whole or not 1 <= one <= joints or given.count(one) > 1:
-            raise InputError(f"motors: {one!r} in {given}; give different joints from 1 (at the ground) to {joints}")
-    return [int(one) for one in given]
+    for number in given:
+        whole = isinstance(number, (int, np.integer)) and not isinstance(number, bool)
+        if not whole or not 1 <= number <= joints or given.count(number) > 1:
+            raise InputError(f"motors: {number!r} in {given}; give different joints from 1 (at the ground) to {joints}")
+    return [int(number) for number in given]
 
 
 def joint_torques(torques: Mapping[int, Any], links: int) -> list[Any]:
@@ -103,7 +103,7 @@ def actuated(model: Model) -> Model:
     if drive is not None and forces is not None:
         inputs = drive.sx_in() if drive.is_a("SXFunction") else drive.mx_in()
         drive = ca.Function("forces", inputs, [forces(*inputs) + drive(*inputs)])
-    kept = tuple(one for one, broken in zip(model.invariants, _broken(model), strict=True) if not broken)
+    kept = tuple(invariant for invariant, broken in zip(model.invariants, _broken(model), strict=True) if not broken)
     return altered(model, forces=drive or forces, actuation=None, invariants=kept, hamiltonian=False)
 
 
@@ -115,18 +115,18 @@ def _broken(model: Model) -> list[bool]:
     x, p = ca.MX.sym("x", len(model.state_names)), ca.MX.sym("p", len(model.parameter_names))
     rate = model.rate(ca.DM(0.0), x, p)
     rows = []
-    for one in model.invariants:
-        level = one.value(x[:n], x[n:], p)
+    for invariant in model.invariants:
+        level = invariant.value(x[:n], x[n:], p)
         slope, other = ca.gradient(level, x), ca.gradient(level, p)[places]
         change = ca.vertcat(ca.dot(slope, rate), ca.norm_1(other))
         rows.append(ca.vertcat(change, ca.dot(ca.fabs(slope), ca.fabs(rate))))
     function, random = ca.Function("rates", [x, p], rows), np.random.default_rng(0)
-    found = np.zeros(len(rows), bool)
+    varying = np.zeros(len(rows), bool)
     for _ in range(4):
         values = model.parameter_values.copy()
         values[places] += random.normal(size=len(places)) * max(1.0, float(np.abs(values).max()))
         results = function(random.normal(size=x.numel()), values)
         for k, each in enumerate(results if isinstance(results, (tuple, list)) else [results]):
             change, by_control, size = each.full().ravel()
-            found[k] |= bool(abs(change) > BROKEN * size or by_control > 0)
-    return [bool(one) for one in found]
+            varying[k] |= bool(abs(change) > BROKEN * size or by_control > 0)
+    return [bool(varies) for varies in varying]

@@ -49,15 +49,15 @@ def _value(
     if depth > DEEPEST:
         raise InputError(f"{where}: nested too deeply; write it in fewer brackets")
     try:
-        found = _worked_out(node, known, where, depth, calls)
+        value = _worked_out(node, known, where, depth, calls)
     except InputError:
         raise
     except (ArithmeticError, ValueError):
-        found = math.nan
-    if isinstance(found, complex) or (isinstance(found, float) and not math.isfinite(found)):
+        value = math.nan
+    if isinstance(value, complex) or (isinstance(value, float) and not math.isfinite(value)):
         raise InputError(f"{where}: {ast.unparse(node)[:60]!r} is no finite real number; write a smaller one, no root "
                          "of a negative one and nothing divided by 0")  # fmt: skip
-    return found
+    return value
 
 
 def _worked_out(

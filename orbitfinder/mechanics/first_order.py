@@ -120,10 +120,10 @@ def ode(
     symbols = _Symbols(states, values)
     rate = ca.vertcat(*_components(field, symbols))
     _check_rates(rate, symbols, forcing_period)
-    found = invariants
-    if isinstance(found, Mapping):
-        found = [symbols.invariant(name, _expression(name, one, symbols)) for name, one in found.items()]
-    made = with_controls(_model(rate, symbols, found, angles, forcing_period, symmetries, system), controls, limits)
+    integrals = invariants
+    if isinstance(integrals, Mapping):
+        integrals = [symbols.invariant(name, _expression(name, scalar, symbols)) for name, scalar in integrals.items()]
+    made = with_controls(_model(rate, symbols, integrals, angles, forcing_period, symmetries, system), controls, limits)
     return made if points is None else altered(made, points=symbols.positions(points))
 
 
@@ -176,12 +176,12 @@ def hamiltonian(
         level = _scalar("energy", energy(*given))
     rate = symbols.turned(level)
     _check_rates(rate, symbols, forcing_period)
-    found = [] if forcing_period is not None else [symbols.invariant("energy", level)]
-    for name, one in (invariants or {}).items():
-        expression = _expression(name, one, symbols)
+    integrals = [] if forcing_period is not None else [symbols.invariant("energy", level)]
+    for name, scalar in (invariants or {}).items():
+        expression = _expression(name, scalar, symbols)
         _check_commutes(name, expression, rate, symbols)
-        found.append(symbols.invariant(name, expression, symbols.turned(expression)))
-    return _model(rate, symbols, found, angles, forcing_period, symmetries, system, level)
+        integrals.append(symbols.invariant(name, expression, symbols.turned(expression)))
+    return _model(rate, symbols, integrals, angles, forcing_period, symmetries, system, level)
 
 
 class _Symbols:
@@ -212,10 +212,10 @@ class _Symbols:
 
     def positions(self, points: Callable[[Named, Named], Any]) -> ca.Function:
         """(x, p) -> what is drawn. Raises `InputError`."""
-        found = ca.SX(points(self.x, self.p))
-        if found.shape[0] != 2:
-            raise InputError(f"points: shape {found.shape}; give (down, right) in m of each point, 2 x k")
-        return ca.Function("points", [self.column, self.numbers], [ca.densify(found)])
+        places = ca.SX(points(self.x, self.p))
+        if places.shape[0] != 2:
+            raise InputError(f"points: shape {places.shape}; give (down, right) in m of each point, 2 x k")
+        return ca.Function("points", [self.column, self.numbers], [ca.densify(places)])
 
     def invariant(self, name: str, expression: ca.SX, generator: ca.SX | None = None) -> Invariant:
         """A first integral, unfolded by its gradient."""
@@ -230,7 +230,7 @@ class _Symbols:
     def foreign(self, expression: ca.SX) -> str:
         """Names of what an expression depends on beside t, x and p, joined."""
         known = ca.vertcat(self.t, self.column, self.numbers)
-        return ", ".join(str(one) for one in ca.symvar(expression) if not ca.depends_on(known, one))
+        return ", ".join(str(symbol) for symbol in ca.symvar(expression) if not ca.depends_on(known, symbol))
 
     def signs(self, moved: Mapping[str, int]) -> tuple[int, ...]:
         """One sign for each component, -1 for those in `moved`."""
@@ -258,7 +258,7 @@ def _model(
         raise InputError(f"angles: {strange[0]!r} is no component{closest(strange[0], symbols.names)}")
     invariants = tuple(invariants)
     _check_independent(invariants, symbols)
-    first = next((one for one in invariants if one.generator is None), None)
+    first = next((invariant for invariant in invariants if invariant.generator is None), None)
     energy = ca.SX(np.nan) if first is None else first.value(symbols.column, symbols.v, symbols.numbers)
     if level is not None:
         energy = ca.substitute(level, symbols.t, ca.SX(0))
@@ -298,32 +298,32 @@ def _sense(name: str, sense: int) -> int:
 def _components(field: Field, symbols: _Symbols) -> list[ca.SX]:
     """x' as expressions, one for each component. Raises `InputError`."""
     with in_symbols("field"):
-        found = field(symbols.t, symbols.x, symbols.p)
-        parts = ca.vertsplit(ca.vec(found)) if isinstance(found, ca.SX) else list(found)
+        rates = field(symbols.t, symbols.x, symbols.p)
+        parts = ca.vertsplit(ca.vec(rates)) if isinstance(rates, ca.SX) else list(rates)
     if len(parts) != len(symbols.names):
         raise InputError(f"field: {len(parts)} rates for {len(symbols.names)} states; give one each, in their order")
-    return [_scalar(f"field: {name}", one) for name, one in zip(symbols.names, parts, strict=True)]
+    return [_scalar(f"field: {name}", part) for name, part in zip(symbols.names, parts, strict=True)]
 
 
-def _scalar(name: str, found: Any) -> ca.SX:
+def _scalar(name: str, value: Any) -> ca.SX:
     try:
-        expression = ca.SX(found)
+        expression = ca.SX(value)
     except (NotImplementedError, TypeError) as error:
-        raise InputError(f"{name}: expected an expression of CasADi symbols, got {type(found).__name__}") from error
+        raise InputError(f"{name}: expected an expression of CasADi symbols, got {type(value).__name__}") from error
     if expression.numel() != 1:
         raise InputError(f"{name}: expected one number, got shape {expression.shape}")
     return expression
 
 
-def _expression(name: str, one: Scalar, symbols: _Symbols) -> ca.SX:
+def _expression(name: str, scalar: Scalar, symbols: _Symbols) -> ca.SX:
     """An invariant's expression. Raises `InputError`."""
     if name in (*symbols.names, *symbols.values, "period"):
         raise InputError(f"invariants: {name!r} names something else too; give another name")
     with in_symbols(f"invariants: {name}"):
-        found = _scalar(f"invariants: {name}", one(symbols.x, symbols.p))
-    if stray := symbols.foreign(found):
+        value = _scalar(f"invariants: {name}", scalar(symbols.x, symbols.p))
+    if stray := symbols.foreign(value):
         raise InputError(f"invariants: {name} depends on {stray}; it may depend on x and p only")
-    return found
+    return value
 
 
 def _check_rates(rate: ca.SX, symbols: _Symbols, forcing_period: Any) -> None:
@@ -340,10 +340,10 @@ def _check_commutes(name: str, expression: ca.SX, rate: ca.SX, symbols: _Symbols
                          ca.dot(ca.fabs(slope), ca.fabs(rate))])  # fmt: skip
     random, values = np.random.default_rng(0), np.array(list(symbols.values.values()), float)
     for _ in range(4):
-        found, size = map(float, change(random.uniform(), random.normal(size=len(symbols.names)), values))
-        if np.isfinite(found) and abs(found) > COMMUTES * size:
+        change_rate, size = map(float, change(random.uniform(), random.normal(size=len(symbols.names)), values))
+        if np.isfinite(change_rate) and abs(change_rate) > COMMUTES * size:
             raise InputError(
-                f"invariants: {name!r} is not conserved, it changes at the rate {found:.3g} of terms as large as "
+                f"invariants: {name!r} is not conserved, it changes at the rate {change_rate:.3g} of terms as large as "
                 f"{size:.3g}; leave it out"
             )
 
@@ -352,14 +352,14 @@ def _check_independent(invariants: Sequence[Invariant], symbols: _Symbols) -> No
     """`InputError` where an invariant is a function of those before it: at no seeded state a gradient of its own."""
     random, values = np.random.default_rng(0), np.array(list(symbols.values.values()), float)
     inputs = (symbols.column, symbols.v, symbols.numbers)
-    rows = [ca.gradient(one.value(*inputs), symbols.column) for one in invariants]
+    rows = [ca.gradient(invariant.value(*inputs), symbols.column) for invariant in invariants]
     slopes = ca.Function("slopes", inputs[::2], [ca.densify(ca.horzcat(ca.SX(len(symbols.names), 0), *rows))])
-    found = [slopes(x, values).full() for x in random.normal(size=(4, len(symbols.names)))]
-    units = [_balanced(each) for each in found if np.all(np.isfinite(each))]
-    for k, one in enumerate(invariants, start=1):
+    matrices = [slopes(x, values).full() for x in random.normal(size=(4, len(symbols.names)))]
+    units = [_balanced(each) for each in matrices if np.all(np.isfinite(each))]
+    for k, invariant in enumerate(invariants, start=1):
         if units and all(np.linalg.matrix_rank(each[:, :k], COMMUTES) < k for each in units):
             before = f"a function of {', '.join(each.name for each in invariants[: k - 1])}" if k > 1 else "a constant"
-            raise InputError(f"invariants: {one.name!r} is {before} and says nothing more; leave it out")
+            raise InputError(f"invariants: {invariant.name!r} is {before} and says nothing more; leave it out")
 
 
 def _balanced(slopes: np.ndarray) -> np.ndarray:
@@ -374,7 +374,7 @@ COMMUTES = 1e-9
 
 def _clock(given: Any, symbols: _Symbols) -> ca.Function:
     """p -> the period of the forcing."""
-    found = _scalar("forcing_period", given(symbols.p) if callable(given) else given)
-    if ca.depends_on(found, ca.vertcat(symbols.t, symbols.column)) or symbols.foreign(found):
+    clock = _scalar("forcing_period", given(symbols.p) if callable(given) else given)
+    if ca.depends_on(clock, ca.vertcat(symbols.t, symbols.column)) or symbols.foreign(clock):
         raise InputError("forcing_period: may depend on the parameters only")
-    return ca.Function("forcing_period", [symbols.numbers], [found])
+    return ca.Function("forcing_period", [symbols.numbers], [clock])

@@ -121,19 +121,19 @@ class Hybrid:
 
     def mode(self, name: str) -> Mode:
         """A mode by its name."""
-        return next(one for one in self.modes if one.name == name)
+        return next(mode for mode in self.modes if mode.name == name)
 
     def transition(self, name: str) -> Transition:
         """A transition by its name; `InputError` names the known ones."""
-        found = next((one for one in self.transitions if one.name == name), None)
-        if found is None:
-            known = [one.name for one in self.transitions]
+        transition = next((transition for transition in self.transitions if transition.name == name), None)
+        if transition is None:
+            known = [transition.name for transition in self.transitions]
             raise InputError(f"cycle: unknown transition {name!r}{closest(name, known)}; it has {', '.join(known)}")
-        return found
+        return transition
 
     def leaving(self, mode: str) -> tuple[Transition, ...]:
         """The transitions that end a mode."""
-        return tuple(one for one in self.transitions if one.source == mode)
+        return tuple(transition for transition in self.transitions if transition.source == mode)
 
     @property
     def first(self) -> Mode:
@@ -143,8 +143,8 @@ class Hybrid:
     @property
     def arcs(self) -> tuple[tuple[Mode, Transition], ...]:
         """The modes of one period with the transitions that end them."""
-        found = [self.transition(name) for name in self.cycle]
-        return tuple((self.mode(one.source), one) for one in found)
+        course = [self.transition(name) for name in self.cycle]
+        return tuple((self.mode(transition.source), transition) for transition in course)
 
     def part(self, parts: int) -> tuple[tuple[Mode, Transition], ...]:
         """The arcs of the first of so many equal parts of a period."""
@@ -153,7 +153,11 @@ class Hybrid:
     @property
     def ignored(self) -> tuple[str, ...]:
         """What guards ignore on purpose."""
-        return tuple(f"{one.name}: {one.ignored}" for one in self.transitions if one.allowed is not None)
+        return tuple(
+            f"{transition.name}: {transition.ignored}"
+            for transition in self.transitions
+            if transition.allowed is not None
+        )
 
 
 @dataclass(frozen=True)
@@ -219,8 +223,8 @@ def impact(model: Model, contact: Expression, restitution: float | Expression | 
     return Impact(*(lambda x, p, k=k: whole(ca.vertcat(*x), ca.vertcat(*p))[k] for k in range(4)))  # type: ignore[misc]
 
 
-def _listed(found: Any) -> list[Any]:
-    return list(found) if isinstance(found, (list, tuple)) else [found]
+def _listed(value: Any) -> list[Any]:
+    return list(value) if isinstance(value, (list, tuple)) else [value]
 
 
 def hybrid(
@@ -269,9 +273,9 @@ def hybrid(
     """
     named = tuple(Mode(name, model) for name, model in modes.items()) if isinstance(modes, Mapping) else tuple(modes)
     _check_modes(named)
-    named = tuple(replace(one, model=_conserving(one, conserved)) for one in named)
+    named = tuple(replace(mode, model=_conserving(mode, conserved)) for mode in named)
     first = named[0].model
-    for name in (one for one in first.parameter_names if one.startswith(SHARE)):
+    for name in (name for name in first.parameter_names if name.startswith(SHARE)):
         raise InputError(f"modes: a parameter {name!r} is the share of an arc in the period; choose another name")
     cycle = tuple(cycle or ())
     parts = Hybrid(named, tuple(transitions), cycle)
@@ -282,16 +286,16 @@ def hybrid(
     begins = parts.first.model
     whole = altered(begins, parameter_names=names, parameter_values=values)
     built = Hybrid(
-        tuple(_mode(one, whole) for one in named), tuple(_transition(one, whole) for one in transitions), cycle,
+        tuple(_mode(mode, whole) for mode in named), tuple(_transition(each, whole) for each in transitions), cycle,
         (named, tuple(transitions), tuple(conserved)), None if ground is None else _drawn(ground, first),
     )  # fmt: skip
-    found = altered(
+    model = altered(
         built.first.model, parameter_names=names, parameter_values=values, hybrid=built,
         system=dict(system or {"kind": "custom"}),
     )  # fmt: skip
-    named_too = dict.fromkeys([*controls, *(name for one in named for name in one.model.controls)])
-    given = {name: pair for one in named for name, pair in one.model.limits.items()}
-    return with_controls(found, tuple(named_too), given | dict(limits or {}))
+    named_too = dict.fromkeys([*controls, *(name for mode in named for name in mode.model.controls)])
+    given = {name: pair for mode in named for name, pair in mode.model.limits.items()}
+    return with_controls(model, tuple(named_too), given | dict(limits or {}))
 
 
 def with_cycle(model: Model, cycle: Sequence[str]) -> Model:
@@ -317,13 +321,13 @@ def as_recorded(model: Model, system: Mapping[str, Any]) -> Model:
     return with_cycle(model, system["cycle"]) if model.hybrid is not None and "cycle" in system else model
 
 
-def section_of(model: Model, one: Transition) -> ca.Function:
+def section_of(model: Model, transition: Transition) -> ca.Function:
     """(x-, p) -> x+ after a transition; what must be as it is there, its guard and what is conserved at x+; and the
     derivatives of both by x-."""
-    symbol = ca.SX.sym if all(each.is_a("SXFunction") for each in (one.guard, one.reset)) else ca.MX.sym
+    symbol = ca.SX.sym if all(each.is_a("SXFunction") for each in (transition.guard, transition.reset)) else ca.MX.sym
     x, p, n = symbol("x", len(model.state_names)), symbol("p", len(model.parameter_names)), model.degrees_of_freedom
-    after = one.reset(x, p)
-    held = ca.vertcat(one.guard(x, p), *(each.value(after[:n], after[n:], p) for each in model.invariants))
+    after = transition.reset(x, p)
+    held = ca.vertcat(transition.guard(x, p), *(each.value(after[:n], after[n:], p) for each in model.invariants))
     slopes = [ca.densify(ca.jacobian(each, x)) for each in (after, held)]
     return ca.Function("section", [x, p], [after, held, *slopes])
 
@@ -336,34 +340,34 @@ def repeated(model: Model, times: int) -> Model:
 def _drawn(ground: Expression, model: Model) -> ca.Function:
     """The polyline of a ground as a function of (x, p)."""
     x, p = ca.SX.sym("x", len(model.state_names)), ca.SX.sym("p", len(model.parameter_names))
-    found = ground(Named.of(model.state_names, x), Named.of(model.parameter_names, p))
-    return ca.Function("ground", [x, p], [ca.densify(ca.SX(found))])
+    heights = ground(Named.of(model.state_names, x), Named.of(model.parameter_names, p))
+    return ca.Function("ground", [x, p], [ca.densify(ca.SX(heights))])
 
 
 def _conserving(mode: Mode, names: Sequence[str]) -> Model:
     """The mode's Model with those invariants only that the whole cycle keeps."""
-    found = {one.name: one for one in mode.model.invariants}
+    invariants = {invariant.name: invariant for invariant in mode.model.invariants}
     for name in names:
-        if name not in found:
+        if name not in invariants:
             raise InputError(
-                f"conserved: mode {mode.name} does not conserve {name!r}{closest(name, found)}; it conserves "
-                f"{', '.join(found) or 'nothing'}"
+                f"conserved: mode {mode.name} does not conserve {name!r}{closest(name, invariants)}; it conserves "
+                f"{', '.join(invariants) or 'nothing'}"
             )
-    return altered(mode.model, invariants=tuple(found[name] for name in names))
+    return altered(mode.model, invariants=tuple(invariants[name] for name in names))
 
 
 def at_numbers(parts: Hybrid | None, numbers: np.ndarray) -> Hybrid | None:
     """The same modes at other values of the parameters."""
     if parts is None:
         return None
-    modes = (replace(one, model=altered(one.model, parameter_values=numbers)) for one in parts.modes)
+    modes = (replace(mode, model=altered(mode.model, parameter_values=numbers)) for mode in parts.modes)
     return replace(parts, modes=tuple(modes))
 
 
-def saltation(before: Model, one: Transition, after: Model) -> ca.Function:
+def saltation(before: Model, transition: Transition, after: Model) -> ca.Function:
     """(x-, p) -> S = DR + (f+ - DR f-) grad g / (grad g . f-) of a transition between two modes."""
     x, p = ca.MX.sym("x", len(before.state_names)), ca.MX.sym("p", len(before.parameter_names))
-    reset, slope, late = one.reset(x, p), one.slope(x, p), before.rate(0.0, x, p)
+    reset, slope, late = transition.reset(x, p), transition.slope(x, p), before.rate(0.0, x, p)
     by_x = ca.jacobian(reset, x)
     turn = after.rate(0.0, reset, p) - by_x @ late
     return ca.Function("saltation", [x, p], [ca.densify(by_x + turn @ slope / (slope @ late))])
@@ -394,7 +398,7 @@ def _mode(mode: Mode, whole: Model) -> Mode:
         parameter_values=whole.parameter_values,
     )
     told = f"mode {mode.name}: holds"
-    held = {name: _function("holds", one, model, f"{told} {name!r}") for name, one in (mode.holds or {}).items()}
+    held = {name: _function("holds", holds, model, f"{told} {name!r}") for name, holds in (mode.holds or {}).items()}
     return Mode(mode.name, model, held)
 
 
@@ -413,30 +417,39 @@ def widened(model: Model, count: int, kept: int) -> Model:
     fields = {name: getattr(model, name) for name in PART_OF}
     functions = {name: wide(value) for name, value in fields.items() if isinstance(value, ca.Function)}
     invariants = tuple(
-        replace(one, value=wide(one.value), unfolding=wide(one.unfolding), generator=wide(one.generator))
-        for one in model.invariants
+        replace(
+            invariant,
+            value=wide(invariant.value),
+            unfolding=wide(invariant.unfolding),
+            generator=wide(invariant.generator),
+        )
+        for invariant in model.invariants
     )
     return altered(model, **functions, invariants=invariants)  # type: ignore[arg-type]
 
 
-def _transition(one: Transition, model: Model) -> Transition:
-    given = {"guard": one.guard, "reset": one.reset or _unchanged}
-    guard, reset = (_function(name, value, model, f"transition {one.name}: {name}") for name, value in given.items())
+def _transition(transition: Transition, model: Model) -> Transition:
+    given = {"guard": transition.guard, "reset": transition.reset or _unchanged}
+    guard, reset = (
+        _function(name, value, model, f"transition {transition.name}: {name}") for name, value in given.items()
+    )
     if guard.numel_out(0) != 1:
-        raise InputError(f"transition {one.name}: guard gives {guard.numel_out(0)} numbers; give one")
+        raise InputError(f"transition {transition.name}: guard gives {guard.numel_out(0)} numbers; give one")
     if not guard.jac_sparsity(0, 0).nnz():
         raise InputError(
-            f"transition {one.name}: guard does not change with the state and is never crossed; name a state"
+            f"transition {transition.name}: guard does not change with the state and is never crossed; name a state"
         )
     size = len(model.state_names)
     if reset.size_out(0) != (size, 1):
-        raise InputError(f"transition {one.name}: reset gives {reset.numel_out(0)} numbers for {size} states; give all")
-    others = {name: getattr(one, name) for name in ("allowed", "impulse", "lost", "advance")}
+        raise InputError(
+            f"transition {transition.name}: reset gives {reset.numel_out(0)} numbers for {size} states; give all"
+        )
+    others = {name: getattr(transition, name) for name in ("allowed", "impulse", "lost", "advance")}
     made = {
-        name: None if value is None else _function(name, value, model, f"transition {one.name}: {name}")
+        name: None if value is None else _function(name, value, model, f"transition {transition.name}: {name}")
         for name, value in others.items()
     }
-    return replace(one, guard=guard, reset=reset, slope=gradient(guard), **made)  # type: ignore[arg-type]
+    return replace(transition, guard=guard, reset=reset, slope=gradient(guard), **made)  # type: ignore[arg-type]
 
 
 def gradient(guard: ca.Function) -> ca.Function:
@@ -454,9 +467,9 @@ def _function(name: str, expression: Expression, model: Model, told: str) -> ca.
 
     def made(symbol: Any) -> ca.Function:
         x, p = symbol("x", len(model.state_names)), symbol("p", len(model.parameter_names))
-        own = [one for one in model.parameter_names if not one.startswith(SHARE)]
-        found = expression(Named.of(model.state_names, x), Named.of(own, p))
-        return ca.Function(name, [x, p], [ca.densify(type(x)(ca.vertcat(*_listed(found))))])
+        own = [name for name in model.parameter_names if not name.startswith(SHARE)]
+        value = expression(Named.of(model.state_names, x), Named.of(own, p))
+        return ca.Function(name, [x, p], [ca.densify(type(x)(ca.vertcat(*_listed(value))))])
 
     if isinstance(expression, ca.Function):
         return expression
@@ -470,24 +483,24 @@ def _function(name: str, expression: Expression, model: Model, told: str) -> ca.
 def _check_modes(modes: Sequence[Mode]) -> None:
     if not modes:
         raise InputError("modes: none given; give at least one, {name: Model}")
-    _check_once("modes", [one.name for one in modes])
+    _check_once("modes", [mode.name for mode in modes])
     first = modes[0].model
-    for one in modes:
-        if one.holds is not None and not isinstance(one.holds, Mapping):
-            raise InputError(f"modes: holds of {one.name}: expected names with a function each, got {one.holds!r}")
-        if one.model.hybrid is not None:
-            raise InputError(f"modes: {one.name} is a hybrid system itself; give its modes and transitions")
-        if one.model.state_names != first.state_names:
+    for mode in modes:
+        if mode.holds is not None and not isinstance(mode.holds, Mapping):
+            raise InputError(f"modes: holds of {mode.name}: expected names with a function each, got {mode.holds!r}")
+        if mode.model.hybrid is not None:
+            raise InputError(f"modes: {mode.name} is a hybrid system itself; give its modes and transitions")
+        if mode.model.state_names != first.state_names:
             raise InputError(
-                f"modes: {one.name} has states {', '.join(one.model.state_names)}, {modes[0].name} has "
+                f"modes: {mode.name} has states {', '.join(mode.model.state_names)}, {modes[0].name} has "
                 f"{', '.join(first.state_names)}; give all modes the same, what a mode does not use stands still"
             )
-        if one.model.parameter_names != first.parameter_names or not np.array_equal(
-            one.model.parameter_values, first.parameter_values
+        if mode.model.parameter_names != first.parameter_names or not np.array_equal(
+            mode.model.parameter_values, first.parameter_values
         ):
-            raise InputError(f"modes: {one.name} and {modes[0].name} differ in parameters; give all modes the same")
-        if one.model.forced or (one.model.rates or one.model.acceleration).jac_sparsity(0, 0).nnz():
-            raise InputError(f"modes: {one.name} depends on time; make the clock a state (an angle with a rate of 1)")
+            raise InputError(f"modes: {mode.name} and {modes[0].name} differ in parameters; give all modes the same")
+        if mode.model.forced or (mode.model.rates or mode.model.acceleration).jac_sparsity(0, 0).nnz():
+            raise InputError(f"modes: {mode.name} depends on time; make the clock a state (an angle with a rate of 1)")
 
 
 def _check_once(what: str, names: Sequence[str]) -> None:
@@ -497,25 +510,28 @@ def _check_once(what: str, names: Sequence[str]) -> None:
 
 
 def _check_cycle(parts: Hybrid) -> None:
-    names = [one.name for one in parts.modes]
+    names = [mode.name for mode in parts.modes]
     for each in parts.transitions:
         if not isinstance(each, Transition):
             raise InputError(f"transitions: expected a list, each a Transition, got {each!r}")
-    _check_once("transitions", [one.name for one in parts.transitions])
-    for one in parts.transitions:
-        for which in (one.source, one.target):
+    _check_once("transitions", [transition.name for transition in parts.transitions])
+    for transition in parts.transitions:
+        for which in (transition.source, transition.target):
             if which not in names:
-                raise InputError(f"transition {one.name}: unknown mode {which!r}{closest(which, names)}")
-        if one.direction not in (-1, 1):
+                raise InputError(f"transition {transition.name}: unknown mode {which!r}{closest(which, names)}")
+        if transition.direction not in (-1, 1):
             raise InputError(
-                f"transition {one.name}: direction must be -1 (falling) or 1 (rising), got {one.direction}"
+                f"transition {transition.name}: direction must be -1 (falling) or 1 (rising), got "
+                f"{transition.direction}"
             )
-        if one.allowed is not None and not one.ignored:
-            raise InputError(f"transition {one.name}: ignored must say in words what `allowed` leaves out on purpose")
-    found = [parts.transition(name) for name in parts.cycle]
-    for one, following in zip(found, [*found[1:], *found[:1]], strict=True):
-        if one.target != following.source:
+        if transition.allowed is not None and not transition.ignored:
             raise InputError(
-                f"cycle: {one.name} leads to {one.target}, {following.name} starts from {following.source}; they do "
-                "not follow each other"
+                f"transition {transition.name}: ignored must say in words what `allowed` leaves out on purpose"
+            )
+    course = [parts.transition(name) for name in parts.cycle]
+    for before, following in zip(course, [*course[1:], *course[:1]], strict=True):
+        if before.target != following.source:
+            raise InputError(
+                f"cycle: {before.name} leads to {before.target}, {following.name} starts from {following.source}; they "
+                "do not follow each other"
             )

@@ -62,11 +62,11 @@ class Symbols:
         if n != rates:
             raise InputError(f"velocities: {rates} given for {n} coordinates; give one per coordinate")
         count = 0 if self.parameters is None else self.parameters.numel()
-        found = len(self.parameter_names), len(self.parameter_values)
-        if found != (count, count):
+        lengths = len(self.parameter_names), len(self.parameter_values)
+        if lengths != (count, count):
             raise InputError(
-                f"parameter_names, parameter_values: {found[0]} names and {found[1]} values for {count} parameters; "
-                "give one each"
+                f"parameter_names, parameter_values: {lengths[0]} names and {lengths[1]} values for {count} "
+                "parameters; give one each"
             )
 
     @property
@@ -91,7 +91,7 @@ class Terms:
     @property
     def all_forces(self) -> ca.SX | None:
         """The forces with what controls add."""
-        given = [one for one in (self.forces, self.actuation) if one is not None]
+        given = [term for term in (self.forces, self.actuation) if term is not None]
         return sum(given[1:], given[0]) if given else None
 
 
@@ -155,7 +155,7 @@ def detected_invariants(
     """
     _, q, v, p = arguments
     lagrangian = terms.kinetic - terms.potential + (0 if terms.gyroscopic is None else terms.gyroscopic)
-    found = [] if terms.forces is not None else [energy_invariant(terms.kinetic, terms.potential, q, v, p)]
+    invariants = [] if terms.forces is not None else [energy_invariant(terms.kinetic, terms.potential, q, v, p)]
     momentum = ca.gradient(lagrangian, v)
     for i, label in enumerate(labels):
         acted_on = terms.forces is not None and not ca.SX(terms.forces)[i].is_zero()
@@ -163,7 +163,7 @@ def detected_invariants(
             continue
         along = ca.SX.zeros(q.numel())
         along[i] = 1
-        found.append(
+        invariants.append(
             Invariant(
                 f"momentum_{label}",
                 ca.Function(f"momentum_{label}", [q, v, p], [momentum[i]]),
@@ -171,7 +171,7 @@ def detected_invariants(
                 ca.Function(f"shift_{label}", [q, v, p], [ca.vertcat(along, ca.SX.zeros(q.numel()))]),
             )
         )
-    return found
+    return invariants
 
 
 def lagrange(
@@ -329,12 +329,12 @@ def coordinate_angles(angles: Sequence[bool] | None, symbols: Symbols) -> tuple[
     count = symbols.coordinates.numel()
     if angles is not None and len(angles) != count:
         raise InputError(f"angles: {len(angles)} given for {count} coordinates; give True or False for each")
-    return (False,) * count if angles is None else tuple(bool(one) for one in angles)
+    return (False,) * count if angles is None else tuple(bool(angle) for angle in angles)
 
 
 def strangers(expression: ca.SX, known: Sequence[ca.SX]) -> list[str]:
     """Symbols of an expression that are not among the known ones."""
-    return [str(one) for one in ca.symvar(expression) if not ca.depends_on(ca.vertcat(*known), one)]
+    return [str(symbol) for symbol in ca.symvar(expression) if not ca.depends_on(ca.vertcat(*known), symbol)]
 
 
 def polyline(name: str, expression: ca.SX | None, arguments: Sequence[ca.SX]) -> ca.Function | None:

@@ -87,10 +87,10 @@ def least_squares(slopes: np.ndarray, cutoff: float = Settings.cutoff) -> Solver
     def solve(rows: np.ndarray) -> np.ndarray:
         right = np.zeros(max(count, size))
         right[:count] = rows
-        found, _, _, fault = dgelsd(slopes, right, int(work), whole, cutoff, overwrite_b=True)
+        answer, _, _, fault = dgelsd(slopes, right, int(work), whole, cutoff, overwrite_b=True)
         if fault:
             raise np.linalg.LinAlgError("the singular values do not converge")
-        return np.asarray(found[:size])
+        return np.asarray(answer[:size])
 
     return solve
 
@@ -143,8 +143,8 @@ def stepped(
     measure: Callable[[np.ndarray], float] = largest,
 ) -> Solved[W]:
     """The same for equations without a size of their own: judged by the steps, the last of which is taken too."""
-    found = full(w, lambda w: (step(w), np.positive), settings, moved, measure, True)
-    return replace(found, w=moved(found.w, found.rows)) if found.converged else found
+    solved = full(w, lambda w: (step(w), np.positive), settings, moved, measure, True)
+    return replace(solved, w=moved(solved.w, solved.rows)) if solved.converged else solved
 
 
 def chord(
@@ -230,5 +230,5 @@ def equilibrium(
 
 def descended(value: Callable[[np.ndarray], float], q: np.ndarray, **how: Any) -> tuple[np.ndarray, float, float]:
     """Where the way down from q (n) ends, the value there, the largest slope left; `how` is for SciPy's minimize."""
-    found = minimize(value, q, **how)
-    return np.asarray(found.x), float(found.fun), largest(found.jac)
+    result = minimize(value, q, **how)
+    return np.asarray(result.x), float(result.fun), largest(result.jac)

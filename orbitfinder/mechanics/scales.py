@@ -90,11 +90,11 @@ def with_scales(model: Model, scales: Mapping[str, float] | None) -> Model:
     return replace(model, scales=given, system={**model.system, "scales": given})
 
 
-def given_or(model: Model, found: np.ndarray | float) -> np.ndarray:
+def given_or(model: Model, size: np.ndarray | float) -> np.ndarray:
     """The sizes (n) that the user gives coordinates, else those found; 1 of angles."""
     names, common = model.state_names[: model.degrees_of_freedom], model.scales.get("length", np.nan)
     given = np.array([model.scales.get(name, common) for name in names], float)
-    return np.where(model.angular, 1.0, np.where(np.isnan(given), found, given))
+    return np.where(model.angular, 1.0, np.where(np.isnan(given), size, given))
 
 
 def alike(sizes: np.ndarray | float) -> np.ndarray:
@@ -137,16 +137,16 @@ def surroundings(model: Model, place: np.ndarray) -> tuple[np.ndarray, float]:
 
     Lengths given, else a power of 256 near |q|; sqrt(length / acceleration), also as such a power.
     """
-    found = given_or(model, snapped(np.abs(place[~model.angular]).max(initial=0.0)))
-    there = np.append(place + 0.3 * found, np.zeros(len(model.state_names) - place.size))
-    pace = np.abs(_pushed(model, there, place.size) / found).max()
-    return found, float(1.0 / snapped(pace if model.rates is not None else np.sqrt(pace)))
+    reach = given_or(model, snapped(np.abs(place[~model.angular]).max(initial=0.0)))
+    there = np.append(place + 0.3 * reach, np.zeros(len(model.state_names) - place.size))
+    pace = np.abs(_pushed(model, there, place.size) / reach).max()
+    return reach, float(1.0 / snapped(pace if model.rates is not None else np.sqrt(pace)))
 
 
 def _pushed(model: Model, state: np.ndarray, n: int) -> np.ndarray:
     """The accelerations (n), of a first-order system the rates, at a state (d), 0 where they are not finite."""
-    found = model.rate(0.0, state, model.parameter_values).full().ravel()[-n:]
-    return np.asarray(np.nan_to_num(found, nan=0.0, posinf=0.0, neginf=0.0))
+    accelerations = model.rate(0.0, state, model.parameter_values).full().ravel()[-n:]
+    return np.asarray(np.nan_to_num(accelerations, nan=0.0, posinf=0.0, neginf=0.0))
 
 
 def unless_one(units: np.ndarray) -> tuple[float, ...]:
@@ -168,14 +168,14 @@ def units_of(model: Model, states: np.ndarray, period: float) -> tuple[float, ..
         sizes = np.maximum(largest, clock * np.abs(_pushed(model, states[0], n)))
         return unless_one(snapped(alone(sizes, model.angular, 1.0)))
     parts, turning = proportions(model, states[0]), model.angular
-    found = np.maximum(largest[:n], largest[n:] * clock) / parts
+    amplitudes = np.maximum(largest[:n], largest[n:] * clock) / parts
     for group in (turning, ~turning):
-        size = found[group].max(initial=0.0)
+        size = amplitudes[group].max(initial=0.0)
         if group.any() and not size > 0:
             size = (np.abs(_pushed(model, states[0], n)) * clock**2 / parts)[group].max()
-        found[group] = size
-    found = snapped(found * parts)
-    return unless_one(np.concatenate([found, found / snapped(clock)]))
+        amplitudes[group] = size
+    amplitudes = snapped(amplitudes * parts)
+    return unless_one(np.concatenate([amplitudes, amplitudes / snapped(clock)]))
 
 
 def extents_of(model: Model, states: np.ndarray, period: float) -> np.ndarray:
@@ -219,8 +219,8 @@ def alone(moved: np.ndarray, angular: np.ndarray | None = None, share: float = L
     """
     turning = np.zeros(moved.size, bool) if angular is None else angular
     largest = np.where(turning, moved[turning].max(initial=0.0), moved[~turning].max(initial=0.0))
-    found = np.where(moved > STILL * largest, moved, share * largest)
-    return np.where(np.isfinite(largest) & (largest > 0.0), found, 1.0)
+    shares = np.where(moved > STILL * largest, moved, share * largest)
+    return np.where(np.isfinite(largest) & (largest > 0.0), shares, 1.0)
 
 
 def parameter_sizes(model: Model, names: Sequence[str], values: np.ndarray, least: float = 1e-3) -> np.ndarray:
@@ -229,6 +229,6 @@ def parameter_sizes(model: Model, names: Sequence[str], values: np.ndarray, leas
     Values that are less than `least` may be zeros that were not met exactly, unless the model's own are as small.
     """
     own = [abs(float(model.parameter_values[model.parameter_index(name)])) for name in names]
-    floors = [min(least, one) or least for one in own]
+    floors = [min(least, value) or least for value in own]
     measured = np.maximum(np.abs(values), floors)
     return np.array([model.scales.get(name, size) for name, size in zip(names, measured, strict=True)], float)

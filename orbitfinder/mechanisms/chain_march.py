@@ -50,10 +50,10 @@ class ClosedChain(March):
     def states(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (M + 1 x 2n) at the mesh."""
         each, steps = (mesh.size - 1) // len(nodes), tail[0] * np.diff(mesh)
-        found = nodes[:1]
+        states = nodes[:1]
         for k, node in enumerate(nodes):
-            found = np.vstack([found, self._path(node, steps[k * each : (k + 1) * each])])
-        return found
+            states = np.vstack([states, self._path(node, steps[k * each : (k + 1) * each])])
+        return states
 
     def ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (N x 2n) at the ends of the segments."""
@@ -73,13 +73,13 @@ class ClosedChain(March):
 
     def _path(self, state: np.ndarray, steps: np.ndarray) -> np.ndarray:
         """States (k x 2n) after each of k steps."""
-        z, found = ca.DM(np.append(0.0, state)), []
+        z, states = ca.DM(np.append(0.0, state)), []
         for lengths in steps.reshape(-1, CHUNK):
             limit.check()
             several = self._chunk(z, lengths[None])
             z = several[:, -1]
-            found.append(several.full().T[:, 1:])
-        path = np.vstack(found)
+            states.append(several.full().T[:, 1:])
+        path = np.vstack(states)
         if not np.all(np.isfinite(path)):
             raise IntegrationError("the state is not finite", time=0.0, state=np.asarray(state))
         return path
@@ -130,6 +130,6 @@ class ClosedChain(March):
         for state in states:
             direction = random.normal(0.0, 1.0, state.size)
             wanted = function(state, direction).full().reshape(2, -1)
-            found = self.closed.variational(0.0, np.concatenate([state, direction])).reshape(2, -1)
-            apart = max(apart, float((np.abs(found - wanted).max(1) / np.abs(wanted).max(1)).max()))
+            rates = self.closed.variational(0.0, np.concatenate([state, direction])).reshape(2, -1)
+            apart = max(apart, float((np.abs(rates - wanted).max(1) / np.abs(wanted).max(1)).max()))
         return apart

@@ -366,7 +366,7 @@ class _Study:
         pins = {one.name: one.value for one in self._pin} | dict(zip(self.names, map(float, values), strict=True))
         asked = [Pin(name, value) for name, value in pins.items()]
         for one in asked:
-            check_pin(self.base.model, one)
+            check_pin(self.base, one)
         found = self.refiner.refine(guess, asked)
         if guess is None or guess.states is None:
             return found

@@ -21,9 +21,9 @@ from orbitfinder.continuation.follow import Known, Pace, reached
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.integrate.equations import linearised
 from orbitfinder.integrate.march import uniform
-from orbitfinder.loops.conditions import Pin
+from orbitfinder.loops.conditions import Pin, pinned
 from orbitfinder.loops.loop import Equations, Loop
-from orbitfinder.loops.problem import Guess, Problem, pinned
+from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import QUARTER
 from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.newton import Settings, stepped
@@ -113,8 +113,8 @@ def correct(
         except (LinAlgError, LinAlgWarning):
             return np.full(rows.size, np.nan)
 
-    found = stepped(series, step, settings, Series.moved)
-    return (found.w, found.count) if found.converged else None
+    solved = stepped(series, step, settings, Series.moved)
+    return (solved.w, solved.count) if solved.converged else None
 
 
 def _system(series: Series, accelerations: Accelerations, pin: PinRow) -> tuple[np.ndarray, np.ndarray]:
@@ -145,12 +145,12 @@ def _system(series: Series, accelerations: Accelerations, pin: PinRow) -> tuple[
 
 def resolved(series: Series, accelerations: Accelerations, pin: PinRow, tail: float) -> tuple[Series, int] | None:
     """The solution with as many harmonics as its tail asks for (or the memory allows); iterations of the first."""
-    found = correct(series, accelerations, pin)
-    first = None if found is None else found[1]
+    solved = correct(series, accelerations, pin)
+    first = None if solved is None else solved[1]
     most = most_harmonics(series.coefficients.shape[1])
-    while found is not None and found[0].tail > tail and len(found[0].coefficients) < most:
-        found = correct(found[0].padded(min(2 * len(found[0].coefficients), most)), accelerations, pin)
-    return None if found is None or first is None else (found[0], first)
+    while solved is not None and solved[0].tail > tail and len(solved[0].coefficients) < most:
+        solved = correct(solved[0].padded(min(2 * len(solved[0].coefficients), most)), accelerations, pin)
+    return None if solved is None or first is None else (solved[0], first)
 
 
 def follow(
@@ -170,11 +170,11 @@ def follow(
 
     def corrected(fraction: float) -> tuple[Series, int]:
         guess = _predicted(known, fraction)
-        found = resolved(guess, accelerations, pin(fraction), TAIL)
-        if found is None or not near(guess, found[0]):
+        solved = resolved(guess, accelerations, pin(fraction), TAIL)
+        if solved is None or not near(guess, solved[0]):
             raise ConvergenceError("the family is lost")
-        report(fraction, found[0])
-        return found
+        report(fraction, solved[0])
+        return solved
 
     try:
         pace = Pace(FIRST_STEP, SMALLEST_STEP, LARGEST_STEP, quick=QUICK, growth=growth)
@@ -185,22 +185,22 @@ def follow(
 
 def _finer(series: Series, accelerations: Accelerations, pin: PinRow) -> Series:
     """The same solution with a finer tail, itself where that fails."""
-    found = resolved(series, accelerations, pin, FINE_TAIL)
-    return series if found is None else found[0]
+    fine = resolved(series, accelerations, pin, FINE_TAIL)
+    return series if fine is None else fine[0]
 
 
-def near(guess: Series, found: Series) -> bool:
+def near(guess: Series, series: Series) -> bool:
     """True when no coefficient is further than LARGEST_CORRECTION from its prediction."""
-    count = len(found.coefficients)
-    return bool(np.abs(found.coefficients - guess.padded(count).coefficients).max() < LARGEST_CORRECTION)
+    count = len(series.coefficients)
+    return bool(np.abs(series.coefficients - guess.padded(count).coefficients).max() < LARGEST_CORRECTION)
 
 
 def _predicted(known: Known[Series], fraction: float) -> Series:
     """On the secant through the last two; where one of them is rest, at the frequency of the other."""
-    (first, one), (second, other) = known[0], known[-1]
+    (first, before), (second, other) = known[0], known[-1]
     if not first:
         return replace(other, coefficients=other.coefficients * (fraction / (second or FIRST_STEP)))
-    return one.towards(other, (fraction - first) / (second - first))
+    return before.towards(other, (fraction - first) / (second - first))
 
 
 def balanced_guess(problem: Problem) -> Guess | None:
@@ -212,10 +212,10 @@ def balanced_guess(problem: Problem) -> Guess | None:
     except InputError:  # q = 0 is no equilibrium
         return None
     with np.errstate(over="ignore", invalid="ignore"):
-        found = along_family(
+        series = along_family(
             problem, squared, shapes, linearised(problem.model), pins(Equations(problem.model, QUARTER))
         )
-    return None if found is None else Guess(np.append(found.start, np.zeros(found.start.size)), found.period)
+    return None if series is None else Guess(np.append(series.start, np.zeros(series.start.size)), series.period)
 
 
 def suits(problem: Problem) -> bool:
@@ -236,15 +236,16 @@ def only_pinned(problem: Problem) -> bool:
     """True where a brake and reflection symmetric motion near a state is asked for by one pin and nothing else."""
     chosen = problem.free or problem.bounds or problem.constraints or problem.objective != "nearest"
     symmetric = problem.boundary == QUARTER and problem.phase_condition is None
-    return symmetric and not chosen and problem.guess.states is None and len(problem.pin) == 1
+    named = [pin.name in ("energy", "period", *problem.model.state_names) for pin in problem.pin]
+    return symmetric and not chosen and problem.guess.states is None and named == [True]
 
 
 def pins(equations: Equations) -> Callable[[Pin], PinRow]:
     """A pin's residual at rest and its derivatives in q(0), T, as a NumPy function for each pin."""
     n, mesh = equations.model.degrees_of_freedom, uniform(QUARTER.fraction, 1, 1)
 
-    def made(one: Pin) -> PinRow:
-        conditions = (pinned(equations, one.name, one.value),)
+    def made(pin: Pin) -> PinRow:
+        conditions = (pinned(equations, pin.name, pin.value),)
         loop = Loop(equations, np.zeros(equations.size), conditions)
 
         def row(place: np.ndarray, period: float) -> tuple[float, np.ndarray, float]:
@@ -285,12 +286,12 @@ def along_family(
     if linear is None:
         return None
     for growth in GROWTHS:
-        found = follow(linear, accelerations, at, report, growth)
-        if found is not None and pin.name == "period":
-            again = resolved(found, accelerations, pinned(pin), FINE_TAIL)
-            found = None if again is None else again[0]
-        if found is not None:
-            return found
+        series = follow(linear, accelerations, at, report, growth)
+        if series is not None and pin.name == "period":
+            again = resolved(series, accelerations, pinned(pin), FINE_TAIL)
+            series = None if again is None else again[0]
+        if series is not None:
+            return series
     return None
 
 

@@ -19,13 +19,22 @@ from orbitfinder.orbits.guesses.modes import normal_mode, normal_modes
 
 MOST_SAMPLES = 3000
 """Samples of a trajectory that are compared with each other, in all pairs."""
-AWAY = 0.25
-"""A return counts when the motion went at least this far away in between, relative to its extent."""
-SAME_PERIOD = 0.02
-"""Of returns whose periods differ by less than this, relative, only the closest is kept."""
-MOST_MODES_PERIODS = 12
-NEAR_RETURN = 0.1
-"""A motion has come back when it is this near its start, relative to its extent."""
+
+
+@dataclass(frozen=True)
+class ReturnSettings:
+    """What counts as a return."""
+
+    away: float = 0.25
+    """A return counts when the motion went at least this far away in between, relative to its extent."""
+    same_period: float = 0.02
+    """Of returns whose periods differ by less than this, relative, only the closest is kept."""
+    most_modes_periods: int = 12
+    near_return: float = 0.1
+    """A motion has come back when it is this near its start, relative to its extent."""
+
+
+RETURNS = ReturnSettings()
 
 
 @dataclass(frozen=True)
@@ -60,18 +69,18 @@ def close_returns(
     lags = np.arange(1, int(min(longest or span / 2, span / 2) / step) + 1)
     starts = len(times) - lags[-1]
     table = np.stack([_distance(states[lag : lag + starts], states[:starts], extent, wrapping) for lag in lags])
-    found: list[CloseReturn] = []
+    returns: list[CloseReturn] = []
     rows, columns = _local_minima(table)
     for k in np.argsort(table[rows, columns]):
         row, column = int(rows[k]), int(columns[k])
-        if table[: row + 1, column].max() < max(AWAY, 3 * table[row, column]):
+        if table[: row + 1, column].max() < max(RETURNS.away, 3 * table[row, column]):
             continue
-        one = _close_return(times, states, column, lags[row] * step, float(table[row, column]))
-        if all(abs(one.period / other.period - 1) > SAME_PERIOD for other in found):
-            found.append(one)
-        if len(found) == count:
+        back = _close_return(times, states, column, lags[row] * step, float(table[row, column]))
+        if all(abs(back.period / other.period - 1) > RETURNS.same_period for other in returns):
+            returns.append(back)
+        if len(returns) == count:
             break
-    return found
+    return returns
 
 
 def recurrences(
@@ -85,10 +94,10 @@ def recurrences(
         raise InputError(f"guess.state: {plural(start.size, 'number')}; give {len(model.state_names)}")
     states = sample(build_flow(model), start, float(duration), MOST_SAMPLES)
     times = np.linspace(0.0, duration, len(states))
-    found = close_returns(times, states, model.angles, count, longest)
+    returns = close_returns(times, states, model.angles, count, longest)
     if model.forcing_period is None:
-        return found
-    return [_on_the_beat(one, times, states, float(model.forcing_period(model.parameter_values))) for one in found]
+        return returns
+    return [_on_the_beat(each, times, states, float(model.forcing_period(model.parameter_values))) for each in returns]
 
 
 def first_return(model: Model, state: np.ndarray, longest: float | None = None) -> float:
@@ -100,9 +109,9 @@ def first_return(model: Model, state: np.ndarray, longest: float | None = None) 
     pace = _pace(model)
     longest = 400.0 / pace if longest is None else longest
     for share in (1 / 16, 1 / 4, 1.0):
-        found = _returned(model, state, share * longest, 10 * pace)
-        if found is not None:
-            return found
+        back = _returned(model, state, share * longest, 10 * pace)
+        if back is not None:
+            return back
     raise InputError(f"guess.period: the motion does not come back within {longest:g} s; give a period")
 
 
@@ -132,7 +141,7 @@ def _returned(model: Model, state: np.ndarray, longest: float, often: float) -> 
     clock = np.ptp(states[:, n:] / units) or 1.0
     gone = np.abs(away[:, :n] / units).max(axis=1)
     distance = np.maximum(gone / (gone.max() or 1.0), np.abs(rates).max(axis=1) / clock)
-    near = NEAR_RETURN * float(distance.max())
+    near = RETURNS.near_return * float(distance.max())
     left = int(np.argmax(distance > near))
     lowest = (distance[1:-1] < near) & (distance[1:-1] <= distance[:-2]) & (distance[1:-1] <= distance[2:])
     back = [k for k in np.flatnonzero(lowest) + 1 if k > left]
@@ -169,10 +178,10 @@ def normal_mode_sum(
     place[:n] = 0.0 if equilibrium is None else np.asarray(equilibrium, float)
     state = place + sum(np.sign(a) * (part.state - place) for a, part in zip(amplitudes, parts, strict=True))
     frequencies = np.sqrt(normal_modes(model, equilibrium)[0][[mode - 1 for mode in modes]])
-    periods = parts[0].period * np.arange(1, MOST_MODES_PERIODS + 1)
+    periods = parts[0].period * np.arange(1, RETURNS.most_modes_periods + 1)
     mismatch = (1 - np.cos(np.outer(periods, frequencies))) @ np.square(amplitudes)
     # a longer period has to earn its length
-    best = int(np.argmin(mismatch * np.arange(1, MOST_MODES_PERIODS + 1) + 1e-12 * periods))
+    best = int(np.argmin(mismatch * np.arange(1, RETURNS.most_modes_periods + 1) + 1e-12 * periods))
     return Guess(state, float(periods[best]))
 
 
@@ -198,12 +207,12 @@ def _local_minima(table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return rows + 1, columns
 
 
-def _on_the_beat(one: CloseReturn, times: np.ndarray, states: np.ndarray, clock: float) -> CloseReturn:
+def _on_the_beat(back: CloseReturn, times: np.ndarray, states: np.ndarray, clock: float) -> CloseReturn:
     """The same return of a forced motion from the next whole period of the forcing, where t = 0 belongs."""
-    period = max(1, round(one.period / clock)) * clock
-    moment = float(np.ceil(one.time / clock) * clock)
+    period = max(1, round(back.period / clock)) * clock
+    moment = float(np.ceil(back.time / clock) * clock)
     state = np.array([np.interp(moment, times, column) for column in states.T])
-    return CloseReturn(state, period, one.distance, moment, Guess(state, period))
+    return CloseReturn(state, period, back.distance, moment, Guess(state, period))
 
 
 def _close_return(times: np.ndarray, states: np.ndarray, start: int, period: float, distance: float) -> CloseReturn:
