@@ -20,8 +20,8 @@ from scipy.spatial import cKDTree
 from orbitfinder._runtime.notebook import brief
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
-from orbitfinder.families.checks import KINDS
 from orbitfinder.families.critical import Critical
+from orbitfinder.families.kinds import SWITCHABLE
 from orbitfinder.families.motion import full_samples
 from orbitfinder.families.point import FamilySettings, parameter_value, shift_at, unknowns_of
 from orbitfinder.families.run import parameter_slopes
@@ -51,7 +51,6 @@ from orbitfinder.records.orbit import SHARE
 from orbitfinder.records.reading import finite
 
 CHOICE = 'give the number of an event, "start" or "end"'
-SWITCHABLE = tuple(name for name, kind in KINDS.items() if kind.branches)
 DISTANCES = (0.02, 0.005, 0.00125, 0.05, 0.1)
 """How far from the old family, in sizes of its orbit, the new one is looked for; the first that succeeds is taken.
 Families of high resonances may leave along each other, and are told apart only near."""

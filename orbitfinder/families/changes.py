@@ -17,7 +17,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder._runtime.sizes import size_of
 from orbitfinder.continuation.follow import zero
-from orbitfinder.errors import ConvergenceError
+from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.passages import located
 from orbitfinder.families.run import Interval, Sample
 from orbitfinder.integrate.dop853 import integrate_in
@@ -25,6 +25,7 @@ from orbitfinder.loops.continued import Curve, Solution, crossed
 from orbitfinder.loops.mesh import arc_mesh, arc_states
 from orbitfinder.mechanics.hybrid import Hybrid
 from orbitfinder.orbits.evidence import CHECKED
+from orbitfinder.records.family import Event
 
 LOOKS = 48
 """Places of an arc at which guards are looked at, at least"""
@@ -34,6 +35,9 @@ CLOSE = 1e-2
 """A peak this near to 0 is integrated to, and not read from a cubic"""
 TOGETHER = 1e-6
 """Share of a step within which what must hold is lost because of a guard"""
+FIRST = {"share": 0, "rate": 1, "allowed": 1, "guard": 1}
+"""Which of margins that are lost together is to blame: beside an arc that vanishes the others jump or go like a square
+root, and what must hold is lost because of a guard"""
 ABSENT = 1.0
 """The margin of what is nowhere near"""
 
@@ -74,8 +78,7 @@ def first_lost(interval: Interval) -> tuple[Sample, Margin] | None:
         return None
     nearest = min(sample.distance for sample, _ in found) + TOGETHER * interval.length
     first = [(sample, key) for sample, key in found if sample.distance <= nearest]
-    # beside an arc that vanishes the other margins jump or go like a square root
-    sample, key = min(first, key=lambda one: (lost[one[1]].kind == "holds", one[1][2] != "share"))
+    sample, key = min(first, key=lambda pair: FIRST.get(pair[1][2], len(FIRST)))
     if crossed(interval.curve, sample.found):  # the rows there tell neither family's tangent
         sample = replace(sample, whole=interval.heading(sample.distance))
     return sample, lost[key]
@@ -120,6 +123,20 @@ def margins(curve: Curve, found: Solution) -> Margins:
             value = float(watched.heights[-1] / watched.range)
             known[k, ends.name, "impulse"] = Margin("holds", ends.name, value, f"{ends.name} would pull")
     return known
+
+
+def margins_called(curve: Curve, found: Solution, event: Event) -> Margins:
+    """The margins of a hybrid orbit that may be an event's."""
+    known = margins(curve, found)
+    return {key: margin for key, margin in known.items() if (margin.kind, margin.name) == (event.kind, event.detail)}
+
+
+def nearest_margin(curve: Curve, found: Solution, event: Event) -> tuple[int, str, str]:
+    """Which margin is 0 at an event. Raises `InputError` where it cannot be told."""
+    known = margins_called(curve, found, event)
+    if not known:
+        raise InputError(f"event: what is grazed there ({event.detail}) cannot be told; continue the family again")
+    return min(known, key=lambda key: abs(known[key].value))
 
 
 class _Arc:

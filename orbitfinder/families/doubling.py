@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.families.critical import Critical
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.orbits.closure import shift
@@ -28,12 +27,6 @@ RETURNS = 6
 """Newton steps to the section, each some digits more than the last"""
 ON_SECTION = 1e-15
 """How near to the section is on it, in periods"""
-
-
-def can_bend(curve: Curve) -> bool:
-    """Whether a curve is one of doublings of which `bending` is told: of whole periods without resets."""
-    doubles = isinstance(curve.test, Critical) and curve.test.kind == "period_doubling"
-    return doubles and not curve.equations.links and curve.equations.symmetry.fraction == 1
 
 
 def bending(curve: Curve, found: Solution) -> float:

@@ -35,6 +35,7 @@ from orbitfinder.families.passages import (
     zeros,
 )
 from orbitfinder.families.point import FamilySettings, freed, parameter_value
+from orbitfinder.families.registry import KINDS
 from orbitfinder.families.run import Interval, Sample, is_real
 from orbitfinder.loops.continued import Curve
 from orbitfinder.loops.symmetry import momenta_of
@@ -109,8 +110,7 @@ def find_events(interval: Interval, settings: FamilySettings) -> list[tuple[Samp
     turned = [*zeros(interval, folds(interval))]
     found = sorted(turned + bifurcations(interval, settings.resonances), key=lambda pair: pair[0].distance)
     turns = [sample.distance for sample, test in turned if test.detail != "period"]
-    found = [(p, t) for p, t in found if not (t.kind == "branch_point" and _near(p.distance, turns))]
-    found = [(p, t) for p, t in found if t.kind != "branch_point" or _told(interval)]
+    found = [(p, t) for p, t in found if not KINDS[t.kind].crosses or (_apart(p.distance, turns) and _told(interval))]
     return found + _changes(interval, found)
 
 
@@ -124,9 +124,9 @@ def _told(interval: Interval) -> bool:
     return not (np.any(first == 0.0) and np.array_equal(first, last))
 
 
-def _near(distance: float, places: list[float]) -> bool:
-    """Whether a branch point is only the multiplier +1 that every fold has."""
-    return any(abs(distance - other) < 1e-5 for other in places)
+def _apart(distance: float, folds: list[float]) -> bool:
+    """Whether a branch point is more than the multiplier +1 that every fold has."""
+    return all(abs(distance - fold) >= 1e-5 for fold in folds)
 
 
 def event_at(curve: Curve, sample: Sample, test: Test, parameter: str) -> Event:
@@ -154,7 +154,7 @@ def event_at(curve: Curve, sample: Sample, test: Test, parameter: str) -> Event:
 
 def _changes(interval: Interval, found: list[tuple[Sample, Test]]) -> list[tuple[Sample, Test]]:
     """The located events at which the verdict changes, read halfway to their neighbours."""
-    critical = [(p, t) for p, t in found if t.kind != "resonance" and t.detail != "period"]
+    critical = [(p, t) for p, t in found if KINDS[t.kind].critical and t.detail != "period"]
     a, b = (p.about.floquet.stability == "unstable" for p in (interval.first, interval.last))
     if not critical or (a == b and len(critical) < 2):
         return []
@@ -230,7 +230,7 @@ def _passed(interval: Interval, a: Sample, b: Sample) -> list[tuple[Sample, Test
             continue
         sample = located(interval, measure, a.distance, b.distance)
         test = _named(sample, rank - 1)
-        rank += test.kind == "torus"
+        rank += _turning(test)
         found.append((sample, test))
     return found
 
@@ -240,8 +240,13 @@ def _named(sample: Sample, rank: int) -> Test:
     mu = complex(multipliers(sample)[rank])
     if not is_real(mu):
         return Test("torus", "", modulus(rank), 0, complex(mu.real, abs(mu.imag)))
-    _, kind, order, multiplier = multiplier_levels(sample.about.root)[mu.real <= 0]
-    return Test(kind, "", modulus(rank), order, multiplier)
+    _, kind, detail, order, multiplier = multiplier_levels(sample.about.root)[mu.real <= 0]
+    return Test(kind, detail, modulus(rank), order, multiplier)
+
+
+def _turning(test: Test) -> bool:
+    """Whether a complex pair passes the unit circle, and no real multiplier."""
+    return test.multiplier.imag != 0.0
 
 
 def _beyond(sample: Sample, sign: int) -> int:
@@ -252,4 +257,4 @@ def _beyond(sample: Sample, sign: int) -> int:
 
 def _parity(found: list[tuple[Sample, Test]], sign: int) -> int:
     """Whether an odd number of passages is through +1 or -1."""
-    return sum(test.kind != "torus" and test.multiplier.real * sign > 0 for _, test in found) % 2
+    return sum(not _turning(test) and test.multiplier.real * sign > 0 for _, test in found) % 2

@@ -15,13 +15,14 @@ from orbitfinder._runtime import interrupt, limit, locks
 from orbitfinder.errors import InputError, LimitError, plural
 from orbitfinder.families.branches import Branch
 from orbitfinder.families.changes import checked_cycle
-from orbitfinder.families.checks import checked
 from orbitfinder.families.critical import Critical
 from orbitfinder.families.follow import follow
 from orbitfinder.families.members import batch_certified, certified
 from orbitfinder.families.point import FamilySettings
+from orbitfinder.families.registry import end_kind
 from orbitfinder.families.run import Run, first_point, in_scales
 from orbitfinder.families.start import Start, begin, curve_of, entry_of, unknown_parameters
+from orbitfinder.families.verified import checked
 from orbitfinder.integrate.equations import prepare
 from orbitfinder.loops.continued import Curve
 from orbitfinder.loops.problem import Problem
@@ -270,7 +271,7 @@ def _reopened(folder: Path, journal: Journal, stops: Mapping[int, Mapping[str, f
             (number_of(last[side], name) - value) * (number_of(one, name) - value) <= 0
             for name, value in goals.items() for many in (met, batch.events) for one in many
         )  # fmt: skip
-        ended = batch.end is not None and batch.end.kind == "target"
+        ended = batch.end is not None and end_kind(batch.end.kind).asked
         if side not in last or ((ended or passed) and not there):
             last.pop(side, None)  # and what comes after it in this direction
             continue
@@ -291,8 +292,10 @@ def _request(
     And what the family was started from, for its file.
     """
     head: Any
+    source = {"name": getattr(origin, "name", "")}
     if isinstance(origin, Branch):
         head, kind = origin.described(), "branch"
+        source = head
     elif isinstance(origin, Start):
         head, kind = origin.found.place.head.tolist(), "start"
     elif isinstance(origin, Orbit):
@@ -300,10 +303,12 @@ def _request(
     else:
         guess = origin.guess
         head, kind = [*map(float, guess.state), float(guess.period), plain(origin.pin), origin.symmetry], "problem"
-    source = {"kind": kind, **(head if kind == "branch" else {"name": getattr(origin, "name", "")})}
     chosen = {key: value for key, value in plain(settings).items() if key != "points"}
     more = {"watch": {name: as_recorded(one) for name, one in watch.items()}} if watch else {}
-    return {"origin": plain(head), "settings": chosen, "at": [float(value) for value in at], **more}, source
+    return {"origin": plain(head), "settings": chosen, "at": [float(value) for value in at], **more}, {
+        "kind": kind,
+        **source,
+    }
 
 
 def _header(
@@ -373,9 +378,9 @@ def _finish(
 
     for run in runs:
         done, end = journal.steps(run.direction), journal.end(run.direction)
-        if end is not None and not (end.kind == "point limit" and len(done) < settings.points):
+        if end is not None and not (end_kind(end.kind).lengthened and len(done) < settings.points):
             continue
-        if any(one.end is not None and one.end.kind == "returned" for one in batches):
+        if any(batch.end is not None and end_kind(batch.end.kind).closed for batch in batches):
             break  # a closed family has one direction
         last = done[-1][0] if done else journal.origin
         try:

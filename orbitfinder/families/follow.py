@@ -18,13 +18,14 @@ import numpy as np
 from orbitfinder.continuation.follow import walked, zero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.changes import first_lost
-from orbitfinder.families.checks import KINDS
 from orbitfinder.families.codimension_two import find_special, left_circle
 from orbitfinder.families.ends import approach, end_at, end_of_failure, merged, returned, shortest_step
 from orbitfinder.families.events import event_at, find_events
+from orbitfinder.families.kinds import KINDS
 from orbitfinder.families.motion import watched
 from orbitfinder.families.passages import Test, avoided, zeros
 from orbitfinder.families.point import FamilySettings, make_point, parameter_value
+from orbitfinder.families.registry import end_kind
 from orbitfinder.families.run import (
     Interval,
     Run,
@@ -178,7 +179,7 @@ def _batch(run: Run, before: Step, after: Step, last: Sample) -> Batch:
         reach = abs(there.arclength - origin.arclength)
         kept = [*_within(points, origin, reach), there]
         return Batch(run.direction, _ordered(kept), tuple(_within(events, origin, reach)), end)
-    if ended is not None and ended.kind in ("equilibrium", "relative equilibrium"):
+    if ended is not None and end_kind(ended.kind).outside:
         return Batch(run.direction, (), (), ended)
     for event, one in zip(events, found, strict=True):
         turned = KINDS[one.kind].extremal and one.detail not in ("period", *run.curve.watch)

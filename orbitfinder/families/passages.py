@@ -60,28 +60,28 @@ def passage(level: float) -> Measure:
     return measure
 
 
-Level = tuple[float, str, int, complex]
+Level = tuple[float, str, str, int, complex]
 
 
 def index_levels(root: int, most: int) -> Iterator[Level]:
-    """(level of the index, kind, order q, critical multiplier of the root map) of every bifurcation."""
-    yield 2.0, "branch_point", 1, 1.0 + 0.0j
+    """(level of the index, kind, detail, order q, critical multiplier of the root map) of every bifurcation."""
+    yield 2.0, "branch_point", "", 1, 1.0 + 0.0j
     if root == 1:
-        yield -2.0, "period_doubling", 2, -1.0 + 0.0j
+        yield -2.0, "period_doubling", "", 2, -1.0 + 0.0j
     else:
-        yield -2.0, "branch_point", 1, -1.0 + 0.0j
-        yield 0.0, "period_doubling", 2, 1.0j
+        yield -2.0, "branch_point", "", 1, -1.0 + 0.0j
+        yield 0.0, "period_doubling", "", 2, 1.0j
     for q in range(3, most + 1):
         for k in range(1, (q if root == 2 else q // 2) + 1):
             if gcd(k, q) == 1 and k < q:
                 angle = 2 * np.pi * k / (q * root)
-                yield 2 * float(np.cos(angle)), "resonance", q, complex(np.exp(1j * angle))
+                yield 2 * float(np.cos(angle)), "resonance", f"q = {q}", q, complex(np.exp(1j * angle))
 
 
 def multiplier_levels(root: int) -> tuple[Level, Level]:
     """The same of real multipliers, where they are in no pairs."""
-    other = ("branch_point", 1) if root == 2 else ("period_doubling", 2)
-    return (1.0, "branch_point", 1, 1.0 + 0.0j), (-1.0, *other, -1.0 + 0.0j)
+    other = ("branch_point", "", 1) if root == 2 else ("period_doubling", "", 2)
+    return (1.0, "branch_point", "", 1, 1.0 + 0.0j), (-1.0, *other, -1.0 + 0.0j)
 
 
 def located(interval: Interval, measure: Measure, low: float, high: float) -> Sample:
@@ -216,8 +216,9 @@ def passages(interval: Interval, most: int, met: Sequence[Sample] = ()) -> list[
     """
     levels, parts = [*index_levels(interval.first.about.root, most)], subintervals(interval, met)
     return [
-        (sample, Test(kind, f"q = {order}" if kind == "resonance" else "", passage(level), order, multiplier))
-        for part in parts for level, kind, order, multiplier in levels for sample in _passed(interval, part, level)
+        (sample, Test(kind, detail, passage(level), order, multiplier))
+        for part in parts for level, kind, detail, order, multiplier in levels
+        for sample in _passed(interval, part, level)
     ]  # fmt: skip
 
 

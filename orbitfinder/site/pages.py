@@ -11,7 +11,7 @@ import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import plural
-from orbitfinder.families.branches import SWITCHABLE
+from orbitfinder.families.kinds import SWITCHABLE
 from orbitfinder.families.members import response
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import SI, units
