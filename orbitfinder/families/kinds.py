@@ -61,7 +61,7 @@ KINDS |= {
     ),
     "stability_change": EventKind(  # the verdict changes where something else happens as well
         checks.check_stability, "the verdict on stability changes, at another event",
-        Look("D", "diamond", "#4D4D4D", series=5, size=9.0, hollow=True),
+        Look("D", "diamond", "#4D4D4D", series=5, size=9.0, hollow=True), verdict=True,
     ),
     "grazing": EventKind(
         checks.check_margin, "a guard is only just reached (hybrid systems)",

@@ -75,9 +75,9 @@ class EventKind:
 
     `test`: what vanishes there within a step, of kinds that are looked for alone. `extremal`: something turns there.
     `crosses`: two families cross, by a multiplier at +1 that every fold has too. `critical`: the verdict on stability
-    may change there. `branches`: other families leave there (`of.switch_branch`). `followed`: how a curve in two
-    parameters leads through it (`of.follow_curve`). `second`: it is met on such curves only, and one of a pair that
-    comes to +1 or -1 `leaves` the unit circle there.
+    may change there. `verdict`: it does, and the detail says how. `branches`: other families leave there
+    (`of.switch_branch`). `followed`: how a curve in two parameters leads through it (`of.follow_curve`). `second`: it
+    is met on such curves only, and a pair that comes to +1 or -1 there `leaves` the unit circle.
     """
 
     check: Callable[[Any, Event], Reading]
@@ -87,6 +87,7 @@ class EventKind:
     extremal: bool = False
     crosses: bool = False
     critical: bool = False
+    verdict: bool = False
     branches: bool = False
     followed: Followed | None = None
     second: bool = False

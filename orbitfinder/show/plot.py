@@ -401,14 +401,14 @@ def frequency_energy(
         axes.set_xscale("log")
     dress(axes, *called)
     if len(families) == 1:
-        numbered = [k for k, one in enumerate(families[0].events) if one.kind in NUMBERED]
+        numbered = [k for k, one in enumerate(families[0].events) if LOOKS[one.kind].numbered]
         labels += [(str(k), *drawn[0].events[k]) for k in (numbered if len(numbered) <= MOST_NUMBERED else [])]
     place_labels(figure, axes, labels)
     return figure
 
 
-NUMBERED, MOST_NUMBERED = ("branch_point", "period_doubling"), 24
-"""Events that carry their number where there are not too many"""
+MOST_NUMBERED = 24
+"""Events carry their number where there are not more"""
 
 
 def two_parameters(families: Sequence[Family], title: str | None = None) -> Figure:
@@ -525,7 +525,7 @@ def multipliers_along(family: Family) -> Figure:
     for level in (-2.0, 2.0):
         lower.axhline(level, color="0.5", linewidth=0.7)
     for event in family.events:
-        if event.kind in ("branch_point", "period_doubling", "collision"):
+        if LOOKS[event.kind].across:
             lower.axvline(event.parameter, color="0.75", linewidth=0.6)
     lower.set_yscale("asinh", linear_width=2.0)
     top = min(max(4.0, 1.2 * float(np.abs(indices).max())), INDEX_SHOWN)
