@@ -176,7 +176,7 @@ def test_a_kind_of_ones_own(monkeypatch):
     settings = replace(FEW, directions="forward")
     plain = follow_family(start, until=0.08, settings=settings)
     middle = float(np.mean(plain.values("period")[[0, -1]]))
-    passed = passages.Test("on_time", "", lambda sample: sample.found.place.period - middle)
+    passed = passages.Test("on_time", "", lambda sample: sample.solution.place.period - middle)
     own = EventKind(
         lambda sides, event: sides.zero(lambda look: look.value("period") - middle), test=lambda _: [passed]
     )

@@ -26,7 +26,7 @@ TOY = EventKind(
     check=lambda sides, event: sides.zero(lambda probe: probe.value("period") - PERIOD),
     words="the period is 1.72 s",
     look=Look("$T$", "star-square", "#00AA88", series=2, pixels=13),
-    test=lambda interval: [passages.Test("on_time", "", lambda sample: sample.found.place.period - PERIOD)],
+    test=lambda interval: [passages.Test("on_time", "", lambda sample: sample.solution.place.period - PERIOD)],
     followed=Followed(lambda test, curve, orbit: orbit.place.period - PERIOD),
 )
 

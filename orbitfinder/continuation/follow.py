@@ -291,7 +291,8 @@ class Trace:
             return _Line(end=end)
         line = _Line(
             tuple((value, self._entry(one)) for value, one in at),
-            tuple((one.role, self._entry(one)) for one in events), None if step is None else self._entry(step), end,
+            tuple((event.role, self._entry(event)) for event in events),
+            None if step is None else self._entry(step), end,
         )  # fmt: skip
         append_line(self.path, plain(line))
         return line
@@ -343,7 +344,7 @@ def follow(
         reach = points[-1].point.arclength if met else after.arclength
         points += [] if met else [trace.steps[index]]
         curve.points += points
-        curve.events += [one for one in trace.events[index] if one.point.arclength <= reach]
+        curve.events += [event for event in trace.events[index] if event.point.arclength <= reach]
         yield from points
         if met:
             curve.end = End("target", f"reached {goals.name} = {goals.until!r}")

@@ -123,7 +123,7 @@ def switch(curve: Curve, event: Event, settings: FamilySettings | None = None) -
 def _known(leaving: Leaving, found: list[Leaving]) -> bool:
     """Whether a branch was found before: by its own symmetry, where it has more than was asked for, or as it is."""
     own = leaving.start.curve.equations.symmetry.name
-    known = {one.start.curve.equations.symmetry.name for one in found}
+    known = {other.start.curve.equations.symmetry.name for other in found}
     if own != leaving.cover.curve.equations.symmetry.name and own in known:
         return True
     return any(_same(leaving, other) for other in found)
@@ -207,7 +207,7 @@ def _leaving(cover: Cover, direction: np.ndarray) -> Leaving | None:
     moved = ((direction[: place.nodes.size].reshape(place.nodes.shape) / curve.scales.states) ** 2).sum(axis=1)
     direction = direction / np.sqrt(moved.max())  # the start may be where the two families part least
     known = ((length, _at(cover, direction, length)) for length in DISTANCES)
-    length, start = next((one for one in known if one[1] is not None), (0.0, None))
+    length, start = next((pair for pair in known if pair[1] is not None), (0.0, None))
     if start is None:
         return None
     for _ in range(CLOSER):
@@ -226,13 +226,13 @@ def _at(cover: Cover, direction: np.ndarray, length: float) -> Start | None:
         start = corrected(curve, advanced(place, direction, length), aim, place, reach=2 * length)
     except (ConvergenceError, IntegrationError):
         return None
-    damped = start.found.place.period * np.abs(start.found.place.unfolding).max(initial=0.0) > UNFOLDED
+    damped = start.solution.place.period * np.abs(start.solution.place.unfolding).max(initial=0.0) > UNFOLDED
     return None if damped or (order > 1 and _is_cover(start, order, length)) else start
 
 
 def _grown(start: Start | None) -> int:
     """How many multipliers are outside the unit circle, the same until something happens on the way from the birth."""
-    multipliers = spectrum(start.curve, start.found).floquet.multipliers if start is not None else np.zeros(0)
+    multipliers = spectrum(start.curve, start.solution).floquet.multipliers if start is not None else np.zeros(0)
     return int(np.count_nonzero(np.abs(multipliers) > 1.0 + OUTSIDE))
 
 
@@ -241,10 +241,12 @@ def symmetric(start: Start) -> Start:
     if start.curve.equations.links or start.curve.equations.symmetry.relative:
         return start
     try:
-        other = reformulated(start, named(symmetry_of(start.curve, start.found), start.curve.equations.model))
+        other = reformulated(start, named(symmetry_of(start.curve, start.solution), start.curve.equations.model))
     except (ConvergenceError, IntegrationError):
         return start
-    slopes = [list(parameter_slopes(one.curve, one.found.place, one.direction).values()) for one in (start, other)]
+    slopes = [
+        list(parameter_slopes(each.curve, each.solution.place, each.direction).values()) for each in (start, other)
+    ]
     count = 2 + len(start.curve.equations.free)
     same = np.dot(slopes[0][:count], slopes[1][:count]) >= 0
     return other if same else replace(other, direction=-other.direction)
@@ -252,15 +254,15 @@ def symmetric(start: Start) -> Start:
 
 def _is_cover(start: Start, order: int, length: float) -> bool:
     """Whether the orbit closes already after a part of its period."""
-    _, states = full_samples(start.curve, start.found)
+    _, states = full_samples(start.curve, start.solution)
     gaps = [return_gaps(states, k) / start.curve.scales.states for k in range(2, order + 1) if order % k == 0]
     return bool(np.min(np.max(gaps, axis=1)) < 0.05 * length)
 
 
 def _outwards(start: Start, origin: Unknowns) -> Start:
     """The same start, directed away from the orbit that it was born from."""
-    curve, place = start.curve, start.found.place
-    whole = tangent(curve, start.found, start.direction)
+    curve, place = start.curve, start.solution.place
+    whole = tangent(curve, start.solution, start.direction)
     moved = (
         place.vector - origin.vector
         if np.array_equal(place.edges, origin.edges)
@@ -279,7 +281,7 @@ def _same(one: Leaving, other: Leaving) -> bool:
     if np.all(np.abs(a - b) <= MIRRORED * np.maximum(np.abs(a), np.abs(b)) + ROUND_OFF * sizes):
         return True
     scale = cover.curve.scales.states
-    mine, theirs = (full_samples(each.start.curve, each.start.found)[1] / scale for each in (one, other))
+    mine, theirs = (full_samples(each.start.curve, each.start.solution)[1] / scale for each in (one, other))
     old = full_samples(cover.curve, at_place(cover.curve, cover.place))[1] / scale
     model, size = cover.curve.equations.model, _apart(mine, old)
     images = [theirs, *(theirs @ each.matrix(model.degrees_of_freedom).T for each in involutions(model))]
@@ -314,7 +316,7 @@ def _freed(event: Event) -> np.ndarray:
 
 def _moved(start: Start, event: Event) -> np.ndarray:
     """How far energy, period and freed parameters are from the event's."""
-    place = start.found.place
+    place = start.solution.place
     energy = np.nan_to_num(parameter_value(start.curve, place, "energy") - event.energy)
     old = _freed(event)
     return np.array([energy, place.period - event.period * event.order, *(place.free[: old.size] - old)])
@@ -410,7 +412,7 @@ def _joined(family: Family, which: str, settings: FamilySettings | None, model: 
     pins = (Pin("energy", energy),) if there.conservative and energy is not None else ()
     problem = Problem(there, Guess(state, period), pins, winding=tuple(orbit["winding"]), symmetry=orbit["symmetry"])
     start = begin(problem, replace(settings or FamilySettings(), parameter=family.parameter), orbit["symmetry"])
-    place = start.found.place
+    place = start.solution.place
     event = Event(
         end.kind, -1, np.nan, float(end.parameter or np.nan), state, place.period, np.nan if energy is None else energy
     )
@@ -436,7 +438,7 @@ def branches(
     starts = switch(curve, chosen, settings)
     if not starts:
         raise ConvergenceError(f"{family.name}: no branch was found at event {event} ({described(family, event)})")
-    starts = [replace(one, curve=replace(one.curve, watch=curve.watch)) for one in starts]
+    starts = [replace(start, curve=replace(start.curve, watch=curve.watch)) for start in starts]
     return [
         Branch(start, family.name, chosen, event, k, f"{family.name}-{event}-{k}") for k, start in enumerate(starts, 1)
     ]

@@ -57,7 +57,7 @@ class Probe:
     """An orbit of a family and what the certificate's integrator reads there."""
 
     curve: Curve
-    found: Solution
+    solution: Solution
 
     @cached_property
     def tour(self) -> Tour:
@@ -65,12 +65,12 @@ class Probe:
         return _known(self._round(VARIED))
 
     def _round(self, varied: ReferenceSettings) -> Tour:
-        p, w = self.curve.equations, self.found.place
+        p, w = self.curve.equations, self.solution.place
         turns = turned(p.model, np.array(self.curve.turns), shift_at(self.curve, w))
         model = with_parameters(p.model, freed(self.curve, w))
         if p.links:
             return hybrid_tour(model, w.nodes[0], w.period, turns)
-        beside = p.symmetry.whole(w.mesh, self.found.march.states, self.curve.constant)
+        beside = p.symmetry.whole(w.mesh, self.solution.march.states, self.curve.constant)
         return tour(model, w.nodes[0], w.period, turns, p.symmetry.forward, beside, varied)
 
     @cached_property
@@ -122,7 +122,7 @@ class Probe:
         """The energy, the period, a momentum, a parameter, or a watched number of the motion gone round."""
         if name in self.curve.watch:
             return self.watched[name]
-        return parameter_value(self.curve, self.found.place, name)
+        return parameter_value(self.curve, self.solution.place, name)
 
     @cached_property
     def watched(self) -> dict[str, float]:
@@ -133,13 +133,13 @@ class Probe:
     def unsure(self) -> dict[str, float]:
         """How well they are known: by motions as wrong as an orbit may be, and with half as many samples."""
         times, states = self.tour.motion
-        few = np.concatenate([np.union1d(range(one.start, one.stop, 2), one.stop - 1) for one in arcs(times)])
-        parameters, half = parameters_at(self.curve, self.found.place), self._numbers(times[few], states[few])
+        few = np.concatenate([np.union1d(range(arc.start, arc.stop, 2), arc.stop - 1) for arc in arcs(times)])
+        parameters, half = parameters_at(self.curve, self.solution.place), self._numbers(times[few], states[few])
         wrong = unsure(self.curve.watch, times, states, parameters, CLOSURE + self.tour.closes.gap)
         return {name: abs(half[name] - value) + SAFETY * wrong[name] for name, value in self.watched.items()}
 
     def _numbers(self, times: np.ndarray, states: np.ndarray) -> dict[str, float]:
-        return numbers(self.curve.watch, times, states, parameters_at(self.curve, self.found.place))
+        return numbers(self.curve.watch, times, states, parameters_at(self.curve, self.solution.place))
 
 
 def _known(found: Tour) -> Tour:
@@ -192,15 +192,15 @@ class Sides:
         """
         low, middle, high = self.values(name)
         bent, size = high - 2 * middle + low, max(abs(low), abs(high))
-        own, *beside = (one.tour.closes for one in (self.here, self.before, self.after))
-        known = own.gap / own.amplification + max(one.distance for one in beside)
+        own, *beside = (probe.tour.closes for probe in (self.here, self.before, self.after))
+        known = own.gap / own.amplification + max(closes.distance for closes in beside)
         off = size * (4 * np.finfo(float).eps + known) + abs(self.here.value(name) - middle)
         if not (low - middle) * (high - middle) > 0:
             return Reading(1.0, SHARP, False)
         scale = self.apart / (self.step * abs(bent))
         rise, noise = 0.5 * (high - low), off * scale
         if self.outer:
-            first, last = (one.value(name) for one in self.outer)
+            first, last = (probe.value(name) for probe in self.outer)
             rise, noise = (8 * (high - low) - (last - first)) / 12, 1.5 * noise
         value = -rise * scale * float(np.sign(bent))
         error = noise + SHARP
@@ -215,9 +215,9 @@ class Sides:
 
 def _as(look: Probe, about: Any) -> Probe:
     """The same orbit with another map."""
-    found = replace(look)
-    found.__dict__["about"] = about
-    return found
+    other = replace(look)
+    other.__dict__["about"] = about
+    return other
 
 
 def _level(level: float) -> Measure:
@@ -258,7 +258,11 @@ def _turned(sides: Sides, parameter: str) -> Reading:
 def check_turn(sides: Sides, event: Event) -> Reading:
     """The period, or a momentum, is extremal."""
     model = sides.here.curve.equations.model
-    if event.detail not in ("period", *sides.here.curve.equations.physical, *(one.name for one in model.invariants)):
+    if event.detail not in (
+        "period",
+        *sides.here.curve.equations.physical,
+        *(invariant.name for invariant in model.invariants),
+    ):
         raise ConvergenceError(f"{event.detail or 'nothing'} is not known to turn")
     return sides.turning(event.detail)
 
@@ -307,16 +311,16 @@ def check_stability(sides: Sides, event: Event) -> Reading:
     level the root is that passes it tells there what the orbits are.
     """
     about = sides.here.about
-    one = 2.0 if about.conservative else 1.0
-    known = [(sides.zero(_level(level)), level) for level in (one, -one)]
-    known.append((_turned(sides, _parameter(sides.here.curve)), one))
+    unit = 2.0 if about.conservative else 1.0
+    known = [(sides.zero(_level(level)), level) for level in (unit, -unit)]
+    known.append((_turned(sides, _parameter(sides.here.curve)), unit))
     if about.conservative and about.roots.size > 1:
         known.append((sides.zero(_meeting), 0.0))
     if not about.conservative and np.any(np.abs(about.roots.imag) > ALIKE):
         known.append((sides.zero(_pair), 0.0))
-    found, level = min(known, key=lambda one: (not one[0].passed, abs(one[0].value)))
+    found, level = min(known, key=lambda unit: (not unit[0].passed, abs(unit[0].value)))
     looks, told = (sides.before, sides.after), {"becomes stable": (True, False), "becomes unstable": (False, True)}
-    verdicts = [tuple(one.unstable for one in looks), tuple(one.beyond(level) for one in looks if level)]
+    verdicts = [tuple(probe.unstable for probe in looks), tuple(probe.beyond(level) for probe in looks if level)]
     if told.get(event.detail) not in verdicts:
         raise ConvergenceError("the orbits on its two sides are as stable or unstable as each other")
     return found
@@ -326,7 +330,7 @@ def check_margin(sides: Sides, event: Event) -> Reading:
     """A margin of a hybrid cycle, along the arcs as the automaton integrates them."""
 
     def every(look: Probe) -> dict[tuple[int, str, str], float]:
-        known = margins_called(look.curve, retraced(look.curve.equations, look.found), event)
+        known = margins_called(look.curve, retraced(look.curve.equations, look.solution), event)
         return {key: margin.value for key, margin in known.items()}
 
     here = every(sides.here) if sides.here.curve.equations.links else {}
@@ -349,7 +353,7 @@ def check_second(sides: Sides, event: Event) -> Reading:
 
 def check_bending(sides: Sides, _: Event) -> Reading:
     """On a curve of doublings in two parameters, where the doubled orbit is born to neither side."""
-    return sides.zero(lambda look: bending(look.curve, look.found))
+    return sides.zero(lambda look: bending(look.curve, look.solution))
 
 
 def _folds_of(sides: Sides) -> tuple[str, str]:
@@ -367,7 +371,7 @@ def check_extremal(centre: bool, sides: Sides, event: Event) -> Reading:
     if event.detail not in _folds_of(sides):
         raise ConvergenceError("no curve of folds turns there")
     low, middle, high = sides.values(event.detail)
-    if is_centre(curve, sides.here.found.place, event.detail, low + high - 2 * middle) != centre:
+    if is_centre(curve, sides.here.solution.place, event.detail, low + high - 2 * middle) != centre:
         raise ConvergenceError("the surface of orbits is bent the other way")
     return sides.turning(event.detail)
 
@@ -375,13 +379,15 @@ def check_extremal(centre: bool, sides: Sides, event: Event) -> Reading:
 def check_cusp(sides: Sides, _: Event) -> Reading:
     """Where a curve of folds stops in the plane of its parameters: it turns in one direction, and has none across."""
     names, model = _folds_of(sides), sides.here.curve.equations.physical
-    sizes = np.array([sides.here.curve.scales.free[model.index(one)] if one in model else 1.0 for one in names])
-    low, middle, high = np.array([sides.values(one) for one in names]).T / sizes
+    sizes = np.array([sides.here.curve.scales.free[model.index(name)] if name in model else 1.0 for name in names])
+    low, middle, high = np.array([sides.values(name) for name in names]).T / sizes
     bent, across = high - 2 * middle + low, high - low
     scale = sides.apart / (sides.step * nonzero(float(np.linalg.norm(bent))))
     along = bent / nonzero(float(np.linalg.norm(bent)))
     value, aside = -0.5 * float(across @ along) * scale, across - (across @ along) * along
-    known = 4 * np.finfo(float).eps + max(one.tour.closes.distance for one in (sides.before, sides.here, sides.after))
+    known = 4 * np.finfo(float).eps + max(
+        probe.tour.closes.distance for probe in (sides.before, sides.here, sides.after)
+    )
     error = SHARP + float(np.abs([low, high]).max()) * known * scale
     straight = 0.5 * float(np.linalg.norm(aside)) * scale < ASIDE
     return Reading(value, error, bool(abs(value) <= error < DOUBTFUL and straight))

@@ -75,7 +75,7 @@ def doublings_turn(interval: Interval) -> Iterator[tuple[Sample, Test]]:
 
 
 def _bending(curve: Curve, sample: Sample) -> float:
-    return bending(curve, sample.found)
+    return bending(curve, sample.solution)
 
 
 def beside_level(test: Critical, about: Spectrum) -> Iterator[Test]:
@@ -158,7 +158,7 @@ def folds_turn(interval: Interval) -> Iterator[tuple[Sample, Test]]:
     wanted = [Test("transcritical", one.detail, slope(one.detail))] if one.detail in one.parameters else []
     for sample, test in _zeros(interval, wanted):
         rising = interval.last.slopes[one.detail] - interval.first.slopes[one.detail]
-        centre = is_centre(interval.curve, sample.found.place, one.detail, rising)
+        centre = is_centre(interval.curve, sample.solution.place, one.detail, rising)
         yield sample, replace(test, kind="isola_centre") if centre else test
 
 

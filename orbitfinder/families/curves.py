@@ -125,7 +125,7 @@ def curve_start(
     except ConvergenceError as error:
         lasting = "; it need not persist where nothing keeps its symmetry" if curve.degenerate else ""
         raise ConvergenceError(f"event {number} of {family.name} ({chosen.kind}): {error}{lasting}") from error
-    if refused := test.followed.refused(start.curve, start.found):
+    if refused := test.followed.refused(start.curve, start.solution):
         raise ConvergenceError(f"event {number} of {family.name}: {refused}; continue the family again")
     return Branch(start, family.name, chosen, number, 0, f"{family.name}-{number}-{'-'.join(names)}")
 

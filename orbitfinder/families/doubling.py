@@ -29,16 +29,16 @@ ON_SECTION = 1e-15
 """How near to the section is on it, in periods"""
 
 
-def bending(curve: Curve, found: Solution) -> float:
+def bending(curve: Curve, solution: Solution) -> float:
     """The coefficient c of a doubling, q of unit length in the curve's units; of one orbit found once."""
-    if "bending" not in found.kept:
-        found.kept["bending"] = _bending(curve, found)
-    return float(found.kept["bending"])
+    if "bending" not in solution.kept:
+        solution.kept["bending"] = _bending(curve, solution)
+    return float(solution.kept["bending"])
 
 
-def _bending(curve: Curve, found: Solution) -> float:
-    returned = _Return.of(curve, found)
-    matrix = returned.slopes(found)
+def _bending(curve: Curve, solution: Solution) -> float:
+    returned = _Return.of(curve, solution)
+    matrix = returned.slopes(solution)
     values, vectors = np.linalg.eig(matrix)
     q = vectors[:, np.argmin(np.abs(values + 1.0))].real
     values, vectors = np.linalg.eig(matrix.T)
@@ -68,9 +68,9 @@ class _Return:
     flow: np.ndarray
 
     @classmethod
-    def of(cls, curve: Curve, found: Solution) -> _Return:
+    def of(cls, curve: Curve, solution: Solution) -> _Return:
         """That of an orbit, over its whole mesh as one segment."""
-        w, size = found.place, curve.equations.size
+        w, size = solution.place, curve.equations.size
         flow = np.zeros(size) if curve.equations.model.forced else curve.equations.march.rates(w.nodes[:1], w.tail)[0]
         flow = flow * w.period / curve.units
         directions = flow[None] if flow.any() else np.zeros((0, size))
@@ -95,10 +95,10 @@ class _Return:
         """How far ends (k x d) are from x(0), whole turns aside, in the curve's units."""
         return np.asarray((ends - self.start.nodes[0] - shift(self.curve.turns, ends.shape[1])) / self.curve.units)
 
-    def slopes(self, found: Solution) -> np.ndarray:
+    def slopes(self, solution: Solution) -> np.ndarray:
         """Its derivative A at the orbit."""
         matrix, units = np.eye(self.curve.equations.size), self.curve.units
-        for transition in found.march.transitions:
+        for transition in solution.march.transitions:
             matrix = transition @ matrix
         matrix = matrix * units / units[:, None]
         if self.flow.any():  # what is not on the section is taken back along the flow

@@ -82,15 +82,15 @@ HOMOCLINIC_STEP = 1e-2
 
 def end_at(run: Run, before: Step, after: Step) -> End | None:
     """The reason to stop after a step, or None."""
-    curve, found = run.curve, after.found
+    curve, found = run.curve, after.solution
     if _self_excited(curve):
-        if _turned_over(curve, before.found, found):
+        if _turned_over(curve, before.solution, found):
             raise ConvergenceError("the orbits pass amplitude 0 within one step")
-    elif collapsed(curve, before.found, found):
-        return _steady(curve, before) if curve.equations.symmetry.relative else _at_equilibrium(run, before.found)
-    elif _shrinking(curve, before.found, found) and linear(curve, found, LINEAR):
+    elif collapsed(curve, before.solution, found):
+        return _steady(curve, before) if curve.equations.symmetry.relative else _at_equilibrium(run, before.solution)
+    elif _shrinking(curve, before.solution, found) and linear(curve, found, LINEAR):
         return _at_equilibrium(run, found)
-    if passed(curve, before.found, found):
+    if passed(curve, before.solution, found):
         raise ConvergenceError("another family is joined within one step")
     if curve.equations.model.forced:
         return None
@@ -138,7 +138,7 @@ def _to_join(run: Run, before: Step, length: float) -> tuple[float, End | None]:
     for kept, away, apart in approaching(run.curve, before.sample, length):
         if SHORT * away > length:
             continue
-        join = solved(run.curve, before.found, run.settings.parameter, kept)
+        join = solved(run.curve, before.solution, run.settings.parameter, kept)
         if join is None or not agrees(join, before, away, run.settings.parameter):
             continue
         if apart > JOINING or _wanted(run, before, join.value, join.error):
@@ -164,7 +164,7 @@ def _shrinks_to(run: Run, step: Step, away: float) -> tuple[Rest | None, float]:
 
     Both are even in the amplitude, so that they change by half of what the tangent says.
     """
-    found, name = step.found, run.settings.parameter
+    found, name = step.solution, run.settings.parameter
     rest = rest_of(run.curve, found, name) if np.isfinite(away) else None
     if rest is None:
         return None, np.inf
@@ -183,31 +183,31 @@ def _hopf(run: Run, rest: Rest, more: str = "") -> End:
     return End("hopf", reason, rest.value, rest.period, rest.error)
 
 
-def _turned_over(curve: Curve, before: Solution, found: Solution) -> bool:
+def _turned_over(curve: Curve, before: Solution, solution: Solution) -> bool:
     """Whether an orbit is the one before half a period later, as behind an equilibrium."""
-    one, other = (full_samples(curve, each, COMPARED)[1][:-1] for each in (before, found))
+    one, other = (full_samples(curve, each, COMPARED)[1][:-1] for each in (before, solution))
     extents = np.ptp(one, axis=0)
     extents = np.where(extents > 0.0, extents, np.inf)  # what does not move says nothing
     one, other = ((each - each.mean(axis=0)) / extents for each in (one, other))
     return bool(np.sum(one * other) < TURNED * np.linalg.norm(one) * np.linalg.norm(other))
 
 
-def _shrinking(curve: Curve, before: Solution, found: Solution) -> bool:
+def _shrinking(curve: Curve, before: Solution, solution: Solution) -> bool:
     """Whether an orbit is smaller than the one before, hardly slower or faster, and small beside where it is."""
-    (first, _), (size, far) = _extent_and_place(curve, before), _extent_and_place(curve, found)
-    steady = abs(found.place.period / before.place.period - 1.0) < STEADY
+    (first, _), (size, far) = _extent_and_place(curve, before), _extent_and_place(curve, solution)
+    steady = abs(solution.place.period / before.place.period - 1.0) < STEADY
     return steady and size < min(SMALLER * first, LEAST * far)
 
 
-def _extent_and_place(curve: Curve, found: Solution) -> tuple[float, float]:
+def _extent_and_place(curve: Curve, solution: Solution) -> tuple[float, float]:
     """The largest extent of a coordinate, and how far from the origin the motion is."""
-    q = found.march.states[:, : curve.equations.model.degrees_of_freedom]
+    q = solution.march.states[:, : curve.equations.model.degrees_of_freedom]
     return float(np.ptp(q, axis=0).max()), float(np.abs(q[0]).max())
 
 
-def _at_equilibrium(run: Run, found: Solution) -> End:
-    where, period = np.array2string(centre(run.curve, found), precision=6), found.place.period
-    rest = rest_of(run.curve, found, run.settings.parameter) if can_rest(run.curve) else None
+def _at_equilibrium(run: Run, solution: Solution) -> End:
+    where, period = np.array2string(centre(run.curve, solution), precision=6), solution.place.period
+    rest = rest_of(run.curve, solution, run.settings.parameter) if can_rest(run.curve) else None
     known = (rest.value, rest.period, rest.error) if rest else ()
     period = rest.period if rest else period
     return End("equilibrium", f"the orbits shrink to the equilibrium at q = {where}, period {period:.9g} s", *known)
@@ -215,7 +215,7 @@ def _at_equilibrium(run: Run, found: Solution) -> End:
 
 def end_of_failure(run: Run, step: Step, failure: str) -> End:
     """The reason why no further step could be taken."""
-    curve, found = run.curve, step.found
+    curve, found = run.curve, step.solution
     try:
         if (met := _met(run, step, failure)) is not None:
             return met
@@ -261,7 +261,7 @@ def _canard(run: Run, step: Step, failure: str) -> End | None:
 
 def _met(run: Run, step: Step, failure: str) -> End | None:
     """The join or the Hopf point that a family failed to reach."""
-    curve, found, name = run.curve, step.found, run.settings.parameter
+    curve, found, name = run.curve, step.solution, run.settings.parameter
     for kept, away, _ in approaching(curve, step.sample, step.point.step):
         join = solved(curve, found, name, kept)
         if join is not None and agrees(join, step, away, name):
@@ -277,7 +277,7 @@ def _met(run: Run, step: Step, failure: str) -> End | None:
 
 def shortest_step(run: Run, step: Step) -> float:
     """How short a step may become: near a homoclinic orbit, where round-off rules, not very."""
-    curve, found, usual = run.curve, step.found, run.settings.shortest_step
+    curve, found, usual = run.curve, step.solution, run.settings.shortest_step
     if curve.equations.model.forced or not step.stretch > UNDERFLOW_GROWTH:
         return usual
     share, state = slowness(curve, found)
@@ -291,16 +291,16 @@ def _settled(origin: FamilyPoint, before: FamilyPoint, after: FamilyPoint) -> bo
     return after.scale > UNDECIDED and stretch > 0 and change < SETTLED * abs(after.energy - origin.energy)
 
 
-def near_saddle(curve: Curve, found: Solution, state: np.ndarray) -> bool:
+def near_saddle(curve: Curve, solution: Solution, state: np.ndarray) -> bool:
     """Whether a state is near an equilibrium with a growing direction, relative to the extents of its motion.
 
     Without one, a slow and long orbit is no nearly homoclinic one.
     """
-    eigenvalues = _at_rest(curve, found, state, NEAR)
-    return eigenvalues.size > 0 and bool(eigenvalues.real.max() * found.place.period > 1.0)
+    eigenvalues = _at_rest(curve, solution, state, NEAR)
+    return eigenvalues.size > 0 and bool(eigenvalues.real.max() * solution.place.period > 1.0)
 
 
-def linear(curve: Curve, found: Solution, within: float) -> bool:
+def linear(curve: Curve, solution: Solution, within: float) -> bool:
     """Whether an orbit is a linear oscillation about an equilibrium: its period is, to this share, that of a pair i w.
 
     It differs with the square of the amplitude.
@@ -308,15 +308,15 @@ def linear(curve: Curve, found: Solution, within: float) -> bool:
     p, n = curve.equations, curve.equations.model.degrees_of_freedom
     if p.links or p.model.forced or p.symmetry.relative:
         return False
-    middle = np.concatenate([centre(curve, found), np.zeros(p.size - n)])
-    turns = np.abs(_at_rest(curve, found, middle, 1.0).imag) * found.place.period / (2 * np.pi)
+    middle = np.concatenate([centre(curve, solution), np.zeros(p.size - n)])
+    turns = np.abs(_at_rest(curve, solution, middle, 1.0).imag) * solution.place.period / (2 * np.pi)
     return bool(np.any(np.abs(turns - 1.0) < within))
 
 
-def _at_rest(curve: Curve, found: Solution, state: np.ndarray, near: float) -> np.ndarray:
+def _at_rest(curve: Curve, solution: Solution, state: np.ndarray, near: float) -> np.ndarray:
     """The eigenvalues of the equations at the equilibrium within a share of the motion's extents; none without one."""
-    p, place = curve.equations, found.place
-    n, units = p.model.degrees_of_freedom, extents(curve, found.march.states)
+    p, place = curve.equations, solution.place
+    n, units = p.model.degrees_of_freedom, extents(curve, solution.march.states)
     still = np.zeros(p.size - n)
 
     def linearised(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -332,10 +332,10 @@ def _at_rest(curve: Curve, found: Solution, state: np.ndarray, near: float) -> n
     return np.asarray(np.linalg.eigvals(p.march.arcs[0].slopes(np.append(rest.w, still), place.tail)))
 
 
-def _singular(curve: Curve, found: Solution, failure: str) -> End | None:
+def _singular(curve: Curve, solution: Solution, failure: str) -> End | None:
     """The end of a family whose motion is somewhere so much faster than elsewhere that its equations are singular."""
-    states, mesh, model = found.march.states, found.place.mesh, curve.equations.model
-    slopes = curve.equations.march.rates(states, found.place.tail, mesh * found.place.period)
+    states, mesh, model = solution.march.states, solution.place.mesh, curve.equations.model
+    slopes = curve.equations.march.rates(states, solution.place.tail, mesh * solution.place.period)
     n, what = model.degrees_of_freedom, "acceleration" if model.rates is None else "rate"
     pushed = slopes[:, n:] / curve.shares if n < states.shape[1] else slopes / extents(curve, states)
     speed = np.linalg.norm(pushed, axis=1)
@@ -350,25 +350,25 @@ def _singular(curve: Curve, found: Solution, failure: str) -> End | None:
     )
 
 
-def _homoclinic(curve: Curve, found: Solution, state: np.ndarray, grown: float, more: str) -> End:
-    energy = parameter_value(curve, found.place, "energy")
+def _homoclinic(curve: Curve, solution: Solution, state: np.ndarray, grown: float, more: str) -> End:
+    energy = parameter_value(curve, solution.place, "energy")
     n = curve.equations.model.degrees_of_freedom
     where = np.array2string(state[:n], precision=4, suppress_small=True)
     level = f" at energy {energy:.9g} J" if np.isfinite(energy) else ""
     return End(
         "homoclinic",
-        f"the period blows up ({found.place.period:.6g} s, {grown:.3g} times the shortest){level}, "
+        f"the period blows up ({solution.place.period:.6g} s, {grown:.3g} times the shortest){level}, "
         f"slowest near q = {where}{more}",
     )
 
 
-def slowness(curve: Curve, found: Solution) -> tuple[float, np.ndarray]:
+def slowness(curve: Curve, solution: Solution) -> tuple[float, np.ndarray]:
     """Share of the period spent slower than `SLOW` times the fastest rate, and the slowest state.
 
     Turning points are not slow in this sense: the speed includes the scaled acceleration.
     """
-    p, place = curve.equations, found.place
-    states = found.march.states
+    p, place = curve.equations, solution.place
+    states = solution.march.states
     slopes = p.march.rates(states, place.tail, place.mesh * place.period)
     speed = np.sqrt(slopes**2 @ curve.weights[: p.size])
     weights = np.diff(place.mesh)
@@ -376,20 +376,20 @@ def slowness(curve: Curve, found: Solution) -> tuple[float, np.ndarray]:
     return float(weights[slow].sum() / weights.sum()), states[np.argmin(speed)]
 
 
-def centre(curve: Curve, found: Solution) -> np.ndarray:
+def centre(curve: Curve, solution: Solution) -> np.ndarray:
     """The middle of an orbit's configurations (n): where a shrinking family is going."""
     n = curve.equations.model.degrees_of_freedom
-    held, q = curve.centre, found.march.states[:, :n]
+    held, q = curve.centre, solution.march.states[:, :n]
     return np.asarray(np.where(np.isnan(held), 0.5 * (q.max(axis=0) + q.min(axis=0)), held))
 
 
-def collapsed(curve: Curve, before: Solution, found: Solution) -> bool:
+def collapsed(curve: Curve, before: Solution, solution: Solution) -> bool:
     """Whether the last step went through an equilibrium: the orbit is now on the other side of its middle."""
     n, relative = curve.equations.model.degrees_of_freedom, curve.equations.symmetry.relative
     weights, still = curve.weights[: curve.equations.size], np.zeros(curve.equations.size - n)
-    paths = [_beside_shifts(s.march.states, relative) for s in (before, found)]
+    paths = [_beside_shifts(s.march.states, relative) for s in (before, solution)]
     rates = [0.5 * (path[:, n:].max(axis=0) + path[:, n:].min(axis=0)) if relative else still for path in paths]
-    middles = [centre(curve, s) for s in (before, found)] if not relative else [
+    middles = [centre(curve, s) for s in (before, solution)] if not relative else [
         0.5 * (path[:, :n].max(axis=0) + path[:, :n].min(axis=0)) for path in paths
     ]  # fmt: skip
     one, other = (path[0] - np.concatenate(parts) for path, *parts in zip(paths, middles, rates, strict=True))
@@ -408,7 +408,7 @@ def _steady(curve: Curve, before: Step) -> End:
     """The end of a family that shrinks to a relative equilibrium, by its last orbit before it."""
     shift, period = before.point.shift, before.point.period
     rates = ", ".join(f"{name} by {by / period:.9g} a second" for name, by in shift.items())
-    states = _beside_shifts(before.found.march.states, curve.equations.symmetry.relative)
+    states = _beside_shifts(before.solution.march.states, curve.equations.symmetry.relative)
     middle = 0.5 * (states.max(axis=0) + states.min(axis=0))[: states.shape[1] // 2]
     return End(
         "relative equilibrium",
@@ -423,7 +423,7 @@ def returned(curve: Curve, before: Step, after: Step) -> End | None:
     What looks near, by numbers that do not depend on where t = 0 lies, is confirmed by an orbit of the family with the
     period and the parameters of the earlier one: it must be the same.
     """
-    place, scales, action = before.found.place, curve.scales, abs(before.found.march.integral) or 1.0
+    place, scales, action = before.solution.place, curve.scales, abs(before.solution.march.integral) or 1.0
     if len(before.portraits) <= FEWEST_STEPS:
         return None
     units = np.concatenate([[scales.period], scales.free, [action], scales.states, scales.states])
@@ -440,7 +440,7 @@ def returned(curve: Curve, before: Step, after: Step) -> End | None:
     for k in np.flatnonzero(near):
         aim = Condition(float(step[:count] @ past[k][:count]), normal)
         try:
-            again = correct(curve, place.blended(after.found.place, float(shares[k])), aim, place)
+            again = correct(curve, place.blended(after.solution.place, float(shares[k])), aim, place)
         except (ConvergenceError, IntegrationError):
             continue
         apart = np.abs(portrait(curve, again) / units - past[k])
@@ -459,7 +459,7 @@ def mirrored(interval: Interval, at: float) -> bool:
     name = next(iter(interval.curve.equations.physical), "")
 
     def read(distance: float) -> np.ndarray:
-        found = interval.sample(distance).found
+        found = interval.sample(distance).solution
         value = parameter_value(interval.curve, found.place, name or "energy")
         return np.array([value, found.march.integral if name else found.place.period])
 
@@ -484,7 +484,7 @@ def merged(interval: Interval, at: float, name: str) -> End | None:
 
     A branch is its own mirror image about the orbit that it was born from, so that what it is followed in turns there.
     """
-    curve, found = interval.curve, interval.sample(at).found
+    curve, found = interval.curve, interval.sample(at).solution
     model, (times, states) = curve.equations.model, full_samples(curve, found)
     seen = recognise(times, states, model)
     gaps_of = {k: float((return_gaps(states, k) / curve.units).max()) for k in EVEN}
@@ -493,11 +493,13 @@ def merged(interval: Interval, at: float, name: str) -> End | None:
     if covers == 1 and seen in (NONE.name, curve.equations.symmetry.name):
         return None
     if not curve.equations.links:
-        times, beside = full_samples(curve, interval.first.found)
+        times, beside = full_samples(curve, interval.first.solution)
         if covers == 1 and (recognise(times, beside, model) == seen or not _keeps(curve, seen, beside)):
             return None  # the family has it itself, or the motion has and the equations have not
         join = solved(curve, found, name, Kept(covers), seen if covers == 1 else "")
-        values = [parameter_value(curve, interval.sample(one).found.place, name) for one in (0.0, at, interval.length)]
+        values = [
+            parameter_value(curve, interval.sample(one).solution.place, name) for one in (0.0, at, interval.length)
+        ]
         there = join is not None and abs(join.value - values[1]) < THERE * np.ptp(values)
         return end_of(join) if join is not None and there else None
     if not mirrored(interval, at):

@@ -57,11 +57,11 @@ def slope(name: str) -> Measure:
 
 def folds(interval: Interval) -> Iterator[Test]:
     """What turns at a fold: each parameter that orbits are told by, or the period."""
-    p, held = interval.curve.equations, {one.quantity for one in interval.curve.conditions}
-    kept = [one for k, one in enumerate(p.model.invariants) if k in held]
-    timed = any(one.normal is not None and one.quantity is None for one in interval.curve.conditions)
+    p, held = interval.curve.equations, {condition.quantity for condition in interval.curve.conditions}
+    kept = [invariant for k, invariant in enumerate(p.model.invariants) if k in held]
+    timed = any(condition.normal is not None and condition.quantity is None for condition in interval.curve.conditions)
     bifurcates = () if timed and not p.model.forced else ("energy", *p.physical)
-    swept = momenta_of(p.symmetry, p.model) if any(one.generator is None for one in kept) else ("energy",)
+    swept = momenta_of(p.symmetry, p.model) if any(invariant.generator is None for invariant in kept) else ("energy",)
     for name in p.physical or (*(one for one in swept if one not in {each.name for each in kept}), "period"):
         yield Test("fold" if name in bifurcates else "turn", name, slope(name))
 
@@ -72,12 +72,12 @@ def extrema(interval: Interval) -> Iterator[Test]:
 
     def rise(name: str, sample: Sample) -> float:
         if sample.distance not in known:
-            known[sample.distance] = rises(interval.curve, sample.found, sample.whole)
+            known[sample.distance] = rises(interval.curve, sample.solution, sample.whole)
         return known[sample.distance][name]
 
     for name in interval.curve.watch:
         ends = [rise(name, sample) for sample in (interval.first, interval.last)]
-        if ends[0] * ends[1] < 0 and max(np.abs(ends)) > noise(interval.curve, interval.first.found)[name]:
+        if ends[0] * ends[1] < 0 and max(np.abs(ends)) > noise(interval.curve, interval.first.solution)[name]:
             yield Test("extremum", name, partial(rise, name))
 
 
@@ -120,7 +120,7 @@ def _told(interval: Interval) -> bool:
     if not interval.first.about.conservative or not interval.first.indices.size:
         return True
     margins = [np.abs(np.asarray(sample.indices).real) - 2.0 for sample in ends]
-    first, last = (np.sort(np.where(np.abs(one) > ERROR_FLOOR, np.sign(one), 0.0)) for one in margins)
+    first, last = (np.sort(np.where(np.abs(values) > ERROR_FLOOR, np.sign(values), 0.0)) for values in margins)
     return not (np.any(first == 0.0) and np.array_equal(first, last))
 
 
@@ -131,7 +131,7 @@ def _apart(distance: float, folds: list[float]) -> bool:
 
 def event_at(curve: Curve, sample: Sample, test: Test, parameter: str) -> Event:
     """The event that a test finds at an orbit, its arclength the distance into the interval."""
-    place = sample.found.place
+    place = sample.solution.place
     return Event(
         kind=test.kind,
         index=-1,
@@ -148,7 +148,7 @@ def event_at(curve: Curve, sample: Sample, test: Test, parameter: str) -> Event:
         tangent=sample.head,
         symmetry=curve.equations.symmetry.name,
         free=freed(curve, place),
-        watch=watched(curve, sample.found),
+        watch=watched(curve, sample.solution),
     )
 
 
@@ -202,7 +202,7 @@ def crossings(interval: Interval) -> list[tuple[Sample, Test]]:
     for rank in range(len(interval.first.about.reduced)):
         grazed(interval, modulus(rank), GRAZED)
     parts = [(a.distance, b.distance) for a, b in pairwise(interval.known())]
-    return [one for low, high in parts for one in _between(interval, low, high, DEEPEST)]
+    return [passing for low, high in parts for passing in _between(interval, low, high, DEEPEST)]
 
 
 def _between(interval: Interval, low: float, high: float, depth: int) -> list[tuple[Sample, Test]]:

@@ -223,7 +223,7 @@ def _check_again(journal: Journal, curve: Curve, folder: Path) -> None:
     """`InputError` unless every point of a journal without digests still closes, by independent means."""
     model = curve.equations.model
     check = ClosureCheck(model) if model.hybrid is None else HybridCheck(model)
-    for point in (journal.origin, *(p for one in journal.batches for p in one.points)):
+    for point in (journal.origin, *(p for batch in journal.batches for p in batch.points)):
         allowed = CLOSURE * max(1.0, float(np.abs(point.floquet_multipliers).max(initial=1.0)))
         turns = turned(curve.equations.model, np.array(curve.turns), point.shift)
         closure = check(point.state, point.period, turns, allowed, point.free)
@@ -238,7 +238,7 @@ def _started(origin: Any, settings: FamilySettings, model: Model | None) -> Star
     start = _start_of(origin)
     if start is None:
         start = begin(origin, settings, model=model)
-        checked_cycle(start.curve, start.found)
+        checked_cycle(start.curve, start.solution)
         return start
     free, _ = unknown_parameters(start.curve.equations.model, settings)
     if start.curve.test is None and free != start.curve.equations.physical:
@@ -268,8 +268,8 @@ def _reopened(folder: Path, journal: Journal, stops: Mapping[int, Mapping[str, f
         met = [point for point in batch.points if point.role != "at"]
         there = batch.end is not None and batch.end.reason in [reached(*goal) for goal in goals.items()]
         passed = side in last and any(
-            (number_of(last[side], name) - value) * (number_of(one, name) - value) <= 0
-            for name, value in goals.items() for many in (met, batch.events) for one in many
+            (number_of(last[side], name) - value) * (number_of(member, name) - value) <= 0
+            for name, value in goals.items() for many in (met, batch.events) for member in many
         )  # fmt: skip
         ended = batch.end is not None and end_kind(batch.end.kind).asked
         if side not in last or ((ended or passed) and not there):
@@ -297,7 +297,7 @@ def _request(
         head, kind = origin.described(), "branch"
         source = head
     elif isinstance(origin, Start):
-        head, kind = origin.found.place.head.tolist(), "start"
+        head, kind = origin.solution.place.head.tolist(), "start"
     elif isinstance(origin, Orbit):
         head, kind = [*origin.state.tolist(), origin.period], "orbit"
     else:
@@ -385,7 +385,7 @@ def _finish(
         last = done[-1][0] if done else journal.origin
         try:
             for batch in follow(run, done):
-                reached = [one for one in batch.points if one.role == "step"][-1:]
+                reached = [point for point in batch.points if point.role == "step"][-1:]
                 step = abs(reached[0].arclength - last.arclength) if reached else last.step
                 batch, last = checked(curve, batch, step), (*reached, last)[0]
                 batch = batch_certified(curve, batch) if settings.certify else batch
@@ -406,7 +406,7 @@ def _finish(
     family = so_far()
     if settings.certify:
         first, *rest = family.points
-        ends = (certified(curve, first), *rest[:-1], *(certified(curve, one) for one in rest[-1:]))
+        ends = (certified(curve, first), *rest[:-1], *(certified(curve, point) for point in rest[-1:]))
         family = replace(family, points=ends)
     if folder is not None:
         save_family(family, folder)

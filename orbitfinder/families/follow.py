@@ -98,9 +98,9 @@ class _Walk:
 
 def _attempt(run: Run, before: Step, length: float) -> tuple[Step, Batch]:
     began = time.perf_counter()
-    curve, settings, sample, place = run.curve, run.settings, before.sample, before.found.place
+    curve, settings, sample, place = run.curve, run.settings, before.sample, before.solution.place
     guess = advanced(place, sample.whole, length, before.curvature)
-    slope = before.found.jacobian if before.drift is None else before.found.jacobian + length * before.drift
+    slope = before.solution.jacobian if before.drift is None else before.solution.jacobian + length * before.drift
     aim, reach = plane(curve, place, sample.whole, length), 0.5 * length + 1e-9
     raw = correct(curve, guess, aim, place, reach=reach, slope=slope, fit=regraded)
     whole = tangent(curve, raw, sample.whole)
@@ -135,18 +135,18 @@ def _attempt(run: Run, before: Step, length: float) -> tuple[Step, Batch]:
 
 
 def _checked_point(
-    run: Run, found: Solution, whole: np.ndarray, where: dict[str, Any], about: Spectrum | None
+    run: Run, solution: Solution, whole: np.ndarray, where: dict[str, Any], about: Spectrum | None
 ) -> tuple[FamilyPoint, Solution]:
     """The point of a corrected place, on a finer mesh where it does not close on this one."""
     name = run.settings.parameter
     for trial in range(REFINEMENTS + 1):
         try:
-            along = found.place.head_of(whole)
-            return make_point(run.curve, found, along, name, run.check, about=about, **where), found
+            along = solution.place.head_of(whole)
+            return make_point(run.curve, solution, along, name, run.check, about=about, **where), solution
         except ConvergenceError:
             if trial == REFINEMENTS:
                 raise
-            found, about = refined(run.curve, found, whole), None
+            solution, about = refined(run.curve, solution, whole), None
     raise AssertionError("unreachable")
 
 
@@ -220,9 +220,9 @@ def _exactly(
     """The points of an interval that are asked for, and those at which the run ends, with what is reached there."""
     name = run.settings.parameter
     wanted = (value for value in run.at if value != run.origin.value)
-    points = [point for one in wanted for point in exact_points(run, before, interval, (name, one), events, "at")]
-    return points, [(one, each) for one in run.goals.items()
-                    for each in exact_points(run, before, interval, one, events, "end")[:1]]  # fmt: skip
+    points = [point for value in wanted for point in exact_points(run, before, interval, (name, value), events, "at")]
+    return points, [(goal, each) for goal in run.goals.items()
+                    for each in exact_points(run, before, interval, goal, events, "end")[:1]]  # fmt: skip
 
 
 def _events(interval: Interval, settings: FamilySettings) -> list[Event]:
@@ -233,7 +233,7 @@ def _events(interval: Interval, settings: FamilySettings) -> list[Event]:
         alone = interval.curve.test is None
         found = find_events(interval, settings) if alone else find_special(interval)
         tests = [kind.test for kind in KINDS.values() if kind.test and kind.second != alone]
-        found += [one for test in tests for one in zeros(interval, test(interval))]
+        found += [pair for test in tests for pair in zeros(interval, test(interval))]
         events = [event_at(interval.curve, sample, test, settings.parameter) for sample, test in found]
         return sorted(events, key=lambda event: event.arclength)
     except (ConvergenceError, IntegrationError) as error:
@@ -250,7 +250,7 @@ def _placed(event: Event, run: Run, origin: FamilyPoint) -> Event:
 
 def _within(members: Iterable[Member], origin: FamilyPoint, reach: float) -> list[Member]:
     """The points or events no further than `reach` along the family from a point."""
-    return [one for one in members if abs(one.arclength - origin.arclength) <= reach]
+    return [member for member in members if abs(member.arclength - origin.arclength) <= reach]
 
 
 def _ordered(points: list[FamilyPoint]) -> tuple[FamilyPoint, ...]:
@@ -272,31 +272,33 @@ def exact_points(
         if name in curve.watch:
             sample = interval.sample(zero(lambda d: level(d) - value, a, b, ROUND_OFF))
         else:
-            found = _solve_level(run, interval, a + (b - a) * (value - low) / (high - low), value)
-            whole, along = tangent(curve, found, first.whole), ahead(curve, first, found)
-            sample = make_sample(curve, along, found, whole, interval.indices(along))
+            solution = _solve_level(run, interval, a + (b - a) * (value - low) / (high - low), value)
+            whole, along = tangent(curve, solution, first.whole), ahead(curve, first, solution)
+            sample = make_sample(curve, along, solution, whole, interval.indices(along))
         where: dict[str, Any] = {
             "index": before.point.index, "arclength": before.point.arclength + run.direction * sample.distance,
             "step": before.point.step, "role": role, "indices": sample.indices,
         }  # fmt: skip
         parameter = run.settings.parameter
-        points.append(make_point(curve, sample.found, sample.head, parameter, run.check, about=sample.about, **where))
+        points.append(
+            make_point(curve, sample.solution, sample.head, parameter, run.check, about=sample.about, **where)
+        )
     return points
 
 
 def _level(interval: Interval, name: str, distance: float) -> float:
     """A watched number at a distance into an interval, or about what the parameter is there."""
     if name in interval.curve.watch:
-        return watched(interval.curve, interval.sample(distance).found)[name]
+        return watched(interval.curve, interval.sample(distance).solution)[name]
     return parameter_value(interval.curve, interval.guess(distance), name)
 
 
 def _solve_level(run: Run, interval: Interval, near: float, value: float) -> Solution:
     """The orbit at a given value of the parameter near a distance into an interval, on a mesh that satisfies it."""
-    curve, first, reach = run.curve, interval.first.found, interval.length
+    curve, first, reach = run.curve, interval.first.solution, interval.length
     aim = pinned(curve.equations, run.settings.parameter, value)
     slope = first.jacobian if curve.test is None else interval.slope(near)
-    found = correct(curve, interval.guess(near), aim, first.place, reach=reach, slope=slope)
-    if distance(curve, found.place, first.place) > 2 * reach:
+    solution = correct(curve, interval.guess(near), aim, first.place, reach=reach, slope=slope)
+    if distance(curve, solution.place, first.place) > 2 * reach:
         raise ConvergenceError("the exact value was found on another part of the family")
-    return found
+    return solution

@@ -90,7 +90,7 @@ class Join:
     """The orbit at which a family is joined, on that family's curve, and the error bar of the parameter."""
 
     curve: Curve
-    found: Solution
+    solution: Solution
     value: float
     error: float
     kept: Kept
@@ -105,15 +105,15 @@ def joinable(curve: Curve) -> list[Kept]:
     parts = [Kept(k) for k in EVEN if not any(turn % k for turn in curve.turns) and not curve.cycles % k]
     if p.symmetry.forward is not None:
         return parts
-    forward = [one for one in involutions(p.model) if one.sense > 0]
+    forward = [involution for involution in involutions(p.model) if involution.sense > 0]
     return parts + [Kept(count, one) for one in forward for count in (1, 2)]
 
 
-def sampled(curve: Curve, found: Solution) -> np.ndarray:
+def sampled(curve: Curve, solution: Solution) -> np.ndarray:
     """States at equal times over the whole period of an orbit."""
-    if "samples" not in found.kept:
-        found.kept["samples"] = _sampled(curve, found.place, found.march.states)
-    samples: np.ndarray = found.kept["samples"]
+    if "samples" not in solution.kept:
+        solution.kept["samples"] = _sampled(curve, solution.place, solution.march.states)
+    samples: np.ndarray = solution.kept["samples"]
     return samples
 
 
@@ -145,7 +145,7 @@ def _held(curve: Curve, kept: Kept, states: np.ndarray) -> bool:
 
 def approaching(curve: Curve, sample: Sample, length: float) -> Iterator[tuple[Kept, float, float]]:
     """The families that might be joined: what they keep, how far ahead, and how far the orbit is beside them."""
-    found = sample.found
+    found = sample.solution
     here = sampled(curve, found)
     near = [one for one in _beside(curve, here) if BESIDE[0] < one[2] < BESIDE[1] and _held(curve, one[0], here)]
     if not near:
@@ -170,29 +170,29 @@ def passed(curve: Curve, before: Solution, after: Solution) -> bool:
     return False
 
 
-def solved(curve: Curve, found: Solution, name: str, kept: Kept, symmetry: str = "") -> Join | None:
+def solved(curve: Curve, solution: Solution, name: str, kept: Kept, symmetry: str = "") -> Join | None:
     """The orbit at which a family beside an orbit, that keeps so much, is joined; `name` is the parameter.
 
     One that keeps another `symmetry`, which reverses time, is begun as that orbit in its formulation.
     """
     try:
         if symmetry:
-            here = Start(curve, found, found.place.head)
+            here = Start(curve, solution, solution.place.head)
             start: Start | None = reformulated(here, named(symmetry, curve.equations.model))
         else:
-            start = _beside_join(curve, found, kept)
+            start = _beside_join(curve, solution, kept)
         return None if start is None else _critical(symmetric(start), name, kept)
     except (ConvergenceError, IntegrationError, InputError, np.linalg.LinAlgError):
         return None
 
 
-def _beside_join(curve: Curve, found: Solution, kept: Kept) -> Start | None:
+def _beside_join(curve: Curve, solution: Solution, kept: Kept) -> Start | None:
     """The orbit of the joined family at the parameter's value of one beside it, begun as the mean over its images."""
-    p, place = curve.equations, found.place
+    p, place = curve.equations, solution.place
     symmetry = p.symmetry
     if kept.one is not None and kept.parts == 2:
         symmetry = called(replace(symmetry, maps=(kept.one,)), p.model)
-    states = kept.joined(sampled(curve, found), p.model.angular)
+    states = kept.joined(sampled(curve, solution), p.model.angular)
     if not symmetry.held_by(p.model, states[0], max(curve.cycles // kept.covers, 1)):
         return None
     equations = Equations(p.model, symmetry, p.free, action=True)
@@ -200,9 +200,11 @@ def _beside_join(curve: Curve, found: Solution, kept: Kept) -> Start | None:
     count = next(k for k in (8, 6, 5, 4, 3, 2, 1) if part % k == 0)
     mesh = uniform(symmetry.fraction, count, STEPS)
     fresh = equations.unknowns(states[: part : part // count], place.period / kept.covers, mesh, place.free)
-    names = (*(one.name for one in p.model.invariants), "energy")
+    names = (*(invariant.name for invariant in p.model.invariants), "energy")
     held = {
-        names[one.quantity]: one.value for one in curve.conditions if one.normal is None and one.quantity is not None
+        names[condition.quantity]: condition.value
+        for condition in curve.conditions
+        if condition.normal is None and condition.quantity is not None
     }
     for one in curve.conditions:
         if one.quantity is None:
@@ -214,7 +216,7 @@ def _beside_join(curve: Curve, found: Solution, kept: Kept) -> Start | None:
 
 def _critical(start: Start, name: str, kept: Kept) -> Join | None:
     """Along the joined family to where the multiplier with which the branch leaves is a root of 1, by secants."""
-    curve, base = start.curve, start.found
+    curve, base = start.curve, start.solution
     about, whole = spectrum(curve, base), tangent(curve, base, start.direction)
     order = about.root * kept.covers
     roots = [np.exp(2j * np.pi * j / order) for j in range(order) if gcd(j, kept.covers) == 1]
@@ -225,8 +227,8 @@ def _critical(start: Start, name: str, kept: Kept) -> Join | None:
 
     def at(distance: float) -> tuple[Solution, float]:
         guess, aim = advanced(place, whole, distance), plane(curve, place, whole, distance)
-        found = correct(curve, guess, aim, place, reach=1.0 + abs(distance))
-        return found, test(curve, found)
+        solution = correct(curve, guess, aim, place, reach=1.0 + abs(distance))
+        return solution, test(curve, solution)
 
     (known, low), here, last, moved = (base, test(curve, base)), FIRST, 0.0, np.inf
     for _ in range(MOST_SECANT):
@@ -249,8 +251,8 @@ def _critical(start: Start, name: str, kept: Kept) -> Join | None:
 def agrees(join: Join, before: Step, away: float, name: str) -> bool:
     """Whether a step may come to a join: parameter and period are as near to its own as they change on the way."""
     slopes = before.sample.slopes
-    left = [join.value - before.point.value, join.found.place.period * join.kept.covers - before.point.period]
-    allowed = [3 * away * abs(slopes[one]) for one in (name, "period")]
+    left = [join.value - before.point.value, join.solution.place.period * join.kept.covers - before.point.period]
+    allowed = [3 * away * abs(slopes[quantity]) for quantity in (name, "period")]
     least = [join.error + 1e-9 * abs(join.value), 1e-9 * before.point.period]
     told = join.error < SURE * max(abs(join.value), abs(before.point.value))
     return told and all(abs(one) <= most + floor for one, most, floor in zip(left, allowed, least, strict=True))
@@ -258,12 +260,12 @@ def agrees(join: Join, before: Step, away: float, name: str) -> bool:
 
 def end_of(join: Join, more: str = "") -> End:
     """The end of a family at a join, with the family that is joined."""
-    curve, place = join.curve, join.found.place
-    symmetry = symmetry_of(curve, join.found)
+    curve, place = join.curve, join.solution.place
+    symmetry = symmetry_of(curve, join.solution)
     alone = join.kept.one is not None and join.kept.parts == 1
     what = "that is its own mirror image" if alone else f"of symmetry {symmetry}"
     what = what if join.kept.covers == 1 else f"of period T/{join.kept.covers}"
-    told = {one: (parameter_value(curve, place, one), "") for one in curve.equations.physical}
+    told = {name: (parameter_value(curve, place, name), "") for name in curve.equations.physical}
     told = told or {"energy": (parameter_value(curve, place, "energy"), " J")}
     where = ", ".join(f"{one} {value:.12g}{unit}" for one, (value, unit) in told.items())
     period = place.period * join.kept.covers

@@ -58,7 +58,7 @@ def whole(orbit: Orbit, model: Model) -> Orbit:
 
 def _alone(point: FamilyPoint, **changed: Any) -> Orbit:
     """A point as an Orbit of its own."""
-    return Orbit(**{one.name: getattr(point, one.name) for one in fields(Orbit)} | changed)
+    return Orbit(**{entry.name: getattr(point, entry.name) for entry in fields(Orbit)} | changed)
 
 
 def _period(orbit: Orbit, model: Model, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -86,10 +86,10 @@ def response(family: Family, model: Model) -> tuple[str, np.ndarray]:
 
 def orbit_at(curve: Curve, event: Event, model: Model) -> Orbit:
     """The orbit of an event, without certificate; the model has its freed parameters."""
-    found = at_place(curve, unknowns_of(curve, event))
-    times, states = full_samples(curve, found, SAMPLES)
+    solution = at_place(curve, unknowns_of(curve, event))
+    times, states = full_samples(curve, solution, SAMPLES)
     index, arclength = event.index, event.arclength
-    point = make_point(curve, found, event.tangent, "energy", None, index=index, arclength=arclength, step=0.0)
+    point = make_point(curve, solution, event.tangent, "energy", None, index=index, arclength=arclength, step=0.0)
     return _alone(point, name="event", symmetry=recognise(times, states, model))
 
 
@@ -102,8 +102,8 @@ def certified(curve: Curve, member: Member) -> Member:
 
 def batch_certified(curve: Curve, batch: Batch) -> Batch:
     """A step with its events and the points that were asked for certified."""
-    points = tuple(certified(curve, one) if one.role != "step" else one for one in batch.points)
-    return replace(batch, points=points, events=tuple(certified(curve, one) for one in batch.events))
+    points = tuple(certified(curve, point) if point.role != "step" else point for point in batch.points)
+    return replace(batch, points=points, events=tuple(certified(curve, event) for event in batch.events))
 
 
 def motions(family: Family, model: Model, count: int = 8) -> list[Motion]:
@@ -143,4 +143,4 @@ def amplitudes(family: Family, model: Model) -> np.ndarray:
         states = full_samples(curve, at_place(curve, unknowns_of(curve, known)), SAMPLES)[1]
         return np.asarray(np.ptp(states[:, :n], axis=0) / 2)
 
-    return np.array([range_of(one) for one in family.members])
+    return np.array([range_of(member) for member in family.members])

@@ -112,12 +112,12 @@ def zeros(interval: Interval, tests: Iterable[Test]) -> Iterator[tuple[Sample, T
 def _across(interval: Interval, measure: Measure, near: Sample) -> Sample:
     """The orbit `near` a crossing of two families at which a measure vanishes, as orbits on both sides tell."""
     about = interval.about(near.distance)
-    if any(crossed(interval.curve, one.found, TOLD) for one in (about.first, about.last)):
+    if any(crossed(interval.curve, one.solution, TOLD) for one in (about.first, about.last)):
         return near  # the families part too slowly
 
     def sample(distance: float) -> Sample:
         found = about.sample(distance)
-        return replace(found, distance=ahead(interval.curve, interval.first, found.found))
+        return replace(found, distance=ahead(interval.curve, interval.first, found.solution))
 
     def value(distance: float) -> float:
         return measure(sample(distance))
@@ -175,7 +175,7 @@ def subintervals(interval: Interval, met: Sequence[Sample]) -> list[Subinterval]
 
 def _continued(before: np.ndarray, turns: np.ndarray, after: np.ndarray, later: np.ndarray) -> np.ndarray:
     """The order in which indices go on: as they stand, unless kinds differ or Krein signatures were exchanged."""
-    first, last = (np.array([is_real(one) for one in values], bool) for values in (before, after))
+    first, last = (np.array([is_real(value) for value in values], bool) for values in (before, after))
     order = np.arange(before.size)
     if first.sum() == last.sum() and not np.array_equal(first, last):
         for one, other in ((first, last), (~first, ~last)):
@@ -195,7 +195,7 @@ def exchanged(before: np.ndarray, turns: np.ndarray, after: np.ndarray, later: n
     for i in turned:
         for j in turned[(turned > i) & (turns[turned] == -turns[i])]:
             apart = max(abs(before[i] - before[j]), abs(after[i] - after[j]))
-            if apart < min(2 - abs(one[k].real) for one in (before, after) for k in (i, j)):
+            if apart < min(2 - abs(values[k].real) for values in (before, after) for k in (i, j)):
                 found.append((int(i), int(j)))
     return found
 
@@ -342,7 +342,7 @@ def _lowest(height: Callable[[float], float], length: float) -> tuple[float, flo
 
 def _exchanged(a: Sample, b: Sample) -> bool:
     """Whether indices of opposite signature on the unit circle stand in another order."""
-    first, last = ([int(t) for t in one.turns[np.argsort(one.indices.real)] if t] for one in (a, b))
+    first, last = ([int(t) for t in sample.turns[np.argsort(sample.indices.real)] if t] for sample in (a, b))
     return len(first) == len(last) and sum(first) == sum(last) and first != last
 
 
@@ -393,7 +393,7 @@ def strips(interval: Interval) -> list[tuple[Test, float]]:
     What is returned are the places at which multipliers touch without a strip: avoided crossings.
     """
     turned = flips(interval.first, interval.last)
-    found = [one for flip in turned for one in _strip(interval, flip)]
+    found = [touch for flip in turned for touch in _strip(interval, flip)]
     for level in {2.0, -2.0} - {flip.level for flip in turned}:
         grazed(interval, passage(level), GRAZED)
     return found
@@ -408,7 +408,7 @@ def _strip(interval: Interval, flip: Flip) -> list[tuple[Test, float]]:
     try:
         place, least = _lowest(below, interval.length)
     except (ConvergenceError, IntegrationError):  # the families have turned away on both sides
-        least, place = min((below(one.distance), one.distance) for one in interval.known())
+        least, place = min((below(sample.distance), sample.distance) for sample in interval.known())
     if least < 0:
         return []
     what = f"at {flip.level / 2:+.0f}: an avoided crossing stepped over within an arclength of {interval.length:.1g}"

@@ -65,7 +65,7 @@ def deviations(curve: Curve, place: Unknowns, states: np.ndarray) -> tuple[np.nd
 
 def predicted(curve: Curve, sample: Sample, length: float) -> tuple[Unknowns, np.ndarray]:
     """The orbit so far ahead along the tangent, and its states at the mesh."""
-    guess = advanced(sample.found.place, sample.whole, length)
+    guess = advanced(sample.solution.place, sample.whole, length)
     return guess, curve.equations.march.states(guess.nodes, guess.mesh, guess.tail)
 
 
@@ -74,7 +74,7 @@ def vanishing(curve: Curve, sample: Sample, length: float) -> float:
 
     <d', d> / <d, d> falls linearly, through 0 at an equilibrium: behind it are the same orbits, half a period later.
     """
-    found = sample.found
+    found = sample.solution
     _, here, weights = deviations(curve, found.place, found.march.states)
     _, there, _ = deviations(curve, *predicted(curve, sample, length))
     units = np.ptp(here, axis=0)
@@ -83,9 +83,9 @@ def vanishing(curve: Curve, sample: Sample, length: float) -> float:
     return length / (1.0 - share) if share < 1.0 else np.inf
 
 
-def rest_of(curve: Curve, found: Solution, name: str, settings: Settings = NEWTON) -> Rest | None:
+def rest_of(curve: Curve, solution: Solution, name: str, settings: Settings = NEWTON) -> Rest | None:
     """The equilibrium that an orbit is an oscillation about, with the family's parameter `name`; None without one."""
-    extended = _Extended(curve, found)
+    extended = _Extended(curve, solution)
     rest = equilibrium(extended.linearised, extended.start, settings=settings)
     if not rest.converged:
         return None
@@ -107,13 +107,13 @@ def rest_of(curve: Curve, found: Solution, name: str, settings: Settings = NEWTO
 class _Extended:
     """The rows of an equilibrium with a pair +-i omega over z = (x, free) / sizes, omega and v, rates in periods."""
 
-    def __init__(self, curve: Curve, found: Solution) -> None:
-        self.curve, self.place, p = curve, found.place, curve.equations
-        mean, there, _ = deviations(curve, found.place, found.march.states)
+    def __init__(self, curve: Curve, solution: Solution) -> None:
+        self.curve, self.place, p = curve, solution.place, curve.equations
+        mean, there, _ = deviations(curve, solution.place, solution.march.states)
         units = np.maximum(curve.scales.states, np.ptp(there, axis=0))
-        self.sizes = np.concatenate([units, parameter_sizes(p.model, p.free, found.place.free)])
+        self.sizes = np.concatenate([units, parameter_sizes(p.model, p.free, solution.place.free)])
         self.size, self.count = mean.size, self.sizes.size
-        y = np.concatenate([mean, found.place.free]) / self.sizes
+        y = np.concatenate([mean, solution.place.free]) / self.sizes
         values, vectors = np.linalg.eig(self.slopes(y))
         v = vectors[:, np.argmin(np.abs(values - 1j))]
         self.c = v.conj() / np.linalg.norm(v) ** 2
@@ -153,5 +153,5 @@ class _Extended:
         if not z[self.count] > 0.0:
             return np.full(z.size, np.nan), np.eye(z.size)
         steps = DIFFERENCE * np.eye(z.size)
-        slopes = np.array([self.rows(z + one) - self.rows(z - one) for one in steps]).T / (2 * DIFFERENCE)
+        slopes = np.array([self.rows(z + step) - self.rows(z - step) for step in steps]).T / (2 * DIFFERENCE)
         return self.rows(z), slopes

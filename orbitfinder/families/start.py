@@ -61,7 +61,7 @@ class Start:
     """A curve in the scales of an orbit on it, and a direction along it (over the head)."""
 
     curve: Curve
-    found: Solution
+    solution: Solution
     direction: np.ndarray
 
 
@@ -87,7 +87,7 @@ def begin(
     chosen = bool(problem.free or problem.constraints) or problem.objective != "nearest" or problem.forcing_cycles > 1
     start = (_found_first if chosen else _tried)(base, free)
     if symmetry == "auto" and problem.model.hybrid is None and not problem.relative:
-        wanted = symmetry_of(start.curve, start.found)
+        wanted = symmetry_of(start.curve, start.solution)
     return reformulated(start, related(named(wanted, problem.model), problem.model, problem.relative))
 
 
@@ -97,7 +97,7 @@ def _tried(problem: Problem, free: tuple[str, ...]) -> Start:
         start = _start(problem, free)
     except (ConvergenceError, IntegrationError):
         return _found_first(problem, free)
-    place, covers = start.found.place, 1 if problem.boundary.maps else cover_of(start.curve, start.found)
+    place, covers = start.solution.place, 1 if problem.boundary.maps else cover_of(start.curve, start.solution)
     if covers == 1:
         return start
     state, turns = place.nodes[0], tuple(int(k) // covers for k in start.curve.turns)
@@ -105,14 +105,14 @@ def _tried(problem: Problem, free: tuple[str, ...]) -> Start:
     return _start(replace(problem, guess=Guess(state, place.period / covers), pin=pins, winding=turns), free)
 
 
-def cover_of(curve: Curve, found: Solution) -> int:
+def cover_of(curve: Curve, solution: Solution) -> int:
     """How many times an orbit goes round a shorter one, looked closely at where samples come near their start."""
     if curve.equations.links or curve.equations.model.forced:
         return 1
-    rough = full_samples(curve, found)[1]
+    rough = full_samples(curve, solution)[1]
     extents = nonzero(np.ptp(rough, axis=0))
     for covers in (k for k in range(MOST_COVERS, 1, -1) if (return_gaps(rough, k) < NEAR * extents).all()):
-        states = full_samples(curve, found, -(-SAMPLES // covers) * covers)[1]
+        states = full_samples(curve, solution, -(-SAMPLES // covers) * covers)[1]
         if (return_gaps(states, covers) < COVERED * extents).all():
             return covers
     return 1
@@ -136,7 +136,7 @@ def as_problem(origin: Problem | Orbit, model: Model | None = None) -> Problem:
         model, Guess(origin.state, origin.period), (Pin(energy, origin.energy),) if energy else (),
         winding=origin.winding, name=origin.name, relative=tuple(origin.shift),
     )  # fmt: skip
-    held = [one for one in natural_pin(problem, origin.state) if one.name in momenta_of(problem.boundary, model)]
+    held = [pin for pin in natural_pin(problem, origin.state) if pin.name in momenta_of(problem.boundary, model)]
     return minimal_problem(replace(problem, pin=(*problem.pin, *held)) if held else problem)
 
 
@@ -149,7 +149,7 @@ def unknown_parameters(
     Others are not: an orbit closes for one value of each, at which nothing drifts.
     """
     name = settings.parameter
-    turning = {one.name for one in model.invariants if one.generator is not None}
+    turning = {invariant.name for invariant in model.invariants if invariant.generator is not None}
     if name in ("energy", "period", *model.state_names, *turning):
         if not model.conservative:
             raise InputError(
@@ -158,7 +158,7 @@ def unknown_parameters(
             )
         if name not in momenta:
             return (), momenta
-        return (), ("energy", *(one for one in momenta if one != name))
+        return (), ("energy", *(momentum for momentum in momenta if momentum != name))
     if name not in model.parameter_names:
         conserved = ["energy", "period", *turning, *model.state_names] if model.conservative else []
         known = [*conserved, *model.parameter_names]
@@ -173,7 +173,7 @@ def unknown_parameters(
 def _freed(base: Start, free: tuple[str, ...], held: tuple[str, ...], name: str) -> Start:
     """The same orbit on the curve on which a parameter of this name varies and what is held keeps its value."""
     p = base.curve.equations
-    curve, place = released(base.curve, base.found.place, Equations(p.model, p.symmetry, free, action=True), held)
+    curve, place = released(base.curve, base.solution.place, Equations(p.model, p.symmetry, free, action=True), held)
     return corrected(curve, place, _own_aim(curve, place, name))
 
 
@@ -218,11 +218,11 @@ def curve_at(
         end = equations.links.passed(place, equations.ends(replace(place, mesh=steps)))[0][-1]
     constant = symmetry.constants(np.asarray(model.angles), place.nodes[0], end, whole)
     values, whole_motion = equations.quantities_at(place)[0], symmetry.whole(steps, states, constant)[1]
-    names = [one.name for one in model.invariants]
+    names = [invariant.name for invariant in model.invariants]
     known = {"period": place.period} | dict(zip(names, map(float, values), strict=False)) | dict(given or {})
     cycles = max(1, round(place.period / float(values[-1]))) if model.forced else 0
     kept = dict.fromkeys((*held, *alone))
-    fixed = clock(equations, cycles) + tuple(pinned(equations, one, known[one]) for one in kept if one in known)
+    fixed = clock(equations, cycles) + tuple(pinned(equations, name, known[name]) for name in kept if name in known)
     return make_curve(equations, constant, place, fixed, lengths(model, states), whole_motion)
 
 
@@ -231,7 +231,7 @@ def ungenerated(model: Model) -> tuple[str, ...]:
 
     Each is a parameter of the family; all but the first, in which it is followed, are held.
     """
-    return tuple(one.name for one in model.invariants if one.generator is None)
+    return tuple(invariant.name for invariant in model.invariants if invariant.generator is None)
 
 
 def _looked_at(equations: Equations, place: Unknowns) -> tuple[np.ndarray, np.ndarray]:
@@ -281,8 +281,15 @@ def curve_in(family: Family, model: Model) -> Curve:
 
 def entry_of(curve: Curve) -> dict[str, Any]:
     """What `curve_of` rebuilds a curve from (`CurveEntry`), its turns, and the test of a curve of bifurcations."""
-    held = [[one.quantity, one.value] for one in curve.conditions if one.normal is None]
-    period = next((one.value for one in curve.conditions if one.normal is not None and one.quantity is None), None)
+    held = [[condition.quantity, condition.value] for condition in curve.conditions if condition.normal is None]
+    period = next(
+        (
+            condition.value
+            for condition in curve.conditions
+            if condition.normal is not None and condition.quantity is None
+        ),
+        None,
+    )
     p, watch = curve.equations, {name: one.entry for name, one in curve.watch.items()}
     relative = list(shifting(p.symmetry, p.model))
     known = {"symmetry": p.symmetry.name, "free": list(p.free), "constant": curve.constant, "winding": curve.turns,
@@ -338,7 +345,7 @@ def fitted(curve: Curve, place: Unknowns) -> Unknowns:
     return place
 
 
-def symmetry_of(curve: Curve, found: Solution) -> str:
+def symmetry_of(curve: Curve, solution: Solution) -> str:
     """The symmetry that an orbit and its equations have, whatever formulation it was found in.
 
     A motion may be more symmetric than its system, such as one along a line beside which nothing is even: its
@@ -346,20 +353,24 @@ def symmetry_of(curve: Curve, found: Solution) -> str:
     """
     if len(curve.equations.symmetry.maps) > 1:
         return curve.equations.symmetry.name
-    times, states = full_samples(curve, found, 4 * SAMPLES)  # of several turns, if it branched off a resonance
+    times, states = full_samples(curve, solution, 4 * SAMPLES)  # of several turns, if it branched off a resonance
     model = curve.equations.model
     seen = symmetries_of(model)[recognise(times, states, model)]
     candidates = [one for one, _ in seen.narrower()]
     if not model.conservative:  # symmetries that reverse time need no dissipation
         candidates = [replace(seen, maps=(seen.forward,))] if seen.forward else []
     models = (model, moved(model, curve.equations.free))
-    kept = (one.name for one in candidates if all(one.held_by(each, states[0], curve.cycles) for each in models))
+    kept = (
+        symmetry.name
+        for symmetry in candidates
+        if all(symmetry.held_by(each, states[0], curve.cycles) for each in models)
+    )
     return next(kept, NONE.name)
 
 
-def _motion(curve: Curve, found: Solution) -> CubicHermiteSpline:
+def _motion(curve: Curve, solution: Solution) -> CubicHermiteSpline:
     """The states over the whole period."""
-    times, states = full_samples(curve, found, 4 * SAMPLES)
+    times, states = full_samples(curve, solution, 4 * SAMPLES)
     tail = np.concatenate([[times[-1]], np.zeros(curve.equations.march.unfolding), curve.equations.numbers])
     return CubicHermiteSpline(times, states, curve.equations.march.rates(states, tail, times))
 
@@ -391,11 +402,11 @@ def return_gaps(states: np.ndarray, parts: int) -> np.ndarray:
 
 def reformulated(start: Start, symmetry: Symmetry) -> Start:
     """The same orbit in the formulation of another symmetry, started at a brake instant where that needs one."""
-    old, place = start.curve, start.found.place
+    old, place = start.curve, start.solution.place
     if symmetry == old.equations.symmetry:
         return start
     model = old.equations.model
-    motion, fraction = _motion(old, start.found), symmetry.fraction
+    motion, fraction = _motion(old, start.solution), symmetry.fraction
     parts = max(1, round(len(place.nodes) * fraction))  # more than one where it is too unstable for one
     begin = _symmetric_instant(old, motion, symmetry) if symmetry.reverses else 0.0
     laps, instants = np.divmod(begin + place.period * fraction * np.arange(parts) / parts, place.period)

@@ -69,16 +69,16 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float) -> Readi
     kind = KINDS.get(event.kind)
     if kind is None or kind.second == (curve.test is None):
         raise ConvergenceError(f"a {event.kind} has no check on such a family")
-    found = settled_on(curve, event)
-    curve = curve.measured(found)
-    whole = _heading(curve, found, along)
-    here, said = Probe(curve, found), ConvergenceError("no orbits beside it")
+    solution = settled_on(curve, event)
+    curve = curve.measured(solution)
+    whole = _heading(curve, solution, along)
+    here, said = Probe(curve, solution), ConvergenceError("no orbits beside it")
     result = None
     for share, outer in SHARES:
         try:
             looks = [
-                Probe(curve, correct(curve, advanced(found.place, whole, d), plane(curve, found.place, whole, d),
-                                    found.place, 0.5 * step))
+                Probe(curve, correct(curve, advanced(solution.place, whole, d), plane(curve, solution.place, whole, d),
+                                    solution.place, 0.5 * step))
                 for d in step * share * np.array([-2, -1, 0, 1, 2] if outer else [-1, 0, 1])
             ]  # fmt: skip
             before, middle, after = looks[outer : len(looks) - outer]
@@ -109,21 +109,21 @@ def _starts(curve: Curve, event: Event | FamilyPoint, arcs: int) -> np.ndarray:
     if arcs == 1:
         return event.state[None]
     model = with_parameters(curve.equations.model, event.free)
-    return np.array([one.states[0] for one in cycle_from(model, event.state, longest=PATIENCE * event.period)])
+    return np.array([arc.states[0] for arc in cycle_from(model, event.state, longest=PATIENCE * event.period)])
 
 
-def _heading(curve: Curve, found: Solution, along: np.ndarray) -> np.ndarray:
+def _heading(curve: Curve, solution: Solution, along: np.ndarray) -> np.ndarray:
     """The family's direction (over w) at an orbit: where another one crosses there, the nearest to `along` (head)."""
     if curve.test is not None:
-        return tangent(curve, found, along)
-    matrix, units = scaled(curve, found)
+        return tangent(curve, solution, along)
+    matrix, units = scaled(curve, solution)
     _, sizes, rows = np.linalg.svd(matrix)
     crossed = sizes[-1] < CROSSED * sizes[-2:][0]
     left = units * rows[-2 if crossed else -1 :]
     sizes = np.concatenate([curve.scales.states, [curve.scales.period], curve.scales.free])
-    heads = np.array([found.place.head_of(one) / sizes for one in left])
+    heads = np.array([solution.place.head_of(direction) / sizes for direction in left])
     whole = np.linalg.lstsq(heads.T, along / sizes, rcond=None)[0] @ left
-    return np.asarray(whole / np.sqrt(curve.scales.metric(found.place) @ whole**2))
+    return np.asarray(whole / np.sqrt(curve.scales.metric(solution.place) @ whole**2))
 
 
 def checked(curve: Curve, batch: Batch, step: float) -> Batch:
@@ -161,7 +161,7 @@ def verified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
         if len(family.ends) == 1 and family.points[-1].arclength == 0:
             at = family.points[0]
         yield f"end {k}", _end(family, curve, end, at)
-    for name in dict.fromkeys(name for one in family.points for name in one.watch):
+    for name in dict.fromkeys(name for point in family.points for name in point.watch):
         yield f"watch.{name} of {plural(len(family.points), 'orbit')}", _column(family, curve, name)
 
 
@@ -284,7 +284,7 @@ def _rest(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
     """The equilibrium that orbits shrink to has a linear oscillation of their period."""
     value, period = end.parameter, end.period
     free = dict(at.free) | ({family.parameter: value} if value is not None and family.parameter in at.free else {})
-    model, there = (with_parameters(curve.equations.model, one) for one in (free, at.free))
+    model, there = (with_parameters(curve.equations.model, values) for values in (free, at.free))
     states = gather(there, at.state, at.period, turned(model, np.array(curve.turns), at.shift)).states
     equations = hamilton(model)
     y = 0.5 * (states.max(axis=0) + states.min(axis=0))[equations.coordinates.chosen]
@@ -324,11 +324,11 @@ SOLVED = {"target": _target, "equilibrium": _rest, "hopf": _rest, "homoclinic": 
 """The checks of what was solved for at an end, by its kind"""
 
 
-def point_checks(family: Family, number: int, found: Certificate, model: Model) -> Certificate:
+def point_checks(family: Family, number: int, certificate: Certificate, model: Model) -> Certificate:
     """The certificate of a point of a family, with checks of what it claims besides an orbit."""
     point = family.points[number]
     if not family.curve:
-        return found
+        return certificate
     curve = family_curve(family, model)
     look = Probe(curve, settled_on(curve, point))
     value = look.value(family.parameter)
@@ -344,7 +344,7 @@ def point_checks(family: Family, number: int, found: Certificate, model: Model) 
             checks += _maps(look, point)
         except (ConvergenceError, IntegrationError) as error:
             checks.append(refused("indices", error))
-    return Certificate((*found.checks, *checks), found.scale, found.closure)
+    return Certificate((*certificate.checks, *checks), certificate.scale, certificate.closure)
 
 
 def _maps(look: Probe, point: FamilyPoint) -> Iterator[Check]:

@@ -183,7 +183,7 @@ def _table(problem: Problem, given: Mapping[str, Sequence[float]]) -> dict[str, 
     if not given:
         raise InputError("values: missing; name a parameter and its values, such as sweep(problem, stiffness=[20, 30])")
     found = {}
-    pinned = [one.name for one in problem.pin]
+    pinned = [pin.name for pin in problem.pin]
     physical = [name for name in problem.model.parameter_names if not name.startswith(SHARE)]
     for name, numbers in given.items():
         known = [*pinned, *physical]
@@ -195,7 +195,7 @@ def _table(problem: Problem, given: Mapping[str, Sequence[float]]) -> dict[str, 
         if name in problem.free and name not in pinned:
             raise InputError(f"{name}: free, so that the solver chooses it; leave it out of free to give its values")
         try:
-            found[name] = [float(one) for one in numbers]
+            found[name] = [float(number) for number in numbers]
         except (TypeError, ValueError) as error:
             raise InputError(f"{name}: must be a list of numbers, got {shortened(numbers)}") from error
         if not found[name] or not np.all(np.isfinite(found[name])):
@@ -222,7 +222,7 @@ class _Visit:
 
     def entry(self) -> dict[str, Any]:
         """The line of the journal."""
-        line, orbit = {one.name: getattr(self, one.name) for one in fields(self)}, self.row.orbit
+        line, orbit = {entry.name: getattr(self, entry.name) for entry in fields(self)}, self.row.orbit
         line["row"] = {"values": self.row.values, "reason": self.row.reason}
         if orbit is not None:
             line["orbit"] = orbit_to_document(orbit)
@@ -263,7 +263,7 @@ class _Study:
         self.origin = next((line for line in journal.known if isinstance(line, tuple)), None)
         visits = [line for line in journal.known if isinstance(line, _Visit)]
         self.known = {tuple(line.row.values.get(name) for name in names): line for line in visits}
-        model, pinned = problem.model, {one.name: one.value for one in problem.pin}
+        model, pinned = problem.model, {pin.name: pin.value for pin in problem.pin}
         own = {name: float(model.parameter_values[model.parameter_index(name)]) for name in names if name not in pinned}
         self.own = np.array([pinned.get(name, own.get(name)) for name in names], float)
         self._free = (*problem.free, *(name for name in own if name not in problem.free))
@@ -363,7 +363,7 @@ class _Study:
 
     def _at(self, values: np.ndarray, guess: Guess | None) -> Refined:
         """The orbit at values near a guess; `ConvergenceError` for another one."""
-        pins = {one.name: one.value for one in self._pin} | dict(zip(self.names, map(float, values), strict=True))
+        pins = {pin.name: pin.value for pin in self._pin} | dict(zip(self.names, map(float, values), strict=True))
         asked = [Pin(name, value) for name, value in pins.items()]
         for one in asked:
             check_pin(self.base.model, one)
