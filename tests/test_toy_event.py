@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from orbitfinder.guesses.modes import mode_problem
 
 import orbitfinder as of
 from orbitfinder.cli.group import cli
@@ -15,8 +16,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.families import passages
 from orbitfinder.families.kinds import KINDS
 from orbitfinder.families.registry import EventKind, Followed, Look
-from orbitfinder.guesses.modes import mode_problem
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanisms.chain import chain
 from orbitfinder.records.family import load_family, save_family
 from orbitfinder.show.plot import frequency_energy, two_parameters
 
