@@ -15,7 +15,7 @@ import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.families.folder import directions
-from orbitfinder.families.joins import Kept
+from orbitfinder.families.joins import Invariance
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.rest import can_rest, rest_of
 from orbitfinder.families.start import begin, full_samples
@@ -180,10 +180,10 @@ def test_what_is_kept():
     """The gaps of what has a symmetry are 0, and the mean over the images has it."""
     times = np.linspace(0, 2 * np.pi, 481)
     states = np.stack([np.cos(times) + 0.1 * np.cos(2 * times), np.sin(times) + 0.2 * np.sin(3 * times)], axis=1)
-    mirror, angles = Kept(2, REFLECTION_MAP), np.array([False])
+    mirror, angles = Invariance(2, REFLECTION_MAP), np.array([False])
     assert np.abs(mirror.gaps(states, angles)).max() == pytest.approx(0.2)
     assert np.abs(mirror.gaps(mirror.joined(states, angles), angles)).max() < 1e-15
-    half = Kept(2).joined(states, angles)
+    half = Invariance(2).joined(states, angles)
     assert len(half) == 241 and half[:, 0] == pytest.approx(0.1 * np.cos(2 * times[:241]), abs=1e-15)
 
 

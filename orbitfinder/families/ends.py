@@ -10,12 +10,12 @@ import numpy as np
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.families.joins import EVEN, Kept, agrees, approaching, end_of, passed, solved
+from orbitfinder.families.joins import EVEN, Invariance, agrees, approaching, end_of, passed, solved
 from orbitfinder.families.minimal import dead_point
 from orbitfinder.families.motion import full_samples
 from orbitfinder.families.passages import LOCATION
 from orbitfinder.families.point import LEAST, extents, freed, parameter_value
-from orbitfinder.families.rest import Rest, can_rest, rest_of, vanishing
+from orbitfinder.families.rest import RestPoint, can_rest, rest_of, vanishing
 from orbitfinder.families.run import Interval, Run, Step, portrait
 from orbitfinder.families.start import return_gaps
 from orbitfinder.loops.continued import Curve, Solution, correct
@@ -159,7 +159,7 @@ def _self_excited(curve: Curve) -> bool:
     return bool(curve.equations.physical) and not curve.equations.model.conservative and can_rest(curve)
 
 
-def _shrinks_to(run: Run, step: Step, away: float) -> tuple[Rest | None, float]:
+def _shrinks_to(run: Run, step: Step, away: float) -> tuple[RestPoint | None, float]:
     """The Hopf point near an orbit, and by how much of their way parameter and period miss it `away` along the tangent.
 
     Both are even in the amplitude, so that they change by half of what the tangent says.
@@ -174,7 +174,7 @@ def _shrinks_to(run: Run, step: Step, away: float) -> tuple[Rest | None, float]:
     return rest, float(np.max(np.abs(left - 0.5 * away * slopes) / np.maximum(np.abs(left), least)))
 
 
-def _hopf(run: Run, rest: Rest, more: str = "") -> End:
+def _hopf(run: Run, rest: RestPoint, more: str = "") -> End:
     name, where = run.settings.parameter, np.array2string(rest.state, precision=6)
     reason = (
         f"the orbits shrink to the Hopf point at {name} {rest.value:.12g} (+- {rest.error:.1g}), period "
@@ -496,7 +496,7 @@ def merged(interval: Interval, at: float, name: str) -> End | None:
         times, beside = full_samples(curve, interval.first.solution)
         if covers == 1 and (recognise(times, beside, model) == seen or not _keeps(curve, seen, beside)):
             return None  # the family has it itself, or the motion has and the equations have not
-        join = solved(curve, found, name, Kept(covers), seen if covers == 1 else "")
+        join = solved(curve, found, name, Invariance(covers), seen if covers == 1 else "")
         values = [
             parameter_value(curve, interval.sample(one).solution.place, name) for one in (0.0, at, interval.length)
         ]

@@ -55,7 +55,7 @@ KNOWN = 1e-13
 
 
 @dataclass(frozen=True)
-class Kept:
+class Invariance:
     """What a joined family keeps: it repeats after 1/`parts` of the period, by `one` in its image."""
 
     parts: int
@@ -93,20 +93,20 @@ class Join:
     solution: Solution
     value: float
     error: float
-    kept: Kept
+    kept: Invariance
     regular: Solution
 
 
-def joinable(curve: Curve) -> list[Kept]:
+def joinable(curve: Curve) -> list[Invariance]:
     """What families that this one is its own mirror image about may keep."""
     p = curve.equations
     if p.links or p.symmetry.relative or curve.test:
         return []
-    parts = [Kept(k) for k in EVEN if not any(turn % k for turn in curve.turns) and not curve.cycles % k]
+    parts = [Invariance(k) for k in EVEN if not any(turn % k for turn in curve.turns) and not curve.cycles % k]
     if p.symmetry.forward is not None:
         return parts
     forward = [involution for involution in involutions(p.model) if involution.sense > 0]
-    return parts + [Kept(count, one) for one in forward for count in (1, 2)]
+    return parts + [Invariance(count, one) for one in forward for count in (1, 2)]
 
 
 def sampled(curve: Curve, solution: Solution) -> np.ndarray:
@@ -125,7 +125,7 @@ def _sampled(curve: Curve, place: Unknowns, states: np.ndarray) -> np.ndarray:
     return np.asarray(CubicHermiteSpline(mesh, states, slopes)(np.linspace(0.0, 1.0, SAMPLED + 1)))
 
 
-def _beside(curve: Curve, states: np.ndarray) -> Iterator[tuple[Kept, np.ndarray, float]]:
+def _beside(curve: Curve, states: np.ndarray) -> Iterator[tuple[Invariance, np.ndarray, float]]:
     """What an orbit nearly keeps, d, and its size relative to the motion's."""
     away, angles = (states - states.mean(axis=0)) / curve.units, curve.equations.model.angular
     for kept in joinable(curve):
@@ -133,7 +133,7 @@ def _beside(curve: Curve, states: np.ndarray) -> Iterator[tuple[Kept, np.ndarray
         yield kept, gaps, float(np.sqrt((gaps**2).mean() / nonzero((away**2).mean())))
 
 
-def _held(curve: Curve, kept: Kept, states: np.ndarray) -> bool:
+def _held(curve: Curve, kept: Invariance, states: np.ndarray) -> bool:
     """Whether the equations keep it, and not only a motion: asked at states of an orbit beside."""
     p = curve.equations
     if kept.one is None:
@@ -143,7 +143,7 @@ def _held(curve: Curve, kept: Kept, states: np.ndarray) -> bool:
     return all(symmetry.held_by(p.model, states[k], cycles) for k in (0, SAMPLED // 5, SAMPLED // 2))
 
 
-def approaching(curve: Curve, sample: Sample, length: float) -> Iterator[tuple[Kept, float, float]]:
+def approaching(curve: Curve, sample: Sample, length: float) -> Iterator[tuple[Invariance, float, float]]:
     """The families that might be joined: what they keep, how far ahead, and how far the orbit is beside them."""
     found = sample.solution
     here = sampled(curve, found)
@@ -170,7 +170,7 @@ def passed(curve: Curve, before: Solution, after: Solution) -> bool:
     return False
 
 
-def solved(curve: Curve, solution: Solution, name: str, kept: Kept, symmetry: str = "") -> Join | None:
+def solved(curve: Curve, solution: Solution, name: str, kept: Invariance, symmetry: str = "") -> Join | None:
     """The orbit at which a family beside an orbit, that keeps so much, is joined; `name` is the parameter.
 
     One that keeps another `symmetry`, which reverses time, is begun as that orbit in its formulation.
@@ -186,7 +186,7 @@ def solved(curve: Curve, solution: Solution, name: str, kept: Kept, symmetry: st
         return None
 
 
-def _beside_join(curve: Curve, solution: Solution, kept: Kept) -> Start | None:
+def _beside_join(curve: Curve, solution: Solution, kept: Invariance) -> Start | None:
     """The orbit of the joined family at the parameter's value of one beside it, begun as the mean over its images."""
     p, place = curve.equations, solution.place
     symmetry = p.symmetry
@@ -214,7 +214,7 @@ def _beside_join(curve: Curve, solution: Solution, kept: Kept) -> Start | None:
     return corrected(there, fresh, pinned(equations, own, parameter_value(curve, place, own)))
 
 
-def _critical(start: Start, name: str, kept: Kept) -> Join | None:
+def _critical(start: Start, name: str, kept: Invariance) -> Join | None:
     """Along the joined family to where the multiplier with which the branch leaves is a root of 1, by secants."""
     curve, base = start.curve, start.solution
     about, whole = spectrum(curve, base), tangent(curve, base, start.direction)

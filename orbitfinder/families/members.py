@@ -33,7 +33,7 @@ Member = TypeVar("Member", FamilyPoint, Event)
 
 
 @dataclass(frozen=True)
-class Motion:
+class MemberMotion:
     """One orbit of a family: its point, states (k x 2n) over a period, broken by nan where it jumps, and joints
     (k x 2 x m) at equal times or None."""
 
@@ -106,7 +106,7 @@ def batch_certified(curve: Curve, batch: Batch) -> Batch:
     return replace(batch, points=points, events=tuple(certified(curve, event) for event in batch.events))
 
 
-def motions(family: Family, model: Model, count: int = 8) -> list[Motion]:
+def motions(family: Family, model: Model, count: int = 8) -> list[MemberMotion]:
     """`count` orbits along a family, spread by frequency, without family.npz of its less unstable orbits."""
     points = [point for point in family.points if point.mesh.size or point.scale < STEADY]
     if not points:
@@ -120,7 +120,7 @@ def motions(family: Family, model: Model, count: int = 8) -> list[Motion]:
         path = course(there, *_period(points[k], there, MOTION))
         moments = np.linspace(0.0, path.period, MOTION + 1)[: -1 if path.jumps else None]
         joints = None if model.points is None else path.positions(moments)
-        found.append(Motion(points[k], path.samples, joints, model.strokes))
+        found.append(MemberMotion(points[k], path.samples, joints, model.strokes))
     return found
 
 

@@ -35,7 +35,7 @@ ROUND_OFF = 8 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
-class Rest:
+class RestPoint:
     """An equilibrium with eigenvalues +-i omega: state (d), value and error bar of the parameter, 2 pi / omega (s).
 
     `others` are the remaining eigenvalues of J.
@@ -83,7 +83,7 @@ def vanishing(curve: Curve, sample: Sample, length: float) -> float:
     return length / (1.0 - share) if share < 1.0 else np.inf
 
 
-def rest_of(curve: Curve, solution: Solution, name: str, settings: Settings = NEWTON) -> Rest | None:
+def rest_of(curve: Curve, solution: Solution, name: str, settings: Settings = NEWTON) -> RestPoint | None:
     """The equilibrium that an orbit is an oscillation about, with the family's parameter `name`; None without one."""
     extended = _Extended(curve, solution)
     rest = equilibrium(extended.linearised, extended.start, settings=settings)
@@ -101,7 +101,7 @@ def rest_of(curve: Curve, solution: Solution, name: str, settings: Settings = NE
     bar = float(np.abs(np.append(by_state[k], by_free[k])) @ bars + ROUND_OFF * abs(values_[k]))
     if name in curve.equations.physical:
         bar = float(bars[there.nodes.shape[1] + curve.equations.physical.index(name)])
-    return Rest(there.nodes[0], value, bar, float(there.period), values[nearest[2:]] * 2 * np.pi / there.period)
+    return RestPoint(there.nodes[0], value, bar, float(there.period), values[nearest[2:]] * 2 * np.pi / there.period)
 
 
 class _Extended:

@@ -56,7 +56,7 @@ class Spectrum:
     vectors: np.ndarray
     conservative: bool = True
     form: np.ndarray | None = None
-    chain: Chain | None = None
+    chain: RootFactors | None = None
 
     @property
     def method(self) -> str:
@@ -102,7 +102,7 @@ class Spectrum:
 
 
 @dataclass(frozen=True)
-class Chain:
+class RootFactors:
     """The root map of an orbit factor by factor, reduced; `missed` is how far its factors are from symplectic."""
 
     product: Product
@@ -159,7 +159,7 @@ def _lost(floquet: Floquet) -> bool:
     return bool(sizes.size and sizes.max() > SPREAD * sizes.min())
 
 
-def _chain(curve: Curve, solution: Solution) -> Chain:
+def _chain(curve: Curve, solution: Solution) -> RootFactors:
     """The root map of an orbit in factors of a few steps each, every one on the level sets of the invariants modulo the
     symmetry directions where it begins and ends.
     """
@@ -192,7 +192,7 @@ def _chain(curve: Curve, solution: Solution) -> Chain:
             asymplectic(one, forms[a], forms[b])
             for one, (a, b) in zip(reduced, pairwise(stops[: last + 1]), strict=False)
         )
-    return Chain(product(reduced), missed)
+    return RootFactors(product(reduced), missed)
 
 
 def _merged(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

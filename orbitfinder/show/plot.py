@@ -17,7 +17,7 @@ from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.atlas.report import discovery
 from orbitfinder.atlas.store import Atlas, Filter, Row
 from orbitfinder.errors import InputError, plural
-from orbitfinder.families.members import Motion, amplitudes, motions, whole
+from orbitfinder.families.members import MemberMotion, amplitudes, motions, whole
 from orbitfinder.loops.control import history
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, positions
@@ -332,7 +332,7 @@ def save_frequency_energy(families: Sequence[Family | Orbit], path: Path, level:
     return save_png(frequency_energy([one for one in families if isinstance(one, Family)], level=level), path)
 
 
-def gallery(family: Family, shown: Sequence[Motion]) -> Figure:
+def gallery(family: Family, shown: Sequence[MemberMotion]) -> Figure:
     """Orbits along the family, each over one period: swept links and the path of the tip, or the path in (q1, q2)."""
     columns = min(4, len(shown))
     rows = -(-len(shown) // columns)
@@ -356,7 +356,7 @@ def gallery(family: Family, shown: Sequence[Motion]) -> Figure:
     return figure
 
 
-def _draw(axes: Any, motion: Motion) -> None:
+def _draw(axes: Any, motion: MemberMotion) -> None:
     if motion.joints is None:
         axes.plot(motion.states[:, 0], motion.states[:, 1], color=COLOURS[1], linewidth=1.2)  # (q, v) for n = 1
         return
