@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,60 +24,85 @@ from orbitfinder.loops.symmetry import NONE, beside, named, recognise
 from orbitfinder.mechanics.newton import Settings, equilibrium
 from orbitfinder.records.family import End, FamilyPoint
 
-SLOW = 0.1
-"""A motion slower than this share of its fastest is near an equilibrium."""
-NEAR = 0.1
-"""... of an equilibrium within this share of the motion's extents,"""
+
+@dataclass(frozen=True)
+class Slow:
+    """When a slow orbit counts as nearly homoclinic."""
+
+    slow: float = 0.1
+    """a motion slower than this share of its fastest is near an equilibrium"""
+    share: float = 0.4
+    """... and an orbit that spends this share of its period there is nearly homoclinic to it,"""
+    near: float = 0.1
+    """... if within this share of the motion's extents an equilibrium is"""
+    grown: float = 1.5
+    grown_share: float = 0.25
+    """a step underflow with the period this much above the shortest, and slow for this share, is read as homoclinic"""
+    undecided: float = 1e11
+    """beyond this multiplier the closure that double precision can hold says nothing about the orbit,"""
+    settled: float = 1e-3
+    """and a nearly homoclinic family ends once its energy changes by less than this share of what it has by then"""
+    step: float = 1e-2
+    """steps of a nearly homoclinic family are not made shorter than this"""
+
+
+@dataclass(frozen=True)
+class Shrinking:
+    """When a family shrinks to a point, or is in a canard."""
+
+    linear: float = 1e-7
+    nearly: float = 1e-5
+    steady: float = 1e-5
+    """a small oscillation's period is the linear one's to this share: where a family shrinks, and where it fails; and
+    how little the period changes in a step there"""
+    smaller: float = 0.95
+    """... and how much smaller the orbits become"""
+    agreed: float = 0.2
+    """a Hopf point is where orbits shrink to when parameter and period, followed along the tangent to amplitude 0, miss
+    its own by less than this share of how far they are from it,"""
+    close: float = 1e-3
+    """or when they are this much nearer to it than the family's first orbit was,"""
+    halted: float = 1e-5
+    """... and nearer than this, where a step cannot be taken, whatever the tangent says"""
+    ahead: float = 6.0
+    """it is looked for when amplitude 0 is no more than so many steps away"""
+    turned: float = -0.5
+    """cosine between two orbits' deviations from their means below which the second one is half a period late"""
+    compared: int = 128
+    """samples of an orbit that is compared with the one before it"""
+    exploded: float = 1e-5
+    explosion: float = 0.02
+    """a family is in a canard when within the first share of its way in the parameter it changes by the second one"""
+    abrupt: float = 30.0
+    """a largest acceleration this many times the median one speaks of a singularity where a family cannot go on"""
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """When a family joins another one, or itself."""
+
+    apart: float = 1e-2
+    """a family ends in another one from which its orbits are apart by no more than this share of their motion"""
+    short: float = 0.7
+    """steps to what is wanted before it, or to an end that is seen ahead, go so far of the way"""
+    symmetric: float = 1e-3
+    """how symmetric, relative to its extent, an orbit at a fold must be to belong to the family joined there"""
+    edge: float = 1e-2
+    """share of a step that a fold must be away from its ends to be looked at from both sides"""
+    mirrored: float = 1e-4
+    """periods on the two sides of a mirror differ by less than this share of how much they have changed"""
+    there: float = 1e-3
+    """a family turns at a join when their parameters differ by less than this share of its change in the step"""
+    same: float = 1e-7
+    alike: float = 1e-4
+    """orbits whose periods, parameters and actions, and whose means and spreads, are as near as this, are one orbit"""
+    fewest: int = 5
+    """a closed family, and a canard, has at least so many steps"""
+
+
 AT_REST = Settings(floor=1e-6, round_off=1e-6, converged=1e-6, most_evaluations=12, cutoff=1e-9)
-"""... which Newton's method finds in so many steps, in extents."""
-LINEAR, NEARLY, STEADY = 1e-7, 1e-5, 1e-5
-"""A small oscillation's period is the linear one's to this share: where a family shrinks, and where it fails; and how
-little the period changes in a step there."""
-AGREED = 0.2
-"""A Hopf point is where orbits shrink to when parameter and period, followed along the tangent to amplitude 0, miss its
-own by less than this share of how far they are from it,"""
-CLOSE = 1e-3
-"""or when they are this much nearer to it than the family's first orbit was."""
-HALTED = 1e-5
-"""... and nearer than this, where a step cannot be taken, whatever the tangent says."""
-AHEAD = 6.0
-"""It is looked for when amplitude 0 is no more than so many steps away;"""
-SHORT = 0.7
-"""steps to what is wanted before it go so far of the way."""
-JOINING = 1e-2
-"""A family ends in another one from which its orbits are apart by no more than this share of their motion"""
-TURNED = -0.5
-"""Cosine between two orbits' deviations from their means below which the second one is half a period late."""
-SMALLER = 0.95
-"""... and how much smaller the orbits become."""
-EXPLODED, EXPLOSION = 1e-5, 0.02
-"""A family is in a canard when within this share of its way in the parameter its period or extents change by this."""
-ABRUPT = 30.0
-"""A largest acceleration this many times the median one speaks of a singularity where a family cannot go on."""
-SLOW_SHARE = 0.4
-"""... and an orbit that spends this share of its period there is nearly homoclinic to it."""
-UNDERFLOW_GROWTH, UNDERFLOW_SHARE = 1.5, 0.25
-"""A step underflow with the period this much above the shortest, and slow for this share, is read as homoclinic."""
-UNDECIDED = 1e11
-"""Beyond this multiplier the closure that double precision can hold says nothing about the orbit,"""
-SETTLED = 1e-3
-"""and a nearly homoclinic family ends once its energy changes by less than this share of what it has by then."""
-JOINED = 1e-3
-"""How symmetric, relative to its extent, an orbit at a fold must be to belong to the family joined there."""
-EDGE = 1e-2
-"""Share of a step that a fold must be away from its ends to be looked at from both sides."""
-MIRRORED = 1e-4
-"""Periods on the two sides of a mirror differ by less than this share of how much they have changed."""
-THERE = 1e-3
-"""A family turns at a join when their parameters differ by less than this share of its change in the step."""
-SAME, ALIKE = 1e-7, 1e-4
-"""Orbits whose periods, parameters and actions, and whose means and spreads, are as near as this, are one orbit."""
-COMPARED = 128
-"""Samples of an orbit that is compared with the one before it"""
-FEWEST_STEPS = 5
-"""A closed family has at least so many steps."""
-HOMOCLINIC_STEP = 1e-2
-"""Steps of a nearly homoclinic family are not made shorter than this."""
+"""How an equilibrium beside an orbit is looked for, in its extents"""
+SLOW, SHRINKING, MEETING = Slow(), Shrinking(), Meeting()
 
 
 def end_at(run: Run, before: Step, after: Step) -> End | None:
@@ -88,14 +113,14 @@ def end_at(run: Run, before: Step, after: Step) -> End | None:
             raise ConvergenceError("the orbits pass amplitude 0 within one step")
     elif collapsed(curve, before.solution, found):
         return _steady(curve, before) if curve.equations.symmetry.relative else _at_equilibrium(run, before.solution)
-    elif _shrinking(curve, before.solution, found) and linear(curve, found, LINEAR):
+    elif _shrinking(curve, before.solution, found) and linear(curve, found, SHRINKING.linear):
         return _at_equilibrium(run, found)
     if passed(curve, before.solution, found):
         raise ConvergenceError("another family is joined within one step")
     if curve.equations.model.forced:
         return None
     share, state = slowness(curve, found)
-    if share <= SLOW_SHARE:
+    if share <= SLOW.share:
         return None
     grown, more = after.stretch, None
     if grown > run.settings.longest_period:
@@ -121,28 +146,28 @@ def approach(run: Run, before: Step, length: float) -> tuple[float, End | None]:
 def _to_hopf(run: Run, before: Step, length: float) -> tuple[float, End | None]:
     """The same towards a Hopf point, before which no multiplier may be left to pass the unit circle."""
     away = vanishing(run.curve, before.sample, length)
-    rest, off = _shrinks_to(run, before, away) if away < AHEAD * length else (None, np.inf)
-    if rest is None or off > AGREED:
+    rest, off = _shrinks_to(run, before, away) if away < SHRINKING.ahead * length else (None, np.inf)
+    if rest is None or off > SHRINKING.agreed:
         return length, None
-    near = away < length or abs(before.point.value - rest.value) < CLOSE * abs(run.origin.value - rest.value)
+    near = away < length or abs(before.point.value - rest.value) < SHRINKING.close * abs(run.origin.value - rest.value)
     multipliers = before.sample.about.floquet.multipliers
     grown = np.abs(np.delete(multipliers, np.argmin(np.abs(multipliers - 1.0)))) > 1.0
     other = near and np.count_nonzero(grown) != np.count_nonzero(rest.others.real > 0)
     if other or _wanted(run, before, rest.value, rest.error):
-        return min(length, SHORT * away), None
+        return min(length, MEETING.short * away), None
     return length, _hopf(run, rest) if near else None
 
 
 def _to_join(run: Run, before: Step, length: float) -> tuple[float, End | None]:
     """The same towards a family that is joined: seen from a first guess, then from orbits a small share beside it."""
     for kept, away, apart in approaching(run.curve, before.sample, length):
-        if SHORT * away > length:
+        if MEETING.short * away > length:
             continue
         join = solved(run.curve, before.solution, run.settings.parameter, kept)
         if join is None or not agrees(join, before, away, run.settings.parameter):
             continue
-        if apart > JOINING or _wanted(run, before, join.value, join.error):
-            return min(length, SHORT * away), None
+        if apart > MEETING.apart or _wanted(run, before, join.value, join.error):
+            return min(length, MEETING.short * away), None
         return length, end_of(join)
     return length, None
 
@@ -185,18 +210,18 @@ def _hopf(run: Run, rest: RestPoint, more: str = "") -> End:
 
 def _turned_over(curve: Curve, before: Solution, solution: Solution) -> bool:
     """Whether an orbit is the one before half a period later, as behind an equilibrium."""
-    one, other = (full_samples(curve, each, COMPARED)[1][:-1] for each in (before, solution))
+    one, other = (full_samples(curve, each, SHRINKING.compared)[1][:-1] for each in (before, solution))
     extents = np.ptp(one, axis=0)
     extents = np.where(extents > 0.0, extents, np.inf)  # what does not move says nothing
     one, other = ((each - each.mean(axis=0)) / extents for each in (one, other))
-    return bool(np.sum(one * other) < TURNED * np.linalg.norm(one) * np.linalg.norm(other))
+    return bool(np.sum(one * other) < SHRINKING.turned * np.linalg.norm(one) * np.linalg.norm(other))
 
 
 def _shrinking(curve: Curve, before: Solution, solution: Solution) -> bool:
     """Whether an orbit is smaller than the one before, hardly slower or faster, and small beside where it is."""
     (first, _), (size, far) = _extent_and_place(curve, before), _extent_and_place(curve, solution)
-    steady = abs(solution.place.period / before.place.period - 1.0) < STEADY
-    return steady and size < min(SMALLER * first, LEAST * far)
+    steady = abs(solution.place.period / before.place.period - 1.0) < SHRINKING.steady
+    return steady and size < min(SHRINKING.smaller * first, LEAST * far)
 
 
 def _extent_and_place(curve: Curve, solution: Solution) -> tuple[float, float]:
@@ -223,7 +248,7 @@ def end_of_failure(run: Run, step: Step, failure: str) -> End:
         pass
     share, state = slowness(curve, found)
     grown = step.stretch
-    slow = grown > UNDERFLOW_GROWTH and share > UNDERFLOW_SHARE and not curve.equations.model.forced
+    slow = grown > SLOW.grown and share > SLOW.grown_share and not curve.equations.model.forced
     if slow and near_saddle(curve, found, state):
         return _homoclinic(curve, found, state, grown, f"; then {failure}")
     if slow and grown > run.settings.longest_period:  # near a saddle-node that is not there yet, say: no canard
@@ -233,7 +258,7 @@ def end_of_failure(run: Run, step: Step, failure: str) -> End:
     if dead:
         return End("dead point", f"{dead}, where the coordinates of this family end; {failure}")
     size, far = _extent_and_place(curve, found)
-    if size < 10 * LEAST * far and linear(curve, found, NEARLY):
+    if size < 10 * LEAST * far and linear(curve, found, SHRINKING.nearly):
         return _at_equilibrium(run, found)
     return _canard(run, step, failure) or _singular(curve, found, failure) or End("step underflow", failure)
 
@@ -244,11 +269,11 @@ def _canard(run: Run, step: Step, failure: str) -> End | None:
         return None
     k, name = run.curve.equations.physical.index(run.settings.parameter), run.settings.parameter
     values, periods = step.portraits[:, 1 + k], step.portraits[:, 0]
-    apart = np.abs(values - values[-1]) > EXPLODED * np.ptp(values)
+    apart = np.abs(values - values[-1]) > SHRINKING.exploded * np.ptp(values)
     first = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
     sizes = nonzero(step.portraits[first:, -run.curve.equations.size :])
     period, size = (float(np.max(np.ptp(one, axis=0) / one.max(axis=0))) for one in (periods[first:, None], sizes))
-    if values.size - first < FEWEST_STEPS or max(period, size) < EXPLOSION:
+    if values.size - first < MEETING.fewest or max(period, size) < SHRINKING.explosion:
         return None
     width = float(np.ptp(values[first:]))
     reason = (
@@ -271,24 +296,24 @@ def _met(run: Run, step: Step, failure: str) -> End | None:
     rest, off = _shrinks_to(run, step, vanishing(curve, step.sample, step.point.step))
     if rest is None:
         return None
-    halted = abs(step.point.value - rest.value) < HALTED * abs(run.origin.value - rest.value)
-    return _hopf(run, rest, f"; {failure}") if off < AGREED or halted else None
+    halted = abs(step.point.value - rest.value) < SHRINKING.halted * abs(run.origin.value - rest.value)
+    return _hopf(run, rest, f"; {failure}") if off < SHRINKING.agreed or halted else None
 
 
 def shortest_step(run: Run, step: Step) -> float:
     """How short a step may become: near a homoclinic orbit, where round-off rules, not very."""
     curve, found, usual = run.curve, step.solution, run.settings.shortest_step
-    if curve.equations.model.forced or not step.stretch > UNDERFLOW_GROWTH:
+    if curve.equations.model.forced or not step.stretch > SLOW.grown:
         return usual
     share, state = slowness(curve, found)
-    return HOMOCLINIC_STEP if share > SLOW_SHARE and near_saddle(curve, found, state) else usual
+    return SLOW.step if share > SLOW.share and near_saddle(curve, found, state) else usual
 
 
 def _settled(origin: FamilyPoint, before: FamilyPoint, after: FamilyPoint) -> bool:
     """Whether the period grows without the energy changing any more, of orbits that are very unstable."""
     stretch = float(np.log(after.period / before.period))
     change = abs(after.energy - before.energy) / nonzero(stretch)
-    return after.scale > UNDECIDED and stretch > 0 and change < SETTLED * abs(after.energy - origin.energy)
+    return after.scale > SLOW.undecided and stretch > 0 and change < SLOW.settled * abs(after.energy - origin.energy)
 
 
 def near_saddle(curve: Curve, solution: Solution, state: np.ndarray) -> bool:
@@ -296,7 +321,7 @@ def near_saddle(curve: Curve, solution: Solution, state: np.ndarray) -> bool:
 
     Without one, a slow and long orbit is no nearly homoclinic one.
     """
-    eigenvalues = _at_rest(curve, solution, state, NEAR)
+    eigenvalues = _at_rest(curve, solution, state, SLOW.near)
     return eigenvalues.size > 0 and bool(eigenvalues.real.max() * solution.place.period > 1.0)
 
 
@@ -340,7 +365,7 @@ def _singular(curve: Curve, solution: Solution, failure: str) -> End | None:
     pushed = slopes[:, n:] / curve.shares if n < states.shape[1] else slopes / extents(curve, states)
     speed = np.linalg.norm(pushed, axis=1)
     usual = float(np.median(np.interp(np.linspace(0, mesh[-1], speed.size), mesh, speed)))
-    if not speed.max() > ABRUPT * usual:
+    if not speed.max() > SHRINKING.abrupt * usual:
         return None
     where = np.array2string(states[int(np.argmax(speed)), :n], precision=4, suppress_small=True)
     return End(
@@ -363,7 +388,7 @@ def _homoclinic(curve: Curve, solution: Solution, state: np.ndarray, grown: floa
 
 
 def slowness(curve: Curve, solution: Solution) -> tuple[float, np.ndarray]:
-    """Share of the period spent slower than `SLOW` times the fastest rate, and the slowest state.
+    """Share of the period spent slower than `SLOW.slow` times the fastest rate, and the slowest state.
 
     Turning points are not slow in this sense: the speed includes the scaled acceleration.
     """
@@ -372,7 +397,7 @@ def slowness(curve: Curve, solution: Solution) -> tuple[float, np.ndarray]:
     slopes = p.march.rates(states, place.tail, place.mesh * place.period)
     speed = np.sqrt(slopes**2 @ curve.weights[: p.size])
     weights = np.diff(place.mesh)
-    slow = 0.5 * (speed[1:] + speed[:-1]) < SLOW * speed.max()
+    slow = 0.5 * (speed[1:] + speed[:-1]) < SLOW.slow * speed.max()
     return float(weights[slow].sum() / weights.sum()), states[np.argmin(speed)]
 
 
@@ -424,12 +449,12 @@ def returned(curve: Curve, before: Step, after: Step) -> End | None:
     period and the parameters of the earlier one: it must be the same.
     """
     place, scales, action = before.solution.place, curve.scales, abs(before.solution.march.integral) or 1.0
-    if len(before.portraits) <= FEWEST_STEPS:
+    if len(before.portraits) <= MEETING.fewest:
         return None
     units = np.concatenate([[scales.period], scales.free, [action], scales.states, scales.states])
     known, reached = before.portraits / units, after.portraits[-1] / units
-    past, here, step = known[: 1 - FEWEST_STEPS], known[-1], reached - known[-1]
-    square, ahead = float(step @ step), np.diff(known[: 2 - FEWEST_STEPS], axis=0)
+    past, here, step = known[: 1 - MEETING.fewest], known[-1], reached - known[-1]
+    square, ahead = float(step @ step), np.diff(known[: 2 - MEETING.fewest], axis=0)
     if not square > 0.0:
         return None
     shares = (past - here) @ step / square
@@ -444,7 +469,7 @@ def returned(curve: Curve, before: Step, after: Step) -> End | None:
         except (ConvergenceError, IntegrationError):
             continue
         apart = np.abs(portrait(curve, again) / units - past[k])
-        if apart[: count + 1].max() < SAME and apart.max() < ALIKE:
+        if apart[: count + 1].max() < MEETING.same and apart.max() < MEETING.alike:
             where, length = "its start" if k == 0 else f"its step {k}", abs(after.point.arclength)
             return End("returned", f"a closed family: back at {where} after an arclength of {length:.6g}")
     return None
@@ -465,11 +490,11 @@ def mirrored(interval: Interval, at: float) -> bool:
 
     turn, ends = read(at), {distance: read(distance) for distance in (0.0, interval.length)}
     near, far = sorted(ends, key=lambda distance: abs(ends[distance][0] - turn[0]))
-    if abs(near - at) < EDGE * interval.length:
+    if abs(near - at) < MEETING.edge * interval.length:
         raise ConvergenceError("the family turns at the edge of a step")
     level = ends[near]
     other = read(zero(lambda distance: float(read(distance)[0] - level[0]), at, far, LOCATION))
-    return bool(abs(other[1] - level[1]) < MIRRORED * abs(level[1] - turn[1]))
+    return bool(abs(other[1] - level[1]) < MEETING.mirrored * abs(level[1] - turn[1]))
 
 
 def _keeps(curve: Curve, name: str, states: np.ndarray) -> bool:
@@ -489,7 +514,7 @@ def merged(interval: Interval, at: float, name: str) -> End | None:
     seen = recognise(times, states, model)
     gaps_of = {k: float((return_gaps(states, k) / curve.units).max()) for k in EVEN}
     extent = float(np.ptp(states / curve.units, axis=0).max())
-    covers = max((k for k in EVEN if gaps_of[k] < JOINED * extent), default=1)
+    covers = max((k for k in EVEN if gaps_of[k] < MEETING.symmetric * extent), default=1)
     if covers == 1 and seen in (NONE.name, curve.equations.symmetry.name):
         return None
     if not curve.equations.links:
@@ -500,7 +525,7 @@ def merged(interval: Interval, at: float, name: str) -> End | None:
         values = [
             parameter_value(curve, interval.sample(one).solution.place, name) for one in (0.0, at, interval.length)
         ]
-        there = join is not None and abs(join.value - values[1]) < THERE * np.ptp(values)
+        there = join is not None and abs(join.value - values[1]) < MEETING.there * np.ptp(values)
         return end_of(join) if join is not None and there else None
     if not mirrored(interval, at):
         return None
