@@ -59,14 +59,8 @@ CLOSER, OUTSIDE = 3, 1e-6
 there: between the two an event of the new family would be missed."""
 DIFFERENCE = 1e-4
 """Arclength of the differences by which the old family's own direction is told."""
-ALIKE = 0.25
-"""Orbits nearer to each other than this share of their distance from the old one are one branch."""
 MIRRORED = 1e-7
 """Energies and periods of mirror images agree to this share of their distance from the old orbit's."""
-UNFOLDED = 1e-8
-"""Largest fictitious damping, per period, with which a motion is still an orbit."""
-ROUND_OFF = 1e-13
-"""Share of an event's energy, period and parameters that differences of theirs are not known to."""
 
 
 @dataclass(frozen=True)
@@ -226,7 +220,8 @@ def _at(cover: Cover, direction: np.ndarray, length: float) -> Start | None:
         start = corrected(curve, advanced(place, direction, length), aim, place, reach=2 * length)
     except (ConvergenceError, IntegrationError):
         return None
-    damped = start.solution.place.period * np.abs(start.solution.place.unfolding).max(initial=0.0) > UNFOLDED
+    # largest fictitious damping, per period, with which a motion is still an orbit
+    damped = start.solution.place.period * np.abs(start.solution.place.unfolding).max(initial=0.0) > 1e-8
     return None if damped or (order > 1 and _is_cover(start, order, length)) else start
 
 
@@ -278,7 +273,8 @@ def _same(one: Leaving, other: Leaving) -> bool:
     one, other = one.nearer(length) or one, other.nearer(length) or other
     a, b = (_moved(each.start, event) for each in (one, other))
     sizes = np.abs([np.nan_to_num(event.energy), event.period * event.order, *_freed(event)])
-    if np.all(np.abs(a - b) <= MIRRORED * np.maximum(np.abs(a), np.abs(b)) + ROUND_OFF * sizes):
+    # share of an event's energy, period and parameters that differences of theirs are not known to
+    if np.all(np.abs(a - b) <= MIRRORED * np.maximum(np.abs(a), np.abs(b)) + 1e-13 * sizes):
         return True
     scale = cover.curve.scales.states
     mine, theirs = (full_samples(each.start.curve, each.start.solution)[1] / scale for each in (one, other))
@@ -287,7 +283,8 @@ def _same(one: Leaving, other: Leaving) -> bool:
     images = [theirs, *(theirs @ each.matrix(model.degrees_of_freedom).T for each in involutions(model))]
     feet = [_foot(image, old) for image in images]  # told apart at the same distance from the old orbit
     images = [foot + size / _apart(image, old) * (image - foot) for image, foot in zip(images, feet, strict=True)]
-    return min(_apart(mine, image) for image in images) < ALIKE * size
+    # orbits nearer to each other than this share of their distance from the old one are one branch
+    return min(_apart(mine, image) for image in images) < 0.25 * size
 
 
 def _apart(points: np.ndarray, curve: np.ndarray) -> float:

@@ -33,8 +33,6 @@ LEAST = 1e-9
 """A margin below this in size is 0: what is held at an impact starts and ends there"""
 CLOSE = 1e-2
 """A peak this near to 0 is integrated to, and not read from a cubic"""
-TOGETHER = 1e-6
-"""Share of a step within which what must hold is lost because of a guard"""
 FIRST = {"share": 0, "rate": 1, "allowed": 1, "guard": 1}
 """Which of margins that are lost together is to blame: beside an arc that vanishes the others jump or go like a square
 root, and what must hold is lost because of a guard"""
@@ -78,7 +76,8 @@ def first_lost(interval: Interval) -> tuple[Sample, Margin] | None:
     found = [(located(interval, partial(_value, interval.curve, key), 0.0, interval.length), key) for key in lost]
     if not found:
         return None
-    nearest = min(sample.distance for sample, _ in found) + TOGETHER * interval.length
+    # share of a step within which what must hold is lost because of a guard
+    nearest = min(sample.distance for sample, _ in found) + 1e-6 * interval.length
     first = [(sample, key) for sample, key in found if sample.distance <= nearest]
     sample, key = min(first, key=lambda pair: FIRST.get(pair[1][2], len(FIRST)))
     if crossed(interval.curve, sample.solution):  # the rows there tell neither family's tangent

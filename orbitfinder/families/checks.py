@@ -41,13 +41,10 @@ SHARP = 1e-5
 """An event is this near to where its definition holds, in steps of the family"""
 DOUBTFUL = 4e-5
 """... and what is read there is known this well"""
-ASIDE = 0.03
-"""A cusp goes this little across the direction in which it turns, relative to its bend"""
 DRAWS, SAFETY = 3, 10.0
 """Errors of the size of the integration's with which the map is read again, and what their largest is multiplied by"""
 ALIKE = 1e-6
 """Multipliers nearer than this are one"""
-MOST_ORDER = 100
 
 Measure = Callable[["Probe"], float]
 
@@ -227,7 +224,7 @@ def _level(level: float) -> Measure:
 def check_passage(sides: Sides, event: Event) -> Reading:
     """A root at the level that the recorded multiplier stands for, of this kind and order and no other."""
     here, told = sides.here.about, (event.kind, event.detail, event.order)
-    most = min(max(event.order, 3), MOST_ORDER)
+    most = min(max(event.order, 3), 100)
     known = index_levels(here.root, most) if here.conservative else multiplier_levels(here.root)
     levels = [level for level, *kind, mu in known if tuple(kind) == told and abs(mu - event.multiplier) < ALIKE]
     if not levels:
@@ -389,5 +386,6 @@ def check_cusp(sides: Sides, _: Event) -> Reading:
         probe.tour.closes.distance for probe in (sides.before, sides.here, sides.after)
     )
     error = SHARP + float(np.abs([low, high]).max()) * known * scale
-    straight = 0.5 * float(np.linalg.norm(aside)) * scale < ASIDE
+    # a cusp goes this little across the direction in which it turns, relative to its bend
+    straight = 0.5 * float(np.linalg.norm(aside)) * scale < 0.03
     return Reading(value, error, bool(abs(value) <= error < DOUBTFUL and straight))

@@ -27,12 +27,6 @@ from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Event, Family
 
-LOST = 1e-6
-"""A singular value of the equations below this, relative to the next, is a rank lost at a branch point."""
-
-UNMOVED = 1e-7
-"""Change of a test, in units of the metric, below which neither parameter moves the bifurcation: that of round-off"""
-
 
 def follow_curve(
     family: Family | str | Path,
@@ -107,13 +101,15 @@ def curve_start(
     test = Critical(chosen.kind, names, chosen.detail, chosen.order, chosen.multiplier)
     if margin := test.followed.margin:
         test = replace(test, margin=margin(curve, at_place(curve, place), chosen))
-    curve = replace(curve, test=test, degenerate=bool(sizes[-1] < LOST * sizes[-2]), watch=base.watch)
+    # a singular value of the equations below this, relative to the next, is a rank lost at a branch point
+    curve = replace(curve, test=test, degenerate=bool(sizes[-1] < 1e-6 * sizes[-2]), watch=base.watch)
     if KINDS[test.kind].crosses and test.multiplier.real > 0 and not curve.degenerate:
         raise InputError(
             f"event: the branch point {described(family, number)} lasts only while nothing disturbs it, and one of "
             f"{' and '.join(names)} does: folds leave from there; choose parameters that keep the symmetry"
         )
-    if np.linalg.norm(scaled(curve, at_place(curve, place))[0][-1]) * TESTED < UNMOVED:
+    # change of a test, in units of the metric, below which neither parameter moves the bifurcation: that of round-off
+    if np.linalg.norm(scaled(curve, at_place(curve, place))[0][-1]) * TESTED < 1e-7:
         raise InputError(
             f"parameters: the {described(family, number)} happens whatever {' and '.join(names)} are; give a "
             f"parameter that moves it, as {family.parameter} does"

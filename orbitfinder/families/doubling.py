@@ -23,10 +23,6 @@ from orbitfinder.orbits.floquet import complement
 
 STEP = 4e-3
 """Step of the differences, in the metric: of the third ones the round-off is some 1e-7 and the error too"""
-RETURNS = 6
-"""Newton steps to the section, each some digits more than the last"""
-ON_SECTION = 1e-15
-"""How near to the section is on it, in periods"""
 
 
 def bending(curve: Curve, solution: Solution) -> float:
@@ -82,10 +78,12 @@ class _Return:
         tours = np.append((np.arange(count)[:, None] + start.mesh[:-1]).ravel(), float(count))
         ends = march.ends(start.nodes[0] + (displacements @ self.basis.T) * units, tours, start.tail)
         off = self._off(ends)
-        for _ in range(RETURNS if self.flow.any() else 0):
+        # Newton steps to the section, each some digits more than the last
+        for _ in range(6 if self.flow.any() else 0):
             rates = march.rates(ends, start.tail) * start.period / units
             shares = -(off @ self.flow) / (rates @ self.flow)
-            if np.abs(shares).max() < ON_SECTION:
+            # how near to the section is on it, in periods
+            if np.abs(shares).max() < 1e-15:
                 break
             ends = march.ends(ends, np.append(0.0, np.cumsum(shares)), start.tail)
             off = self._off(ends)

@@ -42,13 +42,6 @@ from orbitfinder.loops.symmetry import momenta_of
 from orbitfinder.orbits.floquet import ERROR_FLOOR
 from orbitfinder.records.family import Event
 
-ROUNDS = 4
-"""How often collisions are looked for again after orbits between them were seen."""
-
-
-BLURRED = 1e-6
-"""Uncertainty of the stability indices beyond which none of their passages can be told from round-off."""
-
 
 def slope(name: str) -> Measure:
     """d/ds of a parameter, of the energy or the period."""
@@ -88,7 +81,8 @@ def bifurcations(interval: Interval, most: int) -> list[tuple[Sample, Test]]:
     """
     if interval.first.indices.shape != interval.last.indices.shape:
         return []
-    if max(interval.first.about.blur, interval.last.about.blur) > BLURRED:
+    # uncertainty of the stability indices beyond which none of their passages can be told from round-off
+    if max(interval.first.about.blur, interval.last.about.blur) > 1e-6:
         return []
     if not interval.first.about.conservative:
         return crossings(interval)
@@ -96,7 +90,8 @@ def bifurcations(interval: Interval, most: int) -> list[tuple[Sample, Test]]:
         return []
     touched = [(interval.sample(place), test) for test, place in strips(interval)]
     look(interval)
-    for _ in range(ROUNDS):
+    # how often collisions are looked for again after orbits between them were seen
+    for _ in range(4):
         brackets = collisions(interval)
         met = [located(interval, meeting, low, high) for low, high in brackets]
         passed = passages(interval, most, met)

@@ -53,8 +53,6 @@ from orbitfinder.records.journal import begin_journal
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.registry import load_orbit
 
-SAVE_EVERY = 50
-"""Steps between two rewritings of family.json while a family grows."""
 EFFORT = 1.0
 """Seconds of interpreted integration in the checks of a family of moderate length, for `compiled`."""
 
@@ -396,7 +394,8 @@ def _finish(
                 batches.append(batch)
                 if progress:
                     progress(batch)
-                if folder is not None and len(batches) % SAVE_EVERY == 0:
+                # steps between two rewritings of family.json while a family grows
+                if folder is not None and len(batches) % 50 == 0:
                     save_family(so_far(), folder)
         except (LimitError, KeyboardInterrupt):
             if folder is not None:

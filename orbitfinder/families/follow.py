@@ -48,14 +48,10 @@ SHORTEST_SEARCH = 1e-3
 """Steps longer than this are repeated at half their length when an event in them cannot be located."""
 PREDICTION = 3e-3
 """How far from the family, in its metric, the predicted orbit should be."""
-LONGER = 3.0
-"""Steps along a curve of bifurcations may be so many times longer: only its points of codimension two lie between"""
 REFINEMENTS = 2
 """How often the mesh of an orbit that does not close is made finer before its step is made shorter."""
 ECHO = 1e-2
 """Arclength before a junction of two families within which nothing else is reported."""
-LEAST_STRETCHED = 1e-4
-"""A step as short as this may change the period by more than `longest_stretch`: the saddle is reached in the end."""
 ROUND_OFF = 1e-15
 """Arclength within which a watched number is met"""
 Member = TypeVar("Member", FamilyPoint, Event)
@@ -108,7 +104,8 @@ def _attempt(run: Run, before: Step, length: float) -> tuple[Step, Batch]:
     if turn > settings.sharpest_turn:
         raise ConvergenceError(f"the family turns by {turn:.2g} rad within one step")
     stretch = abs(raw.place.period / place.period - 1.0)
-    if stretch > settings.longest_stretch and length > LEAST_STRETCHED:
+    # a step as short as this may change the period by more than `longest_stretch`: the saddle is reached in the end
+    if stretch > settings.longest_stretch and length > 1e-4:
         raise ConvergenceError(f"the period changes by {stretch:.2g} within one step")
     found = settled(curve, raw, whole)
     last = make_sample(curve, length, raw, whole, before.point.indices + before.trend)
@@ -161,7 +158,8 @@ def _next_length(longest: float, length: float, missed: float, bendable: float) 
 
 def _limits(run: Run, turn: float, stretch: float) -> tuple[float, float]:
     """The longest step, and how many times this one may be by its changes: its turn (rad), the period's, relative."""
-    settings, along = run.settings, 1.0 if run.curve.test is None else LONGER
+    # steps along a curve of bifurcations may be so many times longer: only its points of codimension two lie between
+    settings, along = run.settings, 1.0 if run.curve.test is None else 3.0
     limits = (0.4 * settings.sharpest_turn / max(turn, 1e-9), 0.6 * settings.longest_stretch / max(stretch, 1e-9))
     return along * settings.longest_step, min(limits)
 

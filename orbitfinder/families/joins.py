@@ -36,20 +36,12 @@ EVEN = (2, 4, 6)
 odd share, such as a third, it goes on as another branch."""
 SAMPLED = 480
 """Samples over a period, divisible by every `parts`"""
-STEPS = 20
-"""Runge-Kutta steps in a segment of the first guess of the joined orbit"""
 BESIDE = (1e-4, 0.5)
 """d relative to the motion: above what cubics between the steps are off, and beside another family."""
-GONE = 0.2
-"""Share of the lower bound that d is below where it is only what cubics are off."""
-CRITICAL = 0.5
-"""A multiplier of the joined family is this near to the critical one beside the join."""
 MOST_SECANT = 16
 FIRST, FARTHEST, SOLVED, STALLED = 1e-3, 1.0, 1e-12, 1e-6
 """Arclengths along the joined family: of the first difference, how far the join may be, of the last step, and of one
 after which steps that become no shorter are round-off"""
-SURE = 1e-6
-"""Largest error bar of a join, relative to the parameter"""
 KNOWN = 1e-13
 """What multipliers of order one, and parameters, are known to."""
 
@@ -165,7 +157,8 @@ def passed(curve: Curve, before: Solution, after: Solution) -> bool:
     for (kept, here, size), (_, there, left) in zip(_beside(curve, one), _beside(curve, other), strict=True):
         sizes = float(np.linalg.norm(here) * np.linalg.norm(there))
         turned = BESIDE[0] < min(size, left) and max(size, left) < BESIDE[1] and (here * there).sum() < -0.5 * sizes
-        if (turned or (size > BESIDE[0] and left < GONE * BESIDE[0])) and _held(curve, kept, one):
+        # share of the lower bound that d is below where it is only what cubics are off
+        if (turned or (size > BESIDE[0] and left < 0.2 * BESIDE[0])) and _held(curve, kept, one):
             return True
     return False
 
@@ -198,7 +191,8 @@ def _beside_join(curve: Curve, solution: Solution, kept: Invariance) -> Start | 
     equations = Equations(p.model, symmetry, p.free, action=True)
     part = round((len(states) - 1) * symmetry.fraction)
     count = next(k for k in (8, 6, 5, 4, 3, 2, 1) if part % k == 0)
-    mesh = uniform(symmetry.fraction, count, STEPS)
+    # Runge-Kutta steps in a segment of the first guess of the joined orbit
+    mesh = uniform(symmetry.fraction, count, 20)
     fresh = equations.unknowns(states[: part : part // count], place.period / kept.covers, mesh, place.free)
     names = (*(invariant.name for invariant in p.model.invariants), "energy")
     held = {
@@ -221,7 +215,8 @@ def _critical(start: Start, name: str, kept: Invariance) -> Join | None:
     order = about.root * kept.covers
     roots = [np.exp(2j * np.pi * j / order) for j in range(order) if gcd(j, kept.covers) == 1]
     critical = min(roots, key=lambda root: np.abs(about.values - root).min(initial=np.inf))
-    if not np.abs(about.values - critical).min(initial=np.inf) < CRITICAL:
+    # a multiplier of the joined family is this near to the critical one beside the join
+    if not np.abs(about.values - critical).min(initial=np.inf) < 0.5:
         return None
     test, place = Critical("branch_point", (name, name), multiplier=complex(critical)), base.place
 
@@ -254,7 +249,8 @@ def agrees(join: Join, before: Step, away: float, name: str) -> bool:
     left = [join.value - before.point.value, join.solution.place.period * join.kept.covers - before.point.period]
     allowed = [3 * away * abs(slopes[quantity]) for quantity in (name, "period")]
     least = [join.error + 1e-9 * abs(join.value), 1e-9 * before.point.period]
-    told = join.error < SURE * max(abs(join.value), abs(before.point.value))
+    # largest error bar of a join, relative to the parameter
+    told = join.error < 1e-6 * max(abs(join.value), abs(before.point.value))
     return told and all(abs(one) <= most + floor for one, most, floor in zip(left, allowed, least, strict=True))
 
 

@@ -27,8 +27,6 @@ TOLD = 1e-4
 """Smallest singular value, relative to the next, with which an orbit is known to 1e-10 beside a crossing family."""
 STRAIGHT = 0.02
 """Share of the little way past a crossing family by which a measure that vanishes there is off its straight line."""
-TOLD_APART = 1e-4
-"""An index located at a level is this near to it, unless two indices were taken for each other."""
 UNTOLD = 1e-3
 """Steps longer than this are repeated shorter when indices cannot be told apart."""
 
@@ -248,7 +246,8 @@ def _each(interval: Interval, part: Subinterval, level: float, positions: np.nda
             return float(part.read(sample)[j].real - level)
 
         sample = located(interval, course, part.low, part.high)
-        if abs(course(sample)) <= TOLD_APART:
+        # an index located at a level is this near to it, unless two indices were taken for each other
+        if abs(course(sample)) <= 1e-4:
             found.append(sample)
         elif interval.length > UNTOLD:
             raise ConvergenceError(f"two stability indices near {level:.4g} cannot be told apart within one step")
@@ -259,11 +258,6 @@ def _each(interval: Interval, part: Subinterval, level: float, positions: np.nda
 # Both the place where this happens and pairs of such places within one step are looked for. On the unit
 # circle only multipliers of opposite Krein signature do so; equal ones pass through each other.
 
-
-NEAR_MEETING = 0.3
-"""Indices nearer than this at one end of a step may have met twice inside it."""
-SEARCH = 1e-3
-"""The extremum of a measure is located to this share of the step."""
 
 Bracket = tuple[float, float]
 
@@ -287,7 +281,8 @@ def look(interval: Interval) -> None:
     if complex_pairs(a) != complex_pairs(b):
         return
     exchanged = _exchanged(a, b)
-    if exchanged or min(abs(meeting(a)), abs(meeting(b))) < NEAR_MEETING**2:
+    # indices nearer than this at one end of a step may have met twice inside it
+    if exchanged or min(abs(meeting(a)), abs(meeting(b))) < 0.3**2:
         twice(interval, meeting, exchanged)
 
 
@@ -335,7 +330,8 @@ def _vertex(height: Callable[[float], float], length: float) -> float:
 
 def _lowest(height: Callable[[float], float], length: float) -> tuple[float, float]:
     """Where it is lowest, and how low."""
-    options = {"xatol": SEARCH * length, "maxiter": 25}
+    # the extremum of a measure is located to this share of the step
+    options = {"xatol": 1e-3 * length, "maxiter": 25}
     best = minimize_scalar(height, bounds=(0.0, length), method="bounded", options=options)
     return float(best.x), float(best.fun)
 

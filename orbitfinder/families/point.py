@@ -25,8 +25,6 @@ LEAST = 1e-3
 """Share of a motion's distance from the origin that its extent counts as at least: it is known to round-off of that."""
 STEPPED = 1e-13
 """A last step of Newton's that is shorter than this leaves the action as it is"""
-PIECEWISE = 1e3
-"""Growth of errors beyond which an orbit is checked piece by piece as well."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +101,8 @@ def make_point(
     closure = 0.0 if check is None else check(place.nodes[0], place.period, turns, allowed, free, units)
     if not closure <= allowed:
         raise ConvergenceError(f"the orbit closes only to {closure:.2g} where errors grow {grown:.3g} times")
-    defect = closure if check is None or grown <= PIECEWISE else checked_pieces(curve, solution, check, free)
+    # growth of errors beyond which an orbit is checked piece by piece as well
+    defect = closure if check is None or grown <= 1e3 else checked_pieces(curve, solution, check, free)
     where.setdefault("indices", about.indices)
     return FamilyPoint(
         name="",

@@ -22,15 +22,11 @@ from orbitfinder.records.family import METHODS
 SPREAD = 1e8
 """Multipliers farther apart than this are found factor by factor: multiplied out, their matrix has lost eight digits of
 the smallest."""
-STRETCHED = 1e4
-"""Condition of a factor up to which steps are multiplied out"""
 ACCURACY = 1e-14
 """Relative error of a state-transition matrix of a few steps at least."""
 
 STILL = 1e-12
 """A driven motion that extends no farther than this, in the family's metric, is at rest."""
-CONVEX = 1e-3
-"""Weight of the squared distance in the matching, which decides between equal sums of distances."""
 
 
 @dataclass(frozen=True)
@@ -203,7 +199,8 @@ def _merged(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     while len(matrices) > 1:
         pairs = matrices[1::2] @ matrices[: len(matrices) // 2 * 2 : 2]
         sizes = np.linalg.norm(pairs, axis=(1, 2)) * np.linalg.norm(np.linalg.inv(pairs), axis=(1, 2))
-        if sizes.max() > STRETCHED:
+        # condition of a factor up to which steps are multiplied out
+        if sizes.max() > 1e4:
             break
         alone = len(matrices) % 2
         matrices = np.concatenate([pairs, matrices[len(matrices) - alone :]])
@@ -312,7 +309,8 @@ def matching(expected: np.ndarray, found: np.ndarray) -> np.ndarray:
     if expected.shape != found.shape or found.size < 2:
         return np.arange(found.size)
     gaps = np.abs(_squeezed(expected)[:, None] - _squeezed(found)[None, :])
-    return np.asarray(linear_sum_assignment(gaps + CONVEX * gaps**2)[1])
+    # weight of the squared distance in the matching, which decides between equal sums of distances
+    return np.asarray(linear_sum_assignment(gaps + 1e-3 * gaps**2)[1])
 
 
 def _squeezed(indices: np.ndarray) -> np.ndarray:

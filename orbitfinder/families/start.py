@@ -50,10 +50,9 @@ FIRST_STEPS = 160
 """Runge-Kutta steps in one period of a guess, before there is an error estimate to go by."""
 LOOKS = (40, 160, 640)
 """... in one segment, to see where a motion goes"""
-MOST_COVERS = 30
-"""A guess may go round its orbit so many times;"""
 NEAR, COVERED = 0.2, 1e-5
-"""... which then comes back to its start within these shares of its extents, sampled anyhow and at the very instant."""
+"""A guess goes round its orbit several times where it comes back to its start within these shares of its extents,
+sampled anyhow and at the very instant"""
 
 
 @dataclass(frozen=True)
@@ -111,7 +110,8 @@ def cover_of(curve: Curve, solution: Solution) -> int:
         return 1
     rough = full_samples(curve, solution)[1]
     extents = nonzero(np.ptp(rough, axis=0))
-    for covers in (k for k in range(MOST_COVERS, 1, -1) if (return_gaps(rough, k) < NEAR * extents).all()):
+    # a guess may go round its orbit so many times
+    for covers in (k for k in range(30, 1, -1) if (return_gaps(rough, k) < NEAR * extents).all()):
         states = full_samples(curve, solution, -(-SAMPLES // covers) * covers)[1]
         if (return_gaps(states, covers) < COVERED * extents).all():
             return covers

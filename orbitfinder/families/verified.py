@@ -48,15 +48,11 @@ ROUNDED = 1e-12
 """Relative error of a number that follows from the state"""
 SAME_STEP = 1e-6
 """... or this share of how much it changes in the step, if that is more"""
-LINEAR = 1e-2
-"""An orbit beside an equilibrium has the period of its linear oscillation to this share"""
 GROWN = 1.5
 """A family that ends homoclinic has a period this many times its shortest"""
 SHARES = ((3e-3, 0), (3e-4, 0), (5e-2, 1))
 """How far the orbits on both sides are, in steps of the family, and whether there are others twice as far: the nearer
 ones where two events share a step, the farthest where a parameter hardly moves, as in a canard"""
-CROSSED = 1e-4
-"""Singular value, relative to the next, below which the rows leave two directions"""
 STEPS = 480
 """Steps of a period on which an orbit is marched of which the nodes are not known"""
 
@@ -118,7 +114,8 @@ def _heading(curve: Curve, solution: Solution, along: np.ndarray) -> np.ndarray:
         return tangent(curve, solution, along)
     matrix, units = scaled(curve, solution)
     _, sizes, rows = np.linalg.svd(matrix)
-    crossed = sizes[-1] < CROSSED * sizes[-2:][0]
+    # singular value, relative to the next, below which the rows leave two directions
+    crossed = sizes[-1] < 1e-4 * sizes[-2:][0]
     left = units * rows[-2 if crossed else -1 :]
     sizes = np.concatenate([curve.scales.states, [curve.scales.period], curve.scales.free])
     heads = np.array([solution.place.head_of(direction) / sizes for direction in left])
@@ -298,7 +295,8 @@ def _rest(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
 
     rest = equilibrium(linearised, y, max(1.0, float(np.abs(y).max())))
     turning = np.abs(np.linalg.eigvals(linearised(rest.w)[1]).imag)
-    wanted, allowed = (period, 1e-6) if period is not None else (at.period, LINEAR)
+    # an orbit beside an equilibrium has the period of its linear oscillation to this share
+    wanted, allowed = (period, 1e-6) if period is not None else (at.period, 1e-2)
     off = float(np.abs(turning * wanted / (2 * np.pi) - 1.0).min())
     return at_most(end.kind, off, allowed, "period over that of the linear oscillation, less 1")
 
