@@ -150,7 +150,8 @@ class Goals:
         a, b = before.value(self.name), after.value(self.name)
         wanted = {*self.at, *(() if self.until is None else (self.until,))}
         within = sorted(
-            (one for one in wanted if one != a and (one - a) * (one - b) <= 0), key=lambda one: abs(one - a)
+            (value for value in wanted if value != a and (value - a) * (value - b) <= 0),
+            key=lambda value: abs(value - a),
         )
         return within[: within.index(self.until) + 1] if self.until in within else within
 
@@ -294,19 +295,17 @@ class CurveJournal:
         if self.path is None:
             return _Line(end=end)
         line = _Line(
-            tuple((value, self._entry(one)) for value, one in at),
+            tuple((value, self._entry(point)) for value, point in at),
             tuple((event.role, self._entry(event)) for event in events),
             None if step is None else self._entry(step), end,
         )  # fmt: skip
         append_line(self.path, plain(line))
         return line
 
-    def _entry(self, one: KeptPoint) -> Mapping[str, Any]:
-        return self.keeping.write(one.point, one.record)
+    def _entry(self, point: KeptPoint) -> Mapping[str, Any]:
+        return self.keeping.write(point.point, point.record)
 
-    def exactly(
-        self, before: Point, after: Point, goals: Goals
-    ) -> tuple[list[KeptPoint], list[AtValue]]:
+    def exactly(self, before: Point, after: Point, goals: Goals) -> tuple[list[KeptPoint], list[AtValue]]:
         """The points at values between two, and those among them that were not known before."""
         points, fresh = list[KeptPoint](), list[AtValue]()
         for value in goals.met(before, after):
@@ -337,7 +336,7 @@ def follow(
             end = trace.end or next(ahead).end if index == len(trace.steps) else None
             if end is not None:
                 raise ConvergenceError(end.reason)
-            before, after = (one.point for one in trace.steps[index - 1 : index + 1])
+            before, after = (step.point for step in trace.steps[index - 1 : index + 1])
             points, fresh = trace.exactly(before, after, goals)
         except (ConvergenceError, IntegrationError) as error:
             curve.end = End("step underflow", str(error))
@@ -390,7 +389,7 @@ class _Arclength:
         _, fresh = self.trace.exactly(point, after, self.goals)
         crossed = [(name, test) for name, test in self.tests.items() if test(point.sharp) * test(after.sharp) < 0]
         events = [self.trace.kept(name, located(point, after, test)) for name, test in crossed]
-        events.sort(key=lambda one: one.point.arclength)
+        events.sort(key=lambda event: event.point.arclength)
         return self.trace.add(self.trace.kept("step", after), events, fresh)
 
     def failed(self, reason: str) -> _Line:

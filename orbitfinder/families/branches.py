@@ -239,9 +239,7 @@ def symmetric(start: Start) -> Start:
         other = reformulated(start, named(symmetry_of(start.curve, start.solution), start.curve.equations.model))
     except (ConvergenceError, IntegrationError):
         return start
-    slopes = [
-        list(parameter_slopes(each.curve, each.solution.place, each.direction).values()) for each in (start, other)
-    ]
+    slopes = [list(parameter_slopes(s.curve, s.solution.place, s.direction).values()) for s in (start, other)]
     count = 2 + len(start.curve.equations.free)
     same = np.dot(slopes[0][:count], slopes[1][:count]) >= 0
     return other if same else replace(other, direction=-other.direction)
@@ -386,11 +384,11 @@ def switch_branch(
         if event not in ("start", "end"):
             raise InputError(f"event: families are joined at the start or the end, got {event!r}; or give its number")
         return _joined(family if isinstance(family, Family) else load_family(family), event, settings, model)
-    found = branches(family, event, settings, model)
-    if not 1 <= branch <= len(found):
-        at = found[0].number
-        raise InputError(f"branch: {branch} asked for, {len(found)} found at event {at}; give 1 to {len(found)}")
-    return found[branch - 1]
+    leaving = branches(family, event, settings, model)
+    if not 1 <= branch <= len(leaving):
+        at = leaving[0].number
+        raise InputError(f"branch: {branch} asked for, {len(leaving)} found at event {at}; give 1 to {len(leaving)}")
+    return leaving[branch - 1]
 
 
 def _joined(family: Family, which: str, settings: FamilySettings | None, model: Model | None) -> Branch:
@@ -399,11 +397,11 @@ def _joined(family: Family, which: str, settings: FamilySettings | None, model: 
     if len(family.ends) == 1 and (known := family.ends[0]).parameter is not None:
         first, last = (abs(family.points[k].value - known.parameter) for k in (0, -1))
         ends = {"start" if first < last else "end": known}
-    found = {side: (end, end.joined) for side, end in ends.items() if end.joined}
-    if which not in found:
-        told = f"its {' and its '.join(found)}" if found else "neither side"
+    joins = {side: (end, end.joined) for side, end in ends.items() if end.joined}
+    if which not in joins:
+        told = f"its {' and its '.join(joins)}" if joins else "neither side"
         raise InputError(f"event: {family.name} joins another family at {told}, got {which!r}; {CHOICE}")
-    end, orbit = found[which]
+    end, orbit = joins[which]
     state, period, energy = np.asarray(orbit["state"], float), float(orbit["period"]), orbit.get("energy")
     there = with_parameters(model or build_model(family.system), orbit["free"])
     pins = (Pin("energy", energy),) if there.conservative and energy is not None else ()
@@ -425,7 +423,7 @@ def branches(
     leaves from, with a list of those that something does) and `ConvergenceError` when no branch was found.
     """
     family, event, where = opened(family, event)
-    known = [k for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
+    known = [k for k, candidate in enumerate(family.events) if candidate.kind in SWITCHABLE]
     if event not in known:
         choice = f"choose one of {counted(known)}" if known else "this family has none from which one does"
         raise InputError(f"event: no branch leaves at event {event}; {choice}")
@@ -446,7 +444,7 @@ def opened(family: Family | str | Path, event: int | Event) -> tuple[Family, int
     where = family.name if isinstance(family, Family) else str(family)
     family = family if isinstance(family, Family) else load_family(family)
     if isinstance(event, Event):
-        event = next((k for k, one in enumerate(family.events) if one is event), -1)
+        event = next((k for k, candidate in enumerate(family.events) if candidate is event), -1)
     if not family.curve:
         raise InputError(f"{where}: curve: missing, an older orbitfinder wrote this file; continue the family again")
     return family, event, where
@@ -462,16 +460,16 @@ def with_nodes(event: Event, where: str, purpose: str) -> Event:
 def counted(numbers: Sequence[int]) -> str:
     """Rising whole numbers in short: 0, 2 to 5, 9."""
     runs: list[list[int]] = []
-    for one in numbers:
-        if runs and one == runs[-1][-1] + 1:
-            runs[-1].append(one)
+    for number in numbers:
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
         else:
-            runs.append([one])
+            runs.append([number])
     return ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs)
 
 
 def described(family: Family, number: int) -> str:
     """An event in a few words."""
-    one = family.events[number]
-    detail = f" {one.detail}" if one.detail else ""
-    return f"{number}: {one.kind}{detail} at {family.parameter} {one.parameter:.6g}"
+    event = family.events[number]
+    detail = f" {event.detail}" if event.detail else ""
+    return f"{number}: {event.kind}{detail} at {family.parameter} {event.parameter:.6g}"

@@ -70,15 +70,14 @@ def checked_cycle(curve: Curve, solution: Solution) -> Solution:
 
 def first_lost(interval: Interval) -> tuple[Sample, Margin] | None:
     """The first orbit of an interval at which a margin is 0, with that margin, where one is lost at its end."""
-    lost = {
-        key: margin for key, margin in margins(interval.curve, interval.last.solution).items() if margin.value < -LEAST
-    }
-    found = [(located(interval, partial(_value, interval.curve, key), 0.0, interval.length), key) for key in lost]
-    if not found:
+    ahead = margins(interval.curve, interval.last.solution)
+    lost = {key: margin for key, margin in ahead.items() if margin.value < -LEAST}
+    zeros = [(located(interval, partial(_value, interval.curve, key), 0.0, interval.length), key) for key in lost]
+    if not zeros:
         return None
     # share of a step within which what must hold is lost because of a guard
-    nearest = min(sample.distance for sample, _ in found) + 1e-6 * interval.length
-    first = [(sample, key) for sample, key in found if sample.distance <= nearest]
+    nearest = min(sample.distance for sample, _ in zeros) + 1e-6 * interval.length
+    first = [(sample, key) for sample, key in zeros if sample.distance <= nearest]
     sample, key = min(first, key=lambda pair: FIRST.get(pair[1][2], len(FIRST)))
     if crossed(interval.curve, sample.solution):  # the rows there tell neither family's tangent
         sample = replace(sample, whole=interval.heading(sample.distance))
@@ -107,9 +106,8 @@ def margins(curve: Curve, solution: Solution) -> Margins:
                 if event.allowed is not None:
                     counts = arc.watched(event.allowed, 1)
                     value = float(counts.heights[-1] / counts.range)
-                    known[k, event.name, "allowed"] = Margin(
-                        "cycle_change", event.name, value, f"{event.name} is ignored"
-                    )
+                    ignored = f"{event.name} is ignored"
+                    known[k, event.name, "allowed"] = Margin("cycle_change", event.name, value, ignored)
             elif watched.below and (event.allowed is None or arc.watched(event.allowed, 1).heights[-1] > 0):
                 reached.append((-float(watched.heights[-1] / watched.range), "cycle_change"))
             if reached:
@@ -220,7 +218,7 @@ class _Watched:
         top = float(cubic(moment))
         if abs(top) > CLOSE * self.range:
             return top, moment
-        climbs = [self._climb(float(one)) for one in times]
+        climbs = [self._climb(float(time)) for time in times]
         if climbs[0] > 0 > climbs[1]:
             moment = zero(self._climb, times[0], times[1], 1e-10 * (times[1] - times[0]))
         return self.direction * float(self._read(self.function, moment)[0]), moment

@@ -139,14 +139,14 @@ class Probe:
         return numbers(self.curve.watch, times, states, parameters_at(self.curve, self.solution.place))
 
 
-def _known(found: Tour) -> Tour:
-    closes = found.closes
+def _known(lap: Tour) -> Tour:
+    closes = lap.closes
     if not closes.amplification <= UNKNOWN or not closes.gap <= CLOSURE * closes.amplification:
         raise ConvergenceError(
             f"the orbit closes to {closes.gap:.2g} where errors grow {closes.amplification:.3g} times, which is too "
             "little to tell multipliers"
         )
-    return found
+    return lap
 
 
 @dataclass(frozen=True)
@@ -248,18 +248,15 @@ def check_fold(sides: Sides, event: Event) -> Reading:
 
 def _turned(sides: Sides, parameter: str) -> Reading:
     """A root at the level of mu = 1, which is sharp by the turn of a parameter if not by itself."""
-    found = sides.zero(_level(2.0 if sides.here.about.conservative else 1.0), sharp=False)
-    return replace(found, passed=found.passed and sides.turning(parameter).passed)
+    passage = sides.zero(_level(2.0 if sides.here.about.conservative else 1.0), sharp=False)
+    return replace(passage, passed=passage.passed and sides.turning(parameter).passed)
 
 
 def check_turn(sides: Sides, event: Event) -> Reading:
     """The period, or a momentum, is extremal."""
     model = sides.here.curve.equations.model
-    if event.detail not in (
-        "period",
-        *sides.here.curve.equations.physical,
-        *(invariant.name for invariant in model.invariants),
-    ):
+    momenta = (invariant.name for invariant in model.invariants)
+    if event.detail not in ("period", *sides.here.curve.equations.physical, *momenta):
         raise ConvergenceError(f"{event.detail or 'nothing'} is not known to turn")
     return sides.turning(event.detail)
 
@@ -315,12 +312,12 @@ def check_stability(sides: Sides, event: Event) -> Reading:
         known.append((sides.zero(_meeting), 0.0))
     if not about.conservative and np.any(np.abs(about.roots.imag) > ALIKE):
         known.append((sides.zero(_pair), 0.0))
-    found, level = min(known, key=lambda unit: (not unit[0].passed, abs(unit[0].value)))
+    nearest, level = min(known, key=lambda pair: (not pair[0].passed, abs(pair[0].value)))
     looks, told = (sides.before, sides.after), {"becomes stable": (True, False), "becomes unstable": (False, True)}
     verdicts = [tuple(probe.unstable for probe in looks), tuple(probe.beyond(level) for probe in looks if level)]
     if told.get(event.detail) not in verdicts:
         raise ConvergenceError("the orbits on its two sides are as stable or unstable as each other")
-    return found
+    return nearest
 
 
 def check_margin(sides: Sides, event: Event) -> Reading:
@@ -333,7 +330,7 @@ def check_margin(sides: Sides, event: Event) -> Reading:
     here = every(sides.here) if sides.here.curve.equations.links else {}
     if not here:
         raise ConvergenceError(f"{event.detail} is nowhere near")
-    key = min(here, key=lambda one: abs(here[one]))
+    key = min(here, key=lambda which: abs(here[which]))
     return sides.zero(lambda look: every(look).get(key, np.nan))
 
 
@@ -382,9 +379,8 @@ def check_cusp(sides: Sides, _: Event) -> Reading:
     scale = sides.apart / (sides.step * nonzero(float(np.linalg.norm(bent))))
     along = bent / nonzero(float(np.linalg.norm(bent)))
     value, aside = -0.5 * float(across @ along) * scale, across - (across @ along) * along
-    known = 4 * np.finfo(float).eps + max(
-        probe.tour.closes.distance for probe in (sides.before, sides.here, sides.after)
-    )
+    probes = (sides.before, sides.here, sides.after)
+    known = 4 * np.finfo(float).eps + max(probe.tour.closes.distance for probe in probes)
     error = SHARP + float(np.abs([low, high]).max()) * known * scale
     # a cusp goes this little across the direction in which it turns, relative to its bend
     straight = 0.5 * float(np.linalg.norm(aside)) * scale < 0.03

@@ -1,12 +1,4 @@
-"""Points of codimension two on a curve of bifurcations: found between two of its points, located and named.
-
-cusp                two folds meet: the curve stops in the plane of the two parameters and turns back
-isola_centre        a fold's parameter is extremal: an isola shrinks to a point (transcritical: two families cross)
-strong_resonance    1:1 to 1:4, the critical multipliers of a torus or of a collision; a second one at +1 or -1
-fold_doubling       one multiplier at +1 and another at -1
-fold_torus, doubling_torus  one at +1 or -1 beside the pair of a torus
-degenerate_doubling the orbit of twice the period is born to the other side from there on: its family folds nearby
-"""
+"""Points of codimension two on a curve of bifurcations: located between two of its points and named (see `kinds`)."""
 
 from __future__ import annotations
 
@@ -61,7 +53,7 @@ def _critical(interval: Interval) -> Critical:
 
 def _zeros(interval: Interval, wanted: Iterable[Test]) -> Iterator[tuple[Sample, Test]]:
     for sample, test in zeros(interval, wanted):
-        ends = [test.measure(one) for one in (interval.first, interval.last)]
+        ends = [test.measure(end) for end in (interval.first, interval.last)]
         if abs(test.measure(sample)) < VANISHED * max(map(abs, ends)):
             yield sample, test
 
@@ -141,10 +133,10 @@ def _beside(mu: float) -> Measure:
 
 def folds_turn(interval: Interval) -> Iterator[tuple[Sample, Test]]:
     """Cusps, and places where the parameter that folds is extremal along a curve of folds."""
-    one = _critical(interval)
+    critical = _critical(interval)
 
     def slopes(sample: Sample) -> np.ndarray:
-        return np.array([sample.slopes[name] for name in one.parameters])
+        return np.array([sample.slopes[name] for name in critical.parameters])
 
     ends = np.array([slopes(sample) for sample in (interval.first, interval.last)])
     sizes = nonzero(np.abs(ends).max(axis=0))
@@ -155,10 +147,11 @@ def folds_turn(interval: Interval) -> Iterator[tuple[Sample, Test]]:
             if np.linalg.norm(slopes(sample) / sizes) < VANISHED * max(map(np.linalg.norm, ends)):
                 yield sample, test
         return
-    wanted = [Test("transcritical", one.detail, slope(one.detail))] if one.detail in one.parameters else []
+    folding = critical.detail
+    wanted = [Test("transcritical", folding, slope(folding))] if folding in critical.parameters else []
     for sample, test in _zeros(interval, wanted):
-        rising = interval.last.slopes[one.detail] - interval.first.slopes[one.detail]
-        centre = is_centre(interval.curve, sample.solution.place, one.detail, rising)
+        rising = interval.last.slopes[folding] - interval.first.slopes[folding]
+        centre = is_centre(interval.curve, sample.solution.place, folding, rising)
         yield sample, replace(test, kind="isola_centre") if centre else test
 
 
@@ -171,10 +164,10 @@ def is_centre(curve: Curve, place: Unknowns, name: str, rising: float) -> bool:
     (other,) = {*curve.test.parameters} - {name}
     fixed = pinned(curve.equations, other, parameter_value(curve, place, other))
     family = replace(curve, test=None, degenerate=False, conditions=(*curve.conditions, fixed))
-    found, bent = at_place(family, place), 0.0
-    whole = kernel(family, found)
+    solution, bent = at_place(family, place), 0.0
+    whole = kernel(family, solution)
     for length in (-ASIDE, ASIDE):
         aim = plane(family, place, whole, length)
-        aside = correct(family, advanced(place, whole, length), aim, place, slope=found.jacobian)
+        aside = correct(family, advanced(place, whole, length), aim, place, slope=solution.jacobian)
         bent += parameter_value(curve, aside.place, name) - parameter_value(curve, place, name)
     return bent * rising > 0

@@ -107,19 +107,19 @@ SLOW, SHRINKING, MEETING = Slow(), Shrinking(), Meeting()
 
 def end_at(run: Run, before: Step, after: Step) -> End | None:
     """The reason to stop after a step, or None."""
-    curve, found = run.curve, after.solution
+    curve, solution = run.curve, after.solution
     if _self_excited(curve):
-        if _turned_over(curve, before.solution, found):
+        if _turned_over(curve, before.solution, solution):
             raise ConvergenceError("the orbits pass amplitude 0 within one step")
-    elif collapsed(curve, before.solution, found):
+    elif collapsed(curve, before.solution, solution):
         return _steady(curve, before) if curve.equations.symmetry.relative else _at_equilibrium(run, before.solution)
-    elif _shrinking(curve, before.solution, found) and linear(curve, found, SHRINKING.linear):
-        return _at_equilibrium(run, found)
-    if passed(curve, before.solution, found):
+    elif _shrinking(curve, before.solution, solution) and linear(curve, solution, SHRINKING.linear):
+        return _at_equilibrium(run, solution)
+    if passed(curve, before.solution, solution):
         raise ConvergenceError("another family is joined within one step")
     if curve.equations.model.forced:
         return None
-    share, state = slowness(curve, found)
+    share, state = slowness(curve, solution)
     if share <= SLOW.share:
         return None
     grown, more = after.stretch, None
@@ -127,8 +127,8 @@ def end_at(run: Run, before: Step, after: Step) -> End | None:
         more = ""
     elif not curve.equations.physical and _settled(run.origin, before.point, after.point):
         more = f", multiplier {after.point.scale:.2g}, while the energy stands still"
-    saddle = more is not None and near_saddle(curve, found, state)
-    return _homoclinic(curve, found, state, grown, str(more)) if saddle else None
+    saddle = more is not None and near_saddle(curve, solution, state)
+    return _homoclinic(curve, solution, state, grown, str(more)) if saddle else None
 
 
 def approach(run: Run, before: Step, length: float) -> tuple[float, End | None]:
@@ -176,7 +176,7 @@ def _wanted(run: Run, before: Step, value: float, error: float) -> bool:
     """Whether something that is asked for lies before this value of the parameter."""
     now, far = before.point.value, 1e-9 * abs(run.origin.value - value) + error
     wanted = [*run.at, *([] if run.until is None else [run.until])]
-    return any(min(now, value) < one < max(now, value) and abs(one - value) > far for one in wanted)
+    return any(min(now, value) < other < max(now, value) and abs(other - value) > far for other in wanted)
 
 
 def _self_excited(curve: Curve) -> bool:
@@ -210,11 +210,11 @@ def _hopf(run: Run, rest: RestPoint, more: str = "") -> End:
 
 def _turned_over(curve: Curve, before: Solution, solution: Solution) -> bool:
     """Whether an orbit is the one before half a period later, as behind an equilibrium."""
-    one, other = (full_samples(curve, each, SHRINKING.compared)[1][:-1] for each in (before, solution))
-    extents = np.ptp(one, axis=0)
+    first, other = (full_samples(curve, each, SHRINKING.compared)[1][:-1] for each in (before, solution))
+    extents = np.ptp(first, axis=0)
     extents = np.where(extents > 0.0, extents, np.inf)  # what does not move says nothing
-    one, other = ((each - each.mean(axis=0)) / extents for each in (one, other))
-    return bool(np.sum(one * other) < SHRINKING.turned * np.linalg.norm(one) * np.linalg.norm(other))
+    first, other = ((each - each.mean(axis=0)) / extents for each in (first, other))
+    return bool(np.sum(first * other) < SHRINKING.turned * np.linalg.norm(first) * np.linalg.norm(other))
 
 
 def _shrinking(curve: Curve, before: Solution, solution: Solution) -> bool:
@@ -272,7 +272,7 @@ def _canard(run: Run, step: Step, failure: str) -> End | None:
     apart = np.abs(values - values[-1]) > SHRINKING.exploded * np.ptp(values)
     first = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
     sizes = nonzero(step.portraits[first:, -run.curve.equations.size :])
-    period, size = (float(np.max(np.ptp(one, axis=0) / one.max(axis=0))) for one in (periods[first:, None], sizes))
+    period, size = (float(np.max(np.ptp(rows, axis=0) / rows.max(axis=0))) for rows in (periods[first:, None], sizes))
     if values.size - first < MEETING.fewest or max(period, size) < SHRINKING.explosion:
         return None
     width = float(np.ptp(values[first:]))
@@ -286,9 +286,9 @@ def _canard(run: Run, step: Step, failure: str) -> End | None:
 
 def _met(run: Run, step: Step, failure: str) -> End | None:
     """The join or the Hopf point that a family failed to reach."""
-    curve, found, name = run.curve, step.solution, run.settings.parameter
+    curve, solution, name = run.curve, step.solution, run.settings.parameter
     for kept, away, _ in approaching(curve, step.sample, step.point.step):
-        join = solved(curve, found, name, kept)
+        join = solved(curve, solution, name, kept)
         if join is not None and agrees(join, step, away, name):
             return end_of(join, f"; {failure}")
     if not _self_excited(curve):
@@ -302,11 +302,11 @@ def _met(run: Run, step: Step, failure: str) -> End | None:
 
 def shortest_step(run: Run, step: Step) -> float:
     """How short a step may become: near a homoclinic orbit, where round-off rules, not very."""
-    curve, found, usual = run.curve, step.solution, run.settings.shortest_step
+    curve, solution, usual = run.curve, step.solution, run.settings.shortest_step
     if curve.equations.model.forced or not step.stretch > SLOW.grown:
         return usual
-    share, state = slowness(curve, found)
-    return SLOW.step if share > SLOW.share and near_saddle(curve, found, state) else usual
+    share, state = slowness(curve, solution)
+    return SLOW.step if share > SLOW.share and near_saddle(curve, solution, state) else usual
 
 
 def _settled(origin: FamilyPoint, before: FamilyPoint, after: FamilyPoint) -> bool:
@@ -417,16 +417,16 @@ def collapsed(curve: Curve, before: Solution, solution: Solution) -> bool:
     middles = [centre(curve, s) for s in (before, solution)] if not relative else [
         0.5 * (path[:, :n].max(axis=0) + path[:, :n].min(axis=0)) for path in paths
     ]  # fmt: skip
-    one, other = (path[0] - np.concatenate(parts) for path, *parts in zip(paths, middles, rates, strict=True))
-    moved = float(np.sqrt(weights @ (other - one) ** 2))
+    first, other = (path[0] - np.concatenate(parts) for path, *parts in zip(paths, middles, rates, strict=True))
+    moved = float(np.sqrt(weights @ (other - first) ** 2))
     sizes = [np.ptp(path[:, :n], axis=0) * np.sqrt(weights[:n]) for path in paths]
-    return bool(np.sum(weights * one * other) < 0 and np.max(sizes) < 3 * moved)
+    return bool(np.sum(weights * first * other) < 0 and np.max(sizes) < 3 * moved)
 
 
 def _beside_shifts(states: np.ndarray, relative: Sequence[Sequence[float]]) -> np.ndarray:
     """States (k x 2n) with the coordinates brought back along the directions that an orbit is relative in."""
     n = states.shape[1] // 2
-    return np.array([[*beside(one[:n], relative), *one[n:]] for one in states]) if relative else states
+    return np.array([[*beside(state[:n], relative), *state[n:]] for state in states]) if relative else states
 
 
 def _steady(curve: Curve, before: Step) -> End:
@@ -484,9 +484,9 @@ def mirrored(interval: Interval, at: float) -> bool:
     name = next(iter(interval.curve.equations.physical), "")
 
     def read(distance: float) -> np.ndarray:
-        found = interval.sample(distance).solution
-        value = parameter_value(interval.curve, found.place, name or "energy")
-        return np.array([value, found.march.integral if name else found.place.period])
+        solution = interval.sample(distance).solution
+        value = parameter_value(interval.curve, solution.place, name or "energy")
+        return np.array([value, solution.march.integral if name else solution.place.period])
 
     turn, ends = read(at), {distance: read(distance) for distance in (0.0, interval.length)}
     near, far = sorted(ends, key=lambda distance: abs(ends[distance][0] - turn[0]))
@@ -509,8 +509,8 @@ def merged(interval: Interval, at: float, name: str) -> End | None:
 
     A branch is its own mirror image about the orbit that it was born from, so that what it is followed in turns there.
     """
-    curve, found = interval.curve, interval.sample(at).solution
-    model, (times, states) = curve.equations.model, full_samples(curve, found)
+    curve, solution = interval.curve, interval.sample(at).solution
+    model, (times, states) = curve.equations.model, full_samples(curve, solution)
     seen = recognise(times, states, model)
     gaps_of = {k: float((return_gaps(states, k) / curve.units).max()) for k in EVEN}
     extent = float(np.ptp(states / curve.units, axis=0).max())
@@ -521,15 +521,14 @@ def merged(interval: Interval, at: float, name: str) -> End | None:
         times, beside = full_samples(curve, interval.first.solution)
         if covers == 1 and (recognise(times, beside, model) == seen or not _keeps(curve, seen, beside)):
             return None  # the family has it itself, or the motion has and the equations have not
-        join = solved(curve, found, name, Invariance(covers), seen if covers == 1 else "")
-        values = [
-            parameter_value(curve, interval.sample(one).solution.place, name) for one in (0.0, at, interval.length)
-        ]
+        join = solved(curve, solution, name, Invariance(covers), seen if covers == 1 else "")
+        values = [parameter_value(curve, interval.sample(d).solution.place, name) for d in (0.0, at, interval.length)]
         there = join is not None and abs(join.value - values[1]) < MEETING.there * np.ptp(values)
         return end_of(join) if join is not None and there else None
     if not mirrored(interval, at):
         return None
     what = f"of period T/{covers}" if covers > 1 else f"of symmetry {seen}"
     units = dict.fromkeys(curve.equations.physical, "") or {"energy": " J"}
-    where = ", ".join(f"{name} {parameter_value(curve, found.place, name):.9g}{unit}" for name, unit in units.items())
-    return End("merged", f"joins a family {what} at {where}, period {found.place.period:.9g} s")
+    place = solution.place
+    where = ", ".join(f"{name} {parameter_value(curve, place, name):.9g}{unit}" for name, unit in units.items())
+    return End("merged", f"joins a family {what} at {where}, period {place.period:.9g} s")

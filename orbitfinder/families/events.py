@@ -34,7 +34,7 @@ from orbitfinder.families.passages import (
     strips,
     zeros,
 )
-from orbitfinder.families.point import FamilySettings, freed, parameter_value
+from orbitfinder.families.point import FamilySettings, freed, held_period, parameter_value
 from orbitfinder.families.registry import KINDS
 from orbitfinder.families.run import Interval, Sample, is_real
 from orbitfinder.loops.continued import Curve
@@ -52,10 +52,10 @@ def folds(interval: Interval) -> Iterator[Test]:
     """What turns at a fold: each parameter that orbits are told by, or the period."""
     p, held = interval.curve.equations, {condition.quantity for condition in interval.curve.conditions}
     kept = [invariant for k, invariant in enumerate(p.model.invariants) if k in held]
-    timed = any(condition.normal is not None and condition.quantity is None for condition in interval.curve.conditions)
-    bifurcates = () if timed and not p.model.forced else ("energy", *p.physical)
+    bifurcates = () if held_period(interval.curve) is not None and not p.model.forced else ("energy", *p.physical)
     swept = momenta_of(p.symmetry, p.model) if any(invariant.generator is None for invariant in kept) else ("energy",)
-    for name in p.physical or (*(one for one in swept if one not in {each.name for each in kept}), "period"):
+    names = {invariant.name for invariant in kept}
+    for name in p.physical or (*(quantity for quantity in swept if quantity not in names), "period"):
         yield Test("fold" if name in bifurcates else "turn", name, slope(name))
 
 
@@ -147,9 +147,9 @@ def event_at(curve: Curve, sample: Sample, test: Test, parameter: str) -> Event:
     )
 
 
-def _changes(interval: Interval, found: list[tuple[Sample, Test]]) -> list[tuple[Sample, Test]]:
+def _changes(interval: Interval, events: list[tuple[Sample, Test]]) -> list[tuple[Sample, Test]]:
     """The located events at which the verdict changes, read halfway to their neighbours."""
-    critical = [(p, t) for p, t in found if KINDS[t.kind].critical and t.detail != "period"]
+    critical = [(p, t) for p, t in events if KINDS[t.kind].critical and t.detail != "period"]
     a, b = (p.about.floquet.stability == "unstable" for p in (interval.first, interval.last))
     if not critical or (a == b and len(critical) < 2):
         return []
@@ -162,7 +162,7 @@ def _changes(interval: Interval, found: list[tuple[Sample, Test]]) -> list[tuple
     details = ("becomes stable", "becomes unstable")
     tests = [Test("stability_change", details[late], lambda p: 0.0) for late in verdicts[1:]]
     turned = [early != late for early, late in pairwise(verdicts)]
-    return [(sample, test) for (sample, _), test, one in zip(critical, tests, turned, strict=True) if one]
+    return [(sample, test) for (sample, _), test, changed in zip(critical, tests, turned, strict=True) if changed]
 
 
 # Bifurcations of families that conserve no energy: multipliers that pass through the unit circle.
@@ -216,7 +216,7 @@ def _between(interval: Interval, low: float, high: float, depth: int) -> list[tu
 
 def _passed(interval: Interval, a: Sample, b: Sample) -> list[tuple[Sample, Test]]:
     """One passage for each modulus that is on another side of 1; the two of a complex pair are one passage."""
-    found: list[tuple[Sample, Test]] = []
+    passed: list[tuple[Sample, Test]] = []
     rank, count = 0, len(a.about.reduced)
     while rank < count:
         measure = modulus(rank)
@@ -226,8 +226,8 @@ def _passed(interval: Interval, a: Sample, b: Sample) -> list[tuple[Sample, Test
         sample = located(interval, measure, a.distance, b.distance)
         test = _named(sample, rank - 1)
         rank += _turning(test)
-        found.append((sample, test))
-    return found
+        passed.append((sample, test))
+    return passed
 
 
 def _named(sample: Sample, rank: int) -> Test:
@@ -250,6 +250,6 @@ def _beyond(sample: Sample, sign: int) -> int:
     return sum(is_real(mu) and sign * mu.real > 1 for mu in values)
 
 
-def _parity(found: list[tuple[Sample, Test]], sign: int) -> int:
+def _parity(passed: list[tuple[Sample, Test]], sign: int) -> int:
     """Whether an odd number of passages is through +1 or -1."""
-    return sum(not _turning(test) and test.multiplier.real * sign > 0 for _, test in found) % 2
+    return sum(not _turning(test) and test.multiplier.real * sign > 0 for _, test in passed) % 2

@@ -200,7 +200,8 @@ def _watched(origin: Any, watch: Mapping[str, str | Number] | None) -> Mapping[s
     if watch is not None:
         return watch
     if start := _start_of(origin):
-        return {name: one.entry if isinstance(one.entry, str) else one.of for name, one in start.curve.watch.items()}
+        known = start.curve.watch.items()
+        return {name: number.entry if isinstance(number.entry, str) else number.of for name, number in known}
     return getattr(origin, "watch", {})
 
 
@@ -302,11 +303,9 @@ def _request(
         guess = origin.guess
         head, kind = [*map(float, guess.state), float(guess.period), plain(origin.pin), origin.symmetry], "problem"
     chosen = {key: value for key, value in plain(settings).items() if key != "points"}
-    more = {"watch": {name: as_recorded(one) for name, one in watch.items()}} if watch else {}
-    return {"origin": plain(head), "settings": chosen, "at": [float(value) for value in at], **more}, {
-        "kind": kind,
-        **source,
-    }
+    more = {"watch": {name: as_recorded(number) for name, number in watch.items()}} if watch else {}
+    request = {"origin": plain(head), "settings": chosen, "at": [float(value) for value in at], **more}
+    return request, {"kind": kind, **source}
 
 
 def _header(

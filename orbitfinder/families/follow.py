@@ -172,16 +172,16 @@ def _batch(run: Run, before: Step, after: Step, last: Sample) -> Batch:
     events = [_placed(event, run, origin) for event in found]
     points, final = _exactly(run, before, interval, found)
     if final:
-        goal, there = min(final, key=lambda one: abs(one[1].arclength))
+        goal, there = min(final, key=lambda pair: abs(pair[1].arclength))
         end = End("target", reached(*goal))
         reach = abs(there.arclength - origin.arclength)
         kept = [*_within(points, origin, reach), there]
         return Batch(run.direction, _ordered(kept), tuple(_within(events, origin, reach)), end)
     if ended is not None and end_kind(ended.kind).outside:
         return Batch(run.direction, (), (), ended)
-    for event, one in zip(events, found, strict=True):
-        turned = KINDS[one.kind].extremal and one.detail not in ("period", *run.curve.watch)
-        joined = merged(interval, one.arclength, settings.parameter) if turned else left_circle(run.curve, one)
+    for event, near in zip(events, found, strict=True):
+        turned = KINDS[near.kind].extremal and near.detail not in ("period", *run.curve.watch)
+        joined = merged(interval, near.arclength, settings.parameter) if turned else left_circle(run.curve, near)
         if joined is not None:
             reach = abs(event.arclength - origin.arclength)
             # the tangent is ill-defined where two families cross: other folds seen beside this one are its echoes
@@ -207,7 +207,7 @@ def _cut(run: Run, before: Step, last: Sample) -> Batch | None:
     events: list[Event] = []
     if reach > 0:
         until = make_interval(run.curve, before.sample, interval.sample((1 - ECHO) * reach))
-        events = [_placed(one, run, origin) for one in _events(until, run.settings)]
+        events = [_placed(each, run, origin) for each in _events(until, run.settings)]
     end = End(margin.kind, f"{margin.what} beyond {name} = {event.parameter:.12g}")
     return Batch(run.direction, _ordered(_within(points, origin, reach)), (*events, event), end)
 
@@ -229,10 +229,10 @@ def _events(interval: Interval, settings: FamilySettings) -> list[Event]:
         return []
     try:
         alone = interval.curve.test is None
-        found = find_events(interval, settings) if alone else find_special(interval)
+        located = find_events(interval, settings) if alone else find_special(interval)
         tests = [kind.test for kind in KINDS.values() if kind.test and kind.second != alone]
-        found += [pair for test in tests for pair in zeros(interval, test(interval))]
-        events = [event_at(interval.curve, sample, test, settings.parameter) for sample, test in found]
+        located += [pair for test in tests for pair in zeros(interval, test(interval))]
+        events = [event_at(interval.curve, sample, test, settings.parameter) for sample, test in located]
         return sorted(events, key=lambda event: event.arclength)
     except (ConvergenceError, IntegrationError) as error:
         if interval.length > SHORTEST_SEARCH:
@@ -278,9 +278,8 @@ def exact_points(
             "step": before.point.step, "role": role, "indices": sample.indices,
         }  # fmt: skip
         parameter = run.settings.parameter
-        points.append(
-            make_point(curve, sample.solution, sample.head, parameter, run.check, about=sample.about, **where)
-        )
+        solution, about = sample.solution, sample.about
+        points.append(make_point(curve, solution, sample.head, parameter, run.check, about=about, **where))
     return points
 
 

@@ -48,33 +48,33 @@ KNOWN = 1e-13
 
 @dataclass(frozen=True)
 class Invariance:
-    """What a joined family keeps: it repeats after 1/`parts` of the period, by `one` in its image."""
+    """What a joined family keeps: it repeats after 1/`parts` of the period, by `involution` in its image."""
 
     parts: int
-    one: Involution | None = None
+    involution: Involution | None = None
 
     @property
     def covers(self) -> int:
         """How many times shorter the joined period is."""
-        return self.parts if self.one is None else 1
+        return self.parts if self.involution is None else 1
 
     def gaps(self, states: np.ndarray, angles: np.ndarray) -> np.ndarray:
         """d of samples (k+1 x d) over a period."""
         later = (len(states) - 1) // self.parts % (len(states) - 1)
         here = states[: len(states) - 1 - later]
-        image = here if self.one is None else here @ self.one.matrix(angles.size).T
+        image = here if self.involution is None else here @ self.involution.matrix(angles.size).T
         return np.asarray(wrapped(image - states[later : later + len(here)], angles))
 
     def joined(self, states: np.ndarray, angles: np.ndarray) -> np.ndarray:
         """The samples over the joined period that those of an orbit beside it become by the mean over their images."""
         count = len(states) - 1
-        if self.one is not None:
+        if self.involution is not None:
             later = np.roll(states[:-1], -(count // self.parts), axis=0)
-            found = states[:-1] + wrapped(later @ self.one.matrix(angles.size).T - states[:-1], angles) / 2
-            return np.vstack([found, found[:1] + states[-1] - states[0]])
+            image = states[:-1] + wrapped(later @ self.involution.matrix(angles.size).T - states[:-1], angles) / 2
+            return np.vstack([image, image[:1] + states[-1] - states[0]])
         drift = np.linspace(0.0, 1.0, count + 1)[:, None] * (states[-1] - states[0])
-        found = (states - drift)[:-1].reshape(self.parts, count // self.parts, -1).mean(axis=0)
-        return np.asarray(np.vstack([found, found[:1]]) + drift[: len(found) + 1])
+        image = (states - drift)[:-1].reshape(self.parts, count // self.parts, -1).mean(axis=0)
+        return np.asarray(np.vstack([image, image[:1]]) + drift[: len(image) + 1])
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def joinable(curve: Curve) -> list[Invariance]:
     if p.symmetry.forward is not None:
         return parts
     forward = [involution for involution in involutions(p.model) if involution.sense > 0]
-    return parts + [Invariance(count, one) for one in forward for count in (1, 2)]
+    return parts + [Invariance(count, involution) for involution in forward for count in (1, 2)]
 
 
 def sampled(curve: Curve, solution: Solution) -> np.ndarray:
@@ -128,17 +128,16 @@ def _beside(curve: Curve, states: np.ndarray) -> Iterator[tuple[Invariance, np.n
 def _held(curve: Curve, kept: Invariance, states: np.ndarray) -> bool:
     """Whether the equations keep it, and not only a motion: asked at states of an orbit beside."""
     p = curve.equations
-    if kept.one is None:
+    if kept.involution is None:
         return True
-    symmetry = called(replace(p.symmetry, maps=(kept.one,)), p.model)
+    symmetry = called(replace(p.symmetry, maps=(kept.involution,)), p.model)
     cycles = max(curve.cycles // kept.covers, 1)
     return all(symmetry.held_by(p.model, states[k], cycles) for k in (0, SAMPLED // 5, SAMPLED // 2))
 
 
 def approaching(curve: Curve, sample: Sample, length: float) -> Iterator[tuple[Invariance, float, float]]:
     """The families that might be joined: what they keep, how far ahead, and how far the orbit is beside them."""
-    found = sample.solution
-    here = sampled(curve, found)
+    here = sampled(curve, sample.solution)
     near = [one for one in _beside(curve, here) if BESIDE[0] < one[2] < BESIDE[1] and _held(curve, one[0], here)]
     if not near:
         return
@@ -153,12 +152,12 @@ def approaching(curve: Curve, sample: Sample, length: float) -> Iterator[tuple[I
 
 def passed(curve: Curve, before: Solution, after: Solution) -> bool:
     """Whether a family was joined between two orbits: the second one keeps what the first did not, or is its image."""
-    one, other = sampled(curve, before), sampled(curve, after)
-    for (kept, here, size), (_, there, left) in zip(_beside(curve, one), _beside(curve, other), strict=True):
+    first, other = sampled(curve, before), sampled(curve, after)
+    for (kept, here, size), (_, there, left) in zip(_beside(curve, first), _beside(curve, other), strict=True):
         sizes = float(np.linalg.norm(here) * np.linalg.norm(there))
         turned = BESIDE[0] < min(size, left) and max(size, left) < BESIDE[1] and (here * there).sum() < -0.5 * sizes
         # share of the lower bound that d is below where it is only what cubics are off
-        if (turned or (size > BESIDE[0] and left < 0.2 * BESIDE[0])) and _held(curve, kept, one):
+        if (turned or (size > BESIDE[0] and left < 0.2 * BESIDE[0])) and _held(curve, kept, first):
             return True
     return False
 
@@ -183,8 +182,8 @@ def _beside_join(curve: Curve, solution: Solution, kept: Invariance) -> Start | 
     """The orbit of the joined family at the parameter's value of one beside it, begun as the mean over its images."""
     p, place = curve.equations, solution.place
     symmetry = p.symmetry
-    if kept.one is not None and kept.parts == 2:
-        symmetry = called(replace(symmetry, maps=(kept.one,)), p.model)
+    if kept.involution is not None and kept.parts == 2:
+        symmetry = called(replace(symmetry, maps=(kept.involution,)), p.model)
     states = kept.joined(sampled(curve, solution), p.model.angular)
     if not symmetry.held_by(p.model, states[0], max(curve.cycles // kept.covers, 1)):
         return None
@@ -195,14 +194,10 @@ def _beside_join(curve: Curve, solution: Solution, kept: Invariance) -> Start | 
     mesh = uniform(symmetry.fraction, count, 20)
     fresh = equations.unknowns(states[: part : part // count], place.period / kept.covers, mesh, place.free)
     names = (*(invariant.name for invariant in p.model.invariants), "energy")
-    held = {
-        names[condition.quantity]: condition.value
-        for condition in curve.conditions
-        if condition.normal is None and condition.quantity is not None
-    }
-    for one in curve.conditions:
-        if one.quantity is None:
-            held["period"] = one.value / kept.covers
+    held = {names[c.quantity]: c.value for c in curve.conditions if c.normal is None and c.quantity is not None}
+    for condition in curve.conditions:
+        if condition.quantity is None:
+            held["period"] = condition.value / kept.covers
     there = curve_at(equations, fresh, tuple(held), np.array(curve.turns) // kept.covers, held)
     own = next(iter(p.physical), "energy")
     return corrected(there, fresh, pinned(equations, own, parameter_value(curve, place, own)))
@@ -251,14 +246,14 @@ def agrees(join: Join, before: Step, away: float, name: str) -> bool:
     least = [join.error + 1e-9 * abs(join.value), 1e-9 * before.point.period]
     # largest error bar of a join, relative to the parameter
     told = join.error < 1e-6 * max(abs(join.value), abs(before.point.value))
-    return told and all(abs(one) <= most + floor for one, most, floor in zip(left, allowed, least, strict=True))
+    return told and all(abs(off) <= most + floor for off, most, floor in zip(left, allowed, least, strict=True))
 
 
 def end_of(join: Join, more: str = "") -> End:
     """The end of a family at a join, with the family that is joined."""
     curve, place = join.curve, join.solution.place
     symmetry = symmetry_of(curve, join.solution)
-    alone = join.kept.one is not None and join.kept.parts == 1
+    alone = join.kept.involution is not None and join.kept.parts == 1
     what = "that is its own mirror image" if alone else f"of symmetry {symmetry}"
     what = what if join.kept.covers == 1 else f"of period T/{join.kept.covers}"
     told = {name: (parameter_value(curve, place, name), "") for name in curve.equations.physical}

@@ -114,14 +114,14 @@ def motions(family: Family, model: Model, count: int = 8) -> list[MemberMotion]:
     places = _spread([1.0 / point.period for point in points]) + 0.2 * _spread([point.arclength for point in points])
     wanted = np.linspace(places[0], places[-1], count)
     chosen = sorted({int(np.argmin(np.abs(places - place))) for place in wanted})
-    found = []
+    shown = []
     for k in chosen:
         there = with_parameters(model, points[k].free)
         path = course(there, *_period(points[k], there, MOTION))
         moments = np.linspace(0.0, path.period, MOTION + 1)[: -1 if path.jumps else None]
         joints = None if model.points is None else path.positions(moments)
-        found.append(MemberMotion(points[k], path.samples, joints, model.strokes))
-    return found
+        shown.append(MemberMotion(points[k], path.samples, joints, model.strokes))
+    return shown
 
 
 def _spread(values: Sequence[float]) -> np.ndarray:
@@ -138,8 +138,8 @@ def amplitudes(family: Family, model: Model) -> np.ndarray:
     curve = curve_in(family, model)
     mesh, n = uniform(curve.equations.symmetry.fraction, 1, MOTION), model.degrees_of_freedom
 
-    def range_of(one: FamilyPoint | Event) -> np.ndarray:
-        known = one if one.mesh.size else replace(one, shooting_nodes=one.state[None], mesh=mesh)
+    def range_of(member: FamilyPoint | Event) -> np.ndarray:
+        known = member if member.mesh.size else replace(member, shooting_nodes=member.state[None], mesh=mesh)
         states = full_samples(curve, at_place(curve, unknowns_of(curve, known)), SAMPLES)[1]
         return np.asarray(np.ptp(states[:, :n], axis=0) / 2)
 

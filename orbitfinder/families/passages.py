@@ -110,12 +110,12 @@ def zeros(interval: Interval, tests: Iterable[Test]) -> Iterator[tuple[Sample, T
 def _across(interval: Interval, measure: Measure, near: Sample) -> Sample:
     """The orbit `near` a crossing of two families at which a measure vanishes, as orbits on both sides tell."""
     about = interval.about(near.distance)
-    if any(crossed(interval.curve, one.solution, TOLD) for one in (about.first, about.last)):
+    if any(crossed(interval.curve, end.solution, TOLD) for end in (about.first, about.last)):
         return near  # the families part too slowly
 
     def sample(distance: float) -> Sample:
-        found = about.sample(distance)
-        return replace(found, distance=ahead(interval.curve, interval.first, found.solution))
+        other = about.sample(distance)
+        return replace(other, distance=ahead(interval.curve, interval.first, other.solution))
 
     def value(distance: float) -> float:
         return measure(sample(distance))
@@ -124,13 +124,13 @@ def _across(interval: Interval, measure: Measure, near: Sample) -> Sample:
     before, after = measure(low), measure(high)
     if not before * after < 0:
         return near
-    found = sample(zero(value, 0.0, about.length, LOCATION))
+    vanishing = sample(zero(value, 0.0, about.length, LOCATION))
     straight = low.distance + (high.distance - low.distance) * before / (before - after)
-    vanishes = abs(measure(found)) < STRAIGHT * (abs(before) + abs(after))
-    if not (vanishes and abs(found.distance - straight) < STRAIGHT * about.length):
+    vanishes = abs(measure(vanishing)) < STRAIGHT * (abs(before) + abs(after))
+    if not (vanishes and abs(vanishing.distance - straight) < STRAIGHT * about.length):
         return near  # between them orbits of the other family were met
-    interval.seen[found.distance] = found
-    return found
+    interval.seen[vanishing.distance] = vanishing
+    return vanishing
 
 
 @dataclass(frozen=True)
@@ -151,13 +151,13 @@ class Subinterval:
     def read(self, sample: Sample) -> np.ndarray:
         """The indices of an orbit there in the order of its ends."""
         share = (sample.distance - self.low) / (self.high - self.low)
-        expected, found = (1 - share) * self.before + share * self.after, sample.indices
+        expected, indices = (1 - share) * self.before + share * self.after, sample.indices
         kind, seen = self.real, real_indices(sample)
         if kind.sum() != seen.sum():
-            return np.asarray(found[matching(expected, found)])
-        values = np.empty_like(found)
-        for one, other in ((kind, seen), (~kind, ~seen)):
-            values[one] = found[other][matching(expected[one], found[other])]
+            return np.asarray(indices[matching(expected, indices)])
+        values = np.empty_like(indices)
+        for these, other in ((kind, seen), (~kind, ~seen)):
+            values[these] = indices[other][matching(expected[these], indices[other])]
         return values
 
 
@@ -165,10 +165,10 @@ def subintervals(interval: Interval, met: Sequence[Sample]) -> list[Subinterval]
     """The interval cut at the collisions `met` and at every orbit that was looked at in between."""
     knots = {sample.distance: (sample.indices, sample.turns) for sample in interval.known()}
     knots |= {sample.distance: (joined(sample), np.zeros_like(sample.turns)) for sample in met}
-    found = []
+    parts = []
     for (low, before), (high, after) in pairwise(sorted(knots.items())):
-        found.append(Subinterval(low, high, before[0], after[0][_continued(*before, *after)]))
-    return found
+        parts.append(Subinterval(low, high, before[0], after[0][_continued(*before, *after)]))
+    return parts
 
 
 def _continued(before: np.ndarray, turns: np.ndarray, after: np.ndarray, later: np.ndarray) -> np.ndarray:
@@ -176,8 +176,8 @@ def _continued(before: np.ndarray, turns: np.ndarray, after: np.ndarray, later: 
     first, last = (np.array([is_real(value) for value in values], bool) for values in (before, after))
     order = np.arange(before.size)
     if first.sum() == last.sum() and not np.array_equal(first, last):
-        for one, other in ((first, last), (~first, ~last)):
-            order[one] = np.flatnonzero(other)[matching(before[one], after[other])]
+        for these, other in ((first, last), (~first, ~last)):
+            order[these] = np.flatnonzero(other)[matching(before[these], after[other])]
     for i, j in exchanged(before, turns, after[order], later[order]):
         order[[i, j]] = order[[j, i]]
     return order
@@ -189,13 +189,13 @@ def exchanged(before: np.ndarray, turns: np.ndarray, after: np.ndarray, later: n
     Nearer to +-2 than to each other, each has rather turned over by itself.
     """
     turned = np.flatnonzero((turns != 0) & (turns == -later))
-    found = []
+    pairs = []
     for i in turned:
         for j in turned[(turned > i) & (turns[turned] == -turns[i])]:
             apart = max(abs(before[i] - before[j]), abs(after[i] - after[j]))
             if apart < min(2 - abs(values[k].real) for values in (before, after) for k in (i, j)):
-                found.append((int(i), int(j)))
-    return found
+                pairs.append((int(i), int(j)))
+    return pairs
 
 
 def joined(sample: Sample) -> np.ndarray:
@@ -239,7 +239,7 @@ def _ranked(part: Subinterval, rank: int, level: float) -> Measure:
 
 
 def _each(interval: Interval, part: Subinterval, level: float, positions: np.ndarray) -> list[Sample]:
-    found = []
+    samples = []
     for j in positions:
 
         def course(sample: Sample, j: int = int(j)) -> float:
@@ -248,10 +248,10 @@ def _each(interval: Interval, part: Subinterval, level: float, positions: np.nda
         sample = located(interval, course, part.low, part.high)
         # an index located at a level is this near to it, unless two indices were taken for each other
         if abs(course(sample)) <= 1e-4:
-            found.append(sample)
+            samples.append(sample)
         elif interval.length > UNTOLD:
             raise ConvergenceError(f"two stability indices near {level:.4g} cannot be told apart within one step")
-    return found
+    return samples
 
 
 # Collisions: two stability indices meet and leave the real axis together, or come back to it.
@@ -288,14 +288,14 @@ def look(interval: Interval) -> None:
 
 def collisions(interval: Interval) -> list[Bracket]:
     """(low, high) of every collision between orbits that were seen. Raises `ConvergenceError` where two are in one."""
-    found = []
+    brackets = []
     for before, after in pairwise(interval.known()):
         change = complex_pairs(after) - complex_pairs(before)
         if abs(change) > 1:
             raise ConvergenceError("two pairs of stability indices meet within one step")
         if change:
-            found.append((before.distance, after.distance))
-    return found
+            brackets.append((before.distance, after.distance))
+    return brackets
 
 
 def twice(interval: Interval, measure: Measure, thorough: bool = False) -> float | None:
@@ -368,14 +368,14 @@ def flips(before: Sample, after: Sample) -> list[Flip]:
     unlike = before.indices.shape != after.indices.shape or before.about.root != after.about.root
     if unlike or not before.indices.size:
         return []
-    found = []
+    turned_over = []
     passed = {k for pair in exchanged(before.indices, before.turns, after.indices, after.turns) for k in pair}
     for j, (a, b) in enumerate(zip(before.indices, after.indices, strict=True)):
         inside = is_real(a) and is_real(b) and abs(a.real) < 2 and abs(b.real) < 2 and a.real * b.real > 0
         turned = before.turns[j] * after.turns[j] < 0 and j not in passed
         if inside and turned and max(abs(a.real), abs(b.real)) > 2 - NEAR:
-            found.append(Flip(j, 2.0 * float(np.sign(a.real))))
-    return found
+            turned_over.append(Flip(j, 2.0 * float(np.sign(a.real))))
+    return turned_over
 
 
 def avoided(before: Sample, after: Sample) -> bool:
@@ -389,10 +389,10 @@ def strips(interval: Interval) -> list[tuple[Test, float]]:
     What is returned are the places at which multipliers touch without a strip: avoided crossings.
     """
     turned = flips(interval.first, interval.last)
-    found = [touch for flip in turned for touch in _strip(interval, flip)]
+    touches = [touch for flip in turned for touch in _strip(interval, flip)]
     for level in {2.0, -2.0} - {flip.level for flip in turned}:
         grazed(interval, passage(level), GRAZED)
-    return found
+    return touches
 
 
 def _strip(interval: Interval, flip: Flip) -> list[tuple[Test, float]]:

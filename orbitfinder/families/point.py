@@ -77,6 +77,11 @@ def parameter_value(curve: Curve, place: Unknowns, name: str) -> float:
     return float(curve.values(place, (pinned(curve.equations, name, 0.0),))[0])
 
 
+def held_period(curve: Curve) -> float | None:
+    """The period that is held along a curve, if it is."""
+    return next((held.value for held in curve.conditions if held.normal is not None and held.quantity is None), None)
+
+
 def make_point(
     curve: Curve,
     solution: Solution,
@@ -158,10 +163,7 @@ def checked_pieces(curve: Curve, solution: Solution, check: ClosureCheck, free: 
     ends = check.ends(place.nodes, durations, free, units)
     boundary = first @ place.nodes[0] + last @ ends[-1] - curve.equations.aimed(curve.constant)
     gaps = np.concatenate([((ends[:-1] - place.nodes[1:]) / units).ravel(), boundary / across])
-    growth = max(
-        1.0,
-        *(float(np.linalg.norm(transition * units / units[:, None], 2)) for transition in solution.march.transitions),
-    )
+    growth = max(1.0, *(float(np.linalg.norm(a * units / units[:, None], 2)) for a in solution.march.transitions))
     defect = float(np.abs(gaps).max())
     if not defect <= CLOSURE * growth:
         raise ConvergenceError(f"the pieces of the orbit fit only to {defect:.2g} with growth {growth:.3g}")

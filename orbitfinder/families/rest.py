@@ -74,8 +74,8 @@ def vanishing(curve: Curve, sample: Sample, length: float) -> float:
 
     <d', d> / <d, d> falls linearly, through 0 at an equilibrium: behind it are the same orbits, half a period later.
     """
-    found = sample.solution
-    _, here, weights = deviations(curve, found.place, found.march.states)
+    solution = sample.solution
+    _, here, weights = deviations(curve, solution.place, solution.march.states)
     _, there, _ = deviations(curve, *predicted(curve, sample, length))
     units = np.ptp(here, axis=0)
     units = np.where(units > 0.0, units, np.inf)  # what does not move says nothing
@@ -131,14 +131,14 @@ class _Extended:
     def slopes(self, z: np.ndarray) -> np.ndarray:
         """J."""
         there, units = self.at(z), self.sizes[: self.size]
-        found = self.curve.equations.march.arcs[0].slopes(there.nodes[0], there.tail)
-        return np.asarray(found * units / units[:, None] * self.place.period / (2 * np.pi))
+        slopes = self.curve.equations.march.arcs[0].slopes(there.nodes[0], there.tail)
+        return np.asarray(slopes * units / units[:, None] * self.place.period / (2 * np.pi))
 
     def rates(self, z: np.ndarray) -> np.ndarray:
         """f."""
         there = self.at(z)
-        found = self.curve.equations.march.arcs[0].rates(there.nodes, there.tail)[0]
-        return np.asarray(found / self.sizes[: self.size] * self.place.period / (2 * np.pi))
+        rates = self.curve.equations.march.arcs[0].rates(there.nodes, there.tail)[0]
+        return np.asarray(rates / self.sizes[: self.size] * self.place.period / (2 * np.pi))
 
     def rows(self, z: np.ndarray) -> np.ndarray:
         """f, J v - i omega v, c.v, and what is held in the units that its slopes have at first."""

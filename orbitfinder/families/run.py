@@ -177,9 +177,9 @@ def parameter_slopes(curve: Curve, place: Unknowns, head: np.ndarray) -> dict[st
     _, slope, free = p.quantities_at(place)
     energy = float(slope[p.energy] @ head[:size] + free[p.energy] @ head[size + 1 :])
     slopes = {"energy": energy, "period": float(head[size])}
-    for one, by_state, by_free in zip(p.model.invariants, slope, free, strict=False):
-        if one.generator is not None:
-            slopes[one.name] = float(by_state @ head[:size] + by_free @ head[size + 1 :])
+    for invariant, by_state, by_free in zip(p.model.invariants, slope, free, strict=False):
+        if invariant.generator is not None:
+            slopes[invariant.name] = float(by_state @ head[:size] + by_free @ head[size + 1 :])
     slopes |= {name: float(head[size + 1 + k]) for k, name in enumerate(p.physical)}
     return slopes | {name: float(head[k]) for k, name in enumerate(p.model.state_names)}
 

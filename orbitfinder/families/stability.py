@@ -179,14 +179,14 @@ def _chain(curve: Curve, solution: Solution) -> RootFactors:
     )[0]
     flows = p.march.rates(states, w.tail)
     slopes = [p.march.at(p.quantities, x, w.free)[1] for x in states]
-    bases = [_basis(curve, *one) for one in zip(states, flows, slopes, strict=True)]
-    reduced = [bases[b].T @ one @ bases[a] for one, (a, b) in zip(factors, pairwise(stops), strict=True)]
+    bases = [_basis(curve, *moment) for moment in zip(states, flows, slopes, strict=True)]
+    reduced = [bases[b].T @ factor @ bases[a] for factor, (a, b) in zip(factors, pairwise(stops), strict=True)]
     missed = 0.0
     if p.symplectic:
         forms = [_form(curve, x, w, basis) for x, basis in zip(states, bases, strict=True)]
         missed = max(
-            asymplectic(one, forms[a], forms[b])
-            for one, (a, b) in zip(reduced, pairwise(stops[: last + 1]), strict=False)
+            asymplectic(factor, forms[a], forms[b])
+            for factor, (a, b) in zip(reduced, pairwise(stops[: last + 1]), strict=False)
         )
     return RootFactors(product(reduced), missed)
 
@@ -300,15 +300,15 @@ def _turning(mu: complex) -> bool:
     return bool(abs(abs(mu) - 1.0) < 1e-6 and abs(mu.imag) > 1e-6)
 
 
-def matching(expected: np.ndarray, found: np.ndarray) -> np.ndarray:
-    """The order in which `found` continues what is `expected` (complex arrays), so that curves do not swap.
+def matching(expected: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The order in which `values` continue what is `expected` (complex arrays), so that curves do not swap.
 
     The assignment of least total distance; of equal ones, and moving together makes them equal, the one that keeps
     the order.
     """
-    if expected.shape != found.shape or found.size < 2:
-        return np.arange(found.size)
-    gaps = np.abs(_squeezed(expected)[:, None] - _squeezed(found)[None, :])
+    if expected.shape != values.shape or values.size < 2:
+        return np.arange(values.size)
+    gaps = np.abs(_squeezed(expected)[:, None] - _squeezed(values)[None, :])
     # weight of the squared distance in the matching, which decides between equal sums of distances
     return np.asarray(linear_sum_assignment(gaps + 1e-3 * gaps**2)[1])
 

@@ -13,7 +13,7 @@ from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.families.motion import SAMPLES, full_samples
-from orbitfinder.families.point import FamilySettings, parameter_value
+from orbitfinder.families.point import FamilySettings, held_period, parameter_value
 from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.continued import Curve, Solution, begun, correct, kernel, make_curve
@@ -193,7 +193,7 @@ def _start(problem: Problem, free: tuple[str, ...]) -> Start:
     if equations.links:
         place = first_unknowns(equations, problem.guess, 1, rounded(FIRST_STEPS / equations.links.count))
     momenta, pins = momenta_of(problem.boundary, problem.model), [] if free else list(problem.pin)
-    curve = curve_at(equations, place, momenta, problem.turns, {one.name: one.value for one in problem.pin})
+    curve = curve_at(equations, place, momenta, problem.turns, {held.name: held.value for held in problem.pin})
     pin = next((one for one in pins if one.name not in momenta), None)
     aim = pinned(equations, pin.name, pin.value) if pin else _own_aim(curve, place)
     return corrected(curve, place, aim)
@@ -282,18 +282,10 @@ def curve_in(family: Family, model: Model) -> Curve:
 def entry_of(curve: Curve) -> dict[str, Any]:
     """What `curve_of` rebuilds a curve from (`CurveEntry`), its turns, and the test of a curve of bifurcations."""
     held = [[condition.quantity, condition.value] for condition in curve.conditions if condition.normal is None]
-    period = next(
-        (
-            condition.value
-            for condition in curve.conditions
-            if condition.normal is not None and condition.quantity is None
-        ),
-        None,
-    )
     p, watch = curve.equations, {name: one.entry for name, one in curve.watch.items()}
     relative = list(shifting(p.symmetry, p.model))
     known = {"symmetry": p.symmetry.name, "free": list(p.free), "constant": curve.constant, "winding": curve.turns,
-             "weights": curve.weights, "held": held, "period": period}  # fmt: skip
+             "weights": curve.weights, "held": held, "period": held_period(curve)}  # fmt: skip
     more = {"cycles": curve.cycles, "relative": relative, "watch": watch, "test": curve.test}
     return known | {name: value for name, value in more.items() if value}
 
@@ -360,11 +352,7 @@ def symmetry_of(curve: Curve, solution: Solution) -> str:
     if not model.conservative:  # symmetries that reverse time need no dissipation
         candidates = [replace(seen, maps=(seen.forward,))] if seen.forward else []
     models = (model, moved(model, curve.equations.free))
-    kept = (
-        symmetry.name
-        for symmetry in candidates
-        if all(symmetry.held_by(each, states[0], curve.cycles) for each in models)
-    )
+    kept = (each.name for each in candidates if all(each.held_by(m, states[0], curve.cycles) for m in models))
     return next(kept, NONE.name)
 
 
@@ -377,13 +365,13 @@ def _motion(curve: Curve, solution: Solution) -> CubicHermiteSpline:
 
 def _symmetric_instant(curve: Curve, motion: CubicHermiteSpline, symmetry: Symmetry) -> float:
     """When a motion is nearest to the fixed set that the horizon starts in, of all times that it comes near."""
-    model, one, times = curve.equations.model, symmetry.maps[0], motion.x
+    model, involution, times = curve.equations.model, symmetry.maps[0], motion.x
     size = motion.c.shape[-1]
     clock = clocked(model, times[-1] / (2 * np.pi)) / np.tile(curve.shares, size // curve.shares.size)
     rows = symmetry.rows(model.degrees_of_freedom)[0][: size // 2]
 
     def away(instants: np.ndarray) -> np.ndarray:
-        return off_centre(one, motion(instants % times[-1]) * clock, model.angles)
+        return off_centre(involution, motion(instants % times[-1]) * clock, model.angles)
 
     sizes = np.abs(away(times[:-1])).max(axis=1)
     near = times[:-1][(sizes <= np.roll(sizes, 1)) & (sizes <= np.roll(sizes, -1))]

@@ -175,15 +175,15 @@ def _column(family: Family, curve: Curve, name: str) -> Check:
     return worst
 
 
-def _watch(curve: Curve, one: FamilyPoint | Event, name: str) -> Check:
+def _watch(curve: Curve, member: FamilyPoint | Event, name: str) -> Check:
     """A watched number of an orbit as recorded, against the motion gone round."""
     try:
         check_known(curve, name)
-        look = Probe(curve, settled_on(curve, one))
-        off, allowed = abs(look.watched[name] - one.watch.get(name, np.nan)), look.unsure[name]
+        look = Probe(curve, settled_on(curve, member))
+        off, allowed = abs(look.watched[name] - member.watch.get(name, np.nan)), look.unsure[name]
     except (ConvergenceError, IntegrationError) as error:
         return refused("watch", error, float("nan"))
-    note = "" if off <= allowed else f"watch.{name} is {look.watched[name]:.15g}, recorded {one.watch.get(name)}"
+    note = "" if off <= allowed else f"watch.{name} is {look.watched[name]:.15g}, recorded {member.watch.get(name)}"
     return at_most("watch", off, allowed, note)
 
 
@@ -222,8 +222,8 @@ def _alone(event: Event) -> Event:
     return replace(event, shooting_nodes=nothing.reshape(0, 0), mesh=nothing, tangent=nothing)
 
 
-def _head(one: FamilyPoint) -> np.ndarray:
-    return np.array([*one.state, one.period, *one.free.values()])
+def _head(member: FamilyPoint) -> np.ndarray:
+    return np.array([*member.state, member.period, *member.free.values()])
 
 
 def _neighbours(family: Family, event: Event) -> tuple[FamilyPoint, FamilyPoint]:
@@ -242,9 +242,9 @@ def _told(family: Family, curve: Curve, event: Event, change: float, exchanged: 
     """Raises `ConvergenceError` unless an event's numbers are those of its state."""
     here = Probe(curve, settled_on(curve, _alone(event)))
     for name, value, moved in ((family.parameter, event.parameter, change), ("energy", event.energy, exchanged)):
-        found = here.value(name)
-        if np.isfinite(found) and abs(found - value) > ROUNDED * abs(found) + SAME_STEP * moved:
-            raise ConvergenceError(f"{name} is {found:.15g} there, recorded {value:.15g}")
+        value_there = here.value(name)
+        if np.isfinite(value_there) and abs(value_there - value) > ROUNDED * abs(value_there) + SAME_STEP * moved:
+            raise ConvergenceError(f"{name} is {value_there:.15g} there, recorded {value:.15g}")
     if event.symmetry != curve.equations.symmetry.name:
         raise ConvergenceError(f"symmetry {event.symmetry} is not the family's")
     for name in {**family.curve.get("watch", {}), **event.watch}:
@@ -290,8 +290,8 @@ def _rest(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
     size, variational = y.size, vector_field(equations.variational)
 
     def linearised(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        found = variational(0.0, np.concatenate([y, np.eye(size).ravel(), [0.0]]))
-        return found[:size], found[size:-1].reshape(size, size, order="F")
+        varied = variational(0.0, np.concatenate([y, np.eye(size).ravel(), [0.0]]))
+        return varied[:size], varied[size:-1].reshape(size, size, order="F")
 
     rest = equilibrium(linearised, y, max(1.0, float(np.abs(y).max())))
     turning = np.abs(np.linalg.eigvals(linearised(rest.w)[1]).imag)
@@ -309,12 +309,12 @@ def _joined(_: Family, curve: Curve, end: End, __: FamilyPoint) -> Check:
     state, period = np.array(joined["state"], float), float(joined["period"])
     whole_period = float(end.period or period)
     times = round(whole_period / period)
-    found = tour(model, state, period, turned(model, np.array(joined["winding"]), joined.get("shift", {})))
-    whole = np.linalg.matrix_power(found.map(), times)
+    lap = tour(model, state, period, turned(model, np.array(joined["winding"]), joined.get("shift", {})))
+    whole = np.linalg.matrix_power(lap.map(), times)
     values = np.linalg.eigvals(whole).astype(complex)
-    roots = judged(values).indices if found.conservative else values
-    off = abs(levelled(roots, 2.0 if found.conservative else 1.0))
-    gap, apart = found.closes.gap / (CLOSURE * found.closes.amplification), abs(times * period / whole_period - 1)
+    roots = judged(values).indices if lap.conservative else values
+    off = abs(levelled(roots, 2.0 if lap.conservative else 1.0))
+    gap, apart = lap.closes.gap / (CLOSURE * lap.closes.amplification), abs(times * period / whole_period - 1)
     return at_most(end.kind, max(off, apart), ALIKE, end.reason, gap <= 1.0)
 
 

@@ -73,12 +73,12 @@ class Row(Shown):
 
     def record(self, names: Sequence[str]) -> dict[str, Any]:
         """The row as plain values by name, None where there is no orbit; `names` are those of the state."""
-        found: dict[str, Any] = dict.fromkeys((*NUMBERS, "instability", *names))
+        numbers: dict[str, Any] = dict.fromkeys((*NUMBERS, "instability", *names))
         if self.orbit is not None:
-            found = {name: getattr(self.orbit, name) for name in NUMBERS}
-            found["instability"] = float(np.abs(self.orbit.floquet_multipliers).max(initial=1.0))
-            found |= {name: float(x) for name, x in zip(names, self.orbit.state, strict=True)}
-        return {**self.values, "certified": self.certified, "reason": self.reason, **found}
+            numbers = {name: getattr(self.orbit, name) for name in NUMBERS}
+            numbers["instability"] = float(np.abs(self.orbit.floquet_multipliers).max(initial=1.0))
+            numbers |= {name: float(x) for name, x in zip(names, self.orbit.state, strict=True)}
+        return {**self.values, "certified": self.certified, "reason": self.reason, **numbers}
 
 
 @dataclass(frozen=True)
@@ -236,8 +236,8 @@ def _read(entry: Mapping[str, Any], sizes: tuple[tuple[int], ...]) -> Origin | _
     line: Origin | _Visit = typed(kind, entry.get("origin", entry), "")
     if isinstance(line, tuple):
         return line
-    for values, one in line.way:
-        if (values.shape, one.nodes.shape[1:], one.free.shape) != sizes or not one.period > 0:
+    for values, place in line.way:
+        if (values.shape, place.nodes.shape[1:], place.free.shape) != sizes or not place.period > 0:
             raise ValueError("way: no orbits of this problem")
     if "orbit" not in entry:
         return line
@@ -365,15 +365,15 @@ class _Study:
         """The orbit at values near a guess; `ConvergenceError` for another one."""
         pins = {pin.name: pin.value for pin in self._pin} | dict(zip(self.names, map(float, values), strict=True))
         asked = [Pin(name, value) for name, value in pins.items()]
-        for one in asked:
-            check_pin(self.base.model, one)
-        found = self.refiner.refine(guess, asked)
+        for pin in asked:
+            check_pin(self.base.model, pin)
+        refined = self.refiner.refine(guess, asked)
         if guess is None or guess.states is None:
-            return found
-        away = _away(self.base.model, guess.states, found.nodes, guess.period)
-        if max(away, abs(found.period / guess.period - 1)) > ELSEWHERE:
+            return refined
+        away = _away(self.base.model, guess.states, refined.nodes, guess.period)
+        if max(away, abs(refined.period / guess.period - 1)) > ELSEWHERE:
             raise ConvergenceError("Newton's method leads to another orbit")
-        return found
+        return refined
 
 
 def _away(model: Model, expected: np.ndarray, found: np.ndarray, period: float) -> float:
@@ -392,7 +392,7 @@ def _shared(study: _Study, workers: int, folder: str | Path | None) -> Iterator[
     order, hands, left = np.argsort(study.values[:, 0], kind="stable"), list[processes.Hand](), list[tuple[Any, ...]]()
     for part in np.array_split(order, workers):
         values = study.values[part]
-        known = [study.known[one] for one in map(tuple, values.tolist()) if one in study.known]
+        known = [study.known[key] for key in map(tuple, values.tolist()) if key in study.known]
         if len(known) < len(part):
             left.append((values, known, part))
         else:
