@@ -70,10 +70,10 @@ def follow_curve(
         >>> driven = of.systems.forced_duffing(frequency=1.4)
         >>> low = of.find_orbit(of.Problem(driven, of.Guess([-0.4, 0.0], 4.48799), name="low"))
         >>> resonance = of.follow_family(low, "frequency", until=1.1, points=80)
-        >>> fold = next(one for one in resonance.events if one.kind == "fold")
+        >>> fold = resonance.events[0]
         >>> curve = of.follow_curve(resonance, fold, ("force", "frequency"), points=2)
-        >>> curve.parameters, round(fold.parameter, 8)
-        (('force', 'frequency'), 1.77971952)
+        >>> curve.parameters, fold.kind, round(fold.parameter, 8)
+        (('force', 'frequency'), 'fold', 1.77971952)
     """
     start = curve_start(family, event, parameters, settings, model)
     return follow_family(

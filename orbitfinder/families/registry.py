@@ -42,14 +42,6 @@ class Look:
     many: bool = False
 
 
-def _nothing(*_: Any) -> tuple[()]:
-    return ()
-
-
-def _stands(*_: Any) -> str:
-    return ""
-
-
 @dataclass(frozen=True)
 class Followed:
     """How a kind is followed while two parameters vary; `test` is the `critical.Critical` of its curve.
@@ -61,10 +53,10 @@ class Followed:
     """
 
     vanishes: Callable[[Any, Curve, Solution], float]
-    tests: Callable[[Any, Spectrum], Iterable[Test]] = _nothing
-    special: Callable[[Interval], Iterable[tuple[Sample, Test]]] = _nothing
+    tests: Callable[[Any, Spectrum], Iterable[Test]] = lambda test, spectrum: ()
+    special: Callable[[Interval], Iterable[tuple[Sample, Test]]] = lambda interval: ()
     margin: Callable[[Curve, Solution, Event], tuple[int, str, str]] | None = None
-    refused: Callable[[Curve, Solution], str] = _stands
+    refused: Callable[[Curve, Solution], str] = lambda curve, orbit: ""
     beyond: str = ""
 
 
