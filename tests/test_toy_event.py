@@ -69,9 +69,12 @@ def test_it_is_verified_from_the_file(folder, known, tmp_path):
     assert code == 1 and "on_time" in said
 
 
-def test_nothing_knows_it_without_its_entry(folder):
+def test_without_its_entry_it_is_drawn_and_not_believed(folder, tmp_path):
     code, said = run("verify", folder / "family.json")
     assert code == 1 and "a on_time has no check" in said
+    assert run("show", folder / "family.json")[0] == 0
+    assert run("plot", folder / "family.json", "-o", tmp_path / "figures")[0] == 0
+    assert run("page", folder / "family.json", "-o", tmp_path / "site", "--no-verify")[0] == 0
 
 
 def test_it_is_shown_with_what_leads_on(folder, known):

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
 
+from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.passages import Test
 from orbitfinder.families.run import Interval, Sample
 from orbitfinder.families.stability import Spectrum
@@ -90,6 +91,15 @@ KINDS: dict[str, EventKind] = {}
 """Every kind of event by its name; what is not here cannot be recorded"""
 
 
+def kind_of(name: str) -> EventKind:
+    """The kind of a recorded event; of one that is not known nothing is told."""
+    return KINDS.get(name, EventKind(_unknown))
+
+
+def _unknown(_: Any, event: Event) -> Reading:
+    raise ConvergenceError(f"a {event.kind} has no check on such a family")
+
+
 class Told(Mapping[str, Any]):
     """What the kinds say of one thing, by name, of those that say something."""
 
@@ -97,7 +107,7 @@ class Told(Mapping[str, Any]):
         self.of = attrgetter(what)
 
     def __getitem__(self, name: str) -> Any:
-        if said := self.of(KINDS[name]):
+        if said := self.of(kind_of(name)):
             return said
         raise KeyError(name)
 

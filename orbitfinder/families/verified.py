@@ -15,7 +15,7 @@ from orbitfinder._runtime import interrupt
 from orbitfinder.errors import ConvergenceError, IntegrationError, plural
 from orbitfinder.families.checks import ALIKE, Probe, Sides, check_known
 from orbitfinder.families.critical import Critical, levelled
-from orbitfinder.families.kinds import KINDS
+from orbitfinder.families.kinds import kind_of
 from orbitfinder.families.point import unknowns_of
 from orbitfinder.families.start import curve_in, fitted
 from orbitfinder.integrate.dop853 import vector_field
@@ -62,8 +62,8 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float) -> Readi
 
     Raises `ConvergenceError` where it is not known well enough, or its definition is contradicted.
     """
-    kind = KINDS.get(event.kind)
-    if kind is None or kind.second == (curve.test is None):
+    kind = kind_of(event.kind)
+    if kind.second == (curve.test is None):
         raise ConvergenceError(f"a {event.kind} has no check on such a family")
     solution = settled_on(curve, event)
     curve = curve.measured(solution)

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from orbitfinder.errors import OrbitfinderError
-from orbitfinder.families.kinds import KINDS, LOOKS
+from orbitfinder.families.kinds import LOOKS, kind_of
 from orbitfinder.families.members import response
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.records.family import Family
@@ -45,7 +45,7 @@ class Diagram:
         for number, k in enumerate(cuts):
             for event, place in zip(self.family.events, self.events, strict=True):
                 between = points[k - 1].arclength <= event.arclength <= points[k].arclength
-                if between and KINDS[event.kind].verdict:
+                if between and kind_of(event.kind).verdict:
                     found[number] = (stable[k - 1], np.vstack([found[number][1], place]))
                     found[number + 1] = (stable[k], np.vstack([place, found[number + 1][1][1:]]))
         return found

@@ -11,7 +11,7 @@ import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import plural
-from orbitfinder.families.kinds import KINDS, SWITCHABLE
+from orbitfinder.families.kinds import SWITCHABLE, kind_of
 from orbitfinder.families.members import response
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import SI, units
@@ -295,7 +295,7 @@ def _item(one: FamilyPoint | Event, family: Family, simulator: Simulator) -> dic
         "stability": at.stability,
         "symmetry": symmetry_words(one.symmetry),
         "multipliers": [[float(f"{x:.8g}") for x in (mu.real, mu.imag)] for mu in at.floquet_multipliers.tolist()],
-        "event": event.detail if event is not None and KINDS[event.kind].verdict and event.detail else words,
+        "event": event.detail if event is not None and kind_of(event.kind).verdict and event.detail else words,
         "kind": "" if event is None else event.kind,
         "motion": packed(motion) if motion else None,
     }
@@ -330,7 +330,7 @@ def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
         "items": items,
         "looks": {
             kind: [look.symbol, look.series, look.pixels, look.line]
-            for kind, look in LOOKS.items() if any(item["kind"] == kind for item in items)
+            for kind, look in {item["kind"]: LOOKS[item["kind"]] for item in items if item["kind"]}.items()
         },
     }  # fmt: skip
 
