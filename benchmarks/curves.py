@@ -66,13 +66,13 @@ def auto(case: Case, folder: Path, clock: Clock) -> tuple[Locus, tuple[int, int]
     """AUTO's curve on the coarsest mesh that is right, and that mesh."""
     problem = of.load_problem(ROOT / case.file)
     start = begin(problem, FamilySettings(parameter=case.parameters[0]))
-    times, states = full_samples(start.curve, start.found)
+    times, states = full_samples(start.curve, start.solution)
     if case.kind == "fold":
         drive = 2 * np.pi * times / times[-1]
         table = np.column_stack([times, states, np.cos(drive), np.sin(drive)])
     else:
         table = np.column_stack([times, _turned(states)])
-    first = float(start.found.place.free[0])
+    first = float(start.solution.place.free[0])
     program = AutoLocus(folder, case.equations, table, (first, case.ends[0]), clock)
     for mesh in MESHES:
         label = program.reach(case.kind, mesh, case.steps[0])

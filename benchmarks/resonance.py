@@ -54,7 +54,7 @@ def main() -> None:
                 found[f"orbitfinder, {name}{', events located' * events}"] = ours(start, events, clock)
     wanted = worst(found["orbitfinder, compiled"])
     with tempfile.TemporaryDirectory() as folder:
-        times, states = full_samples(start.curve, start.found, 800)
+        times, states = full_samples(start.curve, start.solution, 800)
         program = AutoForced(Path(folder), NUMBERS, np.column_stack([times, states]), LAST, clock)
         steps = program.stepping(MESHES[0], len(found["orbitfinder, compiled"].points))
         for mesh in MESHES:

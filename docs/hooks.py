@@ -161,8 +161,21 @@ def crossing(kind: str) -> str:
     )
 
 
+def events(_: str) -> str:
+    """Every kind of event that families know, with what leads on from it, as a table."""
+    from orbitfinder.families.entries import KINDS
+
+    lines = ["| event | what happens | leads on |", "|---|---|---|"]
+    for name, kind in KINDS.items():
+        ways = ["`--switch`"] * kind.branches + ["`--curve`"] * bool(kind.followed)
+        place = " (on curves in two parameters)" if kind.second else ""
+        lines.append(f"| `{name}` | {kind.words}{place} | {', '.join(ways)} |")
+    return "\n".join(lines)
+
+
 MAKERS = {
     "crossing": crossing,
+    "events": events,
     "commands": commands,
     "validation": validation,
     "changelog": changelog,

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from orbitfinder.continuation.follow import Curve, Goals, Pace, Trace, follow, reached, rise, towards
+from orbitfinder.continuation.follow import CurveJournal, Goals, Pace, SolutionCurve, follow, reached, rise, towards
 from orbitfinder.continuation.problem import Linear, Point, Solver, plane, solved
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.mechanics.newton import Settings
@@ -163,8 +163,8 @@ def whole(start, goals, pace=PACE, path=None, keeping=None):
     problem, w, direction = start
     keeping = keeping or Numbers(problem)
     tests = {"fold": lambda point: rise(point, goals.name)}
-    trace = Trace(keeping, path, {"w": w})
-    curve = Curve()
+    trace = CurveJournal(keeping, path, {"w": w})
+    curve = SolutionCurve()
     points = list(follow(curve, trace, lambda: begun(problem, w, direction), goals, pace, tests))
     assert points == curve.points
     return curve, keeping

@@ -195,7 +195,7 @@ def test_doublings_of_two_pendula():
 def test_a_doubling_of_lorenz_equations():
     """At sigma 10, by a Taylor integration of 140 bits."""
     family = of.follow_family(of.load_problem(PROBLEMS / "lorenz-doubling.toml"), "rho", until=225.0, settings=FEW)
-    point = curve_start(family, event_of(family, "period_doubling"), ("sigma", "rho")).start.found.place
+    point = curve_start(family, event_of(family, "period_doubling"), ("sigma", "rho")).start.solution.place
     assert point.free == pytest.approx([10.0, 229.40670856144345], abs=1e-8)
     assert point.period == pytest.approx(0.4808668203110952, abs=1e-10)
 
@@ -244,7 +244,7 @@ def test_a_doubling_degenerates_where_its_orbit_is_born_to_the_other_side():
     assert max(abs(one.free["c"]) for one in curve.points) < 1e-9  # the doubling itself is at a + c = 0
     start = curve_start(family, event, ("b", "c"), model=model).start
     # along u' = b u^3 from the section u -> -u (1 + 2 pi b u^2), so that xi -> -xi + c xi^3 with c = -2 pi b
-    assert bending(start.curve, start.found) == pytest.approx(-2 * np.pi * -0.5, rel=1e-4)
+    assert bending(start.curve, start.solution) == pytest.approx(-2 * np.pi * -0.5, rel=1e-4)
     with pytest.raises(InputError, match="happens whatever b and d are; give a parameter that moves it"):
         curve_start(family, event, ("b", "d"), model=model)
 
@@ -441,7 +441,7 @@ def run(arguments):
 def test_the_row_of_the_test_is_its_derivative(duffing):
     """Along any direction that keeps the other equations, by differences of another step."""
     start = curve_start(duffing, event_of(duffing, "fold"), ("force", "frequency")).start
-    curve, found = start.curve, start.found
+    curve, found = start.curve, start.solution
     kernel = np.linalg.svd(found.jacobian[:-1])[2][-2:]
     for weights in ((1.0, 0.0), (0.3, -0.8)):
         along = np.array(weights) @ kernel

@@ -485,7 +485,7 @@ def test_variations_that_overflow_are_a_shorter_step_and_no_traceback(monkeypatc
     from orbitfinder.loops import continued as system
 
     start = begin(mode_problem(chain(2), 1, 0.5), FamilySettings(), symmetry="brake+reflection")
-    place, head = start.found.place, np.ones(start.found.place.head.size)
+    place, head = start.solution.place, np.ones(start.solution.place.head.size)
     assert system.correct(start.curve, place, system.hyperplane(float(head @ place.head), head)).residual < 1e-8
     whole = Linearised.matrix
     monkeypatch.setattr(Linearised, "matrix", lambda given: np.full_like(whole(given), np.nan))

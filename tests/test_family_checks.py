@@ -14,10 +14,12 @@ import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families import passages
-from orbitfinder.families.checks import KINDS, Kind, reading
+from orbitfinder.families.entries import KINDS
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
+from orbitfinder.families.registry import EventKind
 from orbitfinder.families.start import curve_of
+from orbitfinder.families.verified import reading
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.records.family import Event, Reading, load_family, save_family
@@ -174,8 +176,10 @@ def test_a_kind_of_ones_own(monkeypatch):
     settings = replace(FEW, directions="forward")
     plain = follow_family(start, until=0.08, settings=settings)
     middle = float(np.mean(plain.values("period")[[0, -1]]))
-    passed = passages.Test("on_time", "", lambda sample: sample.found.place.period - middle)
-    own = Kind(lambda sides, event: sides.zero(lambda look: look.value("period") - middle), test=lambda _: [passed])
+    passed = passages.Test("on_time", "", lambda sample: sample.solution.place.period - middle)
+    own = EventKind(
+        lambda sides, event: sides.zero(lambda look: look.value("period") - middle), test=lambda _: [passed]
+    )
     monkeypatch.setitem(KINDS, "on_time", own)
     found = follow_family(start, until=0.08, settings=settings)
     (event,) = (one for one in found.events if one.kind == "on_time")

@@ -15,7 +15,7 @@ import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.families.folder import directions
-from orbitfinder.families.joins import Kept
+from orbitfinder.families.joins import Invariance
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.rest import can_rest, rest_of
 from orbitfinder.families.start import begin, full_samples
@@ -32,7 +32,7 @@ HALF = 0.5
 def phases(orbit, model, parameter, count):
     """The same orbit begun at so many instants."""
     start = begin(orbit, FamilySettings(parameter=parameter), model=model)
-    states = full_samples(start.curve, start.found)[1]
+    states = full_samples(start.curve, start.solution)[1]
     return [of.Problem(model, of.Guess(states[512 * k // count], orbit.period)) for k in range(count)]
 
 
@@ -161,7 +161,7 @@ def test_an_equilibrium_solved_for_of_a_pendulum():
     assert end.kind == "equilibrium" and end.parameter == pytest.approx(-4.9, abs=1e-13)
     assert end.period == pytest.approx(2 * np.pi / np.sqrt(9.8 * 0.5 / (1 / 12 + 0.25)), rel=1e-12)
     start = begin(problem, FamilySettings())
-    assert can_rest(start.curve) and rest_of(start.curve, start.found, "energy").others.size == 0
+    assert can_rest(start.curve) and rest_of(start.curve, start.solution, "energy").others.size == 0
     turning = begin(of.Problem(model, of.Guess([0.0, 9.0], 0.8), winding=(1,)), FamilySettings())
     assert not can_rest(turning.curve)
 
@@ -180,10 +180,10 @@ def test_what_is_kept():
     """The gaps of what has a symmetry are 0, and the mean over the images has it."""
     times = np.linspace(0, 2 * np.pi, 481)
     states = np.stack([np.cos(times) + 0.1 * np.cos(2 * times), np.sin(times) + 0.2 * np.sin(3 * times)], axis=1)
-    mirror, angles = Kept(2, REFLECTION_MAP), np.array([False])
+    mirror, angles = Invariance(2, REFLECTION_MAP), np.array([False])
     assert np.abs(mirror.gaps(states, angles)).max() == pytest.approx(0.2)
     assert np.abs(mirror.gaps(mirror.joined(states, angles), angles)).max() < 1e-15
-    half = Kept(2).joined(states, angles)
+    half = Invariance(2).joined(states, angles)
     assert len(half) == 241 and half[:, 0] == pytest.approx(0.1 * np.cos(2 * times[:241]), abs=1e-15)
 
 
@@ -242,7 +242,7 @@ def test_a_target_behind_the_first_point_of_a_branch(pendulum, caplog):
     """Between birth and first point it is turned to, behind the birth it is said."""
     symmetric, _ = pendulum
     branch = of.switch_branch(symmetric, 0)
-    born, begun = branch.event.parameter, branch.start.found.place.free[0]
+    born, begun = branch.event.parameter, branch.start.solution.place.free[0]
     away = FamilySettings(certify=False, events=False, directions="away")
     family = of.follow_family(branch, until=(born + begun) / 2, settings=away)
     assert family.ends[0].kind == "target" and len(family.points) == 2
@@ -264,7 +264,7 @@ def test_an_equilibrium_solved_for_in_a_parameter():
     model = of.chain(1)
     problem = of.Problem(model, of.Guess([0.3, 0.0], 1.65))
     start = begin(problem, FamilySettings(parameter="gravity"))
-    rest = rest_of(start.curve, start.found, "gravity")
+    rest = rest_of(start.curve, start.solution, "gravity")
     assert rest.value == pytest.approx(9.8 * np.cos(0.3), rel=1e-11)
     assert rest.period == pytest.approx(2 * np.pi / np.sqrt(rest.value * 0.5 / (1 / 12 + 0.25)), rel=1e-11)
 

@@ -206,7 +206,7 @@ def by_brute_force(family: Family, root: int, edge: float, count: int = 2000) ->
         if previous is not None and real.size != previous.size:
             found.append(("collision", 1, s))
         elif previous is not None:
-            for level, kind, q, _ in index_levels(root, 6):
+            for level, kind, _, q, _ in index_levels(root, 6):
                 found += [(kind, q, s)] * int(np.sum((real >= level) != (previous >= level)))
         previous = real
     return found

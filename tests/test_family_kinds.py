@@ -102,7 +102,7 @@ def test_five_bar_family_agrees_with_the_native_dae(tmp_path):
     orbit = find_orbit(Problem(model, guess, pin(energy=level)))
     assert orbit.certificate.passed and abs(orbit.period - point.period) < 1e-9
     assert np.abs(np.sum(orbit.floquet_multipliers) - np.sum(point.floquet_multipliers)) < 1e-8
-    assert abs(begin(orbit).found.place.period - point.period) < 1e-9  # from the linkage's own orbit.json
+    assert abs(begin(orbit).solution.place.period - point.period) < 1e-9  # from the linkage's own orbit.json
     rebuilt = build_model(family.system)
     assert ClosureCheck(rebuilt)(point.state, point.period, np.zeros(2)) < 1e-11
 
@@ -341,7 +341,7 @@ def test_motion_more_symmetric_than_its_system():
     problem = Problem(model, Guess(np.array([0.5, 0.0, 0.0, 0.0]), 2 * np.pi), pin(energy=0.125), name="line")
     orbit, start = find_orbit(problem), begin(problem)
     assert orbit.symmetry == "brake+reflection" and start.curve.equations.symmetry.name == "brake"
-    found = spectrum(start.curve, start.found).floquet.multipliers
+    found = spectrum(start.curve, start.solution).floquet.multipliers
     assert np.sort(found.real) == pytest.approx(np.sort(orbit.floquet_multipliers.real), rel=1e-9)
     assert orbit.stability == "unstable"
 

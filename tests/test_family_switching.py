@@ -112,7 +112,7 @@ def test_a_branch_is_sought_square_to_the_old_family():
         doubling = next(k for k, one in enumerate(family.events) if one.kind == "period_doubling")
         assert family.events[doubling].parameter == pytest.approx(rho, abs=1e-7)
         branch = branches(family, doubling, few)[0]
-        assert branch.start.found.place.period == pytest.approx(2 * family.events[doubling].period, rel=0.01)
+        assert branch.start.solution.place.period == pytest.approx(2 * family.events[doubling].period, rel=0.01)
         if rho > 220:
             family = follow_family(branch, until=217.0, settings=few)
 

@@ -118,7 +118,7 @@ def test_the_frequency_of_a_drive_has_its_unit(resonance):
 def test_jacobian_of_a_driven_curve_against_differences():
     """Rows of the clock, of a segment that begins later and of a freed frequency."""
     start = begin(Problem(forced_duffing(), Guess([0.9, 0.5], 5.2)), FamilySettings(parameter="frequency"), "none")
-    curve, w = start.curve, start.found.place
+    curve, w = start.curve, start.solution.place
     curve = curve.through(w)
     matrix = curve.linearised(w, curve.equations.varied(w)).matrix()
     assert len(w.nodes) > 1 and matrix.shape[0] + 1 == matrix.shape[1]

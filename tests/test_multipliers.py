@@ -182,7 +182,7 @@ def test_a_contracting_loop_keeps_its_small_multiplier():
     """Of Lorenz' shortest loop the multipliers' product is exp of the field's divergence times the period."""
     guess = Guess(np.array([-13.763610682134, -19.578751942452, 27.0]), 1.5586522107162)
     start = begin(Problem(lorenz(), guess), FamilySettings(parameter="rho"))
-    found, period = spectrum(start.curve, start.found), start.found.place.period
+    found, period = spectrum(start.curve, start.solution), start.solution.place.period
     assert found.method == "periodic QR" and not found.conservative
     expected = np.exp(-(10 + 1 + 8 / 3) * period)
     assert np.prod(found.floquet.multipliers).real == pytest.approx(expected, rel=1e-9)

@@ -283,7 +283,7 @@ def test_no_size_falls_below_a_tenth_of_the_largest_that_a_family_has_had():
     start = begin(
         of.Problem(of.systems.brusselator(), of.Guess([0.5, 3.5], 7.157)), of.FamilySettings(parameter="rate")
     )
-    place, scales = start.found.place, start.curve.scales
+    place, scales = start.solution.place, start.curve.scales
     smaller = scales.renewed(1e-3 * scales.states, place)
     assert smaller.states == pytest.approx(0.1 * scales.states) and smaller.largest == pytest.approx(scales.states)
     assert isinstance(smaller, Scales) and smaller.free == pytest.approx([3.0])

@@ -200,7 +200,7 @@ def test_half_of_a_lyapunov_orbit_is_enough():
     np.testing.assert_allclose(half.floquet_multipliers, whole.floquet_multipliers, rtol=1e-6)
     start = begin(half, model=model)
     assert start.curve.equations.symmetry.name == "mirror"
-    assert start.found.place.period == pytest.approx(half.period, rel=1e-9)
+    assert start.solution.place.period == pytest.approx(half.period, rel=1e-9)
     elsewhere = np.asarray(whole.samples[len(whole.samples) // 8])
     begun = begin(replace(half, state=elsewhere, record=None), model=model)
     assert begun.curve.equations.symmetry.name == "mirror"

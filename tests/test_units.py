@@ -177,7 +177,7 @@ def test_families_have_the_same_events_and_branches_in_any_units(swings):
         settings = FamilySettings(directions="backward")
         family = of.follow_family(orbit, model=problem.model, points=9, settings=settings)
         leaving = branches(family, 0, model=problem.model)
-        periods = sorted(one.start.found.place.period / MECHANICAL[name][1] for one in leaving)
+        periods = sorted(one.start.solution.place.period / MECHANICAL[name][1] for one in leaving)
         found[name] = [(one.kind, one.energy / work) for one in family.events], len(family.points), periods
     (events, points, periods), *others = found.values()
     assert "resonance" in {kind for kind, _ in events} and periods

@@ -139,7 +139,7 @@ class AutoFamily:
     def __init__(self, folder: Path, start: Start, clock: Clock) -> None:
         self.folder, self.start, self.clock = folder, start, clock
         self.model = start.curve.equations.model
-        self.first = energy(self.model, start.found.place.nodes[0])
+        self.first = energy(self.model, start.solution.place.nodes[0])
         prepare(folder, start)
 
     def go(self, asked: Asked) -> float:
@@ -240,7 +240,7 @@ def prepare(folder: Path, start: Start) -> None:
              "arguments": 2 + max(one.sz_arg() for one in functions),
              "results": 3 + max(one.sz_res() for one in functions)}  # fmt: skip
     (folder / "orbit.c").write_text(EQUATIONS.format(**sizes))
-    times, states = full_samples(start.curve, start.found)
+    times, states = full_samples(start.curve, start.solution)
     rows = "\n".join(" ".join(f"{value:.17e}" for value in (t, *row)) for t, row in zip(times, states, strict=True))
     (folder / "orbit.dat").write_text(rows + "\n")
     build = ["gcc", "-O3", "-march=native", "-c", "orbit.c", "-o", "orbit.o"]

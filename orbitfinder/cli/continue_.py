@@ -82,7 +82,7 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
     directions = chosen["direction"] or ("away" if isinstance(chosen["event"], int) else "both")
     narrowest = {} if chosen["resolve"] is None else {"narrowest": chosen["resolve"]}
     with display(f"{file}: reading") as shown:
-        from orbitfinder.families.branches import SWITCHABLE
+        from orbitfinder.families.entries import SWITCHABLE
         from orbitfinder.families.folder import parameter_of
 
         _asked_where(file, chosen, shown)
@@ -149,7 +149,8 @@ def _asked_where(file: Path, chosen: Mapping[str, Any], shown: Display) -> None:
     """`InputError` for a family without --switch, the events that it takes listed before."""
     if any(chosen[name] is not None for name in ("event", "curve", "parameters")) or not whole_family(file):
         return
-    from orbitfinder.families.branches import SWITCHABLE, counted
+    from orbitfinder.families.branches import counted
+    from orbitfinder.families.entries import SWITCHABLE
 
     family = of.load_family(file)
     places = [k for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
@@ -257,7 +258,7 @@ def curve_of(file: Path, parameter: str | None, chosen: Mapping[str, Any]) -> Br
 
 
 def _branch_of(file: Path, trust: bool, switch: int | str | None, branch: int) -> Branch:
-    from orbitfinder.families.branches import SWITCHABLE
+    from orbitfinder.families.entries import SWITCHABLE
 
     family = of.load_family(file)
     if switch is None:

@@ -41,8 +41,7 @@ def show(files: tuple[Path, ...]) -> None:
 
 def _followed(found: Mapping[str, Any]) -> None:
     """Say of the events of a family with which options `continue FILE` follows each."""
-    from orbitfinder.families.branches import SWITCHABLE
-    from orbitfinder.families.curves import FOLLOWED
+    from orbitfinder.families.entries import FOLLOWED, SWITCHABLE
 
     for k, event in enumerate(found.get("events", ())):
         ways = {f"--switch {k}": SWITCHABLE, f"--curve {k} --parameters A,B": FOLLOWED}

@@ -150,7 +150,8 @@ class Goals:
         a, b = before.value(self.name), after.value(self.name)
         wanted = {*self.at, *(() if self.until is None else (self.until,))}
         within = sorted(
-            (one for one in wanted if one != a and (one - a) * (one - b) <= 0), key=lambda one: abs(one - a)
+            (value for value in wanted if value != a and (value - a) * (value - b) <= 0),
+            key=lambda value: abs(value - a),
         )
         return within[: within.index(self.until) + 1] if self.until in within else within
 
@@ -169,7 +170,7 @@ class Keeping(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Kept:
+class KeptPoint:
     """A point with its role ("step", "at", "end") or its event's name, and its record."""
 
     role: str
@@ -177,12 +178,16 @@ class Kept:
     record: Any
 
 
+AtValue = tuple[float, KeptPoint]
+"""A point at a value of what is followed in"""
+
+
 @dataclass(eq=False)
-class Curve:
+class SolutionCurve:
     """What there is of a curve in the order of its steps, and why it ends."""
 
-    points: list[Kept] = field(default_factory=list)
-    events: list[Kept] = field(default_factory=list)
+    points: list[KeptPoint] = field(default_factory=list)
+    events: list[KeptPoint] = field(default_factory=list)
     end: End | None = None
 
 
@@ -242,7 +247,7 @@ class _Line:
     end: End | None = None
 
 
-class Trace:
+class CurveJournal:
     """A curve as far as it is known, by an earlier run and this one; with a path it is a journal there.
 
     `request` is what decides whether a journal is of this curve (plain numbers); another, and one whose first point
@@ -254,9 +259,9 @@ class Trace:
         leads: Callable[[Point], bool] = lambda first: True,
     ) -> None:  # fmt: skip
         self.keeping, self.path = keeping, path
-        self.steps: list[Kept] = []
-        self.events: list[list[Kept]] = []
-        self.at: list[tuple[float, Kept]] = []
+        self.steps: list[KeptPoint] = []
+        self.events: list[list[KeptPoint]] = []
+        self.at: list[AtValue] = []
         self.end: End | None = None
         if path is None:
             return
@@ -268,18 +273,18 @@ class Trace:
 
     def _read(self, entries: Mapping[str, Any]) -> None:
         line: _Line = typed(_Line, entries, "")
-        self.at += [(value, Kept("at", *self.keeping.read(entry))) for value, entry in line.at]
+        self.at += [(value, KeptPoint("at", *self.keeping.read(entry))) for value, entry in line.at]
         self.end = line.end
         if line.step is not None:
-            self.events.append([Kept(name, *self.keeping.read(entry)) for name, entry in line.events])
-            self.steps.append(Kept("step", *self.keeping.read(line.step)))
+            self.events.append([KeptPoint(name, *self.keeping.read(entry)) for name, entry in line.events])
+            self.steps.append(KeptPoint("step", *self.keeping.read(line.step)))
 
-    def kept(self, role: str, point: Point) -> Kept:
+    def kept(self, role: str, point: Point) -> KeptPoint:
         """A point with its record."""
-        return Kept(role, point, self.keeping.record(point))
+        return KeptPoint(role, point, self.keeping.record(point))
 
     def add(
-        self, step: Kept | None = None, events: Sequence[Kept] = (), at: Sequence[tuple[float, Kept]] = (),
+        self, step: KeptPoint | None = None, events: Sequence[KeptPoint] = (), at: Sequence[AtValue] = (),
         end: End | None = None,
     ) -> _Line:  # fmt: skip
         """What was found, as a line."""
@@ -290,18 +295,19 @@ class Trace:
         if self.path is None:
             return _Line(end=end)
         line = _Line(
-            tuple((value, self._entry(one)) for value, one in at),
-            tuple((one.role, self._entry(one)) for one in events), None if step is None else self._entry(step), end,
+            tuple((value, self._entry(point)) for value, point in at),
+            tuple((event.role, self._entry(event)) for event in events),
+            None if step is None else self._entry(step), end,
         )  # fmt: skip
         append_line(self.path, plain(line))
         return line
 
-    def _entry(self, one: Kept) -> Mapping[str, Any]:
-        return self.keeping.write(one.point, one.record)
+    def _entry(self, point: KeptPoint) -> Mapping[str, Any]:
+        return self.keeping.write(point.point, point.record)
 
-    def exactly(self, before: Point, after: Point, goals: Goals) -> tuple[list[Kept], list[tuple[float, Kept]]]:
+    def exactly(self, before: Point, after: Point, goals: Goals) -> tuple[list[KeptPoint], list[AtValue]]:
         """The points at values between two, and those among them that were not known before."""
-        points, fresh = list[Kept](), list[tuple[float, Kept]]()
+        points, fresh = list[KeptPoint](), list[AtValue]()
         for value in goals.met(before, after):
             one = next((one for known, one in self.at if known == value
                         and before.arclength <= one.point.arclength <= after.arclength), None)  # fmt: skip
@@ -313,9 +319,9 @@ class Trace:
 
 
 def follow(
-    curve: Curve, trace: Trace, begin: Callable[[], Point], goals: Goals, pace: Pace,
+    curve: SolutionCurve, trace: CurveJournal, begin: Callable[[], Point], goals: Goals, pace: Pace,
     tests: Mapping[str, Test] | None = None,
-) -> Iterator[Kept]:  # fmt: skip
+) -> Iterator[KeptPoint]:  # fmt: skip
     """The points of a curve from where it begins until it ends; the curve grows by a step before its points come.
 
     `tests` are events by name. What `begin` raises is raised.
@@ -330,7 +336,7 @@ def follow(
             end = trace.end or next(ahead).end if index == len(trace.steps) else None
             if end is not None:
                 raise ConvergenceError(end.reason)
-            before, after = (one.point for one in trace.steps[index - 1 : index + 1])
+            before, after = (step.point for step in trace.steps[index - 1 : index + 1])
             points, fresh = trace.exactly(before, after, goals)
         except (ConvergenceError, IntegrationError) as error:
             curve.end = End("step underflow", str(error))
@@ -343,7 +349,7 @@ def follow(
         reach = points[-1].point.arclength if met else after.arclength
         points += [] if met else [trace.steps[index]]
         curve.points += points
-        curve.events += [one for one in trace.events[index] if one.point.arclength <= reach]
+        curve.events += [event for event in trace.events[index] if event.point.arclength <= reach]
         yield from points
         if met:
             curve.end = End("target", f"reached {goals.name} = {goals.until!r}")
@@ -355,7 +361,7 @@ def follow(
 class _Arclength:
     """The walk along the solutions of a `ContinuationProblem`, of which a trace holds all."""
 
-    trace: Trace
+    trace: CurveJournal
     goals: Goals
     pace: Pace
     tests: Mapping[str, Test]
@@ -383,7 +389,7 @@ class _Arclength:
         _, fresh = self.trace.exactly(point, after, self.goals)
         crossed = [(name, test) for name, test in self.tests.items() if test(point.sharp) * test(after.sharp) < 0]
         events = [self.trace.kept(name, located(point, after, test)) for name, test in crossed]
-        events.sort(key=lambda one: one.point.arclength)
+        events.sort(key=lambda event: event.point.arclength)
         return self.trace.add(self.trace.kept("step", after), events, fresh)
 
     def failed(self, reason: str) -> _Line:

@@ -117,11 +117,11 @@ def solved(problem: Any, guess: Any, aim: Aim) -> Point:
     rows, linear = problem.linearise(guess)
     functions = (lambda w: closed(w, problem.rows(w)), lambda w: solver(w, problem.linearise(w)[1]))
     start = closed(guess, rows), solver(guess, linear)
-    found = chord(guess, *start, functions, problem.settings, lambda w, step: w.moved(step), fresh=True)
-    if not found.converged:
-        raise ConvergenceError(f"the corrector stalled at rows of {found.size:.2g} after {found.count} steps")
-    tangent = _tangent(found.solver, found.rows.size, problem.metric(found.w))
-    return Point(problem, found.w, tangent, iterations=found.count)
+    root = chord(guess, *start, functions, problem.settings, lambda w, step: w.moved(step), fresh=True)
+    if not root.converged:
+        raise ConvergenceError(f"the corrector stalled at rows of {root.size:.2g} after {root.count} steps")
+    tangent = _tangent(root.solver, root.rows.size, problem.metric(root.w))
+    return Point(problem, root.w, tangent, iterations=root.count)
 
 
 def _tangent(solver: Solver, rows: int, metric: np.ndarray) -> np.ndarray:

@@ -20,8 +20,8 @@ from scipy.spatial import cKDTree
 from orbitfinder._runtime.notebook import brief
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
-from orbitfinder.families.checks import KINDS
 from orbitfinder.families.critical import Critical
+from orbitfinder.families.entries import SWITCHABLE
 from orbitfinder.families.motion import full_samples
 from orbitfinder.families.point import FamilySettings, parameter_value, shift_at, unknowns_of
 from orbitfinder.families.run import parameter_slopes
@@ -51,7 +51,6 @@ from orbitfinder.records.orbit import SHARE
 from orbitfinder.records.reading import finite
 
 CHOICE = 'give the number of an event, "start" or "end"'
-SWITCHABLE = tuple(name for name, kind in KINDS.items() if kind.branches)
 DISTANCES = (0.02, 0.005, 0.00125, 0.05, 0.1)
 """How far from the old family, in sizes of its orbit, the new one is looked for; the first that succeeds is taken.
 Families of high resonances may leave along each other, and are told apart only near."""
@@ -60,14 +59,8 @@ CLOSER, OUTSIDE = 3, 1e-6
 there: between the two an event of the new family would be missed."""
 DIFFERENCE = 1e-4
 """Arclength of the differences by which the old family's own direction is told."""
-ALIKE = 0.25
-"""Orbits nearer to each other than this share of their distance from the old one are one branch."""
 MIRRORED = 1e-7
 """Energies and periods of mirror images agree to this share of their distance from the old orbit's."""
-UNFOLDED = 1e-8
-"""Largest fictitious damping, per period, with which a motion is still an orbit."""
-ROUND_OFF = 1e-13
-"""Share of an event's energy, period and parameters that differences of theirs are not known to."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +117,7 @@ def switch(curve: Curve, event: Event, settings: FamilySettings | None = None) -
 def _known(leaving: Leaving, found: list[Leaving]) -> bool:
     """Whether a branch was found before: by its own symmetry, where it has more than was asked for, or as it is."""
     own = leaving.start.curve.equations.symmetry.name
-    known = {one.start.curve.equations.symmetry.name for one in found}
+    known = {other.start.curve.equations.symmetry.name for other in found}
     if own != leaving.cover.curve.equations.symmetry.name and own in known:
         return True
     return any(_same(leaving, other) for other in found)
@@ -208,7 +201,7 @@ def _leaving(cover: Cover, direction: np.ndarray) -> Leaving | None:
     moved = ((direction[: place.nodes.size].reshape(place.nodes.shape) / curve.scales.states) ** 2).sum(axis=1)
     direction = direction / np.sqrt(moved.max())  # the start may be where the two families part least
     known = ((length, _at(cover, direction, length)) for length in DISTANCES)
-    length, start = next((one for one in known if one[1] is not None), (0.0, None))
+    length, start = next((pair for pair in known if pair[1] is not None), (0.0, None))
     if start is None:
         return None
     for _ in range(CLOSER):
@@ -227,13 +220,14 @@ def _at(cover: Cover, direction: np.ndarray, length: float) -> Start | None:
         start = corrected(curve, advanced(place, direction, length), aim, place, reach=2 * length)
     except (ConvergenceError, IntegrationError):
         return None
-    damped = start.found.place.period * np.abs(start.found.place.unfolding).max(initial=0.0) > UNFOLDED
+    # largest fictitious damping, per period, with which a motion is still an orbit
+    damped = start.solution.place.period * np.abs(start.solution.place.unfolding).max(initial=0.0) > 1e-8
     return None if damped or (order > 1 and _is_cover(start, order, length)) else start
 
 
 def _grown(start: Start | None) -> int:
     """How many multipliers are outside the unit circle, the same until something happens on the way from the birth."""
-    multipliers = spectrum(start.curve, start.found).floquet.multipliers if start is not None else np.zeros(0)
+    multipliers = spectrum(start.curve, start.solution).floquet.multipliers if start is not None else np.zeros(0)
     return int(np.count_nonzero(np.abs(multipliers) > 1.0 + OUTSIDE))
 
 
@@ -242,10 +236,10 @@ def symmetric(start: Start) -> Start:
     if start.curve.equations.links or start.curve.equations.symmetry.relative:
         return start
     try:
-        other = reformulated(start, named(symmetry_of(start.curve, start.found), start.curve.equations.model))
+        other = reformulated(start, named(symmetry_of(start.curve, start.solution), start.curve.equations.model))
     except (ConvergenceError, IntegrationError):
         return start
-    slopes = [list(parameter_slopes(one.curve, one.found.place, one.direction).values()) for one in (start, other)]
+    slopes = [list(parameter_slopes(s.curve, s.solution.place, s.direction).values()) for s in (start, other)]
     count = 2 + len(start.curve.equations.free)
     same = np.dot(slopes[0][:count], slopes[1][:count]) >= 0
     return other if same else replace(other, direction=-other.direction)
@@ -253,15 +247,15 @@ def symmetric(start: Start) -> Start:
 
 def _is_cover(start: Start, order: int, length: float) -> bool:
     """Whether the orbit closes already after a part of its period."""
-    _, states = full_samples(start.curve, start.found)
+    _, states = full_samples(start.curve, start.solution)
     gaps = [return_gaps(states, k) / start.curve.scales.states for k in range(2, order + 1) if order % k == 0]
     return bool(np.min(np.max(gaps, axis=1)) < 0.05 * length)
 
 
 def _outwards(start: Start, origin: Unknowns) -> Start:
     """The same start, directed away from the orbit that it was born from."""
-    curve, place = start.curve, start.found.place
-    whole = tangent(curve, start.found, start.direction)
+    curve, place = start.curve, start.solution.place
+    whole = tangent(curve, start.solution, start.direction)
     moved = (
         place.vector - origin.vector
         if np.array_equal(place.edges, origin.edges)
@@ -277,16 +271,18 @@ def _same(one: Leaving, other: Leaving) -> bool:
     one, other = one.nearer(length) or one, other.nearer(length) or other
     a, b = (_moved(each.start, event) for each in (one, other))
     sizes = np.abs([np.nan_to_num(event.energy), event.period * event.order, *_freed(event)])
-    if np.all(np.abs(a - b) <= MIRRORED * np.maximum(np.abs(a), np.abs(b)) + ROUND_OFF * sizes):
+    # share of an event's energy, period and parameters that differences of theirs are not known to
+    if np.all(np.abs(a - b) <= MIRRORED * np.maximum(np.abs(a), np.abs(b)) + 1e-13 * sizes):
         return True
     scale = cover.curve.scales.states
-    mine, theirs = (full_samples(each.start.curve, each.start.found)[1] / scale for each in (one, other))
+    mine, theirs = (full_samples(each.start.curve, each.start.solution)[1] / scale for each in (one, other))
     old = full_samples(cover.curve, at_place(cover.curve, cover.place))[1] / scale
     model, size = cover.curve.equations.model, _apart(mine, old)
     images = [theirs, *(theirs @ each.matrix(model.degrees_of_freedom).T for each in involutions(model))]
     feet = [_foot(image, old) for image in images]  # told apart at the same distance from the old orbit
     images = [foot + size / _apart(image, old) * (image - foot) for image, foot in zip(images, feet, strict=True)]
-    return min(_apart(mine, image) for image in images) < ALIKE * size
+    # orbits nearer to each other than this share of their distance from the old one are one branch
+    return min(_apart(mine, image) for image in images) < 0.25 * size
 
 
 def _apart(points: np.ndarray, curve: np.ndarray) -> float:
@@ -315,7 +311,7 @@ def _freed(event: Event) -> np.ndarray:
 
 def _moved(start: Start, event: Event) -> np.ndarray:
     """How far energy, period and freed parameters are from the event's."""
-    place = start.found.place
+    place = start.solution.place
     energy = np.nan_to_num(parameter_value(start.curve, place, "energy") - event.energy)
     old = _freed(event)
     return np.array([energy, place.period - event.period * event.order, *(place.free[: old.size] - old)])
@@ -388,11 +384,11 @@ def switch_branch(
         if event not in ("start", "end"):
             raise InputError(f"event: families are joined at the start or the end, got {event!r}; or give its number")
         return _joined(family if isinstance(family, Family) else load_family(family), event, settings, model)
-    found = branches(family, event, settings, model)
-    if not 1 <= branch <= len(found):
-        at = found[0].number
-        raise InputError(f"branch: {branch} asked for, {len(found)} found at event {at}; give 1 to {len(found)}")
-    return found[branch - 1]
+    leaving = branches(family, event, settings, model)
+    if not 1 <= branch <= len(leaving):
+        at = leaving[0].number
+        raise InputError(f"branch: {branch} asked for, {len(leaving)} found at event {at}; give 1 to {len(leaving)}")
+    return leaving[branch - 1]
 
 
 def _joined(family: Family, which: str, settings: FamilySettings | None, model: Model | None) -> Branch:
@@ -401,17 +397,17 @@ def _joined(family: Family, which: str, settings: FamilySettings | None, model: 
     if len(family.ends) == 1 and (known := family.ends[0]).parameter is not None:
         first, last = (abs(family.points[k].value - known.parameter) for k in (0, -1))
         ends = {"start" if first < last else "end": known}
-    found = {side: (end, end.joined) for side, end in ends.items() if end.joined}
-    if which not in found:
-        told = f"its {' and its '.join(found)}" if found else "neither side"
+    joins = {side: (end, end.joined) for side, end in ends.items() if end.joined}
+    if which not in joins:
+        told = f"its {' and its '.join(joins)}" if joins else "neither side"
         raise InputError(f"event: {family.name} joins another family at {told}, got {which!r}; {CHOICE}")
-    end, orbit = found[which]
+    end, orbit = joins[which]
     state, period, energy = np.asarray(orbit["state"], float), float(orbit["period"]), orbit.get("energy")
     there = with_parameters(model or build_model(family.system), orbit["free"])
     pins = (Pin("energy", energy),) if there.conservative and energy is not None else ()
     problem = Problem(there, Guess(state, period), pins, winding=tuple(orbit["winding"]), symmetry=orbit["symmetry"])
     start = begin(problem, replace(settings or FamilySettings(), parameter=family.parameter), orbit["symmetry"])
-    place = start.found.place
+    place = start.solution.place
     event = Event(
         end.kind, -1, np.nan, float(end.parameter or np.nan), state, place.period, np.nan if energy is None else energy
     )
@@ -427,7 +423,7 @@ def branches(
     leaves from, with a list of those that something does) and `ConvergenceError` when no branch was found.
     """
     family, event, where = opened(family, event)
-    known = [k for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
+    known = [k for k, candidate in enumerate(family.events) if candidate.kind in SWITCHABLE]
     if event not in known:
         choice = f"choose one of {counted(known)}" if known else "this family has none from which one does"
         raise InputError(f"event: no branch leaves at event {event}; {choice}")
@@ -437,7 +433,7 @@ def branches(
     starts = switch(curve, chosen, settings)
     if not starts:
         raise ConvergenceError(f"{family.name}: no branch was found at event {event} ({described(family, event)})")
-    starts = [replace(one, curve=replace(one.curve, watch=curve.watch)) for one in starts]
+    starts = [replace(start, curve=replace(start.curve, watch=curve.watch)) for start in starts]
     return [
         Branch(start, family.name, chosen, event, k, f"{family.name}-{event}-{k}") for k, start in enumerate(starts, 1)
     ]
@@ -448,7 +444,7 @@ def opened(family: Family | str | Path, event: int | Event) -> tuple[Family, int
     where = family.name if isinstance(family, Family) else str(family)
     family = family if isinstance(family, Family) else load_family(family)
     if isinstance(event, Event):
-        event = next((k for k, one in enumerate(family.events) if one is event), -1)
+        event = next((k for k, candidate in enumerate(family.events) if candidate is event), -1)
     if not family.curve:
         raise InputError(f"{where}: curve: missing, an older orbitfinder wrote this file; continue the family again")
     return family, event, where
@@ -464,16 +460,16 @@ def with_nodes(event: Event, where: str, purpose: str) -> Event:
 def counted(numbers: Sequence[int]) -> str:
     """Rising whole numbers in short: 0, 2 to 5, 9."""
     runs: list[list[int]] = []
-    for one in numbers:
-        if runs and one == runs[-1][-1] + 1:
-            runs[-1].append(one)
+    for number in numbers:
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
         else:
-            runs.append([one])
+            runs.append([number])
     return ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs)
 
 
 def described(family: Family, number: int) -> str:
     """An event in a few words."""
-    one = family.events[number]
-    detail = f" {one.detail}" if one.detail else ""
-    return f"{number}: {one.kind}{detail} at {family.parameter} {one.parameter:.6g}"
+    event = family.events[number]
+    detail = f" {event.detail}" if event.detail else ""
+    return f"{number}: {event.kind}{detail} at {family.parameter} {event.parameter:.6g}"

@@ -17,7 +17,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder._runtime.sizes import size_of
 from orbitfinder.continuation.follow import zero
-from orbitfinder.errors import ConvergenceError
+from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.passages import located
 from orbitfinder.families.run import Interval, Sample
 from orbitfinder.integrate.dop853 import integrate_in
@@ -25,6 +25,7 @@ from orbitfinder.loops.continued import Curve, Solution, crossed
 from orbitfinder.loops.mesh import arc_mesh, arc_states
 from orbitfinder.mechanics.hybrid import Hybrid
 from orbitfinder.orbits.evidence import CHECKED
+from orbitfinder.records.family import Event
 
 LOOKS = 48
 """Places of an arc at which guards are looked at, at least"""
@@ -32,8 +33,9 @@ LEAST = 1e-9
 """A margin below this in size is 0: what is held at an impact starts and ends there"""
 CLOSE = 1e-2
 """A peak this near to 0 is integrated to, and not read from a cubic"""
-TOGETHER = 1e-6
-"""Share of a step within which what must hold is lost because of a guard"""
+FIRST = {"share": 0, "rate": 1, "allowed": 1, "guard": 1}
+"""Which of margins that are lost together is to blame: beside an arc that vanishes the others jump or go like a square
+root, and what must hold is lost because of a guard"""
 ABSENT = 1.0
 """The margin of what is nowhere near"""
 
@@ -52,64 +54,66 @@ Margins = dict[tuple[int, str, str], Margin]
 """By arc, name and which"""
 
 
-def broken(curve: Curve, found: Solution) -> Margin | None:
+def broken(curve: Curve, solution: Solution) -> Margin | None:
     """The margin that an orbit has lost most of, if any: then it does not go through its cycle."""
-    lost = [one for one in margins(curve, found).values() if one.value < -LEAST]
-    return min(lost, key=lambda one: one.value, default=None)
+    lost = [margin for margin in margins(curve, solution).values() if margin.value < -LEAST]
+    return min(lost, key=lambda margin: margin.value, default=None)
 
 
-def checked_cycle(curve: Curve, found: Solution) -> Solution:
+def checked_cycle(curve: Curve, solution: Solution) -> Solution:
     """The same orbit. Raises `ConvergenceError` where it does not go through its cycle."""
-    lost = broken(curve, found) if curve.equations.links else None
+    lost = broken(curve, solution) if curve.equations.links else None
     if lost is not None:
         raise ConvergenceError(f"the cycle of events changes: {lost.what}")
-    return found
+    return solution
 
 
 def first_lost(interval: Interval) -> tuple[Sample, Margin] | None:
     """The first orbit of an interval at which a margin is 0, with that margin, where one is lost at its end."""
-    lost = {key: one for key, one in margins(interval.curve, interval.last.found).items() if one.value < -LEAST}
-    found = [(located(interval, partial(_value, interval.curve, key), 0.0, interval.length), key) for key in lost]
-    if not found:
+    ahead = margins(interval.curve, interval.last.solution)
+    lost = {key: margin for key, margin in ahead.items() if margin.value < -LEAST}
+    zeros = [(located(interval, partial(_value, interval.curve, key), 0.0, interval.length), key) for key in lost]
+    if not zeros:
         return None
-    nearest = min(sample.distance for sample, _ in found) + TOGETHER * interval.length
-    first = [(sample, key) for sample, key in found if sample.distance <= nearest]
-    # beside an arc that vanishes the other margins jump or go like a square root
-    sample, key = min(first, key=lambda one: (lost[one[1]].kind == "holds", one[1][2] != "share"))
-    if crossed(interval.curve, sample.found):  # the rows there tell neither family's tangent
+    # share of a step within which what must hold is lost because of a guard
+    nearest = min(sample.distance for sample, _ in zeros) + 1e-6 * interval.length
+    first = [(sample, key) for sample, key in zeros if sample.distance <= nearest]
+    sample, key = min(first, key=lambda pair: FIRST.get(pair[1][2], len(FIRST)))
+    if crossed(interval.curve, sample.solution):  # the rows there tell neither family's tangent
         sample = replace(sample, whole=interval.heading(sample.distance))
     return sample, lost[key]
 
 
 def _value(curve: Curve, key: tuple[int, str, str], sample: Sample) -> float:
-    one = margins(curve, sample.found).get(key)
-    return ABSENT if one is None else one.value
+    margin = margins(curve, sample.solution).get(key)
+    return ABSENT if margin is None else margin.value
 
 
-def margins(curve: Curve, found: Solution) -> Margins:
+def margins(curve: Curve, solution: Solution) -> Margins:
     """Every margin of a hybrid orbit."""
     hybrid: Hybrid = curve.equations.model.hybrid
-    shares, known = curve.equations.links.shares(found.place.free), Margins()
+    shares, known = curve.equations.links.shares(solution.place.free), Margins()
     for k, (mode, ends) in enumerate(hybrid.arcs):
-        arc = _Arc(curve, found, k)
+        arc = _Arc(curve, solution, k)
         vanishing = f"mode {mode.name} before {ends.name} lasts no time"
         known[k, ends.name, "share"] = Margin("cycle_change", ends.name, float(shares[k]), vanishing)
-        for one in hybrid.leaving(mode.name):
-            watched = arc.watched(one.guard, one.direction)
-            reached = [(value, "grazing") for value in watched.peaks(one.allowed)]
-            if one is ends:
+        for event in hybrid.leaving(mode.name):
+            watched = arc.watched(event.guard, event.direction)
+            reached = [(value, "grazing") for value in watched.peaks(event.allowed)]
+            if event is ends:
                 rate = float(watched.rates[-1] / watched.range)
-                known[k, one.name, "rate"] = Margin("grazing", one.name, rate, f"{one.name} is only just reached")
-                if one.allowed is not None:
-                    counts = arc.watched(one.allowed, 1)
+                known[k, event.name, "rate"] = Margin("grazing", event.name, rate, f"{event.name} is only just reached")
+                if event.allowed is not None:
+                    counts = arc.watched(event.allowed, 1)
                     value = float(counts.heights[-1] / counts.range)
-                    known[k, one.name, "allowed"] = Margin("cycle_change", one.name, value, f"{one.name} is ignored")
-            elif watched.below and (one.allowed is None or arc.watched(one.allowed, 1).heights[-1] > 0):
+                    ignored = f"{event.name} is ignored"
+                    known[k, event.name, "allowed"] = Margin("cycle_change", event.name, value, ignored)
+            elif watched.below and (event.allowed is None or arc.watched(event.allowed, 1).heights[-1] > 0):
                 reached.append((-float(watched.heights[-1] / watched.range), "cycle_change"))
             if reached:
                 value, kind = min(reached)
-                what = f"{one.name} comes before {ends.name} in mode {mode.name}"
-                known[k, one.name, "guard"] = Margin(kind, one.name, value, what)
+                what = f"{event.name} comes before {ends.name} in mode {mode.name}"
+                known[k, event.name, "guard"] = Margin(kind, event.name, value, what)
         for name, held in mode.holds.items():
             watched = arc.watched(held, -1)
             ends_at = {f"holds {j}": -float(watched.heights[j] / watched.range) for j in (0, -1)}
@@ -122,14 +126,28 @@ def margins(curve: Curve, found: Solution) -> Margins:
     return known
 
 
+def margins_called(curve: Curve, solution: Solution, event: Event) -> Margins:
+    """The margins of a hybrid orbit that may be an event's."""
+    known = margins(curve, solution)
+    return {key: margin for key, margin in known.items() if (margin.kind, margin.name) == (event.kind, event.detail)}
+
+
+def nearest_margin(curve: Curve, solution: Solution, event: Event) -> tuple[int, str, str]:
+    """Which margin is 0 at an event. Raises `InputError` where it cannot be told."""
+    known = margins_called(curve, solution, event)
+    if not known:
+        raise InputError(f"event: what is grazed there ({event.detail}) cannot be told; continue the family again")
+    return min(known, key=lambda key: abs(known[key].value))
+
+
 class _Arc:
     """States (k x d) and rates along an arc of an orbit, at equal shares of it where its mesh is coarser."""
 
-    def __init__(self, curve: Curve, found: Solution, k: int) -> None:
-        place, arcs = found.place, curve.equations.links.count
+    def __init__(self, curve: Curve, solution: Solution, k: int) -> None:
+        place, arcs = solution.place, curve.equations.links.count
         self.curve, self.march, self.place = curve, curve.equations.march.arcs[k], place
         self.mesh = arc_mesh(place, arcs, k) * place.period / arcs
-        self.known = arc_states(found, arcs, k)
+        self.known = arc_states(solution, arcs, k)
         slopes = self.march.rates(self.known, place.tail)
         self.times, self.states, self.slopes = self.mesh, self.known, slopes
         if self.mesh.size <= LOOKS:
@@ -200,7 +218,7 @@ class _Watched:
         top = float(cubic(moment))
         if abs(top) > CLOSE * self.range:
             return top, moment
-        climbs = [self._climb(float(one)) for one in times]
+        climbs = [self._climb(float(time)) for time in times]
         if climbs[0] > 0 > climbs[1]:
             moment = zero(self._climb, times[0], times[1], 1e-10 * (times[1] - times[0]))
         return self.direction * float(self._read(self.function, moment)[0]), moment

@@ -4,13 +4,12 @@ All three are gone round by the certificate's integrator and formulation (`orbit
 regular where the event is: the product of level - root over all roots, which are stability indices kappa = mu + 1/mu
 where multipliers come in pairs (mu itself moves like a square root there), else multipliers; the squared distance of
 two indices; the product of a pair less 1; what is extremal; a margin of a hybrid cycle. It must vanish at the event, to
-`SHARP` of a step, and change its sign across it; a kind may ask for more. What has no entry in `KINDS` is no event.
+`SHARP` of a step, and change its sign across it; a kind may ask for more. Which check is whose stands in `kinds`.
 """
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import SimpleNamespace
@@ -19,56 +18,43 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.families.changes import margins
-from orbitfinder.families.codimension_two import is_centre, tests
+from orbitfinder.errors import ConvergenceError
+from orbitfinder.families.changes import margins_called
+from orbitfinder.families.codimension_two import is_centre
 from orbitfinder.families.critical import Critical, discriminant, levelled, torus_pair
 from orbitfinder.families.doubling import bending
-from orbitfinder.families.events import extrema
 from orbitfinder.families.motion import parameters_at
-from orbitfinder.families.passages import Test, index_levels, multiplier_levels
-from orbitfinder.families.point import freed, parameter_value, shift_at, unknowns_of
-from orbitfinder.families.run import Interval
-from orbitfinder.families.start import fitted
+from orbitfinder.families.passages import index_levels, multiplier_levels
+from orbitfinder.families.point import freed, parameter_value, shift_at
+from orbitfinder.families.registry import KINDS
 from orbitfinder.integrate.dop853 import ReferenceSettings
-from orbitfinder.integrate.march import uniform
-from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, plane, scaled, tangent
+from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.symmetry import turned
 from orbitfinder.loops.watch import arcs, numbers, unsure
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.orbits.evidence import COARSER, VARIED, Tour, tour
 from orbitfinder.orbits.floquet import ERROR_FLOOR, analyse, judged
-from orbitfinder.orbits.hybrid import PATIENCE, cycle_from, hybrid_tour, retraced
-from orbitfinder.records.family import CLOSURE, UNKNOWN, Batch, Event, FamilyPoint, Reading
+from orbitfinder.orbits.hybrid import hybrid_tour, retraced
+from orbitfinder.records.family import CLOSURE, UNKNOWN, Event, Reading
 
-SHARES = ((3e-3, 0), (3e-4, 0), (5e-2, 1))
-"""How far the orbits on both sides are, in steps of the family, and whether there are others twice as far: the nearer
-ones where two events share a step, the farthest where a parameter hardly moves, as in a canard"""
 SHARP = 1e-5
 """An event is this near to where its definition holds, in steps of the family"""
 DOUBTFUL = 4e-5
 """... and what is read there is known this well"""
-ASIDE = 0.03
-"""A cusp goes this little across the direction in which it turns, relative to its bend"""
 DRAWS, SAFETY = 3, 10.0
 """Errors of the size of the integration's with which the map is read again, and what their largest is multiplied by"""
 ALIKE = 1e-6
 """Multipliers nearer than this are one"""
-CROSSED = 1e-4
-"""Singular value, relative to the next, below which the rows leave two directions"""
-STEPS = 480
-"""Steps of a period on which an orbit is marched of which the nodes are not known"""
-MOST_ORDER = 100
 
-Measure = Callable[["Look"], float]
+Measure = Callable[["Probe"], float]
 
 
 @dataclass(frozen=True)
-class Look:
+class Probe:
     """An orbit of a family and what the certificate's integrator reads there."""
 
     curve: Curve
-    found: Solution
+    solution: Solution
 
     @cached_property
     def tour(self) -> Tour:
@@ -76,12 +62,12 @@ class Look:
         return _known(self._round(VARIED))
 
     def _round(self, varied: ReferenceSettings) -> Tour:
-        p, w = self.curve.equations, self.found.place
+        p, w = self.curve.equations, self.solution.place
         turns = turned(p.model, np.array(self.curve.turns), shift_at(self.curve, w))
         model = with_parameters(p.model, freed(self.curve, w))
         if p.links:
             return hybrid_tour(model, w.nodes[0], w.period, turns)
-        beside = p.symmetry.whole(w.mesh, self.found.march.states, self.curve.constant)
+        beside = p.symmetry.whole(w.mesh, self.solution.march.states, self.curve.constant)
         return tour(model, w.nodes[0], w.period, turns, p.symmetry.forward, beside, varied)
 
     @cached_property
@@ -133,7 +119,7 @@ class Look:
         """The energy, the period, a momentum, a parameter, or a watched number of the motion gone round."""
         if name in self.curve.watch:
             return self.watched[name]
-        return parameter_value(self.curve, self.found.place, name)
+        return parameter_value(self.curve, self.solution.place, name)
 
     @cached_property
     def watched(self) -> dict[str, float]:
@@ -144,23 +130,23 @@ class Look:
     def unsure(self) -> dict[str, float]:
         """How well they are known: by motions as wrong as an orbit may be, and with half as many samples."""
         times, states = self.tour.motion
-        few = np.concatenate([np.union1d(range(one.start, one.stop, 2), one.stop - 1) for one in arcs(times)])
-        parameters, half = parameters_at(self.curve, self.found.place), self._numbers(times[few], states[few])
+        few = np.concatenate([np.union1d(range(arc.start, arc.stop, 2), arc.stop - 1) for arc in arcs(times)])
+        parameters, half = parameters_at(self.curve, self.solution.place), self._numbers(times[few], states[few])
         wrong = unsure(self.curve.watch, times, states, parameters, CLOSURE + self.tour.closes.gap)
         return {name: abs(half[name] - value) + SAFETY * wrong[name] for name, value in self.watched.items()}
 
     def _numbers(self, times: np.ndarray, states: np.ndarray) -> dict[str, float]:
-        return numbers(self.curve.watch, times, states, parameters_at(self.curve, self.found.place))
+        return numbers(self.curve.watch, times, states, parameters_at(self.curve, self.solution.place))
 
 
-def _known(found: Tour) -> Tour:
-    closes = found.closes
+def _known(lap: Tour) -> Tour:
+    closes = lap.closes
     if not closes.amplification <= UNKNOWN or not closes.gap <= CLOSURE * closes.amplification:
         raise ConvergenceError(
             f"the orbit closes to {closes.gap:.2g} where errors grow {closes.amplification:.3g} times, which is too "
             "little to tell multipliers"
         )
-    return found
+    return lap
 
 
 @dataclass(frozen=True)
@@ -170,13 +156,13 @@ class Sides:
     `middle` is the event's orbit corrected as those on the sides are, so that its quantities compare with theirs.
     """
 
-    before: Look
-    here: Look
-    middle: Look
-    after: Look
+    before: Probe
+    here: Probe
+    middle: Probe
+    after: Probe
     apart: float
     step: float
-    outer: Sequence[Look] = ()
+    outer: Sequence[Probe] = ()
     """the orbits twice as far on both sides, where a parabola through the nearer ones is not enough"""
 
     def zero(self, measure: Measure, sharp: bool = True) -> Reading:
@@ -203,15 +189,15 @@ class Sides:
         """
         low, middle, high = self.values(name)
         bent, size = high - 2 * middle + low, max(abs(low), abs(high))
-        own, *beside = (one.tour.closes for one in (self.here, self.before, self.after))
-        known = own.gap / own.amplification + max(one.distance for one in beside)
+        own, *beside = (probe.tour.closes for probe in (self.here, self.before, self.after))
+        known = own.gap / own.amplification + max(closes.distance for closes in beside)
         off = size * (4 * np.finfo(float).eps + known) + abs(self.here.value(name) - middle)
         if not (low - middle) * (high - middle) > 0:
             return Reading(1.0, SHARP, False)
         scale = self.apart / (self.step * abs(bent))
         rise, noise = 0.5 * (high - low), off * scale
         if self.outer:
-            first, last = (one.value(name) for one in self.outer)
+            first, last = (probe.value(name) for probe in self.outer)
             rise, noise = (8 * (high - low) - (last - first)) / 12, 1.5 * noise
         value = -rise * scale * float(np.sign(bent))
         error = noise + SHARP
@@ -224,26 +210,26 @@ class Sides:
         return bool(min(low - middle, high - middle) > known or max(low - middle, high - middle) < -known)
 
 
-def _as(look: Look, about: Any) -> Look:
+def _as(look: Probe, about: Any) -> Probe:
     """The same orbit with another map."""
-    found = replace(look)
-    found.__dict__["about"] = about
-    return found
+    other = replace(look)
+    other.__dict__["about"] = about
+    return other
 
 
 def _level(level: float) -> Measure:
     return lambda look: levelled(look.about.roots, level)
 
 
-def _passage(sides: Sides, event: Event) -> Reading:
+def check_passage(sides: Sides, event: Event) -> Reading:
     """A root at the level that the recorded multiplier stands for, of this kind and order and no other."""
-    here, told = sides.here.about, (event.kind, event.order)
-    most = min(max(event.order, 3), MOST_ORDER)
+    here, told = sides.here.about, (event.kind, event.detail, event.order)
+    most = min(max(event.order, 3), 100)
     known = index_levels(here.root, most) if here.conservative else multiplier_levels(here.root)
-    levels = [one for one, *kind, mu in known if tuple(kind) == told and abs(mu - event.multiplier) < ALIKE]
-    if not levels or event.detail != (f"q = {event.order}" if event.kind == "resonance" else ""):
+    levels = [level for level, *kind, mu in known if tuple(kind) == told and abs(mu - event.multiplier) < ALIKE]
+    if not levels:
         raise ConvergenceError(f"its multiplier {event.multiplier:.6g} and order {event.order} are of another kind")
-    if event.kind == "branch_point" and event.multiplier.real > 0 and sides.turns(_parameter(sides.here.curve)):
+    if KINDS[event.kind].crosses and event.multiplier.real > 0 and sides.turns(_parameter(sides.here.curve)):
         raise ConvergenceError("the family turns there, so that nothing else leads through it")
     return sides.zero(_level(levels[0]))
 
@@ -253,7 +239,7 @@ def _parameter(curve: Curve) -> str:
     return next(iter(curve.equations.physical), "energy")
 
 
-def _fold(sides: Sides, event: Event) -> Reading:
+def check_fold(sides: Sides, event: Event) -> Reading:
     """A multiplier at +1, and the parameter turns."""
     if event.detail not in ("energy", *sides.here.curve.equations.physical):
         raise ConvergenceError(f"{event.detail or 'nothing'} is no parameter that folds")
@@ -262,19 +248,20 @@ def _fold(sides: Sides, event: Event) -> Reading:
 
 def _turned(sides: Sides, parameter: str) -> Reading:
     """A root at the level of mu = 1, which is sharp by the turn of a parameter if not by itself."""
-    found = sides.zero(_level(2.0 if sides.here.about.conservative else 1.0), sharp=False)
-    return replace(found, passed=found.passed and sides.turning(parameter).passed)
+    passage = sides.zero(_level(2.0 if sides.here.about.conservative else 1.0), sharp=False)
+    return replace(passage, passed=passage.passed and sides.turning(parameter).passed)
 
 
-def _turn(sides: Sides, event: Event) -> Reading:
+def check_turn(sides: Sides, event: Event) -> Reading:
     """The period, or a momentum, is extremal."""
     model = sides.here.curve.equations.model
-    if event.detail not in ("period", *sides.here.curve.equations.physical, *(one.name for one in model.invariants)):
+    momenta = (invariant.name for invariant in model.invariants)
+    if event.detail not in ("period", *sides.here.curve.equations.physical, *momenta):
         raise ConvergenceError(f"{event.detail or 'nothing'} is not known to turn")
     return sides.turning(event.detail)
 
 
-def _watched(sides: Sides, event: Event) -> Reading:
+def check_watched(sides: Sides, event: Event) -> Reading:
     """A watched number is extremal."""
     check_known(sides.here.curve, event.detail)
     return sides.turning(event.detail)
@@ -286,11 +273,11 @@ def check_known(curve: Curve, name: str) -> None:
         raise ConvergenceError(f"watch.{name} is not known; state it as text, a function of Python goes into no file")
 
 
-def _pair(look: Look) -> float:
+def _pair(look: Probe) -> float:
     return torus_pair(look.about.roots)[0] - 1.0
 
 
-def _torus(sides: Sides, event: Event) -> Reading:
+def check_torus(sides: Sides, event: Event) -> Reading:
     """A complex pair on the unit circle."""
     about = sides.here.about
     if about.conservative or not abs(sum_ := torus_pair(about.roots)[1]) < 2.0:
@@ -300,221 +287,101 @@ def _torus(sides: Sides, event: Event) -> Reading:
     return sides.zero(_pair)
 
 
-def _meeting(look: Look) -> float:
+def _meeting(look: Probe) -> float:
     return discriminant(look.about.roots) / (1.0 + float(np.abs(look.about.roots).min()) ** 2)
 
 
-def _collision(sides: Sides, event: Event) -> Reading:
+def check_collision(sides: Sides, event: Event) -> Reading:
     """Two stability indices are one, real on one side and complex on the other."""
     if not sides.here.about.conservative or (event.detail, event.order) != ("", 1):
         raise ConvergenceError(event.detail or "two stability indices do not meet there")
     return sides.zero(_meeting)
 
 
-def _stability(sides: Sides, event: Event) -> Reading:
+def check_stability(sides: Sides, event: Event) -> Reading:
     """What makes a verdict change is at 0, and the verdict is another on the two sides.
 
     Beside a fold the multipliers may leave the unit circle by less than any verdict asks for: on which side of its
     level the root is that passes it tells there what the orbits are.
     """
     about = sides.here.about
-    one = 2.0 if about.conservative else 1.0
-    known = [(sides.zero(_level(level)), level) for level in (one, -one)]
-    known.append((_turned(sides, _parameter(sides.here.curve)), one))
+    unit = 2.0 if about.conservative else 1.0
+    known = [(sides.zero(_level(level)), level) for level in (unit, -unit)]
+    known.append((_turned(sides, _parameter(sides.here.curve)), unit))
     if about.conservative and about.roots.size > 1:
         known.append((sides.zero(_meeting), 0.0))
     if not about.conservative and np.any(np.abs(about.roots.imag) > ALIKE):
         known.append((sides.zero(_pair), 0.0))
-    found, level = min(known, key=lambda one: (not one[0].passed, abs(one[0].value)))
+    nearest, level = min(known, key=lambda pair: (not pair[0].passed, abs(pair[0].value)))
     looks, told = (sides.before, sides.after), {"becomes stable": (True, False), "becomes unstable": (False, True)}
-    verdicts = [tuple(one.unstable for one in looks), tuple(one.beyond(level) for one in looks if level)]
+    verdicts = [tuple(probe.unstable for probe in looks), tuple(probe.beyond(level) for probe in looks if level)]
     if told.get(event.detail) not in verdicts:
         raise ConvergenceError("the orbits on its two sides are as stable or unstable as each other")
-    return found
+    return nearest
 
 
-def _margin(sides: Sides, event: Event) -> Reading:
+def check_margin(sides: Sides, event: Event) -> Reading:
     """A margin of a hybrid cycle, along the arcs as the automaton integrates them."""
 
-    def every(look: Look) -> dict[tuple[int, str, str], float]:
-        known = margins(look.curve, retraced(look.curve.equations, look.found))
-        return {key: one.value for key, one in known.items() if (one.kind, one.name) == (event.kind, event.detail)}
+    def every(look: Probe) -> dict[tuple[int, str, str], float]:
+        known = margins_called(look.curve, retraced(look.curve.equations, look.solution), event)
+        return {key: margin.value for key, margin in known.items()}
 
     here = every(sides.here) if sides.here.curve.equations.links else {}
     if not here:
         raise ConvergenceError(f"{event.detail} is nowhere near")
-    key = min(here, key=lambda one: abs(here[one]))
+    key = min(here, key=lambda which: abs(here[which]))
     return sides.zero(lambda look: every(look).get(key, np.nan))
 
 
-def _second(sides: Sides, event: Event) -> Reading:
+def check_second(sides: Sides, event: Event) -> Reading:
     """On a curve of bifurcations in two parameters, what else vanishes."""
-    curve = sides.here.curve
-    assert isinstance(curve.test, Critical)
-    if event.kind == "degenerate_doubling":
-        return sides.zero(lambda look: bending(look.curve, look.found))
-    for one in tests(curve.test, sides.here.about):
-        told = (one.kind, one.detail, one.order) == (event.kind, event.detail, event.order)
-        if told and abs(one.multiplier - event.multiplier) < ALIKE:
-            return sides.zero(one.measure)  # type: ignore[arg-type]
+    critical = sides.here.curve.test
+    assert isinstance(critical, Critical)
+    for test in critical.followed.tests(critical, sides.here.about):
+        told = (test.kind, test.detail, test.order) == (event.kind, event.detail, event.order)
+        if told and abs(test.multiplier - event.multiplier) < ALIKE:
+            return sides.zero(test.measure)  # type: ignore[arg-type]
     raise ConvergenceError("nothing of this kind happens along such a curve")
+
+
+def check_bending(sides: Sides, _: Event) -> Reading:
+    """On a curve of doublings in two parameters, where the doubled orbit is born to neither side."""
+    return sides.zero(lambda look: bending(look.curve, look.solution))
 
 
 def _folds_of(sides: Sides) -> tuple[str, str]:
     """The two parameters of a curve of folds."""
     test = sides.here.curve.test
     assert isinstance(test, Critical)
-    if test.kind != "fold":
+    if not KINDS[test.kind].extremal:
         raise ConvergenceError("no curve of folds turns there")
     return test.parameters
 
 
-def _extremal(sides: Sides, event: Event) -> Reading:
+def check_extremal(centre: bool, sides: Sides, event: Event) -> Reading:
     """On a curve of folds in two parameters, where the one that folds turns."""
     curve = sides.here.curve
     if event.detail not in _folds_of(sides):
         raise ConvergenceError("no curve of folds turns there")
     low, middle, high = sides.values(event.detail)
-    if is_centre(curve, sides.here.found.place, event.detail, low + high - 2 * middle) != (
-        event.kind == "isola_centre"
-    ):
+    if is_centre(curve, sides.here.solution.place, event.detail, low + high - 2 * middle) != centre:
         raise ConvergenceError("the surface of orbits is bent the other way")
     return sides.turning(event.detail)
 
 
-def _cusp(sides: Sides, _: Event) -> Reading:
+def check_cusp(sides: Sides, _: Event) -> Reading:
     """Where a curve of folds stops in the plane of its parameters: it turns in one direction, and has none across."""
     names, model = _folds_of(sides), sides.here.curve.equations.physical
-    sizes = np.array([sides.here.curve.scales.free[model.index(one)] if one in model else 1.0 for one in names])
-    low, middle, high = np.array([sides.values(one) for one in names]).T / sizes
+    sizes = np.array([sides.here.curve.scales.free[model.index(name)] if name in model else 1.0 for name in names])
+    low, middle, high = np.array([sides.values(name) for name in names]).T / sizes
     bent, across = high - 2 * middle + low, high - low
     scale = sides.apart / (sides.step * nonzero(float(np.linalg.norm(bent))))
     along = bent / nonzero(float(np.linalg.norm(bent)))
     value, aside = -0.5 * float(across @ along) * scale, across - (across @ along) * along
-    known = 4 * np.finfo(float).eps + max(one.tour.closes.distance for one in (sides.before, sides.here, sides.after))
+    probes = (sides.before, sides.here, sides.after)
+    known = 4 * np.finfo(float).eps + max(probe.tour.closes.distance for probe in probes)
     error = SHARP + float(np.abs([low, high]).max()) * known * scale
-    straight = 0.5 * float(np.linalg.norm(aside)) * scale < ASIDE
+    # a cusp goes this little across the direction in which it turns, relative to its bend
+    straight = 0.5 * float(np.linalg.norm(aside)) * scale < 0.03
     return Reading(value, error, bool(abs(value) <= error < DOUBTFUL and straight))
-
-
-@dataclass(frozen=True)
-class Kind:
-    """A kind of event: what its `check` says at its orbit, and what else is done with it.
-
-    `extremal`: something turns there. `branches`: other families leave there (`of.switch_branch`). `followed`: a curve
-    in two parameters leads through it (`of.follow_curve`). `second`: it is met on such curves only. `test`: what
-    vanishes there within a step, of kinds that are looked for alone.
-    """
-
-    check: Callable[[Sides, Event], Reading]
-    extremal: bool = False
-    branches: bool = False
-    followed: bool = False
-    second: bool = False
-    test: Callable[[Interval], Iterable[Test]] | None = None
-
-
-KINDS = {
-    "fold": Kind(_fold, extremal=True, followed=True),
-    "turn": Kind(_turn, extremal=True),
-    "extremum": Kind(_watched, extremal=True, test=extrema),
-    "branch_point": Kind(_passage, branches=True, followed=True),
-    "period_doubling": Kind(_passage, branches=True, followed=True),
-    "resonance": Kind(_passage, branches=True, followed=True),
-    "torus": Kind(_torus, followed=True),
-    "collision": Kind(_collision, followed=True),
-    "stability_change": Kind(_stability),
-    "grazing": Kind(_margin, followed=True),
-    **dict.fromkeys(("cycle_change", "holds"), Kind(_margin)),
-    **dict.fromkeys(("strong_resonance", "fold_doubling", "fold_torus", "doubling_torus", "degenerate_doubling"),
-                    Kind(_second, second=True)),
-    "cusp": Kind(_cusp, second=True),
-    **dict.fromkeys(("isola_centre", "transcritical"), Kind(_extremal, second=True)),
-}  # fmt: skip
-"""Every kind of event; what is not here cannot be recorded"""
-
-
-def reading(curve: Curve, event: Event, along: np.ndarray, step: float) -> Reading:
-    """What the check of an event says; `along` (head) is the way the family goes there, `step` the arclength of a step.
-
-    Raises `ConvergenceError` where it is not known well enough, or its definition is contradicted.
-    """
-    kind = KINDS.get(event.kind)
-    if kind is None or kind.second == (curve.test is None):
-        raise ConvergenceError(f"a {event.kind} has no check on such a family")
-    found = settled_on(curve, event)
-    curve = curve.measured(found)
-    whole = _heading(curve, found, along)
-    here, said = Look(curve, found), ConvergenceError("no orbits beside it")
-    result = None
-    for share, outer in SHARES:
-        try:
-            looks = [
-                Look(curve, correct(curve, advanced(found.place, whole, d), plane(curve, found.place, whole, d),
-                                    found.place, 0.5 * step))
-                for d in step * share * np.array([-2, -1, 0, 1, 2] if outer else [-1, 0, 1])
-            ]  # fmt: skip
-            before, middle, after = looks[outer : len(looks) - outer]
-            sides = Sides(before, here, middle, after, share * step, step, looks[:: len(looks) - 1] if outer else ())
-            result = kind.check(sides, event)
-        except (ConvergenceError, IntegrationError) as error:
-            said = ConvergenceError(str(error))
-            continue
-        if result.passed:
-            return result
-    if result is None:
-        raise said
-    return result
-
-
-def settled_on(curve: Curve, event: Event | FamilyPoint) -> Solution:
-    """The orbit of a point or event on the mesh that it was found on, or on one made for it from its state alone."""
-    if event.mesh.size:
-        return at_place(curve, unknowns_of(curve, event))
-    arcs = curve.equations.links.count if curve.equations.links else 1
-    mesh = uniform(curve.equations.symmetry.fraction, arcs, STEPS // arcs)
-    nodes = _starts(curve, event, arcs)
-    return at_place(curve, fitted(curve, unknowns_of(curve, replace(event, shooting_nodes=nodes, mesh=mesh))))
-
-
-def _starts(curve: Curve, event: Event | FamilyPoint, arcs: int) -> np.ndarray:
-    """Where the arcs of an event's orbit begin (arcs x d)."""
-    if arcs == 1:
-        return event.state[None]
-    model = with_parameters(curve.equations.model, event.free)
-    return np.array([one.states[0] for one in cycle_from(model, event.state, longest=PATIENCE * event.period)])
-
-
-def _heading(curve: Curve, found: Solution, along: np.ndarray) -> np.ndarray:
-    """The family's direction (over w) at an orbit: where another one crosses there, the nearest to `along` (head)."""
-    if curve.test is not None:
-        return tangent(curve, found, along)
-    matrix, units = scaled(curve, found)
-    _, sizes, rows = np.linalg.svd(matrix)
-    crossed = sizes[-1] < CROSSED * sizes[-2:][0]
-    left = units * rows[-2 if crossed else -1 :]
-    sizes = np.concatenate([curve.scales.states, [curve.scales.period], curve.scales.free])
-    heads = np.array([found.place.head_of(one) / sizes for one in left])
-    whole = np.linalg.lstsq(heads.T, along / sizes, rcond=None)[0] @ left
-    return np.asarray(whole / np.sqrt(curve.scales.metric(found.place) @ whole**2))
-
-
-def checked(curve: Curve, batch: Batch, step: float) -> Batch:
-    """A step of a family with those of its events that are what they are called; the log says what the others are."""
-    return replace(batch, events=tuple(_kept(curve, batch.events, step)))
-
-
-def _kept(curve: Curve, events: Sequence[Event], step: float) -> Iterator[Event]:
-    for event in events:
-        try:
-            found = reading(curve, event, event.tangent, step)
-            what = f"{found.value:.2g} where {found.error:.2g} is known"
-        except (ConvergenceError, IntegrationError) as error:
-            found, what = None, str(error)
-        if found is not None and found.passed:
-            yield replace(event, check=found)
-        else:
-            logging.getLogger(__name__).warning(
-                "%s %s was seen at %.12g and is none: %s", "an" if event.kind[0] in "ei" else "a",
-                event.kind.replace("_", " "), event.parameter, what,
-            )  # fmt: skip

@@ -1,12 +1,4 @@
-"""Points of codimension two on a curve of bifurcations: found between two of its points, located and named.
-
-cusp                two folds meet: the curve stops in the plane of the two parameters and turns back
-isola_centre        a fold's parameter is extremal: an isola shrinks to a point (transcritical: two families cross)
-strong_resonance    1:1 to 1:4, the critical multipliers of a torus or of a collision; a second one at +1 or -1
-fold_doubling       one multiplier at +1 and another at -1
-fold_torus, doubling_torus  one at +1 or -1 beside the pair of a torus
-degenerate_doubling the orbit of twice the period is born to the other side from there on: its family folds nearby
-"""
+"""Points of codimension two on a curve of bifurcations: located between two of its points and named (see `kinds`)."""
 
 from __future__ import annotations
 
@@ -19,10 +11,11 @@ import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.families.critical import REAL, Critical, doubled, levelled, nearest_pair, torus_pair
-from orbitfinder.families.doubling import bending, can_bend
+from orbitfinder.families.doubling import bending
 from orbitfinder.families.events import slope
 from orbitfinder.families.passages import Measure, Test, zeros
 from orbitfinder.families.point import parameter_value
+from orbitfinder.families.registry import KINDS
 from orbitfinder.families.run import Interval, Sample
 from orbitfinder.families.stability import Spectrum
 from orbitfinder.loops.conditions import pinned
@@ -38,24 +31,18 @@ ASIDE = 1e-3
 
 def find_special(interval: Interval) -> list[tuple[Sample, Test]]:
     """The points of codimension two between two points of a curve, each with the orbit there."""
-    wanted = [*tests(_critical(interval), interval.first.about)]
-    if can_bend(interval.curve) and not (first := interval.first.about).conservative and first.root == 1:
-        measure = partial(_bending, interval.curve)
-        wanted.append(Test("degenerate_doubling", "", measure, 2, -1.0 + 0.0j))
-    return [*_zeros(interval, wanted), *(_turns(interval) if _critical(interval).kind == "fold" else ())]
+    test = _critical(interval)
+    return [*_zeros(interval, test.followed.tests(test, interval.first.about)), *test.followed.special(interval)]
 
 
 def left_circle(curve: Curve, event: Event) -> End | None:
     """The end of a curve of tori, or of Krein collisions, whose multipliers become real: beyond are neutral saddles."""
-    test = curve.test
-    if not isinstance(test, Critical) or test.kind not in ("torus", "collision") or event.kind != "strong_resonance":
+    beyond = curve.test.followed.beyond if isinstance(curve.test, Critical) else ""
+    if not beyond or not KINDS[event.kind].leaves:
         return None
     if abs(event.multiplier.imag) > REAL:  # of a half period, it goes on round the circle
         return None
-    what = "a neutral saddle" if test.kind == "torus" else "real multipliers that meet"
-    return End(
-        "strong_resonance", f"the critical multipliers become real at a {event.detail} resonance; beyond is {what}"
-    )
+    return End(event.kind, f"the critical multipliers become real at a {event.detail} resonance; beyond is {beyond}")
 
 
 def _critical(interval: Interval) -> Critical:
@@ -66,56 +53,67 @@ def _critical(interval: Interval) -> Critical:
 
 def _zeros(interval: Interval, wanted: Iterable[Test]) -> Iterator[tuple[Sample, Test]]:
     for sample, test in zeros(interval, wanted):
-        ends = [test.measure(one) for one in (interval.first, interval.last)]
+        ends = [test.measure(end) for end in (interval.first, interval.last)]
         if abs(test.measure(sample)) < VANISHED * max(map(abs, ends)):
             yield sample, test
 
 
+def doublings_turn(interval: Interval) -> Iterator[tuple[Sample, Test]]:
+    """Where doublings degenerate: of whole periods without resets, of what dissipates."""
+    about, p = interval.first.about, interval.curve.equations
+    if not (p.links or about.conservative) and p.symmetry.fraction == 1 and about.root == 1:
+        measure = partial(_bending, interval.curve)
+        yield from _zeros(interval, [Test("degenerate_doubling", "", measure, 2, -1.0 + 0.0j)])
+
+
 def _bending(curve: Curve, sample: Sample) -> float:
-    return bending(curve, sample.found)
+    return bending(curve, sample.solution)
 
 
-def tests(one: Critical, about: Spectrum) -> Iterator[Test]:
-    """The tests of a curve that are read off its multipliers."""
-    if one.kind in ("torus", "collision"):
-        yield from _resonances(one, about.root)
+def beside_level(test: Critical, about: Spectrum) -> Iterator[Test]:
+    """The tests of a curve along which a root is at +1 or -1: what another root does."""
+    if about.reduced.shape[0] < 2:
         return
-    if one.margin is not None or one.kind == "resonance" or about.reduced.shape[0] < 2:
-        return
-    level = one.roots(about)[1]
+    level = test.roots(about)[1]
 
     def met(sample: Sample) -> float:
-        return doubled(*one.roots(sample.about))
+        return doubled(*test.roots(sample.about))
 
-    plus = one.multiplier.real > 0 and one.kind != "period_doubling"
-    yield Test("strong_resonance", "1:1" if plus or about.root == 2 else "1:2", met, one.order, one.multiplier)
-    other, mu = _opposite(one, about.root, about.conservative)
+    same = "1:1" if test.multiplier.real > 0 or about.root == 2 else "1:2"
+    yield Test("strong_resonance", same, met, test.order, test.multiplier)
+    other, mu = _opposite(test, about.root, about.conservative)
     if other is None or other == level:
         return
 
     def both(sample: Sample, other: float = other) -> float:
-        return levelled(one.roots(sample.about)[0], other)
+        return levelled(test.roots(sample.about)[0], other)
 
     yield Test("fold_doubling", "", both, 2, mu)
 
 
-def _opposite(one: Critical, root: int, conservative: bool) -> tuple[float | None, complex]:
+def _opposite(test: Critical, root: int, conservative: bool) -> tuple[float | None, complex]:
     """Where another index, or multiplier, makes a fold of a doubling or a doubling of a fold; its multiplier."""
     doubling = 1j if root == 2 else -1.0 + 0.0j
     if root == 2 and not conservative:
         return None, doubling
-    mu = 1.0 + 0.0j if one.kind == "period_doubling" else doubling
+    mu = 1.0 + 0.0j if test.order == 2 else doubling
     return (2.0 if conservative else 1.0) * mu.real, mu
 
 
-def _resonances(one: Critical, root: int) -> Iterator[Test]:
-    """The tests of a pair of multipliers that goes along the unit circle."""
+def along_circle(_: Critical, about: Spectrum) -> Iterator[Test]:
+    """The tests of a curve of tori: where the pair goes along the unit circle, and what another multiplier does."""
+    yield from _resonances(about.root, lambda sample: torus_pair(sample.about.multipliers)[1])
+    for kind, mu in (("fold_torus", 1.0), ("doubling_torus", -1.0)):
+        yield Test(kind, "", _beside(mu), 1 if mu > 0 else 2, complex(mu))
 
-    def total(sample: Sample) -> float:
-        if one.kind == "torus":
-            return torus_pair(sample.about.multipliers)[1]
-        return float(np.mean(nearest_pair(sample.indices)).real)
 
+def along_collisions(_: Critical, about: Spectrum) -> Iterator[Test]:
+    """The tests of a curve of collisions: where the two pairs that meet go along the unit circle."""
+    yield from _resonances(about.root, lambda sample: float(np.mean(nearest_pair(sample.indices)).real))
+
+
+def _resonances(root: int, total: Measure) -> Iterator[Test]:
+    """The strong resonances of a pair of multipliers on the unit circle whose sum is `total`."""
     for order in (1, 2, 3, 4):
         for k in range(order * root // 2 + 1):
             if gcd(k, order) == 1:
@@ -123,9 +121,6 @@ def _resonances(one: Critical, root: int) -> Iterator[Test]:
                 level = 2 * float(np.cos(angle))
                 name = f"1:{order}" if 0 < k < order * root / 2 or root == 1 else "1:1"
                 yield Test("strong_resonance", name, _less(total, level), order, complex(np.exp(1j * angle)))
-    if one.kind == "torus":
-        for kind, mu in (("fold_torus", 1.0), ("doubling_torus", -1.0)):
-            yield Test(kind, "", _beside(mu), 1 if mu > 0 else 2, complex(mu))
 
 
 def _less(measure: Measure, level: float) -> Measure:
@@ -136,12 +131,12 @@ def _beside(mu: float) -> Measure:
     return lambda sample: levelled(torus_pair(sample.about.multipliers)[2], mu)
 
 
-def _turns(interval: Interval) -> Iterator[tuple[Sample, Test]]:
+def folds_turn(interval: Interval) -> Iterator[tuple[Sample, Test]]:
     """Cusps, and places where the parameter that folds is extremal along a curve of folds."""
-    one = _critical(interval)
+    critical = _critical(interval)
 
     def slopes(sample: Sample) -> np.ndarray:
-        return np.array([sample.slopes[name] for name in one.parameters])
+        return np.array([sample.slopes[name] for name in critical.parameters])
 
     ends = np.array([slopes(sample) for sample in (interval.first, interval.last)])
     sizes = nonzero(np.abs(ends).max(axis=0))
@@ -152,10 +147,11 @@ def _turns(interval: Interval) -> Iterator[tuple[Sample, Test]]:
             if np.linalg.norm(slopes(sample) / sizes) < VANISHED * max(map(np.linalg.norm, ends)):
                 yield sample, test
         return
-    wanted = [Test("transcritical", one.detail, slope(one.detail))] if one.detail in one.parameters else []
+    folding = critical.detail
+    wanted = [Test("transcritical", folding, slope(folding))] if folding in critical.parameters else []
     for sample, test in _zeros(interval, wanted):
-        rising = interval.last.slopes[one.detail] - interval.first.slopes[one.detail]
-        centre = is_centre(interval.curve, sample.found.place, one.detail, rising)
+        rising = interval.last.slopes[folding] - interval.first.slopes[folding]
+        centre = is_centre(interval.curve, sample.solution.place, folding, rising)
         yield sample, replace(test, kind="isola_centre") if centre else test
 
 
@@ -168,10 +164,10 @@ def is_centre(curve: Curve, place: Unknowns, name: str, rising: float) -> bool:
     (other,) = {*curve.test.parameters} - {name}
     fixed = pinned(curve.equations, other, parameter_value(curve, place, other))
     family = replace(curve, test=None, degenerate=False, conditions=(*curve.conditions, fixed))
-    found, bent = at_place(family, place), 0.0
-    whole = kernel(family, found)
+    solution, bent = at_place(family, place), 0.0
+    whole = kernel(family, solution)
     for length in (-ASIDE, ASIDE):
         aim = plane(family, place, whole, length)
-        aside = correct(family, advanced(place, whole, length), aim, place, slope=found.jacobian)
+        aside = correct(family, advanced(place, whole, length), aim, place, slope=solution.jacobian)
         bent += parameter_value(curve, aside.place, name) - parameter_value(curve, place, name)
     return bent * rising > 0

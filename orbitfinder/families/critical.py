@@ -14,6 +14,7 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.changes import margins
+from orbitfinder.families.registry import FOLLOWED, Followed
 from orbitfinder.families.stability import Spectrum, keeps_pairs, reduced_map
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.orbits.floquet import reciprocal_pairs
@@ -38,26 +39,21 @@ class Critical:
     multiplier: complex = 1.0 + 0.0j
     margin: tuple[int, str, str] | None = None
 
-    def __call__(self, curve: Curve, found: Solution) -> float:
-        """The test at an orbit. Raises `ConvergenceError` where it has no value."""
-        if self.margin is not None:
-            known = margins(curve, found).get(self.margin)
-            if known is None:
-                raise ConvergenceError(f"what is grazed is no longer near {self.margin[1]}; take a smaller step")
-            return known.value
-        reduced = reduced_map(curve, found)[0]
-        roots = np.linalg.eigvals(reduced).astype(complex)
-        if self.kind == "torus":
-            return torus_pair(roots)[0] - 1.0
-        conservative = keeps_pairs(curve, reduced)
-        if conservative:
-            first, second = reciprocal_pairs(roots)
-            roots = roots[first] + roots[second]
-        return discriminant(roots) if self.kind == "collision" else levelled(roots, self.level(conservative))
+    def _check(self) -> None:
+        if self.kind not in FOLLOWED:
+            raise ValueError(f"kind: no curve leads along a {self.kind}")
+        if (self.margin is None) != (self.followed.margin is None):
+            raise ValueError(f"margin: does not go with a {self.kind}")
 
-    def neutral(self, curve: Curve, found: Solution) -> bool:
-        """Whether the pair of a torus is real: a neutral saddle."""
-        return abs(torus_pair(np.linalg.eigvals(reduced_map(curve, found)[0]).astype(complex))[1]) >= 2.0
+    @property
+    def followed(self) -> Followed:
+        """What the kind says of its curves."""
+        followed: Followed = FOLLOWED[self.kind]
+        return followed
+
+    def __call__(self, curve: Curve, orbit: Solution) -> float:
+        """The test at an orbit. Raises `ConvergenceError` where it has no value."""
+        return self.followed.vanishes(self, curve, orbit)
 
     def level(self, conservative: bool) -> float:
         """The value that a stability index, or a multiplier, has along the curve."""
@@ -66,6 +62,51 @@ class Critical:
     def roots(self, about: Spectrum) -> tuple[np.ndarray, float]:
         """Indices (conservative) or multipliers of an orbit, and the value that one of them has along the curve."""
         return about.indices if about.conservative else about.multipliers, self.level(about.conservative)
+
+
+def at_level(test: Critical, curve: Curve, orbit: Solution) -> float:
+    """A root has the value that it has along the curve."""
+    roots, conservative = _roots(curve, orbit)
+    return levelled(roots, test.level(conservative))
+
+
+def pair_at_circle(_: Critical, curve: Curve, orbit: Solution) -> float:
+    """The product of a pair is 1."""
+    return torus_pair(_multipliers(reduced_map(curve, orbit)[0]))[0] - 1.0
+
+
+def neutral(curve: Curve, orbit: Solution) -> str:
+    """Of a pair of product 1 that is real that it is no torus's."""
+    real = abs(torus_pair(_multipliers(reduced_map(curve, orbit)[0]))[1]) >= 2.0
+    return "two real multipliers of product 1, a neutral saddle and no torus" if real else ""
+
+
+def indices_meet(_: Critical, curve: Curve, orbit: Solution) -> float:
+    """Two stability indices are one."""
+    return discriminant(_roots(curve, orbit)[0])
+
+
+def grazed(test: Critical, curve: Curve, orbit: Solution) -> float:
+    """The margin of the curve."""
+    assert test.margin is not None
+    known = margins(curve, orbit).get(test.margin)
+    if known is None:
+        raise ConvergenceError(f"what is grazed is no longer near {test.margin[1]}; take a smaller step")
+    return known.value
+
+
+def _multipliers(reduced: np.ndarray) -> np.ndarray:
+    return np.linalg.eigvals(reduced).astype(complex)
+
+
+def _roots(curve: Curve, orbit: Solution) -> tuple[np.ndarray, bool]:
+    """Stability indices where multipliers come in pairs, as is said, else multipliers."""
+    reduced = reduced_map(curve, orbit)[0]
+    roots, conservative = _multipliers(reduced), keeps_pairs(curve, reduced)
+    if conservative:
+        first, second = reciprocal_pairs(roots)
+        roots = roots[first] + roots[second]
+    return roots, conservative
 
 
 def levelled(roots: np.ndarray, level: float) -> float:

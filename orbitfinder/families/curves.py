@@ -14,26 +14,18 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError, InputError, closest
 from orbitfinder.families.branches import Branch, described, opened, with_nodes
-from orbitfinder.families.changes import margins
-from orbitfinder.families.checks import KINDS
 from orbitfinder.families.critical import Critical
+from orbitfinder.families.entries import FOLLOWED, KINDS
 from orbitfinder.families.folder import Progress, follow_family, parameter_of
 from orbitfinder.families.point import FamilySettings, parameter_value, unknowns_of
 from orbitfinder.families.start import corrected, curve_of, released
 from orbitfinder.loops.conditions import pinned
-from orbitfinder.loops.continued import TESTED, Curve, Solution, at_place, scaled
+from orbitfinder.loops.continued import TESTED, Curve, at_place, scaled
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.symmetry import momenta_of
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Event, Family
-
-FOLLOWED = tuple(name for name, kind in KINDS.items() if kind.followed)
-LOST = 1e-6
-"""A singular value of the equations below this, relative to the next, is a rank lost at a branch point."""
-
-UNMOVED = 1e-7
-"""Change of a test, in units of the metric, below which neither parameter moves the bifurcation: that of round-off"""
 
 
 def follow_curve(
@@ -78,10 +70,10 @@ def follow_curve(
         >>> driven = of.systems.forced_duffing(frequency=1.4)
         >>> low = of.find_orbit(of.Problem(driven, of.Guess([-0.4, 0.0], 4.48799), name="low"))
         >>> resonance = of.follow_family(low, "frequency", until=1.1, points=80)
-        >>> fold = next(one for one in resonance.events if one.kind == "fold")
+        >>> fold = resonance.events[0]
         >>> curve = of.follow_curve(resonance, fold, ("force", "frequency"), points=2)
-        >>> curve.parameters, round(fold.parameter, 8)
-        (('force', 'frequency'), 1.77971952)
+        >>> curve.parameters, fold.kind, round(fold.parameter, 8)
+        (('force', 'frequency'), 'fold', 1.77971952)
     """
     start = curve_start(family, event, parameters, settings, model)
     return follow_family(
@@ -107,14 +99,17 @@ def curve_start(
     curve, place = _released(base, chosen, names, hold)
     sizes = np.linalg.svd(scaled(curve, at_place(curve, place))[0])[1]
     test = Critical(chosen.kind, names, chosen.detail, chosen.order, chosen.multiplier)
-    test = replace(test, margin=_grazed(curve, at_place(curve, place), chosen)) if chosen.kind == "grazing" else test
-    curve = replace(curve, test=test, degenerate=bool(sizes[-1] < LOST * sizes[-2]), watch=base.watch)
-    if test.kind == "branch_point" and test.multiplier.real > 0 and not curve.degenerate:
+    if margin := test.followed.margin:
+        test = replace(test, margin=margin(curve, at_place(curve, place), chosen))
+    # a singular value of the equations below this, relative to the next, is a rank lost at a branch point
+    curve = replace(curve, test=test, degenerate=bool(sizes[-1] < 1e-6 * sizes[-2]), watch=base.watch)
+    if KINDS[test.kind].crosses and test.multiplier.real > 0 and not curve.degenerate:
         raise InputError(
             f"event: the branch point {described(family, number)} lasts only while nothing disturbs it, and one of "
             f"{' and '.join(names)} does: folds leave from there; choose parameters that keep the symmetry"
         )
-    if np.linalg.norm(scaled(curve, at_place(curve, place))[0][-1]) * TESTED < UNMOVED:
+    # change of a test, in units of the metric, below which neither parameter moves the bifurcation: that of round-off
+    if np.linalg.norm(scaled(curve, at_place(curve, place))[0][-1]) * TESTED < 1e-7:
         raise InputError(
             f"parameters: the {described(family, number)} happens whatever {' and '.join(names)} are; give a "
             f"parameter that moves it, as {family.parameter} does"
@@ -126,11 +121,8 @@ def curve_start(
     except ConvergenceError as error:
         lasting = "; it need not persist where nothing keeps its symmetry" if curve.degenerate else ""
         raise ConvergenceError(f"event {number} of {family.name} ({chosen.kind}): {error}{lasting}") from error
-    if test.kind == "torus" and test.neutral(start.curve, start.found):
-        raise ConvergenceError(
-            f"event {number} of {family.name}: two real multipliers of product 1, a neutral saddle and no torus; "
-            "continue the family again"
-        )
+    if refused := test.followed.refused(start.curve, start.solution):
+        raise ConvergenceError(f"event {number} of {family.name}: {refused}; continue the family again")
     return Branch(start, family.name, chosen, number, 0, f"{family.name}-{number}-{'-'.join(names)}")
 
 
@@ -172,7 +164,7 @@ def _parameters(model: Model, names: Sequence[str]) -> tuple[str, str]:
 def _hold(base: Curve, family: Family, event: Event, names: tuple[str, str]) -> tuple[str, ...]:
     """What keeps its value along a conservative system's curve. `InputError` for folds that are no bifurcations."""
     held_period = family.curve.get("period") is not None
-    if event.kind == "fold" and (event.detail == "period" or held_period):
+    if KINDS[event.kind].extremal and (event.detail == "period" or held_period):
         raise InputError(
             f"event: at a fold of the {event.detail}{' at a fixed period' if held_period else ''} no multiplier is at "
             "+1, it is no bifurcation; choose a fold of the energy, or continue the family with the energy held"
@@ -192,13 +184,3 @@ def _released(base: Curve, event: Event, names: tuple[str, str], held: tuple[str
     fixed = {name: event.free[name] for name in old.physical if name not in free}
     equations = Equations(with_parameters(model, fixed), old.symmetry, free, action=True, alone=True)
     return released(base, unknowns_of(base, event), equations, held)
-
-
-def _grazed(curve: Curve, found: Solution, event: Event) -> tuple[int, str, str]:
-    """The margin that is 0 at an event."""
-    known = {
-        key: one for key, one in margins(curve, found).items() if one.kind == event.kind and key[1] == event.detail
-    }
-    if not known:
-        raise InputError(f"event: what is grazed there ({event.detail}) cannot be told; continue the family again")
-    return min(known, key=lambda key: abs(known[key].value))

@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.families.critical import Critical
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.orbits.closure import shift
@@ -24,28 +23,18 @@ from orbitfinder.orbits.floquet import complement
 
 STEP = 4e-3
 """Step of the differences, in the metric: of the third ones the round-off is some 1e-7 and the error too"""
-RETURNS = 6
-"""Newton steps to the section, each some digits more than the last"""
-ON_SECTION = 1e-15
-"""How near to the section is on it, in periods"""
 
 
-def can_bend(curve: Curve) -> bool:
-    """Whether a curve is one of doublings of which `bending` is told: of whole periods without resets."""
-    doubles = isinstance(curve.test, Critical) and curve.test.kind == "period_doubling"
-    return doubles and not curve.equations.links and curve.equations.symmetry.fraction == 1
-
-
-def bending(curve: Curve, found: Solution) -> float:
+def bending(curve: Curve, solution: Solution) -> float:
     """The coefficient c of a doubling, q of unit length in the curve's units; of one orbit found once."""
-    if "bending" not in found.kept:
-        found.kept["bending"] = _bending(curve, found)
-    return float(found.kept["bending"])
+    if "bending" not in solution.kept:
+        solution.kept["bending"] = _bending(curve, solution)
+    return float(solution.kept["bending"])
 
 
-def _bending(curve: Curve, found: Solution) -> float:
-    returned = _Return.of(curve, found)
-    matrix = returned.slopes(found)
+def _bending(curve: Curve, solution: Solution) -> float:
+    returned = _Return.of(curve, solution)
+    matrix = returned.slopes(solution)
     values, vectors = np.linalg.eig(matrix)
     q = vectors[:, np.argmin(np.abs(values + 1.0))].real
     values, vectors = np.linalg.eig(matrix.T)
@@ -75,9 +64,9 @@ class _Return:
     flow: np.ndarray
 
     @classmethod
-    def of(cls, curve: Curve, found: Solution) -> _Return:
+    def of(cls, curve: Curve, solution: Solution) -> _Return:
         """That of an orbit, over its whole mesh as one segment."""
-        w, size = found.place, curve.equations.size
+        w, size = solution.place, curve.equations.size
         flow = np.zeros(size) if curve.equations.model.forced else curve.equations.march.rates(w.nodes[:1], w.tail)[0]
         flow = flow * w.period / curve.units
         directions = flow[None] if flow.any() else np.zeros((0, size))
@@ -89,10 +78,12 @@ class _Return:
         tours = np.append((np.arange(count)[:, None] + start.mesh[:-1]).ravel(), float(count))
         ends = march.ends(start.nodes[0] + (displacements @ self.basis.T) * units, tours, start.tail)
         off = self._off(ends)
-        for _ in range(RETURNS if self.flow.any() else 0):
+        # Newton steps to the section, each some digits more than the last
+        for _ in range(6 if self.flow.any() else 0):
             rates = march.rates(ends, start.tail) * start.period / units
             shares = -(off @ self.flow) / (rates @ self.flow)
-            if np.abs(shares).max() < ON_SECTION:
+            # how near to the section is on it, in periods
+            if np.abs(shares).max() < 1e-15:
                 break
             ends = march.ends(ends, np.append(0.0, np.cumsum(shares)), start.tail)
             off = self._off(ends)
@@ -102,10 +93,10 @@ class _Return:
         """How far ends (k x d) are from x(0), whole turns aside, in the curve's units."""
         return np.asarray((ends - self.start.nodes[0] - shift(self.curve.turns, ends.shape[1])) / self.curve.units)
 
-    def slopes(self, found: Solution) -> np.ndarray:
+    def slopes(self, solution: Solution) -> np.ndarray:
         """Its derivative A at the orbit."""
         matrix, units = np.eye(self.curve.equations.size), self.curve.units
-        for transition in found.march.transitions:
+        for transition in solution.march.transitions:
             matrix = transition @ matrix
         matrix = matrix * units / units[:, None]
         if self.flow.any():  # what is not on the section is taken back along the flow

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.families.joins import EVEN, Kept, agrees, approaching, end_of, passed, solved
+from orbitfinder.families.joins import EVEN, Invariance, agrees, approaching, end_of, passed, solved
 from orbitfinder.families.minimal import dead_point
 from orbitfinder.families.motion import full_samples
 from orbitfinder.families.passages import LOCATION
 from orbitfinder.families.point import LEAST, extents, freed, parameter_value
-from orbitfinder.families.rest import Rest, can_rest, rest_of, vanishing
+from orbitfinder.families.rest import RestPoint, can_rest, rest_of, vanishing
 from orbitfinder.families.run import Interval, Run, Step, portrait
 from orbitfinder.families.start import return_gaps
 from orbitfinder.loops.conditions import hyperplane
@@ -24,86 +24,111 @@ from orbitfinder.loops.symmetry import NONE, beside, named, recognise
 from orbitfinder.mechanics.newton import Settings, equilibrium
 from orbitfinder.records.family import End, FamilyPoint
 
-SLOW = 0.1
-"""A motion slower than this share of its fastest is near an equilibrium."""
-NEAR = 0.1
-"""... of an equilibrium within this share of the motion's extents,"""
+
+@dataclass(frozen=True)
+class Slow:
+    """When a slow orbit counts as nearly homoclinic."""
+
+    slow: float = 0.1
+    """a motion slower than this share of its fastest is near an equilibrium"""
+    share: float = 0.4
+    """... and an orbit that spends this share of its period there is nearly homoclinic to it,"""
+    near: float = 0.1
+    """... if within this share of the motion's extents an equilibrium is"""
+    grown: float = 1.5
+    grown_share: float = 0.25
+    """a step underflow with the period this much above the shortest, and slow for this share, is read as homoclinic"""
+    undecided: float = 1e11
+    """beyond this multiplier the closure that double precision can hold says nothing about the orbit,"""
+    settled: float = 1e-3
+    """and a nearly homoclinic family ends once its energy changes by less than this share of what it has by then"""
+    step: float = 1e-2
+    """steps of a nearly homoclinic family are not made shorter than this"""
+
+
+@dataclass(frozen=True)
+class Shrinking:
+    """When a family shrinks to a point, or is in a canard."""
+
+    linear: float = 1e-7
+    nearly: float = 1e-5
+    steady: float = 1e-5
+    """a small oscillation's period is the linear one's to this share: where a family shrinks, and where it fails; and
+    how little the period changes in a step there"""
+    smaller: float = 0.95
+    """... and how much smaller the orbits become"""
+    agreed: float = 0.2
+    """a Hopf point is where orbits shrink to when parameter and period, followed along the tangent to amplitude 0, miss
+    its own by less than this share of how far they are from it,"""
+    close: float = 1e-3
+    """or when they are this much nearer to it than the family's first orbit was,"""
+    halted: float = 1e-5
+    """... and nearer than this, where a step cannot be taken, whatever the tangent says"""
+    ahead: float = 6.0
+    """it is looked for when amplitude 0 is no more than so many steps away"""
+    turned: float = -0.5
+    """cosine between two orbits' deviations from their means below which the second one is half a period late"""
+    compared: int = 128
+    """samples of an orbit that is compared with the one before it"""
+    exploded: float = 1e-5
+    explosion: float = 0.02
+    """a family is in a canard when within the first share of its way in the parameter it changes by the second one"""
+    abrupt: float = 30.0
+    """a largest acceleration this many times the median one speaks of a singularity where a family cannot go on"""
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """When a family joins another one, or itself."""
+
+    apart: float = 1e-2
+    """a family ends in another one from which its orbits are apart by no more than this share of their motion"""
+    short: float = 0.7
+    """steps to what is wanted before it, or to an end that is seen ahead, go so far of the way"""
+    symmetric: float = 1e-3
+    """how symmetric, relative to its extent, an orbit at a fold must be to belong to the family joined there"""
+    edge: float = 1e-2
+    """share of a step that a fold must be away from its ends to be looked at from both sides"""
+    mirrored: float = 1e-4
+    """periods on the two sides of a mirror differ by less than this share of how much they have changed"""
+    there: float = 1e-3
+    """a family turns at a join when their parameters differ by less than this share of its change in the step"""
+    same: float = 1e-7
+    alike: float = 1e-4
+    """orbits whose periods, parameters and actions, and whose means and spreads, are as near as this, are one orbit"""
+    fewest: int = 5
+    """a closed family, and a canard, has at least so many steps"""
+
+
 AT_REST = Settings(floor=1e-6, round_off=1e-6, converged=1e-6, most_evaluations=12, cutoff=1e-9)
-"""... which Newton's method finds in so many steps, in extents."""
-LINEAR, NEARLY, STEADY = 1e-7, 1e-5, 1e-5
-"""A small oscillation's period is the linear one's to this share: where a family shrinks, and where it fails; and how
-little the period changes in a step there."""
-AGREED = 0.2
-"""A Hopf point is where orbits shrink to when parameter and period, followed along the tangent to amplitude 0, miss its
-own by less than this share of how far they are from it,"""
-CLOSE = 1e-3
-"""or when they are this much nearer to it than the family's first orbit was."""
-HALTED = 1e-5
-"""... and nearer than this, where a step cannot be taken, whatever the tangent says."""
-AHEAD = 6.0
-"""It is looked for when amplitude 0 is no more than so many steps away;"""
-SHORT = 0.7
-"""steps to what is wanted before it go so far of the way."""
-JOINING = 1e-2
-"""A family ends in another one from which its orbits are apart by no more than this share of their motion"""
-TURNED = -0.5
-"""Cosine between two orbits' deviations from their means below which the second one is half a period late."""
-SMALLER = 0.95
-"""... and how much smaller the orbits become."""
-EXPLODED, EXPLOSION = 1e-5, 0.02
-"""A family is in a canard when within this share of its way in the parameter its period or extents change by this."""
-ABRUPT = 30.0
-"""A largest acceleration this many times the median one speaks of a singularity where a family cannot go on."""
-SLOW_SHARE = 0.4
-"""... and an orbit that spends this share of its period there is nearly homoclinic to it."""
-UNDERFLOW_GROWTH, UNDERFLOW_SHARE = 1.5, 0.25
-"""A step underflow with the period this much above the shortest, and slow for this share, is read as homoclinic."""
-UNDECIDED = 1e11
-"""Beyond this multiplier the closure that double precision can hold says nothing about the orbit,"""
-SETTLED = 1e-3
-"""and a nearly homoclinic family ends once its energy changes by less than this share of what it has by then."""
-JOINED = 1e-3
-"""How symmetric, relative to its extent, an orbit at a fold must be to belong to the family joined there."""
-EDGE = 1e-2
-"""Share of a step that a fold must be away from its ends to be looked at from both sides."""
-MIRRORED = 1e-4
-"""Periods on the two sides of a mirror differ by less than this share of how much they have changed."""
-THERE = 1e-3
-"""A family turns at a join when their parameters differ by less than this share of its change in the step."""
-SAME, ALIKE = 1e-7, 1e-4
-"""Orbits whose periods, parameters and actions, and whose means and spreads, are as near as this, are one orbit."""
-COMPARED = 128
-"""Samples of an orbit that is compared with the one before it"""
-FEWEST_STEPS = 5
-"""A closed family has at least so many steps."""
-HOMOCLINIC_STEP = 1e-2
-"""Steps of a nearly homoclinic family are not made shorter than this."""
+"""How an equilibrium beside an orbit is looked for, in its extents"""
+SLOW, SHRINKING, MEETING = Slow(), Shrinking(), Meeting()
 
 
 def end_at(run: Run, before: Step, after: Step) -> End | None:
     """The reason to stop after a step, or None."""
-    curve, found = run.curve, after.found
+    curve, solution = run.curve, after.solution
     if _self_excited(curve):
-        if _turned_over(curve, before.found, found):
+        if _turned_over(curve, before.solution, solution):
             raise ConvergenceError("the orbits pass amplitude 0 within one step")
-    elif collapsed(curve, before.found, found):
-        return _steady(curve, before) if curve.equations.symmetry.relative else _at_equilibrium(run, before.found)
-    elif _shrinking(curve, before.found, found) and linear(curve, found, LINEAR):
-        return _at_equilibrium(run, found)
-    if passed(curve, before.found, found):
+    elif collapsed(curve, before.solution, solution):
+        return _steady(curve, before) if curve.equations.symmetry.relative else _at_equilibrium(run, before.solution)
+    elif _shrinking(curve, before.solution, solution) and linear(curve, solution, SHRINKING.linear):
+        return _at_equilibrium(run, solution)
+    if passed(curve, before.solution, solution):
         raise ConvergenceError("another family is joined within one step")
     if curve.equations.model.forced:
         return None
-    share, state = slowness(curve, found)
-    if share <= SLOW_SHARE:
+    share, state = slowness(curve, solution)
+    if share <= SLOW.share:
         return None
     grown, more = after.stretch, None
     if grown > run.settings.longest_period:
         more = ""
     elif not curve.equations.physical and _settled(run.origin, before.point, after.point):
         more = f", multiplier {after.point.scale:.2g}, while the energy stands still"
-    saddle = more is not None and near_saddle(curve, found, state)
-    return _homoclinic(curve, found, state, grown, str(more)) if saddle else None
+    saddle = more is not None and near_saddle(curve, solution, state)
+    return _homoclinic(curve, solution, state, grown, str(more)) if saddle else None
 
 
 def approach(run: Run, before: Step, length: float) -> tuple[float, End | None]:
@@ -121,28 +146,28 @@ def approach(run: Run, before: Step, length: float) -> tuple[float, End | None]:
 def _to_hopf(run: Run, before: Step, length: float) -> tuple[float, End | None]:
     """The same towards a Hopf point, before which no multiplier may be left to pass the unit circle."""
     away = vanishing(run.curve, before.sample, length)
-    rest, off = _shrinks_to(run, before, away) if away < AHEAD * length else (None, np.inf)
-    if rest is None or off > AGREED:
+    rest, off = _shrinks_to(run, before, away) if away < SHRINKING.ahead * length else (None, np.inf)
+    if rest is None or off > SHRINKING.agreed:
         return length, None
-    near = away < length or abs(before.point.value - rest.value) < CLOSE * abs(run.origin.value - rest.value)
+    near = away < length or abs(before.point.value - rest.value) < SHRINKING.close * abs(run.origin.value - rest.value)
     multipliers = before.sample.about.floquet.multipliers
     grown = np.abs(np.delete(multipliers, np.argmin(np.abs(multipliers - 1.0)))) > 1.0
     other = near and np.count_nonzero(grown) != np.count_nonzero(rest.others.real > 0)
     if other or _wanted(run, before, rest.value, rest.error):
-        return min(length, SHORT * away), None
+        return min(length, MEETING.short * away), None
     return length, _hopf(run, rest) if near else None
 
 
 def _to_join(run: Run, before: Step, length: float) -> tuple[float, End | None]:
     """The same towards a family that is joined: seen from a first guess, then from orbits a small share beside it."""
     for kept, away, apart in approaching(run.curve, before.sample, length):
-        if SHORT * away > length:
+        if MEETING.short * away > length:
             continue
-        join = solved(run.curve, before.found, run.settings.parameter, kept)
+        join = solved(run.curve, before.solution, run.settings.parameter, kept)
         if join is None or not agrees(join, before, away, run.settings.parameter):
             continue
-        if apart > JOINING or _wanted(run, before, join.value, join.error):
-            return min(length, SHORT * away), None
+        if apart > MEETING.apart or _wanted(run, before, join.value, join.error):
+            return min(length, MEETING.short * away), None
         return length, end_of(join)
     return length, None
 
@@ -151,7 +176,7 @@ def _wanted(run: Run, before: Step, value: float, error: float) -> bool:
     """Whether something that is asked for lies before this value of the parameter."""
     now, far = before.point.value, 1e-9 * abs(run.origin.value - value) + error
     wanted = [*run.at, *([] if run.until is None else [run.until])]
-    return any(min(now, value) < one < max(now, value) and abs(one - value) > far for one in wanted)
+    return any(min(now, value) < other < max(now, value) and abs(other - value) > far for other in wanted)
 
 
 def _self_excited(curve: Curve) -> bool:
@@ -159,12 +184,12 @@ def _self_excited(curve: Curve) -> bool:
     return bool(curve.equations.physical) and not curve.equations.model.conservative and can_rest(curve)
 
 
-def _shrinks_to(run: Run, step: Step, away: float) -> tuple[Rest | None, float]:
+def _shrinks_to(run: Run, step: Step, away: float) -> tuple[RestPoint | None, float]:
     """The Hopf point near an orbit, and by how much of their way parameter and period miss it `away` along the tangent.
 
     Both are even in the amplitude, so that they change by half of what the tangent says.
     """
-    found, name = step.found, run.settings.parameter
+    found, name = step.solution, run.settings.parameter
     rest = rest_of(run.curve, found, name) if np.isfinite(away) else None
     if rest is None:
         return None, np.inf
@@ -174,7 +199,7 @@ def _shrinks_to(run: Run, step: Step, away: float) -> tuple[Rest | None, float]:
     return rest, float(np.max(np.abs(left - 0.5 * away * slopes) / np.maximum(np.abs(left), least)))
 
 
-def _hopf(run: Run, rest: Rest, more: str = "") -> End:
+def _hopf(run: Run, rest: RestPoint, more: str = "") -> End:
     name, where = run.settings.parameter, np.array2string(rest.state, precision=6)
     reason = (
         f"the orbits shrink to the Hopf point at {name} {rest.value:.12g} (+- {rest.error:.1g}), period "
@@ -183,31 +208,31 @@ def _hopf(run: Run, rest: Rest, more: str = "") -> End:
     return End("hopf", reason, rest.value, rest.period, rest.error)
 
 
-def _turned_over(curve: Curve, before: Solution, found: Solution) -> bool:
+def _turned_over(curve: Curve, before: Solution, solution: Solution) -> bool:
     """Whether an orbit is the one before half a period later, as behind an equilibrium."""
-    one, other = (full_samples(curve, each, COMPARED)[1][:-1] for each in (before, found))
-    extents = np.ptp(one, axis=0)
+    first, other = (full_samples(curve, each, SHRINKING.compared)[1][:-1] for each in (before, solution))
+    extents = np.ptp(first, axis=0)
     extents = np.where(extents > 0.0, extents, np.inf)  # what does not move says nothing
-    one, other = ((each - each.mean(axis=0)) / extents for each in (one, other))
-    return bool(np.sum(one * other) < TURNED * np.linalg.norm(one) * np.linalg.norm(other))
+    first, other = ((each - each.mean(axis=0)) / extents for each in (first, other))
+    return bool(np.sum(first * other) < SHRINKING.turned * np.linalg.norm(first) * np.linalg.norm(other))
 
 
-def _shrinking(curve: Curve, before: Solution, found: Solution) -> bool:
+def _shrinking(curve: Curve, before: Solution, solution: Solution) -> bool:
     """Whether an orbit is smaller than the one before, hardly slower or faster, and small beside where it is."""
-    (first, _), (size, far) = _extent_and_place(curve, before), _extent_and_place(curve, found)
-    steady = abs(found.place.period / before.place.period - 1.0) < STEADY
-    return steady and size < min(SMALLER * first, LEAST * far)
+    (first, _), (size, far) = _extent_and_place(curve, before), _extent_and_place(curve, solution)
+    steady = abs(solution.place.period / before.place.period - 1.0) < SHRINKING.steady
+    return steady and size < min(SHRINKING.smaller * first, LEAST * far)
 
 
-def _extent_and_place(curve: Curve, found: Solution) -> tuple[float, float]:
+def _extent_and_place(curve: Curve, solution: Solution) -> tuple[float, float]:
     """The largest extent of a coordinate, and how far from the origin the motion is."""
-    q = found.march.states[:, : curve.equations.model.degrees_of_freedom]
+    q = solution.march.states[:, : curve.equations.model.degrees_of_freedom]
     return float(np.ptp(q, axis=0).max()), float(np.abs(q[0]).max())
 
 
-def _at_equilibrium(run: Run, found: Solution) -> End:
-    where, period = np.array2string(centre(run.curve, found), precision=6), found.place.period
-    rest = rest_of(run.curve, found, run.settings.parameter) if can_rest(run.curve) else None
+def _at_equilibrium(run: Run, solution: Solution) -> End:
+    where, period = np.array2string(centre(run.curve, solution), precision=6), solution.place.period
+    rest = rest_of(run.curve, solution, run.settings.parameter) if can_rest(run.curve) else None
     known = (rest.value, rest.period, rest.error) if rest else ()
     period = rest.period if rest else period
     return End("equilibrium", f"the orbits shrink to the equilibrium at q = {where}, period {period:.9g} s", *known)
@@ -215,7 +240,7 @@ def _at_equilibrium(run: Run, found: Solution) -> End:
 
 def end_of_failure(run: Run, step: Step, failure: str) -> End:
     """The reason why no further step could be taken."""
-    curve, found = run.curve, step.found
+    curve, found = run.curve, step.solution
     try:
         if (met := _met(run, step, failure)) is not None:
             return met
@@ -223,7 +248,7 @@ def end_of_failure(run: Run, step: Step, failure: str) -> End:
         pass
     share, state = slowness(curve, found)
     grown = step.stretch
-    slow = grown > UNDERFLOW_GROWTH and share > UNDERFLOW_SHARE and not curve.equations.model.forced
+    slow = grown > SLOW.grown and share > SLOW.grown_share and not curve.equations.model.forced
     if slow and near_saddle(curve, found, state):
         return _homoclinic(curve, found, state, grown, f"; then {failure}")
     if slow and grown > run.settings.longest_period:  # near a saddle-node that is not there yet, say: no canard
@@ -233,7 +258,7 @@ def end_of_failure(run: Run, step: Step, failure: str) -> End:
     if dead:
         return End("dead point", f"{dead}, where the coordinates of this family end; {failure}")
     size, far = _extent_and_place(curve, found)
-    if size < 10 * LEAST * far and linear(curve, found, NEARLY):
+    if size < 10 * LEAST * far and linear(curve, found, SHRINKING.nearly):
         return _at_equilibrium(run, found)
     return _canard(run, step, failure) or _singular(curve, found, failure) or End("step underflow", failure)
 
@@ -244,11 +269,11 @@ def _canard(run: Run, step: Step, failure: str) -> End | None:
         return None
     k, name = run.curve.equations.physical.index(run.settings.parameter), run.settings.parameter
     values, periods = step.portraits[:, 1 + k], step.portraits[:, 0]
-    apart = np.abs(values - values[-1]) > EXPLODED * np.ptp(values)
+    apart = np.abs(values - values[-1]) > SHRINKING.exploded * np.ptp(values)
     first = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
     sizes = nonzero(step.portraits[first:, -run.curve.equations.size :])
-    period, size = (float(np.max(np.ptp(one, axis=0) / one.max(axis=0))) for one in (periods[first:, None], sizes))
-    if values.size - first < FEWEST_STEPS or max(period, size) < EXPLOSION:
+    period, size = (float(np.max(np.ptp(rows, axis=0) / rows.max(axis=0))) for rows in (periods[first:, None], sizes))
+    if values.size - first < MEETING.fewest or max(period, size) < SHRINKING.explosion:
         return None
     width = float(np.ptp(values[first:]))
     reason = (
@@ -261,9 +286,9 @@ def _canard(run: Run, step: Step, failure: str) -> End | None:
 
 def _met(run: Run, step: Step, failure: str) -> End | None:
     """The join or the Hopf point that a family failed to reach."""
-    curve, found, name = run.curve, step.found, run.settings.parameter
+    curve, solution, name = run.curve, step.solution, run.settings.parameter
     for kept, away, _ in approaching(curve, step.sample, step.point.step):
-        join = solved(curve, found, name, kept)
+        join = solved(curve, solution, name, kept)
         if join is not None and agrees(join, step, away, name):
             return end_of(join, f"; {failure}")
     if not _self_excited(curve):
@@ -271,36 +296,36 @@ def _met(run: Run, step: Step, failure: str) -> End | None:
     rest, off = _shrinks_to(run, step, vanishing(curve, step.sample, step.point.step))
     if rest is None:
         return None
-    halted = abs(step.point.value - rest.value) < HALTED * abs(run.origin.value - rest.value)
-    return _hopf(run, rest, f"; {failure}") if off < AGREED or halted else None
+    halted = abs(step.point.value - rest.value) < SHRINKING.halted * abs(run.origin.value - rest.value)
+    return _hopf(run, rest, f"; {failure}") if off < SHRINKING.agreed or halted else None
 
 
 def shortest_step(run: Run, step: Step) -> float:
     """How short a step may become: near a homoclinic orbit, where round-off rules, not very."""
-    curve, found, usual = run.curve, step.found, run.settings.shortest_step
-    if curve.equations.model.forced or not step.stretch > UNDERFLOW_GROWTH:
+    curve, solution, usual = run.curve, step.solution, run.settings.shortest_step
+    if curve.equations.model.forced or not step.stretch > SLOW.grown:
         return usual
-    share, state = slowness(curve, found)
-    return HOMOCLINIC_STEP if share > SLOW_SHARE and near_saddle(curve, found, state) else usual
+    share, state = slowness(curve, solution)
+    return SLOW.step if share > SLOW.share and near_saddle(curve, solution, state) else usual
 
 
 def _settled(origin: FamilyPoint, before: FamilyPoint, after: FamilyPoint) -> bool:
     """Whether the period grows without the energy changing any more, of orbits that are very unstable."""
     stretch = float(np.log(after.period / before.period))
     change = abs(after.energy - before.energy) / nonzero(stretch)
-    return after.scale > UNDECIDED and stretch > 0 and change < SETTLED * abs(after.energy - origin.energy)
+    return after.scale > SLOW.undecided and stretch > 0 and change < SLOW.settled * abs(after.energy - origin.energy)
 
 
-def near_saddle(curve: Curve, found: Solution, state: np.ndarray) -> bool:
+def near_saddle(curve: Curve, solution: Solution, state: np.ndarray) -> bool:
     """Whether a state is near an equilibrium with a growing direction, relative to the extents of its motion.
 
     Without one, a slow and long orbit is no nearly homoclinic one.
     """
-    eigenvalues = _at_rest(curve, found, state, NEAR)
-    return eigenvalues.size > 0 and bool(eigenvalues.real.max() * found.place.period > 1.0)
+    eigenvalues = _at_rest(curve, solution, state, SLOW.near)
+    return eigenvalues.size > 0 and bool(eigenvalues.real.max() * solution.place.period > 1.0)
 
 
-def linear(curve: Curve, found: Solution, within: float) -> bool:
+def linear(curve: Curve, solution: Solution, within: float) -> bool:
     """Whether an orbit is a linear oscillation about an equilibrium: its period is, to this share, that of a pair i w.
 
     It differs with the square of the amplitude.
@@ -308,15 +333,15 @@ def linear(curve: Curve, found: Solution, within: float) -> bool:
     p, n = curve.equations, curve.equations.model.degrees_of_freedom
     if p.links or p.model.forced or p.symmetry.relative:
         return False
-    middle = np.concatenate([centre(curve, found), np.zeros(p.size - n)])
-    turns = np.abs(_at_rest(curve, found, middle, 1.0).imag) * found.place.period / (2 * np.pi)
+    middle = np.concatenate([centre(curve, solution), np.zeros(p.size - n)])
+    turns = np.abs(_at_rest(curve, solution, middle, 1.0).imag) * solution.place.period / (2 * np.pi)
     return bool(np.any(np.abs(turns - 1.0) < within))
 
 
-def _at_rest(curve: Curve, found: Solution, state: np.ndarray, near: float) -> np.ndarray:
+def _at_rest(curve: Curve, solution: Solution, state: np.ndarray, near: float) -> np.ndarray:
     """The eigenvalues of the equations at the equilibrium within a share of the motion's extents; none without one."""
-    p, place = curve.equations, found.place
-    n, units = p.model.degrees_of_freedom, extents(curve, found.march.states)
+    p, place = curve.equations, solution.place
+    n, units = p.model.degrees_of_freedom, extents(curve, solution.march.states)
     still = np.zeros(p.size - n)
 
     def linearised(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -332,15 +357,15 @@ def _at_rest(curve: Curve, found: Solution, state: np.ndarray, near: float) -> n
     return np.asarray(np.linalg.eigvals(p.march.arcs[0].slopes(np.append(rest.w, still), place.tail)))
 
 
-def _singular(curve: Curve, found: Solution, failure: str) -> End | None:
+def _singular(curve: Curve, solution: Solution, failure: str) -> End | None:
     """The end of a family whose motion is somewhere so much faster than elsewhere that its equations are singular."""
-    states, mesh, model = found.march.states, found.place.mesh, curve.equations.model
-    slopes = curve.equations.march.rates(states, found.place.tail, mesh * found.place.period)
+    states, mesh, model = solution.march.states, solution.place.mesh, curve.equations.model
+    slopes = curve.equations.march.rates(states, solution.place.tail, mesh * solution.place.period)
     n, what = model.degrees_of_freedom, "acceleration" if model.rates is None else "rate"
     pushed = slopes[:, n:] / curve.shares if n < states.shape[1] else slopes / extents(curve, states)
     speed = np.linalg.norm(pushed, axis=1)
     usual = float(np.median(np.interp(np.linspace(0, mesh[-1], speed.size), mesh, speed)))
-    if not speed.max() > ABRUPT * usual:
+    if not speed.max() > SHRINKING.abrupt * usual:
         return None
     where = np.array2string(states[int(np.argmax(speed)), :n], precision=4, suppress_small=True)
     return End(
@@ -350,65 +375,65 @@ def _singular(curve: Curve, found: Solution, failure: str) -> End | None:
     )
 
 
-def _homoclinic(curve: Curve, found: Solution, state: np.ndarray, grown: float, more: str) -> End:
-    energy = parameter_value(curve, found.place, "energy")
+def _homoclinic(curve: Curve, solution: Solution, state: np.ndarray, grown: float, more: str) -> End:
+    energy = parameter_value(curve, solution.place, "energy")
     n = curve.equations.model.degrees_of_freedom
     where = np.array2string(state[:n], precision=4, suppress_small=True)
     level = f" at energy {energy:.9g} J" if np.isfinite(energy) else ""
     return End(
         "homoclinic",
-        f"the period blows up ({found.place.period:.6g} s, {grown:.3g} times the shortest){level}, "
+        f"the period blows up ({solution.place.period:.6g} s, {grown:.3g} times the shortest){level}, "
         f"slowest near q = {where}{more}",
     )
 
 
-def slowness(curve: Curve, found: Solution) -> tuple[float, np.ndarray]:
-    """Share of the period spent slower than `SLOW` times the fastest rate, and the slowest state.
+def slowness(curve: Curve, solution: Solution) -> tuple[float, np.ndarray]:
+    """Share of the period spent slower than `SLOW.slow` times the fastest rate, and the slowest state.
 
     Turning points are not slow in this sense: the speed includes the scaled acceleration.
     """
-    p, place = curve.equations, found.place
-    states = found.march.states
+    p, place = curve.equations, solution.place
+    states = solution.march.states
     slopes = p.march.rates(states, place.tail, place.mesh * place.period)
     speed = np.sqrt(slopes**2 @ curve.weights[: p.size])
     weights = np.diff(place.mesh)
-    slow = 0.5 * (speed[1:] + speed[:-1]) < SLOW * speed.max()
+    slow = 0.5 * (speed[1:] + speed[:-1]) < SLOW.slow * speed.max()
     return float(weights[slow].sum() / weights.sum()), states[np.argmin(speed)]
 
 
-def centre(curve: Curve, found: Solution) -> np.ndarray:
+def centre(curve: Curve, solution: Solution) -> np.ndarray:
     """The middle of an orbit's configurations (n): where a shrinking family is going."""
     n = curve.equations.model.degrees_of_freedom
-    held, q = curve.centre, found.march.states[:, :n]
+    held, q = curve.centre, solution.march.states[:, :n]
     return np.asarray(np.where(np.isnan(held), 0.5 * (q.max(axis=0) + q.min(axis=0)), held))
 
 
-def collapsed(curve: Curve, before: Solution, found: Solution) -> bool:
+def collapsed(curve: Curve, before: Solution, solution: Solution) -> bool:
     """Whether the last step went through an equilibrium: the orbit is now on the other side of its middle."""
     n, relative = curve.equations.model.degrees_of_freedom, curve.equations.symmetry.relative
     weights, still = curve.weights[: curve.equations.size], np.zeros(curve.equations.size - n)
-    paths = [_beside_shifts(s.march.states, relative) for s in (before, found)]
+    paths = [_beside_shifts(s.march.states, relative) for s in (before, solution)]
     rates = [0.5 * (path[:, n:].max(axis=0) + path[:, n:].min(axis=0)) if relative else still for path in paths]
-    middles = [centre(curve, s) for s in (before, found)] if not relative else [
+    middles = [centre(curve, s) for s in (before, solution)] if not relative else [
         0.5 * (path[:, :n].max(axis=0) + path[:, :n].min(axis=0)) for path in paths
     ]  # fmt: skip
-    one, other = (path[0] - np.concatenate(parts) for path, *parts in zip(paths, middles, rates, strict=True))
-    moved = float(np.sqrt(weights @ (other - one) ** 2))
+    first, other = (path[0] - np.concatenate(parts) for path, *parts in zip(paths, middles, rates, strict=True))
+    moved = float(np.sqrt(weights @ (other - first) ** 2))
     sizes = [np.ptp(path[:, :n], axis=0) * np.sqrt(weights[:n]) for path in paths]
-    return bool(np.sum(weights * one * other) < 0 and np.max(sizes) < 3 * moved)
+    return bool(np.sum(weights * first * other) < 0 and np.max(sizes) < 3 * moved)
 
 
 def _beside_shifts(states: np.ndarray, relative: Sequence[Sequence[float]]) -> np.ndarray:
     """States (k x 2n) with the coordinates brought back along the directions that an orbit is relative in."""
     n = states.shape[1] // 2
-    return np.array([[*beside(one[:n], relative), *one[n:]] for one in states]) if relative else states
+    return np.array([[*beside(state[:n], relative), *state[n:]] for state in states]) if relative else states
 
 
 def _steady(curve: Curve, before: Step) -> End:
     """The end of a family that shrinks to a relative equilibrium, by its last orbit before it."""
     shift, period = before.point.shift, before.point.period
     rates = ", ".join(f"{name} by {by / period:.9g} a second" for name, by in shift.items())
-    states = _beside_shifts(before.found.march.states, curve.equations.symmetry.relative)
+    states = _beside_shifts(before.solution.march.states, curve.equations.symmetry.relative)
     middle = 0.5 * (states.max(axis=0) + states.min(axis=0))[: states.shape[1] // 2]
     return End(
         "relative equilibrium",
@@ -423,13 +448,13 @@ def returned(curve: Curve, before: Step, after: Step) -> End | None:
     What looks near, by numbers that do not depend on where t = 0 lies, is confirmed by an orbit of the family with the
     period and the parameters of the earlier one: it must be the same.
     """
-    place, scales, action = before.found.place, curve.scales, abs(before.found.march.integral) or 1.0
-    if len(before.portraits) <= FEWEST_STEPS:
+    place, scales, action = before.solution.place, curve.scales, abs(before.solution.march.integral) or 1.0
+    if len(before.portraits) <= MEETING.fewest:
         return None
     units = np.concatenate([[scales.period], scales.free, [action], scales.states, scales.states])
     known, reached = before.portraits / units, after.portraits[-1] / units
-    past, here, step = known[: 1 - FEWEST_STEPS], known[-1], reached - known[-1]
-    square, ahead = float(step @ step), np.diff(known[: 2 - FEWEST_STEPS], axis=0)
+    past, here, step = known[: 1 - MEETING.fewest], known[-1], reached - known[-1]
+    square, ahead = float(step @ step), np.diff(known[: 2 - MEETING.fewest], axis=0)
     if not square > 0.0:
         return None
     shares = (past - here) @ step / square
@@ -440,11 +465,11 @@ def returned(curve: Curve, before: Step, after: Step) -> End | None:
     for k in np.flatnonzero(near):
         aim = hyperplane(float(step[:count] @ past[k][:count]), normal)
         try:
-            again = correct(curve, place.blended(after.found.place, float(shares[k])), aim, place)
+            again = correct(curve, place.blended(after.solution.place, float(shares[k])), aim, place)
         except (ConvergenceError, IntegrationError):
             continue
         apart = np.abs(portrait(curve, again) / units - past[k])
-        if apart[: count + 1].max() < SAME and apart.max() < ALIKE:
+        if apart[: count + 1].max() < MEETING.same and apart.max() < MEETING.alike:
             where, length = "its start" if k == 0 else f"its step {k}", abs(after.point.arclength)
             return End("returned", f"a closed family: back at {where} after an arclength of {length:.6g}")
     return None
@@ -459,17 +484,17 @@ def mirrored(interval: Interval, at: float) -> bool:
     name = next(iter(interval.curve.equations.physical), "")
 
     def read(distance: float) -> np.ndarray:
-        found = interval.sample(distance).found
-        value = parameter_value(interval.curve, found.place, name or "energy")
-        return np.array([value, found.march.integral if name else found.place.period])
+        solution = interval.sample(distance).solution
+        value = parameter_value(interval.curve, solution.place, name or "energy")
+        return np.array([value, solution.march.integral if name else solution.place.period])
 
     turn, ends = read(at), {distance: read(distance) for distance in (0.0, interval.length)}
     near, far = sorted(ends, key=lambda distance: abs(ends[distance][0] - turn[0]))
-    if abs(near - at) < EDGE * interval.length:
+    if abs(near - at) < MEETING.edge * interval.length:
         raise ConvergenceError("the family turns at the edge of a step")
     level = ends[near]
     other = read(zero(lambda distance: float(read(distance)[0] - level[0]), at, far, LOCATION))
-    return bool(abs(other[1] - level[1]) < MIRRORED * abs(level[1] - turn[1]))
+    return bool(abs(other[1] - level[1]) < MEETING.mirrored * abs(level[1] - turn[1]))
 
 
 def _keeps(curve: Curve, name: str, states: np.ndarray) -> bool:
@@ -484,25 +509,26 @@ def merged(interval: Interval, at: float, name: str) -> End | None:
 
     A branch is its own mirror image about the orbit that it was born from, so that what it is followed in turns there.
     """
-    curve, found = interval.curve, interval.sample(at).found
-    model, (times, states) = curve.equations.model, full_samples(curve, found)
+    curve, solution = interval.curve, interval.sample(at).solution
+    model, (times, states) = curve.equations.model, full_samples(curve, solution)
     seen = recognise(times, states, model)
     gaps_of = {k: float((return_gaps(states, k) / curve.units).max()) for k in EVEN}
     extent = float(np.ptp(states / curve.units, axis=0).max())
-    covers = max((k for k in EVEN if gaps_of[k] < JOINED * extent), default=1)
+    covers = max((k for k in EVEN if gaps_of[k] < MEETING.symmetric * extent), default=1)
     if covers == 1 and seen in (NONE.name, curve.equations.symmetry.name):
         return None
     if not curve.equations.links:
-        times, beside = full_samples(curve, interval.first.found)
+        times, beside = full_samples(curve, interval.first.solution)
         if covers == 1 and (recognise(times, beside, model) == seen or not _keeps(curve, seen, beside)):
             return None  # the family has it itself, or the motion has and the equations have not
-        join = solved(curve, found, name, Kept(covers), seen if covers == 1 else "")
-        values = [parameter_value(curve, interval.sample(one).found.place, name) for one in (0.0, at, interval.length)]
-        there = join is not None and abs(join.value - values[1]) < THERE * np.ptp(values)
+        join = solved(curve, solution, name, Invariance(covers), seen if covers == 1 else "")
+        values = [parameter_value(curve, interval.sample(d).solution.place, name) for d in (0.0, at, interval.length)]
+        there = join is not None and abs(join.value - values[1]) < MEETING.there * np.ptp(values)
         return end_of(join) if join is not None and there else None
     if not mirrored(interval, at):
         return None
     what = f"of period T/{covers}" if covers > 1 else f"of symmetry {seen}"
     units = dict.fromkeys(curve.equations.physical, "") or {"energy": " J"}
-    where = ", ".join(f"{name} {parameter_value(curve, found.place, name):.9g}{unit}" for name, unit in units.items())
-    return End("merged", f"joins a family {what} at {where}, period {found.place.period:.9g} s")
+    place = solution.place
+    where = ", ".join(f"{name} {parameter_value(curve, place, name):.9g}{unit}" for name, unit in units.items())
+    return End("merged", f"joins a family {what} at {where}, period {place.period:.9g} s")

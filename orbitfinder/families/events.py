@@ -35,18 +35,12 @@ from orbitfinder.families.passages import (
     zeros,
 )
 from orbitfinder.families.point import FamilySettings, freed, parameter_value
+from orbitfinder.families.registry import KINDS
 from orbitfinder.families.run import Interval, Sample, is_real
 from orbitfinder.loops.continued import Curve
 from orbitfinder.loops.symmetry import momenta_of
 from orbitfinder.orbits.floquet import ERROR_FLOOR
 from orbitfinder.records.family import Event
-
-ROUNDS = 4
-"""How often collisions are looked for again after orbits between them were seen."""
-
-
-BLURRED = 1e-6
-"""Uncertainty of the stability indices beyond which none of their passages can be told from round-off."""
 
 
 def slope(name: str) -> Measure:
@@ -70,12 +64,12 @@ def extrema(interval: Interval) -> Iterator[Test]:
 
     def rise(name: str, sample: Sample) -> float:
         if sample.distance not in known:
-            known[sample.distance] = rises(interval.curve, sample.found, sample.whole)
+            known[sample.distance] = rises(interval.curve, sample.solution, sample.whole)
         return known[sample.distance][name]
 
     for name in interval.curve.watch:
         ends = [rise(name, sample) for sample in (interval.first, interval.last)]
-        if ends[0] * ends[1] < 0 and max(np.abs(ends)) > noise(interval.curve, interval.first.found)[name]:
+        if ends[0] * ends[1] < 0 and max(np.abs(ends)) > noise(interval.curve, interval.first.solution)[name]:
             yield Test("extremum", name, partial(rise, name))
 
 
@@ -86,7 +80,8 @@ def bifurcations(interval: Interval, most: int) -> list[tuple[Sample, Test]]:
     """
     if interval.first.indices.shape != interval.last.indices.shape:
         return []
-    if max(interval.first.about.blur, interval.last.about.blur) > BLURRED:
+    # uncertainty of the stability indices beyond which none of their passages can be told from round-off
+    if max(interval.first.about.blur, interval.last.about.blur) > 1e-6:
         return []
     if not interval.first.about.conservative:
         return crossings(interval)
@@ -94,7 +89,8 @@ def bifurcations(interval: Interval, most: int) -> list[tuple[Sample, Test]]:
         return []
     touched = [(interval.sample(place), test) for test, place in strips(interval)]
     look(interval)
-    for _ in range(ROUNDS):
+    # how often collisions are looked for again after orbits between them were seen
+    for _ in range(4):
         brackets = collisions(interval)
         met = [located(interval, meeting, low, high) for low, high in brackets]
         passed = passages(interval, most, met)
@@ -108,8 +104,7 @@ def find_events(interval: Interval, settings: FamilySettings) -> list[tuple[Samp
     turned = [*zeros(interval, folds(interval))]
     found = sorted(turned + bifurcations(interval, settings.resonances), key=lambda pair: pair[0].distance)
     turns = [sample.distance for sample, test in turned if test.detail != "period"]
-    found = [(p, t) for p, t in found if not (t.kind == "branch_point" and _near(p.distance, turns))]
-    found = [(p, t) for p, t in found if t.kind != "branch_point" or _told(interval)]
+    found = [(p, t) for p, t in found if not KINDS[t.kind].crosses or (_apart(p.distance, turns) and _told(interval))]
     return found + _changes(interval, found)
 
 
@@ -119,18 +114,18 @@ def _told(interval: Interval) -> bool:
     if not interval.first.about.conservative or not interval.first.indices.size:
         return True
     margins = [np.abs(np.asarray(sample.indices).real) - 2.0 for sample in ends]
-    first, last = (np.sort(np.where(np.abs(one) > ERROR_FLOOR, np.sign(one), 0.0)) for one in margins)
+    first, last = (np.sort(np.where(np.abs(values) > ERROR_FLOOR, np.sign(values), 0.0)) for values in margins)
     return not (np.any(first == 0.0) and np.array_equal(first, last))
 
 
-def _near(distance: float, places: list[float]) -> bool:
-    """Whether a branch point is only the multiplier +1 that every fold has."""
-    return any(abs(distance - other) < 1e-5 for other in places)
+def _apart(distance: float, folds: list[float]) -> bool:
+    """Whether a branch point is more than the multiplier +1 that every fold has."""
+    return all(abs(distance - fold) >= 1e-5 for fold in folds)
 
 
 def event_at(curve: Curve, sample: Sample, test: Test, parameter: str) -> Event:
     """The event that a test finds at an orbit, its arclength the distance into the interval."""
-    place = sample.found.place
+    place = sample.solution.place
     return Event(
         kind=test.kind,
         index=-1,
@@ -147,13 +142,13 @@ def event_at(curve: Curve, sample: Sample, test: Test, parameter: str) -> Event:
         tangent=sample.head,
         symmetry=curve.equations.symmetry.name,
         free=freed(curve, place),
-        watch=watched(curve, sample.found),
+        watch=watched(curve, sample.solution),
     )
 
 
-def _changes(interval: Interval, found: list[tuple[Sample, Test]]) -> list[tuple[Sample, Test]]:
+def _changes(interval: Interval, events: list[tuple[Sample, Test]]) -> list[tuple[Sample, Test]]:
     """The located events at which the verdict changes, read halfway to their neighbours."""
-    critical = [(p, t) for p, t in found if t.kind != "resonance" and t.detail != "period"]
+    critical = [(p, t) for p, t in events if KINDS[t.kind].critical and t.detail != "period"]
     a, b = (p.about.floquet.stability == "unstable" for p in (interval.first, interval.last))
     if not critical or (a == b and len(critical) < 2):
         return []
@@ -166,7 +161,7 @@ def _changes(interval: Interval, found: list[tuple[Sample, Test]]) -> list[tuple
     details = ("becomes stable", "becomes unstable")
     tests = [Test("stability_change", details[late], lambda p: 0.0) for late in verdicts[1:]]
     turned = [early != late for early, late in pairwise(verdicts)]
-    return [(sample, test) for (sample, _), test, one in zip(critical, tests, turned, strict=True) if one]
+    return [(sample, test) for (sample, _), test, changed in zip(critical, tests, turned, strict=True) if changed]
 
 
 # Bifurcations of families that conserve no energy: multipliers that pass through the unit circle.
@@ -201,7 +196,7 @@ def crossings(interval: Interval) -> list[tuple[Sample, Test]]:
     for rank in range(len(interval.first.about.reduced)):
         grazed(interval, modulus(rank), GRAZED)
     parts = [(a.distance, b.distance) for a, b in pairwise(interval.known())]
-    return [one for low, high in parts for one in _between(interval, low, high, DEEPEST)]
+    return [passing for low, high in parts for passing in _between(interval, low, high, DEEPEST)]
 
 
 def _between(interval: Interval, low: float, high: float, depth: int) -> list[tuple[Sample, Test]]:
@@ -220,7 +215,7 @@ def _between(interval: Interval, low: float, high: float, depth: int) -> list[tu
 
 def _passed(interval: Interval, a: Sample, b: Sample) -> list[tuple[Sample, Test]]:
     """One passage for each modulus that is on another side of 1; the two of a complex pair are one passage."""
-    found: list[tuple[Sample, Test]] = []
+    passed: list[tuple[Sample, Test]] = []
     rank, count = 0, len(a.about.reduced)
     while rank < count:
         measure = modulus(rank)
@@ -229,9 +224,9 @@ def _passed(interval: Interval, a: Sample, b: Sample) -> list[tuple[Sample, Test
             continue
         sample = located(interval, measure, a.distance, b.distance)
         test = _named(sample, rank - 1)
-        rank += test.kind == "torus"
-        found.append((sample, test))
-    return found
+        rank += _turning(test)
+        passed.append((sample, test))
+    return passed
 
 
 def _named(sample: Sample, rank: int) -> Test:
@@ -239,8 +234,13 @@ def _named(sample: Sample, rank: int) -> Test:
     mu = complex(multipliers(sample)[rank])
     if not is_real(mu):
         return Test("torus", "", modulus(rank), 0, complex(mu.real, abs(mu.imag)))
-    _, kind, order, multiplier = multiplier_levels(sample.about.root)[mu.real <= 0]
-    return Test(kind, "", modulus(rank), order, multiplier)
+    _, kind, detail, order, multiplier = multiplier_levels(sample.about.root)[mu.real <= 0]
+    return Test(kind, detail, modulus(rank), order, multiplier)
+
+
+def _turning(test: Test) -> bool:
+    """Whether a complex pair passes the unit circle, and no real multiplier."""
+    return test.multiplier.imag != 0.0
 
 
 def _beyond(sample: Sample, sign: int) -> int:
@@ -249,6 +249,6 @@ def _beyond(sample: Sample, sign: int) -> int:
     return sum(is_real(mu) and sign * mu.real > 1 for mu in values)
 
 
-def _parity(found: list[tuple[Sample, Test]], sign: int) -> int:
+def _parity(passed: list[tuple[Sample, Test]], sign: int) -> int:
     """Whether an odd number of passages is through +1 or -1."""
-    return sum(test.kind != "torus" and test.multiplier.real * sign > 0 for _, test in found) % 2
+    return sum(not _turning(test) and test.multiplier.real * sign > 0 for _, test in passed) % 2

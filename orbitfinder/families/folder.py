@@ -15,13 +15,14 @@ from orbitfinder._runtime import interrupt, limit, locks
 from orbitfinder.errors import InputError, LimitError, plural
 from orbitfinder.families.branches import Branch
 from orbitfinder.families.changes import checked_cycle
-from orbitfinder.families.checks import checked
 from orbitfinder.families.critical import Critical
 from orbitfinder.families.follow import follow
 from orbitfinder.families.members import batch_certified, certified
 from orbitfinder.families.point import FamilySettings
+from orbitfinder.families.registry import end_kind
 from orbitfinder.families.run import Run, first_point, in_scales
 from orbitfinder.families.start import Start, begin, curve_of, entry_of, unknown_parameters
+from orbitfinder.families.verified import checked
 from orbitfinder.integrate.equations import prepare
 from orbitfinder.loops.continued import Curve
 from orbitfinder.loops.problem import Problem
@@ -52,8 +53,6 @@ from orbitfinder.records.journal import begin_journal
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.registry import load_orbit
 
-SAVE_EVERY = 50
-"""Steps between two rewritings of family.json while a family grows."""
 EFFORT = 1.0
 """Seconds of interpreted integration in the checks of a family of moderate length, for `compiled`."""
 
@@ -201,7 +200,8 @@ def _watched(origin: Any, watch: Mapping[str, str | Number] | None) -> Mapping[s
     if watch is not None:
         return watch
     if start := _start_of(origin):
-        return {name: one.entry if isinstance(one.entry, str) else one.of for name, one in start.curve.watch.items()}
+        known = start.curve.watch.items()
+        return {name: number.entry if isinstance(number.entry, str) else number.of for name, number in known}
     return getattr(origin, "watch", {})
 
 
@@ -222,7 +222,7 @@ def _check_again(journal: Journal, curve: Curve, folder: Path) -> None:
     """`InputError` unless every point of a journal without digests still closes, by independent means."""
     model = curve.equations.model
     check = ClosureCheck(model) if model.hybrid is None else HybridCheck(model)
-    for point in (journal.origin, *(p for one in journal.batches for p in one.points)):
+    for point in (journal.origin, *(p for batch in journal.batches for p in batch.points)):
         allowed = CLOSURE * max(1.0, float(np.abs(point.floquet_multipliers).max(initial=1.0)))
         turns = turned(curve.equations.model, np.array(curve.turns), point.shift)
         closure = check(point.state, point.period, turns, allowed, point.free)
@@ -237,7 +237,7 @@ def _started(origin: Any, settings: FamilySettings, model: Model | None) -> Star
     start = _start_of(origin)
     if start is None:
         start = begin(origin, settings, model=model)
-        checked_cycle(start.curve, start.found)
+        checked_cycle(start.curve, start.solution)
         return start
     free, _ = unknown_parameters(start.curve.equations.model, settings)
     if start.curve.test is None and free != start.curve.equations.physical:
@@ -267,10 +267,10 @@ def _reopened(folder: Path, journal: Journal, stops: Mapping[int, Mapping[str, f
         met = [point for point in batch.points if point.role != "at"]
         there = batch.end is not None and batch.end.reason in [reached(*goal) for goal in goals.items()]
         passed = side in last and any(
-            (number_of(last[side], name) - value) * (number_of(one, name) - value) <= 0
-            for name, value in goals.items() for many in (met, batch.events) for one in many
+            (number_of(last[side], name) - value) * (number_of(member, name) - value) <= 0
+            for name, value in goals.items() for many in (met, batch.events) for member in many
         )  # fmt: skip
-        ended = batch.end is not None and batch.end.kind == "target"
+        ended = batch.end is not None and end_kind(batch.end.kind).asked
         if side not in last or ((ended or passed) and not there):
             last.pop(side, None)  # and what comes after it in this direction
             continue
@@ -291,19 +291,21 @@ def _request(
     And what the family was started from, for its file.
     """
     head: Any
+    source = {"name": getattr(origin, "name", "")}
     if isinstance(origin, Branch):
         head, kind = origin.described(), "branch"
+        source = head
     elif isinstance(origin, Start):
-        head, kind = origin.found.place.head.tolist(), "start"
+        head, kind = origin.solution.place.head.tolist(), "start"
     elif isinstance(origin, Orbit):
         head, kind = [*origin.state.tolist(), origin.period], "orbit"
     else:
         guess = origin.guess
         head, kind = [*map(float, guess.state), float(guess.period), plain(origin.pin), origin.symmetry], "problem"
-    source = {"kind": kind, **(head if kind == "branch" else {"name": getattr(origin, "name", "")})}
     chosen = {key: value for key, value in plain(settings).items() if key != "points"}
-    more = {"watch": {name: as_recorded(one) for name, one in watch.items()}} if watch else {}
-    return {"origin": plain(head), "settings": chosen, "at": [float(value) for value in at], **more}, source
+    more = {"watch": {name: as_recorded(number) for name, number in watch.items()}} if watch else {}
+    request = {"origin": plain(head), "settings": chosen, "at": [float(value) for value in at], **more}
+    return request, {"kind": kind, **source}
 
 
 def _header(
@@ -373,14 +375,14 @@ def _finish(
 
     for run in runs:
         done, end = journal.steps(run.direction), journal.end(run.direction)
-        if end is not None and not (end.kind == "point limit" and len(done) < settings.points):
+        if end is not None and not (end_kind(end.kind).lengthened and len(done) < settings.points):
             continue
-        if any(one.end is not None and one.end.kind == "returned" for one in batches):
+        if any(batch.end is not None and end_kind(batch.end.kind).closed for batch in batches):
             break  # a closed family has one direction
         last = done[-1][0] if done else journal.origin
         try:
             for batch in follow(run, done):
-                reached = [one for one in batch.points if one.role == "step"][-1:]
+                reached = [point for point in batch.points if point.role == "step"][-1:]
                 step = abs(reached[0].arclength - last.arclength) if reached else last.step
                 batch, last = checked(curve, batch, step), (*reached, last)[0]
                 batch = batch_certified(curve, batch) if settings.certify else batch
@@ -391,7 +393,8 @@ def _finish(
                 batches.append(batch)
                 if progress:
                     progress(batch)
-                if folder is not None and len(batches) % SAVE_EVERY == 0:
+                # steps between two rewritings of family.json while a family grows
+                if folder is not None and len(batches) % 50 == 0:
                     save_family(so_far(), folder)
         except (LimitError, KeyboardInterrupt):
             if folder is not None:
@@ -401,7 +404,7 @@ def _finish(
     family = so_far()
     if settings.certify:
         first, *rest = family.points
-        ends = (certified(curve, first), *rest[:-1], *(certified(curve, one) for one in rest[-1:]))
+        ends = (certified(curve, first), *rest[:-1], *(certified(curve, point) for point in rest[-1:]))
         family = replace(family, points=ends)
     if folder is not None:
         save_family(family, folder)

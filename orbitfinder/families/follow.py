@@ -18,13 +18,14 @@ import numpy as np
 from orbitfinder.continuation.follow import walked, zero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.changes import first_lost
-from orbitfinder.families.checks import KINDS
 from orbitfinder.families.codimension_two import find_special, left_circle
 from orbitfinder.families.ends import approach, end_at, end_of_failure, merged, returned, shortest_step
+from orbitfinder.families.entries import KINDS
 from orbitfinder.families.events import event_at, find_events
 from orbitfinder.families.motion import watched
 from orbitfinder.families.passages import Test, avoided, zeros
 from orbitfinder.families.point import FamilySettings, make_point, parameter_value
+from orbitfinder.families.registry import end_kind
 from orbitfinder.families.run import (
     Interval,
     Run,
@@ -47,14 +48,10 @@ SHORTEST_SEARCH = 1e-3
 """Steps longer than this are repeated at half their length when an event in them cannot be located."""
 PREDICTION = 3e-3
 """How far from the family, in its metric, the predicted orbit should be."""
-LONGER = 3.0
-"""Steps along a curve of bifurcations may be so many times longer: only its points of codimension two lie between"""
 REFINEMENTS = 2
 """How often the mesh of an orbit that does not close is made finer before its step is made shorter."""
 ECHO = 1e-2
 """Arclength before a junction of two families within which nothing else is reported."""
-LEAST_STRETCHED = 1e-4
-"""A step as short as this may change the period by more than `longest_stretch`: the saddle is reached in the end."""
 ROUND_OFF = 1e-15
 """Arclength within which a watched number is met"""
 Member = TypeVar("Member", FamilyPoint, Event)
@@ -97,9 +94,9 @@ class _Walk:
 
 def _attempt(run: Run, before: Step, length: float) -> tuple[Step, Batch]:
     began = time.perf_counter()
-    curve, settings, sample, place = run.curve, run.settings, before.sample, before.found.place
+    curve, settings, sample, place = run.curve, run.settings, before.sample, before.solution.place
     guess = advanced(place, sample.whole, length, before.curvature)
-    slope = before.found.jacobian if before.drift is None else before.found.jacobian + length * before.drift
+    slope = before.solution.jacobian if before.drift is None else before.solution.jacobian + length * before.drift
     aim, reach = plane(curve, place, sample.whole, length), 0.5 * length + 1e-9
     raw = correct(curve, guess, aim, place, reach=reach, slope=slope, fit=regraded)
     whole = tangent(curve, raw, sample.whole)
@@ -107,7 +104,8 @@ def _attempt(run: Run, before: Step, length: float) -> tuple[Step, Batch]:
     if turn > settings.sharpest_turn:
         raise ConvergenceError(f"the family turns by {turn:.2g} rad within one step")
     stretch = abs(raw.place.period / place.period - 1.0)
-    if stretch > settings.longest_stretch and length > LEAST_STRETCHED:
+    # a step as short as this may change the period by more than `longest_stretch`: the saddle is reached in the end
+    if stretch > settings.longest_stretch and length > 1e-4:
         raise ConvergenceError(f"the period changes by {stretch:.2g} within one step")
     found = settled(curve, raw, whole)
     last = make_sample(curve, length, raw, whole, before.point.indices + before.trend)
@@ -134,18 +132,18 @@ def _attempt(run: Run, before: Step, length: float) -> tuple[Step, Batch]:
 
 
 def _checked_point(
-    run: Run, found: Solution, whole: np.ndarray, where: dict[str, Any], about: Spectrum | None
+    run: Run, solution: Solution, whole: np.ndarray, where: dict[str, Any], about: Spectrum | None
 ) -> tuple[FamilyPoint, Solution]:
     """The point of a corrected place, on a finer mesh where it does not close on this one."""
     name = run.settings.parameter
     for trial in range(REFINEMENTS + 1):
         try:
-            along = found.place.head_of(whole)
-            return make_point(run.curve, found, along, name, run.check, about=about, **where), found
+            along = solution.place.head_of(whole)
+            return make_point(run.curve, solution, along, name, run.check, about=about, **where), solution
         except ConvergenceError:
             if trial == REFINEMENTS:
                 raise
-            found, about = refined(run.curve, found, whole), None
+            solution, about = refined(run.curve, solution, whole), None
     raise AssertionError("unreachable")
 
 
@@ -160,7 +158,8 @@ def _next_length(longest: float, length: float, missed: float, bendable: float) 
 
 def _limits(run: Run, turn: float, stretch: float) -> tuple[float, float]:
     """The longest step, and how many times this one may be by its changes: its turn (rad), the period's, relative."""
-    settings, along = run.settings, 1.0 if run.curve.test is None else LONGER
+    # steps along a curve of bifurcations may be so many times longer: only its points of codimension two lie between
+    settings, along = run.settings, 1.0 if run.curve.test is None else 3.0
     limits = (0.4 * settings.sharpest_turn / max(turn, 1e-9), 0.6 * settings.longest_stretch / max(stretch, 1e-9))
     return along * settings.longest_step, min(limits)
 
@@ -173,16 +172,16 @@ def _batch(run: Run, before: Step, after: Step, last: Sample) -> Batch:
     events = [_placed(event, run, origin) for event in found]
     points, final = _exactly(run, before, interval, found)
     if final:
-        goal, there = min(final, key=lambda one: abs(one[1].arclength))
+        goal, there = min(final, key=lambda pair: abs(pair[1].arclength))
         end = End("target", reached(*goal))
         reach = abs(there.arclength - origin.arclength)
         kept = [*_within(points, origin, reach), there]
         return Batch(run.direction, _ordered(kept), tuple(_within(events, origin, reach)), end)
-    if ended is not None and ended.kind in ("equilibrium", "relative equilibrium"):
+    if ended is not None and end_kind(ended.kind).outside:
         return Batch(run.direction, (), (), ended)
-    for event, one in zip(events, found, strict=True):
-        turned = KINDS[one.kind].extremal and one.detail not in ("period", *run.curve.watch)
-        joined = merged(interval, one.arclength, settings.parameter) if turned else left_circle(run.curve, one)
+    for event, near in zip(events, found, strict=True):
+        turned = KINDS[near.kind].extremal and near.detail not in ("period", *run.curve.watch)
+        joined = merged(interval, near.arclength, settings.parameter) if turned else left_circle(run.curve, near)
         if joined is not None:
             reach = abs(event.arclength - origin.arclength)
             # the tangent is ill-defined where two families cross: other folds seen beside this one are its echoes
@@ -208,7 +207,7 @@ def _cut(run: Run, before: Step, last: Sample) -> Batch | None:
     events: list[Event] = []
     if reach > 0:
         until = make_interval(run.curve, before.sample, interval.sample((1 - ECHO) * reach))
-        events = [_placed(one, run, origin) for one in _events(until, run.settings)]
+        events = [_placed(each, run, origin) for each in _events(until, run.settings)]
     end = End(margin.kind, f"{margin.what} beyond {name} = {event.parameter:.12g}")
     return Batch(run.direction, _ordered(_within(points, origin, reach)), (*events, event), end)
 
@@ -219,9 +218,9 @@ def _exactly(
     """The points of an interval that are asked for, and those at which the run ends, with what is reached there."""
     name = run.settings.parameter
     wanted = (value for value in run.at if value != run.origin.value)
-    points = [point for one in wanted for point in exact_points(run, before, interval, (name, one), events, "at")]
-    return points, [(one, each) for one in run.goals.items()
-                    for each in exact_points(run, before, interval, one, events, "end")[:1]]  # fmt: skip
+    points = [point for value in wanted for point in exact_points(run, before, interval, (name, value), events, "at")]
+    return points, [(goal, each) for goal in run.goals.items()
+                    for each in exact_points(run, before, interval, goal, events, "end")[:1]]  # fmt: skip
 
 
 def _events(interval: Interval, settings: FamilySettings) -> list[Event]:
@@ -230,10 +229,10 @@ def _events(interval: Interval, settings: FamilySettings) -> list[Event]:
         return []
     try:
         alone = interval.curve.test is None
-        found = find_events(interval, settings) if alone else find_special(interval)
+        located = find_events(interval, settings) if alone else find_special(interval)
         tests = [kind.test for kind in KINDS.values() if kind.test and kind.second != alone]
-        found += [one for test in tests for one in zeros(interval, test(interval))]
-        events = [event_at(interval.curve, sample, test, settings.parameter) for sample, test in found]
+        located += [pair for test in tests for pair in zeros(interval, test(interval))]
+        events = [event_at(interval.curve, sample, test, settings.parameter) for sample, test in located]
         return sorted(events, key=lambda event: event.arclength)
     except (ConvergenceError, IntegrationError) as error:
         if interval.length > SHORTEST_SEARCH:
@@ -249,7 +248,7 @@ def _placed(event: Event, run: Run, origin: FamilyPoint) -> Event:
 
 def _within(members: Iterable[Member], origin: FamilyPoint, reach: float) -> list[Member]:
     """The points or events no further than `reach` along the family from a point."""
-    return [one for one in members if abs(one.arclength - origin.arclength) <= reach]
+    return [member for member in members if abs(member.arclength - origin.arclength) <= reach]
 
 
 def _ordered(points: list[FamilyPoint]) -> tuple[FamilyPoint, ...]:
@@ -271,31 +270,32 @@ def exact_points(
         if name in curve.watch:
             sample = interval.sample(zero(lambda d: level(d) - value, a, b, ROUND_OFF))
         else:
-            found = _solve_level(run, interval, a + (b - a) * (value - low) / (high - low), value)
-            whole, along = tangent(curve, found, first.whole), ahead(curve, first, found)
-            sample = make_sample(curve, along, found, whole, interval.indices(along))
+            solution = _solve_level(run, interval, a + (b - a) * (value - low) / (high - low), value)
+            whole, along = tangent(curve, solution, first.whole), ahead(curve, first, solution)
+            sample = make_sample(curve, along, solution, whole, interval.indices(along))
         where: dict[str, Any] = {
             "index": before.point.index, "arclength": before.point.arclength + run.direction * sample.distance,
             "step": before.point.step, "role": role, "indices": sample.indices,
         }  # fmt: skip
         parameter = run.settings.parameter
-        points.append(make_point(curve, sample.found, sample.head, parameter, run.check, about=sample.about, **where))
+        solution, about = sample.solution, sample.about
+        points.append(make_point(curve, solution, sample.head, parameter, run.check, about=about, **where))
     return points
 
 
 def _level(interval: Interval, name: str, distance: float) -> float:
     """A watched number at a distance into an interval, or about what the parameter is there."""
     if name in interval.curve.watch:
-        return watched(interval.curve, interval.sample(distance).found)[name]
+        return watched(interval.curve, interval.sample(distance).solution)[name]
     return parameter_value(interval.curve, interval.guess(distance), name)
 
 
 def _solve_level(run: Run, interval: Interval, near: float, value: float) -> Solution:
     """The orbit at a given value of the parameter near a distance into an interval, on a mesh that satisfies it."""
-    curve, first, reach = run.curve, interval.first.found, interval.length
+    curve, first, reach = run.curve, interval.first.solution, interval.length
     aim = pinned(curve.equations, run.settings.parameter, value)
     slope = first.jacobian if curve.test is None else interval.slope(near)
-    found = correct(curve, interval.guess(near), aim, first.place, reach=reach, slope=slope)
-    if distance(curve, found.place, first.place) > 2 * reach:
+    solution = correct(curve, interval.guess(near), aim, first.place, reach=reach, slope=slope)
+    if distance(curve, solution.place, first.place) > 2 * reach:
         raise ConvergenceError("the exact value was found on another part of the family")
-    return found
+    return solution

@@ -36,53 +36,45 @@ EVEN = (2, 4, 6)
 odd share, such as a third, it goes on as another branch."""
 SAMPLED = 480
 """Samples over a period, divisible by every `parts`"""
-STEPS = 20
-"""Runge-Kutta steps in a segment of the first guess of the joined orbit"""
 BESIDE = (1e-4, 0.5)
 """d relative to the motion: above what cubics between the steps are off, and beside another family."""
-GONE = 0.2
-"""Share of the lower bound that d is below where it is only what cubics are off."""
-CRITICAL = 0.5
-"""A multiplier of the joined family is this near to the critical one beside the join."""
 MOST_SECANT = 16
 FIRST, FARTHEST, SOLVED, STALLED = 1e-3, 1.0, 1e-12, 1e-6
 """Arclengths along the joined family: of the first difference, how far the join may be, of the last step, and of one
 after which steps that become no shorter are round-off"""
-SURE = 1e-6
-"""Largest error bar of a join, relative to the parameter"""
 KNOWN = 1e-13
 """What multipliers of order one, and parameters, are known to."""
 
 
 @dataclass(frozen=True)
-class Kept:
-    """What a joined family keeps: it repeats after 1/`parts` of the period, by `one` in its image."""
+class Invariance:
+    """What a joined family keeps: it repeats after 1/`parts` of the period, by `involution` in its image."""
 
     parts: int
-    one: Involution | None = None
+    involution: Involution | None = None
 
     @property
     def covers(self) -> int:
         """How many times shorter the joined period is."""
-        return self.parts if self.one is None else 1
+        return self.parts if self.involution is None else 1
 
     def gaps(self, states: np.ndarray, angles: np.ndarray) -> np.ndarray:
         """d of samples (k+1 x d) over a period."""
         later = (len(states) - 1) // self.parts % (len(states) - 1)
         here = states[: len(states) - 1 - later]
-        image = here if self.one is None else here @ self.one.matrix(angles.size).T
+        image = here if self.involution is None else here @ self.involution.matrix(angles.size).T
         return np.asarray(wrapped(image - states[later : later + len(here)], angles))
 
     def joined(self, states: np.ndarray, angles: np.ndarray) -> np.ndarray:
         """The samples over the joined period that those of an orbit beside it become by the mean over their images."""
         count = len(states) - 1
-        if self.one is not None:
+        if self.involution is not None:
             later = np.roll(states[:-1], -(count // self.parts), axis=0)
-            found = states[:-1] + wrapped(later @ self.one.matrix(angles.size).T - states[:-1], angles) / 2
-            return np.vstack([found, found[:1] + states[-1] - states[0]])
+            image = states[:-1] + wrapped(later @ self.involution.matrix(angles.size).T - states[:-1], angles) / 2
+            return np.vstack([image, image[:1] + states[-1] - states[0]])
         drift = np.linspace(0.0, 1.0, count + 1)[:, None] * (states[-1] - states[0])
-        found = (states - drift)[:-1].reshape(self.parts, count // self.parts, -1).mean(axis=0)
-        return np.asarray(np.vstack([found, found[:1]]) + drift[: len(found) + 1])
+        image = (states - drift)[:-1].reshape(self.parts, count // self.parts, -1).mean(axis=0)
+        return np.asarray(np.vstack([image, image[:1]]) + drift[: len(image) + 1])
 
 
 @dataclass(frozen=True)
@@ -90,30 +82,30 @@ class Join:
     """The orbit at which a family is joined, on that family's curve, and the error bar of the parameter."""
 
     curve: Curve
-    found: Solution
+    solution: Solution
     value: float
     error: float
-    kept: Kept
+    kept: Invariance
     regular: Solution
 
 
-def joinable(curve: Curve) -> list[Kept]:
+def joinable(curve: Curve) -> list[Invariance]:
     """What families that this one is its own mirror image about may keep."""
     p = curve.equations
     if p.links or p.symmetry.relative or curve.test:
         return []
-    parts = [Kept(k) for k in EVEN if not any(turn % k for turn in curve.turns) and not curve.cycles % k]
+    parts = [Invariance(k) for k in EVEN if not any(turn % k for turn in curve.turns) and not curve.cycles % k]
     if p.symmetry.forward is not None:
         return parts
-    forward = [one for one in involutions(p.model) if one.sense > 0]
-    return parts + [Kept(count, one) for one in forward for count in (1, 2)]
+    forward = [involution for involution in involutions(p.model) if involution.sense > 0]
+    return parts + [Invariance(count, involution) for involution in forward for count in (1, 2)]
 
 
-def sampled(curve: Curve, found: Solution) -> np.ndarray:
+def sampled(curve: Curve, solution: Solution) -> np.ndarray:
     """States at equal times over the whole period of an orbit."""
-    if "samples" not in found.kept:
-        found.kept["samples"] = _sampled(curve, found.place, found.march.states)
-    samples: np.ndarray = found.kept["samples"]
+    if "samples" not in solution.kept:
+        solution.kept["samples"] = _sampled(curve, solution.place, solution.march.states)
+    samples: np.ndarray = solution.kept["samples"]
     return samples
 
 
@@ -125,7 +117,7 @@ def _sampled(curve: Curve, place: Unknowns, states: np.ndarray) -> np.ndarray:
     return np.asarray(CubicHermiteSpline(mesh, states, slopes)(np.linspace(0.0, 1.0, SAMPLED + 1)))
 
 
-def _beside(curve: Curve, states: np.ndarray) -> Iterator[tuple[Kept, np.ndarray, float]]:
+def _beside(curve: Curve, states: np.ndarray) -> Iterator[tuple[Invariance, np.ndarray, float]]:
     """What an orbit nearly keeps, d, and its size relative to the motion's."""
     away, angles = (states - states.mean(axis=0)) / curve.units, curve.equations.model.angular
     for kept in joinable(curve):
@@ -133,20 +125,19 @@ def _beside(curve: Curve, states: np.ndarray) -> Iterator[tuple[Kept, np.ndarray
         yield kept, gaps, float(np.sqrt((gaps**2).mean() / nonzero((away**2).mean())))
 
 
-def _held(curve: Curve, kept: Kept, states: np.ndarray) -> bool:
+def _held(curve: Curve, kept: Invariance, states: np.ndarray) -> bool:
     """Whether the equations keep it, and not only a motion: asked at states of an orbit beside."""
     p = curve.equations
-    if kept.one is None:
+    if kept.involution is None:
         return True
-    symmetry = called(replace(p.symmetry, maps=(kept.one,)), p.model)
+    symmetry = called(replace(p.symmetry, maps=(kept.involution,)), p.model)
     cycles = max(curve.cycles // kept.covers, 1)
     return all(symmetry.held_by(p.model, states[k], cycles) for k in (0, SAMPLED // 5, SAMPLED // 2))
 
 
-def approaching(curve: Curve, sample: Sample, length: float) -> Iterator[tuple[Kept, float, float]]:
+def approaching(curve: Curve, sample: Sample, length: float) -> Iterator[tuple[Invariance, float, float]]:
     """The families that might be joined: what they keep, how far ahead, and how far the orbit is beside them."""
-    found = sample.found
-    here = sampled(curve, found)
+    here = sampled(curve, sample.solution)
     near = [one for one in _beside(curve, here) if BESIDE[0] < one[2] < BESIDE[1] and _held(curve, one[0], here)]
     if not near:
         return
@@ -161,44 +152,46 @@ def approaching(curve: Curve, sample: Sample, length: float) -> Iterator[tuple[K
 
 def passed(curve: Curve, before: Solution, after: Solution) -> bool:
     """Whether a family was joined between two orbits: the second one keeps what the first did not, or is its image."""
-    one, other = sampled(curve, before), sampled(curve, after)
-    for (kept, here, size), (_, there, left) in zip(_beside(curve, one), _beside(curve, other), strict=True):
+    first, other = sampled(curve, before), sampled(curve, after)
+    for (kept, here, size), (_, there, left) in zip(_beside(curve, first), _beside(curve, other), strict=True):
         sizes = float(np.linalg.norm(here) * np.linalg.norm(there))
         turned = BESIDE[0] < min(size, left) and max(size, left) < BESIDE[1] and (here * there).sum() < -0.5 * sizes
-        if (turned or (size > BESIDE[0] and left < GONE * BESIDE[0])) and _held(curve, kept, one):
+        # share of the lower bound that d is below where it is only what cubics are off
+        if (turned or (size > BESIDE[0] and left < 0.2 * BESIDE[0])) and _held(curve, kept, first):
             return True
     return False
 
 
-def solved(curve: Curve, found: Solution, name: str, kept: Kept, symmetry: str = "") -> Join | None:
+def solved(curve: Curve, solution: Solution, name: str, kept: Invariance, symmetry: str = "") -> Join | None:
     """The orbit at which a family beside an orbit, that keeps so much, is joined; `name` is the parameter.
 
     One that keeps another `symmetry`, which reverses time, is begun as that orbit in its formulation.
     """
     try:
         if symmetry:
-            here = Start(curve, found, found.place.head)
+            here = Start(curve, solution, solution.place.head)
             start: Start | None = reformulated(here, named(symmetry, curve.equations.model))
         else:
-            start = _beside_join(curve, found, kept)
+            start = _beside_join(curve, solution, kept)
         return None if start is None else _critical(symmetric(start), name, kept)
     except (ConvergenceError, IntegrationError, InputError, np.linalg.LinAlgError):
         return None
 
 
-def _beside_join(curve: Curve, found: Solution, kept: Kept) -> Start | None:
+def _beside_join(curve: Curve, solution: Solution, kept: Invariance) -> Start | None:
     """The orbit of the joined family at the parameter's value of one beside it, begun as the mean over its images."""
-    p, place = curve.equations, found.place
+    p, place = curve.equations, solution.place
     symmetry = p.symmetry
-    if kept.one is not None and kept.parts == 2:
-        symmetry = called(replace(symmetry, maps=(kept.one,)), p.model)
-    states = kept.joined(sampled(curve, found), p.model.angular)
+    if kept.involution is not None and kept.parts == 2:
+        symmetry = called(replace(symmetry, maps=(kept.involution,)), p.model)
+    states = kept.joined(sampled(curve, solution), p.model.angular)
     if not symmetry.held_by(p.model, states[0], max(curve.cycles // kept.covers, 1)):
         return None
     equations = Equations(p.model, symmetry, p.free, action=True)
     part = round((len(states) - 1) * symmetry.fraction)
     count = next(k for k in (8, 6, 5, 4, 3, 2, 1) if part % k == 0)
-    mesh = uniform(symmetry.fraction, count, STEPS)
+    # Runge-Kutta steps in a segment of the first guess of the joined orbit
+    mesh = uniform(symmetry.fraction, count, 20)
     fresh = equations.unknowns(states[: part : part // count], place.period / kept.covers, mesh, place.free)
     held = {condition.name: condition.value for condition in curve.kept}
     if "period" in held:
@@ -208,21 +201,22 @@ def _beside_join(curve: Curve, found: Solution, kept: Kept) -> Start | None:
     return corrected(there, fresh, pinned(equations, own, parameter_value(curve, place, own)))
 
 
-def _critical(start: Start, name: str, kept: Kept) -> Join | None:
+def _critical(start: Start, name: str, kept: Invariance) -> Join | None:
     """Along the joined family to where the multiplier with which the branch leaves is a root of 1, by secants."""
-    curve, base = start.curve, start.found
+    curve, base = start.curve, start.solution
     about, whole = spectrum(curve, base), tangent(curve, base, start.direction)
     order = about.root * kept.covers
     roots = [np.exp(2j * np.pi * j / order) for j in range(order) if gcd(j, kept.covers) == 1]
     critical = min(roots, key=lambda root: np.abs(about.values - root).min(initial=np.inf))
-    if not np.abs(about.values - critical).min(initial=np.inf) < CRITICAL:
+    # a multiplier of the joined family is this near to the critical one beside the join
+    if not np.abs(about.values - critical).min(initial=np.inf) < 0.5:
         return None
     test, place = Critical("branch_point", (name, name), multiplier=complex(critical)), base.place
 
     def at(distance: float) -> tuple[Solution, float]:
         guess, aim = advanced(place, whole, distance), plane(curve, place, whole, distance)
-        found = correct(curve, guess, aim, place, reach=1.0 + abs(distance))
-        return found, test(curve, found)
+        solution = correct(curve, guess, aim, place, reach=1.0 + abs(distance))
+        return solution, test(curve, solution)
 
     (known, low), here, last, moved = (base, test(curve, base)), FIRST, 0.0, np.inf
     for _ in range(MOST_SECANT):
@@ -245,21 +239,22 @@ def _critical(start: Start, name: str, kept: Kept) -> Join | None:
 def agrees(join: Join, before: Step, away: float, name: str) -> bool:
     """Whether a step may come to a join: parameter and period are as near to its own as they change on the way."""
     slopes = before.sample.slopes
-    left = [join.value - before.point.value, join.found.place.period * join.kept.covers - before.point.period]
-    allowed = [3 * away * abs(slopes[one]) for one in (name, "period")]
+    left = [join.value - before.point.value, join.solution.place.period * join.kept.covers - before.point.period]
+    allowed = [3 * away * abs(slopes[quantity]) for quantity in (name, "period")]
     least = [join.error + 1e-9 * abs(join.value), 1e-9 * before.point.period]
-    told = join.error < SURE * max(abs(join.value), abs(before.point.value))
-    return told and all(abs(one) <= most + floor for one, most, floor in zip(left, allowed, least, strict=True))
+    # largest error bar of a join, relative to the parameter
+    told = join.error < 1e-6 * max(abs(join.value), abs(before.point.value))
+    return told and all(abs(off) <= most + floor for off, most, floor in zip(left, allowed, least, strict=True))
 
 
 def end_of(join: Join, more: str = "") -> End:
     """The end of a family at a join, with the family that is joined."""
-    curve, place = join.curve, join.found.place
-    symmetry = symmetry_of(curve, join.found)
-    alone = join.kept.one is not None and join.kept.parts == 1
+    curve, place = join.curve, join.solution.place
+    symmetry = symmetry_of(curve, join.solution)
+    alone = join.kept.involution is not None and join.kept.parts == 1
     what = "that is its own mirror image" if alone else f"of symmetry {symmetry}"
     what = what if join.kept.covers == 1 else f"of period T/{join.kept.covers}"
-    told = {one: (parameter_value(curve, place, one), "") for one in curve.equations.physical}
+    told = {name: (parameter_value(curve, place, name), "") for name in curve.equations.physical}
     told = told or {"energy": (parameter_value(curve, place, "energy"), " J")}
     where = ", ".join(f"{one} {value:.12g}{unit}" for one, (value, unit) in told.items())
     period = place.period * join.kept.covers

@@ -33,7 +33,7 @@ Member = TypeVar("Member", FamilyPoint, Event)
 
 
 @dataclass(frozen=True)
-class Motion:
+class MemberMotion:
     """One orbit of a family: its point, states (k x 2n) over a period, broken by nan where it jumps, and joints
     (k x 2 x m) at equal times or None."""
 
@@ -58,7 +58,7 @@ def whole(orbit: Orbit, model: Model) -> Orbit:
 
 def _alone(point: FamilyPoint, **changed: Any) -> Orbit:
     """A point as an Orbit of its own."""
-    return Orbit(**{one.name: getattr(point, one.name) for one in fields(Orbit)} | changed)
+    return Orbit(**{entry.name: getattr(point, entry.name) for entry in fields(Orbit)} | changed)
 
 
 def _period(orbit: Orbit, model: Model, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -86,10 +86,10 @@ def response(family: Family, model: Model) -> tuple[str, np.ndarray]:
 
 def orbit_at(curve: Curve, event: Event, model: Model) -> Orbit:
     """The orbit of an event, without certificate; the model has its freed parameters."""
-    found = at_place(curve, unknowns_of(curve, event))
-    times, states = full_samples(curve, found, SAMPLES)
+    solution = at_place(curve, unknowns_of(curve, event))
+    times, states = full_samples(curve, solution, SAMPLES)
     index, arclength = event.index, event.arclength
-    point = make_point(curve, found, event.tangent, "energy", None, index=index, arclength=arclength, step=0.0)
+    point = make_point(curve, solution, event.tangent, "energy", None, index=index, arclength=arclength, step=0.0)
     return _alone(point, name="event", symmetry=recognise(times, states, model))
 
 
@@ -102,11 +102,11 @@ def certified(curve: Curve, member: Member) -> Member:
 
 def batch_certified(curve: Curve, batch: Batch) -> Batch:
     """A step with its events and the points that were asked for certified."""
-    points = tuple(certified(curve, one) if one.role != "step" else one for one in batch.points)
-    return replace(batch, points=points, events=tuple(certified(curve, one) for one in batch.events))
+    points = tuple(certified(curve, point) if point.role != "step" else point for point in batch.points)
+    return replace(batch, points=points, events=tuple(certified(curve, event) for event in batch.events))
 
 
-def motions(family: Family, model: Model, count: int = 8) -> list[Motion]:
+def motions(family: Family, model: Model, count: int = 8) -> list[MemberMotion]:
     """`count` orbits along a family, spread by frequency, without family.npz of its less unstable orbits."""
     points = [point for point in family.points if point.mesh.size or point.scale < STEADY]
     if not points:
@@ -114,14 +114,14 @@ def motions(family: Family, model: Model, count: int = 8) -> list[Motion]:
     places = _spread([1.0 / point.period for point in points]) + 0.2 * _spread([point.arclength for point in points])
     wanted = np.linspace(places[0], places[-1], count)
     chosen = sorted({int(np.argmin(np.abs(places - place))) for place in wanted})
-    found = []
+    shown = []
     for k in chosen:
         there = with_parameters(model, points[k].free)
         path = course(there, *_period(points[k], there, MOTION))
         moments = np.linspace(0.0, path.period, MOTION + 1)[: -1 if path.jumps else None]
         joints = None if model.points is None else path.positions(moments)
-        found.append(Motion(points[k], path.samples, joints, model.strokes))
-    return found
+        shown.append(MemberMotion(points[k], path.samples, joints, model.strokes))
+    return shown
 
 
 def _spread(values: Sequence[float]) -> np.ndarray:
@@ -138,9 +138,9 @@ def amplitudes(family: Family, model: Model) -> np.ndarray:
     curve = curve_in(family, model)
     mesh, n = uniform(curve.equations.symmetry.fraction, 1, MOTION), model.degrees_of_freedom
 
-    def range_of(one: FamilyPoint | Event) -> np.ndarray:
-        known = one if one.mesh.size else replace(one, shooting_nodes=one.state[None], mesh=mesh)
+    def range_of(member: FamilyPoint | Event) -> np.ndarray:
+        known = member if member.mesh.size else replace(member, shooting_nodes=member.state[None], mesh=mesh)
         states = full_samples(curve, at_place(curve, unknowns_of(curve, known)), SAMPLES)[1]
         return np.asarray(np.ptp(states[:, :n], axis=0) / 2)
 
-    return np.array([range_of(one) for one in family.members])
+    return np.array([range_of(member) for member in family.members])

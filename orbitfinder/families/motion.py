@@ -24,17 +24,17 @@ ROUGH, ROUND_OFF = 1e-9, 2e-15
 """By a motion so much off, relative, it is seen what a number makes of errors; and how large those are"""
 
 
-def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
+def full_samples(curve: Curve, solution: Solution, count: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
     """Times (s) and states at equal times over the whole period, unfolded by the formulation's symmetry."""
-    p, place = curve.equations, found.place
+    p, place = curve.equations, solution.place
     if p.links:
-        return _linked_samples(curve, found, count)
+        return _linked_samples(curve, solution, count)
     each = -(-count // len(place.nodes))
     if each > place.steps:
         mesh = np.concatenate([[0.0], *[np.linspace(a, b, each + 1)[1:] for a, b in pairwise(place.edges)]])
         states = p.march.states(place.nodes, mesh, place.tail)
     else:  # what took so many steps is not known from fewer
-        mesh, states = place.mesh, found.march.states
+        mesh, states = place.mesh, solution.march.states
     mesh, states = p.symmetry.whole(mesh, states, curve.constant)
     times, moments = np.linspace(0.0, place.period, count + 1), mesh * place.period
     slopes = p.march.rates(states, place.tail, moments)
@@ -43,37 +43,37 @@ def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[n
     return times, CubicHermiteSpline(moments, states, slopes)(times)
 
 
-def _linked_samples(curve: Curve, found: Solution, count: int) -> tuple[np.ndarray, np.ndarray]:
+def _linked_samples(curve: Curve, solution: Solution, count: int) -> tuple[np.ndarray, np.ndarray]:
     """The same of a hybrid orbit; at an event the state after it."""
-    p, place = curve.equations, found.place
+    p, place = curve.equations, solution.place
     arcs = p.links.count
     ends, pieces = place.period * np.append(0.0, np.cumsum(p.links.shares(place.free))), []
     times = np.linspace(0.0, place.period, count + 1)
     for k, (begin, end) in enumerate(pairwise(ends)):
-        states, mesh = arc_states(found, arcs, k), arc_mesh(place, arcs, k)
+        states, mesh = arc_states(solution, arcs, k), arc_mesh(place, arcs, k)
         slopes = p.march.arcs[k].rates(states, place.tail) * place.period / arcs
         own = times[(times >= begin) & ((times < end) if k < arcs - 1 else (times <= place.period))]
         pieces.append(CubicHermiteSpline(mesh, states, slopes)((own - begin) / (end - begin)))
     return times, np.vstack(pieces)
 
 
-def watched(curve: Curve, found: Solution) -> dict[str, float]:
+def watched(curve: Curve, solution: Solution) -> dict[str, float]:
     """The watched numbers of an orbit, kept with it. Raises `ConvergenceError` where one is not finite."""
-    if curve.watch and not curve.watch.keys() <= found.kept.keys():
-        found.kept.update(numbers(curve.watch, *_motion(curve, found), parameters_at(curve, found.place)))
-    return {name: found.kept[name] for name in curve.watch}
+    if curve.watch and not curve.watch.keys() <= solution.kept.keys():
+        solution.kept.update(numbers(curve.watch, *_motion(curve, solution), parameters_at(curve, solution.place)))
+    return {name: solution.kept[name] for name in curve.watch}
 
 
-def rises(curve: Curve, found: Solution, whole: np.ndarray) -> dict[str, float]:
+def rises(curve: Curve, solution: Solution, whole: np.ndarray) -> dict[str, float]:
     """The derivatives of the watched numbers along a direction over w."""
-    sides = (replace(found, place=found.place.moved(step * whole), kept={}) for step in (-STEP, STEP))
-    before, after = (watched(curve, one) for one in sides)
+    sides = (replace(solution, place=solution.place.moved(step * whole), kept={}) for step in (-STEP, STEP))
+    before, after = (watched(curve, side) for side in sides)
     return {name: (after[name] - before[name]) / (2 * STEP) for name in curve.watch}
 
 
-def noise(curve: Curve, found: Solution) -> dict[str, float]:
+def noise(curve: Curve, solution: Solution) -> dict[str, float]:
     """What round-off makes of these derivatives."""
-    wrong = unsure(curve.watch, *_motion(curve, found), parameters_at(curve, found.place), ROUGH)
+    wrong = unsure(curve.watch, *_motion(curve, solution), parameters_at(curve, solution.place), ROUGH)
     return {name: ROUND_OFF / ROUGH * one / STEP for name, one in wrong.items()}
 
 
@@ -84,15 +84,15 @@ def parameters_at(curve: Curve, w: Unknowns) -> dict[str, float]:
     return dict(values) | dict(zip(curve.equations.free, map(float, w.free), strict=True))
 
 
-def _motion(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
+def _motion(curve: Curve, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Times and states of a period from a place, whatever was marched there; of a hybrid orbit events twice."""
-    p, w = curve.equations, found.place
+    p, w = curve.equations, solution.place
     if not p.links:
-        return full_samples(curve, found, max(WATCHED, (w.steps + 1) * len(w.nodes)))
+        return full_samples(curve, solution, max(WATCHED, (w.steps + 1) * len(w.nodes)))
     arcs, w = p.links.count, w.on(divided(w.mesh, -(-WATCHED // (w.mesh.size - 1))))
-    found, steps = replace(found, place=w, march=p.varied(w, states=True)), (w.mesh.size - 1) // arcs
+    solution, steps = replace(solution, place=w, march=p.varied(w, states=True)), (w.mesh.size - 1) // arcs
     ends = w.period * np.append(0.0, np.cumsum(p.links.shares(w.free)))
     meshes = [w.mesh[k * steps : (k + 1) * steps + 1] for k in range(arcs)]
-    shares = [(one - one[0]) / np.ptp(one) for one in meshes]
+    shares = [(mesh - mesh[0]) / np.ptp(mesh) for mesh in meshes]
     times = np.concatenate([(1 - s) * a + s * b for s, (a, b) in zip(shares, pairwise(ends), strict=True)])
-    return times, np.vstack([arc_states(found, arcs, k) for k in range(arcs)])
+    return times, np.vstack([arc_states(solution, arcs, k) for k in range(arcs)])

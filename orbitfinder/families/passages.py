@@ -27,8 +27,6 @@ TOLD = 1e-4
 """Smallest singular value, relative to the next, with which an orbit is known to 1e-10 beside a crossing family."""
 STRAIGHT = 0.02
 """Share of the little way past a crossing family by which a measure that vanishes there is off its straight line."""
-TOLD_APART = 1e-4
-"""An index located at a level is this near to it, unless two indices were taken for each other."""
 UNTOLD = 1e-3
 """Steps longer than this are repeated shorter when indices cannot be told apart."""
 
@@ -60,28 +58,28 @@ def passage(level: float) -> Measure:
     return measure
 
 
-Level = tuple[float, str, int, complex]
+Level = tuple[float, str, str, int, complex]
 
 
 def index_levels(root: int, most: int) -> Iterator[Level]:
-    """(level of the index, kind, order q, critical multiplier of the root map) of every bifurcation."""
-    yield 2.0, "branch_point", 1, 1.0 + 0.0j
+    """(level of the index, kind, detail, order q, critical multiplier of the root map) of every bifurcation."""
+    yield 2.0, "branch_point", "", 1, 1.0 + 0.0j
     if root == 1:
-        yield -2.0, "period_doubling", 2, -1.0 + 0.0j
+        yield -2.0, "period_doubling", "", 2, -1.0 + 0.0j
     else:
-        yield -2.0, "branch_point", 1, -1.0 + 0.0j
-        yield 0.0, "period_doubling", 2, 1.0j
+        yield -2.0, "branch_point", "", 1, -1.0 + 0.0j
+        yield 0.0, "period_doubling", "", 2, 1.0j
     for q in range(3, most + 1):
         for k in range(1, (q if root == 2 else q // 2) + 1):
             if gcd(k, q) == 1 and k < q:
                 angle = 2 * np.pi * k / (q * root)
-                yield 2 * float(np.cos(angle)), "resonance", q, complex(np.exp(1j * angle))
+                yield 2 * float(np.cos(angle)), "resonance", f"q = {q}", q, complex(np.exp(1j * angle))
 
 
 def multiplier_levels(root: int) -> tuple[Level, Level]:
     """The same of real multipliers, where they are in no pairs."""
-    other = ("branch_point", 1) if root == 2 else ("period_doubling", 2)
-    return (1.0, "branch_point", 1, 1.0 + 0.0j), (-1.0, *other, -1.0 + 0.0j)
+    other = ("branch_point", "", 1) if root == 2 else ("period_doubling", "", 2)
+    return (1.0, "branch_point", "", 1, 1.0 + 0.0j), (-1.0, *other, -1.0 + 0.0j)
 
 
 def located(interval: Interval, measure: Measure, low: float, high: float) -> Sample:
@@ -112,12 +110,12 @@ def zeros(interval: Interval, tests: Iterable[Test]) -> Iterator[tuple[Sample, T
 def _across(interval: Interval, measure: Measure, near: Sample) -> Sample:
     """The orbit `near` a crossing of two families at which a measure vanishes, as orbits on both sides tell."""
     about = interval.about(near.distance)
-    if any(crossed(interval.curve, one.found, TOLD) for one in (about.first, about.last)):
+    if any(crossed(interval.curve, end.solution, TOLD) for end in (about.first, about.last)):
         return near  # the families part too slowly
 
     def sample(distance: float) -> Sample:
-        found = about.sample(distance)
-        return replace(found, distance=ahead(interval.curve, interval.first, found.found))
+        other = about.sample(distance)
+        return replace(other, distance=ahead(interval.curve, interval.first, other.solution))
 
     def value(distance: float) -> float:
         return measure(sample(distance))
@@ -126,13 +124,13 @@ def _across(interval: Interval, measure: Measure, near: Sample) -> Sample:
     before, after = measure(low), measure(high)
     if not before * after < 0:
         return near
-    found = sample(zero(value, 0.0, about.length, LOCATION))
+    vanishing = sample(zero(value, 0.0, about.length, LOCATION))
     straight = low.distance + (high.distance - low.distance) * before / (before - after)
-    vanishes = abs(measure(found)) < STRAIGHT * (abs(before) + abs(after))
-    if not (vanishes and abs(found.distance - straight) < STRAIGHT * about.length):
+    vanishes = abs(measure(vanishing)) < STRAIGHT * (abs(before) + abs(after))
+    if not (vanishes and abs(vanishing.distance - straight) < STRAIGHT * about.length):
         return near  # between them orbits of the other family were met
-    interval.seen[found.distance] = found
-    return found
+    interval.seen[vanishing.distance] = vanishing
+    return vanishing
 
 
 @dataclass(frozen=True)
@@ -153,13 +151,13 @@ class Subinterval:
     def read(self, sample: Sample) -> np.ndarray:
         """The indices of an orbit there in the order of its ends."""
         share = (sample.distance - self.low) / (self.high - self.low)
-        expected, found = (1 - share) * self.before + share * self.after, sample.indices
+        expected, indices = (1 - share) * self.before + share * self.after, sample.indices
         kind, seen = self.real, real_indices(sample)
         if kind.sum() != seen.sum():
-            return np.asarray(found[matching(expected, found)])
-        values = np.empty_like(found)
-        for one, other in ((kind, seen), (~kind, ~seen)):
-            values[one] = found[other][matching(expected[one], found[other])]
+            return np.asarray(indices[matching(expected, indices)])
+        values = np.empty_like(indices)
+        for these, other in ((kind, seen), (~kind, ~seen)):
+            values[these] = indices[other][matching(expected[these], indices[other])]
         return values
 
 
@@ -167,19 +165,19 @@ def subintervals(interval: Interval, met: Sequence[Sample]) -> list[Subinterval]
     """The interval cut at the collisions `met` and at every orbit that was looked at in between."""
     knots = {sample.distance: (sample.indices, sample.turns) for sample in interval.known()}
     knots |= {sample.distance: (joined(sample), np.zeros_like(sample.turns)) for sample in met}
-    found = []
+    parts = []
     for (low, before), (high, after) in pairwise(sorted(knots.items())):
-        found.append(Subinterval(low, high, before[0], after[0][_continued(*before, *after)]))
-    return found
+        parts.append(Subinterval(low, high, before[0], after[0][_continued(*before, *after)]))
+    return parts
 
 
 def _continued(before: np.ndarray, turns: np.ndarray, after: np.ndarray, later: np.ndarray) -> np.ndarray:
     """The order in which indices go on: as they stand, unless kinds differ or Krein signatures were exchanged."""
-    first, last = (np.array([is_real(one) for one in values], bool) for values in (before, after))
+    first, last = (np.array([is_real(value) for value in values], bool) for values in (before, after))
     order = np.arange(before.size)
     if first.sum() == last.sum() and not np.array_equal(first, last):
-        for one, other in ((first, last), (~first, ~last)):
-            order[one] = np.flatnonzero(other)[matching(before[one], after[other])]
+        for these, other in ((first, last), (~first, ~last)):
+            order[these] = np.flatnonzero(other)[matching(before[these], after[other])]
     for i, j in exchanged(before, turns, after[order], later[order]):
         order[[i, j]] = order[[j, i]]
     return order
@@ -191,13 +189,13 @@ def exchanged(before: np.ndarray, turns: np.ndarray, after: np.ndarray, later: n
     Nearer to +-2 than to each other, each has rather turned over by itself.
     """
     turned = np.flatnonzero((turns != 0) & (turns == -later))
-    found = []
+    pairs = []
     for i in turned:
         for j in turned[(turned > i) & (turns[turned] == -turns[i])]:
             apart = max(abs(before[i] - before[j]), abs(after[i] - after[j]))
-            if apart < min(2 - abs(one[k].real) for one in (before, after) for k in (i, j)):
-                found.append((int(i), int(j)))
-    return found
+            if apart < min(2 - abs(values[k].real) for values in (before, after) for k in (i, j)):
+                pairs.append((int(i), int(j)))
+    return pairs
 
 
 def joined(sample: Sample) -> np.ndarray:
@@ -216,8 +214,9 @@ def passages(interval: Interval, most: int, met: Sequence[Sample] = ()) -> list[
     """
     levels, parts = [*index_levels(interval.first.about.root, most)], subintervals(interval, met)
     return [
-        (sample, Test(kind, f"q = {order}" if kind == "resonance" else "", passage(level), order, multiplier))
-        for part in parts for level, kind, order, multiplier in levels for sample in _passed(interval, part, level)
+        (sample, Test(kind, detail, passage(level), order, multiplier))
+        for part in parts for level, kind, detail, order, multiplier in levels
+        for sample in _passed(interval, part, level)
     ]  # fmt: skip
 
 
@@ -240,29 +239,25 @@ def _ranked(part: Subinterval, rank: int, level: float) -> Measure:
 
 
 def _each(interval: Interval, part: Subinterval, level: float, positions: np.ndarray) -> list[Sample]:
-    found = []
+    samples = []
     for j in positions:
 
         def course(sample: Sample, j: int = int(j)) -> float:
             return float(part.read(sample)[j].real - level)
 
         sample = located(interval, course, part.low, part.high)
-        if abs(course(sample)) <= TOLD_APART:
-            found.append(sample)
+        # an index located at a level is this near to it, unless two indices were taken for each other
+        if abs(course(sample)) <= 1e-4:
+            samples.append(sample)
         elif interval.length > UNTOLD:
             raise ConvergenceError(f"two stability indices near {level:.4g} cannot be told apart within one step")
-    return found
+    return samples
 
 
 # Collisions: two stability indices meet and leave the real axis together, or come back to it.
 # Both the place where this happens and pairs of such places within one step are looked for. On the unit
 # circle only multipliers of opposite Krein signature do so; equal ones pass through each other.
 
-
-NEAR_MEETING = 0.3
-"""Indices nearer than this at one end of a step may have met twice inside it."""
-SEARCH = 1e-3
-"""The extremum of a measure is located to this share of the step."""
 
 Bracket = tuple[float, float]
 
@@ -286,20 +281,21 @@ def look(interval: Interval) -> None:
     if complex_pairs(a) != complex_pairs(b):
         return
     exchanged = _exchanged(a, b)
-    if exchanged or min(abs(meeting(a)), abs(meeting(b))) < NEAR_MEETING**2:
+    # indices nearer than this at one end of a step may have met twice inside it
+    if exchanged or min(abs(meeting(a)), abs(meeting(b))) < 0.3**2:
         twice(interval, meeting, exchanged)
 
 
 def collisions(interval: Interval) -> list[Bracket]:
     """(low, high) of every collision between orbits that were seen. Raises `ConvergenceError` where two are in one."""
-    found = []
+    brackets = []
     for before, after in pairwise(interval.known()):
         change = complex_pairs(after) - complex_pairs(before)
         if abs(change) > 1:
             raise ConvergenceError("two pairs of stability indices meet within one step")
         if change:
-            found.append((before.distance, after.distance))
-    return found
+            brackets.append((before.distance, after.distance))
+    return brackets
 
 
 def twice(interval: Interval, measure: Measure, thorough: bool = False) -> float | None:
@@ -334,14 +330,15 @@ def _vertex(height: Callable[[float], float], length: float) -> float:
 
 def _lowest(height: Callable[[float], float], length: float) -> tuple[float, float]:
     """Where it is lowest, and how low."""
-    options = {"xatol": SEARCH * length, "maxiter": 25}
+    # the extremum of a measure is located to this share of the step
+    options = {"xatol": 1e-3 * length, "maxiter": 25}
     best = minimize_scalar(height, bounds=(0.0, length), method="bounded", options=options)
     return float(best.x), float(best.fun)
 
 
 def _exchanged(a: Sample, b: Sample) -> bool:
     """Whether indices of opposite signature on the unit circle stand in another order."""
-    first, last = ([int(t) for t in one.turns[np.argsort(one.indices.real)] if t] for one in (a, b))
+    first, last = ([int(t) for t in sample.turns[np.argsort(sample.indices.real)] if t] for sample in (a, b))
     return len(first) == len(last) and sum(first) == sum(last) and first != last
 
 
@@ -371,14 +368,14 @@ def flips(before: Sample, after: Sample) -> list[Flip]:
     unlike = before.indices.shape != after.indices.shape or before.about.root != after.about.root
     if unlike or not before.indices.size:
         return []
-    found = []
+    turned_over = []
     passed = {k for pair in exchanged(before.indices, before.turns, after.indices, after.turns) for k in pair}
     for j, (a, b) in enumerate(zip(before.indices, after.indices, strict=True)):
         inside = is_real(a) and is_real(b) and abs(a.real) < 2 and abs(b.real) < 2 and a.real * b.real > 0
         turned = before.turns[j] * after.turns[j] < 0 and j not in passed
         if inside and turned and max(abs(a.real), abs(b.real)) > 2 - NEAR:
-            found.append(Flip(j, 2.0 * float(np.sign(a.real))))
-    return found
+            turned_over.append(Flip(j, 2.0 * float(np.sign(a.real))))
+    return turned_over
 
 
 def avoided(before: Sample, after: Sample) -> bool:
@@ -392,10 +389,10 @@ def strips(interval: Interval) -> list[tuple[Test, float]]:
     What is returned are the places at which multipliers touch without a strip: avoided crossings.
     """
     turned = flips(interval.first, interval.last)
-    found = [one for flip in turned for one in _strip(interval, flip)]
+    touches = [touch for flip in turned for touch in _strip(interval, flip)]
     for level in {2.0, -2.0} - {flip.level for flip in turned}:
         grazed(interval, passage(level), GRAZED)
-    return found
+    return touches
 
 
 def _strip(interval: Interval, flip: Flip) -> list[tuple[Test, float]]:
@@ -407,7 +404,7 @@ def _strip(interval: Interval, flip: Flip) -> list[tuple[Test, float]]:
     try:
         place, least = _lowest(below, interval.length)
     except (ConvergenceError, IntegrationError):  # the families have turned away on both sides
-        least, place = min((below(one.distance), one.distance) for one in interval.known())
+        least, place = min((below(sample.distance), sample.distance) for sample in interval.known())
     if least < 0:
         return []
     what = f"at {flip.level / 2:+.0f}: an avoided crossing stepped over within an arclength of {interval.length:.1g}"

@@ -25,8 +25,6 @@ LEAST = 1e-3
 """Share of a motion's distance from the origin that its extent counts as at least: it is known to round-off of that."""
 STEPPED = 1e-13
 """A last step of Newton's that is shorter than this leaves the action as it is"""
-PIECEWISE = 1e3
-"""Growth of errors beyond which an orbit is checked piece by piece as well."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +79,7 @@ def parameter_value(curve: Curve, place: Unknowns, name: str) -> float:
 
 def make_point(
     curve: Curve,
-    found: Solution,
+    solution: Solution,
     along: np.ndarray,
     parameter: str,
     check: ClosureCheck | None,
@@ -92,10 +90,10 @@ def make_point(
 
     Raises `ConvergenceError` when the independent closure is above what double precision can hold.
     """
-    p, place = curve.equations, found.place
-    about = about or spectrum(curve, found)
-    units = extents(curve, found.march.states)
-    parts = list(transitions(curve, found) * units / units[:, None])
+    p, place = curve.equations, solution.place
+    about = about or spectrum(curve, solution)
+    units = extents(curve, solution.march.states)
+    parts = list(transitions(curve, solution) * units / units[:, None])
     grown = max(float(np.abs(about.floquet.multipliers).max(initial=1.0)), carried(parts, np.ones(p.size))[1])
     allowed = CLOSURE * grown
     free, shift = freed(curve, place), shift_at(curve, place)
@@ -103,7 +101,8 @@ def make_point(
     closure = 0.0 if check is None else check(place.nodes[0], place.period, turns, allowed, free, units)
     if not closure <= allowed:
         raise ConvergenceError(f"the orbit closes only to {closure:.2g} where errors grow {grown:.3g} times")
-    defect = closure if check is None or grown <= PIECEWISE else checked_pieces(curve, found, check, free)
+    # growth of errors beyond which an orbit is checked piece by piece as well
+    defect = closure if check is None or grown <= 1e3 else checked_pieces(curve, solution, check, free)
     where.setdefault("indices", about.indices)
     return FamilyPoint(
         name="",
@@ -118,7 +117,7 @@ def make_point(
         state=place.nodes[0],
         period=place.period,
         energy=parameter_value(curve, place, "energy"),
-        action=action_at(curve, found) / p.symmetry.fraction,
+        action=action_at(curve, solution) / p.symmetry.fraction,
         closure=closure,
         defect=defect,
         scale=grown,
@@ -135,31 +134,31 @@ def make_point(
         shooting_nodes=place.nodes,
         mesh=place.mesh,
         tangent=along,
-        watch=watched(curve, found),
+        watch=watched(curve, solution),
         **where,
     )
 
 
-def action_at(curve: Curve, found: Solution) -> float:
+def action_at(curve: Curve, solution: Solution) -> float:
     """The action over the horizon (J s) of the place after Newton's last step, which may have changed the energy: by
     dE, and so the action by T dE."""
-    return found.march.integral if found.stepped < STEPPED else curve.equations.varied(found.place).integral
+    return solution.march.integral if solution.stepped < STEPPED else curve.equations.varied(solution.place).integral
 
 
-def checked_pieces(curve: Curve, found: Solution, check: ClosureCheck, free: Mapping[str, float]) -> float:
+def checked_pieces(curve: Curve, solution: Solution, check: ClosureCheck, free: Mapping[str, float]) -> float:
     """The largest gap between the pieces of an orbit, the boundary's included, relative to the motion.
 
     Raises `ConvergenceError` when they do not fit to what errors grow by over a piece, the 2-norm of its
     state-transition matrix.
     """
-    place, units = found.place, extents(curve, found.march.states)
+    place, units = solution.place, extents(curve, solution.march.states)
     first, last = curve.equations.boundary
     across = np.maximum(np.abs(first) * units, np.abs(last) * units).max(axis=1)
     durations = np.diff(place.edges) * place.period
     ends = check.ends(place.nodes, durations, free, units)
     boundary = first @ place.nodes[0] + last @ ends[-1] - curve.equations.aimed(curve.constant)
     gaps = np.concatenate([((ends[:-1] - place.nodes[1:]) / units).ravel(), boundary / across])
-    growth = max(1.0, *(float(np.linalg.norm(one * units / units[:, None], 2)) for one in found.march.transitions))
+    growth = max(1.0, *(float(np.linalg.norm(a * units / units[:, None], 2)) for a in solution.march.transitions))
     defect = float(np.abs(gaps).max())
     if not defect <= CLOSURE * growth:
         raise ConvergenceError(f"the pieces of the orbit fit only to {defect:.2g} with growth {growth:.3g}")

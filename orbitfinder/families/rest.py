@@ -35,7 +35,7 @@ ROUND_OFF = 8 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
-class Rest:
+class RestPoint:
     """An equilibrium with eigenvalues +-i omega: state (d), value and error bar of the parameter, 2 pi / omega (s).
 
     `others` are the remaining eigenvalues of J.
@@ -65,7 +65,7 @@ def deviations(curve: Curve, place: Unknowns, states: np.ndarray) -> tuple[np.nd
 
 def predicted(curve: Curve, sample: Sample, length: float) -> tuple[Unknowns, np.ndarray]:
     """The orbit so far ahead along the tangent, and its states at the mesh."""
-    guess = advanced(sample.found.place, sample.whole, length)
+    guess = advanced(sample.solution.place, sample.whole, length)
     return guess, curve.equations.march.states(guess.nodes, guess.mesh, guess.tail)
 
 
@@ -74,8 +74,8 @@ def vanishing(curve: Curve, sample: Sample, length: float) -> float:
 
     <d', d> / <d, d> falls linearly, through 0 at an equilibrium: behind it are the same orbits, half a period later.
     """
-    found = sample.found
-    _, here, weights = deviations(curve, found.place, found.march.states)
+    solution = sample.solution
+    _, here, weights = deviations(curve, solution.place, solution.march.states)
     _, there, _ = deviations(curve, *predicted(curve, sample, length))
     units = np.ptp(here, axis=0)
     units = np.where(units > 0.0, units, np.inf)  # what does not move says nothing
@@ -83,9 +83,9 @@ def vanishing(curve: Curve, sample: Sample, length: float) -> float:
     return length / (1.0 - share) if share < 1.0 else np.inf
 
 
-def rest_of(curve: Curve, found: Solution, name: str, settings: Settings = NEWTON) -> Rest | None:
+def rest_of(curve: Curve, solution: Solution, name: str, settings: Settings = NEWTON) -> RestPoint | None:
     """The equilibrium that an orbit is an oscillation about, with the family's parameter `name`; None without one."""
-    extended = _Extended(curve, found)
+    extended = _Extended(curve, solution)
     rest = equilibrium(extended.linearised, extended.start, settings=settings)
     if not rest.converged:
         return None
@@ -101,19 +101,19 @@ def rest_of(curve: Curve, found: Solution, name: str, settings: Settings = NEWTO
     bar = float(np.abs(np.append(by_state[k], by_free[k])) @ bars + ROUND_OFF * abs(values_[k]))
     if name in curve.equations.physical:
         bar = float(bars[there.nodes.shape[1] + curve.equations.physical.index(name)])
-    return Rest(there.nodes[0], value, bar, float(there.period), values[nearest[2:]] * 2 * np.pi / there.period)
+    return RestPoint(there.nodes[0], value, bar, float(there.period), values[nearest[2:]] * 2 * np.pi / there.period)
 
 
 class _Extended:
     """The rows of an equilibrium with a pair +-i omega over z = (x, free) / sizes, omega and v, rates in periods."""
 
-    def __init__(self, curve: Curve, found: Solution) -> None:
-        self.curve, self.place, p = curve, found.place, curve.equations
-        mean, there, _ = deviations(curve, found.place, found.march.states)
+    def __init__(self, curve: Curve, solution: Solution) -> None:
+        self.curve, self.place, p = curve, solution.place, curve.equations
+        mean, there, _ = deviations(curve, solution.place, solution.march.states)
         units = np.maximum(curve.scales.states, np.ptp(there, axis=0))
-        self.sizes = np.concatenate([units, parameter_sizes(p.model, p.free, found.place.free)])
+        self.sizes = np.concatenate([units, parameter_sizes(p.model, p.free, solution.place.free)])
         self.size, self.count = mean.size, self.sizes.size
-        y = np.concatenate([mean, found.place.free]) / self.sizes
+        y = np.concatenate([mean, solution.place.free]) / self.sizes
         values, vectors = np.linalg.eig(self.slopes(y))
         v = vectors[:, np.argmin(np.abs(values - 1j))]
         self.c = v.conj() / np.linalg.norm(v) ** 2
@@ -131,14 +131,14 @@ class _Extended:
     def slopes(self, z: np.ndarray) -> np.ndarray:
         """J."""
         there, units = self.at(z), self.sizes[: self.size]
-        found = self.curve.equations.march.arcs[0].slopes(there.nodes[0], there.tail)
-        return np.asarray(found * units / units[:, None] * self.place.period / (2 * np.pi))
+        slopes = self.curve.equations.march.arcs[0].slopes(there.nodes[0], there.tail)
+        return np.asarray(slopes * units / units[:, None] * self.place.period / (2 * np.pi))
 
     def rates(self, z: np.ndarray) -> np.ndarray:
         """f."""
         there = self.at(z)
-        found = self.curve.equations.march.arcs[0].rates(there.nodes, there.tail)[0]
-        return np.asarray(found / self.sizes[: self.size] * self.place.period / (2 * np.pi))
+        rates = self.curve.equations.march.arcs[0].rates(there.nodes, there.tail)[0]
+        return np.asarray(rates / self.sizes[: self.size] * self.place.period / (2 * np.pi))
 
     def rows(self, z: np.ndarray) -> np.ndarray:
         """f, J v - i omega v, c.v, and what is held in the units that its slopes have at first."""
@@ -153,5 +153,5 @@ class _Extended:
         if not z[self.count] > 0.0:
             return np.full(z.size, np.nan), np.eye(z.size)
         steps = DIFFERENCE * np.eye(z.size)
-        slopes = np.array([self.rows(z + one) - self.rows(z - one) for one in steps]).T / (2 * DIFFERENCE)
+        slopes = np.array([self.rows(z + step) - self.rows(z - step) for step in steps]).T / (2 * DIFFERENCE)
         return self.rows(z), slopes

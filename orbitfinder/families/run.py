@@ -64,7 +64,7 @@ class Sample:
     """A corrected orbit between two points: distance from the first, tangent (over w), indices, their turns."""
 
     distance: float
-    found: Solution
+    solution: Solution
     whole: np.ndarray
     about: Spectrum
     indices: np.ndarray
@@ -74,7 +74,7 @@ class Sample:
     @cached_property
     def head(self) -> np.ndarray:
         """The tangent over the head."""
-        return self.found.place.head_of(self.whole)
+        return self.solution.place.head_of(self.whole)
 
 
 @dataclass(frozen=True)
@@ -110,12 +110,12 @@ class Interval:
 
     def computed(self, distance: float) -> Sample:
         """The same, computed."""
-        first, curve, place = self.first, self.curve, self.first.found.place
+        first, curve, place = self.first, self.curve, self.first.solution.place
         reach = max(0.5 * self.length, 1e-6)
         aim = plane(curve, place, first.whole, distance)
-        found = correct(curve, self.guess(distance), aim, place, reach, self.slope(distance))
-        whole = self.heading(distance) if self.crossing else tangent(curve, found, self.heading(distance))
-        sample = make_sample(curve, distance, found, whole, self.indices(distance))
+        solution = correct(curve, self.guess(distance), aim, place, reach, self.slope(distance))
+        whole = self.heading(distance) if self.crossing else tangent(curve, solution, self.heading(distance))
+        sample = make_sample(curve, distance, solution, whole, self.indices(distance))
         if sample.indices.shape != first.indices.shape:
             raise ConvergenceError("the orbit is a relative equilibrium, whose flow is one of its symmetries")
         return sample
@@ -123,13 +123,13 @@ class Interval:
     def guess(self, distance: float) -> Unknowns:
         """The cubic through both ends with both tangents."""
         if distance in (0.0, self.length):
-            return (self.last if distance else self.first).found.place
+            return (self.last if distance else self.first).solution.place
         bent = self.curvature + (distance - self.length) * self.twist
-        return advanced(self.first.found.place, self.first.whole, distance, bent)
+        return advanced(self.first.solution.place, self.first.whole, distance, bent)
 
     def heading(self, distance: float) -> np.ndarray:
         """The tangent of that cubic, of unit length."""
-        d, metric = distance, self.curve.scales.metric(self.first.found.place)
+        d, metric = distance, self.curve.scales.metric(self.first.solution.place)
         whole = self.first.whole + 2 * d * self.curvature + (3 * d - 2 * self.length) * d * self.twist
         return np.asarray(whole / np.sqrt(metric @ whole**2))
 
@@ -142,21 +142,21 @@ class Interval:
         """The Jacobian between those of the ends."""
         if self.crossing:  # it would lead along the family that crosses
             return None
-        share, (a, b) = distance / self.length, (self.first.found.jacobian, self.last.found.jacobian)
+        share, (a, b) = distance / self.length, (self.first.solution.jacobian, self.last.solution.jacobian)
         return np.asarray((1 - share) * a + share * b) if a.shape == b.shape else None
 
     def crossed(self, sample: Sample) -> bool:
         """Whether another family crosses at an orbit of the interval."""
         passing = np.abs(sample.about.values - 1.0).min(initial=np.inf) < PASSING
-        return bool(passing) and self.curve.test is None and crossed(self.curve, sample.found)
+        return bool(passing) and self.curve.test is None and crossed(self.curve, sample.solution)
 
     def about(self, distance: float) -> Interval:
         """The interval about a place where another family crosses, between orbits that can each be told from it.
 
         There the aim no longer says which family is meant; the orbits inside stay on the cubic in that direction.
         """
-        first, last = (self.computed(one) for one in (distance - JUNCTION, distance + JUNCTION))
-        length = ahead(self.curve, first, last.found)
+        first, last = (self.computed(place) for place in (distance - JUNCTION, distance + JUNCTION))
+        length = ahead(self.curve, first, last.solution)
         curve = replace(self.curve, degenerate=True)
         return make_interval(curve, replace(first, distance=0.0), replace(last, distance=length))
 
@@ -168,8 +168,8 @@ class Interval:
 
 def ahead(curve: Curve, first: Sample, other: Solution) -> float:
     """How far another orbit over the same mesh is along the tangent of a sample."""
-    metric = curve.scales.metric(first.found.place)
-    return float((metric * first.whole) @ (other.place.vector - first.found.place.vector))
+    metric = curve.scales.metric(first.solution.place)
+    return float((metric * first.whole) @ (other.place.vector - first.solution.place.vector))
 
 
 def parameter_slopes(curve: Curve, place: Unknowns, head: np.ndarray) -> dict[str, float]:
@@ -178,21 +178,21 @@ def parameter_slopes(curve: Curve, place: Unknowns, head: np.ndarray) -> dict[st
     _, slope, free = p.quantities_at(place)
     energy = float(slope[p.energy] @ head[:size] + free[p.energy] @ head[size + 1 :])
     slopes = {"energy": energy, "period": float(head[size])}
-    for one, by_state, by_free in zip(p.model.invariants, slope, free, strict=False):
-        if one.generator is not None:
-            slopes[one.name] = float(by_state @ head[:size] + by_free @ head[size + 1 :])
+    for invariant, by_state, by_free in zip(p.model.invariants, slope, free, strict=False):
+        if invariant.generator is not None:
+            slopes[invariant.name] = float(by_state @ head[:size] + by_free @ head[size + 1 :])
     slopes |= {name: float(head[size + 1 + k]) for k, name in enumerate(p.physical)}
     slopes |= {name: float(head[k]) for k, name in enumerate(p.model.state_names)}
     others = {*followed(p.model)} - {*slopes, *(invariant.name for invariant in p.model.invariants)}
     return slopes | {name: float(pinned(p, name, 0.0).slope(p, place) @ place.spread(head)) for name in sorted(others)}
 
 
-def make_sample(curve: Curve, distance: float, found: Solution, whole: np.ndarray, expected: np.ndarray) -> Sample:
+def make_sample(curve: Curve, distance: float, solution: Solution, whole: np.ndarray, expected: np.ndarray) -> Sample:
     """Everything that the tests read, at one corrected place."""
-    about = spectrum(curve, found)
-    slopes = parameter_slopes(curve, found.place, found.place.head_of(whole))
+    about = spectrum(curve, solution)
+    slopes = parameter_slopes(curve, solution.place, solution.place.head_of(whole))
     order = matching(expected, about.indices)
-    return Sample(distance, found, whole, about, about.indices[order], about.turns[order], slopes)
+    return Sample(distance, solution, whole, about, about.indices[order], about.turns[order], slopes)
 
 
 def make_interval(curve: Curve, first: Sample, last: Sample) -> Interval:
@@ -200,9 +200,9 @@ def make_interval(curve: Curve, first: Sample, last: Sample) -> Interval:
 
     With w(d) = w0 + d t + d^2 c + d^2 (d - D) e, w(D) fixes c and the last tangent, taken per unit of d, fixes e.
     """
-    curvature = bend(curve, first.found.place, first.whole, last.found.place)
+    curvature = bend(curve, first.solution.place, first.whole, last.solution.place)
     twist, length = np.zeros_like(curvature), last.distance
-    along = float((curve.scales.metric(first.found.place) * first.whole) @ last.whole)
+    along = float((curve.scales.metric(first.solution.place) * first.whole) @ last.whole)
     if along > 0.5:
         twist = (last.whole / along - first.whole - 2 * length * curvature) / length**2
     return Interval(curve, first, last, curvature, twist)
@@ -215,7 +215,7 @@ def is_real(value: complex) -> bool:
 
 def real_indices(sample: Sample) -> np.ndarray:
     """Which indices count as real."""
-    return np.array([is_real(one) for one in sample.indices], bool)
+    return np.array([is_real(index) for index in sample.indices], bool)
 
 
 @dataclass(frozen=True)
@@ -235,9 +235,9 @@ class Step:
     drift: np.ndarray | None = None
 
     @property
-    def found(self) -> Solution:
+    def solution(self) -> Solution:
         """The orbit of the point."""
-        return self.sample.found
+        return self.sample.solution
 
     @property
     def stretch(self) -> float:
@@ -248,10 +248,10 @@ class Step:
 def first_point(start: Start, settings: FamilySettings, check: ClosureCheck | None) -> FamilyPoint:
     """The point that a family starts from, its tangent towards a larger value of the parameter."""
     head, curve = start.direction, start.curve
-    if parameter_slopes(curve, start.found.place, head)[settings.parameter] < 0:
+    if parameter_slopes(curve, start.solution.place, head)[settings.parameter] < 0:
         head = -head
     step = settings.first_step
-    return make_point(curve, start.found, head, settings.parameter, check, index=0, arclength=0.0, step=step)
+    return make_point(curve, start.solution, head, settings.parameter, check, index=0, arclength=0.0, step=step)
 
 
 def step_at(run: Run, done: Sequence[tuple[FamilyPoint, Standing | None]]) -> tuple[Run, Step]:
@@ -288,56 +288,56 @@ def standing_at(curve: Curve, point: FamilyPoint, standing: Standing | None) -> 
     return found, standing.tangent
 
 
-def standing_of(curve: Curve, found: Solution, whole: np.ndarray) -> Standing:
+def standing_of(curve: Curve, solution: Solution, whole: np.ndarray) -> Standing:
     """What the step after an orbit begins with."""
-    count = len(found.jacobian) if curve.test is None else len(found.jacobian) - 1
-    return Standing((found.marched or found.place).vector, whole, found.jacobian[count:])
+    count = len(solution.jacobian) if curve.test is None else len(solution.jacobian) - 1
+    return Standing((solution.marched or solution.place).vector, whole, solution.jacobian[count:])
 
 
 def step_from(
-    run: Run, before: Step, point: FamilyPoint, found: Solution, whole: np.ndarray, last: Sample | None
+    run: Run, before: Step, point: FamilyPoint, solution: Solution, whole: np.ndarray, last: Sample | None
 ) -> Step:
     """The step to a point that was accepted, in scales renewed there; `last` is its sample where it has one."""
-    curve, place = run.curve.measured(found), before.found.place
-    rows = curve.through(found.place).linearised(found.place, found.march).matrix()
-    here = replace(found, jacobian=np.vstack([rows, found.jacobian[len(rows) :]]))
+    curve, place = run.curve.measured(solution), before.solution.place
+    rows = curve.through(solution.place).linearised(solution.place, solution.march).matrix()
+    here = replace(solution, jacobian=np.vstack([rows, solution.jacobian[len(rows) :]]))
     whole, trend = tangent(curve, here, whole), trend_of(before.point, point)
     if last is None:
         sample = make_sample(curve, 0.0, here, whole, point.indices)
     else:
         slopes = parameter_slopes(curve, here.place, here.place.head_of(whole))
-        sample = replace(last, distance=0.0, found=here, whole=whole, slopes=slopes)
+        sample = replace(last, distance=0.0, solution=here, whole=whole, slopes=slopes)
     return Step(
-        curve, point, sample, bend(curve, found.place, whole, place), trend,
-        np.vstack([before.portraits, portrait(curve, found)]), drifted(curve, before.found, here),
+        curve, point, sample, bend(curve, solution.place, whole, place), trend,
+        np.vstack([before.portraits, portrait(curve, solution)]), drifted(curve, before.solution, here),
     )  # fmt: skip
 
 
-def drifted(curve: Curve, before: Solution, found: Solution) -> np.ndarray | None:
+def drifted(curve: Curve, before: Solution, solution: Solution) -> np.ndarray | None:
     """The change of the Jacobian with arclength from one orbit to the next, None where their segments differ."""
-    if before.place.displacement(found.place) is None:
+    if before.place.displacement(solution.place) is None:
         return None
-    return np.asarray((found.jacobian - before.jacobian) / distance(curve, before.place, found.place))
+    return np.asarray((solution.jacobian - before.jacobian) / distance(curve, before.place, solution.place))
 
 
-def portrait(curve: Curve, found: Solution) -> np.ndarray:
+def portrait(curve: Curve, solution: Solution) -> np.ndarray:
     """What identifies an orbit wherever its t = 0 lies: T, parameters, action, means and spreads of the motion.
 
     The last two (d each) are good to the fourth order of the mesh.
     """
-    p, place = curve.equations, found.place
+    p, place = curve.equations, solution.place
     times = place.mesh / place.mesh[-1]
-    lengths, rates = np.diff(times), p.march.rates(found.march.states, place.tail, place.mesh * place.period)
+    lengths, rates = np.diff(times), p.march.rates(solution.march.states, place.tail, place.mesh * place.period)
 
     def mean(values: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         parts = lengths * (values[:-1] + values[1:]).T / 2 + lengths**2 * (slopes[:-1] - slopes[1:]).T / 12
         return np.asarray(parts.sum(axis=1))
 
     paced = rates * place.period * place.mesh[-1]
-    middle = mean(found.march.states, paced)
-    away = found.march.states - middle
+    middle = mean(solution.march.states, paced)
+    away = solution.march.states - middle
     spread = np.sqrt(np.abs(mean(away**2, 2 * away * paced)))
-    return np.concatenate([[place.period], place.free, [found.march.integral], middle, spread])
+    return np.concatenate([[place.period], place.free, [solution.march.integral], middle, spread])
 
 
 def trend_of(before: FamilyPoint, last: FamilyPoint) -> np.ndarray:

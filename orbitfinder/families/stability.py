@@ -22,15 +22,11 @@ from orbitfinder.records.family import METHODS
 SPREAD = 1e8
 """Multipliers farther apart than this are found factor by factor: multiplied out, their matrix has lost eight digits of
 the smallest."""
-STRETCHED = 1e4
-"""Condition of a factor up to which steps are multiplied out"""
 ACCURACY = 1e-14
 """Relative error of a state-transition matrix of a few steps at least."""
 
 STILL = 1e-12
 """A driven motion that extends no farther than this, in the family's metric, is at rest."""
-CONVEX = 1e-3
-"""Weight of the squared distance in the matching, which decides between equal sums of distances."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +52,7 @@ class Spectrum:
     vectors: np.ndarray
     conservative: bool = True
     form: np.ndarray | None = None
-    chain: Chain | None = None
+    chain: RootFactors | None = None
 
     @property
     def method(self) -> str:
@@ -102,23 +98,23 @@ class Spectrum:
 
 
 @dataclass(frozen=True)
-class Chain:
+class RootFactors:
     """The root map of an orbit factor by factor, reduced; `missed` is how far its factors are from symplectic."""
 
     product: Product
     missed: float
 
 
-def spectrum(curve: Curve, found: Solution) -> Spectrum:
+def spectrum(curve: Curve, solution: Solution) -> Spectrum:
     """Reduced multipliers of a corrected orbit, composed from its segments and its symmetry."""
-    p, place = curve.equations, found.place
-    reduced, basis, root = reduced_map(curve, found)
+    p, place = curve.equations, solution.place
+    reduced, basis, root = reduced_map(curve, solution)
     conservative = keeps_pairs(curve, reduced)
     whole = np.linalg.matrix_power(reduced, root)
     floquet, chain = analyse(whole, conservative), None
     values, vectors = np.linalg.eig(reduced)
     if not p.links and _lost(floquet):
-        chain = _chain(curve, found)
+        chain = _chain(curve, solution)
         values, vectors = chain.product.values, np.zeros((0, 0))
         floquet = judged(values**root, conservative)
     indices = judged(values).indices if conservative else floquet.indices
@@ -136,11 +132,11 @@ def spectrum(curve: Curve, found: Solution) -> Spectrum:
     return Spectrum(floquet, root, indices, turns, krein, reduced, values, vectors, conservative, form, chain)
 
 
-def reduced_map(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray, int]:
+def reduced_map(curve: Curve, solution: Solution) -> tuple[np.ndarray, np.ndarray, int]:
     """The root map without the trivial multipliers (r x r), the basis (d x r) that it is in, and the map's root."""
-    units, (root_map, root) = curve.units, _root_map(curve, found)
-    p, place = curve.equations, found.place
-    basis = _basis(curve, place.nodes[0], _flow(curve, found), p.quantities_at(place)[1])
+    units, (root_map, root) = curve.units, _root_map(curve, solution)
+    p, place = curve.equations, solution.place
+    basis = _basis(curve, place.nodes[0], _flow(curve, solution), p.quantities_at(place)[1])
     reduced = np.asarray(basis.T @ (root_map * units / units[:, None]) @ basis)
     if not np.all(np.isfinite(reduced)):
         raise ConvergenceError("the multipliers overflow, as where a guard is grazed; take a smaller step")
@@ -159,11 +155,11 @@ def _lost(floquet: Floquet) -> bool:
     return bool(sizes.size and sizes.max() > SPREAD * sizes.min())
 
 
-def _chain(curve: Curve, found: Solution) -> Chain:
+def _chain(curve: Curve, solution: Solution) -> RootFactors:
     """The root map of an orbit in factors of a few steps each, every one on the level sets of the invariants modulo the
     symmetry directions where it begins and ends.
     """
-    p, w, units = curve.equations, found.place, curve.units
+    p, w, units = curve.equations, solution.place, curve.units
     each = gcd(w.steps, QUANTUM)
     states = p.march.states(w.nodes, w.mesh, w.tail)[::each]
     matrices = p.march.varied(states[:-1], w.mesh, w.tail).transitions * units / units[:, None]
@@ -183,16 +179,16 @@ def _chain(curve: Curve, found: Solution) -> Chain:
     )[0]
     flows = p.march.rates(states, w.tail)
     slopes = [p.march.at(p.quantities, x, w.free)[1] for x in states]
-    bases = [_basis(curve, *one) for one in zip(states, flows, slopes, strict=True)]
-    reduced = [bases[b].T @ one @ bases[a] for one, (a, b) in zip(factors, pairwise(stops), strict=True)]
+    bases = [_basis(curve, *moment) for moment in zip(states, flows, slopes, strict=True)]
+    reduced = [bases[b].T @ factor @ bases[a] for factor, (a, b) in zip(factors, pairwise(stops), strict=True)]
     missed = 0.0
     if p.symplectic:
         forms = [_form(curve, x, w, basis) for x, basis in zip(states, bases, strict=True)]
         missed = max(
-            asymplectic(one, forms[a], forms[b])
-            for one, (a, b) in zip(reduced, pairwise(stops[: last + 1]), strict=False)
+            asymplectic(factor, forms[a], forms[b])
+            for factor, (a, b) in zip(reduced, pairwise(stops[: last + 1]), strict=False)
         )
-    return Chain(product(reduced), missed)
+    return RootFactors(product(reduced), missed)
 
 
 def _merged(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -203,7 +199,8 @@ def _merged(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     while len(matrices) > 1:
         pairs = matrices[1::2] @ matrices[: len(matrices) // 2 * 2 : 2]
         sizes = np.linalg.norm(pairs, axis=(1, 2)) * np.linalg.norm(np.linalg.inv(pairs), axis=(1, 2))
-        if sizes.max() > STRETCHED:
+        # condition of a factor up to which steps are multiplied out
+        if sizes.max() > 1e4:
             break
         alone = len(matrices) % 2
         matrices = np.concatenate([pairs, matrices[len(matrices) - alone :]])
@@ -226,34 +223,34 @@ def _form(curve: Curve, x: np.ndarray, w: Unknowns, basis: np.ndarray) -> np.nda
     return np.asarray(half - half.T)
 
 
-def _root_map(curve: Curve, found: Solution) -> tuple[np.ndarray, int]:
+def _root_map(curve: Curve, solution: Solution) -> tuple[np.ndarray, int]:
     """The matrix of which the monodromy is a power, and that power, from the horizon's matrix by the symmetry."""
     size = curve.equations.size
     matrix = np.eye(size)
-    for transition in transitions(curve, found):
+    for transition in transitions(curve, solution):
         matrix = transition @ matrix
-    return curve.equations.symmetry.root(matrix, lambda other: _inverse(curve, found, matrix) @ other, size)
+    return curve.equations.symmetry.root(matrix, lambda other: _inverse(curve, solution, matrix) @ other, size)
 
 
-def transitions(curve: Curve, found: Solution) -> np.ndarray:
+def transitions(curve: Curve, solution: Solution) -> np.ndarray:
     """The state-transition matrices of all segments, through the events where there are some."""
-    p, place = curve.equations, found.place
+    p, place = curve.equations, solution.place
     if not p.links:
-        return found.march.transitions
+        return solution.march.transitions
     arcs = p.links.count
     shares = p.links.shares(place.free) * arcs  # rates are in arcs' own periods
     late = np.vstack([arc.rates(end[None], place.tail) for arc, end in
-                      zip(p.march.arcs, found.march.ends[p.links.ends(len(place.nodes))], strict=True)])  # fmt: skip
+                      zip(p.march.arcs, solution.march.ends[p.links.ends(len(place.nodes))], strict=True)])  # fmt: skip
     starts = place.nodes[:: len(place.nodes) // arcs]
     early = np.vstack([arc.rates(x[None], place.tail) for arc, x in zip(p.march.arcs, starts, strict=True)])
-    return p.links.saltated(place, found.march, late / shares[:, None], np.roll(early / shares[:, None], -1, axis=0))
+    return p.links.saltated(place, solution.march, late / shares[:, None], np.roll(early / shares[:, None], -1, axis=0))
 
 
-def _inverse(curve: Curve, found: Solution, matrix: np.ndarray) -> np.ndarray:
+def _inverse(curve: Curve, solution: Solution, matrix: np.ndarray) -> np.ndarray:
     """A^-1 by symplecticity, C A^-1 C'^-1 = -J (C' A C^-1)^T J in canonical coordinates; as it is without."""
     if not curve.equations.symplectic:
         return np.linalg.inv(matrix)
-    place, end = found.place, found.march.ends[-1]
+    place, end = solution.place, solution.march.ends[-1]
     before = curve.equations.momentum_slopes(place.nodes[0], place.free)
     after = curve.equations.momentum_slopes(end, place.free)
     canonical = after @ matrix @ np.linalg.inv(before)
@@ -270,13 +267,13 @@ def _basis(curve: Curve, x: np.ndarray, flow: np.ndarray, slopes: np.ndarray) ->
     return complement(slopes[: p.energy] * curve.units, directions / curve.units)
 
 
-def _flow(curve: Curve, found: Solution) -> np.ndarray:
+def _flow(curve: Curve, solution: Solution) -> np.ndarray:
     """The field (d) at x(0). Raises `ConvergenceError` unless the orbit moves."""
-    p, place = curve.equations, found.place
+    p, place = curve.equations, solution.place
     flow = p.march.rates(place.nodes[:1], place.tail)[0]
     still = not np.any(flow)
     if p.model.forced:  # what is driven may stand still at that moment, or be carried through one
-        still = bool(np.all(np.ptp(found.march.states, axis=0) * np.sqrt(curve.weights[: p.size]) <= STILL))
+        still = bool(np.all(np.ptp(solution.march.states, axis=0) * np.sqrt(curve.weights[: p.size]) <= STILL))
     if still:
         raise ConvergenceError("the corrector found an equilibrium and no orbit")
     return np.asarray(flow)
@@ -303,16 +300,17 @@ def _turning(mu: complex) -> bool:
     return bool(abs(abs(mu) - 1.0) < 1e-6 and abs(mu.imag) > 1e-6)
 
 
-def matching(expected: np.ndarray, found: np.ndarray) -> np.ndarray:
-    """The order in which `found` continues what is `expected` (complex arrays), so that curves do not swap.
+def matching(expected: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The order in which `values` continue what is `expected` (complex arrays), so that curves do not swap.
 
     The assignment of least total distance; of equal ones, and moving together makes them equal, the one that keeps
     the order.
     """
-    if expected.shape != found.shape or found.size < 2:
-        return np.arange(found.size)
-    gaps = np.abs(_squeezed(expected)[:, None] - _squeezed(found)[None, :])
-    return np.asarray(linear_sum_assignment(gaps + CONVEX * gaps**2)[1])
+    if expected.shape != values.shape or values.size < 2:
+        return np.arange(values.size)
+    gaps = np.abs(_squeezed(expected)[:, None] - _squeezed(values)[None, :])
+    # weight of the squared distance in the matching, which decides between equal sums of distances
+    return np.asarray(linear_sum_assignment(gaps + 1e-3 * gaps**2)[1])
 
 
 def _squeezed(indices: np.ndarray) -> np.ndarray:

@@ -50,10 +50,9 @@ FIRST_STEPS = 160
 """Runge-Kutta steps in one period of a guess, before there is an error estimate to go by."""
 LOOKS = (40, 160, 640)
 """... in one segment, to see where a motion goes"""
-MOST_COVERS = 30
-"""A guess may go round its orbit so many times;"""
 NEAR, COVERED = 0.2, 1e-5
-"""... which then comes back to its start within these shares of its extents, sampled anyhow and at the very instant."""
+"""A guess goes round its orbit several times where it comes back to its start within these shares of its extents,
+sampled anyhow and at the very instant"""
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ class Start:
     """A curve in the scales of an orbit on it, and a direction along it (over the head)."""
 
     curve: Curve
-    found: Solution
+    solution: Solution
     direction: np.ndarray
 
 
@@ -87,7 +86,7 @@ def begin(
     chosen = bool(problem.free or problem.constraints) or problem.objective != "nearest" or problem.forcing_cycles > 1
     start = (_found_first if chosen else _tried)(base, free)
     if symmetry == "auto" and problem.model.hybrid is None and not problem.relative:
-        wanted = symmetry_of(start.curve, start.found)
+        wanted = symmetry_of(start.curve, start.solution)
     return reformulated(start, related(named(wanted, problem.model), problem.model, problem.relative))
 
 
@@ -97,7 +96,7 @@ def _tried(problem: Problem, free: tuple[str, ...]) -> Start:
         start = _start(problem, free)
     except (ConvergenceError, IntegrationError):
         return _found_first(problem, free)
-    place, covers = start.found.place, 1 if problem.boundary.maps else cover_of(start.curve, start.found)
+    place, covers = start.solution.place, 1 if problem.boundary.maps else cover_of(start.curve, start.solution)
     if covers == 1:
         return start
     state, turns = place.nodes[0], tuple(int(k) // covers for k in start.curve.turns)
@@ -105,14 +104,15 @@ def _tried(problem: Problem, free: tuple[str, ...]) -> Start:
     return _start(replace(problem, guess=Guess(state, place.period / covers), pin=pins, winding=turns), free)
 
 
-def cover_of(curve: Curve, found: Solution) -> int:
+def cover_of(curve: Curve, solution: Solution) -> int:
     """How many times an orbit goes round a shorter one, looked closely at where samples come near their start."""
     if curve.equations.links or curve.equations.model.forced:
         return 1
-    rough = full_samples(curve, found)[1]
+    rough = full_samples(curve, solution)[1]
     extents = nonzero(np.ptp(rough, axis=0))
-    for covers in (k for k in range(MOST_COVERS, 1, -1) if (return_gaps(rough, k) < NEAR * extents).all()):
-        states = full_samples(curve, found, -(-SAMPLES // covers) * covers)[1]
+    # a guess may go round its orbit so many times
+    for covers in (k for k in range(30, 1, -1) if (return_gaps(rough, k) < NEAR * extents).all()):
+        states = full_samples(curve, solution, -(-SAMPLES // covers) * covers)[1]
         if (return_gaps(states, covers) < COVERED * extents).all():
             return covers
     return 1
@@ -136,7 +136,7 @@ def as_problem(origin: Problem | Orbit, model: Model | None = None) -> Problem:
         model, Guess(origin.state, origin.period), (Pin(energy, origin.energy),) if energy else (),
         winding=origin.winding, name=origin.name, relative=tuple(origin.shift),
     )  # fmt: skip
-    held = [one for one in natural_pin(problem, origin.state) if one.name in momenta_of(problem.boundary, model)]
+    held = [pin for pin in natural_pin(problem, origin.state) if pin.name in momenta_of(problem.boundary, model)]
     return minimal_problem(replace(problem, pin=(*problem.pin, *held)) if held else problem)
 
 
@@ -178,7 +178,7 @@ def unknown_parameters(
 def _freed(base: Start, free: tuple[str, ...], held: tuple[str, ...], name: str) -> Start:
     """The same orbit on the curve on which a parameter of this name varies and what is held keeps its value."""
     p = base.curve.equations
-    curve, place = released(base.curve, base.found.place, Equations(p.model, p.symmetry, free, action=True), held)
+    curve, place = released(base.curve, base.solution.place, Equations(p.model, p.symmetry, free, action=True), held)
     return corrected(curve, place, _own_aim(curve, place, name))
 
 
@@ -198,7 +198,7 @@ def _start(problem: Problem, free: tuple[str, ...]) -> Start:
     if equations.links:
         place = first_unknowns(equations, problem.guess, 1, rounded(FIRST_STEPS / equations.links.count))
     momenta, pins = momenta_of(problem.boundary, problem.model), [] if free else list(problem.pin)
-    curve = curve_at(equations, place, momenta, problem.turns, {one.name: one.value for one in problem.pin})
+    curve = curve_at(equations, place, momenta, problem.turns, {held.name: held.value for held in problem.pin})
     pin = next((one for one in pins if one.name not in momenta), None)
     aim = pinned(equations, pin.name, pin.value) if pin else _own_aim(curve, place)
     return corrected(curve, place, aim)
@@ -237,7 +237,7 @@ def ungenerated(model: Model) -> tuple[str, ...]:
 
     Each is a parameter of the family; all but the first, in which it is followed, are held.
     """
-    return tuple(one.name for one in model.invariants if one.generator is None)
+    return tuple(invariant.name for invariant in model.invariants if invariant.generator is None)
 
 
 def _looked_at(equations: Equations, place: Unknowns) -> tuple[np.ndarray, np.ndarray]:
@@ -349,7 +349,7 @@ def fitted(curve: Curve, place: Unknowns) -> Unknowns:
     return place
 
 
-def symmetry_of(curve: Curve, found: Solution) -> str:
+def symmetry_of(curve: Curve, solution: Solution) -> str:
     """The symmetry that an orbit and its equations have, whatever formulation it was found in.
 
     A motion may be more symmetric than its system, such as one along a line beside which nothing is even: its
@@ -357,33 +357,33 @@ def symmetry_of(curve: Curve, found: Solution) -> str:
     """
     if len(curve.equations.symmetry.maps) > 1:
         return curve.equations.symmetry.name
-    times, states = full_samples(curve, found, 4 * SAMPLES)  # of several turns, if it branched off a resonance
+    times, states = full_samples(curve, solution, 4 * SAMPLES)  # of several turns, if it branched off a resonance
     model = curve.equations.model
     seen = symmetries_of(model)[recognise(times, states, model)]
     candidates = [one for one, _ in seen.narrower()]
     if not model.conservative:  # symmetries that reverse time need no dissipation
         candidates = [replace(seen, maps=(seen.forward,))] if seen.forward else []
     models = (model, moved(model, curve.equations.free))
-    kept = (one.name for one in candidates if all(one.held_by(each, states[0], curve.cycles) for each in models))
+    kept = (each.name for each in candidates if all(each.held_by(m, states[0], curve.cycles) for m in models))
     return next(kept, NONE.name)
 
 
-def _motion(curve: Curve, found: Solution) -> CubicHermiteSpline:
+def _motion(curve: Curve, solution: Solution) -> CubicHermiteSpline:
     """The states over the whole period."""
-    times, states = full_samples(curve, found, 4 * SAMPLES)
+    times, states = full_samples(curve, solution, 4 * SAMPLES)
     tail = np.concatenate([[times[-1]], np.zeros(curve.equations.march.unfolding), curve.equations.numbers])
     return CubicHermiteSpline(times, states, curve.equations.march.rates(states, tail, times))
 
 
 def _symmetric_instant(curve: Curve, motion: CubicHermiteSpline, symmetry: Symmetry) -> float:
     """When a motion is nearest to the fixed set that the horizon starts in, of all times that it comes near."""
-    model, one, times = curve.equations.model, symmetry.maps[0], motion.x
+    model, involution, times = curve.equations.model, symmetry.maps[0], motion.x
     size = motion.c.shape[-1]
     clock = clocked(model, times[-1] / (2 * np.pi)) / np.tile(curve.shares, size // curve.shares.size)
     rows = symmetry.rows(model.degrees_of_freedom)[0][: size // 2]
 
     def away(instants: np.ndarray) -> np.ndarray:
-        return off_centre(one, motion(instants % times[-1]) * clock, model.angles)
+        return off_centre(involution, motion(instants % times[-1]) * clock, model.angles)
 
     sizes = np.abs(away(times[:-1])).max(axis=1)
     near = times[:-1][(sizes <= np.roll(sizes, 1)) & (sizes <= np.roll(sizes, -1))]
@@ -402,11 +402,11 @@ def return_gaps(states: np.ndarray, parts: int) -> np.ndarray:
 
 def reformulated(start: Start, symmetry: Symmetry) -> Start:
     """The same orbit in the formulation of another symmetry, started at a brake instant where that needs one."""
-    old, place = start.curve, start.found.place
+    old, place = start.curve, start.solution.place
     if symmetry == old.equations.symmetry:
         return start
     model = old.equations.model
-    motion, fraction = _motion(old, start.found), symmetry.fraction
+    motion, fraction = _motion(old, start.solution), symmetry.fraction
     parts = max(1, round(len(place.nodes) * fraction))  # more than one where it is too unstable for one
     begin = _symmetric_instant(old, motion, symmetry) if symmetry.reverses else 0.0
     laps, instants = np.divmod(begin + place.period * fraction * np.arange(parts) / parts, place.period)

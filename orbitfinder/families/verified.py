@@ -1,8 +1,10 @@
-"""What a file says of a family, again from the file alone: its events, its ends, what a point claims of the family."""
+"""What is said of a family, checked: its events as they are met, and again from a file alone, with its ends and what a
+point claims of the family."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import logging
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,30 +13,135 @@ from scipy.optimize import linear_sum_assignment
 
 from orbitfinder._runtime import interrupt
 from orbitfinder.errors import ConvergenceError, IntegrationError, plural
-from orbitfinder.families.checks import ALIKE, Look, check_known, reading, settled_on
+from orbitfinder.families.checks import ALIKE, Probe, Sides, check_known
 from orbitfinder.families.critical import Critical, levelled
-from orbitfinder.families.start import curve_in
+from orbitfinder.families.entries import kind_of
+from orbitfinder.families.point import unknowns_of
+from orbitfinder.families.start import curve_in, fitted
 from orbitfinder.integrate.dop853 import vector_field
 from orbitfinder.integrate.equations import hamilton
-from orbitfinder.loops.continued import Curve, begun
+from orbitfinder.integrate.march import uniform
+from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, begun, correct, plane, scaled, tangent
 from orbitfinder.loops.symmetry import turned
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.newton import equilibrium
 from orbitfinder.orbits.evidence import gather, tour
 from orbitfinder.orbits.floquet import judged
+from orbitfinder.orbits.hybrid import PATIENCE, cycle_from
 from orbitfinder.records.certificate import Certificate, Check, at_most, equal, refused
-from orbitfinder.records.family import AGAIN, CLOSURE, UNKNOWN, End, Event, Family, FamilyPoint, number_of
+from orbitfinder.records.family import (
+    AGAIN,
+    CLOSURE,
+    UNKNOWN,
+    Batch,
+    End,
+    Event,
+    Family,
+    FamilyPoint,
+    Reading,
+    number_of,
+)
 from orbitfinder.records.reading import read_as
 
 ROUNDED = 1e-12
 """Relative error of a number that follows from the state"""
 SAME_STEP = 1e-6
 """... or this share of how much it changes in the step, if that is more"""
-LINEAR = 1e-2
-"""An orbit beside an equilibrium has the period of its linear oscillation to this share"""
 GROWN = 1.5
 """A family that ends homoclinic has a period this many times its shortest"""
+SHARES = ((3e-3, 0), (3e-4, 0), (5e-2, 1))
+"""How far the orbits on both sides are, in steps of the family, and whether there are others twice as far: the nearer
+ones where two events share a step, the farthest where a parameter hardly moves, as in a canard"""
+STEPS = 480
+"""Steps of a period on which an orbit is marched of which the nodes are not known"""
+
+
+def reading(curve: Curve, event: Event, along: np.ndarray, step: float) -> Reading:
+    """What the check of an event says; `along` (head) is the way the family goes there, `step` the arclength of a step.
+
+    Raises `ConvergenceError` where it is not known well enough, or its definition is contradicted.
+    """
+    kind = kind_of(event.kind)
+    if kind.second == (curve.test is None):
+        raise ConvergenceError(f"a {event.kind} has no check on such a family")
+    solution = settled_on(curve, event)
+    curve = curve.measured(solution)
+    whole = _heading(curve, solution, along)
+    here, said = Probe(curve, solution), ConvergenceError("no orbits beside it")
+    result = None
+    for share, outer in SHARES:
+        try:
+            looks = [
+                Probe(curve, correct(curve, advanced(solution.place, whole, d), plane(curve, solution.place, whole, d),
+                                    solution.place, 0.5 * step))
+                for d in step * share * np.array([-2, -1, 0, 1, 2] if outer else [-1, 0, 1])
+            ]  # fmt: skip
+            before, middle, after = looks[outer : len(looks) - outer]
+            sides = Sides(before, here, middle, after, share * step, step, looks[:: len(looks) - 1] if outer else ())
+            result = kind.check(sides, event)
+        except (ConvergenceError, IntegrationError) as error:
+            said = ConvergenceError(str(error))
+            continue
+        if result.passed:
+            return result
+    if result is None:
+        raise said
+    return result
+
+
+def settled_on(curve: Curve, event: Event | FamilyPoint) -> Solution:
+    """The orbit of a point or event on the mesh that it was found on, or on one made for it from its state alone."""
+    if event.mesh.size:
+        return at_place(curve, unknowns_of(curve, event))
+    arcs = curve.equations.links.count if curve.equations.links else 1
+    mesh = uniform(curve.equations.symmetry.fraction, arcs, STEPS // arcs)
+    nodes = _starts(curve, event, arcs)
+    return at_place(curve, fitted(curve, unknowns_of(curve, replace(event, shooting_nodes=nodes, mesh=mesh))))
+
+
+def _starts(curve: Curve, event: Event | FamilyPoint, arcs: int) -> np.ndarray:
+    """Where the arcs of an event's orbit begin (arcs x d)."""
+    if arcs == 1:
+        return event.state[None]
+    model = with_parameters(curve.equations.model, event.free)
+    return np.array([arc.states[0] for arc in cycle_from(model, event.state, longest=PATIENCE * event.period)])
+
+
+def _heading(curve: Curve, solution: Solution, along: np.ndarray) -> np.ndarray:
+    """The family's direction (over w) at an orbit: where another one crosses there, the nearest to `along` (head)."""
+    if curve.test is not None:
+        return tangent(curve, solution, along)
+    matrix, units = scaled(curve, solution)
+    _, sizes, rows = np.linalg.svd(matrix)
+    # singular value, relative to the next, below which the rows leave two directions
+    crossed = sizes[-1] < 1e-4 * sizes[-2:][0]
+    left = units * rows[-2 if crossed else -1 :]
+    sizes = np.concatenate([curve.scales.states, [curve.scales.period], curve.scales.free])
+    heads = np.array([solution.place.head_of(direction) / sizes for direction in left])
+    whole = np.linalg.lstsq(heads.T, along / sizes, rcond=None)[0] @ left
+    return np.asarray(whole / np.sqrt(curve.scales.metric(solution.place) @ whole**2))
+
+
+def checked(curve: Curve, batch: Batch, step: float) -> Batch:
+    """A step of a family with those of its events that are what they are called; the log says what the others are."""
+    return replace(batch, events=tuple(_kept(curve, batch.events, step)))
+
+
+def _kept(curve: Curve, events: Sequence[Event], step: float) -> Iterator[Event]:
+    for event in events:
+        try:
+            found = reading(curve, event, event.tangent, step)
+            what = f"{found.value:.2g} where {found.error:.2g} is known"
+        except (ConvergenceError, IntegrationError) as error:
+            found, what = None, str(error)
+        if found is not None and found.passed:
+            yield replace(event, check=found)
+        else:
+            logging.getLogger(__name__).warning(
+                "%s %s was seen at %.12g and is none: %s", "an" if event.kind[0] in "ei" else "a",
+                event.kind.replace("_", " "), event.parameter, what,
+            )  # fmt: skip
 
 
 def verified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
@@ -51,7 +158,7 @@ def verified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
         if len(family.ends) == 1 and family.points[-1].arclength == 0:
             at = family.points[0]
         yield f"end {k}", _end(family, curve, end, at)
-    for name in dict.fromkeys(name for one in family.points for name in one.watch):
+    for name in dict.fromkeys(name for point in family.points for name in point.watch):
         yield f"watch.{name} of {plural(len(family.points), 'orbit')}", _column(family, curve, name)
 
 
@@ -68,15 +175,15 @@ def _column(family: Family, curve: Curve, name: str) -> Check:
     return worst
 
 
-def _watch(curve: Curve, one: FamilyPoint | Event, name: str) -> Check:
+def _watch(curve: Curve, member: FamilyPoint | Event, name: str) -> Check:
     """A watched number of an orbit as recorded, against the motion gone round."""
     try:
         check_known(curve, name)
-        look = Look(curve, settled_on(curve, one))
-        off, allowed = abs(look.watched[name] - one.watch.get(name, np.nan)), look.unsure[name]
+        look = Probe(curve, settled_on(curve, member))
+        off, allowed = abs(look.watched[name] - member.watch.get(name, np.nan)), look.unsure[name]
     except (ConvergenceError, IntegrationError) as error:
         return refused("watch", error, float("nan"))
-    note = "" if off <= allowed else f"watch.{name} is {look.watched[name]:.15g}, recorded {one.watch.get(name)}"
+    note = "" if off <= allowed else f"watch.{name} is {look.watched[name]:.15g}, recorded {member.watch.get(name)}"
     return at_most("watch", off, allowed, note)
 
 
@@ -115,8 +222,8 @@ def _alone(event: Event) -> Event:
     return replace(event, shooting_nodes=nothing.reshape(0, 0), mesh=nothing, tangent=nothing)
 
 
-def _head(one: FamilyPoint) -> np.ndarray:
-    return np.array([*one.state, one.period, *one.free.values()])
+def _head(member: FamilyPoint) -> np.ndarray:
+    return np.array([*member.state, member.period, *member.free.values()])
 
 
 def _neighbours(family: Family, event: Event) -> tuple[FamilyPoint, FamilyPoint]:
@@ -133,11 +240,11 @@ def _neighbours(family: Family, event: Event) -> tuple[FamilyPoint, FamilyPoint]
 
 def _told(family: Family, curve: Curve, event: Event, change: float, exchanged: float) -> None:
     """Raises `ConvergenceError` unless an event's numbers are those of its state."""
-    here = Look(curve, settled_on(curve, _alone(event)))
+    here = Probe(curve, settled_on(curve, _alone(event)))
     for name, value, moved in ((family.parameter, event.parameter, change), ("energy", event.energy, exchanged)):
-        found = here.value(name)
-        if np.isfinite(found) and abs(found - value) > ROUNDED * abs(found) + SAME_STEP * moved:
-            raise ConvergenceError(f"{name} is {found:.15g} there, recorded {value:.15g}")
+        value_there = here.value(name)
+        if np.isfinite(value_there) and abs(value_there - value) > ROUNDED * abs(value_there) + SAME_STEP * moved:
+            raise ConvergenceError(f"{name} is {value_there:.15g} there, recorded {value:.15g}")
     if event.symmetry != curve.equations.symmetry.name:
         raise ConvergenceError(f"symmetry {event.symmetry} is not the family's")
     for name in {**family.curve.get("watch", {}), **event.watch}:
@@ -146,31 +253,35 @@ def _told(family: Family, curve: Curve, event: Event, change: float, exchanged: 
 
 
 def _end(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
-    parameter, joined = end.parameter, end.joined
+    check = _joined if end.joined else SOLVED.get(end.kind)
+    if check is None:
+        return equal(end.kind, 0.0, 0.0, "nothing was solved for")
     try:
-        if joined:
-            return _joined(curve, end, joined)
-        if end.kind == "target":
-            wanted = float(end.reason.rpartition("=")[2]) if parameter is None else float(parameter)
-            if (number := end.reason.removeprefix("reached ").rpartition(" = ")[0]) in at.watch:
-                return replace(_watch(curve, replace(at, watch={number: wanted}), number), name=end.kind)
-            off = min(abs(number_of(one, family.parameter) - wanted) for one in (family.points[0], family.points[-1]))
-            return at_most(end.kind, off, ROUNDED * abs(wanted), end.reason)
-        if end.kind in ("equilibrium", "hopf"):
-            return _rest(family, curve, end, at)
-        if end.kind == "homoclinic":
-            grown = at.period / float(family.values("period").min())
-            return at_most(end.kind, GROWN / grown, 1.0, "shortest period over the last one, times 1.5")
+        return check(family, curve, end, at)
     except (ConvergenceError, IntegrationError, ValueError, KeyError, TypeError) as error:
         return refused(end.kind, error, float("nan"))
-    return equal(end.kind, 0.0, 0.0, "nothing was solved for")
+
+
+def _target(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
+    """The first or the last orbit has what was asked for."""
+    wanted = float(end.reason.rpartition("=")[2]) if end.parameter is None else float(end.parameter)
+    if (number := end.reason.removeprefix("reached ").rpartition(" = ")[0]) in at.watch:
+        return replace(_watch(curve, replace(at, watch={number: wanted}), number), name=end.kind)
+    off = min(abs(number_of(point, family.parameter) - wanted) for point in (family.points[0], family.points[-1]))
+    return at_most(end.kind, off, ROUNDED * abs(wanted), end.reason)
+
+
+def _homoclinic(family: Family, _: Curve, end: End, at: FamilyPoint) -> Check:
+    """The period has grown."""
+    grown = at.period / float(family.values("period").min())
+    return at_most(end.kind, GROWN / grown, 1.0, "shortest period over the last one, times 1.5")
 
 
 def _rest(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
     """The equilibrium that orbits shrink to has a linear oscillation of their period."""
     value, period = end.parameter, end.period
     free = dict(at.free) | ({family.parameter: value} if value is not None and family.parameter in at.free else {})
-    model, there = (with_parameters(curve.equations.model, one) for one in (free, at.free))
+    model, there = (with_parameters(curve.equations.model, values) for values in (free, at.free))
     states = gather(there, at.state, at.period, turned(model, np.array(curve.turns), at.shift)).states
     equations = hamilton(model)
     y = 0.5 * (states.max(axis=0) + states.min(axis=0))[equations.coordinates.chosen]
@@ -179,39 +290,45 @@ def _rest(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
     size, variational = y.size, vector_field(equations.variational)
 
     def linearised(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        found = variational(0.0, np.concatenate([y, np.eye(size).ravel(), [0.0]]))
-        return found[:size], found[size:-1].reshape(size, size, order="F")
+        varied = variational(0.0, np.concatenate([y, np.eye(size).ravel(), [0.0]]))
+        return varied[:size], varied[size:-1].reshape(size, size, order="F")
 
     rest = equilibrium(linearised, y, max(1.0, float(np.abs(y).max())))
     turning = np.abs(np.linalg.eigvals(linearised(rest.w)[1]).imag)
-    wanted, allowed = (period, 1e-6) if period is not None else (at.period, LINEAR)
+    # an orbit beside an equilibrium has the period of its linear oscillation to this share
+    wanted, allowed = (period, 1e-6) if period is not None else (at.period, 1e-2)
     off = float(np.abs(turning * wanted / (2 * np.pi) - 1.0).min())
     return at_most(end.kind, off, allowed, "period over that of the linear oscillation, less 1")
 
 
-def _joined(curve: Curve, end: End, joined: Mapping[str, Any]) -> Check:
+def _joined(_: Family, curve: Curve, end: End, __: FamilyPoint) -> Check:
     """The orbit of the family that is joined closes, the family's period is so many of its own, and so many times round
     a multiplier is +1, beside what is trivial: there is where another family leaves."""
+    joined: Mapping[str, Any] = end.joined or {}
     model = with_parameters(curve.equations.model, joined.get("free", {}))
     state, period = np.array(joined["state"], float), float(joined["period"])
     whole_period = float(end.period or period)
     times = round(whole_period / period)
-    found = tour(model, state, period, turned(model, np.array(joined["winding"]), joined.get("shift", {})))
-    whole = np.linalg.matrix_power(found.map(), times)
+    lap = tour(model, state, period, turned(model, np.array(joined["winding"]), joined.get("shift", {})))
+    whole = np.linalg.matrix_power(lap.map(), times)
     values = np.linalg.eigvals(whole).astype(complex)
-    roots = judged(values).indices if found.conservative else values
-    off = abs(levelled(roots, 2.0 if found.conservative else 1.0))
-    gap, apart = found.closes.gap / (CLOSURE * found.closes.amplification), abs(times * period / whole_period - 1)
+    roots = judged(values).indices if lap.conservative else values
+    off = abs(levelled(roots, 2.0 if lap.conservative else 1.0))
+    gap, apart = lap.closes.gap / (CLOSURE * lap.closes.amplification), abs(times * period / whole_period - 1)
     return at_most(end.kind, max(off, apart), ALIKE, end.reason, gap <= 1.0)
 
 
-def point_checks(family: Family, number: int, found: Certificate, model: Model) -> Certificate:
+SOLVED = {"target": _target, "equilibrium": _rest, "hopf": _rest, "homoclinic": _homoclinic}
+"""The checks of what was solved for at an end, by its kind"""
+
+
+def point_checks(family: Family, number: int, certificate: Certificate, model: Model) -> Certificate:
     """The certificate of a point of a family, with checks of what it claims besides an orbit."""
     point = family.points[number]
     if not family.curve:
-        return found
+        return certificate
     curve = family_curve(family, model)
-    look = Look(curve, settled_on(curve, point))
+    look = Probe(curve, settled_on(curve, point))
     value = look.value(family.parameter)
     off = abs(point.value - value) / abs(value) if value else abs(point.value)
     root = 1 if curve.equations.symmetry.forward is None else 2
@@ -225,10 +342,10 @@ def point_checks(family: Family, number: int, found: Certificate, model: Model) 
             checks += _maps(look, point)
         except (ConvergenceError, IntegrationError) as error:
             checks.append(refused("indices", error))
-    return Certificate((*found.checks, *checks), found.scale, found.closure)
+    return Certificate((*certificate.checks, *checks), certificate.scale, certificate.closure)
 
 
-def _maps(look: Look, point: FamilyPoint) -> Iterator[Check]:
+def _maps(look: Probe, point: FamilyPoint) -> Iterator[Check]:
     """The stability indices and the Krein signatures."""
     about, here = look.about, point.indices
     wanted = about.roots if about.conservative else np.zeros(0)

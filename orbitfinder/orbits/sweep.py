@@ -73,12 +73,12 @@ class Row(Shown):
 
     def record(self, names: Sequence[str]) -> dict[str, Any]:
         """The row as plain values by name, None where there is no orbit; `names` are those of the state."""
-        found: dict[str, Any] = dict.fromkeys((*NUMBERS, "instability", *names))
+        numbers: dict[str, Any] = dict.fromkeys((*NUMBERS, "instability", *names))
         if self.orbit is not None:
-            found = {name: getattr(self.orbit, name) for name in NUMBERS}
-            found["instability"] = float(np.abs(self.orbit.floquet_multipliers).max(initial=1.0))
-            found |= {name: float(x) for name, x in zip(names, self.orbit.state, strict=True)}
-        return {**self.values, "certified": self.certified, "reason": self.reason, **found}
+            numbers = {name: getattr(self.orbit, name) for name in NUMBERS}
+            numbers["instability"] = float(np.abs(self.orbit.floquet_multipliers).max(initial=1.0))
+            numbers |= {name: float(x) for name, x in zip(names, self.orbit.state, strict=True)}
+        return {**self.values, "certified": self.certified, "reason": self.reason, **numbers}
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ def _table(problem: Problem, given: Mapping[str, Sequence[float]]) -> dict[str, 
     if not given:
         raise InputError("values: missing; name a parameter and its values, such as sweep(problem, stiffness=[20, 30])")
     found = {}
-    pinned = [one.name for one in problem.pin]
+    pinned = [pin.name for pin in problem.pin]
     physical = [name for name in problem.model.parameter_names if not name.startswith(SHARE)]
     for name, numbers in given.items():
         known = [*pinned, *physical]
@@ -195,7 +195,7 @@ def _table(problem: Problem, given: Mapping[str, Sequence[float]]) -> dict[str, 
         if name in problem.free and name not in pinned:
             raise InputError(f"{name}: free, so that the solver chooses it; leave it out of free to give its values")
         try:
-            found[name] = [float(one) for one in numbers]
+            found[name] = [float(number) for number in numbers]
         except (TypeError, ValueError) as error:
             raise InputError(f"{name}: must be a list of numbers, got {shortened(numbers)}") from error
         if not found[name] or not np.all(np.isfinite(found[name])):
@@ -222,7 +222,7 @@ class _Visit:
 
     def entry(self) -> dict[str, Any]:
         """The line of the journal."""
-        line, orbit = {one.name: getattr(self, one.name) for one in fields(self)}, self.row.orbit
+        line, orbit = {entry.name: getattr(self, entry.name) for entry in fields(self)}, self.row.orbit
         line["row"] = {"values": self.row.values, "reason": self.row.reason}
         if orbit is not None:
             line["orbit"] = orbit_to_document(orbit)
@@ -236,8 +236,8 @@ def _read(entry: Mapping[str, Any], sizes: tuple[tuple[int], ...]) -> Origin | _
     line: Origin | _Visit = typed(kind, entry.get("origin", entry), "")
     if isinstance(line, tuple):
         return line
-    for values, one in line.way:
-        if (values.shape, one.nodes.shape[1:], one.free.shape) != sizes or not one.period > 0:
+    for values, place in line.way:
+        if (values.shape, place.nodes.shape[1:], place.free.shape) != sizes or not place.period > 0:
             raise ValueError("way: no orbits of this problem")
     if "orbit" not in entry:
         return line
@@ -263,7 +263,7 @@ class _Study:
         self.origin = next((line for line in journal.known if isinstance(line, tuple)), None)
         visits = [line for line in journal.known if isinstance(line, _Visit)]
         self.known = {tuple(line.row.values.get(name) for name in names): line for line in visits}
-        model, pinned = problem.model, {one.name: one.value for one in problem.pin}
+        model, pinned = problem.model, {pin.name: pin.value for pin in problem.pin}
         own = {name: float(model.parameter_values[model.parameter_index(name)]) for name in names if name not in pinned}
         self.own = np.array([pinned.get(name, own.get(name)) for name in names], float)
         self._free = (*problem.free, *(name for name in own if name not in problem.free))
@@ -363,17 +363,17 @@ class _Study:
 
     def _at(self, values: np.ndarray, guess: Guess | None) -> Refined:
         """The orbit at values near a guess; `ConvergenceError` for another one."""
-        pins = {one.name: one.value for one in self._pin} | dict(zip(self.names, map(float, values), strict=True))
+        pins = {pin.name: pin.value for pin in self._pin} | dict(zip(self.names, map(float, values), strict=True))
         asked = [Pin(name, value) for name, value in pins.items()]
-        for one in asked:
-            check_pin(self.base, one)
-        found = self.refiner.refine(guess, asked)
+        for pin in asked:
+            check_pin(self.base, pin)
+        refined = self.refiner.refine(guess, asked)
         if guess is None or guess.states is None:
-            return found
-        away = _away(self.base.model, guess.states, found.nodes, guess.period)
-        if max(away, abs(found.period / guess.period - 1)) > ELSEWHERE:
+            return refined
+        away = _away(self.base.model, guess.states, refined.nodes, guess.period)
+        if max(away, abs(refined.period / guess.period - 1)) > ELSEWHERE:
             raise ConvergenceError("Newton's method leads to another orbit")
-        return found
+        return refined
 
 
 def _away(model: Model, expected: np.ndarray, found: np.ndarray, period: float) -> float:
@@ -392,7 +392,7 @@ def _shared(study: _Study, workers: int, folder: str | Path | None) -> Iterator[
     order, hands, left = np.argsort(study.values[:, 0], kind="stable"), list[processes.Hand](), list[tuple[Any, ...]]()
     for part in np.array_split(order, workers):
         values = study.values[part]
-        known = [study.known[one] for one in map(tuple, values.tolist()) if one in study.known]
+        known = [study.known[key] for key in map(tuple, values.tolist()) if key in study.known]
         if len(known) < len(part):
             left.append((values, known, part))
         else:

@@ -12,7 +12,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from orbitfinder.families.members import Motion
+from orbitfinder.families.members import MemberMotion
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import Orbit
@@ -47,7 +47,7 @@ def path_views(orbit: Orbit, model: Model) -> Figure:
     return figure
 
 
-def family_paths(family: Family, shown: Sequence[Motion], model: Model) -> Figure:
+def family_paths(family: Family, shown: Sequence[MemberMotion], model: Model) -> Figure:
     """Orbits along a family from every side, coloured by the family's parameter, and the landmarks near them."""
     figure, views = _views([one.states for one in shown], model, f"{family.name}: orbits along the family")
     values = [one.point.value for one in shown]

@@ -17,7 +17,7 @@ from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.atlas.report import discovery
 from orbitfinder.atlas.store import Atlas, Filter, Row
 from orbitfinder.errors import InputError, plural
-from orbitfinder.families.members import Motion, amplitudes, motions, whole
+from orbitfinder.families.members import MemberMotion, amplitudes, motions, whole
 from orbitfinder.loops.control import history
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, positions
@@ -332,7 +332,7 @@ def save_frequency_energy(families: Sequence[Family | Orbit], path: Path, level:
     return save_png(frequency_energy([one for one in families if isinstance(one, Family)], level=level), path)
 
 
-def gallery(family: Family, shown: Sequence[Motion]) -> Figure:
+def gallery(family: Family, shown: Sequence[MemberMotion]) -> Figure:
     """Orbits along the family, each over one period: swept links and the path of the tip, or the path in (q1, q2)."""
     columns = min(4, len(shown))
     rows = -(-len(shown) // columns)
@@ -356,7 +356,7 @@ def gallery(family: Family, shown: Sequence[Motion]) -> Figure:
     return figure
 
 
-def _draw(axes: Any, motion: Motion) -> None:
+def _draw(axes: Any, motion: MemberMotion) -> None:
     if motion.joints is None:
         axes.plot(motion.states[:, 0], motion.states[:, 1], color=COLOURS[1], linewidth=1.2)  # (q, v) for n = 1
         return
@@ -401,14 +401,14 @@ def frequency_energy(
         axes.set_xscale("log")
     dress(axes, *called)
     if len(families) == 1:
-        numbered = [k for k, one in enumerate(families[0].events) if one.kind in NUMBERED]
+        numbered = [k for k, one in enumerate(families[0].events) if LOOKS[one.kind].numbered]
         labels += [(str(k), *drawn[0].events[k]) for k in (numbered if len(numbered) <= MOST_NUMBERED else [])]
     place_labels(figure, axes, labels)
     return figure
 
 
-NUMBERED, MOST_NUMBERED = ("branch_point", "period_doubling"), 24
-"""Events that carry their number where there are not too many"""
+MOST_NUMBERED = 24
+"""Events carry their number where there are not more"""
 
 
 def two_parameters(families: Sequence[Family], title: str | None = None) -> Figure:
@@ -525,7 +525,7 @@ def multipliers_along(family: Family) -> Figure:
     for level in (-2.0, 2.0):
         lower.axhline(level, color="0.5", linewidth=0.7)
     for event in family.events:
-        if event.kind in ("branch_point", "period_doubling", "collision"):
+        if LOOKS[event.kind].across:
             lower.axvline(event.parameter, color="0.75", linewidth=0.6)
     lower.set_yscale("asinh", linear_width=2.0)
     top = min(max(4.0, 1.2 * float(np.abs(indices).max())), INDEX_SHOWN)

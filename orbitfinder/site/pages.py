@@ -11,7 +11,7 @@ import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import plural
-from orbitfinder.families.branches import SWITCHABLE
+from orbitfinder.families.entries import SWITCHABLE, kind_of
 from orbitfinder.families.members import response
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import SI, units
@@ -240,8 +240,7 @@ def pickable(family: Family) -> list[tuple[str, int]]:
     """The points and events that can be picked, "point" or "event" and their numbers, in order along the family."""
     points, events = family.points, family.events
     found = [(points[k].arclength, "point", k) for k in spread(points, MOST_POINTS)]
-    rare = [k for k, event in enumerate(events) if event.kind != "resonance"]
-    common = [k for k, event in enumerate(events) if event.kind == "resonance"]
+    rare, common = ([k for k, event in enumerate(events) if LOOKS[event.kind].many is many] for many in (False, True))
     kept = [rare[k] for k in evenly(len(rare), MOST_EVENTS)]
     kept += [common[k] for k in evenly(len(common), max(0, MOST_EVENTS - len(kept)))]
     found += [(events[k].arclength, "event", k) for k in kept]
@@ -296,7 +295,7 @@ def _item(one: FamilyPoint | Event, family: Family, simulator: Simulator) -> dic
         "stability": at.stability,
         "symmetry": symmetry_words(one.symmetry),
         "multipliers": [[float(f"{x:.8g}") for x in (mu.real, mu.imag)] for mu in at.floquet_multipliers.tolist()],
-        "event": event.detail if event is not None and event.kind == "stability_change" and event.detail else words,
+        "event": event.detail if event is not None and kind_of(event.kind).verdict and event.detail else words,
         "kind": "" if event is None else event.kind,
         "motion": packed(motion) if motion else None,
     }
@@ -330,8 +329,8 @@ def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
         },
         "items": items,
         "looks": {
-            kind: [look.symbol, look.series, look.pixels]
-            for kind, look in LOOKS.items() if any(item["kind"] == kind for item in items)
+            kind: [look.symbol, look.series, look.pixels, look.line]
+            for kind, look in {item["kind"]: LOOKS[item["kind"]] for item in items if item["kind"]}.items()
         },
     }  # fmt: skip
 

@@ -19,7 +19,7 @@ import numpy as np
 from orbitfinder._runtime import locks
 from orbitfinder._runtime.keeping import STOPPED, finished
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.continuation.follow import Curve, Goals, Pace, Trace, follow, towards
+from orbitfinder.continuation.follow import CurveJournal, Goals, Pace, SolutionCurve, follow, towards
 from orbitfinder.continuation.problem import Point, plane, solved
 from orbitfinder.errors import ConvergenceError, InputError, closest
 from orbitfinder.integrate.dop853 import STEPS_PER_PERIOD, integrate_in, vector_field
@@ -210,13 +210,13 @@ def follow_tori(
     pace = Pace(first=chosen.step, shortest=SHORTEST, longest=LONGEST, points=chosen.points, quick=6)
     held = {label: value / (2 * np.pi) if label == "rotation" else value for label, value in ring.held}
 
-    curve = Curve()
+    curve = SolutionCurve()
 
     def tori(end: str) -> Tori:
         return Tori(label, dict(system.system), asked, held, tuple(one.record for one in curve.points), end)
 
     with contextlib.nullcontext() if path is None else locks.alone_in(path.parent):
-        for one in follow(curve, Trace(keeping, path, request, leads_there), begin, inner, pace):
+        for one in follow(curve, CurveJournal(keeping, path, request, leads_there), begin, inner, pace):
             finished(lambda: tori(STOPPED))
             if progress:
                 progress(one.record)
@@ -442,7 +442,7 @@ def _recorded(point: Point) -> Torus:
     )
 
 
-def _ended(curve: Curve, asked: str, until: float | None, most: int) -> str:
+def _ended(curve: SolutionCurve, asked: str, until: float | None, most: int) -> str:
     """Why a family ends, in words."""
     assert curve.end is not None
     kinds = {"target": f"{asked} reached {until or 0.0:.12g}", "point limit": f"point limit of {most}"}

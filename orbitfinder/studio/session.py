@@ -18,7 +18,7 @@ import numpy as np
 from orbitfinder.atlas.report import summarise
 from orbitfinder.atlas.store import Atlas, Row
 from orbitfinder.errors import InputError, plural
-from orbitfinder.families.branches import SWITCHABLE
+from orbitfinder.families.entries import SWITCHABLE
 from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.kind import build_model, loops_of, system_kind

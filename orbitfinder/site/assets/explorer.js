@@ -101,7 +101,7 @@
     Object.keys(kinds).forEach(function (kind) {
       var look = it.looks[kind], colour = c.series[look[1]];
       traces.push(points(chosen, kinds[kind], { name: safe(kind).replace(/_/g, " "), marker: { symbol: look[0],
-        size: look[2], color: colour, line: { width: kind === "resonance" ? 0 : 1.5, color: colour } } }));
+        size: look[2], color: colour, line: { width: look[3], color: colour } } }));
     });
     return traces;
   }
