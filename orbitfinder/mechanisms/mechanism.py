@@ -46,20 +46,6 @@ from orbitfinder.mechanics.newton import closed
 
 Table = Mapping[str, Any]
 GROUND = "ground"
-PLANE = {
-    "revolute": "R", "prismatic": "P", "slot": "PR", "fixed": "", "free": "PPR"
-}  # fmt: skip
-SPACE = {
-    "revolute": "R", "prismatic": "P", "cylindrical": "PR", "universal": "RR", "spherical": "RRR", "fixed": "",
-    "free": "PPPRRR",
-}  # fmt: skip
-"""What each kind of joint leaves free, in its order: slides P and turns R"""
-ROWS = {
-    2: {"revolute": "xy", "prismatic": "na", "slot": "n", "fixed": "xya", "rod": "l"},
-    3: {"revolute": "xyzuv", "prismatic": "pqabc", "cylindrical": "pquv", "universal": "xyzo", "spherical": "xyz",
-        "fixed": "xyzabc", "rod": "l"},
-}  # fmt: skip
-"""The equations by which each kind closes a loop, one letter each (see `_rows`)"""
 KEYS = {
     "bodies": {"mass", "inertia", "com", "shape", "disc"},
     "joints": {"kind", "between", "at", "axis", "axes", "turned", "length", "rotor", "range", "mimics"},
@@ -137,7 +123,7 @@ class _Numbers:
 
 @dataclass
 class _Node:
-    """One coordinate of the tree, a turn "R" or a slide "P" about or along `axis` (3), by `q` with rates `v`, `a`.
+    """One coordinate of the tree, a turn or a slide about or along `axis` (3), by `q` with rates `v`, `a`.
 
     Its frame before the motion lies at `place` in the parent node's frame, turned by `frame` (axes in columns).
     """
@@ -145,7 +131,7 @@ class _Node:
     parent: int
     frame: ca.SX
     place: ca.SX
-    kind: str
+    turns: bool
     axis: ca.SX
     name: str
     q: ca.SX = field(default_factory=lambda: ca.SX(0))
@@ -158,16 +144,16 @@ class _Node:
 
     def turn(self) -> ca.SX:
         """Its axes in the parent's (3 x 3)."""
-        return ca.mtimes(self.frame, _rotation(self.axis, self.q)) if self.kind == "R" else self.frame
+        return ca.mtimes(self.frame, _rotation(self.axis, self.q)) if self.turns else self.frame
 
     def origin(self) -> ca.SX:
         """Its origin in the parent's axes (3)."""
-        return self.place + ca.mtimes(self.frame, self.axis * self.q) if self.kind == "P" else self.place
+        return self.place if self.turns else self.place + ca.mtimes(self.frame, self.axis * self.q)
 
     def way(self) -> ca.SX:
         """The spatial velocity (6: turning, sliding) that a unit rate makes, in its own axes."""
         none = ca.SX(3, 1)
-        return ca.vertcat(self.axis, none) if self.kind == "R" else ca.vertcat(none, self.axis)
+        return ca.vertcat(self.axis, none) if self.turns else ca.vertcat(none, self.axis)
 
 
 @dataclass
@@ -200,7 +186,7 @@ class _Closing:
     table: Table
     rows: str
     points: tuple[ca.SX, ca.SX]
-    ways: list[tuple[str, ca.SX]]
+    ways: list[tuple[bool, ca.SX]]
     turned: ca.SX
     length: ca.SX | float = 0.0
 
@@ -212,6 +198,7 @@ class _Drawing:
     dimension: int
     numbers: _Numbers
     joints: Mapping[str, Table]
+    kinds: Mapping[str, JointKind]
     nodes: list[_Node] = field(default_factory=list)
     bodies: dict[str, _Body] = field(default_factory=dict)
     closing: list[_Closing] = field(default_factory=list)
@@ -230,7 +217,7 @@ class _Drawing:
         found, k = one.turned, one.node
         while k >= 0:
             node = self.nodes[k]
-            found = found + node.axis[2] * node.q if node.kind == "R" else found
+            found = found + node.axis[2] * node.q if node.turns else found
             k = node.parent
         return found
 
@@ -428,13 +415,14 @@ def _unit(where: str, entry: Any, dimension: int, numbers: _Numbers) -> ca.SX:
 
 def _drawn(system: Table, numbers: _Numbers) -> _Drawing:
     """The tree of a mechanism and what is left to close."""
-    made = _Drawing(int(system["dimension"]), numbers, system["joints"])
+    dimension, joints = int(system["dimension"]), system["joints"]
+    pairs = {name: _between("joints", name, table, system["bodies"]) for name, table in joints.items()}
+    made = _Drawing(dimension, numbers, joints, {name: _kind(dimension, name, table) for name, table in joints.items()})
     made.bodies[GROUND] = _Body(-1, _eye(), ca.SX(3, 1))
-    pairs = {name: _between("joints", name, table, system["bodies"]) for name, table in system["joints"].items()}
-    left = dict(system["joints"])
+    left = dict(joints)
     reached = [GROUND]
     for body in reached:  # from the ground outwards, which cuts loops in their middle
-        for name in [n for n in left if body in pairs[n] and left[n].get("kind") != "rod"]:
+        for name in [n for n in left if body in pairs[n] and made.kinds[n].reaches]:
             other = next(one for one in pairs[name] if one != body)
             if other not in made.bodies:
                 _grow(made, name, left.pop(name), pairs[name])
@@ -446,25 +434,26 @@ def _drawn(system: Table, numbers: _Numbers) -> _Drawing:
                 f"bodies.{name}: hangs in the air, no joint leads from the ground to it (its joints: "
                 f"{', '.join(held) or 'none'}); join it (kind = 'free' joins it by nothing)"
             )
-    kinds = ROWS[made.dimension]
     for name, table in left.items():
-        kind = _kind(made.dimension, name, table)
-        if kind not in kinds:
-            raise InputError(f"joints.{name}: {kind!r} closes no loop; a loop is closed by {', '.join(kinds)}")
-        made.closing.append(_closing(made, name, table, kinds[kind]))
+        if not made.kinds[name].rows:
+            closing = [kind for kind, joint in JOINTS[dimension].items() if joint.rows]
+            raise InputError(
+                f"joints.{name}: {table['kind']!r} closes no loop; a loop is closed by {', '.join(closing)}"
+            )
+        made.closing.append(_closing(made, name, table))
     _check_bars(made, system, pairs)
     return made
 
 
-def _closing(made: _Drawing, name: str, table: Table, rows: str) -> _Closing:
+def _closing(made: _Drawing, name: str, table: Table) -> _Closing:
     """A joint that closes a loop, its numbers read."""
-    rod = table["kind"] == "rod"
-    ways = [] if rod else _motions(made, name, table)
-    points = _points(made, "joints", name, table)
-    length: ca.SX | float = 0.0
-    if rod:
+    kind, length = made.kinds[name], ca.SX(0)
+    ways, points = _motions(made, name, table), _points(made, "joints", name, table)
+    if not kind.reaches:
         length = _positive(made.numbers, f"joints.{name}.length", f"{name}_length", table.get("length", 0.0), "m")
-    return _Closing(name, table, rows, points, ways, _eye() if rod else _turned(made, name, table), length)
+    return _Closing(
+        name, table, kind.rows, points, ways, _turned(made, name, table) if kind.reaches else _eye(), length
+    )
 
 
 def _between(where: str, name: str, table: Table, bodies: Table) -> tuple[str, str]:
@@ -480,14 +469,14 @@ def _between(where: str, name: str, table: Table, bodies: Table) -> tuple[str, s
     return pair[0], pair[1]
 
 
-def _kind(dimension: int, name: str, table: Table) -> str:
-    kind, known = table.get("kind"), PLANE if dimension == 2 else SPACE
-    if kind not in known and kind != "rod":
+def _kind(dimension: int, name: str, table: Table) -> JointKind:
+    kind, known = table.get("kind"), JOINTS[dimension]
+    if not isinstance(kind, str) or kind not in known:
         hint = closest(str(kind), known)
         raise InputError(
-            f"joints.{name}.kind: unknown {kind!r}{hint}; in {dimension} dimensions use {', '.join(known)}, rod"
+            f"joints.{name}.kind: unknown {kind!r}{hint}; in {dimension} dimensions use {', '.join(known)}"
         )
-    return str(kind)
+    return known[kind]
 
 
 def _points(made: _Drawing, where: str, name: str, table: Table) -> tuple[ca.SX, ca.SX]:
@@ -502,32 +491,86 @@ def _points(made: _Drawing, where: str, name: str, table: Table) -> tuple[ca.SX,
     return first, second
 
 
-def _motions(made: _Drawing, name: str, table: Table) -> list[tuple[str, ca.SX]]:
-    """What a joint leaves free: slides P and turns R with their axes (3), in the first body's frame."""
-    kind, numbers = _kind(made.dimension, name, table), made.numbers
-    letters = (PLANE if made.dimension == 2 else SPACE)[kind]
-    basis = [ca.SX(ca.sparsify(ca.DM(one))) for one in np.eye(3)]
-    if kind == "free":
-        return [(one, basis[k % 3] if made.dimension == 3 else basis[k]) for k, one in enumerate(letters)]
-    if made.dimension == 2:
-        slide = _unit(f"joints.{name}.axis", table.get("axis"), 2, numbers) if "P" in letters else None
-        return [(one, basis[2] if slide is None or one == "R" else slide) for one in letters]
-    if kind in ("universal", "spherical"):
-        usual = {"universal": [[1, 0, 0], [0, 1, 0]], "spherical": np.eye(3).tolist()}
-        axes = table.get("axes", usual[kind])
-        if isinstance(axes, str) and set(axes) <= set("xyz"):
-            axes = [np.eye(3)["xyz".index(one)].tolist() for one in axes]
-        if not isinstance(axes, list) or len(axes) != len(letters):
-            raise InputError(
-                f"joints.{name}.axes: need {len(letters)} directions, or letters such as 'xyz', got {axes!r}"
-            )
-        found = [_unit(f"joints.{name}.axes", one, 3, numbers) for one in axes]
-        for one, other in pairwise(found):
-            if float(ca.norm_2(ca.cross(ca.densify(one), ca.densify(other)))) < RANK_TOLERANCE:
-                raise InputError(f"joints.{name}.axes: two axes in a row are one; give others")
-        return list(zip(letters, found, strict=True))
-    axis = _unit(f"joints.{name}.axis", table.get("axis"), 3, numbers) if letters else None
-    return [(one, axis) for one in letters]
+def _motions(made: _Drawing, name: str, table: Table) -> list[tuple[bool, ca.SX]]:
+    """What a joint leaves free: turns (True) and slides with their axes (3), in the first body's frame."""
+    free = made.kinds[name].free
+    return [(way == "R", axis) for way, axis in zip(free, made.kinds[name].axes(made, name, table, free), strict=True)]
+
+
+def _own_axis(made: _Drawing, name: str, table: Table, free: str) -> list[ca.SX]:
+    """The axis given, of all; in the plane of slides, where turns are about z."""
+    plane = made.dimension == 2
+    if not free or (plane and "P" not in free):
+        return [_basis(2)] * len(free)
+    axis = _unit(f"joints.{name}.axis", table.get("axis"), made.dimension, made.numbers)
+    return [_basis(2) if plane and way == "R" else axis for way in free]
+
+
+def _own_axes(made: _Drawing, name: str, table: Table, free: str) -> list[ca.SX]:
+    """The axes given, of turns one after another; x, y, z unless said otherwise."""
+    axes = table.get("axes", np.eye(3)[: len(free)].tolist())
+    if isinstance(axes, str) and set(axes) <= set("xyz"):
+        axes = [np.eye(3)["xyz".index(letter)].tolist() for letter in axes]
+    if not isinstance(axes, list) or len(axes) != len(free):
+        raise InputError(f"joints.{name}.axes: need {len(free)} directions, or letters such as 'xyz', got {axes!r}")
+    directions = [_unit(f"joints.{name}.axes", axis, 3, made.numbers) for axis in axes]
+    for axis, other in pairwise(directions):
+        if float(ca.norm_2(ca.cross(ca.densify(axis), ca.densify(other)))) < RANK_TOLERANCE:
+            raise InputError(f"joints.{name}.axes: two axes in a row are one; give others")
+    return directions
+
+
+def _world(made: _Drawing, name: str, table: Table, free: str) -> list[ca.SX]:
+    """The first body's own axes."""
+    del made, name, table
+    return [_basis(k % 3) for k in range(len(free))]
+
+
+def _basis(k: int) -> ca.SX:
+    """One of the axes x, y, z (3), zeros left out."""
+    return ca.SX(ca.sparsify(ca.DM(np.eye(3)[k])))
+
+
+@dataclass(frozen=True)
+class JointKind:
+    """What a kind of joint leaves free and holds: every question about kinds of joints is answered by `JOINTS`."""
+
+    free: str
+    """in its order: slides P and turns R"""
+    rows: str = ""
+    """the equations by which it closes a loop, one letter each (see `_rows`); none closes none"""
+    axes: Callable[[_Drawing, str, Table, str], list[ca.SX]] = _own_axis
+    """(drawing, name, table, free) -> their axes (3) in the first body's frame"""
+    drawn: str = ""
+    """the stroke through its point on the second body, or through both of a rod"""
+    pin: bool = False
+    """whether a body of two such joints at one point is a bar of no length"""
+    reaches: bool = True
+    """whether it joins a body to the tree; else it holds two points at a length"""
+
+
+ROD = JointKind("", "l", drawn="rod", reaches=False)
+JOINTS = {
+    2: {
+        "revolute": JointKind("R", "xy", pin=True),
+        "prismatic": JointKind("P", "na", drawn="slider"),
+        "slot": JointKind("PR", "n", drawn="slider"),
+        "fixed": JointKind("", "xya"),
+        "free": JointKind("PPR", axes=_world),
+        "rod": ROD,
+    },
+    3: {
+        "revolute": JointKind("R", "xyzuv", pin=True),
+        "prismatic": JointKind("P", "pqabc", drawn="slider"),
+        "cylindrical": JointKind("PR", "pquv", drawn="slider"),
+        "universal": JointKind("RR", "xyzo", _own_axes),
+        "spherical": JointKind("RRR", "xyz", _own_axes, pin=True),
+        "fixed": JointKind("", "xyzabc"),
+        "free": JointKind("PPPRRR", axes=_world),
+        "rod": ROD,
+    },
+}
+"""Kinds of joints by dimension and name"""
 
 
 def _turned(made: _Drawing, name: str, table: Table) -> ca.SX:
@@ -563,16 +606,16 @@ def _grow(made: _Drawing, name: str, table: Table, pair: tuple[str, str]) -> Non
     steps = list(zip(ways, labels, strict=True))
     made.owner |= dict.fromkeys(labels, name)
     if not forwards:  # the same motions undone in the other order
-        steps = [((kind, -axis), label) for (kind, axis), label in reversed(steps)]
+        steps = [((turns, -axis), label) for (turns, axis), label in reversed(steps)]
     parent, frame = base.node, base.frame
     place = base.place + ca.mtimes(frame, here)
     if not forwards:
         frame = ca.mtimes(frame, turned.T)
-    for (kind, axis), label in steps:
+    for (turns, axis), label in steps:
         rotor = (
             made.numbers(f"joints.{name}.rotor", f"{name}_rotor", table.get("rotor", 0.0)) if len(steps) == 1 else 0.0
         )
-        made.nodes.append(_Node(parent, frame, place, kind, axis, label, rotor=rotor))
+        made.nodes.append(_Node(parent, frame, place, turns, axis, label, rotor=rotor))
         parent, frame, place = len(made.nodes) - 1, _eye(), ca.SX(3, 1)
     if forwards:
         frame = ca.mtimes(frame, turned)
@@ -586,25 +629,25 @@ def _check_bars(made: _Drawing, system: Table, pairs: Mapping[str, tuple[str, st
     for body in (*system["bodies"], GROUND):
         places = {}
         for name, table in system["joints"].items():
-            if body in pairs[name] and table["kind"] in ("revolute", "spherical"):
+            if body in pairs[name] and made.kinds[name].pin:
                 at = table.get("at", [[0.0] * made.dimension] * 2)[pairs[name].index(body)]
                 places[name] = (str(at), frozenset(pairs[name]))
         ends = list(places.items())
         for k, (name, (at, pair)) in enumerate(ends):
             for other, (there, second) in ends[:k]:
                 alone = len(ends) == 2 and body != GROUND and bool(made.closing)
-                tables = [system["joints"][one] for one in (name, other)]
-                if at == there and (alone or pair == second) and not _cross(made.dimension, *tables):
+                if at == there and (alone or pair == second) and not _cross(made, name, other):
                     raise InputError(
                         f"joints.{name}: at the same point of body {body!r} as joint {other!r} ({at}), which leaves a "
                         "bar of no length; move one of them"
                     )
 
 
-def _cross(dimension: int, *tables: Table) -> bool:
+def _cross(made: _Drawing, *names: str) -> bool:
     """Whether two joints are hinges in space about different axes, as in a spherical linkage, whose axes meet."""
-    if dimension == 2 or any(one["kind"] != "revolute" for one in tables):
+    if made.dimension == 2 or any(made.kinds[name].free != "R" for name in names):
         return False
+    tables = [made.joints[name] for name in names]
     first, second = (np.asarray(one["axis"], float) / np.linalg.norm(one["axis"]) for one in tables)
     return any("turned" in one for one in tables) or bool(np.linalg.norm(np.cross(first, second)) > RANK_TOLERANCE)
 
@@ -677,7 +720,7 @@ class _Motion:
             q, v, numbers.vector, tuple(numbers.names), tuple(numbers.values), time=t if forced else None,
             forcing_period=2 * np.pi / clock[1] if forced else None,
         )  # fmt: skip
-        angles = [node.kind == "R" for node in own]
+        angles = [node.turns for node in own]
         names = [one.name for one in own]
         return cls(
             symbols, kinetic, fall + elastic, elastic, passive, drive, controls, acting, frames, gravity, names, angles,
@@ -720,7 +763,7 @@ def _prescribed(system: Table, made: _Drawing, numbers: _Numbers, clock: tuple[c
             numbers(f"{where}.{key}", f"{name}_{key}", table.get(key, 0.0)) for key in ("offset", "amplitude", "phase")
         )
         turns = _number(f"{where}.turns", table.get("turns", 0.0))
-        if turns != round(turns) or (turns and node.kind == "P"):
+        if turns != round(turns) or (turns and not node.turns):
             raise InputError(f"{where}.turns: must be a whole number, of a joint that turns, got {turns:g}")
         node.q = ca.SX(offset + turns * w * t + amplitude * ca.cos(w * t + phase))
         node.v = ca.jacobian(node.q, t)
@@ -853,12 +896,13 @@ def _coordinate(made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], where: st
         if node.name == name:
             return node.q
     for one in made.closing:
-        if one.name == name and made.dimension == 2 and one.table["kind"] in ("revolute", "slot", "prismatic"):
-            pair = one.table["between"]
-            if one.table["kind"] == "revolute":
-                return made.angle(pair[1]) - made.angle(pair[0]) - _angle(one.turned)
+        if one.name == name and made.dimension == 2 and one.ways:
+            turns, axis = one.ways[0]
+            if turns:
+                first, second = one.table["between"]
+                return made.angle(second) - made.angle(first) - _angle(one.turned)
             gap, turn = _gap(made, frames, one)
-            return ca.dot(gap, ca.mtimes(turn, one.ways[0][1]))
+            return ca.dot(gap, ca.mtimes(turn, axis))
     known = [node.name for node in made.nodes]
     raise InputError(f"{where}.joint: {name!r} is no coordinate{closest(name, known)}; use {', '.join(known)}")
 
@@ -966,15 +1010,15 @@ def _picture(
 
     held: dict[str, list[ca.SX]] = {name: [] for name in made.bodies}
     for name, table in system["joints"].items():
+        kind = made.kinds[name]
         for body, at in zip(table["between"], made.places[name], strict=True):
-            slides = body == GROUND and table["kind"] in ("prismatic", "slot", "cylindrical", "free")
-            if not slides and not _among(at, held[body]):
+            if not (body == GROUND and "P" in kind.free) and not _among(at, held[body]):
                 held[body].append(at)
-            if table["kind"] in ("prismatic", "slot", "cylindrical") and body == table["between"][1]:
-                strokes.append(("slider", (place(body, at),)))
-        if table["kind"] == "rod":
+            if kind.drawn == "slider" and body == table["between"][1]:
+                strokes.append((kind.drawn, (place(body, at),)))
+        if kind.drawn == "rod":
             strokes.append(
-                ("rod", tuple(place(b, at) for b, at in zip(table["between"], made.places[name], strict=True)))
+                (kind.drawn, tuple(place(*end) for end in zip(table["between"], made.places[name], strict=True)))
             )
     pulled: dict[str, list[ca.SX]] = {name: [] for name in made.bodies}
     for name in system.get("springs", {}):
@@ -1131,7 +1175,7 @@ def _check_weights(made: _Drawing, motion: _Motion, place: np.ndarray, weights: 
         body = made.joints[joint]["between"][1]
         why = (
             "two of its axes are one in this pose; give another pose, or other axes"
-            if made.joints[joint]["kind"] in ("spherical", "free", "universal") and made.dimension == 3
+            if made.kinds[joint].free.count("R") > 1
             else f"body {body!r} turns about its own centre of mass without inertia; give it an inertia, or move com"
         )
         raise InputError(f"joints.{joint}: coordinate {name} moves no mass: {why}")
