@@ -25,7 +25,7 @@ from orbitfinder._runtime.processes import alone
 from orbitfinder._runtime.quiet import captured
 from orbitfinder.errors import InputError, closest, plural
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanisms.mechanism import GROUND, mechanism
+from orbitfinder.mechanisms.mechanism import GROUND, JOINTS, mechanism
 from orbitfinder.records.reading import file_bytes
 
 DOWN = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
@@ -80,6 +80,11 @@ class _Joint:
     range: tuple[float, float] | None = None
     mimics: tuple[str, float, float] | None = None
     """(joint, ratio, offset): where it is another joint's coordinate times a ratio, plus an offset"""
+
+    @property
+    def free(self) -> str:
+        """What it leaves free, in its order: slides P and turns R."""
+        return JOINTS[3][self.kind].free
 
 
 @dataclass
@@ -330,10 +335,11 @@ def _mjcf_joint(one: SimpleNamespace, k: int, joint: _Joint) -> tuple[str, _Join
     if np.any(one.jnt_pos[k]):
         raise InputError(f"file: the joint of body {joint.child!r} is off its origin; move the body's frame to it")
     loss = {"damping": one.dof_damping[dof], "rotor": one.dof_armature[dof], "friction": one.dof_frictionloss[dof]}
-    if kind == "free" and any(loss.values()):
+    afloat = len(JOINTS[3][kind].free) > 1
+    if afloat and any(loss.values()):
         what = next(entry for entry, value in loss.items() if value)
         raise InputError(f"file: the free joint {name!r} has {MJCF[what]}, which is not known; make it a <freejoint/>")
-    if kind != "free" and one.qpos0[place]:
+    if not afloat and one.qpos0[place]:
         raise InputError(f"file: joint {name!r} counts from ref = {one.qpos0[place]:g}; take ref out, 0 is as drawn")
     for entry, flag in (("damping", "DAMPER"), ("friction", "FRICTIONLOSS")):
         loss[entry] *= f"mjDSBL_{flag}" not in one.off and "mjDSBL_PASSIVE" not in one.off
@@ -384,7 +390,7 @@ def tables(
     """The tables of the mechanism that a robot is, with `drawn`: the file's name and SHA-256."""
     if floating:
         made = _afloat(made)
-    free = [name for name, one in made.joints.items() if one.kind != "fixed"]
+    free = [name for name, one in made.joints.items() if one.free]
     still = dict(locked) if isinstance(locked, Mapping) else dict.fromkeys(locked, 0.0)
     _check_names("locked", still, free)
     still |= _following(made, still)
@@ -402,7 +408,7 @@ def tables(
             "kind": one.kind, "between": [GROUND if parent == held else _word(parent), _word(whose[one.child])],
             "at": [_listed(DOWN @ (place - before)), [0.0, 0.0, 0.0]],
         }  # fmt: skip
-        if one.kind != "free":
+        if len(one.free) == 1:
             table["axis"] = _listed(DOWN @ turn @ one.axis)
         if one.rotor:
             table["rotor"] = one.rotor
@@ -440,13 +446,13 @@ def _following(made: _Read, still: Mapping[str, float]) -> dict[str, float]:
     """Where joints stay that mimic joints that do."""
     found = {}
     for name, one in made.joints.items():
-        if one.mimics is None or name in still or one.kind == "fixed":
+        if one.mimics is None or name in still or not one.free:
             continue
         first, ratio, offset = one.mimics
         if first not in made.joints or first == name or made.joints[first].mimics is not None:
             why = "which mimics" if first in made.joints else "which is not there"
             raise InputError(f"file: joint {name!r} mimics {first!r}, {why}; name one that moves by itself, or lock it")
-        if first in still or made.joints[first].kind == "fixed":
+        if first in still or not made.joints[first].free:
             found[name] = ratio * still.get(first, 0.0) + offset
     return found
 
@@ -464,7 +470,7 @@ def _acting(
     motors: Sequence[str] | str,
 ) -> None:  # fmt: skip
     """Springs, dampers and motors of the moving joints."""
-    moving = [name for name in moving if made.joints[name].kind != "free"]
+    moving = [name for name in moving if len(made.joints[name].free) == 1]
     _check_names("rest", rest, moving)
     for key, given, entry in (("springs", stiffness, "stiffness"), ("dampers", damping, "damping")):
         own = {name: getattr(made.joints[name], entry) for name in moving}
@@ -533,8 +539,8 @@ def _lumped(made: _Read, still: Mapping[str, float]) -> tuple[dict[str, _Body], 
             if one.child in whose:
                 raise InputError(f"file: link {one.child!r} hangs on two joints, {name!r} the second; a URDF is a tree")
             turn, place = _frame(made, name)
-            fixed = one.kind == "fixed" or name in still
-            if name in still and one.kind == "revolute":
+            fixed = not one.free or name in still
+            if name in still and one.free == "R":
                 turn = turn @ Rotation.from_rotvec(one.axis / np.linalg.norm(one.axis) * still[name]).as_matrix()
             elif name in still:
                 place = place + turn @ one.axis / np.linalg.norm(one.axis) * still[name]
