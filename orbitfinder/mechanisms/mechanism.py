@@ -1,6 +1,6 @@
 """Mechanisms as drawn: bodies, joints, springs, dampers and motors, in the plane and in space.
 
-Joints that reach a new body span a tree, whose joint coordinates are those of the system; each node of the tree is one
+Joints that reach a new body span a tree, whose joint coordinates are those of the system; each node of the tree is a
 coordinate, a turn or a slide, so that a universal joint is two nodes and a ball joint three. Velocities and forces go
 through the tree by recursion in the bodies' own axes (R. Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 7:
 articulated bodies, O(n)). Every other joint closes a loop: its equations are constraints phi(q) = 0, all in m, and the
@@ -58,7 +58,7 @@ EXPRESSION = re.compile(
     r"\s*([+-]?)\s*(?:(\d+\.?\d*(?:[eE][+-]?\d+)?)\s*\*\s*)?([A-Za-z_]\w*)\s*(?:/\s*(\d+\.?\d*))?\s*"
 )
 STRIDE = 0.2
-"""rad, or share of the size, from one assembly to the next on the way from the pose"""
+"""rad, or share of the size, between assemblies on the way from the pose"""
 HOMOTOPY, FINAL = 20, 3
 """Newton steps along the way from the pose to a place, and at the place, of the minimal form"""
 CYCLIC = 1e-13
@@ -98,12 +98,12 @@ class _Numbers:
         if not isinstance(entry, str):
             value = _number(where, entry)
             return self.new(name, value) if value or name in self._given else 0.0
-        found = EXPRESSION.fullmatch(entry)
-        if not found or found[3] not in self.names:
+        match = EXPRESSION.fullmatch(entry)
+        if not match or match[3] not in self.names:
             known = ", ".join(self.names) or "none yet: add [system.parameters]"
             raise InputError(f"{where}: {entry!r} is not [number *] parameter [/ number]; parameters are {known}")
-        factor = float(f"{found[1]}1") * float(found[2] or 1) / float(found[4] or 1)
-        symbol = self.symbols[self.names.index(found[3])]
+        factor = float(f"{match[1]}1") * float(match[2] or 1) / float(match[4] or 1)
+        symbol = self.symbols[self.names.index(match[3])]
         return symbol if factor == 1 else factor * symbol
 
     def value(self, entry: ca.SX | float) -> float:
@@ -213,21 +213,21 @@ class _Drawing:
 
     def angle(self, body: str) -> ca.SX:
         """In the plane: how far a body has turned."""
-        one = self.bodies[body]
-        found, k = one.turned, one.node
+        start = self.bodies[body]
+        angle, k = start.turned, start.node
         while k >= 0:
             node = self.nodes[k]
-            found = found + node.axis[2] * node.q if node.turns else found
+            angle = angle + node.axis[2] * node.q if node.turns else angle
             k = node.parent
-        return found
+        return angle
 
     def frames(self) -> list[tuple[ca.SX, ca.SX]]:
         """Axes (3 x 3) and origin (3) of every node in the world."""
-        found: list[tuple[ca.SX, ca.SX]] = []
+        frames: list[tuple[ca.SX, ca.SX]] = []
         for node in self.nodes:
-            turn, origin = found[node.parent] if node.parent >= 0 else (_eye(), ca.SX(3, 1))
-            found.append((ca.mtimes(turn, node.turn()), origin + ca.mtimes(turn, node.origin())))
-        return found
+            turn, origin = frames[node.parent] if node.parent >= 0 else (_eye(), ca.SX(3, 1))
+            frames.append((ca.mtimes(turn, node.turn()), origin + ca.mtimes(turn, node.origin())))
+        return frames
 
     def point(self, frames: Sequence[tuple[ca.SX, ca.SX]], body: str, at: ca.SX) -> ca.SX:
         """Where a point (3) of a body is in the world."""
@@ -236,9 +236,9 @@ class _Drawing:
 
     def axes(self, frames: Sequence[tuple[ca.SX, ca.SX]], body: str) -> tuple[ca.SX, ca.SX]:
         """Axes (3 x 3) and origin (3) of a body in the world."""
-        one = self.bodies[body]
-        turn, origin = frames[one.node] if one.node >= 0 else (_eye(), ca.SX(3, 1))
-        return ca.mtimes(turn, one.frame), origin + ca.mtimes(turn, one.place)
+        there = self.bodies[body]
+        turn, origin = frames[there.node] if there.node >= 0 else (_eye(), ca.SX(3, 1))
+        return ca.mtimes(turn, there.frame), origin + ca.mtimes(turn, there.place)
 
 
 def mechanism(
@@ -306,7 +306,7 @@ def mechanism(
     system = _description({"bodies": bodies, "joints": joints, **acting}, gravity, dimension, redundant)
     for name, extra in (("parameters", parameters), ("pose", pose), ("values", values)):
         if extra:
-            system[name] = {key: _number(f"{name}.{key}", one) for key, one in extra.items()}
+            system[name] = {key: _number(f"{name}.{key}", number) for key, number in extra.items()}
     if frequency is not None:
         system["frequency"] = _number("frequency", frequency)
     system |= {"redundant": redundant} if redundant != "refuse" else {}
@@ -323,28 +323,28 @@ def _description(tables: Mapping[str, Any], gravity: Any, dimension: Any, redund
     """The tables as plain data, checked for shape; what was not given is left out."""
     if dimension not in (2, 3):
         raise InputError(f"dimension: must be 2 (the plane) or 3 (space), got {dimension!r}")
-    fall = [9.8, 0.0, 0.0][:dimension] if gravity is None else [_number("gravity", one) for one in gravity]
+    fall = [9.8, 0.0, 0.0][:dimension] if gravity is None else [_number("gravity", number) for number in gravity]
     if len(fall) != dimension:
         raise InputError(f"gravity: {plural(len(fall), 'number')}; give {dimension} (m/s^2, x down, y right)")
     if redundant not in ("refuse", "drop"):
         raise InputError(f"redundant: must be 'refuse' or 'drop' (equations that repeat others), got {redundant!r}")
-    found: dict[str, Any] = {"kind": "mechanism", "dimension": dimension, "gravity": fall}
+    system: dict[str, Any] = {"kind": "mechanism", "dimension": dimension, "gravity": fall}
     for name, table in tables.items():
-        for key, one in (table or {}).items():
-            _check_table(name, key, one)
+        for key, entry in (table or {}).items():
+            _check_table(name, key, entry)
         if table:
-            found[name] = {key: {k: _plain(v) for k, v in one.items()} for key, one in table.items()}
+            system[name] = {key: {k: _plain(v) for k, v in entries.items()} for key, entries in table.items()}
         elif name in ("bodies", "joints"):
             raise InputError(f"{name}: none given; a mechanism has at least one body and joint")
-    return found
+    return system
 
 
-def _check_table(name: str, key: str, one: Any) -> None:
+def _check_table(name: str, key: str, given: Any) -> None:
     if not str(key).isidentifier() or key == GROUND:
         raise InputError(f"{name}: {key!r} is no name; use letters, digits and _, and not {GROUND!r}")
-    if not isinstance(one, Mapping):
-        raise InputError(f"{name}.{key}: must be a table of {', '.join(sorted(KEYS[name]))}, got {one!r}")
-    for entry in one:
+    if not isinstance(given, Mapping):
+        raise InputError(f"{name}.{key}: must be a table of {', '.join(sorted(KEYS[name]))}, got {given!r}")
+    for entry in given:
         if entry not in KEYS[name]:
             raise InputError(
                 f"{name}.{key}.{entry}: unknown key{closest(entry, KEYS[name])}; use {', '.join(sorted(KEYS[name]))}"
@@ -354,7 +354,7 @@ def _check_table(name: str, key: str, one: Any) -> None:
 def _plain(value: Any) -> Any:
     """Numbers, text and lists of them, as a file keeps them."""
     if isinstance(value, (list, tuple, np.ndarray)):
-        return [_plain(one) for one in value]
+        return [_plain(entry) for entry in value]
     return value if isinstance(value, str) else float(value)
 
 
@@ -374,11 +374,11 @@ def _eye() -> ca.SX:
 
 def _skew(axis: ca.SX) -> ca.SX:
     """The matrix of the product axis x, with the zeros left out."""
-    found = ca.SX(3, 3)
+    matrix = ca.SX(3, 3)
     for i, j, k, sign in ((0, 1, 2, -1), (0, 2, 1, 1), (1, 2, 0, -1)):
         if axis.sparsity().has_nz(k, 0):
-            found[i, j], found[j, i] = sign * axis[k], -sign * axis[k]
-    return found
+            matrix[i, j], matrix[j, i] = sign * axis[k], -sign * axis[k]
+    return matrix
 
 
 def _rotation(axis: ca.SX, angle: ca.SX) -> ca.SX:
@@ -392,12 +392,12 @@ def _vector(numbers: _Numbers, where: str, name: str, entry: Any, dimension: int
     """A point (3, zeros left out) as parameters NAME_x, NAME_y, NAME_z."""
     if not isinstance(entry, (list, tuple, np.ndarray)) or len(entry) != dimension:
         raise InputError(f"{where}: need {dimension} numbers (m), got {entry!r}")
-    found = ca.SX(3, 1)
-    for k, (letter, one) in enumerate(zip("xyz", entry, strict=False)):
-        value = numbers(where, f"{name}_{letter}", one)
+    point = ca.SX(3, 1)
+    for k, (letter, number) in enumerate(zip("xyz", entry, strict=False)):
+        value = numbers(where, f"{name}_{letter}", number)
         if isinstance(value, ca.SX):
-            found[k] = value
-    return found
+            point[k] = value
+    return point
 
 
 def _unit(where: str, entry: Any, dimension: int, numbers: _Numbers) -> ca.SX:
@@ -408,9 +408,9 @@ def _unit(where: str, entry: Any, dimension: int, numbers: _Numbers) -> ca.SX:
     size = None if entry is None else np.asarray(entry, float)
     if size is None or size.shape != (dimension,) or not np.all(np.isfinite(size)) or not np.any(size):
         raise InputError(f"{where}: need a direction of {dimension} numbers, not all 0, got {entry!r}")
-    found = np.zeros(3)
-    found[:dimension] = size / np.linalg.norm(size)
-    return ca.SX(ca.sparsify(ca.DM(found)))
+    direction = np.zeros(3)
+    direction[:dimension] = size / np.linalg.norm(size)
+    return ca.SX(ca.sparsify(ca.DM(direction)))
 
 
 def _drawn(system: Table, numbers: _Numbers) -> _Drawing:
@@ -423,13 +423,13 @@ def _drawn(system: Table, numbers: _Numbers) -> _Drawing:
     reached = [GROUND]
     for body in reached:  # from the ground outwards, which cuts loops in their middle
         for name in [n for n in left if body in pairs[n] and made.kinds[n].reaches]:
-            other = next(one for one in pairs[name] if one != body)
+            other = next(end for end in pairs[name] if end != body)
             if other not in made.bodies:
                 _grow(made, name, left.pop(name), pairs[name])
                 reached.append(other)
     for name in system["bodies"]:
         if name not in made.bodies:
-            held = [one for one, pair in pairs.items() if name in pair]
+            held = [joint for joint, pair in pairs.items() if name in pair]
             raise InputError(
                 f"bodies.{name}: hangs in the air, no joint leads from the ground to it (its joints: "
                 f"{', '.join(held) or 'none'}); join it (kind = 'free' joins it by nothing)"
@@ -460,10 +460,10 @@ def _between(where: str, name: str, table: Table, bodies: Table) -> tuple[str, s
     pair = table.get("between")
     if not isinstance(pair, list) or len(pair) != 2 or pair[0] == pair[1]:
         raise InputError(f"{where}.{name}.between: need two different bodies, such as ['{GROUND}', ...], got {pair!r}")
-    for one in pair:
-        if one != GROUND and one not in bodies:
+    for end in pair:
+        if end != GROUND and end not in bodies:
             raise InputError(
-                f"{where}.{name}.between: unknown body {one!r}{closest(str(one), bodies)}; bodies are {GROUND}, "
+                f"{where}.{name}.between: unknown body {end!r}{closest(str(end), bodies)}; bodies are {GROUND}, "
                 f"{', '.join(bodies)}"
             )
     return pair[0], pair[1]
@@ -480,12 +480,13 @@ def _kind(dimension: int, name: str, table: Table) -> JointKind:
 
 
 def _points(made: _Drawing, where: str, name: str, table: Table) -> tuple[ca.SX, ca.SX]:
-    """The two points of a joint, spring or damper, one in each body; at their origins where nothing is said."""
+    """The points of a joint, spring or damper in its two bodies; at their origins where nothing is said."""
     at = table.get("at", [[0.0] * made.dimension] * 2)
     if not isinstance(at, (list, tuple)) or len(at) != 2:
         raise InputError(f"{where}.{name}.at: need two points, one in each body, got {at!r}")
     first, second = (
-        _vector(made.numbers, f"{where}.{name}.at", f"{name}_{k + 1}", one, made.dimension) for k, one in enumerate(at)
+        _vector(made.numbers, f"{where}.{name}.at", f"{name}_{k + 1}", point, made.dimension)
+        for k, point in enumerate(at)
     )
     made.places[name] = (first, second)
     return first, second
@@ -507,7 +508,7 @@ def _own_axis(made: _Drawing, name: str, table: Table, free: str) -> list[ca.SX]
 
 
 def _own_axes(made: _Drawing, name: str, table: Table, free: str) -> list[ca.SX]:
-    """The axes given, of turns one after another; x, y, z unless said otherwise."""
+    """The axes given, of turns in their order; x, y, z unless said otherwise."""
     axes = table.get("axes", np.eye(3)[: len(free)].tolist())
     if isinstance(axes, str) and set(axes) <= set("xyz"):
         axes = [np.eye(3)["xyz".index(letter)].tolist() for letter in axes]
@@ -576,17 +577,16 @@ JOINTS = {
 def _turned(made: _Drawing, name: str, table: Table) -> ca.SX:
     """The second body's axes in the first's where the joint is at 0 (3 x 3): an angle, or roll, pitch and yaw."""
     given = table.get("turned", 0.0 if made.dimension == 2 else [0.0] * 3)
-    basis = [ca.SX(ca.sparsify(ca.DM(one))) for one in np.eye(3)]
     if made.dimension == 2:
         angle = made.numbers(f"joints.{name}.turned", f"{name}_turned", given)
-        return _rotation(basis[2], angle) if isinstance(angle, ca.SX) else _eye()
+        return _rotation(_basis(2), angle) if isinstance(angle, ca.SX) else _eye()
     if not isinstance(given, list) or len(given) != 3:
         raise InputError(f"joints.{name}.turned: need roll, pitch and yaw (rad), got {given!r}")
-    found = _eye()
+    turned = _eye()
     for k in (2, 1, 0):
         angle = made.numbers(f"joints.{name}.turned", f"{name}_turned_{'xyz'[k]}", given[k])
-        found = ca.mtimes(found, _rotation(basis[k], angle)) if isinstance(angle, ca.SX) else found
-    return found
+        turned = ca.mtimes(turned, _rotation(_basis(k), angle)) if isinstance(angle, ca.SX) else turned
+    return turned
 
 
 def _angle(turned: ca.SX) -> ca.SX:
@@ -648,8 +648,8 @@ def _cross(made: _Drawing, *names: str) -> bool:
     if made.dimension == 2 or any(made.kinds[name].free != "R" for name in names):
         return False
     tables = [made.joints[name] for name in names]
-    first, second = (np.asarray(one["axis"], float) / np.linalg.norm(one["axis"]) for one in tables)
-    return any("turned" in one for one in tables) or bool(np.linalg.norm(np.cross(first, second)) > RANK_TOLERANCE)
+    first, second = (np.asarray(table["axis"], float) / np.linalg.norm(table["axis"]) for table in tables)
+    return any("turned" in table for table in tables) or bool(np.linalg.norm(np.cross(first, second)) > RANK_TOLERANCE)
 
 
 @dataclass
@@ -683,8 +683,8 @@ class _Motion:
         moved = _prescribed(system, made, numbers, clock)
         places = list(made.owner)  # a joint told from its second body has its nodes the other way round
         behind = {name: table["mimics"] for name, table in system["joints"].items() if "mimics" in table}
-        free = (one for one in made.nodes if one.name not in {*moved, *behind})
-        own = sorted(free, key=lambda one: places.index(one.name))
+        free = (node for node in made.nodes if node.name not in {*moved, *behind})
+        own = sorted(free, key=lambda node: places.index(node.name))
         q, v = ca.SX.sym("q", len(own)), ca.SX.sym("v", len(own))
         if not own:
             raise InputError("motions: every coordinate is prescribed, which leaves no motion to compute; free one")
@@ -697,9 +697,9 @@ class _Motion:
         gravity = _vector(numbers, "gravity", "gravity", system["gravity"], made.dimension)
         kinetic, t = _kinetic(made), clock[0]
         fall = ca.SX(0)
-        for one in made.masses:
-            place = frames[one.node][1] + ca.mtimes(frames[one.node][0], one.com)
-            fall -= one.mass * ca.dot(gravity, place)
+        for mass in made.masses:
+            place = frames[mass.node][1] + ca.mtimes(frames[mass.node][0], mass.com)
+            fall -= mass.mass * ca.dot(gravity, place)
         elastic, spent, work = ca.SX(0), ca.SX(0), ca.SX(0)
         for name, table in system.get("springs", {}).items():
             elastic += _spring(made, frames, name, table, system)
@@ -710,7 +710,9 @@ class _Motion:
             work += _torque(numbers, name, table, clock) * _rate(joint, q, v, t)
         acting = ca.gradient(work - spent, v) if system.get("motors") or system.get("dampers") else None
         controls = tuple(
-            name for name, one in system.get("motors", {}).items() if not (one.get("torque") or one.get("amplitude"))
+            name
+            for name, motor in system.get("motors", {}).items()
+            if not (motor.get("torque") or motor.get("amplitude"))
         )
         passive, drive = divided(acting, numbers.vector, controls, numbers.names, numbers.values)
         forced = ca.depends_on(ca.vertcat(kinetic, fall + elastic, work), t)
@@ -721,7 +723,7 @@ class _Motion:
             forcing_period=2 * np.pi / clock[1] if forced else None,
         )  # fmt: skip
         angles = [node.turns for node in own]
-        names = [one.name for one in own]
+        names = [node.name for node in own]
         return cls(
             symbols, kinetic, fall + elastic, elastic, passive, drive, controls, acting, frames, gravity, names, angles,
             points, strokes, bool(moved),
@@ -732,7 +734,7 @@ def _clock(system: Table, numbers: _Numbers) -> tuple[ca.SX, ca.SX]:
     """Time and the forcing's frequency (rad/s)."""
     t, given = ca.SX.sym("t"), system.get("frequency")
     if given is None:
-        varying = [f"motors.{n}" for n, one in system.get("motors", {}).items() if one.get("amplitude")]
+        varying = [f"motors.{n}" for n, motor in system.get("motors", {}).items() if motor.get("amplitude")]
         if varying or system.get("motions"):
             first = (varying or [f"motions.{name}" for name in system["motions"]])[0]
             raise InputError(f"frequency: missing, and {first} varies in time; give it in rad/s")
@@ -790,7 +792,7 @@ def _follow(made: _Drawing, name: str, rule: Any) -> None:
 def _weigh(system: Table, made: _Drawing, numbers: _Numbers) -> None:
     """The bodies' masses and inertias, put into the nodes' axes."""
     for name, table in system["bodies"].items():
-        where, one = f"bodies.{name}", made.bodies[name]
+        where, body = f"bodies.{name}", made.bodies[name]
         mass = numbers(f"{where}.mass", f"{name}_mass", table.get("mass", 0.0))
         if numbers.value(mass) <= 0:
             raise InputError(
@@ -799,36 +801,38 @@ def _weigh(system: Table, made: _Drawing, numbers: _Numbers) -> None:
             )
         com = _vector(numbers, f"{where}.com", f"{name}_com", table.get("com", [0.0] * made.dimension), made.dimension)
         inertia, made.coms[name] = _inertia(numbers, name, table, made.dimension), com
-        if one.node < 0:
+        if body.node < 0:
             continue
-        com, inertia = one.place + ca.mtimes(one.frame, com), ca.mtimes([one.frame, inertia, one.frame.T])
-        made.masses.append(_Mass(name, one.node, ca.SX(mass), com, inertia))
+        com, inertia = body.place + ca.mtimes(body.frame, com), ca.mtimes([body.frame, inertia, body.frame.T])
+        made.masses.append(_Mass(name, body.node, ca.SX(mass), com, inertia))
         lever = mass * _skew(com)
-        made.nodes[one.node].inertia += ca.blockcat(
+        made.nodes[body.node].inertia += ca.blockcat(
             [[inertia + ca.mtimes(lever, _skew(com).T), lever], [lever.T, mass * _eye()]]
         )
-    points = [one for one in numbers.names if re.search(r"_[12]_[xyz]$|_com_[xyz]$|_length$", one)]
+    points = [label for label in numbers.names if re.search(r"_[12]_[xyz]$|_com_[xyz]$|_length$", label)]
     lengths = [abs(value) for name, value in zip(numbers.names, numbers.values, strict=True) if name in points]
     made.size = max([*lengths, *_shared_lengths(system, numbers)], default=1.0) or 1.0
 
 
 def _shared_lengths(system: Table, numbers: _Numbers) -> list[float]:
     """Sizes of the points that are told by shared parameters."""
-    told = [str(one) for table in system["joints"].values() for at in table.get("at", []) for one in at]
-    found = [EXPRESSION.fullmatch(one) for one in told]
-    return [abs(numbers.values[numbers.names.index(one[3])]) for one in found if one and one[3] in numbers.names]
+    told = [str(number) for table in system["joints"].values() for at in table.get("at", []) for number in at]
+    matches = [EXPRESSION.fullmatch(text) for text in told]
+    return [
+        abs(numbers.values[numbers.names.index(match[3])]) for match in matches if match and match[3] in numbers.names
+    ]
 
 
 def _inertia(numbers: _Numbers, name: str, table: Table, dimension: int) -> ca.SX:
     """Inertia about the centre of mass in the body's axes (3 x 3): a number, xx yy zz, or xx yy zz xy xz yz."""
-    where, given, found = f"bodies.{name}.inertia", table.get("inertia", 0.0), ca.SX(3, 3)
+    where, given, matrix = f"bodies.{name}.inertia", table.get("inertia", 0.0), ca.SX(3, 3)
     if dimension == 2:
         value = numbers(where, f"{name}_inertia", given)
         if isinstance(value, ca.SX):
             if numbers.value(value) < 0:
                 raise InputError(f"{where}: must not be negative, got {given!r} (kg m^2 about the centre of mass)")
-            found[2, 2] = value
-        return found
+            matrix[2, 2] = value
+        return matrix
     entries = [given] * 3 if not isinstance(given, list) else given
     if len(entries) not in (3, 6):
         raise InputError(f"{where}: need xx yy zz or xx yy zz xy xz yz (kg m^2), got {given!r}")
@@ -839,34 +843,34 @@ def _inertia(numbers: _Numbers, name: str, table: Table, dimension: int) -> ca.S
         value = met[alike] if alike in met else numbers(where, f"{name}_inertia_{'xyz'[i]}{'xyz'[j]}", entry)
         met[alike] = value
         if isinstance(value, ca.SX):
-            found[i, j] = found[j, i] = value
-    at = ca.Function("inertia", [numbers.vector], [ca.densify(found)])(numbers.values).full()
+            matrix[i, j] = matrix[j, i] = value
+    at = ca.Function("inertia", [numbers.vector], [ca.densify(matrix)])(numbers.values).full()
     moments = np.linalg.eigvalsh(at)
     if moments[0] < -1e-12 * moments[2] or moments[0] + moments[1] < moments[2] * (1 - 1e-9):
         raise InputError(
             f"{where}: no body has these principal moments, {np.array2string(moments, precision=4)} kg m^2: none is "
             "negative and the largest is at most the sum of the others; check the units and the axes"
         )
-    return found
+    return matrix
 
 
 def _kinetic(made: _Drawing) -> ca.SX:
     """T, by velocities in the nodes' own axes."""
     speeds, energy = _speeds(made), ca.SX(0)
-    for one in made.masses:
-        turning, sliding = speeds[one.node][:3], speeds[one.node][3:]
-        centre = sliding + ca.mtimes(_skew(one.com).T, turning)
-        energy += 0.5 * one.mass * ca.sumsqr(centre) + 0.5 * ca.dot(turning, ca.mtimes(one.inertia, turning))
+    for body in made.masses:
+        turning, sliding = speeds[body.node][:3], speeds[body.node][3:]
+        centre = sliding + ca.mtimes(_skew(body.com).T, turning)
+        energy += 0.5 * body.mass * ca.sumsqr(centre) + 0.5 * ca.dot(turning, ca.mtimes(body.inertia, turning))
     return energy + sum(0.5 * node.rotor * node.v**2 for node in made.nodes)
 
 
 def _speeds(made: _Drawing) -> list[ca.SX]:
     """Spatial velocities (6: turning, sliding) of the nodes in their own axes."""
-    found: list[ca.SX] = []
+    speeds: list[ca.SX] = []
     for node in made.nodes:
-        before = found[node.parent] if node.parent >= 0 else ca.SX(6, 1)
-        found.append(ca.mtimes(_transform(node), before) + node.way() * node.v)
-    return found
+        before = speeds[node.parent] if node.parent >= 0 else ca.SX(6, 1)
+        speeds.append(ca.mtimes(_transform(node), before) + node.way() * node.v)
+    return speeds
 
 
 def _transform(node: _Node) -> ca.SX:
@@ -890,18 +894,18 @@ def _torque(numbers: _Numbers, name: str, table: Table, clock: tuple[ca.SX, ca.S
 
 
 def _coordinate(made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], where: str, table: Table) -> ca.SX:
-    """The angle (rad) or slide (m) of a joint, of one that closes a loop too; `InputError` for others."""
+    """The angle (rad) or slide (m) of a joint, of what closes a loop too; `InputError` for others."""
     name = str(table.get("joint"))
     for node in made.nodes:
         if node.name == name:
             return node.q
-    for one in made.closing:
-        if one.name == name and made.dimension == 2 and one.ways:
-            turns, axis = one.ways[0]
+    for closing in made.closing:
+        if closing.name == name and made.dimension == 2 and closing.ways:
+            turns, axis = closing.ways[0]
             if turns:
-                first, second = one.table["between"]
-                return made.angle(second) - made.angle(first) - _angle(one.turned)
-            gap, turn = _gap(made, frames, one)
+                first, second = closing.table["between"]
+                return made.angle(second) - made.angle(first) - _angle(closing.turned)
+            gap, turn = _gap(made, frames, closing)
             return ca.dot(gap, ca.mtimes(turn, axis))
     known = [node.name for node in made.nodes]
     raise InputError(f"{where}.joint: {name!r} is no coordinate{closest(name, known)}; use {', '.join(known)}")
@@ -917,10 +921,10 @@ def _stretch(
 
 
 def _positive(numbers: _Numbers, where: str, name: str, entry: Any, unit: str) -> ca.SX | float:
-    found = numbers(where, name, entry)
-    if numbers.value(found) <= 0:
+    number = numbers(where, name, entry)
+    if numbers.value(number) <= 0:
         raise InputError(f"{where}: must be positive, got {entry!r} ({unit})")
-    return found
+    return number
 
 
 def _spring(made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], name: str, table: Table, system: Table) -> ca.SX:
@@ -948,45 +952,45 @@ def _damper(
     return 0.5 * damping * _rate(length, *now) ** 2
 
 
-def _gap(made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], one: _Closing) -> tuple[ca.SX, ca.SX]:
+def _gap(made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], closing: _Closing) -> tuple[ca.SX, ca.SX]:
     """From a joint's point on its first body to that on its second (3), and the first body's axes (3 x 3)."""
-    first, second = one.table["between"]
-    here, there = one.points
+    first, second = closing.table["between"]
+    here, there = closing.points
     return made.point(frames, second, there) - made.point(frames, first, here), made.axes(frames, first)[0]
 
 
-def _rows(made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], one: _Closing) -> ca.SX:
+def _rows(made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], closing: _Closing) -> ca.SX:
     """The equations of a joint that closes a loop, in m, a letter each: x y z the gap, n p q across the axis,
     u v d e the axis against two directions of the other body, a b c axes against each other, o of a universal joint,
     l the length of a rod.
     """
-    gap, turn = _gap(made, frames, one)
-    other = made.axes(frames, one.table["between"][1])[0]
-    wanted = ca.mtimes(turn, one.turned)
-    found = {letter: gap[k] for k, letter in enumerate("xyz")}
-    if "l" in one.rows:
-        found["l"] = (ca.sumsqr(gap) - one.length**2) / (2 * one.length)
+    gap, turn = _gap(made, frames, closing)
+    other = made.axes(frames, closing.table["between"][1])[0]
+    wanted = ca.mtimes(turn, closing.turned)
+    rows = {letter: gap[k] for k, letter in enumerate("xyz")}
+    if "l" in closing.rows:
+        rows["l"] = (ca.sumsqr(gap) - closing.length**2) / (2 * closing.length)
     else:
-        found |= {
+        rows |= {
             c: made.size * ca.dot(wanted[:, i], other[:, j]) for c, i, j in (("a", 0, 1), ("b", 1, 2), ("c", 2, 0))
         }
-    if one.ways and set("npquv") & set(one.rows):
-        axis = ca.densify(one.ways[0][1])
+    if closing.ways and set("npquv") & set(closing.rows):
+        axis = ca.densify(closing.ways[0][1])
         across = [ca.cross(axis, ca.SX([0, 0, 1]))] if made.dimension == 2 else _across(axis)
-        found |= {
+        rows |= {
             c: ca.dot(gap, ca.mtimes(turn, d))
             for c, d in zip("n" if made.dimension == 2 else "pq", across, strict=True)
         }
         if made.dimension == 3:
             ahead = ca.mtimes(turn, axis)
-            found |= {
-                c: made.size * ca.dot(ahead, ca.mtimes([other, one.turned.T, d]))
+            rows |= {
+                c: made.size * ca.dot(ahead, ca.mtimes([other, closing.turned.T, d]))
                 for c, d in zip("uv", across, strict=True)
             }
-    if "o" in one.rows:
-        (_, first), (_, second) = one.ways
-        found["o"] = made.size * ca.dot(ca.mtimes(turn, first), ca.mtimes([other, one.turned.T, second]))
-    return ca.densify(ca.vertcat(*(found[letter] for letter in one.rows)))
+    if "o" in closing.rows:
+        (_, first), (_, second) = closing.ways
+        rows["o"] = made.size * ca.dot(ca.mtimes(turn, first), ca.mtimes([other, closing.turned.T, second]))
+    return ca.densify(ca.vertcat(*(rows[letter] for letter in closing.rows)))
 
 
 def _across(axis: ca.SX) -> list[ca.SX]:
@@ -1024,8 +1028,8 @@ def _picture(
     for name in system.get("springs", {}):
         if name in made.places:
             pair = system["springs"][name]["between"]
-            for one, at in zip(pair, made.places[name], strict=True):
-                (held if one == GROUND else pulled)[one].append(at)
+            for end, at in zip(pair, made.places[name], strict=True):
+                (held if end == GROUND else pulled)[end].append(at)
             strokes.append(("spring", tuple(place(b, at) for b, at in zip(pair, made.places[name], strict=True))))
     strokes += [("ground", (place(GROUND, at),)) for at in held.pop(GROUND)]
     for name, table in system["bodies"].items():
@@ -1033,7 +1037,7 @@ def _picture(
         if "disc" in table:
             rim = ca.densify(com) + ca.SX([float(table["disc"]), 0, 0])
             strokes.append(("disc", (place(name, com), place(name, rim))))
-        points = [_plain_point(one, made.dimension) for one in table["shape"]] if "shape" in table else held[name]
+        points = [_plain_point(point, made.dimension) for point in table["shape"]] if "shape" in table else held[name]
         if len(points) < 2 and "disc" not in table:
             points = [*points, com]
         if not {"shape", "disc"} & set(table):  # a spring does not end in the air
@@ -1041,17 +1045,17 @@ def _picture(
         chain = [place(name, at) for at in points]
         strokes.append(("rod", tuple(chain + chain[:1] * (len(chain) > 2 and "shape" not in table))))
     if made.dimension == 2:
-        return ca.horzcat(*(ca.densify(one)[:2] for one in columns)), tuple(strokes)
-    return ca.horzcat(*(ca.mtimes(ISOMETRIC, ca.densify(one)) for one in columns)), tuple(strokes)
+        return ca.horzcat(*(ca.densify(point)[:2] for point in columns)), tuple(strokes)
+    return ca.horzcat(*(ca.mtimes(ISOMETRIC, ca.densify(point)) for point in columns)), tuple(strokes)
 
 
 def _among(at: ca.SX, points: Sequence[ca.SX]) -> bool:
-    """Whether a point is one of some, as an expression."""
-    return any(ca.is_equal(ca.densify(at), ca.densify(one), 9) for one in points)
+    """Whether a point is among some, as an expression."""
+    return any(ca.is_equal(ca.densify(at), ca.densify(point), 9) for point in points)
 
 
 def _plain_point(entry: Any, dimension: int) -> ca.SX:
-    return ca.SX([float(one) for one in entry] + [0.0] * (3 - dimension))
+    return ca.SX([float(number) for number in entry] + [0.0] * (3 - dimension))
 
 
 def _articulated(made: _Drawing, pushed: ca.SX, gravity: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -1081,15 +1085,15 @@ def _articulated(made: _Drawing, pushed: ca.SX, gravity: ca.SX) -> tuple[ca.SX, 
             inertia[node.parent] = inertia[node.parent] + ca.mtimes([across.T, passed, across])
             bias[node.parent] = bias[node.parent] + ca.mtimes(across.T, rest)
     start, speeding = ca.vertcat(ca.SX(3, 1), -gravity), list[ca.SX]()
-    found, weights = [ca.SX(0)] * pushed.numel(), [ca.SX(0)] * pushed.numel()
+    accelerations, weights = [ca.SX(0)] * pushed.numel(), [ca.SX(0)] * pushed.numel()
     for k, node in enumerate(nodes):
         before = ca.mtimes(_transform(node), speeding[node.parent] if node.parent >= 0 else start) + moved[k]
         column, weight, push = kept[k]
         own = node.a if node.a is not None else (push - ca.dot(column, before)) / weight
         speeding.append(before + node.way() * own)
         if node.a is None:
-            found[node.index], weights[node.index] = own, weight
-    return ca.densify(ca.vertcat(*found)), ca.vertcat(*weights)
+            accelerations[node.index], weights[node.index] = own, weight
+    return ca.densify(ca.vertcat(*accelerations)), ca.vertcat(*weights)
 
 
 def _crossed(speed: ca.SX) -> ca.SX:
@@ -1127,7 +1131,7 @@ def _tree(made: _Drawing, motion: _Motion, system: Table) -> Model:
 
 def _limits(system: Table) -> dict[str, Any]:
     """How far the motors that are controls may go."""
-    return {name: one["limit"] for name, one in system.get("motors", {}).items() if "limit" in one}
+    return {name: motor["limit"] for name, motor in system.get("motors", {}).items() if "limit" in motor}
 
 
 def cyclic(terms: Terms, arguments: list[ca.SX]) -> list[bool]:
@@ -1140,9 +1144,9 @@ def cyclic(terms: Terms, arguments: list[ca.SX]) -> list[bool]:
     slopes = ca.Function("slopes", [t, q, v, p], [ca.gradient(lagrangian, q), lagrangian])
     random, steepest, size = np.random.default_rng(0), np.zeros(q.numel()), 0.0
     for _ in range(4):
-        slope, value = slopes(0, *(random.uniform(0.5, 1.5, one.numel()) for one in (q, v, p)))
+        slope, value = slopes(0, *(random.uniform(0.5, 1.5, symbols.numel()) for symbols in (q, v, p)))
         steepest, size = np.maximum(steepest, np.abs(slope.full().ravel())), max(size, abs(float(value)))
-    return [bool(one <= CYCLIC * size) for one in steepest]
+    return [bool(steep <= CYCLIC * size) for steep in steepest]
 
 
 def _terms(motion: _Motion, arguments: list[ca.SX]) -> Terms:
@@ -1165,10 +1169,10 @@ def _terms(motion: _Motion, arguments: list[ca.SX]) -> Terms:
 
 def _check_weights(made: _Drawing, motion: _Motion, place: np.ndarray, weights: ca.Function) -> None:
     """`InputError` naming joint and body where a coordinate moves no mass at the pose."""
-    found = weights(0.0, place, np.array(motion.symbols.parameter_values)).full().ravel()
-    masses = [float(made.numbers.value(one.mass)) for one in made.masses]
+    moved = weights(0.0, place, np.array(motion.symbols.parameter_values)).full().ravel()
+    masses = [float(made.numbers.value(part.mass)) for part in made.masses]
     total = sum(masses)
-    for name, angle, weight in zip(motion.names, motion.angles, found, strict=True):
+    for name, angle, weight in zip(motion.names, motion.angles, moved, strict=True):
         if weight > MASSLESS * total * (made.size**2 if angle else 1.0):
             continue
         joint = made.owner[name]
@@ -1185,8 +1189,8 @@ def _closed(made: _Drawing, motion: _Motion, system: Table, baumgarte: Sequence[
     """The Model of a mechanism with loops, a native DAE."""
     symbols = motion.symbols
     t, q, v, p = symbols.arguments
-    names = [f"{one.name}_{letter}" for one in made.closing for letter in one.rows]
-    phi = ca.vertcat(*(_rows(made, motion.frames, one) for one in made.closing))
+    names = [f"{closing.name}_{letter}" for closing in made.closing for letter in closing.rows]
+    phi = ca.vertcat(*(_rows(made, motion.frames, closing) for closing in made.closing))
     place, kept = _checked(made, motion, system, phi, names)
     weights = _articulated(made, ca.SX.zeros(q.numel()), motion.gravity)[1]
     _check_weights(made, motion, place, ca.Function("weights", [t, q, p], [weights]))
@@ -1196,7 +1200,7 @@ def _closed(made: _Drawing, motion: _Motion, system: Table, baumgarte: Sequence[
     if baumgarte is None:
         pace = _pace(ca.Function("free", symbols.arguments, [matrix, bias]), place, made.size, motion)
         baumgarte = (pace, pace)
-    stabilisation = Baumgarte(*(_number("baumgarte", one) for one in baumgarte))
+    stabilisation = Baumgarte(*(_number("baumgarte", number) for number in baumgarte))
     return constrained_model(
         LinearBalances(matrix, bias, jacobian.T, jacobian, -ca.jtimes(jacobian @ v, q, v)),
         phi, Terms(motion.kinetic, motion.potential, forces=motion.passive, actuation=motion.drive), symbols,
@@ -1213,7 +1217,7 @@ def _pace(free: ca.Function, place: np.ndarray, size: float, motion: _Motion) ->
     fastest = 0.0
     for away in (0.0, 0.3, -0.3):
         there = place + away * np.where(motion.angles, 1.0, size)
-        matrix, bias = (one.full() for one in free(0.0, there, 0 * place, values))
+        matrix, bias = (part.full() for part in free(0.0, there, 0 * place, values))
         pushed = np.linalg.lstsq(matrix, -bias.ravel(), rcond=None)[0]
         fastest = max(fastest, float(np.abs(pushed / np.where(motion.angles, 1.0, size)).max()))
     return float(2.0 ** np.round(np.log2(np.sqrt(fastest)))) if fastest > 0 else 1.0
@@ -1228,7 +1232,7 @@ def _checked(
         last = made.closing[-1]
         raise InputError(
             f"joints: over-constrained, {n} coordinates of the tree and {plural(len(names), 'equation')} of "
-            f"{', '.join(repr(one.name) for one in made.closing)} leave {n - len(names)} degrees of freedom "
+            f"{', '.join(repr(closing.name) for closing in made.closing)} leave {n - len(names)} degrees of freedom "
             f"(Kutzbach); take away joint {last.name!r} between {' and '.join(map(repr, last.table['between']))}, "
             "or with redundant = 'drop' equations that repeat others"
         )
@@ -1323,10 +1327,10 @@ class Closure:
             return gaps.ravel(), slopes
 
         loose, units = [k for k in range(start.size) if k not in fixed], self.units
-        found = closed(phi, start, loose, units, float(np.abs(units[units != 1.0]).max(initial=0.0)))
-        if found.converged:
-            return found.w
-        gaps = phi(found.w)[0]
+        solution = closed(phi, start, loose, units, float(np.abs(units[units != 1.0]).max(initial=0.0)))
+        if solution.converged:
+            return solution.w
+        gaps = phi(solution.w)[0]
         worst = int(np.abs(gaps).argmax())
         raise InputError(
             f"joints: the loop stays open at {self.joint(worst)}: {abs(gaps[worst]):.3g} m are left between their "
@@ -1409,8 +1413,8 @@ def body_point(model: Model, body: str, at: Sequence[float]) -> Callable[[Sequen
         node.q = q[names.index(node.name)]
     place = np.zeros(3)
     place[: len(at)] = at
-    found = ca.densify(made.point(made.frames(), body, ca.SX(place)))[: made.dimension]
-    function = ca.Function("point", [q, numbers.vector], [found])
+    there = ca.densify(made.point(made.frames(), body, ca.SX(place)))[: made.dimension]
+    function = ca.Function("point", [q, numbers.vector], [there])
     return lambda x, p: function(ca.vertcat(*x[: len(names)]), ca.vertcat(*p[: len(numbers.names)]))
 
 
@@ -1481,22 +1485,22 @@ def _embedded(model: Model, chosen: list[int], rest: list[int], pose: np.ndarray
 
 
 def _followed(model: Model, chosen: list[int], rest: list[int], pose: np.ndarray, u: ca.SX, p: ca.SX) -> ca.SX:
-    """All coordinates (n) from the independent ones: one Newton step at each place along the way, a few at its end."""
+    """All coordinates (n) from the independent: a Newton step at each place along the way, a few at its end."""
     constraint, n = constraint_of(model), model.degrees_of_freedom
     angular = model.angular[chosen]
     from_pose = ca.vertcat(*(
         ca.atan2(ca.sin(u[k] - pose[j]), ca.cos(u[k] - pose[j])) if angular[k] else u[k] - pose[j]
         for k, j in enumerate(chosen)
     ))  # fmt: skip
-    found = ca.SX(ca.DM(pose))
+    q = ca.SX(ca.DM(pose))
     for step in range(1, HOMOTOPY + FINAL + 1):
         share = min(step / HOMOTOPY, 1.0)
-        found[chosen] = pose[chosen] + share * from_pose
-        phi, slopes = constraint.phi(found, p), constraint.jacobian(found, p)
-        found[rest] = found[rest] - ca.solve(slopes[:, rest], phi)
-    found[chosen] = u
-    assert found.numel() == n
-    return found
+        q[chosen] = pose[chosen] + share * from_pose
+        phi, slopes = constraint.phi(q, p), constraint.jacobian(q, p)
+        q[rest] = q[rest] - ca.solve(slopes[:, rest], phi)
+    q[chosen] = u
+    assert q.numel() == n
+    return q
 
 
 def _in_all(model: Model, system: Table) -> ca.Function:
