@@ -75,6 +75,7 @@ def driven_hopper(
 
 
 DRIVEN: dict[str, Callable[..., Model]] = {
-    one.__name__: one for one in (driven_cart_pole, driven_compass, driven_hopper, driven_oscillator, driven_swing)
+    function.__name__: function
+    for function in (driven_cart_pole, driven_compass, driven_hopper, driven_oscillator, driven_swing)
 }
 """By name: what problem files may call"""

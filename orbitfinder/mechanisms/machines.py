@@ -155,7 +155,7 @@ def _struck(lifted: Model, foot: ca.Function, *held: str) -> tuple[Impact, Calla
 
     def contact(x: Named, p: Named) -> list[Any]:
         place = foot(ca.vertcat(*x[:count]), ca.vertcat(*p))
-        return [ca.dot(_normal(p), place), ca.dot(_downhill(p), place), *(x[held[0]] - x[one] for one in held[1:])]
+        return [ca.dot(_normal(p), place), ca.dot(_downhill(p), place), *(x[held[0]] - x[name] for name in held[1:])]
 
     def whole(x: Named) -> Named:
         return Named.of(lifted.state_names, ca.vertcat(0, 0, *x[: count - 2], 0, 0, *x[count - 2 :]))
@@ -201,8 +201,8 @@ def compass(
     struck, whole = _struck(lifted, floating.swing_foot())
 
     def after(x: Named, p: Named) -> Any:
-        found = struck.after(whole(x), p)
-        return ca.vertcat(found[3], found[2], found[7], found[6])
+        state = struck.after(whole(x), p)
+        return ca.vertcat(state[3], state[2], state[7], state[6])
 
     strikes = Transition(
         "strike", "step", "step", guard=lambda x, p: x.stance + x.swing + 2 * p.slope, reset=after,
@@ -277,8 +277,8 @@ def _on_knees(function: str, positive: dict[str, float], signed: dict[str, float
         return ca.dot(_normal(p), foot(ca.vertcat(*x[:3]), ca.vertcat(*p)))
 
     def after(x: Named, p: Named) -> Any:
-        found = struck.after(whole(x), p)
-        return ca.vertcat(found[3], found[2], found[2], found[8], found[7], found[7])
+        state = struck.after(whole(x), p)
+        return ca.vertcat(state[3], state[2], state[2], state[8], state[7], state[7])
 
     transitions = [
         Transition(
@@ -339,7 +339,7 @@ def rimless_wheel(spokes: int = 8, slope: float = 0.08, length: float = 1.0, gra
     arm, half = made["length"], np.pi / count
     ends = [ca.vertcat(arm * ca.cos(made.q + 2 * half * k), -arm * ca.sin(made.q + 2 * half * k)) for k in range(count)]
     hub = ca.vertcat(-arm * ca.cos(made.q), arm * ca.sin(made.q))
-    rays = [hub + change * one for one in ends for change in (1, 0)]
+    rays = [hub + change * end for end in ends for change in (1, 0)]
     model = made.model(
         "rimless_wheel", (arm * made.v) ** 2 / 2, made["gravity"] * arm * ca.cos(made.q), names=["theta"],
         angles=[True], points=ca.horzcat(ca.SX.zeros(2), hub, *rays), fixed={"spokes": spokes},
@@ -442,7 +442,7 @@ def slip_walker(
         )  # fmt: skip
         pairs = zip(("leg", "leg behind"), range(1 + double), strict=False)
         return Mode(name, model, {
-            f"{one} pushes": lambda x, p, k=k: p.length - ca.norm_2(legs(x, double)[k]) for one, k in pairs
+            f"{leg} pushes": lambda x, p, k=k: p.length - ca.norm_2(legs(x, double)[k]) for leg, k in pairs
         })  # fmt: skip
 
     def landed(x: Named, p: Named) -> Any:

@@ -57,18 +57,10 @@ KEYS = {
 EXPRESSION = re.compile(
     r"\s*([+-]?)\s*(?:(\d+\.?\d*(?:[eE][+-]?\d+)?)\s*\*\s*)?([A-Za-z_]\w*)\s*(?:/\s*(\d+\.?\d*))?\s*"
 )
-STRIDE = 0.2
-"""rad, or share of the size, between assemblies on the way from the pose"""
 HOMOTOPY, FINAL = 20, 3
 """Newton steps along the way from the pose to a place, and at the place, of the minimal form"""
-CYCLIC = 1e-13
-"""Slope of the Lagrangian, relative to it, of a coordinate that it does not depend on"""
 LEAST_SHARE = 5e-3
 """Least over largest singular value of the closures' slopes below which a mechanism is at a dead point."""
-MASSLESS = 1e-12
-"""Inertia that a coordinate moves, relative to the whole mechanism's, below which it moves nothing"""
-ISOMETRIC = np.array([[1.0, 0.5, 0.5], [0.0, np.sqrt(0.75), -np.sqrt(0.75)]])
-"""(down, right) of (x, y, z) in pictures of what moves in space"""
 
 
 class _Numbers:
@@ -313,7 +305,7 @@ def mechanism(
     if drawn:
         system["drawn"] = dict(drawn)
     drawing = _drawn(system, numbers)
-    motion = _Motion.of(system, drawing, numbers)
+    motion = _Dynamics.of(system, drawing, numbers)
     numbers.finish()
     made = _tree(drawing, motion, system) if not drawing.closing else _closed(drawing, motion, system, baumgarte)
     return replace(made, scales={k: float(v) for k, v in scales.items()}) if scales else made
@@ -550,7 +542,6 @@ class JointKind:
     """whether it joins a body to the tree; else it holds two points at a length"""
 
 
-ROD = JointKind("", "l", drawn="rod", reaches=False)
 JOINTS = {
     2: {
         "revolute": JointKind("R", "xy", pin=True),
@@ -558,7 +549,7 @@ JOINTS = {
         "slot": JointKind("PR", "n", drawn="slider"),
         "fixed": JointKind("", "xya"),
         "free": JointKind("PPR", axes=_world),
-        "rod": ROD,
+        "rod": JointKind("", "l", drawn="rod", reaches=False),
     },
     3: {
         "revolute": JointKind("R", "xyzuv", pin=True),
@@ -568,7 +559,7 @@ JOINTS = {
         "spherical": JointKind("RRR", "xyz", _own_axes, pin=True),
         "fixed": JointKind("", "xyzabc"),
         "free": JointKind("PPPRRR", axes=_world),
-        "rod": ROD,
+        "rod": JointKind("", "l", drawn="rod", reaches=False),
     },
 }
 """Kinds of joints by dimension and name"""
@@ -653,7 +644,7 @@ def _cross(made: _Drawing, *names: str) -> bool:
 
 
 @dataclass
-class _Motion:
+class _Dynamics:
     """Energies and forces of a drawing in its coordinates: what `Symbols` and `Terms` are made of.
 
     `kinetic` and `potential` depend on t where motions are prescribed; `pushed` (n) are forces of springs, dampers and
@@ -678,7 +669,7 @@ class _Motion:
     prescribed: bool
 
     @classmethod
-    def of(cls, system: Table, made: _Drawing, numbers: _Numbers) -> _Motion:
+    def of(cls, system: Table, made: _Drawing, numbers: _Numbers) -> _Dynamics:
         clock = _clock(system, numbers)
         moved = _prescribed(system, made, numbers, clock)
         places = list(made.owner)  # a joint told from its second body has its nodes the other way round
@@ -1046,7 +1037,8 @@ def _picture(
         strokes.append(("rod", tuple(chain + chain[:1] * (len(chain) > 2 and "shape" not in table))))
     if made.dimension == 2:
         return ca.horzcat(*(ca.densify(point)[:2] for point in columns)), tuple(strokes)
-    return ca.horzcat(*(ca.mtimes(ISOMETRIC, ca.densify(point)) for point in columns)), tuple(strokes)
+    isometric = np.array([[1.0, 0.5, 0.5], [0.0, np.sqrt(0.75), -np.sqrt(0.75)]])  # (down, right) of (x, y, z)
+    return ca.horzcat(*(ca.mtimes(isometric, ca.densify(point)) for point in columns)), tuple(strokes)
 
 
 def _among(at: ca.SX, points: Sequence[ca.SX]) -> bool:
@@ -1102,7 +1094,7 @@ def _crossed(speed: ca.SX) -> ca.SX:
     return ca.blockcat([[turning, ca.SX(3, 3)], [sliding, turning]])
 
 
-def _tree(made: _Drawing, motion: _Motion, system: Table) -> Model:
+def _tree(made: _Drawing, motion: _Dynamics, system: Table) -> Model:
     """The Model of a mechanism without loops: accelerations by recursion."""
     symbols, arguments = motion.symbols, motion.symbols.arguments
     t, q, v, p = arguments
@@ -1146,10 +1138,10 @@ def cyclic(terms: Terms, arguments: list[ca.SX]) -> list[bool]:
     for _ in range(4):
         slope, value = slopes(0, *(random.uniform(0.5, 1.5, symbols.numel()) for symbols in (q, v, p)))
         steepest, size = np.maximum(steepest, np.abs(slope.full().ravel())), max(size, abs(float(value)))
-    return [bool(steep <= CYCLIC * size) for steep in steepest]
+    return [bool(steep <= 1e-13 * size) for steep in steepest]  # round-off
 
 
-def _terms(motion: _Motion, arguments: list[ca.SX]) -> Terms:
+def _terms(motion: _Dynamics, arguments: list[ca.SX]) -> Terms:
     """The Lagrangian's terms; a mass matrix that moves with time stays at t = 0, forces make up for the rest."""
     t, q, v, _ = arguments
     if not motion.prescribed or not ca.depends_on(ca.hessian(motion.kinetic, v)[0], t):
@@ -1167,13 +1159,13 @@ def _terms(motion: _Motion, arguments: list[ca.SX]) -> Terms:
     return replace(steady, forces=rest - there @ solve_positive_definite(mass, bias))
 
 
-def _check_weights(made: _Drawing, motion: _Motion, place: np.ndarray, weights: ca.Function) -> None:
+def _check_weights(made: _Drawing, motion: _Dynamics, place: np.ndarray, weights: ca.Function) -> None:
     """`InputError` naming joint and body where a coordinate moves no mass at the pose."""
     moved = weights(0.0, place, np.array(motion.symbols.parameter_values)).full().ravel()
     masses = [float(made.numbers.value(part.mass)) for part in made.masses]
     total = sum(masses)
     for name, angle, weight in zip(motion.names, motion.angles, moved, strict=True):
-        if weight > MASSLESS * total * (made.size**2 if angle else 1.0):
+        if weight > 1e-12 * total * (made.size**2 if angle else 1.0):  # else it moves nothing
             continue
         joint = made.owner[name]
         body = made.joints[joint]["between"][1]
@@ -1185,7 +1177,7 @@ def _check_weights(made: _Drawing, motion: _Motion, place: np.ndarray, weights: 
         raise InputError(f"joints.{joint}: coordinate {name} moves no mass: {why}")
 
 
-def _closed(made: _Drawing, motion: _Motion, system: Table, baumgarte: Sequence[float] | None) -> Model:
+def _closed(made: _Drawing, motion: _Dynamics, system: Table, baumgarte: Sequence[float] | None) -> Model:
     """The Model of a mechanism with loops, a native DAE."""
     symbols = motion.symbols
     t, q, v, p = symbols.arguments
@@ -1211,7 +1203,7 @@ def _closed(made: _Drawing, motion: _Motion, system: Table, baumgarte: Sequence[
     )  # fmt: skip
 
 
-def _pace(free: ca.Function, place: np.ndarray, size: float, motion: _Motion) -> float:
+def _pace(free: ca.Function, place: np.ndarray, size: float, motion: _Dynamics) -> float:
     """How fast the mechanism goes, in 1/s, a power of two: what stabilises its constraints."""
     values = np.array(motion.symbols.parameter_values)
     fastest = 0.0
@@ -1224,7 +1216,7 @@ def _pace(free: ca.Function, place: np.ndarray, size: float, motion: _Motion) ->
 
 
 def _checked(
-    made: _Drawing, motion: _Motion, system: Table, phi: ca.SX, names: Sequence[str]
+    made: _Drawing, motion: _Dynamics, system: Table, phi: ca.SX, names: Sequence[str]
 ) -> tuple[np.ndarray, list[int]]:
     """An assembled configuration (n) near the pose, and the rows of phi(q, p) that are independent there."""
     n, q, p, given = len(motion.names), motion.symbols.coordinates, motion.symbols.arguments[3], system.get("pose", {})
@@ -1241,12 +1233,12 @@ def _checked(
             known = ", ".join(motion.names)
             raise InputError(f"pose: unknown coordinate {name!r}{closest(name, motion.names)}; use {known}")
     function, values = ca.Function("phi", [q, p], [phi, ca.jacobian(phi, q)]), np.array(motion.symbols.parameter_values)
-    closure = Closure(function, values, np.where(motion.angles, 1.0, made.size), names, made.joints)
+    closure = LoopClosure(function, values, np.where(motion.angles, 1.0, made.size), names, made.joints)
     place = closure.near(np.array([given.get(name, 0.0) for name in motion.names]))
     return place, _independent(closure, place, motion.names, system.get("redundant") == "drop")
 
 
-def _independent(closure: Closure, place: np.ndarray, names: Sequence[str], drop: bool) -> list[int]:
+def _independent(closure: LoopClosure, place: np.ndarray, names: Sequence[str], drop: bool) -> list[int]:
     """Rows that do not repeat earlier ones; `InputError` where some do, or only in this pose."""
     slopes, rows = closure.slopes(place), len(closure.names)
     kept = independent_rows(slopes)
@@ -1271,7 +1263,7 @@ def _independent(closure: Closure, place: np.ndarray, names: Sequence[str], drop
     )
 
 
-def _beside(closure: Closure, place: np.ndarray) -> list[int]:
+def _beside(closure: LoopClosure, place: np.ndarray) -> list[int]:
     """Independent rows at the best of a few configurations nearby."""
     random, best = np.random.default_rng(0), list[int]()
     for _ in range(4):
@@ -1294,7 +1286,7 @@ def independent_rows(matrix: np.ndarray) -> list[int]:
 
 
 @dataclass(frozen=True)
-class Closure:
+class LoopClosure:
     """The equations phi(q) = 0 of loops with the joints that they are of."""
 
     function: ca.Function
@@ -1306,7 +1298,7 @@ class Closure:
     joints: Mapping[str, Table]
 
     @classmethod
-    def of(cls, model: Model, units: np.ndarray | None = None) -> Closure:
+    def of(cls, model: Model, units: np.ndarray | None = None) -> LoopClosure:
         """That of a Model under constraints."""
         constraint = constraint_of(model)
         q, p = constraint.phi.sx_in()
@@ -1373,11 +1365,14 @@ def mechanism_state(
     for what, table in (("coordinates", given), ("rates", speeds)):
         if len(table) > freedom:
             raise InputError(f"{what}: {len(table)} given, this mechanism has {plural(freedom, 'degree')} of freedom")
-    closure = Closure.of(model)
+    closure = LoopClosure.of(model)
     place, units = closure.near(place), closure.units
     begin, wanted = place[list(given)], np.array(list(given.values()))
     away = float(np.abs((wanted - begin) / units[list(given)]).max(initial=0.0))
-    for share in np.linspace(0.0, 1.0, 1 + int(np.ceil(away / STRIDE)))[1:]:  # the same assembly all the way
+    strides = int(
+        np.ceil(away / 0.2)
+    )  # so short, in rad or shares of the size, that it is the same assembly all the way
+    for share in np.linspace(0.0, 1.0, 1 + strides)[1:]:
         place[list(given)] = begin + share * (wanted - begin)
         place = closure.near(place, list(given))
     slopes = closure.slopes(place)
@@ -1534,7 +1529,7 @@ def _at_dead_point(model: Model, place: np.ndarray, chosen: Sequence[int]) -> st
 
 def _weakest(model: Model, place: np.ndarray, rest: Sequence[int]) -> str:
     """The joint whose equation says least about where some coordinates go."""
-    closure = Closure.of(model)
+    closure = LoopClosure.of(model)
     return closure.joint(int(np.abs(np.linalg.svd(closure.slopes(place)[:, rest])[0][:, -1]).argmax()))
 
 
