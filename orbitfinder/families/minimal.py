@@ -101,4 +101,4 @@ def _native(system: Mapping[str, Any], free: Mapping[str, float] | None) -> tupl
     names, values = whole.parameter_names, dict(free or {})
     numbers = [values.get(name, value) for name, value in zip(names, whole.parameter_values, strict=True)]
     native = altered(whole, parameter_values=np.array(numbers, float))
-    return native, loops, loops.whole(native, system)
+    return native, loops, loops.everywhere(native, system)

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import InputError
-from orbitfinder.mechanics.constrained import RANK_TOLERANCE, Loops, by_place, maximal_states, with_rates
+from orbitfinder.mechanics.constrained import RANK_TOLERANCE, Loops, by_place, maximal_states
 from orbitfinder.mechanics.controls import Limits
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import Baumgarte, Model, check_state, constraint_of
@@ -132,8 +132,8 @@ def check_closable(lengths: np.ndarray, ground: np.ndarray) -> None:
 def dimensions(model: Model, parameters: Any = None) -> tuple[Any, Any]:
     """Bar lengths (n) and ground pivot (2) of a linkage, in m, among its values or other `parameters` (symbols)."""
     if "ground" not in model.system:
-        kind = model.system.get("kind")
-        raise InputError(f"model: expected a linkage, got kind {kind!r}; build it with linkage(...)")
+        given = model.system.get("kind")
+        raise InputError(f"model: expected a linkage, got kind {given!r}; build it with linkage(...)")
     lengths = [model.parameter_index(f"length{i + 1}") for i in range(len(model.system["length"]))]
     ground = [model.parameter_index(name) for name in ("ground1", "ground2")]
     p = model.parameter_values if parameters is None else parameters
@@ -392,12 +392,12 @@ def _triangle(gap: ca.SX, first: ca.SX, second: ca.SX, branch: int) -> tuple[ca.
     return angle, ca.atan2(elbow[1], elbow[0])
 
 
-def _in_all(model: Model, system: Mapping[str, Any]) -> ca.Function:
-    """(u, udot) -> the native coordinates (3n) and their rates, of the minimal form with this system."""
-    u, p = ca.SX.sym("u", len(system["independent"])), ca.SX(model.parameter_values)
-    theta, lift = _bar_angles(model, u, p, system["independent"], system["branch"]), constraint_of(model).lift
+def _in_all(model: Model, system: Mapping[str, Any], u: ca.SX) -> ca.SX:
+    """The native coordinates (3n) of the minimal form with this system."""
+    p, lift = ca.SX(model.parameter_values), constraint_of(model).lift
+    theta = _bar_angles(model, u, p, system["independent"], system["branch"])
     assert lift is not None
-    return with_rates(u, lift(theta, 0 * theta, p)[: model.degrees_of_freedom])
+    return lift(theta, 0 * theta, p)[: model.degrees_of_freedom]
 
 
 def _dependent(model: Model, chosen: Sequence[int]) -> tuple[int, int]:

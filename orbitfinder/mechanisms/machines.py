@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import casadi as ca
@@ -177,19 +177,14 @@ def compass_gait(
     stance + swing = -2 slope, and the legs change their names.
     Source: A. Goswami, B. Thuilot, B. Espiau, INRIA research report 2996 (1996).
     """
-    return compass("compass_gait", slope, a, b, mass, hip_mass, gravity)
+    return compass("compass_gait", locals())
 
 
-def compass(
-    function: str, slope: float, a: float, b: float, mass: float, hip_mass: float, gravity: float,
-    controls: tuple[str, ...] = (),
-) -> Model:  # fmt: skip
-    """The compass gait of a function's name, of which `controls` are the torques of hip and ankle."""
-    if not hip_mass >= 0:
-        raise InputError(f"system.arguments.hip_mass: must not be negative, got {hip_mass!r}; check the value")
-    numbers = {"a": a, "b": b, "mass": mass, "gravity": gravity, "slope": slope, "hip_mass": hip_mass}
+def compass(function: str, given: Mapping[str, float], controls: tuple[str, ...] = ()) -> Model:
+    """The compass gait of a function's name and arguments, of which `controls` are the torques of hip and ankle."""
+    _check_weightless(given, "hip_mass")
     positive = ("a", "b", "mass", "gravity")
-    fixed, floating = (_Compass(ingredients(count, numbers, positive, controls), function) for count in (2, 4))
+    fixed, floating = (_Compass(ingredients(count, given, positive, controls), function) for count in (2, 4))
     torques: dict[str, Any] = {"controls": controls}
     if controls:
         hip, ankle = (fixed.made[name] for name in controls)
@@ -232,8 +227,7 @@ def kneed_walker(
     the strike, after which the legs change their names and the knee behind is free.
     Source: V. F. Hsu Chen, Passive dynamic walking with knees: a point foot model, MIT (2007).
     """
-    numbers = {"a1": a1, "b1": b1, "a2": a2, "b2": b2, "thigh_mass": thigh_mass, "shank_mass": shank_mass}
-    return _on_knees("kneed_walker", numbers | {"hip_mass": hip_mass, "gravity": gravity}, {"slope": slope})
+    return _on_knees("kneed_walker", locals())
 
 
 def five_link_walker(
@@ -255,16 +249,20 @@ def five_link_walker(
     Source: M. Wisse, D. Hobbelen, A. Schwab, "Adding an upper body to passive dynamic walking robots by means of a
     bisecting hip mechanism", IEEE Transactions on Robotics 23 (2007) 112-123.
     """
-    numbers = {"torso": torso, "a1": a1, "b1": b1, "a2": a2, "b2": b2, "thigh_mass": thigh_mass}
-    positive = numbers | {"shank_mass": shank_mass, "hip_mass": hip_mass, "gravity": gravity}
-    if not torso_mass >= 0:
-        raise InputError(f"system.arguments.torso_mass: must not be negative, got {torso_mass!r}; check the value")
-    return _on_knees("five_link_walker", positive, {"slope": slope, "torso_mass": torso_mass})
+    _check_weightless(locals(), "torso_mass")
+    return _on_knees("five_link_walker", locals())
 
 
-def _on_knees(function: str, positive: dict[str, float], signed: dict[str, float]) -> Model:
-    """A walker whose swing leg has a knee that locks."""
-    fixed, floating = (_Kneed(function, ingredients(count, positive | signed, tuple(positive))) for count in (3, 5))
+def _check_weightless(given: Mapping[str, float], name: str) -> None:
+    """`InputError` for a mass below 0."""
+    if not given[name] >= 0:
+        raise InputError(f"system.arguments.{name}: must not be negative, got {given[name]!r}; check the value")
+
+
+def _on_knees(function: str, given: Mapping[str, float]) -> Model:
+    """A walker whose swing leg has a knee that locks, of a function's name and arguments."""
+    positive = [name for name in given if name not in ("slope", "torso_mass")]
+    fixed, floating = (_Kneed(function, ingredients(count, given, positive)) for count in (3, 5))
     names = ["stance", "thigh", "shank"]
     drawn = {"names": names, "angles": [True] * 3, "points": ca.horzcat(*map(_downwards, fixed.corners))}
     free = fixed.model(**drawn)

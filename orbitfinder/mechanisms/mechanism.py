@@ -27,7 +27,7 @@ from scipy.linalg import qr
 
 from orbitfinder._runtime.sizes import size_of
 from orbitfinder.errors import InputError, closest, plural
-from orbitfinder.mechanics.constrained import RANK_TOLERANCE, Loops, by_place, constrained_model, with_rates
+from orbitfinder.mechanics.constrained import RANK_TOLERANCE, Loops, by_place, constrained_model
 from orbitfinder.mechanics.controls import divided
 from orbitfinder.mechanics.factorise import LinearBalances, acceleration_function, solve_positive_definite
 from orbitfinder.mechanics.lagrange import (
@@ -1438,14 +1438,15 @@ def minimal_mechanism(model: Model, independent: Sequence[str], near: np.ndarray
             f"independent: dead point of {', '.join(independent)} at the pose: {_weakest(model, pose, rest)} does not "
             f"say where {', '.join(names[k] for k in rest)} go; choose other coordinates"
         )
-    return _embedded(model, chosen, rest, pose)
+    return _embedded(model, chosen, pose)
 
 
-def _embedded(model: Model, chosen: list[int], rest: list[int], pose: np.ndarray) -> Model:
+def _embedded(model: Model, chosen: list[int], pose: np.ndarray) -> Model:
     constraint, n, size = constraint_of(model), model.degrees_of_freedom, len(chosen)
+    rest = [k for k in range(n) if k not in chosen]
     t, u, rate = ca.SX.sym("t"), ca.SX.sym("u", size), ca.SX.sym("udot", size)
     p = ca.SX.sym("p", model.parameter_values.size)
-    q = _followed(model, chosen, rest, pose, u, p)
+    q = _followed(model, chosen, pose, u, p)
     jacobian = constraint.jacobian(q, p)
     basis = ca.SX(n, size)
     basis[chosen, :] = ca.SX.eye(size)
@@ -1479,10 +1480,10 @@ def _embedded(model: Model, chosen: list[int], rest: list[int], pose: np.ndarray
     )  # fmt: skip
 
 
-def _followed(model: Model, chosen: list[int], rest: list[int], pose: np.ndarray, u: ca.SX, p: ca.SX) -> ca.SX:
+def _followed(model: Model, chosen: list[int], pose: np.ndarray, u: ca.SX, p: ca.SX) -> ca.SX:
     """All coordinates (n) from the independent: a Newton step at each place along the way, a few at its end."""
-    constraint, n = constraint_of(model), model.degrees_of_freedom
-    angular = model.angular[chosen]
+    constraint, angular = constraint_of(model), model.angular[chosen]
+    rest = [k for k in range(pose.size) if k not in chosen]
     from_pose = ca.vertcat(*(
         ca.atan2(ca.sin(u[k] - pose[j]), ca.cos(u[k] - pose[j])) if angular[k] else u[k] - pose[j]
         for k, j in enumerate(chosen)
@@ -1494,17 +1495,15 @@ def _followed(model: Model, chosen: list[int], rest: list[int], pose: np.ndarray
         phi, slopes = constraint.phi(q, p), constraint.jacobian(q, p)
         q[rest] = q[rest] - ca.solve(slopes[:, rest], phi)
     q[chosen] = u
-    assert q.numel() == n
     return q
 
 
-def _in_all(model: Model, system: Table) -> ca.Function:
-    """(u, udot) -> all coordinates (n) and their rates, of the minimal form with this system."""
+def _in_all(model: Model, system: Table, u: ca.SX) -> ca.SX:
+    """All coordinates (n) of the minimal form with this system."""
     names = model.state_names[: model.degrees_of_freedom]
     chosen = [names.index(name) for name in system["independent"]]
-    rest = [k for k in range(len(names)) if k not in chosen]
-    pose, u = np.array([system["pose"][name] for name in names]), ca.SX.sym("u", len(chosen))
-    return with_rates(u, _followed(model, chosen, rest, pose, u, ca.SX(ca.DM(model.parameter_values))))
+    pose = np.array([system["pose"][name] for name in names])
+    return _followed(model, chosen, pose, u, ca.SX(ca.DM(model.parameter_values)))
 
 
 def _margins(model: Model, places: np.ndarray) -> Callable[[Sequence[int]], np.ndarray]:
