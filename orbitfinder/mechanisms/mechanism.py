@@ -18,6 +18,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -187,9 +188,8 @@ class _Closing:
 class _Drawing:
     """A mechanism as read: its tree of nodes, where bodies are, what is left to close."""
 
-    dimension: int
+    system: Table
     numbers: _Numbers
-    joints: Mapping[str, Table]
     kinds: Mapping[str, JointKind]
     nodes: list[_Node] = field(default_factory=list)
     bodies: dict[str, _Body] = field(default_factory=dict)
@@ -213,23 +213,33 @@ class _Drawing:
             k = node.parent
         return angle
 
+    @property
+    def dimension(self) -> int:
+        """2 in the plane, 3 in space."""
+        return int(self.system["dimension"])
+
+    def tables(self, what: str) -> Table:
+        """What is drawn by name: bodies, joints, springs, ..."""
+        return dict(self.system.get(what, {}))
+
+    @cached_property
     def frames(self) -> list[tuple[ca.SX, ca.SX]]:
-        """Axes (3 x 3) and origin (3) of every node in the world."""
+        """Axes (3 x 3) and origin (3) of every node in the world, once all nodes have coordinates."""
         frames: list[tuple[ca.SX, ca.SX]] = []
         for node in self.nodes:
             turn, origin = frames[node.parent] if node.parent >= 0 else (_eye(), ca.SX(3, 1))
             frames.append((ca.mtimes(turn, node.turn()), origin + ca.mtimes(turn, node.origin())))
         return frames
 
-    def point(self, frames: Sequence[tuple[ca.SX, ca.SX]], body: str, at: ca.SX) -> ca.SX:
+    def point(self, body: str, at: ca.SX) -> ca.SX:
         """Where a point (3) of a body is in the world."""
-        turn, origin = self.axes(frames, body)
+        turn, origin = self.axes(body)
         return origin + ca.mtimes(turn, at)
 
-    def axes(self, frames: Sequence[tuple[ca.SX, ca.SX]], body: str) -> tuple[ca.SX, ca.SX]:
+    def axes(self, body: str) -> tuple[ca.SX, ca.SX]:
         """Axes (3 x 3) and origin (3) of a body in the world."""
         there = self.bodies[body]
-        turn, origin = frames[there.node] if there.node >= 0 else (_eye(), ca.SX(3, 1))
+        turn, origin = self.frames[there.node] if there.node >= 0 else (_eye(), ca.SX(3, 1))
         return ca.mtimes(turn, there.frame), origin + ca.mtimes(turn, there.place)
 
 
@@ -305,9 +315,9 @@ def mechanism(
     if drawn:
         system["drawn"] = dict(drawn)
     drawing = _drawn(system, numbers)
-    motion = _Dynamics.of(system, drawing, numbers)
+    motion = _Dynamics.of(drawing)
     numbers.finish()
-    made = _tree(drawing, motion, system) if not drawing.closing else _closed(drawing, motion, system, baumgarte)
+    made = _closed(drawing, motion, baumgarte) if drawing.closing else _tree(drawing, motion)
     return replace(made, scales={k: float(v) for k, v in scales.items()}) if scales else made
 
 
@@ -409,7 +419,7 @@ def _drawn(system: Table, numbers: _Numbers) -> _Drawing:
     """The tree of a mechanism and what is left to close."""
     dimension, joints = int(system["dimension"]), system["joints"]
     pairs = {name: _between("joints", name, table, system["bodies"]) for name, table in joints.items()}
-    made = _Drawing(dimension, numbers, joints, {name: _kind(dimension, name, table) for name, table in joints.items()})
+    made = _Drawing(system, numbers, {name: _kind(dimension, name, table) for name, table in joints.items()})
     made.bodies[GROUND] = _Body(-1, _eye(), ca.SX(3, 1))
     left = dict(joints)
     reached = [GROUND]
@@ -433,7 +443,7 @@ def _drawn(system: Table, numbers: _Numbers) -> _Drawing:
                 f"joints.{name}: {table['kind']!r} closes no loop; a loop is closed by {', '.join(closing)}"
             )
         made.closing.append(_closing(made, name, table))
-    _check_bars(made, system, pairs)
+    _check_bars(made, pairs)
     return made
 
 
@@ -615,11 +625,11 @@ def _grow(made: _Drawing, name: str, table: Table, pair: tuple[str, str]) -> Non
     made.bodies[new] = _Body(parent, frame, place - ca.mtimes(frame, there), whole)
 
 
-def _check_bars(made: _Drawing, system: Table, pairs: Mapping[str, tuple[str, str]]) -> None:
+def _check_bars(made: _Drawing, pairs: Mapping[str, tuple[str, str]]) -> None:
     """`InputError` for a bar of no length, and for two pins of the same two bodies in the same place."""
-    for body in (*system["bodies"], GROUND):
+    for body in (*made.tables("bodies"), GROUND):
         places = {}
-        for name, table in system["joints"].items():
+        for name, table in made.tables("joints").items():
             if body in pairs[name] and made.kinds[name].pin:
                 at = table.get("at", [[0.0] * made.dimension] * 2)[pairs[name].index(body)]
                 places[name] = (str(at), frozenset(pairs[name]))
@@ -638,7 +648,7 @@ def _cross(made: _Drawing, *names: str) -> bool:
     """Whether two joints are hinges in space about different axes, as in a spherical linkage, whose axes meet."""
     if made.dimension == 2 or any(made.kinds[name].free != "R" for name in names):
         return False
-    tables = [made.joints[name] for name in names]
+    tables = [made.tables("joints")[name] for name in names]
     first, second = (np.asarray(table["axis"], float) / np.linalg.norm(table["axis"]) for table in tables)
     return any("turned" in table for table in tables) or bool(np.linalg.norm(np.cross(first, second)) > RANK_TOLERANCE)
 
@@ -660,7 +670,6 @@ class _Dynamics:
     drive: ca.SX | None
     controls: tuple[str, ...]
     acting: ca.SX | None
-    frames: list[tuple[ca.SX, ca.SX]]
     gravity: ca.SX
     names: list[str]
     angles: list[bool]
@@ -669,11 +678,11 @@ class _Dynamics:
     prescribed: bool
 
     @classmethod
-    def of(cls, system: Table, made: _Drawing, numbers: _Numbers) -> _Dynamics:
-        clock = _clock(system, numbers)
-        moved = _prescribed(system, made, numbers, clock)
+    def of(cls, made: _Drawing) -> _Dynamics:
+        numbers, clock = made.numbers, _clock(made)
+        moved = _prescribed(made, clock)
         places = list(made.owner)  # a joint told from its second body has its nodes the other way round
-        behind = {name: table["mimics"] for name, table in system["joints"].items() if "mimics" in table}
+        behind = {name: table["mimics"] for name, table in made.tables("joints").items() if "mimics" in table}
         free = (node for node in made.nodes if node.name not in {*moved, *behind})
         own = sorted(free, key=lambda node: places.index(node.name))
         q, v = ca.SX.sym("q", len(own)), ca.SX.sym("v", len(own))
@@ -683,31 +692,28 @@ class _Dynamics:
             node.q, node.v, node.index = q[k], v[k], k
         for name, rule in behind.items():
             _follow(made, name, rule)
-        _weigh(system, made, numbers)
-        frames = made.frames()
-        gravity = _vector(numbers, "gravity", "gravity", system["gravity"], made.dimension)
+        _weigh(made)
+        gravity = _vector(numbers, "gravity", "gravity", made.system["gravity"], made.dimension)
         kinetic, t = _kinetic(made), clock[0]
         fall = ca.SX(0)
         for mass in made.masses:
-            place = frames[mass.node][1] + ca.mtimes(frames[mass.node][0], mass.com)
+            place = made.frames[mass.node][1] + ca.mtimes(made.frames[mass.node][0], mass.com)
             fall -= mass.mass * ca.dot(gravity, place)
         elastic, spent, work = ca.SX(0), ca.SX(0), ca.SX(0)
-        for name, table in system.get("springs", {}).items():
-            elastic += _spring(made, frames, name, table, system)
-        for name, table in system.get("dampers", {}).items():
-            spent += _damper(made, frames, name, table, system, (q, v, t))
-        for name, table in system.get("motors", {}).items():
-            joint = _coordinate(made, frames, f"motors.{name}", table)
+        for name, table in made.tables("springs").items():
+            elastic += _spring(made, name, table)
+        for name, table in made.tables("dampers").items():
+            spent += _damper(made, name, table, (q, v, t))
+        for name, table in made.tables("motors").items():
+            joint = _coordinate(made, f"motors.{name}", table)
             work += _torque(numbers, name, table, clock) * _rate(joint, q, v, t)
-        acting = ca.gradient(work - spent, v) if system.get("motors") or system.get("dampers") else None
+        acting = ca.gradient(work - spent, v) if made.tables("motors") or made.tables("dampers") else None
         controls = tuple(
-            name
-            for name, motor in system.get("motors", {}).items()
-            if not (motor.get("torque") or motor.get("amplitude"))
+            name for name, motor in made.tables("motors").items() if not (motor.get("torque") or motor.get("amplitude"))
         )
         passive, drive = divided(acting, numbers.vector, controls, numbers.names, numbers.values)
         forced = ca.depends_on(ca.vertcat(kinetic, fall + elastic, work), t)
-        points, strokes = _picture(system, made, frames)
+        points, strokes = _picture(made)
         points = ca.substitute(points, t, ca.SX(0))  # pictures show what is prescribed as it is at t = 0
         symbols = Symbols(
             q, v, numbers.vector, tuple(numbers.names), tuple(numbers.values), time=t if forced else None,
@@ -716,31 +722,31 @@ class _Dynamics:
         angles = [node.turns for node in own]
         names = [node.name for node in own]
         return cls(
-            symbols, kinetic, fall + elastic, elastic, passive, drive, controls, acting, frames, gravity, names, angles,
+            symbols, kinetic, fall + elastic, elastic, passive, drive, controls, acting, gravity, names, angles,
             points, strokes, bool(moved),
         )  # fmt: skip
 
 
-def _clock(system: Table, numbers: _Numbers) -> tuple[ca.SX, ca.SX]:
+def _clock(made: _Drawing) -> tuple[ca.SX, ca.SX]:
     """Time and the forcing's frequency (rad/s)."""
-    t, given = ca.SX.sym("t"), system.get("frequency")
+    t, given = ca.SX.sym("t"), made.system.get("frequency")
     if given is None:
-        varying = [f"motors.{n}" for n, motor in system.get("motors", {}).items() if motor.get("amplitude")]
-        if varying or system.get("motions"):
-            first = (varying or [f"motions.{name}" for name in system["motions"]])[0]
+        varying = [f"motors.{n}" for n, motor in made.tables("motors").items() if motor.get("amplitude")]
+        if varying or made.tables("motions"):
+            first = (varying or [f"motions.{name}" for name in made.tables("motions")])[0]
             raise InputError(f"frequency: missing, and {first} varies in time; give it in rad/s")
         return t, ca.SX(1)
     if given <= 0:
         raise InputError(f"frequency: must be positive, got {given:g}; give it in rad/s")
-    return t, ca.SX(numbers("frequency", "frequency", given))
+    return t, ca.SX(made.numbers("frequency", "frequency", given))
 
 
-def _prescribed(system: Table, made: _Drawing, numbers: _Numbers, clock: tuple[ca.SX, ca.SX]) -> set[str]:
+def _prescribed(made: _Drawing, clock: tuple[ca.SX, ca.SX]) -> set[str]:
     """Coordinates moved by what a file says: q = offset + turns w t + amplitude cos(w t + phase); their names."""
     t, w = clock
     moved = set()
     nodes = {node.name: node for node in made.nodes}
-    for name, table in system.get("motions", {}).items():
+    for name, table in made.tables("motions").items():
         where = f"motions.{name}"
         node = nodes.get(str(table.get("joint")))
         if node is None:
@@ -753,7 +759,8 @@ def _prescribed(system: Table, made: _Drawing, numbers: _Numbers, clock: tuple[c
                 "which is not prescribed; drive it by a motor, or open the loop"
             )
         offset, amplitude, phase = (
-            numbers(f"{where}.{key}", f"{name}_{key}", table.get(key, 0.0)) for key in ("offset", "amplitude", "phase")
+            made.numbers(f"{where}.{key}", f"{name}_{key}", table.get(key, 0.0))
+            for key in ("offset", "amplitude", "phase")
         )
         turns = _number(f"{where}.turns", table.get("turns", 0.0))
         if turns != round(turns) or (turns and not node.turns):
@@ -780,9 +787,10 @@ def _follow(made: _Drawing, name: str, rule: Any) -> None:
     node.q, node.v = ca.SX(ratio * other.q + offset), ca.SX(ratio * other.v)
 
 
-def _weigh(system: Table, made: _Drawing, numbers: _Numbers) -> None:
+def _weigh(made: _Drawing) -> None:
     """The bodies' masses and inertias, put into the nodes' axes."""
-    for name, table in system["bodies"].items():
+    numbers = made.numbers
+    for name, table in made.tables("bodies").items():
         where, body = f"bodies.{name}", made.bodies[name]
         mass = numbers(f"{where}.mass", f"{name}_mass", table.get("mass", 0.0))
         if numbers.value(mass) <= 0:
@@ -800,14 +808,19 @@ def _weigh(system: Table, made: _Drawing, numbers: _Numbers) -> None:
         made.nodes[body.node].inertia += ca.blockcat(
             [[inertia + ca.mtimes(lever, _skew(com).T), lever], [lever.T, mass * _eye()]]
         )
-    points = [label for label in numbers.names if re.search(r"_[12]_[xyz]$|_com_[xyz]$|_length$", label)]
-    lengths = [abs(value) for name, value in zip(numbers.names, numbers.values, strict=True) if name in points]
-    made.size = max([*lengths, *_shared_lengths(system, numbers)], default=1.0) or 1.0
+    made.size = max([*_lengths(numbers.names, numbers.values), *_shared_lengths(made)], default=1.0) or 1.0
 
 
-def _shared_lengths(system: Table, numbers: _Numbers) -> list[float]:
+def _lengths(names: Sequence[str], values: Sequence[float]) -> list[float]:
+    """Sizes of the points and lengths among numbers by name."""
+    pattern = re.compile(r"_[12]_[xyz]$|_com_[xyz]$|_length$")
+    return [abs(value) for name, value in zip(names, values, strict=True) if pattern.search(name)]
+
+
+def _shared_lengths(made: _Drawing) -> list[float]:
     """Sizes of the points that are told by shared parameters."""
-    told = [str(number) for table in system["joints"].values() for at in table.get("at", []) for number in at]
+    numbers = made.numbers
+    told = [str(number) for table in made.tables("joints").values() for at in table.get("at", []) for number in at]
     matches = [EXPRESSION.fullmatch(text) for text in told]
     return [
         abs(numbers.values[numbers.names.index(match[3])]) for match in matches if match and match[3] in numbers.names
@@ -884,7 +897,7 @@ def _torque(numbers: _Numbers, name: str, table: Table, clock: tuple[ca.SX, ca.S
     return steady + swing * ca.cos(clock[1] * clock[0] + late) if isinstance(swing, ca.SX) else steady
 
 
-def _coordinate(made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], where: str, table: Table) -> ca.SX:
+def _coordinate(made: _Drawing, where: str, table: Table) -> ca.SX:
     """The angle (rad) or slide (m) of a joint, of what closes a loop too; `InputError` for others."""
     name = str(table.get("joint"))
     for node in made.nodes:
@@ -896,19 +909,17 @@ def _coordinate(made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], where: st
             if turns:
                 first, second = closing.table["between"]
                 return made.angle(second) - made.angle(first) - _angle(closing.turned)
-            gap, turn = _gap(made, frames, closing)
+            gap, turn = _gap(made, closing)
             return ca.dot(gap, ca.mtimes(turn, axis))
     known = [node.name for node in made.nodes]
     raise InputError(f"{where}.joint: {name!r} is no coordinate{closest(name, known)}; use {', '.join(known)}")
 
 
-def _stretch(
-    made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], what: str, name: str, table: Table, system: Table
-) -> ca.SX:
+def _stretch(made: _Drawing, what: str, name: str, table: Table) -> ca.SX:
     """The vector (3) from the first to the second point of a spring or damper."""
-    first, second = _between(what, name, table, system["bodies"])
+    first, second = _between(what, name, table, made.tables("bodies"))
     here, there = _points(made, what, name, table)
-    return made.point(frames, second, there) - made.point(frames, first, here)
+    return made.point(second, there) - made.point(first, here)
 
 
 def _positive(numbers: _Numbers, where: str, name: str, entry: Any, unit: str) -> ca.SX | float:
@@ -918,45 +929,43 @@ def _positive(numbers: _Numbers, where: str, name: str, entry: Any, unit: str) -
     return number
 
 
-def _spring(made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], name: str, table: Table, system: Table) -> ca.SX:
+def _spring(made: _Drawing, name: str, table: Table) -> ca.SX:
     """Energy of a spring between two points or in a joint: k (length - rest)^2 / 2."""
     where, numbers = f"springs.{name}", made.numbers
     stiffness = _positive(numbers, f"{where}.stiffness", f"{name}_stiffness", table.get("stiffness", 0.0), "N/m")
     if "joint" in table:
         rest = numbers(f"{where}.rest", f"{name}_rest", table.get("rest", 0.0))
-        return 0.5 * stiffness * (_coordinate(made, frames, where, table) - rest) ** 2
-    gap = _stretch(made, frames, "springs", name, table, system)
+        return 0.5 * stiffness * (_coordinate(made, where, table) - rest) ** 2
+    gap = _stretch(made, "springs", name, table)
     rest = numbers(f"{where}.length", f"{name}_length", table.get("length", 0.0))
     return 0.5 * stiffness * ((ca.norm_2(gap) - rest) ** 2 if isinstance(rest, ca.SX) else ca.sumsqr(gap))
 
 
-def _damper(
-    made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], name: str, table: Table, system: Table, now: Sequence[ca.SX]
-) -> ca.SX:
+def _damper(made: _Drawing, name: str, table: Table, now: Sequence[ca.SX]) -> ca.SX:
     """Half the power that a damper takes: c (d length / dt)^2 / 2, Rayleigh's function."""
     where = f"dampers.{name}"
     damping = _positive(made.numbers, f"{where}.damping", f"{name}_damping", table.get("damping", 0.0), "N s/m")
     if "joint" in table:
-        length = _coordinate(made, frames, where, table)
+        length = _coordinate(made, where, table)
     else:
-        length = ca.norm_2(_stretch(made, frames, "dampers", name, table, system))
+        length = ca.norm_2(_stretch(made, "dampers", name, table))
     return 0.5 * damping * _rate(length, *now) ** 2
 
 
-def _gap(made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], closing: _Closing) -> tuple[ca.SX, ca.SX]:
+def _gap(made: _Drawing, closing: _Closing) -> tuple[ca.SX, ca.SX]:
     """From a joint's point on its first body to that on its second (3), and the first body's axes (3 x 3)."""
     first, second = closing.table["between"]
     here, there = closing.points
-    return made.point(frames, second, there) - made.point(frames, first, here), made.axes(frames, first)[0]
+    return made.point(second, there) - made.point(first, here), made.axes(first)[0]
 
 
-def _rows(made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], closing: _Closing) -> ca.SX:
+def _rows(made: _Drawing, closing: _Closing) -> ca.SX:
     """The equations of a joint that closes a loop, in m, a letter each: x y z the gap, n p q across the axis,
     u v d e the axis against two directions of the other body, a b c axes against each other, o of a universal joint,
     l the length of a rod.
     """
-    gap, turn = _gap(made, frames, closing)
-    other = made.axes(frames, closing.table["between"][1])[0]
+    gap, turn = _gap(made, closing)
+    other = made.axes(closing.table["between"][1])[0]
     wanted = ca.mtimes(turn, closing.turned)
     rows = {letter: gap[k] for k, letter in enumerate("xyz")}
     if "l" in closing.rows:
@@ -992,19 +1001,17 @@ def _across(axis: ca.SX) -> list[ca.SX]:
     return [ca.SX(first), ca.SX(np.cross(along, first))]
 
 
-def _picture(
-    system: Table, made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]]
-) -> tuple[ca.SX, tuple[tuple[str, tuple[int, ...]], ...]]:
+def _picture(made: _Drawing) -> tuple[ca.SX, tuple[tuple[str, tuple[int, ...]], ...]]:
     """Points (2 x k) and what is drawn through which: ground, spring, rod (a body), slider, disc."""
     columns: list[ca.SX] = []
     strokes: list[tuple[str, tuple[int, ...]]] = []
 
     def place(body: str, at: ca.SX) -> int:
-        columns.append(made.point(frames, body, at))
+        columns.append(made.point(body, at))
         return len(columns) - 1
 
     held: dict[str, list[ca.SX]] = {name: [] for name in made.bodies}
-    for name, table in system["joints"].items():
+    for name, table in made.tables("joints").items():
         kind = made.kinds[name]
         for body, at in zip(table["between"], made.places[name], strict=True):
             if not (body == GROUND and "P" in kind.free) and not _among(at, held[body]):
@@ -1016,14 +1023,14 @@ def _picture(
                 (kind.drawn, tuple(place(*end) for end in zip(table["between"], made.places[name], strict=True)))
             )
     pulled: dict[str, list[ca.SX]] = {name: [] for name in made.bodies}
-    for name in system.get("springs", {}):
+    for name, table in made.tables("springs").items():
         if name in made.places:
-            pair = system["springs"][name]["between"]
+            pair = table["between"]
             for end, at in zip(pair, made.places[name], strict=True):
                 (held if end == GROUND else pulled)[end].append(at)
             strokes.append(("spring", tuple(place(b, at) for b, at in zip(pair, made.places[name], strict=True))))
     strokes += [("ground", (place(GROUND, at),)) for at in held.pop(GROUND)]
-    for name, table in system["bodies"].items():
+    for name, table in made.tables("bodies").items():
         com = made.coms[name]
         if "disc" in table:
             rim = ca.densify(com) + ca.SX([float(table["disc"]), 0, 0])
@@ -1094,7 +1101,7 @@ def _crossed(speed: ca.SX) -> ca.SX:
     return ca.blockcat([[turning, ca.SX(3, 3)], [sliding, turning]])
 
 
-def _tree(made: _Drawing, motion: _Dynamics, system: Table) -> Model:
+def _tree(made: _Drawing, motion: _Dynamics) -> Model:
     """The Model of a mechanism without loops: accelerations by recursion."""
     symbols, arguments = motion.symbols, motion.symbols.arguments
     t, q, v, p = arguments
@@ -1107,7 +1114,7 @@ def _tree(made: _Drawing, motion: _Dynamics, system: Table) -> Model:
     else:  # what mimics a joint moves with it, wherever in the tree it is
         matrix, bias = mass_matrix_and_bias(motion.kinetic, motion.potential, q, v, motion.acting, t)
         acceleration, weights = acceleration_function(matrix, bias, arguments), ca.diag(matrix)
-    pose = system.get("pose", {})
+    pose = made.tables("pose")
     place = np.array([pose.get(name, 0.0) for name in motion.names])
     _check_weights(made, motion, place, ca.Function("weights", [t, q, p], [weights]))
     terms = _terms(motion, arguments)
@@ -1116,14 +1123,14 @@ def _tree(made: _Drawing, motion: _Dynamics, system: Table) -> Model:
         acceleration, terms, symbols, labels,
         invariants=[] if symbols.time is not None else
         detected_invariants(terms, labels, arguments, cyclic(terms, arguments)),
-        system=system, angles=tuple(motion.angles), points=polyline("points", motion.points, [q, p]),
-        strokes=motion.strokes, controls=motion.controls, limits=_limits(system),
+        system=made.system, angles=tuple(motion.angles), points=polyline("points", motion.points, [q, p]),
+        strokes=motion.strokes, controls=motion.controls, limits=_limits(made),
     )  # fmt: skip
 
 
-def _limits(system: Table) -> dict[str, Any]:
+def _limits(made: _Drawing) -> dict[str, Any]:
     """How far the motors that are controls may go."""
-    return {name: motor["limit"] for name, motor in system.get("motors", {}).items() if "limit" in motor}
+    return {name: motor["limit"] for name, motor in made.tables("motors").items() if "limit" in motor}
 
 
 def cyclic(terms: Terms, arguments: list[ca.SX]) -> list[bool]:
@@ -1168,7 +1175,7 @@ def _check_weights(made: _Drawing, motion: _Dynamics, place: np.ndarray, weights
         if weight > 1e-12 * total * (made.size**2 if angle else 1.0):  # else it moves nothing
             continue
         joint = made.owner[name]
-        body = made.joints[joint]["between"][1]
+        body = made.tables("joints")[joint]["between"][1]
         why = (
             "two of its axes are one in this pose; give another pose, or other axes"
             if made.kinds[joint].free.count("R") > 1
@@ -1177,13 +1184,13 @@ def _check_weights(made: _Drawing, motion: _Dynamics, place: np.ndarray, weights
         raise InputError(f"joints.{joint}: coordinate {name} moves no mass: {why}")
 
 
-def _closed(made: _Drawing, motion: _Dynamics, system: Table, baumgarte: Sequence[float] | None) -> Model:
+def _closed(made: _Drawing, motion: _Dynamics, baumgarte: Sequence[float] | None) -> Model:
     """The Model of a mechanism with loops, a native DAE."""
     symbols = motion.symbols
     t, q, v, p = symbols.arguments
     names = [f"{closing.name}_{letter}" for closing in made.closing for letter in closing.rows]
-    phi = ca.vertcat(*(_rows(made, motion.frames, closing) for closing in made.closing))
-    place, kept = _checked(made, motion, system, phi, names)
+    phi = ca.vertcat(*(_rows(made, closing) for closing in made.closing))
+    place, kept = _checked(made, motion, phi, names)
     weights = _articulated(made, ca.SX.zeros(q.numel()), motion.gravity)[1]
     _check_weights(made, motion, place, ca.Function("weights", [t, q, p], [weights]))
     phi, names = phi[kept], [names[k] for k in kept]
@@ -1199,7 +1206,7 @@ def _closed(made: _Drawing, motion: _Dynamics, system: Table, baumgarte: Sequenc
         stabilisation,
         coordinate_names(motion.names, symbols), force_names=names, angles=tuple(motion.angles),
         points=polyline("points", motion.points, [q, p]), strokes=motion.strokes, controls=motion.controls,
-        limits=_limits(system), system={**system, "baumgarte": [stabilisation.alpha, stabilisation.beta]},
+        limits=_limits(made), system={**made.system, "baumgarte": [stabilisation.alpha, stabilisation.beta]},
     )  # fmt: skip
 
 
@@ -1215,12 +1222,10 @@ def _pace(free: ca.Function, place: np.ndarray, size: float, motion: _Dynamics) 
     return float(2.0 ** np.round(np.log2(np.sqrt(fastest)))) if fastest > 0 else 1.0
 
 
-def _checked(
-    made: _Drawing, motion: _Dynamics, system: Table, phi: ca.SX, names: Sequence[str]
-) -> tuple[np.ndarray, list[int]]:
+def _checked(made: _Drawing, motion: _Dynamics, phi: ca.SX, names: Sequence[str]) -> tuple[np.ndarray, list[int]]:
     """An assembled configuration (n) near the pose, and the rows of phi(q, p) that are independent there."""
-    n, q, p, given = len(motion.names), motion.symbols.coordinates, motion.symbols.arguments[3], system.get("pose", {})
-    if len(names) >= n and system.get("redundant") != "drop":  # Kutzbach's count
+    n, q, p, given = len(motion.names), motion.symbols.coordinates, motion.symbols.arguments[3], made.tables("pose")
+    if len(names) >= n and made.system.get("redundant") != "drop":  # Kutzbach's count
         last = made.closing[-1]
         raise InputError(
             f"joints: over-constrained, {n} coordinates of the tree and {plural(len(names), 'equation')} of "
@@ -1233,9 +1238,9 @@ def _checked(
             known = ", ".join(motion.names)
             raise InputError(f"pose: unknown coordinate {name!r}{closest(name, motion.names)}; use {known}")
     function, values = ca.Function("phi", [q, p], [phi, ca.jacobian(phi, q)]), np.array(motion.symbols.parameter_values)
-    closure = LoopClosure(function, values, np.where(motion.angles, 1.0, made.size), names, made.joints)
+    closure = LoopClosure(function, values, np.where(motion.angles, 1.0, made.size), names, made.tables("joints"))
     place = closure.near(np.array([given.get(name, 0.0) for name in motion.names]))
-    return place, _independent(closure, place, motion.names, system.get("redundant") == "drop")
+    return place, _independent(closure, place, motion.names, made.system.get("redundant") == "drop")
 
 
 def _independent(closure: LoopClosure, place: np.ndarray, names: Sequence[str], drop: bool) -> list[int]:
@@ -1388,8 +1393,7 @@ def mechanism_state(
 
 def coordinate_units(model: Model) -> np.ndarray:
     """1 rad of angles, of slides (n) the largest number of a point."""
-    sizes = [abs(value) for name, value in zip(model.parameter_names, model.parameter_values, strict=True)
-             if re.search(r"_[12]_[xyz]$|_com_[xyz]$|_length$", name)]  # fmt: skip
+    sizes = _lengths(model.parameter_names, model.parameter_values.tolist())
     return np.where(model.angular, 1.0, max(sizes, default=1.0) or 1.0)
 
 
@@ -1408,7 +1412,7 @@ def body_point(model: Model, body: str, at: Sequence[float]) -> Callable[[Sequen
         node.q = q[names.index(node.name)]
     place = np.zeros(3)
     place[: len(at)] = at
-    there = ca.densify(made.point(made.frames(), body, ca.SX(place)))[: made.dimension]
+    there = ca.densify(made.point(body, ca.SX(place)))[: made.dimension]
     function = ca.Function("point", [q, numbers.vector], [there])
     return lambda x, p: function(ca.vertcat(*x[: len(names)]), ca.vertcat(*p[: len(numbers.names)]))
 

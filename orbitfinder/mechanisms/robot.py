@@ -138,9 +138,13 @@ def robot(
         `of.mechanism`, which it makes.
     """
     path = Path(file)
-    made = _numbers(path, _file(path))
-    return mechanism(**tables(path, made, locked=locked, stiffness=stiffness, rest=rest, damping=damping,
-                              motors=motors, floating=floating, gravity=gravity), values=values)  # fmt: skip
+    data = _file(path)
+    made = _numbers(path, data)
+    made = _afloat(made) if floating else made
+    system, moving = _tables(made, locked)
+    system |= _acting(made, moving, stiffness, rest or {}, damping, motors)
+    drawn = {"file": path.name, "sha256": hashlib.sha256(data).hexdigest()}
+    return mechanism(**system, dimension=3, gravity=_fall(made, gravity), drawn=drawn, values=values)
 
 
 def _file(path: Path) -> bytes:
@@ -380,21 +384,8 @@ def _check_smooth(model: SimpleNamespace) -> None:
         raise InputError(f"file: {wrong[0]} acts in MuJoCo and is not known here; take it out of the file")
 
 
-def tables(
-    path: Path,
-    made: _Read,
-    *,
-    locked: Mapping[str, float] | Sequence[str] = (),
-    stiffness: Mapping[str, float] | float | None = None,
-    rest: Mapping[str, float] | None = None,
-    damping: Mapping[str, float] | float | None = None,
-    motors: Sequence[str] | str = (),
-    floating: bool = False,
-    gravity: Sequence[float] | float | None = None,
-) -> dict[str, Any]:
-    """The tables of the mechanism that a robot is, with `drawn`: the file's name and SHA-256."""
-    if floating:
-        made = _afloat(made)
+def _tables(made: _Read, locked: Mapping[str, float] | Sequence[str]) -> tuple[dict[str, Any], list[str]]:
+    """The bodies and joints of the mechanism that a robot is, and the names of the joints that move."""
     free = [name for name, joint in made.joints.items() if joint.free]
     still = dict(locked) if isinstance(locked, Mapping) else dict.fromkeys(locked, 0.0)
     _check_names("locked", still, free)
@@ -403,7 +394,7 @@ def tables(
     if not moving:
         raise InputError("locked: no joint is left to move; unlock one")
     bodies, whose = _lumped(made, still)
-    system: dict[str, Any] = {"dimension": 3, "gravity": _fall(made, gravity), "bodies": {}, "joints": {}}
+    system: dict[str, Any] = {"bodies": {}, "joints": {}}
     held = whose[made.root]
     for name in moving:
         joint = made.joints[name]
@@ -433,9 +424,7 @@ def tables(
         system["bodies"][_word(name)] = {
             "mass": body.mass, "com": _listed(DOWN @ (body.com - body.place)), "inertia": _listed(six)
         }  # fmt: skip
-    _acting(system, made, moving, stiffness, rest or {}, damping, motors)
-    system["drawn"] = {"file": path.name, "sha256": hashlib.sha256(_file(path)).hexdigest()}
-    return system
+    return system, moving
 
 
 def _fall(made: _Read, gravity: Sequence[float] | float | None) -> list[float]:
@@ -471,10 +460,10 @@ def _afloat(made: _Read) -> _Read:
 
 
 def _acting(
-    system: dict[str, Any], made: _Read, moving: list[str], stiffness: Any, rest: Mapping[str, float], damping: Any,
-    motors: Sequence[str] | str,
-) -> None:  # fmt: skip
+    made: _Read, moving: list[str], stiffness: Any, rest: Mapping[str, float], damping: Any, motors: Sequence[str] | str
+) -> dict[str, Any]:
     """Springs, dampers and motors of the moving joints."""
+    system = dict[str, Any]()
     moving = [name for name in moving if len(made.joints[name].free) == 1]
     _check_names("rest", rest, moving)
     for key, given, entry in (("springs", stiffness, "stiffness"), ("dampers", damping, "damping")):
@@ -506,6 +495,7 @@ def _acting(
     if chosen:
         limits = {name: {"limit": most} if (most := made.joints[name].limit) else {} for name in chosen}
         system["motors"] = {f"{_word(name)}_torque": {"joint": _word(name)} | limits[name] for name in chosen}
+    return system
 
 
 def _check_names(field: str, given: Iterable[str], known: Sequence[str]) -> None:
