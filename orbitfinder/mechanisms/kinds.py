@@ -12,10 +12,11 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanisms import library
 from orbitfinder.mechanisms.chain import chain, chain_dae
 from orbitfinder.mechanisms.chain_motion import motion_of
+from orbitfinder.mechanisms.closing import JOINED, minimal_mechanism
 from orbitfinder.mechanisms.driven import DRIVEN
 from orbitfinder.mechanisms.linkage import LOOPS, linkage, minimal_linkage
 from orbitfinder.mechanisms.machines import MACHINES
-from orbitfinder.mechanisms.mechanism import JOINED, mechanism, minimal_mechanism
+from orbitfinder.mechanisms.mechanism import mechanism
 
 
 def _built(builder: Callable[..., Model], system: Mapping[str, Any], *without: str) -> Model:

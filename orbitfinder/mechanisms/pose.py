@@ -9,7 +9,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.mechanics.constrained import allowed_velocities
 from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.mechanics.scales import surroundings
-from orbitfinder.mechanisms.mechanism import LoopClosure
+from orbitfinder.mechanisms.closing import LoopClosure
 
 DAMPING, SOFTER, HARDER, HARDEST = 1e-4, 5.0, 8.0, 1e4
 """Of steps, relative to how far the point goes with its coordinates: at first, less after one that helps, more after
