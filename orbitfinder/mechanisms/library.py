@@ -15,10 +15,9 @@ from scipy.optimize import brentq
 
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.first_order import Named, hamiltonian, ode
+from orbitfinder.mechanics.kind import BUILT_IN
 from orbitfinder.mechanics.lagrange import Symbols, energy_invariant, lagrange
 from orbitfinder.mechanics.model import Invariant, Model, altered
-
-BUILT_IN = "orbitfinder.systems"
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -27,6 +27,14 @@ def _swinging(made: Ingredients, name: str, rates: ca.SX, names: list[str], poin
     return made.model(
         name, ca.sumsqr(made.v) / 2, ca.SX(0), forces=rates, names=names, angles=[True] * len(names), points=points
     )
+
+
+def _machine(
+    modes: Sequence[Mode], transitions: Sequence[Transition], ground: Expression, conserved: Sequence[str] = ()
+) -> Model:
+    """A machine that goes through its transitions one after the other, on its ground."""
+    cycle, system = [transition.name for transition in transitions], modes[0].model.system
+    return hybrid(modes, transitions, cycle, conserved=conserved, system=system, ground=ground)
 
 
 def _along(angle: Any) -> ca.SX:
@@ -80,7 +88,7 @@ def simplest_walker(slope: float = 0.009) -> Model:
         advance=lambda x, p: _downwards(-2 * ca.sin(x.theta) * _downhill(p)),
     )  # fmt: skip
     push = {"stance force": lambda x, p: ca.cos(x.theta - p.slope) - x.thetadot**2}
-    return hybrid([Mode("stance", model, push)], [strikes], ["strike"], system=model.system, ground=_slope)
+    return _machine([Mode("stance", model, push)], [strikes], _slope)
 
 
 class _Legs:
@@ -206,7 +214,7 @@ def compass(function: str, given: Mapping[str, float], controls: tuple[str, ...]
         advance=lambda x, p: _downwards(foot(ca.vertcat(*x[:2]), ca.vertcat(*p))),
     )  # fmt: skip
     force = {"ground force": lambda x, p: ca.dot(_normal(p), ground(ca.vertcat(*x), ca.vertcat(*p)))}
-    return hybrid([Mode("step", model, force)], [strikes], ["strike"], system=model.system, ground=_slope)
+    return _machine([Mode("step", model, force)], [strikes], _slope)
 
 
 def kneed_walker(
@@ -298,7 +306,7 @@ def _on_knees(function: str, given: Mapping[str, float]) -> Model:
         Mode("free", free, pushing(free) | {"knee": lambda x, p: x.thigh - x.shank}),
         Mode("locked", locked, pushing(locked) | {"foot": height}),
     ]
-    return hybrid(modes, transitions, ["knee", "strike"], system=free.system, ground=_slope)
+    return _machine(modes, transitions, _slope)
 
 
 def _locking(free: Model, made: Ingredients) -> ca.SX:
@@ -350,7 +358,7 @@ def rimless_wheel(spokes: int = 8, slope: float = 0.08, length: float = 1.0, gra
         advance=lambda x, p: _downwards(2 * p.length * np.sin(half) * _downhill(p)),
     )  # fmt: skip
     force = {"spoke force": lambda x, p: p.gravity * ca.cos(x.theta) - p.length * x.thetadot**2}
-    return hybrid([Mode("spoke", model, force)], [strikes], ["strike"], system=model.system, ground=_slope)
+    return _machine([Mode("spoke", model, force)], [strikes], _slope)
 
 
 def slip_runner(
@@ -397,10 +405,8 @@ def slip_runner(
         ),
     ]
     holds = {"height": lambda x, p: x.y}
-    return hybrid(
-        [Mode("flight", flight, holds), Mode("stance", stance, holds)], transitions,
-        ["touchdown", "liftoff", "apex"], conserved=["energy"], system=flight.system, ground=level_ground,
-    )  # fmt: skip
+    modes = [Mode("flight", flight, holds), Mode("stance", stance, holds)]
+    return _machine(modes, transitions, level_ground, ["energy"])
 
 
 def slip_walker(
@@ -457,10 +463,7 @@ def slip_walker(
             "liftoff", "double", "single", guard=lambda x, p: ca.norm_2(legs(x, True)[1]) - p.length, direction=1
         ),
     ]  # fmt: skip
-    cycle = ["touchdown", "liftoff"]
-    return hybrid(
-        [single, double], transitions, cycle, conserved=["energy"], system=single.model.system, ground=level_ground
-    )
+    return _machine([single, double], transitions, level_ground, ["energy"])
 
 
 def vertical_hopper(mass: float = 1.0, stiffness: float = 100.0, gravity: float = 9.81) -> Model:
@@ -485,8 +488,7 @@ def hopper(function: str, made: Ingredients, forces: ca.SX | None = None, **part
         Transition("touchdown", "flight", "ground", guard=lambda x, p: x.y),
     ]
     modes = [Mode("ground", ground), Mode("flight", flight, {"height": lambda x, p: x.y})]
-    return hybrid(modes, transitions, ["liftoff", "touchdown"], conserved=["energy"] if forces is None else (),
-                  system=flight.system, ground=level_ground)  # fmt: skip
+    return _machine(modes, transitions, level_ground, ["energy"] if forces is None else ())
 
 
 def rocking_block(angle: float = 0.3, stiffness: float = 0.75) -> Model:
@@ -508,8 +510,7 @@ def rocking_block(angle: float = 0.3, stiffness: float = 0.75) -> Model:
         "bounce", "rocking", "rocking", guard=lambda x, p: x.phi, reset=lambda x, p: changed(x, phidot=-x.phidot)
     )
     holds = {"gap": lambda x, p: x.phi}
-    parts = [Mode("rocking", model, holds)], [bounce], ["bounce"]
-    return hybrid(*parts, conserved=["energy"], system=model.system, ground=level_ground)
+    return _machine([Mode("rocking", model, holds)], [bounce], level_ground, ["energy"])
 
 
 def gravity_wedge(angle: float = 0.6, gravity: float = 1.0) -> Model:
@@ -543,8 +544,7 @@ def gravity_wedge(angle: float = 0.6, gravity: float = 1.0) -> Model:
         return ca.horzcat(ca.vertcat(-REACH, -across), ca.SX.zeros(2), ca.vertcat(-REACH, across))
 
     holds = {f"distance from the {name} wall": gap for name, (gap, _) in sides.items()}
-    parts = [Mode("air", model, holds)], bounces, ["right", "left"]
-    return hybrid(*parts, conserved=["energy"], system=model.system, ground=walls)
+    return _machine([Mode("air", model, holds)], bounces, walls, ["energy"])
 
 
 def wall_pendulum(
@@ -581,8 +581,7 @@ def wall_pendulum(
         "hit", "free", "free", guard=struck.gap, reset=struck.after, impulse=struck.impulse, lost=struck.lost
     )
     holds = {"gap": gap, "gap of the elbow": elbow}
-    parts = [Mode("free", model, holds)], [hit], ["hit"]
-    return hybrid(*parts, conserved=["energy"], system=model.system, ground=_wall("wall"))
+    return _machine([Mode("free", model, holds)], [hit], _wall("wall"), ["energy"])
 
 
 def bouncing_ball(
@@ -612,7 +611,7 @@ def bouncing_ball(
     def surface(x: Named, p: Named) -> Any:
         return ca.vertcat(ca.horzcat(-table(x, p), -table(x, p)), ca.SX([[-REACH, REACH]]))
 
-    return hybrid([Mode("air", model, holds)], [bounce], ["bounce"], system=model.system, ground=surface)
+    return _machine([Mode("air", model, holds)], [bounce], surface)
 
 
 def impact_oscillator(
@@ -637,7 +636,7 @@ def impact_oscillator(
         reset=lambda x, p: changed(x, x=p.stop, v=-p.restitution * x.v),
     )  # fmt: skip
     holds = {"gap": lambda x, p: p.stop - x.x}
-    return hybrid([Mode("free", model, holds)], [hit], ["hit"], system=model.system, ground=_wall("stop"))
+    return _machine([Mode("free", model, holds)], [hit], _wall("stop"))
 
 
 MACHINES: dict[str, Callable[..., Model]] = {
