@@ -100,10 +100,9 @@ def constrained(
     _, q, v, p = symbols.arguments
     _check_expressions(kinetic, potential, constraint, forces, symbols)
     matrix, bias = mass_matrix_and_bias(kinetic, potential, q, v, forces)
-    jacobian = ca.jacobian(constraint, q)
     passive, drive = divided(forces, p, controls, symbols.parameter_names, symbols.parameter_values)
     return constrained_model(
-        LinearBalances(matrix, bias, jacobian.T, jacobian, -ca.jtimes(jacobian @ v, q, v)),
+        LinearBalances.held(matrix, bias, constraint, q, v),
         ca.SX(constraint),
         Terms(kinetic, potential, forces=passive, actuation=drive),
         symbols,

@@ -305,7 +305,7 @@ def mechanism(
     if drawn:
         system["drawn"] = dict(drawn)
     drawing = _drawn(system, numbers)
-    motion = _Dynamics.of(drawing)
+    motion = _Energies.of(drawing)
     numbers.finish()
     made = _closed(drawing, motion, baumgarte) if drawing.closing else _tree(drawing, motion)
     return replace(made, scales={k: float(v) for k, v in scales.items()}) if scales else made
@@ -644,7 +644,7 @@ def _cross(made: _Drawing, *names: str) -> bool:
 
 
 @dataclass
-class _Dynamics:
+class _Energies:
     """Energies and forces of a drawing in its coordinates: what `Symbols` and `Terms` are made of.
 
     `kinetic` and `potential` depend on t where motions are prescribed; `pushed` (n) are forces of springs, dampers and
@@ -668,7 +668,7 @@ class _Dynamics:
     prescribed: bool
 
     @classmethod
-    def of(cls, made: _Drawing) -> _Dynamics:
+    def of(cls, made: _Drawing) -> _Energies:
         numbers, clock = made.numbers, _clock(made)
         moved = _prescribed(made, clock)
         places = list(made.owner)  # a joint told from its second body has its nodes the other way round
@@ -1085,7 +1085,7 @@ def _crossed(speed: ca.SX) -> ca.SX:
     return ca.blockcat([[turning, ca.SX(3, 3)], [sliding, turning]])
 
 
-def _tree(made: _Drawing, motion: _Dynamics) -> Model:
+def _tree(made: _Drawing, motion: _Energies) -> Model:
     """The Model of a mechanism without loops: accelerations by recursion."""
     symbols, arguments = motion.symbols, motion.symbols.arguments
     t, q, v, p = arguments
@@ -1107,14 +1107,18 @@ def _tree(made: _Drawing, motion: _Dynamics) -> Model:
         acceleration, terms, symbols, labels,
         invariants=[] if symbols.time is not None else
         detected_invariants(terms, labels, arguments, cyclic(terms, arguments)),
-        system=made.system, angles=tuple(motion.angles), points=polyline("points", motion.points, [q, p]),
-        strokes=motion.strokes, controls=motion.controls, limits=_limits(made),
+        system=made.system, **_parts(made, motion),
     )  # fmt: skip
 
 
-def _limits(made: _Drawing) -> dict[str, Any]:
-    """How far the motors that are controls may go."""
-    return {name: motor["limit"] for name, motor in made.tables("motors").items() if "limit" in motor}
+def _parts(made: _Drawing, motion: _Energies) -> dict[str, Any]:
+    """What a Model has of a drawing beside its equations, with or without loops."""
+    _, q, _, p = motion.symbols.arguments
+    limits = {name: motor["limit"] for name, motor in made.tables("motors").items() if "limit" in motor}
+    return {
+        "angles": tuple(motion.angles), "points": polyline("points", motion.points, [q, p]), "strokes": motion.strokes,
+        "controls": motion.controls, "limits": limits,
+    }  # fmt: skip
 
 
 def cyclic(terms: Terms, arguments: list[ca.SX]) -> list[bool]:
@@ -1132,7 +1136,7 @@ def cyclic(terms: Terms, arguments: list[ca.SX]) -> list[bool]:
     return [bool(steep <= 1e-13 * size) for steep in steepest]  # round-off
 
 
-def _terms(motion: _Dynamics, arguments: list[ca.SX]) -> Terms:
+def _terms(motion: _Energies, arguments: list[ca.SX]) -> Terms:
     """The Lagrangian's terms; a mass matrix that moves with time stays at t = 0, forces make up for the rest."""
     t, q, v, _ = arguments
     if not motion.prescribed or not ca.depends_on(ca.hessian(motion.kinetic, v)[0], t):
@@ -1150,7 +1154,7 @@ def _terms(motion: _Dynamics, arguments: list[ca.SX]) -> Terms:
     return replace(steady, forces=rest - there @ solve_positive_definite(mass, bias))
 
 
-def _check_weights(made: _Drawing, motion: _Dynamics, place: np.ndarray, weights: ca.Function) -> None:
+def _check_weights(made: _Drawing, motion: _Energies, place: np.ndarray, weights: ca.Function) -> None:
     """`InputError` naming joint and body where a coordinate moves no mass at the pose."""
     moved = weights(0.0, place, np.array(motion.symbols.parameter_values)).full().ravel()
     masses = [float(made.numbers.value(part.mass)) for part in made.masses]
@@ -1168,7 +1172,7 @@ def _check_weights(made: _Drawing, motion: _Dynamics, place: np.ndarray, weights
         raise InputError(f"joints.{joint}: coordinate {name} moves no mass: {why}")
 
 
-def _closed(made: _Drawing, motion: _Dynamics, baumgarte: Sequence[float] | None) -> Model:
+def _closed(made: _Drawing, motion: _Energies, baumgarte: Sequence[float] | None) -> Model:
     """The Model of a mechanism with loops, a native DAE."""
     symbols = motion.symbols
     t, q, v, p = symbols.arguments
@@ -1179,22 +1183,19 @@ def _closed(made: _Drawing, motion: _Dynamics, baumgarte: Sequence[float] | None
     _check_weights(made, motion, place, ca.Function("weights", [t, q, p], [weights]))
     phi, names = phi[kept], [names[k] for k in kept]
     matrix, bias = mass_matrix_and_bias(motion.kinetic, motion.potential, q, v, motion.acting)
-    jacobian = ca.jacobian(phi, q)
     if baumgarte is None:
         pace = _pace(ca.Function("free", symbols.arguments, [matrix, bias]), place, made.size, motion)
         baumgarte = (pace, pace)
     stabilisation = Baumgarte(*(_number("baumgarte", number) for number in baumgarte))
     return constrained_model(
-        LinearBalances(matrix, bias, jacobian.T, jacobian, -ca.jtimes(jacobian @ v, q, v)),
-        phi, Terms(motion.kinetic, motion.potential, forces=motion.passive, actuation=motion.drive), symbols,
-        stabilisation,
-        coordinate_names(motion.names, symbols), force_names=names, angles=tuple(motion.angles),
-        points=polyline("points", motion.points, [q, p]), strokes=motion.strokes, controls=motion.controls,
-        limits=_limits(made), system={**made.system, "baumgarte": [stabilisation.alpha, stabilisation.beta]},
+        LinearBalances.held(matrix, bias, phi, q, v), phi,
+        Terms(motion.kinetic, motion.potential, forces=motion.passive, actuation=motion.drive), symbols, stabilisation,
+        coordinate_names(motion.names, symbols), force_names=names, **_parts(made, motion),
+        system={**made.system, "baumgarte": [stabilisation.alpha, stabilisation.beta]},
     )  # fmt: skip
 
 
-def _pace(free: ca.Function, place: np.ndarray, size: float, motion: _Dynamics) -> float:
+def _pace(free: ca.Function, place: np.ndarray, size: float, motion: _Energies) -> float:
     """How fast the mechanism goes, in 1/s, a power of two: what stabilises its constraints."""
     values = np.array(motion.symbols.parameter_values)
     fastest = 0.0
@@ -1206,7 +1207,7 @@ def _pace(free: ca.Function, place: np.ndarray, size: float, motion: _Dynamics) 
     return float(2.0 ** np.round(np.log2(np.sqrt(fastest)))) if fastest > 0 else 1.0
 
 
-def _checked(made: _Drawing, motion: _Dynamics, phi: ca.SX, names: Sequence[str]) -> tuple[np.ndarray, list[int]]:
+def _checked(made: _Drawing, motion: _Energies, phi: ca.SX, names: Sequence[str]) -> tuple[np.ndarray, list[int]]:
     """An assembled configuration (n) near the pose, and the rows of phi(q, p) that are independent there."""
     n, q, p, given = len(motion.names), motion.symbols.coordinates, motion.symbols.arguments[3], made.tables("pose")
     if len(names) >= n and made.system.get("redundant") != "drop":  # Kutzbach's count
