@@ -3,8 +3,9 @@
 from orbitfinder._runtime.front import fronted
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
 from orbitfinder.mechanics.constrained import maximal_states, minimal_states
+from orbitfinder.mechanisms.closing import mechanism_state, minimal_mechanism
 from orbitfinder.mechanisms.linkage import assemble, joint_forces, linkage_rates, linkage_state, minimal_linkage
-from orbitfinder.mechanisms.mechanism import body_point, mechanism_state, minimal_mechanism
+from orbitfinder.mechanisms.mechanism import body_point
 from orbitfinder.orbits.guesses.modes import linkage_equilibrium, linkage_mode, linkage_modes
 from orbitfinder.orbits.guesses.returns import first_return
 

@@ -247,7 +247,7 @@ ITERATIONS = {
     "mechanics.newton": "the one: whole, chord and halved steps, closures, equilibria",
     "loops.continued": "families' corrector, with a border whose derivatives are measured on the way",
     "atlas.solver": "Levenberg and Marquardt's, asked at every evaluation whether a start is hopeless or creeps",
-    "mechanisms.mechanism": "the minimal form's steps: an expression graph, whose number of steps is fixed",
+    "mechanisms.closing": "the minimal form's steps: an expression graph, whose number of steps is fixed",
     "mechanisms.pose": "a hand pulls to the least distance, which is no zero",
     "structures.sections": "many states at once, each of which may fail alone",
     "orbits.product": "no Newton: directions of a periodic Schur form, block by block",

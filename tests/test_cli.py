@@ -451,7 +451,7 @@ def test_a_model_is_built_once_for_a_run(tmp_path, monkeypatch):
     from orbitfinder.mechanics import kind as catalogue
 
     built, build = [], catalogue.build_model
-    for place in ("orbitfinder.mechanisms.kinds", "orbitfinder.problemfile.read"):
+    for place in ("orbitfinder.mechanics.kind", "orbitfinder.problemfile.read"):
         monkeypatch.setattr(f"{place}.build_model", lambda *given: built.append(given) or build(*given))
     assert invoke("run", problem(tmp_path, PENDULUM), "--no-figures", "--out", tmp_path).exit_code == 0
     assert len(built) == 1

@@ -10,7 +10,7 @@ import pytest
 
 import orbitfinder as of
 from orbitfinder.errors import InputError
-from orbitfinder.mechanics.kind import KINDS, Kind, build_model, system_kind, with_parameters
+from orbitfinder.mechanics.kind import KINDS, SystemKind, build_model, system_kind, with_parameters
 
 GUESS = "[guess]\nstate = [0.3, 0.0]\nperiod = 3.0\n[find]\npin = { energy = 0.09 }\n"
 
@@ -40,7 +40,9 @@ def built(system: Mapping[str, Any], _: Path | None) -> of.Model:
 
 @pytest.fixture
 def known(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(KINDS, "spring", Kind(built, lambda system: "mass on a spring", takes=spring, reread=True))
+    monkeypatch.setitem(
+        KINDS, "spring", SystemKind(built, lambda system: "mass on a spring", takes=spring, reread=True)
+    )
 
 
 def test_a_kind_is_one_entry(known: None, tmp_path: Path) -> None:

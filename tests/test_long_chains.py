@@ -23,7 +23,7 @@ from orbitfinder.mechanisms.chain import chain
 from orbitfinder.mechanisms.chain_lagrange import chain_lagrange, is_long
 from orbitfinder.mechanisms.chain_march import ClosedChain
 from orbitfinder.mechanisms.long_chain import balanced, build_chain, find_long_chain, measured, shot, suits
-from orbitfinder.orbits.certify import certify
+from orbitfinder.orbits.certify import certified, certify
 from orbitfinder.orbits.evidence import gather
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.guesses import balance as harmonic_balance
@@ -207,7 +207,7 @@ def test_agrees_with_the_ordinary_search(links, amplitude):
     """Chains short enough for multiple shooting by IPOPT: the same orbit and the same multipliers."""
     problem = mode_problem(links, amplitude)
     assert not suits(problem)
-    ordinary, found = find_orbit(problem), find_long_chain(problem, SolveSettings())
+    ordinary, found = find_orbit(problem), certified(*find_long_chain(problem, SolveSettings(), None, 0.0))
     assert ordinary.certificate.passed and found.certificate.passed, found.certificate.failures
     assert found.period == pytest.approx(ordinary.period, abs=1e-10)
     assert np.abs(found.state - ordinary.state).max() <= 1e-10
@@ -221,7 +221,7 @@ def test_agrees_with_the_ordinary_search(links, amplitude):
 def test_evidence_agrees_with_hamiltons_equations(monkeypatch):
     """Closed form and generic Hamiltonian certificate say the same of one orbit of eight links."""
     problem = mode_problem(8, 0.5)
-    orbit = find_long_chain(problem, BARE)
+    orbit = find_long_chain(problem, BARE, None, 0.0)[0]
     turns = np.zeros(8, int)
     generic = gather(problem.model, orbit.state, orbit.period, turns)
     monkeypatch.setattr(chain_motion, "is_long", lambda _: True)

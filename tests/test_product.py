@@ -101,9 +101,9 @@ def records(tmp_path_factory):
 
 
 CUT = "cut where its own work begins"
-DEAR = ("families.folder.follow_family", "families.branches.switch_branch", "families.manifolds.manifold",
-        "families.connections.connect", "families.tori.follow_tori", "orbits.optima.follow_optima",
-        "orbits.section.section", "orbits.feedback.stabilise", "atlas.search.search", "orbits.sweep.sweep",
+DEAR = ("families.folder.follow_family", "families.branches.switch_branch", "structures.manifolds.manifold",
+        "structures.connections.connect", "structures.tori.follow_tori", "control.optima.follow_optima",
+        "structures.sections.section", "control.feedback.stabilise", "atlas.search.search", "orbits.sweep.sweep",
         "proof.theorem.prove", "proof.theorem.refine")  # fmt: skip
 COMMANDS = {
     "show": "show FILE", "verify": "verify FILE", "plot": "plot FILE -o OUT",

@@ -22,8 +22,6 @@ from orbitfinder.mechanics.constrained import Loops
 from orbitfinder.mechanics.kind import build_model, loops_of
 from orbitfinder.mechanics.model import Model, altered, constraint_of, energy, wrapped
 
-SAMPLES = 200
-
 
 def minimal_problem(problem: Problem) -> Problem:
     """The Problem of a linkage or mechanism with loops in minimal coordinates; any other Problem as it is.
@@ -46,7 +44,7 @@ def minimal_problem(problem: Problem) -> Problem:
     near = places[np.abs(wrapped(places[:, picked] - middle, native.angular[picked])).max(axis=1).argmin()]
     model = loops.minimal(native, picked, near)
     state = np.concatenate([state[:n][picked], state[n:][picked]])
-    pins = tuple(one for one in problem.pin if one.name in quantities(model))
+    pins = tuple(pin for pin in problem.pin if pin.name in quantities(model))
     if model.conservative:
         pins = pins or (Pin("energy", energy(model, state)),)
     turns = None if problem.winding is None else tuple(problem.turns[k] for k in picked)
@@ -59,11 +57,11 @@ def _best(native: Model, loops: Loops, state: np.ndarray, period: float) -> tupl
     n = native.degrees_of_freedom
     freedom = n - len(constraint_of(native).force_names)
     try:
-        places = simulate_dae(native, state, period, SAMPLES, SEGMENT_SETTINGS).states[:, :n]
+        places = simulate_dae(native, state, period, 200, SEGMENT_SETTINGS).states[:, :n]
         margins = loops.margins(native, places)
-        found = {chosen: float(margins(list(chosen)).min()) for chosen in combinations(loops.choice(native), freedom)}
-        chosen = max(found, key=lambda one: found[one])
-        if found[chosen] >= 1:
+        least = {chosen: float(margins(list(chosen)).min()) for chosen in combinations(loops.choice(native), freedom)}
+        chosen = max(least, key=lambda choice: least[choice])
+        if least[chosen] >= 1:
             return list(chosen), places
     except IntegrationError:  # singular where bars come into line
         pass
@@ -99,8 +97,8 @@ def _native(system: Mapping[str, Any], free: Mapping[str, float] | None) -> tupl
     loops = loops_of(system)
     if "independent" not in system:
         raise InputError("system: not a linkage in minimal coordinates; give the system of a linkage's family")
-    found = build_model({key: value for key, value in system.items() if key not in ("independent", "branch")})
-    names, values = found.parameter_names, dict(free or {})
-    numbers = [values.get(name, value) for name, value in zip(names, found.parameter_values, strict=True)]
-    native = altered(found, parameter_values=np.array(numbers, float))
-    return native, loops, loops.whole(native, system)
+    whole = build_model({key: value for key, value in system.items() if key not in ("independent", "branch")})
+    names, values = whole.parameter_names, dict(free or {})
+    numbers = [values.get(name, value) for name, value in zip(names, whole.parameter_values, strict=True)]
+    native = altered(whole, parameter_values=np.array(numbers, float))
+    return native, loops, loops.everywhere(native, system)

@@ -100,10 +100,9 @@ def constrained(
     _, q, v, p = symbols.arguments
     _check_expressions(kinetic, potential, constraint, forces, symbols)
     matrix, bias = mass_matrix_and_bias(kinetic, potential, q, v, forces)
-    jacobian = ca.jacobian(constraint, q)
     passive, drive = divided(forces, p, controls, symbols.parameter_names, symbols.parameter_values)
     return constrained_model(
-        LinearBalances(matrix, bias, jacobian.T, jacobian, -ca.jtimes(jacobian @ v, q, v)),
+        LinearBalances.held(matrix, bias, constraint, q, v),
         ca.SX(constraint),
         Terms(kinetic, potential, forces=passive, actuation=drive),
         symbols,
@@ -234,12 +233,18 @@ class Loops:
     """(model, places (k x n)) -> chosen -> how well (k) the others follow from them, below 1 at a dead point"""
     dead: Callable[[Model, np.ndarray, Sequence[int]], str]
     """(model, place (n), chosen) -> what does not say there how the others follow, in words"""
-    whole: Callable[[Model, Mapping[str, Any]], Any]
-    """(model, a minimal form's system) -> the function (u, udot) -> (q, v)"""
+    whole: Callable[[Model, Mapping[str, Any], ca.SX], ca.SX]
+    """(model, a minimal form's system, its coordinates u) -> all coordinates (n)"""
     minimal: Callable[[Model, Sequence[int], np.ndarray], Model] | None = None
     """(model, chosen, near) -> the minimal form, put together as near a place (n)"""
     check: Callable[[Model, np.ndarray], None] = lambda model, place: None
     """`InputError` where the motion from an equilibrium is not determined"""
+
+    def everywhere(self, model: Model, system: Mapping[str, Any]) -> ca.Function:
+        """(u, udot) -> all coordinates (n) and their rates, of the minimal form with this system."""
+        u, rate = (ca.SX.sym(name, len(system["independent"])) for name in ("u", "udot"))
+        q = self.whole(model, system, u)
+        return ca.Function("everywhere", [u, rate], [q, ca.jtimes(q, u, rate)])
 
 
 def by_place(known: Mapping[str, float], names: Sequence[str], what: str, where: str) -> dict[int, float]:
@@ -250,12 +255,6 @@ def by_place(known: Mapping[str, float], names: Sequence[str], what: str, where:
         if isinstance(value, bool | str) or not np.isfinite(value):
             raise InputError(f"{name}: must be finite, got {value!r}; give a number")
     return {list(names).index(name): float(value) for name, value in known.items()}
-
-
-def with_rates(u: ca.SX, q: ca.SX) -> ca.Function:
-    """(u, udot) -> all coordinates q(u) (n) and their rates."""
-    rate = ca.SX.sym("udot", u.numel())
-    return ca.Function("everywhere", [u, rate], [q, ca.jtimes(q, u, rate)])
 
 
 def maximal_states(model: Model, states: np.ndarray) -> np.ndarray:

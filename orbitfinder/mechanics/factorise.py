@@ -35,6 +35,12 @@ class LinearBalances:
             right=-rest[acceleration.numel() :],
         )
 
+    @classmethod
+    def held(cls, mass: ca.SX, bias: ca.SX, phi: ca.SX, q: ca.SX, v: ca.SX) -> LinearBalances:
+        """Of Lagrange's equations under phi(q) = 0: M a + h = J^T lambda and J a = -(d(J v)/dq) v."""
+        jacobian = ca.jacobian(phi, q)
+        return cls(mass, bias, jacobian.T, jacobian, -ca.jtimes(jacobian @ v, q, v))
+
     def matrix(self) -> ca.SX:
         """[[M, -F], [J, 0]] (n+m square), which multiplies (a, lambda)."""
         return ca.blockcat([[self.mass, -self.force], [self.jacobian, ca.SX(self.right.numel(), self.right.numel())]])

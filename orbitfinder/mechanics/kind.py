@@ -31,7 +31,7 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {}
 
 
 @dataclass(frozen=True)
-class Kind:
+class SystemKind:
     """What a kind of [system] says of itself: every question about kinds is answered by an entry of this table."""
 
     build: Callable[[Mapping[str, Any], Path | None], Model]
@@ -72,12 +72,12 @@ def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model
         raise InputError(f"system: {error}; compare with a freshly written orbit.json") from error
 
 
-def system_kind(system: Mapping[str, Any]) -> Kind:
+def system_kind(system: Mapping[str, Any]) -> SystemKind:
     """What a description's kind says of itself."""
     return kinds().get(str(system.get("kind")), OTHER)
 
 
-def kinds() -> Mapping[str, Kind]:
+def kinds() -> Mapping[str, SystemKind]:
     """Every kind by its name."""
     filled("kinds")
     return KINDS
@@ -141,8 +141,10 @@ def _controlled(model: Model, system: Mapping[str, Any]) -> Model:
     given = {name: system[name] for name in ("controls", "limits") if name in system}
     if not given:
         return model
-    found = with_controls(model, given.get("controls", model.controls), {**model.limits, **given.get("limits", {})})
-    return replace(found, system={**model.system, **given})
+    controlled = with_controls(
+        model, given.get("controls", model.controls), {**model.limits, **given.get("limits", {})}
+    )
+    return replace(controlled, system={**model.system, **given})
 
 
 def module_file(module: str, folder: Path) -> Path | None:
@@ -175,16 +177,16 @@ def _foreign(module: str, name: str, trusted: Path | None) -> Callable[..., Any]
         if (place := module_file(module, trusted)) is not None:
             spec = importlib.util.spec_from_file_location(f"orbitfinder_trusted_{module}", place)
             assert spec is not None and spec.loader is not None
-            found = importlib.util.module_from_spec(spec)
-            spec.loader.exec_module(found)
+            imported = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(imported)
         else:
-            found = importlib.import_module(module)
+            imported = importlib.import_module(module)
     except Exception as error:
         raise InputError(
             f"system.module: {module!r} cannot be imported ({type(error).__name__}: {error}); "
             f"work in the folder of {module}.py, or put it beside the file"
         ) from error
-    function = getattr(found, name, None)
+    function = getattr(imported, name, None)
     if not callable(function):
         raise InputError(f"system.function: {module} has no function {name!r}; define it there")
     return function  # type: ignore[no-any-return]
@@ -214,9 +216,9 @@ def _function(system: Mapping[str, Any]) -> str:
     return NAMES.get(name, name.replace("_", " "))
 
 
-KINDS = {"python": Kind(python_model, _function, described=False)}
+KINDS = {"python": SystemKind(python_model, _function, described=False)}
 """Every kind by its name; others may join (`kinds` has them all)"""
 CLOSING: dict[str, Loops] = {}
 """How loops are closed of what has no entry of its own: that of ''"""
-OTHER = Kind(_unknown, described=False)
+OTHER = SystemKind(_unknown, described=False)
 """Models that no file describes"""

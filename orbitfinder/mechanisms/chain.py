@@ -173,10 +173,10 @@ def chain_energies(symbols: ChainSymbols) -> tuple[ca.SX, ca.SX]:
 def chain_invariants(symbols: ChainSymbols, kinetic: ca.SX, potential: ca.SX) -> list[Invariant]:
     """Energy; without gravity also the angular momentum about the fixed joint, sum_i dT/dthetadot_i."""
     q, v, p = symbols.coordinates, symbols.velocities, symbols.parameters
-    found = [energy_invariant(kinetic, potential, q, v, p)]
+    invariants = [energy_invariant(kinetic, potential, q, v, p)]
     if symbols.parameter_values[-1] == 0.0:
         turn = ca.SX.ones(q.numel())
-        found.append(
+        invariants.append(
             Invariant(
                 "angular_momentum",
                 ca.Function("angular_momentum", [q, v, p], [ca.sum1(ca.gradient(kinetic, v))]),
@@ -184,7 +184,7 @@ def chain_invariants(symbols: ChainSymbols, kinetic: ca.SX, potential: ca.SX) ->
                 ca.Function("rotation", [q, v, p], [ca.vertcat(turn, ca.SX.zeros(q.numel()))]),
             )
         )
-    return found
+    return invariants
 
 
 def chain_model(symbols: ChainSymbols, system: dict[str, Any], acceleration: ca.Function) -> Model:

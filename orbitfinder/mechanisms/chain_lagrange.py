@@ -22,8 +22,6 @@ from orbitfinder.mechanics.model import Model
 
 AGREEMENT = 1e-10
 """The closed form must give the Model's energies to this, relative, at states it was not read from."""
-FEWEST_LINKS = 11
-"""Chains from this length on are long: Hamilton's equations as one graph take seconds to derive, later minutes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,13 +81,13 @@ class ChainLagrange:
     def variational(self, _: float, z: np.ndarray) -> np.ndarray:
         """z' for z = (x, vec Y), Y (2n x k) by columns: Y_q' = Y_v, M Y_v' = -(dr/dq Y_q + dr/dv Y_v)."""
         n = self.weights.size
-        found, rows = np.empty_like(z), z[2 * n :].reshape(-1, 2 * n)  # the rows are the columns of Y
+        rate, rows = np.empty_like(z), z[2 * n :].reshape(-1, 2 * n)  # the rows are the columns of Y
         factor, a, slopes = self._slopes(z[:n], z[n : 2 * n])
-        found[:n], found[n : 2 * n] = z[n : 2 * n], a
-        rates = found[2 * n :].reshape(-1, 2 * n)
+        rate[:n], rate[n : 2 * n] = z[n : 2 * n], a
+        rates = rate[2 * n :].reshape(-1, 2 * n)
         rates[:, :n] = rows[:, n:]
         np.negative(_backed(factor, (rows @ slopes.T).T).T, out=rates[:, n:])
-        return found
+        return rate
 
     def momentum_frame(self, x: np.ndarray) -> np.ndarray:
         """d(eta, pi)/d(q, v) (2n x 2n) at x, the canonical pair q = U eta, pi = U^T M v.
@@ -138,8 +136,8 @@ def _solved(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
     LAPACK without SciPy's checks, which at 100 links take as long as the solution.
     """
-    factor, found, info = dposv(matrix.T, right, lower=True, overwrite_a=True)
-    return factor, found if info == 0 else np.full_like(found, np.nan)
+    factor, solution, info = dposv(matrix.T, right, lower=True, overwrite_a=True)
+    return factor, solution if info == 0 else np.full_like(solution, np.nan)
 
 
 def _backed(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -148,9 +146,9 @@ def _backed(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def is_long(model: Model) -> bool:
-    """True for chains that are certified on these equations."""
+    """True for chains that are certified on these equations: Hamilton's as a graph take seconds to derive and more."""
     plain = model.forces is None and model.gyroscopic is None and not model.forced
-    return plain and system_kind(model.system).pendulum and model.degrees_of_freedom >= FEWEST_LINKS
+    return plain and system_kind(model.system).pendulum and model.degrees_of_freedom > 10
 
 
 def chain_lagrange(model: Model) -> ChainLagrange:
@@ -165,18 +163,18 @@ def chain_lagrange(model: Model) -> ChainLagrange:
     coupling = np.column_stack([momenta(np.zeros(n), column).full().ravel() for column in np.eye(n)])
     weights = forces(np.full(n, np.pi / 2)).full().ravel()
     squared, modes = eigh(np.diag(weights), coupling)
-    found = ChainLagrange((coupling + coupling.T) / 2, weights, modes, squared)
-    _check(found, model)
-    return found
+    closed_form = ChainLagrange((coupling + coupling.T) / 2, weights, modes, squared)
+    _check(closed_form, model)
+    return closed_form
 
 
-def _check(found: ChainLagrange, model: Model) -> None:
+def _check(closed_form: ChainLagrange, model: Model) -> None:
     """`InputError` unless the closed form gives the Model's energies at random states."""
-    n, values, random = found.weights.size, model.parameter_values, np.random.default_rng(0)
-    rest = float(model.potential(np.zeros(n), values)) + float(found.weights.sum())
+    n, values, random = closed_form.weights.size, model.parameter_values, np.random.default_rng(0)
+    rest = float(model.potential(np.zeros(n), values)) + float(closed_form.weights.sum())
     for x in random.normal(0.0, 1.0, (3, 2 * n)):
-        kinetic, potential = (float(part[0]) for part in found.energies(x))
+        kinetic, potential = (float(part[0]) for part in closed_form.energies(x))
         wanted = float(model.kinetic(x[:n], x[n:], values)), float(model.potential(x[:n], values))
-        far, size = abs(potential + rest - wanted[1]), float(np.abs(found.weights).sum())
+        far, size = abs(potential + rest - wanted[1]), float(np.abs(closed_form.weights).sum())
         if not (abs(kinetic - wanted[0]) < AGREEMENT * abs(wanted[0]) and far <= AGREEMENT * size):
             raise InputError("system: the energies are not those of an open planar chain in absolute angles")

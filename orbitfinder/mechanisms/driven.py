@@ -61,7 +61,7 @@ def driven_compass(
     """The compass gait with a motor at its hip (`hip`, N m, turns the swing leg against the stance leg) and one at the
     stance ankle (`ankle`, against the ground), on level ground unless there is a slope (rad); see `compass_gait`.
     """
-    return compass("driven_compass", slope, a, b, mass, hip_mass, gravity, ("hip", "ankle"))
+    return compass("driven_compass", locals(), ("hip", "ankle"))
 
 
 def driven_hopper(
@@ -75,6 +75,7 @@ def driven_hopper(
 
 
 DRIVEN: dict[str, Callable[..., Model]] = {
-    one.__name__: one for one in (driven_cart_pole, driven_compass, driven_hopper, driven_oscillator, driven_swing)
+    function.__name__: function
+    for function in (driven_cart_pole, driven_compass, driven_hopper, driven_oscillator, driven_swing)
 }
 """By name: what problem files may call"""

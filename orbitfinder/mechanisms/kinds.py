@@ -7,15 +7,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from orbitfinder.mechanics.kind import CLOSING, FUNCTIONS, KINDS, Kind
+from orbitfinder.mechanics.kind import CLOSING, FUNCTIONS, KINDS, SystemKind
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanisms import library
 from orbitfinder.mechanisms.chain import chain, chain_dae
 from orbitfinder.mechanisms.chain_motion import motion_of
+from orbitfinder.mechanisms.closing import JOINED, minimal_mechanism
 from orbitfinder.mechanisms.driven import DRIVEN
 from orbitfinder.mechanisms.linkage import LOOPS, linkage, minimal_linkage
 from orbitfinder.mechanisms.machines import MACHINES
-from orbitfinder.mechanisms.mechanism import JOINED, mechanism, minimal_mechanism
+from orbitfinder.mechanisms.mechanism import mechanism
 
 
 def _built(builder: Callable[..., Model], system: Mapping[str, Any], *without: str) -> Model:
@@ -37,20 +38,17 @@ def _mechanism(system: Mapping[str, Any], _: Path | None) -> Model:
     return minimal_mechanism(model, system["independent"]) if "independent" in system else model
 
 
-COUNTS = ("", "single", "double", "triple", "quadruple", "quintuple", "sextuple")
-BARS = {3: "three-bar", 4: "four-bar", 5: "five-bar", 6: "six-bar", 7: "seven-bar", 8: "eight-bar"}
-
-
 def _pendulum(system: Mapping[str, Any]) -> str:
-    links = system.get("links")
-    known = isinstance(links, int) and 1 <= links < len(COUNTS)
-    return f"{COUNTS[links] if known else f'{links}-link'} pendulum"  # type: ignore[index]
+    links = str(system.get("links"))
+    words = {"1": "single", "2": "double", "3": "triple", "4": "quadruple", "5": "quintuple", "6": "sextuple"}
+    return f"{words.get(links, f'{links}-link')} pendulum"
 
 
 def _bars(system: Mapping[str, Any]) -> str:
     lengths = system.get("length")
     bars = len(lengths) + 1 if isinstance(lengths, list) else 0
-    return f"{BARS.get(bars, f'{bars}-bar')} linkage"
+    words = {3: "three-bar", 4: "four-bar", 5: "five-bar", 6: "six-bar", 7: "seven-bar", 8: "eight-bar"}
+    return f"{words.get(bars, f'{bars}-bar')} linkage"
 
 
 def _drawn(system: Mapping[str, Any]) -> str:
@@ -58,14 +56,14 @@ def _drawn(system: Mapping[str, Any]) -> str:
 
 
 KINDS.update(
-    chain=Kind(
+    chain=SystemKind(
         _chain, _pendulum, takes=chain, reread=True, pendulum=True, joints=lambda system: int(system["links"]),
         motion=motion_of,
     ),
-    linkage=Kind(
+    linkage=SystemKind(
         _linkage, _bars, takes=linkage, reread=True, joints=lambda system: len(system["length"]) + 1, loops=LOOPS
     ),
-    mechanism=Kind(_mechanism, _drawn, takes=mechanism, drawn=True, loops=JOINED),
+    mechanism=SystemKind(_mechanism, _drawn, takes=mechanism, drawn=True, loops=JOINED),
 )  # fmt: skip
 CLOSING[""] = replace(JOINED, minimal=None)  # other constraints have no minimal form
 FUNCTIONS.update(library.FUNCTIONS | MACHINES | DRIVEN)

@@ -15,10 +15,9 @@ from scipy.optimize import brentq
 
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.first_order import Named, hamiltonian, ode
+from orbitfinder.mechanics.kind import BUILT_IN
 from orbitfinder.mechanics.lagrange import Symbols, energy_invariant, lagrange
 from orbitfinder.mechanics.model import Invariant, Model, altered
-
-BUILT_IN = "orbitfinder.systems"
 
 
 @dataclass(frozen=True)
@@ -227,9 +226,6 @@ def _rod(made: Ingredients) -> ca.SX:
     return made["length"] * ca.horzcat(ca.SX.zeros(2), ca.vertcat(ca.cos(made.q), ca.sin(made.q)))
 
 
-MOST_CARTS = 200
-
-
 def spring_pendulum(length: float = 1.0, mass: float = 1.0, stiffness: float = 29.4, gravity: float = 9.8) -> Model:
     """The swinging spring: a mass on a massless spring of natural length `length` (m) in a vertical plane.
 
@@ -291,16 +287,16 @@ def turning_three_bodies(mass1: float = 1.0, mass2: float = 1.0, mass3: float = 
     """
     made = ingredients(4, locals(), tuple(locals()))
     (r, phi, u, w), v = ca.vertsplit(made.q), made.v
-    one, two, three = (made[f"mass{k}"] for k in (1, 2, 3))
-    pair = one + two
-    first, second = -two / pair * r, one / pair * r
-    kinetic = one * two / pair * (v[0] ** 2 + (r * v[1]) ** 2) / 2
-    kinetic += three * pair / (pair + three) * ((v[2] - v[1] * w) ** 2 + (v[3] + v[1] * u) ** 2) / 2
+    m1, m2, m3 = (made[f"mass{k}"] for k in (1, 2, 3))
+    pair = m1 + m2
+    first, second = -m2 / pair * r, m1 / pair * r
+    kinetic = m1 * m2 / pair * (v[0] ** 2 + (r * v[1]) ** 2) / 2
+    kinetic += m3 * pair / (pair + m3) * ((v[2] - v[1] * w) ** 2 + (v[3] + v[1] * u) ** 2) / 2
     near, far = (ca.sqrt((u - place) ** 2 + w**2) for place in (first, second))
     turn = ca.vertcat(ca.horzcat(ca.cos(phi), -ca.sin(phi)), ca.horzcat(ca.sin(phi), ca.cos(phi)))
     places = turn @ ca.horzcat(ca.vertcat(first, 0), ca.vertcat(second, 0), ca.vertcat(u, w))
-    places -= ca.repmat(places @ ca.vertcat(one, two, three) / (pair + three), 1, 3)
-    pull = one * two / r + one * three / near + two * three / far
+    places -= ca.repmat(places @ ca.vertcat(m1, m2, m3) / (pair + m3), 1, 3)
+    pull = m1 * m2 / r + m1 * m3 / near + m2 * m3 / far
     return made.model(
         "turning_three_bodies", kinetic, -made["gravitation"] * pull,
         names=["r", "phi", "u", "w"], angles=[False, True, False, False], points=places, centres=places,
@@ -339,7 +335,7 @@ def cart_chain(
     Each spring has energy stiffness s^2 / 2 + quadratic s^3 / 3 + cubic s^4 / 4 in its stretch s:
     with `cubic` the beta-chain of E. Fermi, J. Pasta, S. Ulam, Los Alamos report LA-1940 (1955).
     """
-    count = whole_number("carts", carts, MOST_CARTS)
+    count = whole_number("carts", carts, 200)
     made = ingredients(
         count, {"mass": mass, "stiffness": stiffness, "cubic": cubic, "quadratic": quadratic}, ("mass", "stiffness")
     )
@@ -404,14 +400,14 @@ def _bodies_and_libration_points(ratio: float) -> dict[str, tuple[float, float]]
         return {}
 
     def pull(x: float) -> float:
-        one, other = x + ratio, x - 1 + ratio
-        return x - (1 - ratio) * one / abs(one) ** 3 - ratio * other / abs(other) ** 3
+        first, other = x + ratio, x - 1 + ratio
+        return x - (1 - ratio) * first / abs(first) ** 3 - ratio * other / abs(other) ** 3
 
     ends = ((heavy[0], near[0]), (near[0], 3.0), (-3.0, heavy[0]))
     collinear = [brentq(pull, low + 1e-9, high - 1e-9, xtol=1e-16, rtol=1e-15) for low, high in ends]
-    found = {f"L{k}": (float(x), 0.0) for k, x in enumerate(collinear, 1)}
-    found |= {f"L{k}": (0.5 - ratio, sign * 0.75**0.5) for k, sign in ((4, 1), (5, -1))}
-    return {"primary": heavy, "secondary": near, **found}
+    libration = {f"L{k}": (float(x), 0.0) for k, x in enumerate(collinear, 1)}
+    libration |= {f"L{k}": (0.5 - ratio, sign * 0.75**0.5) for k, sign in ((4, 1), (5, -1))}
+    return {"primary": heavy, "secondary": near, **libration}
 
 
 def three_bodies(mass1: float = 1.0, mass2: float = 1.0, mass3: float = 1.0) -> Model:
@@ -428,7 +424,7 @@ def three_bodies(mass1: float = 1.0, mass2: float = 1.0, mass3: float = 1.0) -> 
     gaps = r, far - first / pair * r, far + second / pair * r
     products = first * second, second * third, first * third
     potential = -sum(product / ca.norm_2(gap) for product, gap in zip(products, gaps, strict=True))
-    turned, turning = (ca.vertcat(-one[1], one[0], -one[3], one[2]) for one in (q, v))
+    turned, turning = (ca.vertcat(-x[1], x[0], -x[3], x[2]) for x in (q, v))
     arguments = [q, v, made.parameters]
     momentum = Invariant(
         "angular_momentum",

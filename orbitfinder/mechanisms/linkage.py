@@ -16,21 +16,13 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import InputError
-from orbitfinder.mechanics.constrained import RANK_TOLERANCE, Loops, by_place, maximal_states, with_rates
+from orbitfinder.mechanics.constrained import RANK_TOLERANCE, Loops, by_place, maximal_states
 from orbitfinder.mechanics.controls import Limits
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import Baumgarte, Model, check_state, constraint_of
 from orbitfinder.mechanics.newton import Settings, closed
 from orbitfinder.mechanisms.chain import ChainSymbols, Numbers, baumgarte_of, chain_symbols, chain_system, maximal_chain
 
-LEAST_SINE = 0.05
-"""|sin| of the angle between the two dependent bars below which they count as being in line."""
-STARTS = 24
-"""Assemblies, drawn with a fixed seed, from which the lowest equilibrium is looked for."""
-SPREAD = 1.0
-"""rad, of the bars of a linkage that is put together somewhere: from this to its negative"""
-DEFAULT_BAUMGARTE = Baumgarte(10.0, 10.0)
-"""1/s; phi decays within a few tenths of a second, much faster than a linkage of metres moves"""
 CLOSING = Settings(floor=1e-13, round_off=1e-13, converged=1e-13, longest=0.5)
 """How an assembly is closed: gaps over the perimeter, steps in rad"""
 REACH_TOLERANCE = 1e-12
@@ -100,7 +92,8 @@ def linkage(
     )
     for absent in ("links", "formulation"):
         del system[absent]
-    stabilisation = baumgarte_of(baumgarte, DEFAULT_BAUMGARTE)
+    # phi decays within a few tenths of a second, much faster than a linkage of metres moves
+    stabilisation = baumgarte_of(baumgarte, Baumgarte(10.0, 10.0))
     system |= {
         "kind": "linkage",
         "ground": [float(value) for value in pivot],
@@ -139,8 +132,8 @@ def check_closable(lengths: np.ndarray, ground: np.ndarray) -> None:
 def dimensions(model: Model, parameters: Any = None) -> tuple[Any, Any]:
     """Bar lengths (n) and ground pivot (2) of a linkage, in m, among its values or other `parameters` (symbols)."""
     if "ground" not in model.system:
-        kind = model.system.get("kind")
-        raise InputError(f"model: expected a linkage, got kind {kind!r}; build it with linkage(...)")
+        given = model.system.get("kind")
+        raise InputError(f"model: expected a linkage, got kind {given!r}; build it with linkage(...)")
     lengths = [model.parameter_index(f"length{i + 1}") for i in range(len(model.system["length"]))]
     ground = [model.parameter_index(name) for name in ("ground1", "ground2")]
     p = model.parameter_values if parameters is None else parameters
@@ -252,22 +245,22 @@ def _put_together(
 ) -> np.ndarray:
     """The state (6n) at some angles (see `assemble`) and rates (see `linkage_rates`; at rest without)."""
     if known is None and near is None:
-        near = np.linspace(SPREAD, -SPREAD, dimensions(model)[0].size)
+        near = np.linspace(1.0, -1.0, dimensions(model)[0].size)
     theta = assemble(model, known or {}, branch, near)
     return linkage_state(model, theta, linkage_rates(model, theta, rates) if rates else None)
 
 
 def _assemblies(model: Model, near: Sequence[float] | None) -> list[np.ndarray]:
-    """Angles (n each) as given, or of many assemblies."""
+    """Angles (n each) as given, or of assemblies drawn with a fixed seed, the lowest equilibrium's neighbours."""
     if near is not None:
         return [np.asarray(near, float)]
     lengths, ground = dimensions(model)
-    random, found = np.random.default_rng(0), []
-    for _ in range(STARTS):
+    random, assembled = np.random.default_rng(0), []
+    for _ in range(24):
         start = np.arctan2(ground[1], ground[0]) + random.uniform(-np.pi, np.pi, lengths.size)
         with suppress(InputError):
-            found.append(assemble(model, {}, guess=start))
-    return found
+            assembled.append(assemble(model, {}, guess=start))
+    return assembled
 
 
 def _dyad(model: Model, fixed: Mapping[int, float], branch: int | None, guess: np.ndarray | None) -> np.ndarray:
@@ -278,8 +271,8 @@ def _dyad(model: Model, fixed: Mapping[int, float], branch: int | None, guess: n
     _check_reach(lengths, fixed, (i, j), float(np.hypot(*gap)))
     known, bars, solutions = ca.SX(list(fixed.values())), [k + 1 for k in fixed], {}
     for sign in (1, -1):
-        found = _bar_angles(model, known, ca.SX(model.parameter_values), bars, sign)
-        solution = ca.evalf(found).full().ravel()
+        angles = _bar_angles(model, known, ca.SX(model.parameter_values), bars, sign)
+        solution = ca.evalf(angles).full().ravel()
         solutions[sign] = solution if guess is None else _wound(solution, guess, (i, j))
     if branch is not None or guess is None:
         return solutions[branch or 1]
@@ -322,13 +315,13 @@ def _nearest(lengths: np.ndarray, ground: np.ndarray, fixed: Mapping[int, float]
         slopes = closure_jacobian(lengths, theta)  # each bar a quarter turn ahead
         return slopes[::-1].sum(axis=1) * (1.0, -1.0) - ground, slopes
 
-    found = closed(phi, theta, loose, size=float(lengths.sum()), settings=CLOSING)
-    if found.converged:
-        return found.w
+    solution = closed(phi, theta, loose, size=float(lengths.sum()), settings=CLOSING)
+    if solution.converged:
+        return solution.w
     raise InputError(
         f"linkage: cannot be assembled near guess = {np.array2string(guess, precision=6)}: a gap of "
-        f"{float(np.hypot(*phi(found.w)[0])):.3g} m is left after {CLOSING.most_evaluations} Gauss-Newton steps; give "
-        "another guess or fewer fixed angles"
+        f"{float(np.hypot(*phi(solution.w)[0])):.3g} m is left after {CLOSING.most_evaluations} Gauss-Newton steps; "
+        "give another guess or fewer fixed angles"
     )
 
 
@@ -399,12 +392,12 @@ def _triangle(gap: ca.SX, first: ca.SX, second: ca.SX, branch: int) -> tuple[ca.
     return angle, ca.atan2(elbow[1], elbow[0])
 
 
-def _in_all(model: Model, system: Mapping[str, Any]) -> ca.Function:
-    """(u, udot) -> the native coordinates (3n) and their rates, of the minimal form with this system."""
-    u, p = ca.SX.sym("u", len(system["independent"])), ca.SX(model.parameter_values)
-    theta, lift = _bar_angles(model, u, p, system["independent"], system["branch"]), constraint_of(model).lift
+def _in_all(model: Model, system: Mapping[str, Any], u: ca.SX) -> ca.SX:
+    """The native coordinates (3n) of the minimal form with this system."""
+    p, lift = ca.SX(model.parameter_values), constraint_of(model).lift
+    theta = _bar_angles(model, u, p, system["independent"], system["branch"])
     assert lift is not None
-    return with_rates(u, lift(theta, 0 * theta, p)[: model.degrees_of_freedom])
+    return lift(theta, 0 * theta, p)[: model.degrees_of_freedom]
 
 
 def _dependent(model: Model, chosen: Sequence[int]) -> tuple[int, int]:
@@ -418,12 +411,12 @@ def _angles(model: Model) -> range:
 
 
 def _margins(model: Model, places: np.ndarray) -> Callable[[Sequence[int]], np.ndarray]:
-    """How far two bars are from being in line."""
+    """How far two bars are from being in line, as which they count where |sin| of their angle is below 0.05."""
 
     def margins(chosen: Sequence[int]) -> np.ndarray:
         i, j = _dependent(model, chosen)
         sine = np.sin(places[:, 3 * j + 2] - places[:, 3 * i + 2])
-        return np.asarray(sine * np.sign(sine[:1]) / LEAST_SINE)
+        return np.asarray(sine * np.sign(sine[:1]) / 0.05)
 
     return margins
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -27,6 +27,14 @@ def _swinging(made: Ingredients, name: str, rates: ca.SX, names: list[str], poin
     return made.model(
         name, ca.sumsqr(made.v) / 2, ca.SX(0), forces=rates, names=names, angles=[True] * len(names), points=points
     )
+
+
+def _machine(
+    modes: Sequence[Mode], transitions: Sequence[Transition], ground: Expression, conserved: Sequence[str] = ()
+) -> Model:
+    """A machine that goes through its transitions one after the other, on its ground."""
+    cycle, system = [transition.name for transition in transitions], modes[0].model.system
+    return hybrid(modes, transitions, cycle, conserved=conserved, system=system, ground=ground)
 
 
 def _along(angle: Any) -> ca.SX:
@@ -80,7 +88,7 @@ def simplest_walker(slope: float = 0.009) -> Model:
         advance=lambda x, p: _downwards(-2 * ca.sin(x.theta) * _downhill(p)),
     )  # fmt: skip
     push = {"stance force": lambda x, p: ca.cos(x.theta - p.slope) - x.thetadot**2}
-    return hybrid([Mode("stance", model, push)], [strikes], ["strike"], system=model.system, ground=_slope)
+    return _machine([Mode("stance", model, push)], [strikes], _slope)
 
 
 class _Legs:
@@ -155,7 +163,7 @@ def _struck(lifted: Model, foot: ca.Function, *held: str) -> tuple[Impact, Calla
 
     def contact(x: Named, p: Named) -> list[Any]:
         place = foot(ca.vertcat(*x[:count]), ca.vertcat(*p))
-        return [ca.dot(_normal(p), place), ca.dot(_downhill(p), place), *(x[held[0]] - x[one] for one in held[1:])]
+        return [ca.dot(_normal(p), place), ca.dot(_downhill(p), place), *(x[held[0]] - x[name] for name in held[1:])]
 
     def whole(x: Named) -> Named:
         return Named.of(lifted.state_names, ca.vertcat(0, 0, *x[: count - 2], 0, 0, *x[count - 2 :]))
@@ -177,19 +185,14 @@ def compass_gait(
     stance + swing = -2 slope, and the legs change their names.
     Source: A. Goswami, B. Thuilot, B. Espiau, INRIA research report 2996 (1996).
     """
-    return compass("compass_gait", slope, a, b, mass, hip_mass, gravity)
+    return compass("compass_gait", locals())
 
 
-def compass(
-    function: str, slope: float, a: float, b: float, mass: float, hip_mass: float, gravity: float,
-    controls: tuple[str, ...] = (),
-) -> Model:  # fmt: skip
-    """The compass gait of a function's name, of which `controls` are the torques of hip and ankle."""
-    if not hip_mass >= 0:
-        raise InputError(f"system.arguments.hip_mass: must not be negative, got {hip_mass!r}; check the value")
-    numbers = {"a": a, "b": b, "mass": mass, "gravity": gravity, "slope": slope, "hip_mass": hip_mass}
+def compass(function: str, given: Mapping[str, float], controls: tuple[str, ...] = ()) -> Model:
+    """The compass gait of a function's name and arguments, of which `controls` are the torques of hip and ankle."""
+    _check_weightless(given, "hip_mass")
     positive = ("a", "b", "mass", "gravity")
-    fixed, floating = (_Compass(ingredients(count, numbers, positive, controls), function) for count in (2, 4))
+    fixed, floating = (_Compass(ingredients(count, given, positive, controls), function) for count in (2, 4))
     torques: dict[str, Any] = {"controls": controls}
     if controls:
         hip, ankle = (fixed.made[name] for name in controls)
@@ -201,8 +204,8 @@ def compass(
     struck, whole = _struck(lifted, floating.swing_foot())
 
     def after(x: Named, p: Named) -> Any:
-        found = struck.after(whole(x), p)
-        return ca.vertcat(found[3], found[2], found[7], found[6])
+        state = struck.after(whole(x), p)
+        return ca.vertcat(state[3], state[2], state[7], state[6])
 
     strikes = Transition(
         "strike", "step", "step", guard=lambda x, p: x.stance + x.swing + 2 * p.slope, reset=after,
@@ -211,7 +214,7 @@ def compass(
         advance=lambda x, p: _downwards(foot(ca.vertcat(*x[:2]), ca.vertcat(*p))),
     )  # fmt: skip
     force = {"ground force": lambda x, p: ca.dot(_normal(p), ground(ca.vertcat(*x), ca.vertcat(*p)))}
-    return hybrid([Mode("step", model, force)], [strikes], ["strike"], system=model.system, ground=_slope)
+    return _machine([Mode("step", model, force)], [strikes], _slope)
 
 
 def kneed_walker(
@@ -232,8 +235,7 @@ def kneed_walker(
     the strike, after which the legs change their names and the knee behind is free.
     Source: V. F. Hsu Chen, Passive dynamic walking with knees: a point foot model, MIT (2007).
     """
-    numbers = {"a1": a1, "b1": b1, "a2": a2, "b2": b2, "thigh_mass": thigh_mass, "shank_mass": shank_mass}
-    return _on_knees("kneed_walker", numbers | {"hip_mass": hip_mass, "gravity": gravity}, {"slope": slope})
+    return _on_knees("kneed_walker", locals())
 
 
 def five_link_walker(
@@ -255,16 +257,20 @@ def five_link_walker(
     Source: M. Wisse, D. Hobbelen, A. Schwab, "Adding an upper body to passive dynamic walking robots by means of a
     bisecting hip mechanism", IEEE Transactions on Robotics 23 (2007) 112-123.
     """
-    numbers = {"torso": torso, "a1": a1, "b1": b1, "a2": a2, "b2": b2, "thigh_mass": thigh_mass}
-    positive = numbers | {"shank_mass": shank_mass, "hip_mass": hip_mass, "gravity": gravity}
-    if not torso_mass >= 0:
-        raise InputError(f"system.arguments.torso_mass: must not be negative, got {torso_mass!r}; check the value")
-    return _on_knees("five_link_walker", positive, {"slope": slope, "torso_mass": torso_mass})
+    _check_weightless(locals(), "torso_mass")
+    return _on_knees("five_link_walker", locals())
 
 
-def _on_knees(function: str, positive: dict[str, float], signed: dict[str, float]) -> Model:
-    """A walker whose swing leg has a knee that locks."""
-    fixed, floating = (_Kneed(function, ingredients(count, positive | signed, tuple(positive))) for count in (3, 5))
+def _check_weightless(given: Mapping[str, float], name: str) -> None:
+    """`InputError` for a mass below 0."""
+    if not given[name] >= 0:
+        raise InputError(f"system.arguments.{name}: must not be negative, got {given[name]!r}; check the value")
+
+
+def _on_knees(function: str, given: Mapping[str, float]) -> Model:
+    """A walker whose swing leg has a knee that locks, of a function's name and arguments."""
+    positive = [name for name in given if name not in ("slope", "torso_mass")]
+    fixed, floating = (_Kneed(function, ingredients(count, given, positive)) for count in (3, 5))
     names = ["stance", "thigh", "shank"]
     drawn = {"names": names, "angles": [True] * 3, "points": ca.horzcat(*map(_downwards, fixed.corners))}
     free = fixed.model(**drawn)
@@ -277,8 +283,8 @@ def _on_knees(function: str, positive: dict[str, float], signed: dict[str, float
         return ca.dot(_normal(p), foot(ca.vertcat(*x[:3]), ca.vertcat(*p)))
 
     def after(x: Named, p: Named) -> Any:
-        found = struck.after(whole(x), p)
-        return ca.vertcat(found[3], found[2], found[2], found[8], found[7], found[7])
+        state = struck.after(whole(x), p)
+        return ca.vertcat(state[3], state[2], state[2], state[8], state[7], state[7])
 
     transitions = [
         Transition(
@@ -300,7 +306,7 @@ def _on_knees(function: str, positive: dict[str, float], signed: dict[str, float
         Mode("free", free, pushing(free) | {"knee": lambda x, p: x.thigh - x.shank}),
         Mode("locked", locked, pushing(locked) | {"foot": height}),
     ]
-    return hybrid(modes, transitions, ["knee", "strike"], system=free.system, ground=_slope)
+    return _machine(modes, transitions, _slope)
 
 
 def _locking(free: Model, made: Ingredients) -> ca.SX:
@@ -339,7 +345,7 @@ def rimless_wheel(spokes: int = 8, slope: float = 0.08, length: float = 1.0, gra
     arm, half = made["length"], np.pi / count
     ends = [ca.vertcat(arm * ca.cos(made.q + 2 * half * k), -arm * ca.sin(made.q + 2 * half * k)) for k in range(count)]
     hub = ca.vertcat(-arm * ca.cos(made.q), arm * ca.sin(made.q))
-    rays = [hub + change * one for one in ends for change in (1, 0)]
+    rays = [hub + change * end for end in ends for change in (1, 0)]
     model = made.model(
         "rimless_wheel", (arm * made.v) ** 2 / 2, made["gravity"] * arm * ca.cos(made.q), names=["theta"],
         angles=[True], points=ca.horzcat(ca.SX.zeros(2), hub, *rays), fixed={"spokes": spokes},
@@ -352,7 +358,7 @@ def rimless_wheel(spokes: int = 8, slope: float = 0.08, length: float = 1.0, gra
         advance=lambda x, p: _downwards(2 * p.length * np.sin(half) * _downhill(p)),
     )  # fmt: skip
     force = {"spoke force": lambda x, p: p.gravity * ca.cos(x.theta) - p.length * x.thetadot**2}
-    return hybrid([Mode("spoke", model, force)], [strikes], ["strike"], system=model.system, ground=_slope)
+    return _machine([Mode("spoke", model, force)], [strikes], _slope)
 
 
 def slip_runner(
@@ -399,10 +405,8 @@ def slip_runner(
         ),
     ]
     holds = {"height": lambda x, p: x.y}
-    return hybrid(
-        [Mode("flight", flight, holds), Mode("stance", stance, holds)], transitions,
-        ["touchdown", "liftoff", "apex"], conserved=["energy"], system=flight.system, ground=level_ground,
-    )  # fmt: skip
+    modes = [Mode("flight", flight, holds), Mode("stance", stance, holds)]
+    return _machine(modes, transitions, level_ground, ["energy"])
 
 
 def slip_walker(
@@ -442,7 +446,7 @@ def slip_walker(
         )  # fmt: skip
         pairs = zip(("leg", "leg behind"), range(1 + double), strict=False)
         return Mode(name, model, {
-            f"{one} pushes": lambda x, p, k=k: p.length - ca.norm_2(legs(x, double)[k]) for one, k in pairs
+            f"{leg} pushes": lambda x, p, k=k: p.length - ca.norm_2(legs(x, double)[k]) for leg, k in pairs
         })  # fmt: skip
 
     def landed(x: Named, p: Named) -> Any:
@@ -459,10 +463,7 @@ def slip_walker(
             "liftoff", "double", "single", guard=lambda x, p: ca.norm_2(legs(x, True)[1]) - p.length, direction=1
         ),
     ]  # fmt: skip
-    cycle = ["touchdown", "liftoff"]
-    return hybrid(
-        [single, double], transitions, cycle, conserved=["energy"], system=single.model.system, ground=level_ground
-    )
+    return _machine([single, double], transitions, level_ground, ["energy"])
 
 
 def vertical_hopper(mass: float = 1.0, stiffness: float = 100.0, gravity: float = 9.81) -> Model:
@@ -487,8 +488,7 @@ def hopper(function: str, made: Ingredients, forces: ca.SX | None = None, **part
         Transition("touchdown", "flight", "ground", guard=lambda x, p: x.y),
     ]
     modes = [Mode("ground", ground), Mode("flight", flight, {"height": lambda x, p: x.y})]
-    return hybrid(modes, transitions, ["liftoff", "touchdown"], conserved=["energy"] if forces is None else (),
-                  system=flight.system, ground=level_ground)  # fmt: skip
+    return _machine(modes, transitions, level_ground, ["energy"] if forces is None else ())
 
 
 def rocking_block(angle: float = 0.3, stiffness: float = 0.75) -> Model:
@@ -510,8 +510,7 @@ def rocking_block(angle: float = 0.3, stiffness: float = 0.75) -> Model:
         "bounce", "rocking", "rocking", guard=lambda x, p: x.phi, reset=lambda x, p: changed(x, phidot=-x.phidot)
     )
     holds = {"gap": lambda x, p: x.phi}
-    parts = [Mode("rocking", model, holds)], [bounce], ["bounce"]
-    return hybrid(*parts, conserved=["energy"], system=model.system, ground=level_ground)
+    return _machine([Mode("rocking", model, holds)], [bounce], level_ground, ["energy"])
 
 
 def gravity_wedge(angle: float = 0.6, gravity: float = 1.0) -> Model:
@@ -545,8 +544,7 @@ def gravity_wedge(angle: float = 0.6, gravity: float = 1.0) -> Model:
         return ca.horzcat(ca.vertcat(-REACH, -across), ca.SX.zeros(2), ca.vertcat(-REACH, across))
 
     holds = {f"distance from the {name} wall": gap for name, (gap, _) in sides.items()}
-    parts = [Mode("air", model, holds)], bounces, ["right", "left"]
-    return hybrid(*parts, conserved=["energy"], system=model.system, ground=walls)
+    return _machine([Mode("air", model, holds)], bounces, walls, ["energy"])
 
 
 def wall_pendulum(
@@ -583,8 +581,7 @@ def wall_pendulum(
         "hit", "free", "free", guard=struck.gap, reset=struck.after, impulse=struck.impulse, lost=struck.lost
     )
     holds = {"gap": gap, "gap of the elbow": elbow}
-    parts = [Mode("free", model, holds)], [hit], ["hit"]
-    return hybrid(*parts, conserved=["energy"], system=model.system, ground=_wall("wall"))
+    return _machine([Mode("free", model, holds)], [hit], _wall("wall"), ["energy"])
 
 
 def bouncing_ball(
@@ -614,7 +611,7 @@ def bouncing_ball(
     def surface(x: Named, p: Named) -> Any:
         return ca.vertcat(ca.horzcat(-table(x, p), -table(x, p)), ca.SX([[-REACH, REACH]]))
 
-    return hybrid([Mode("air", model, holds)], [bounce], ["bounce"], system=model.system, ground=surface)
+    return _machine([Mode("air", model, holds)], [bounce], surface)
 
 
 def impact_oscillator(
@@ -639,7 +636,7 @@ def impact_oscillator(
         reset=lambda x, p: changed(x, x=p.stop, v=-p.restitution * x.v),
     )  # fmt: skip
     holds = {"gap": lambda x, p: p.stop - x.x}
-    return hybrid([Mode("free", model, holds)], [hit], ["hit"], system=model.system, ground=_wall("stop"))
+    return _machine([Mode("free", model, holds)], [hit], _wall("stop"))
 
 
 MACHINES: dict[str, Callable[..., Model]] = {

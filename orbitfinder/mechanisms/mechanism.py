@@ -1,11 +1,10 @@
 """Mechanisms as drawn: bodies, joints, springs, dampers and motors, in the plane and in space.
 
-Joints that reach a new body span a tree, whose joint coordinates are those of the system; each node of the tree is one
+Joints that reach a new body span a tree, whose joint coordinates are those of the system; each node of the tree is a
 coordinate, a turn or a slide, so that a universal joint is two nodes and a ball joint three. Velocities and forces go
 through the tree by recursion in the bodies' own axes (R. Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 7:
 articulated bodies, O(n)). Every other joint closes a loop: its equations are constraints phi(q) = 0, all in m, and the
-system is a native DAE (see `constrained`). `minimal_mechanism` has the same motion in as many coordinates as degrees of
-freedom: the others follow by Newton's method on the closures, from a pose along a straight line.
+system is a native DAE (see `constrained`), closed and put into minimal coordinates by `closing`.
 
 Axes: x down, y right, z towards the eye. A ball joint turns by three angles about axes of which the second leaves the
 first (Cardan's x, y, z unless said otherwise) and not by a quaternion: as many coordinates as freedoms, so that q' = v,
@@ -16,18 +15,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import qr
 
-from orbitfinder._runtime.sizes import size_of
 from orbitfinder.errors import InputError, closest, plural
-from orbitfinder.mechanics.constrained import RANK_TOLERANCE, Loops, by_place, constrained_model, with_rates
+from orbitfinder.mechanics.constrained import RANK_TOLERANCE, constrained_model
 from orbitfinder.mechanics.controls import divided
 from orbitfinder.mechanics.factorise import LinearBalances, acceleration_function, solve_positive_definite
 from orbitfinder.mechanics.lagrange import (
@@ -35,31 +32,15 @@ from orbitfinder.mechanics.lagrange import (
     Terms,
     coordinate_names,
     detected_invariants,
-    energy_invariant,
     mass_matrix_and_bias,
     mechanical_model,
     polyline,
     take_apart,
 )
-from orbitfinder.mechanics.model import Baumgarte, Model, constraint_of
-from orbitfinder.mechanics.newton import closed
+from orbitfinder.mechanics.model import Baumgarte, Model
+from orbitfinder.mechanisms.closing import LoopClosure, Table, independent_rows_at, point_sizes
 
-Table = Mapping[str, Any]
 GROUND = "ground"
-PLANE = {
-    "revolute": "R", "prismatic": "P", "slot": "PR", "fixed": "", "free": "PPR"
-}  # fmt: skip
-SPACE = {
-    "revolute": "R", "prismatic": "P", "cylindrical": "PR", "universal": "RR", "spherical": "RRR", "fixed": "",
-    "free": "PPPRRR",
-}  # fmt: skip
-"""What each kind of joint leaves free, in its order: slides P and turns R"""
-ROWS = {
-    2: {"revolute": "xy", "prismatic": "na", "slot": "n", "fixed": "xya", "rod": "l"},
-    3: {"revolute": "xyzuv", "prismatic": "pqabc", "cylindrical": "pquv", "universal": "xyzo", "spherical": "xyz",
-        "fixed": "xyzabc", "rod": "l"},
-}  # fmt: skip
-"""The equations by which each kind closes a loop, one letter each (see `_rows`)"""
 KEYS = {
     "bodies": {"mass", "inertia", "com", "shape", "disc"},
     "joints": {"kind", "between", "at", "axis", "axes", "turned", "length", "rotor", "range", "mimics"},
@@ -71,18 +52,6 @@ KEYS = {
 EXPRESSION = re.compile(
     r"\s*([+-]?)\s*(?:(\d+\.?\d*(?:[eE][+-]?\d+)?)\s*\*\s*)?([A-Za-z_]\w*)\s*(?:/\s*(\d+\.?\d*))?\s*"
 )
-STRIDE = 0.2
-"""rad, or share of the size, from one assembly to the next on the way from the pose"""
-HOMOTOPY, FINAL = 20, 3
-"""Newton steps along the way from the pose to a place, and at the place, of the minimal form"""
-CYCLIC = 1e-13
-"""Slope of the Lagrangian, relative to it, of a coordinate that it does not depend on"""
-LEAST_SHARE = 5e-3
-"""Least over largest singular value of the closures' slopes below which a mechanism is at a dead point."""
-MASSLESS = 1e-12
-"""Inertia that a coordinate moves, relative to the whole mechanism's, below which it moves nothing"""
-ISOMETRIC = np.array([[1.0, 0.5, 0.5], [0.0, np.sqrt(0.75), -np.sqrt(0.75)]])
-"""(down, right) of (x, y, z) in pictures of what moves in space"""
 
 
 class _Numbers:
@@ -112,12 +81,12 @@ class _Numbers:
         if not isinstance(entry, str):
             value = _number(where, entry)
             return self.new(name, value) if value or name in self._given else 0.0
-        found = EXPRESSION.fullmatch(entry)
-        if not found or found[3] not in self.names:
+        match = EXPRESSION.fullmatch(entry)
+        if not match or match[3] not in self.names:
             known = ", ".join(self.names) or "none yet: add [system.parameters]"
             raise InputError(f"{where}: {entry!r} is not [number *] parameter [/ number]; parameters are {known}")
-        factor = float(f"{found[1]}1") * float(found[2] or 1) / float(found[4] or 1)
-        symbol = self.symbols[self.names.index(found[3])]
+        factor = float(f"{match[1]}1") * float(match[2] or 1) / float(match[4] or 1)
+        symbol = self.symbols[self.names.index(match[3])]
         return symbol if factor == 1 else factor * symbol
 
     def value(self, entry: ca.SX | float) -> float:
@@ -137,7 +106,7 @@ class _Numbers:
 
 @dataclass
 class _Node:
-    """One coordinate of the tree, a turn "R" or a slide "P" about or along `axis` (3), by `q` with rates `v`, `a`.
+    """One coordinate of the tree, a turn or a slide about or along `axis` (3), by `q` with rates `v`, `a`.
 
     Its frame before the motion lies at `place` in the parent node's frame, turned by `frame` (axes in columns).
     """
@@ -145,7 +114,7 @@ class _Node:
     parent: int
     frame: ca.SX
     place: ca.SX
-    kind: str
+    turns: bool
     axis: ca.SX
     name: str
     q: ca.SX = field(default_factory=lambda: ca.SX(0))
@@ -158,16 +127,16 @@ class _Node:
 
     def turn(self) -> ca.SX:
         """Its axes in the parent's (3 x 3)."""
-        return ca.mtimes(self.frame, _rotation(self.axis, self.q)) if self.kind == "R" else self.frame
+        return ca.mtimes(self.frame, _rotation(self.axis, self.q)) if self.turns else self.frame
 
     def origin(self) -> ca.SX:
         """Its origin in the parent's axes (3)."""
-        return self.place + ca.mtimes(self.frame, self.axis * self.q) if self.kind == "P" else self.place
+        return self.place if self.turns else self.place + ca.mtimes(self.frame, self.axis * self.q)
 
     def way(self) -> ca.SX:
         """The spatial velocity (6: turning, sliding) that a unit rate makes, in its own axes."""
         none = ca.SX(3, 1)
-        return ca.vertcat(self.axis, none) if self.kind == "R" else ca.vertcat(none, self.axis)
+        return ca.vertcat(self.axis, none) if self.turns else ca.vertcat(none, self.axis)
 
 
 @dataclass
@@ -200,7 +169,7 @@ class _Closing:
     table: Table
     rows: str
     points: tuple[ca.SX, ca.SX]
-    ways: list[tuple[str, ca.SX]]
+    ways: list[tuple[bool, ca.SX]]
     turned: ca.SX
     length: ca.SX | float = 0.0
 
@@ -209,9 +178,9 @@ class _Closing:
 class _Drawing:
     """A mechanism as read: its tree of nodes, where bodies are, what is left to close."""
 
-    dimension: int
+    system: Table
     numbers: _Numbers
-    joints: Mapping[str, Table]
+    kinds: Mapping[str, JointKind]
     nodes: list[_Node] = field(default_factory=list)
     bodies: dict[str, _Body] = field(default_factory=dict)
     closing: list[_Closing] = field(default_factory=list)
@@ -226,32 +195,42 @@ class _Drawing:
 
     def angle(self, body: str) -> ca.SX:
         """In the plane: how far a body has turned."""
-        one = self.bodies[body]
-        found, k = one.turned, one.node
+        start = self.bodies[body]
+        angle, k = start.turned, start.node
         while k >= 0:
             node = self.nodes[k]
-            found = found + node.axis[2] * node.q if node.kind == "R" else found
+            angle = angle + node.axis[2] * node.q if node.turns else angle
             k = node.parent
-        return found
+        return angle
 
+    @property
+    def dimension(self) -> int:
+        """2 in the plane, 3 in space."""
+        return int(self.system["dimension"])
+
+    def tables(self, what: str) -> Table:
+        """What is drawn by name: bodies, joints, springs, ..."""
+        return dict(self.system.get(what, {}))
+
+    @cached_property
     def frames(self) -> list[tuple[ca.SX, ca.SX]]:
-        """Axes (3 x 3) and origin (3) of every node in the world."""
-        found: list[tuple[ca.SX, ca.SX]] = []
+        """Axes (3 x 3) and origin (3) of every node in the world, once all nodes have coordinates."""
+        frames: list[tuple[ca.SX, ca.SX]] = []
         for node in self.nodes:
-            turn, origin = found[node.parent] if node.parent >= 0 else (_eye(), ca.SX(3, 1))
-            found.append((ca.mtimes(turn, node.turn()), origin + ca.mtimes(turn, node.origin())))
-        return found
+            turn, origin = frames[node.parent] if node.parent >= 0 else (_eye(), ca.SX(3, 1))
+            frames.append((ca.mtimes(turn, node.turn()), origin + ca.mtimes(turn, node.origin())))
+        return frames
 
-    def point(self, frames: Sequence[tuple[ca.SX, ca.SX]], body: str, at: ca.SX) -> ca.SX:
+    def point(self, body: str, at: ca.SX) -> ca.SX:
         """Where a point (3) of a body is in the world."""
-        turn, origin = self.axes(frames, body)
+        turn, origin = self.axes(body)
         return origin + ca.mtimes(turn, at)
 
-    def axes(self, frames: Sequence[tuple[ca.SX, ca.SX]], body: str) -> tuple[ca.SX, ca.SX]:
+    def axes(self, body: str) -> tuple[ca.SX, ca.SX]:
         """Axes (3 x 3) and origin (3) of a body in the world."""
-        one = self.bodies[body]
-        turn, origin = frames[one.node] if one.node >= 0 else (_eye(), ca.SX(3, 1))
-        return ca.mtimes(turn, one.frame), origin + ca.mtimes(turn, one.place)
+        there = self.bodies[body]
+        turn, origin = self.frames[there.node] if there.node >= 0 else (_eye(), ca.SX(3, 1))
+        return ca.mtimes(turn, there.frame), origin + ca.mtimes(turn, there.place)
 
 
 def mechanism(
@@ -319,16 +298,16 @@ def mechanism(
     system = _description({"bodies": bodies, "joints": joints, **acting}, gravity, dimension, redundant)
     for name, extra in (("parameters", parameters), ("pose", pose), ("values", values)):
         if extra:
-            system[name] = {key: _number(f"{name}.{key}", one) for key, one in extra.items()}
+            system[name] = {key: _number(f"{name}.{key}", number) for key, number in extra.items()}
     if frequency is not None:
         system["frequency"] = _number("frequency", frequency)
     system |= {"redundant": redundant} if redundant != "refuse" else {}
     if drawn:
         system["drawn"] = dict(drawn)
     drawing = _drawn(system, numbers)
-    motion = _Motion.of(system, drawing, numbers)
+    motion = _Energies.of(drawing)
     numbers.finish()
-    made = _tree(drawing, motion, system) if not drawing.closing else _closed(drawing, motion, system, baumgarte)
+    made = _closed(drawing, motion, baumgarte) if drawing.closing else _tree(drawing, motion)
     return replace(made, scales={k: float(v) for k, v in scales.items()}) if scales else made
 
 
@@ -336,28 +315,28 @@ def _description(tables: Mapping[str, Any], gravity: Any, dimension: Any, redund
     """The tables as plain data, checked for shape; what was not given is left out."""
     if dimension not in (2, 3):
         raise InputError(f"dimension: must be 2 (the plane) or 3 (space), got {dimension!r}")
-    fall = [9.8, 0.0, 0.0][:dimension] if gravity is None else [_number("gravity", one) for one in gravity]
+    fall = [9.8, 0.0, 0.0][:dimension] if gravity is None else [_number("gravity", number) for number in gravity]
     if len(fall) != dimension:
         raise InputError(f"gravity: {plural(len(fall), 'number')}; give {dimension} (m/s^2, x down, y right)")
     if redundant not in ("refuse", "drop"):
         raise InputError(f"redundant: must be 'refuse' or 'drop' (equations that repeat others), got {redundant!r}")
-    found: dict[str, Any] = {"kind": "mechanism", "dimension": dimension, "gravity": fall}
+    system: dict[str, Any] = {"kind": "mechanism", "dimension": dimension, "gravity": fall}
     for name, table in tables.items():
-        for key, one in (table or {}).items():
-            _check_table(name, key, one)
+        for key, entry in (table or {}).items():
+            _check_table(name, key, entry)
         if table:
-            found[name] = {key: {k: _plain(v) for k, v in one.items()} for key, one in table.items()}
+            system[name] = {key: {k: _plain(v) for k, v in entries.items()} for key, entries in table.items()}
         elif name in ("bodies", "joints"):
             raise InputError(f"{name}: none given; a mechanism has at least one body and joint")
-    return found
+    return system
 
 
-def _check_table(name: str, key: str, one: Any) -> None:
+def _check_table(name: str, key: str, given: Any) -> None:
     if not str(key).isidentifier() or key == GROUND:
         raise InputError(f"{name}: {key!r} is no name; use letters, digits and _, and not {GROUND!r}")
-    if not isinstance(one, Mapping):
-        raise InputError(f"{name}.{key}: must be a table of {', '.join(sorted(KEYS[name]))}, got {one!r}")
-    for entry in one:
+    if not isinstance(given, Mapping):
+        raise InputError(f"{name}.{key}: must be a table of {', '.join(sorted(KEYS[name]))}, got {given!r}")
+    for entry in given:
         if entry not in KEYS[name]:
             raise InputError(
                 f"{name}.{key}.{entry}: unknown key{closest(entry, KEYS[name])}; use {', '.join(sorted(KEYS[name]))}"
@@ -367,7 +346,7 @@ def _check_table(name: str, key: str, one: Any) -> None:
 def _plain(value: Any) -> Any:
     """Numbers, text and lists of them, as a file keeps them."""
     if isinstance(value, (list, tuple, np.ndarray)):
-        return [_plain(one) for one in value]
+        return [_plain(entry) for entry in value]
     return value if isinstance(value, str) else float(value)
 
 
@@ -387,11 +366,11 @@ def _eye() -> ca.SX:
 
 def _skew(axis: ca.SX) -> ca.SX:
     """The matrix of the product axis x, with the zeros left out."""
-    found = ca.SX(3, 3)
+    matrix = ca.SX(3, 3)
     for i, j, k, sign in ((0, 1, 2, -1), (0, 2, 1, 1), (1, 2, 0, -1)):
         if axis.sparsity().has_nz(k, 0):
-            found[i, j], found[j, i] = sign * axis[k], -sign * axis[k]
-    return found
+            matrix[i, j], matrix[j, i] = sign * axis[k], -sign * axis[k]
+    return matrix
 
 
 def _rotation(axis: ca.SX, angle: ca.SX) -> ca.SX:
@@ -405,12 +384,12 @@ def _vector(numbers: _Numbers, where: str, name: str, entry: Any, dimension: int
     """A point (3, zeros left out) as parameters NAME_x, NAME_y, NAME_z."""
     if not isinstance(entry, (list, tuple, np.ndarray)) or len(entry) != dimension:
         raise InputError(f"{where}: need {dimension} numbers (m), got {entry!r}")
-    found = ca.SX(3, 1)
-    for k, (letter, one) in enumerate(zip("xyz", entry, strict=False)):
-        value = numbers(where, f"{name}_{letter}", one)
+    point = ca.SX(3, 1)
+    for k, (letter, number) in enumerate(zip("xyz", entry, strict=False)):
+        value = numbers(where, f"{name}_{letter}", number)
         if isinstance(value, ca.SX):
-            found[k] = value
-    return found
+            point[k] = value
+    return point
 
 
 def _unit(where: str, entry: Any, dimension: int, numbers: _Numbers) -> ca.SX:
@@ -421,129 +400,184 @@ def _unit(where: str, entry: Any, dimension: int, numbers: _Numbers) -> ca.SX:
     size = None if entry is None else np.asarray(entry, float)
     if size is None or size.shape != (dimension,) or not np.all(np.isfinite(size)) or not np.any(size):
         raise InputError(f"{where}: need a direction of {dimension} numbers, not all 0, got {entry!r}")
-    found = np.zeros(3)
-    found[:dimension] = size / np.linalg.norm(size)
-    return ca.SX(ca.sparsify(ca.DM(found)))
+    direction = np.zeros(3)
+    direction[:dimension] = size / np.linalg.norm(size)
+    return ca.SX(ca.sparsify(ca.DM(direction)))
 
 
 def _drawn(system: Table, numbers: _Numbers) -> _Drawing:
     """The tree of a mechanism and what is left to close."""
-    made = _Drawing(int(system["dimension"]), numbers, system["joints"])
+    dimension, joints = int(system["dimension"]), system["joints"]
+    pairs = {name: _between("joints", name, table, system["bodies"]) for name, table in joints.items()}
+    made = _Drawing(system, numbers, {name: _kind(dimension, name, table) for name, table in joints.items()})
     made.bodies[GROUND] = _Body(-1, _eye(), ca.SX(3, 1))
-    pairs = {name: _between("joints", name, table, system["bodies"]) for name, table in system["joints"].items()}
-    left = dict(system["joints"])
+    left = dict(joints)
     reached = [GROUND]
     for body in reached:  # from the ground outwards, which cuts loops in their middle
-        for name in [n for n in left if body in pairs[n] and left[n].get("kind") != "rod"]:
-            other = next(one for one in pairs[name] if one != body)
+        for name in [n for n in left if body in pairs[n] and made.kinds[n].reaches]:
+            other = next(end for end in pairs[name] if end != body)
             if other not in made.bodies:
                 _grow(made, name, left.pop(name), pairs[name])
                 reached.append(other)
     for name in system["bodies"]:
         if name not in made.bodies:
-            held = [one for one, pair in pairs.items() if name in pair]
+            held = [joint for joint, pair in pairs.items() if name in pair]
             raise InputError(
                 f"bodies.{name}: hangs in the air, no joint leads from the ground to it (its joints: "
                 f"{', '.join(held) or 'none'}); join it (kind = 'free' joins it by nothing)"
             )
-    kinds = ROWS[made.dimension]
     for name, table in left.items():
-        kind = _kind(made.dimension, name, table)
-        if kind not in kinds:
-            raise InputError(f"joints.{name}: {kind!r} closes no loop; a loop is closed by {', '.join(kinds)}")
-        made.closing.append(_closing(made, name, table, kinds[kind]))
-    _check_bars(made, system, pairs)
+        if not made.kinds[name].rows:
+            closing = [kind for kind, joint in JOINTS[dimension].items() if joint.rows]
+            raise InputError(
+                f"joints.{name}: {table['kind']!r} closes no loop; a loop is closed by {', '.join(closing)}"
+            )
+        made.closing.append(_closing(made, name, table))
+    _check_bars(made, pairs)
     return made
 
 
-def _closing(made: _Drawing, name: str, table: Table, rows: str) -> _Closing:
+def _closing(made: _Drawing, name: str, table: Table) -> _Closing:
     """A joint that closes a loop, its numbers read."""
-    rod = table["kind"] == "rod"
-    ways = [] if rod else _motions(made, name, table)
-    points = _points(made, "joints", name, table)
-    length: ca.SX | float = 0.0
-    if rod:
+    kind, length = made.kinds[name], ca.SX(0)
+    ways, points = _motions(made, name, table), _points(made, "joints", name, table)
+    if not kind.reaches:
         length = _positive(made.numbers, f"joints.{name}.length", f"{name}_length", table.get("length", 0.0), "m")
-    return _Closing(name, table, rows, points, ways, _eye() if rod else _turned(made, name, table), length)
+    return _Closing(
+        name, table, kind.rows, points, ways, _turned(made, name, table) if kind.reaches else _eye(), length
+    )
 
 
 def _between(where: str, name: str, table: Table, bodies: Table) -> tuple[str, str]:
     pair = table.get("between")
     if not isinstance(pair, list) or len(pair) != 2 or pair[0] == pair[1]:
         raise InputError(f"{where}.{name}.between: need two different bodies, such as ['{GROUND}', ...], got {pair!r}")
-    for one in pair:
-        if one != GROUND and one not in bodies:
+    for end in pair:
+        if end != GROUND and end not in bodies:
             raise InputError(
-                f"{where}.{name}.between: unknown body {one!r}{closest(str(one), bodies)}; bodies are {GROUND}, "
+                f"{where}.{name}.between: unknown body {end!r}{closest(str(end), bodies)}; bodies are {GROUND}, "
                 f"{', '.join(bodies)}"
             )
     return pair[0], pair[1]
 
 
-def _kind(dimension: int, name: str, table: Table) -> str:
-    kind, known = table.get("kind"), PLANE if dimension == 2 else SPACE
-    if kind not in known and kind != "rod":
+def _kind(dimension: int, name: str, table: Table) -> JointKind:
+    kind, known = table.get("kind"), JOINTS[dimension]
+    if not isinstance(kind, str) or kind not in known:
         hint = closest(str(kind), known)
         raise InputError(
-            f"joints.{name}.kind: unknown {kind!r}{hint}; in {dimension} dimensions use {', '.join(known)}, rod"
+            f"joints.{name}.kind: unknown {kind!r}{hint}; in {dimension} dimensions use {', '.join(known)}"
         )
-    return str(kind)
+    return known[kind]
 
 
 def _points(made: _Drawing, where: str, name: str, table: Table) -> tuple[ca.SX, ca.SX]:
-    """The two points of a joint, spring or damper, one in each body; at their origins where nothing is said."""
+    """The points of a joint, spring or damper in its two bodies; at their origins where nothing is said."""
     at = table.get("at", [[0.0] * made.dimension] * 2)
     if not isinstance(at, (list, tuple)) or len(at) != 2:
         raise InputError(f"{where}.{name}.at: need two points, one in each body, got {at!r}")
     first, second = (
-        _vector(made.numbers, f"{where}.{name}.at", f"{name}_{k + 1}", one, made.dimension) for k, one in enumerate(at)
+        _vector(made.numbers, f"{where}.{name}.at", f"{name}_{k + 1}", point, made.dimension)
+        for k, point in enumerate(at)
     )
     made.places[name] = (first, second)
     return first, second
 
 
-def _motions(made: _Drawing, name: str, table: Table) -> list[tuple[str, ca.SX]]:
-    """What a joint leaves free: slides P and turns R with their axes (3), in the first body's frame."""
-    kind, numbers = _kind(made.dimension, name, table), made.numbers
-    letters = (PLANE if made.dimension == 2 else SPACE)[kind]
-    basis = [ca.SX(ca.sparsify(ca.DM(one))) for one in np.eye(3)]
-    if kind == "free":
-        return [(one, basis[k % 3] if made.dimension == 3 else basis[k]) for k, one in enumerate(letters)]
-    if made.dimension == 2:
-        slide = _unit(f"joints.{name}.axis", table.get("axis"), 2, numbers) if "P" in letters else None
-        return [(one, basis[2] if slide is None or one == "R" else slide) for one in letters]
-    if kind in ("universal", "spherical"):
-        usual = {"universal": [[1, 0, 0], [0, 1, 0]], "spherical": np.eye(3).tolist()}
-        axes = table.get("axes", usual[kind])
-        if isinstance(axes, str) and set(axes) <= set("xyz"):
-            axes = [np.eye(3)["xyz".index(one)].tolist() for one in axes]
-        if not isinstance(axes, list) or len(axes) != len(letters):
-            raise InputError(
-                f"joints.{name}.axes: need {len(letters)} directions, or letters such as 'xyz', got {axes!r}"
-            )
-        found = [_unit(f"joints.{name}.axes", one, 3, numbers) for one in axes]
-        for one, other in pairwise(found):
-            if float(ca.norm_2(ca.cross(ca.densify(one), ca.densify(other)))) < RANK_TOLERANCE:
-                raise InputError(f"joints.{name}.axes: two axes in a row are one; give others")
-        return list(zip(letters, found, strict=True))
-    axis = _unit(f"joints.{name}.axis", table.get("axis"), 3, numbers) if letters else None
-    return [(one, axis) for one in letters]
+def _motions(made: _Drawing, name: str, table: Table) -> list[tuple[bool, ca.SX]]:
+    """What a joint leaves free: turns (True) and slides with their axes (3), in the first body's frame."""
+    free = made.kinds[name].free
+    return [(way == "R", axis) for way, axis in zip(free, made.kinds[name].axes(made, name, table, free), strict=True)]
+
+
+def _own_axis(made: _Drawing, name: str, table: Table, free: str) -> list[ca.SX]:
+    """The axis given, of all; in the plane of slides, where turns are about z."""
+    plane = made.dimension == 2
+    if not free or (plane and "P" not in free):
+        return [_basis(2)] * len(free)
+    axis = _unit(f"joints.{name}.axis", table.get("axis"), made.dimension, made.numbers)
+    return [_basis(2) if plane and way == "R" else axis for way in free]
+
+
+def _own_axes(made: _Drawing, name: str, table: Table, free: str) -> list[ca.SX]:
+    """The axes given, of turns in their order; x, y, z unless said otherwise."""
+    axes = table.get("axes", np.eye(3)[: len(free)].tolist())
+    if isinstance(axes, str) and set(axes) <= set("xyz"):
+        axes = [np.eye(3)["xyz".index(letter)].tolist() for letter in axes]
+    if not isinstance(axes, list) or len(axes) != len(free):
+        raise InputError(f"joints.{name}.axes: need {len(free)} directions, or letters such as 'xyz', got {axes!r}")
+    directions = [_unit(f"joints.{name}.axes", axis, 3, made.numbers) for axis in axes]
+    for axis, other in pairwise(directions):
+        if float(ca.norm_2(ca.cross(ca.densify(axis), ca.densify(other)))) < RANK_TOLERANCE:
+            raise InputError(f"joints.{name}.axes: two axes in a row are one; give others")
+    return directions
+
+
+def _world(made: _Drawing, name: str, table: Table, free: str) -> list[ca.SX]:
+    """The first body's own axes."""
+    del made, name, table
+    return [_basis(k % 3) for k in range(len(free))]
+
+
+def _basis(k: int) -> ca.SX:
+    """One of the axes x, y, z (3), zeros left out."""
+    return ca.SX(ca.sparsify(ca.DM(np.eye(3)[k])))
+
+
+@dataclass(frozen=True)
+class JointKind:
+    """What a kind of joint leaves free and holds: every question about kinds of joints is answered by `JOINTS`."""
+
+    free: str
+    """in its order: slides P and turns R"""
+    rows: str = ""
+    """the equations by which it closes a loop, one letter each (see `_rows`); none closes none"""
+    axes: Callable[[_Drawing, str, Table, str], list[ca.SX]] = _own_axis
+    """(drawing, name, table, free) -> their axes (3) in the first body's frame"""
+    drawn: str = ""
+    """the stroke through its point on the second body, or through both of a rod"""
+    pin: bool = False
+    """whether a body of two such joints at one point is a bar of no length"""
+    reaches: bool = True
+    """whether it joins a body to the tree; else it holds two points at a length"""
+
+
+JOINTS = {
+    2: {
+        "revolute": JointKind("R", "xy", pin=True),
+        "prismatic": JointKind("P", "na", drawn="slider"),
+        "slot": JointKind("PR", "n", drawn="slider"),
+        "fixed": JointKind("", "xya"),
+        "free": JointKind("PPR", axes=_world),
+        "rod": JointKind("", "l", drawn="rod", reaches=False),
+    },
+    3: {
+        "revolute": JointKind("R", "xyzuv", pin=True),
+        "prismatic": JointKind("P", "pqabc", drawn="slider"),
+        "cylindrical": JointKind("PR", "pquv", drawn="slider"),
+        "universal": JointKind("RR", "xyzo", _own_axes),
+        "spherical": JointKind("RRR", "xyz", _own_axes, pin=True),
+        "fixed": JointKind("", "xyzabc"),
+        "free": JointKind("PPPRRR", axes=_world),
+        "rod": JointKind("", "l", drawn="rod", reaches=False),
+    },
+}
+"""Kinds of joints by dimension and name"""
 
 
 def _turned(made: _Drawing, name: str, table: Table) -> ca.SX:
     """The second body's axes in the first's where the joint is at 0 (3 x 3): an angle, or roll, pitch and yaw."""
     given = table.get("turned", 0.0 if made.dimension == 2 else [0.0] * 3)
-    basis = [ca.SX(ca.sparsify(ca.DM(one))) for one in np.eye(3)]
     if made.dimension == 2:
         angle = made.numbers(f"joints.{name}.turned", f"{name}_turned", given)
-        return _rotation(basis[2], angle) if isinstance(angle, ca.SX) else _eye()
+        return _rotation(_basis(2), angle) if isinstance(angle, ca.SX) else _eye()
     if not isinstance(given, list) or len(given) != 3:
         raise InputError(f"joints.{name}.turned: need roll, pitch and yaw (rad), got {given!r}")
-    found = _eye()
+    turned = _eye()
     for k in (2, 1, 0):
         angle = made.numbers(f"joints.{name}.turned", f"{name}_turned_{'xyz'[k]}", given[k])
-        found = ca.mtimes(found, _rotation(basis[k], angle)) if isinstance(angle, ca.SX) else found
-    return found
+        turned = ca.mtimes(turned, _rotation(_basis(k), angle)) if isinstance(angle, ca.SX) else turned
+    return turned
 
 
 def _angle(turned: ca.SX) -> ca.SX:
@@ -563,16 +597,16 @@ def _grow(made: _Drawing, name: str, table: Table, pair: tuple[str, str]) -> Non
     steps = list(zip(ways, labels, strict=True))
     made.owner |= dict.fromkeys(labels, name)
     if not forwards:  # the same motions undone in the other order
-        steps = [((kind, -axis), label) for (kind, axis), label in reversed(steps)]
+        steps = [((turns, -axis), label) for (turns, axis), label in reversed(steps)]
     parent, frame = base.node, base.frame
     place = base.place + ca.mtimes(frame, here)
     if not forwards:
         frame = ca.mtimes(frame, turned.T)
-    for (kind, axis), label in steps:
+    for (turns, axis), label in steps:
         rotor = (
             made.numbers(f"joints.{name}.rotor", f"{name}_rotor", table.get("rotor", 0.0)) if len(steps) == 1 else 0.0
         )
-        made.nodes.append(_Node(parent, frame, place, kind, axis, label, rotor=rotor))
+        made.nodes.append(_Node(parent, frame, place, turns, axis, label, rotor=rotor))
         parent, frame, place = len(made.nodes) - 1, _eye(), ca.SX(3, 1)
     if forwards:
         frame = ca.mtimes(frame, turned)
@@ -581,36 +615,36 @@ def _grow(made: _Drawing, name: str, table: Table, pair: tuple[str, str]) -> Non
     made.bodies[new] = _Body(parent, frame, place - ca.mtimes(frame, there), whole)
 
 
-def _check_bars(made: _Drawing, system: Table, pairs: Mapping[str, tuple[str, str]]) -> None:
+def _check_bars(made: _Drawing, pairs: Mapping[str, tuple[str, str]]) -> None:
     """`InputError` for a bar of no length, and for two pins of the same two bodies in the same place."""
-    for body in (*system["bodies"], GROUND):
+    for body in (*made.tables("bodies"), GROUND):
         places = {}
-        for name, table in system["joints"].items():
-            if body in pairs[name] and table["kind"] in ("revolute", "spherical"):
+        for name, table in made.tables("joints").items():
+            if body in pairs[name] and made.kinds[name].pin:
                 at = table.get("at", [[0.0] * made.dimension] * 2)[pairs[name].index(body)]
                 places[name] = (str(at), frozenset(pairs[name]))
         ends = list(places.items())
         for k, (name, (at, pair)) in enumerate(ends):
             for other, (there, second) in ends[:k]:
                 alone = len(ends) == 2 and body != GROUND and bool(made.closing)
-                tables = [system["joints"][one] for one in (name, other)]
-                if at == there and (alone or pair == second) and not _cross(made.dimension, *tables):
+                if at == there and (alone or pair == second) and not _cross(made, name, other):
                     raise InputError(
                         f"joints.{name}: at the same point of body {body!r} as joint {other!r} ({at}), which leaves a "
                         "bar of no length; move one of them"
                     )
 
 
-def _cross(dimension: int, *tables: Table) -> bool:
+def _cross(made: _Drawing, *names: str) -> bool:
     """Whether two joints are hinges in space about different axes, as in a spherical linkage, whose axes meet."""
-    if dimension == 2 or any(one["kind"] != "revolute" for one in tables):
+    if made.dimension == 2 or any(made.kinds[name].free != "R" for name in names):
         return False
-    first, second = (np.asarray(one["axis"], float) / np.linalg.norm(one["axis"]) for one in tables)
-    return any("turned" in one for one in tables) or bool(np.linalg.norm(np.cross(first, second)) > RANK_TOLERANCE)
+    tables = [made.tables("joints")[name] for name in names]
+    first, second = (np.asarray(table["axis"], float) / np.linalg.norm(table["axis"]) for table in tables)
+    return any("turned" in table for table in tables) or bool(np.linalg.norm(np.cross(first, second)) > RANK_TOLERANCE)
 
 
 @dataclass
-class _Motion:
+class _Energies:
     """Energies and forces of a drawing in its coordinates: what `Symbols` and `Terms` are made of.
 
     `kinetic` and `potential` depend on t where motions are prescribed; `pushed` (n) are forces of springs, dampers and
@@ -626,7 +660,6 @@ class _Motion:
     drive: ca.SX | None
     controls: tuple[str, ...]
     acting: ca.SX | None
-    frames: list[tuple[ca.SX, ca.SX]]
     gravity: ca.SX
     names: list[str]
     angles: list[bool]
@@ -635,13 +668,13 @@ class _Motion:
     prescribed: bool
 
     @classmethod
-    def of(cls, system: Table, made: _Drawing, numbers: _Numbers) -> _Motion:
-        clock = _clock(system, numbers)
-        moved = _prescribed(system, made, numbers, clock)
+    def of(cls, made: _Drawing) -> _Energies:
+        numbers, clock = made.numbers, _clock(made)
+        moved = _prescribed(made, clock)
         places = list(made.owner)  # a joint told from its second body has its nodes the other way round
-        behind = {name: table["mimics"] for name, table in system["joints"].items() if "mimics" in table}
-        free = (one for one in made.nodes if one.name not in {*moved, *behind})
-        own = sorted(free, key=lambda one: places.index(one.name))
+        behind = {name: table["mimics"] for name, table in made.tables("joints").items() if "mimics" in table}
+        free = (node for node in made.nodes if node.name not in {*moved, *behind})
+        own = sorted(free, key=lambda node: places.index(node.name))
         q, v = ca.SX.sym("q", len(own)), ca.SX.sym("v", len(own))
         if not own:
             raise InputError("motions: every coordinate is prescribed, which leaves no motion to compute; free one")
@@ -649,62 +682,61 @@ class _Motion:
             node.q, node.v, node.index = q[k], v[k], k
         for name, rule in behind.items():
             _follow(made, name, rule)
-        _weigh(system, made, numbers)
-        frames = made.frames()
-        gravity = _vector(numbers, "gravity", "gravity", system["gravity"], made.dimension)
+        _weigh(made)
+        gravity = _vector(numbers, "gravity", "gravity", made.system["gravity"], made.dimension)
         kinetic, t = _kinetic(made), clock[0]
         fall = ca.SX(0)
-        for one in made.masses:
-            place = frames[one.node][1] + ca.mtimes(frames[one.node][0], one.com)
-            fall -= one.mass * ca.dot(gravity, place)
+        for mass in made.masses:
+            place = made.frames[mass.node][1] + ca.mtimes(made.frames[mass.node][0], mass.com)
+            fall -= mass.mass * ca.dot(gravity, place)
         elastic, spent, work = ca.SX(0), ca.SX(0), ca.SX(0)
-        for name, table in system.get("springs", {}).items():
-            elastic += _spring(made, frames, name, table, system)
-        for name, table in system.get("dampers", {}).items():
-            spent += _damper(made, frames, name, table, system, (q, v, t))
-        for name, table in system.get("motors", {}).items():
-            joint = _coordinate(made, frames, f"motors.{name}", table)
+        for name, table in made.tables("springs").items():
+            elastic += _spring(made, name, table)
+        for name, table in made.tables("dampers").items():
+            spent += _damper(made, name, table, (q, v, t))
+        for name, table in made.tables("motors").items():
+            joint = _coordinate(made, f"motors.{name}", table)
             work += _torque(numbers, name, table, clock) * _rate(joint, q, v, t)
-        acting = ca.gradient(work - spent, v) if system.get("motors") or system.get("dampers") else None
+        acting = ca.gradient(work - spent, v) if made.tables("motors") or made.tables("dampers") else None
         controls = tuple(
-            name for name, one in system.get("motors", {}).items() if not (one.get("torque") or one.get("amplitude"))
+            name for name, motor in made.tables("motors").items() if not (motor.get("torque") or motor.get("amplitude"))
         )
         passive, drive = divided(acting, numbers.vector, controls, numbers.names, numbers.values)
         forced = ca.depends_on(ca.vertcat(kinetic, fall + elastic, work), t)
-        points, strokes = _picture(system, made, frames)
+        points, strokes = _picture(made)
         points = ca.substitute(points, t, ca.SX(0))  # pictures show what is prescribed as it is at t = 0
         symbols = Symbols(
             q, v, numbers.vector, tuple(numbers.names), tuple(numbers.values), time=t if forced else None,
             forcing_period=2 * np.pi / clock[1] if forced else None,
         )  # fmt: skip
-        angles = [node.kind == "R" for node in own]
-        names = [one.name for one in own]
+        angles = [node.turns for node in own]
+        names = [node.name for node in own]
         return cls(
-            symbols, kinetic, fall + elastic, elastic, passive, drive, controls, acting, frames, gravity, names, angles,
+            symbols, kinetic, fall + elastic, elastic, passive, drive, controls, acting, gravity, names, angles,
             points, strokes, bool(moved),
         )  # fmt: skip
 
 
-def _clock(system: Table, numbers: _Numbers) -> tuple[ca.SX, ca.SX]:
+def _clock(made: _Drawing) -> tuple[ca.SX, ca.SX]:
     """Time and the forcing's frequency (rad/s)."""
-    t, given = ca.SX.sym("t"), system.get("frequency")
+    t, given = ca.SX.sym("t"), made.system.get("frequency")
     if given is None:
-        varying = [f"motors.{n}" for n, one in system.get("motors", {}).items() if one.get("amplitude")]
-        if varying or system.get("motions"):
-            first = (varying or [f"motions.{name}" for name in system["motions"]])[0]
+        varying = [f"motors.{n}" for n, motor in made.tables("motors").items() if motor.get("amplitude")]
+        if varying or made.tables("motions"):
+            first = (varying or [f"motions.{name}" for name in made.tables("motions")])[0]
             raise InputError(f"frequency: missing, and {first} varies in time; give it in rad/s")
         return t, ca.SX(1)
     if given <= 0:
         raise InputError(f"frequency: must be positive, got {given:g}; give it in rad/s")
-    return t, ca.SX(numbers("frequency", "frequency", given))
+    return t, ca.SX(made.numbers("frequency", "frequency", given))
 
 
-def _prescribed(system: Table, made: _Drawing, numbers: _Numbers, clock: tuple[ca.SX, ca.SX]) -> set[str]:
+def _prescribed(made: _Drawing, clock: tuple[ca.SX, ca.SX]) -> set[str]:
     """Coordinates moved by what a file says: q = offset + turns w t + amplitude cos(w t + phase); their names."""
     t, w = clock
     moved = set()
     nodes = {node.name: node for node in made.nodes}
-    for name, table in system.get("motions", {}).items():
+    for name, table in made.tables("motions").items():
         where = f"motions.{name}"
         node = nodes.get(str(table.get("joint")))
         if node is None:
@@ -717,10 +749,11 @@ def _prescribed(system: Table, made: _Drawing, numbers: _Numbers, clock: tuple[c
                 "which is not prescribed; drive it by a motor, or open the loop"
             )
         offset, amplitude, phase = (
-            numbers(f"{where}.{key}", f"{name}_{key}", table.get(key, 0.0)) for key in ("offset", "amplitude", "phase")
+            made.numbers(f"{where}.{key}", f"{name}_{key}", table.get(key, 0.0))
+            for key in ("offset", "amplitude", "phase")
         )
         turns = _number(f"{where}.turns", table.get("turns", 0.0))
-        if turns != round(turns) or (turns and node.kind == "P"):
+        if turns != round(turns) or (turns and not node.turns):
             raise InputError(f"{where}.turns: must be a whole number, of a joint that turns, got {turns:g}")
         node.q = ca.SX(offset + turns * w * t + amplitude * ca.cos(w * t + phase))
         node.v = ca.jacobian(node.q, t)
@@ -744,10 +777,11 @@ def _follow(made: _Drawing, name: str, rule: Any) -> None:
     node.q, node.v = ca.SX(ratio * other.q + offset), ca.SX(ratio * other.v)
 
 
-def _weigh(system: Table, made: _Drawing, numbers: _Numbers) -> None:
+def _weigh(made: _Drawing) -> None:
     """The bodies' masses and inertias, put into the nodes' axes."""
-    for name, table in system["bodies"].items():
-        where, one = f"bodies.{name}", made.bodies[name]
+    numbers = made.numbers
+    for name, table in made.tables("bodies").items():
+        where, body = f"bodies.{name}", made.bodies[name]
         mass = numbers(f"{where}.mass", f"{name}_mass", table.get("mass", 0.0))
         if numbers.value(mass) <= 0:
             raise InputError(
@@ -756,36 +790,37 @@ def _weigh(system: Table, made: _Drawing, numbers: _Numbers) -> None:
             )
         com = _vector(numbers, f"{where}.com", f"{name}_com", table.get("com", [0.0] * made.dimension), made.dimension)
         inertia, made.coms[name] = _inertia(numbers, name, table, made.dimension), com
-        if one.node < 0:
+        if body.node < 0:
             continue
-        com, inertia = one.place + ca.mtimes(one.frame, com), ca.mtimes([one.frame, inertia, one.frame.T])
-        made.masses.append(_Mass(name, one.node, ca.SX(mass), com, inertia))
+        com, inertia = body.place + ca.mtimes(body.frame, com), ca.mtimes([body.frame, inertia, body.frame.T])
+        made.masses.append(_Mass(name, body.node, ca.SX(mass), com, inertia))
         lever = mass * _skew(com)
-        made.nodes[one.node].inertia += ca.blockcat(
+        made.nodes[body.node].inertia += ca.blockcat(
             [[inertia + ca.mtimes(lever, _skew(com).T), lever], [lever.T, mass * _eye()]]
         )
-    points = [one for one in numbers.names if re.search(r"_[12]_[xyz]$|_com_[xyz]$|_length$", one)]
-    lengths = [abs(value) for name, value in zip(numbers.names, numbers.values, strict=True) if name in points]
-    made.size = max([*lengths, *_shared_lengths(system, numbers)], default=1.0) or 1.0
+    made.size = max([*point_sizes(numbers.names, numbers.values), *_shared_lengths(made)], default=1.0) or 1.0
 
 
-def _shared_lengths(system: Table, numbers: _Numbers) -> list[float]:
+def _shared_lengths(made: _Drawing) -> list[float]:
     """Sizes of the points that are told by shared parameters."""
-    told = [str(one) for table in system["joints"].values() for at in table.get("at", []) for one in at]
-    found = [EXPRESSION.fullmatch(one) for one in told]
-    return [abs(numbers.values[numbers.names.index(one[3])]) for one in found if one and one[3] in numbers.names]
+    numbers = made.numbers
+    told = [str(number) for table in made.tables("joints").values() for at in table.get("at", []) for number in at]
+    matches = [EXPRESSION.fullmatch(text) for text in told]
+    return [
+        abs(numbers.values[numbers.names.index(match[3])]) for match in matches if match and match[3] in numbers.names
+    ]
 
 
 def _inertia(numbers: _Numbers, name: str, table: Table, dimension: int) -> ca.SX:
     """Inertia about the centre of mass in the body's axes (3 x 3): a number, xx yy zz, or xx yy zz xy xz yz."""
-    where, given, found = f"bodies.{name}.inertia", table.get("inertia", 0.0), ca.SX(3, 3)
+    where, given, matrix = f"bodies.{name}.inertia", table.get("inertia", 0.0), ca.SX(3, 3)
     if dimension == 2:
         value = numbers(where, f"{name}_inertia", given)
         if isinstance(value, ca.SX):
             if numbers.value(value) < 0:
                 raise InputError(f"{where}: must not be negative, got {given!r} (kg m^2 about the centre of mass)")
-            found[2, 2] = value
-        return found
+            matrix[2, 2] = value
+        return matrix
     entries = [given] * 3 if not isinstance(given, list) else given
     if len(entries) not in (3, 6):
         raise InputError(f"{where}: need xx yy zz or xx yy zz xy xz yz (kg m^2), got {given!r}")
@@ -796,34 +831,34 @@ def _inertia(numbers: _Numbers, name: str, table: Table, dimension: int) -> ca.S
         value = met[alike] if alike in met else numbers(where, f"{name}_inertia_{'xyz'[i]}{'xyz'[j]}", entry)
         met[alike] = value
         if isinstance(value, ca.SX):
-            found[i, j] = found[j, i] = value
-    at = ca.Function("inertia", [numbers.vector], [ca.densify(found)])(numbers.values).full()
+            matrix[i, j] = matrix[j, i] = value
+    at = ca.Function("inertia", [numbers.vector], [ca.densify(matrix)])(numbers.values).full()
     moments = np.linalg.eigvalsh(at)
     if moments[0] < -1e-12 * moments[2] or moments[0] + moments[1] < moments[2] * (1 - 1e-9):
         raise InputError(
             f"{where}: no body has these principal moments, {np.array2string(moments, precision=4)} kg m^2: none is "
             "negative and the largest is at most the sum of the others; check the units and the axes"
         )
-    return found
+    return matrix
 
 
 def _kinetic(made: _Drawing) -> ca.SX:
     """T, by velocities in the nodes' own axes."""
     speeds, energy = _speeds(made), ca.SX(0)
-    for one in made.masses:
-        turning, sliding = speeds[one.node][:3], speeds[one.node][3:]
-        centre = sliding + ca.mtimes(_skew(one.com).T, turning)
-        energy += 0.5 * one.mass * ca.sumsqr(centre) + 0.5 * ca.dot(turning, ca.mtimes(one.inertia, turning))
+    for body in made.masses:
+        turning, sliding = speeds[body.node][:3], speeds[body.node][3:]
+        centre = sliding + ca.mtimes(_skew(body.com).T, turning)
+        energy += 0.5 * body.mass * ca.sumsqr(centre) + 0.5 * ca.dot(turning, ca.mtimes(body.inertia, turning))
     return energy + sum(0.5 * node.rotor * node.v**2 for node in made.nodes)
 
 
 def _speeds(made: _Drawing) -> list[ca.SX]:
     """Spatial velocities (6: turning, sliding) of the nodes in their own axes."""
-    found: list[ca.SX] = []
+    speeds: list[ca.SX] = []
     for node in made.nodes:
-        before = found[node.parent] if node.parent >= 0 else ca.SX(6, 1)
-        found.append(ca.mtimes(_transform(node), before) + node.way() * node.v)
-    return found
+        before = speeds[node.parent] if node.parent >= 0 else ca.SX(6, 1)
+        speeds.append(ca.mtimes(_transform(node), before) + node.way() * node.v)
+    return speeds
 
 
 def _transform(node: _Node) -> ca.SX:
@@ -846,103 +881,100 @@ def _torque(numbers: _Numbers, name: str, table: Table, clock: tuple[ca.SX, ca.S
     return steady + swing * ca.cos(clock[1] * clock[0] + late) if isinstance(swing, ca.SX) else steady
 
 
-def _coordinate(made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], where: str, table: Table) -> ca.SX:
-    """The angle (rad) or slide (m) of a joint, of one that closes a loop too; `InputError` for others."""
+def _coordinate(made: _Drawing, where: str, table: Table) -> ca.SX:
+    """The angle (rad) or slide (m) of a joint, of what closes a loop too; `InputError` for others."""
     name = str(table.get("joint"))
     for node in made.nodes:
         if node.name == name:
             return node.q
-    for one in made.closing:
-        if one.name == name and made.dimension == 2 and one.table["kind"] in ("revolute", "slot", "prismatic"):
-            pair = one.table["between"]
-            if one.table["kind"] == "revolute":
-                return made.angle(pair[1]) - made.angle(pair[0]) - _angle(one.turned)
-            gap, turn = _gap(made, frames, one)
-            return ca.dot(gap, ca.mtimes(turn, one.ways[0][1]))
+    for closing in made.closing:
+        if closing.name == name and made.dimension == 2 and closing.ways:
+            turns, axis = closing.ways[0]
+            if turns:
+                first, second = closing.table["between"]
+                return made.angle(second) - made.angle(first) - _angle(closing.turned)
+            gap, turn = _gap(made, closing)
+            return ca.dot(gap, ca.mtimes(turn, axis))
     known = [node.name for node in made.nodes]
     raise InputError(f"{where}.joint: {name!r} is no coordinate{closest(name, known)}; use {', '.join(known)}")
 
 
-def _stretch(
-    made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], what: str, name: str, table: Table, system: Table
-) -> ca.SX:
+def _stretch(made: _Drawing, what: str, name: str, table: Table) -> ca.SX:
     """The vector (3) from the first to the second point of a spring or damper."""
-    first, second = _between(what, name, table, system["bodies"])
+    first, second = _between(what, name, table, made.tables("bodies"))
     here, there = _points(made, what, name, table)
-    return made.point(frames, second, there) - made.point(frames, first, here)
+    return made.point(second, there) - made.point(first, here)
 
 
 def _positive(numbers: _Numbers, where: str, name: str, entry: Any, unit: str) -> ca.SX | float:
-    found = numbers(where, name, entry)
-    if numbers.value(found) <= 0:
+    number = numbers(where, name, entry)
+    if numbers.value(number) <= 0:
         raise InputError(f"{where}: must be positive, got {entry!r} ({unit})")
-    return found
+    return number
 
 
-def _spring(made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], name: str, table: Table, system: Table) -> ca.SX:
+def _spring(made: _Drawing, name: str, table: Table) -> ca.SX:
     """Energy of a spring between two points or in a joint: k (length - rest)^2 / 2."""
     where, numbers = f"springs.{name}", made.numbers
     stiffness = _positive(numbers, f"{where}.stiffness", f"{name}_stiffness", table.get("stiffness", 0.0), "N/m")
     if "joint" in table:
         rest = numbers(f"{where}.rest", f"{name}_rest", table.get("rest", 0.0))
-        return 0.5 * stiffness * (_coordinate(made, frames, where, table) - rest) ** 2
-    gap = _stretch(made, frames, "springs", name, table, system)
+        return 0.5 * stiffness * (_coordinate(made, where, table) - rest) ** 2
+    gap = _stretch(made, "springs", name, table)
     rest = numbers(f"{where}.length", f"{name}_length", table.get("length", 0.0))
     return 0.5 * stiffness * ((ca.norm_2(gap) - rest) ** 2 if isinstance(rest, ca.SX) else ca.sumsqr(gap))
 
 
-def _damper(
-    made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], name: str, table: Table, system: Table, now: Sequence[ca.SX]
-) -> ca.SX:
+def _damper(made: _Drawing, name: str, table: Table, now: Sequence[ca.SX]) -> ca.SX:
     """Half the power that a damper takes: c (d length / dt)^2 / 2, Rayleigh's function."""
     where = f"dampers.{name}"
     damping = _positive(made.numbers, f"{where}.damping", f"{name}_damping", table.get("damping", 0.0), "N s/m")
     if "joint" in table:
-        length = _coordinate(made, frames, where, table)
+        length = _coordinate(made, where, table)
     else:
-        length = ca.norm_2(_stretch(made, frames, "dampers", name, table, system))
+        length = ca.norm_2(_stretch(made, "dampers", name, table))
     return 0.5 * damping * _rate(length, *now) ** 2
 
 
-def _gap(made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], one: _Closing) -> tuple[ca.SX, ca.SX]:
+def _gap(made: _Drawing, closing: _Closing) -> tuple[ca.SX, ca.SX]:
     """From a joint's point on its first body to that on its second (3), and the first body's axes (3 x 3)."""
-    first, second = one.table["between"]
-    here, there = one.points
-    return made.point(frames, second, there) - made.point(frames, first, here), made.axes(frames, first)[0]
+    first, second = closing.table["between"]
+    here, there = closing.points
+    return made.point(second, there) - made.point(first, here), made.axes(first)[0]
 
 
-def _rows(made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], one: _Closing) -> ca.SX:
+def _rows(made: _Drawing, closing: _Closing) -> ca.SX:
     """The equations of a joint that closes a loop, in m, a letter each: x y z the gap, n p q across the axis,
     u v d e the axis against two directions of the other body, a b c axes against each other, o of a universal joint,
     l the length of a rod.
     """
-    gap, turn = _gap(made, frames, one)
-    other = made.axes(frames, one.table["between"][1])[0]
-    wanted = ca.mtimes(turn, one.turned)
-    found = {letter: gap[k] for k, letter in enumerate("xyz")}
-    if "l" in one.rows:
-        found["l"] = (ca.sumsqr(gap) - one.length**2) / (2 * one.length)
+    gap, turn = _gap(made, closing)
+    other = made.axes(closing.table["between"][1])[0]
+    wanted = ca.mtimes(turn, closing.turned)
+    rows = {letter: gap[k] for k, letter in enumerate("xyz")}
+    if "l" in closing.rows:
+        rows["l"] = (ca.sumsqr(gap) - closing.length**2) / (2 * closing.length)
     else:
-        found |= {
+        rows |= {
             c: made.size * ca.dot(wanted[:, i], other[:, j]) for c, i, j in (("a", 0, 1), ("b", 1, 2), ("c", 2, 0))
         }
-    if one.ways and set("npquv") & set(one.rows):
-        axis = ca.densify(one.ways[0][1])
+    if closing.ways and set("npquv") & set(closing.rows):
+        axis = ca.densify(closing.ways[0][1])
         across = [ca.cross(axis, ca.SX([0, 0, 1]))] if made.dimension == 2 else _across(axis)
-        found |= {
+        rows |= {
             c: ca.dot(gap, ca.mtimes(turn, d))
             for c, d in zip("n" if made.dimension == 2 else "pq", across, strict=True)
         }
         if made.dimension == 3:
             ahead = ca.mtimes(turn, axis)
-            found |= {
-                c: made.size * ca.dot(ahead, ca.mtimes([other, one.turned.T, d]))
+            rows |= {
+                c: made.size * ca.dot(ahead, ca.mtimes([other, closing.turned.T, d]))
                 for c, d in zip("uv", across, strict=True)
             }
-    if "o" in one.rows:
-        (_, first), (_, second) = one.ways
-        found["o"] = made.size * ca.dot(ca.mtimes(turn, first), ca.mtimes([other, one.turned.T, second]))
-    return ca.densify(ca.vertcat(*(found[letter] for letter in one.rows)))
+    if "o" in closing.rows:
+        (_, first), (_, second) = closing.ways
+        rows["o"] = made.size * ca.dot(ca.mtimes(turn, first), ca.mtimes([other, closing.turned.T, second]))
+    return ca.densify(ca.vertcat(*(rows[letter] for letter in closing.rows)))
 
 
 def _across(axis: ca.SX) -> list[ca.SX]:
@@ -953,43 +985,41 @@ def _across(axis: ca.SX) -> list[ca.SX]:
     return [ca.SX(first), ca.SX(np.cross(along, first))]
 
 
-def _picture(
-    system: Table, made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]]
-) -> tuple[ca.SX, tuple[tuple[str, tuple[int, ...]], ...]]:
+def _picture(made: _Drawing) -> tuple[ca.SX, tuple[tuple[str, tuple[int, ...]], ...]]:
     """Points (2 x k) and what is drawn through which: ground, spring, rod (a body), slider, disc."""
     columns: list[ca.SX] = []
     strokes: list[tuple[str, tuple[int, ...]]] = []
 
     def place(body: str, at: ca.SX) -> int:
-        columns.append(made.point(frames, body, at))
+        columns.append(made.point(body, at))
         return len(columns) - 1
 
     held: dict[str, list[ca.SX]] = {name: [] for name in made.bodies}
-    for name, table in system["joints"].items():
+    for name, table in made.tables("joints").items():
+        kind = made.kinds[name]
         for body, at in zip(table["between"], made.places[name], strict=True):
-            slides = body == GROUND and table["kind"] in ("prismatic", "slot", "cylindrical", "free")
-            if not slides and not _among(at, held[body]):
+            if not (body == GROUND and "P" in kind.free) and not _among(at, held[body]):
                 held[body].append(at)
-            if table["kind"] in ("prismatic", "slot", "cylindrical") and body == table["between"][1]:
-                strokes.append(("slider", (place(body, at),)))
-        if table["kind"] == "rod":
+            if kind.drawn == "slider" and body == table["between"][1]:
+                strokes.append((kind.drawn, (place(body, at),)))
+        if kind.drawn == "rod":
             strokes.append(
-                ("rod", tuple(place(b, at) for b, at in zip(table["between"], made.places[name], strict=True)))
+                (kind.drawn, tuple(place(*end) for end in zip(table["between"], made.places[name], strict=True)))
             )
     pulled: dict[str, list[ca.SX]] = {name: [] for name in made.bodies}
-    for name in system.get("springs", {}):
+    for name, table in made.tables("springs").items():
         if name in made.places:
-            pair = system["springs"][name]["between"]
-            for one, at in zip(pair, made.places[name], strict=True):
-                (held if one == GROUND else pulled)[one].append(at)
+            pair = table["between"]
+            for end, at in zip(pair, made.places[name], strict=True):
+                (held if end == GROUND else pulled)[end].append(at)
             strokes.append(("spring", tuple(place(b, at) for b, at in zip(pair, made.places[name], strict=True))))
     strokes += [("ground", (place(GROUND, at),)) for at in held.pop(GROUND)]
-    for name, table in system["bodies"].items():
+    for name, table in made.tables("bodies").items():
         com = made.coms[name]
         if "disc" in table:
             rim = ca.densify(com) + ca.SX([float(table["disc"]), 0, 0])
             strokes.append(("disc", (place(name, com), place(name, rim))))
-        points = [_plain_point(one, made.dimension) for one in table["shape"]] if "shape" in table else held[name]
+        points = [_plain_point(point, made.dimension) for point in table["shape"]] if "shape" in table else held[name]
         if len(points) < 2 and "disc" not in table:
             points = [*points, com]
         if not {"shape", "disc"} & set(table):  # a spring does not end in the air
@@ -997,17 +1027,18 @@ def _picture(
         chain = [place(name, at) for at in points]
         strokes.append(("rod", tuple(chain + chain[:1] * (len(chain) > 2 and "shape" not in table))))
     if made.dimension == 2:
-        return ca.horzcat(*(ca.densify(one)[:2] for one in columns)), tuple(strokes)
-    return ca.horzcat(*(ca.mtimes(ISOMETRIC, ca.densify(one)) for one in columns)), tuple(strokes)
+        return ca.horzcat(*(ca.densify(point)[:2] for point in columns)), tuple(strokes)
+    isometric = np.array([[1.0, 0.5, 0.5], [0.0, np.sqrt(0.75), -np.sqrt(0.75)]])  # (down, right) of (x, y, z)
+    return ca.horzcat(*(ca.mtimes(isometric, ca.densify(point)) for point in columns)), tuple(strokes)
 
 
 def _among(at: ca.SX, points: Sequence[ca.SX]) -> bool:
-    """Whether a point is one of some, as an expression."""
-    return any(ca.is_equal(ca.densify(at), ca.densify(one), 9) for one in points)
+    """Whether a point is among some, as an expression."""
+    return any(ca.is_equal(ca.densify(at), ca.densify(point), 9) for point in points)
 
 
 def _plain_point(entry: Any, dimension: int) -> ca.SX:
-    return ca.SX([float(one) for one in entry] + [0.0] * (3 - dimension))
+    return ca.SX([float(number) for number in entry] + [0.0] * (3 - dimension))
 
 
 def _articulated(made: _Drawing, pushed: ca.SX, gravity: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -1037,15 +1068,15 @@ def _articulated(made: _Drawing, pushed: ca.SX, gravity: ca.SX) -> tuple[ca.SX, 
             inertia[node.parent] = inertia[node.parent] + ca.mtimes([across.T, passed, across])
             bias[node.parent] = bias[node.parent] + ca.mtimes(across.T, rest)
     start, speeding = ca.vertcat(ca.SX(3, 1), -gravity), list[ca.SX]()
-    found, weights = [ca.SX(0)] * pushed.numel(), [ca.SX(0)] * pushed.numel()
+    accelerations, weights = [ca.SX(0)] * pushed.numel(), [ca.SX(0)] * pushed.numel()
     for k, node in enumerate(nodes):
         before = ca.mtimes(_transform(node), speeding[node.parent] if node.parent >= 0 else start) + moved[k]
         column, weight, push = kept[k]
         own = node.a if node.a is not None else (push - ca.dot(column, before)) / weight
         speeding.append(before + node.way() * own)
         if node.a is None:
-            found[node.index], weights[node.index] = own, weight
-    return ca.densify(ca.vertcat(*found)), ca.vertcat(*weights)
+            accelerations[node.index], weights[node.index] = own, weight
+    return ca.densify(ca.vertcat(*accelerations)), ca.vertcat(*weights)
 
 
 def _crossed(speed: ca.SX) -> ca.SX:
@@ -1054,7 +1085,7 @@ def _crossed(speed: ca.SX) -> ca.SX:
     return ca.blockcat([[turning, ca.SX(3, 3)], [sliding, turning]])
 
 
-def _tree(made: _Drawing, motion: _Motion, system: Table) -> Model:
+def _tree(made: _Drawing, motion: _Energies) -> Model:
     """The Model of a mechanism without loops: accelerations by recursion."""
     symbols, arguments = motion.symbols, motion.symbols.arguments
     t, q, v, p = arguments
@@ -1067,7 +1098,7 @@ def _tree(made: _Drawing, motion: _Motion, system: Table) -> Model:
     else:  # what mimics a joint moves with it, wherever in the tree it is
         matrix, bias = mass_matrix_and_bias(motion.kinetic, motion.potential, q, v, motion.acting, t)
         acceleration, weights = acceleration_function(matrix, bias, arguments), ca.diag(matrix)
-    pose = system.get("pose", {})
+    pose = made.tables("pose")
     place = np.array([pose.get(name, 0.0) for name in motion.names])
     _check_weights(made, motion, place, ca.Function("weights", [t, q, p], [weights]))
     terms = _terms(motion, arguments)
@@ -1076,14 +1107,18 @@ def _tree(made: _Drawing, motion: _Motion, system: Table) -> Model:
         acceleration, terms, symbols, labels,
         invariants=[] if symbols.time is not None else
         detected_invariants(terms, labels, arguments, cyclic(terms, arguments)),
-        system=system, angles=tuple(motion.angles), points=polyline("points", motion.points, [q, p]),
-        strokes=motion.strokes, controls=motion.controls, limits=_limits(system),
+        system=made.system, **_parts(made, motion),
     )  # fmt: skip
 
 
-def _limits(system: Table) -> dict[str, Any]:
-    """How far the motors that are controls may go."""
-    return {name: one["limit"] for name, one in system.get("motors", {}).items() if "limit" in one}
+def _parts(made: _Drawing, motion: _Energies) -> dict[str, Any]:
+    """What a Model has of a drawing beside its equations, with or without loops."""
+    _, q, _, p = motion.symbols.arguments
+    limits = {name: motor["limit"] for name, motor in made.tables("motors").items() if "limit" in motor}
+    return {
+        "angles": tuple(motion.angles), "points": polyline("points", motion.points, [q, p]), "strokes": motion.strokes,
+        "controls": motion.controls, "limits": limits,
+    }  # fmt: skip
 
 
 def cyclic(terms: Terms, arguments: list[ca.SX]) -> list[bool]:
@@ -1096,12 +1131,12 @@ def cyclic(terms: Terms, arguments: list[ca.SX]) -> list[bool]:
     slopes = ca.Function("slopes", [t, q, v, p], [ca.gradient(lagrangian, q), lagrangian])
     random, steepest, size = np.random.default_rng(0), np.zeros(q.numel()), 0.0
     for _ in range(4):
-        slope, value = slopes(0, *(random.uniform(0.5, 1.5, one.numel()) for one in (q, v, p)))
+        slope, value = slopes(0, *(random.uniform(0.5, 1.5, symbols.numel()) for symbols in (q, v, p)))
         steepest, size = np.maximum(steepest, np.abs(slope.full().ravel())), max(size, abs(float(value)))
-    return [bool(one <= CYCLIC * size) for one in steepest]
+    return [bool(steep <= 1e-13 * size) for steep in steepest]  # round-off
 
 
-def _terms(motion: _Motion, arguments: list[ca.SX]) -> Terms:
+def _terms(motion: _Energies, arguments: list[ca.SX]) -> Terms:
     """The Lagrangian's terms; a mass matrix that moves with time stays at t = 0, forces make up for the rest."""
     t, q, v, _ = arguments
     if not motion.prescribed or not ca.depends_on(ca.hessian(motion.kinetic, v)[0], t):
@@ -1119,72 +1154,67 @@ def _terms(motion: _Motion, arguments: list[ca.SX]) -> Terms:
     return replace(steady, forces=rest - there @ solve_positive_definite(mass, bias))
 
 
-def _check_weights(made: _Drawing, motion: _Motion, place: np.ndarray, weights: ca.Function) -> None:
+def _check_weights(made: _Drawing, motion: _Energies, place: np.ndarray, weights: ca.Function) -> None:
     """`InputError` naming joint and body where a coordinate moves no mass at the pose."""
-    found = weights(0.0, place, np.array(motion.symbols.parameter_values)).full().ravel()
-    masses = [float(made.numbers.value(one.mass)) for one in made.masses]
+    moved = weights(0.0, place, np.array(motion.symbols.parameter_values)).full().ravel()
+    masses = [float(made.numbers.value(part.mass)) for part in made.masses]
     total = sum(masses)
-    for name, angle, weight in zip(motion.names, motion.angles, found, strict=True):
-        if weight > MASSLESS * total * (made.size**2 if angle else 1.0):
+    for name, angle, weight in zip(motion.names, motion.angles, moved, strict=True):
+        if weight > 1e-12 * total * (made.size**2 if angle else 1.0):  # else it moves nothing
             continue
         joint = made.owner[name]
-        body = made.joints[joint]["between"][1]
+        body = made.tables("joints")[joint]["between"][1]
         why = (
             "two of its axes are one in this pose; give another pose, or other axes"
-            if made.joints[joint]["kind"] in ("spherical", "free", "universal") and made.dimension == 3
+            if made.kinds[joint].free.count("R") > 1
             else f"body {body!r} turns about its own centre of mass without inertia; give it an inertia, or move com"
         )
         raise InputError(f"joints.{joint}: coordinate {name} moves no mass: {why}")
 
 
-def _closed(made: _Drawing, motion: _Motion, system: Table, baumgarte: Sequence[float] | None) -> Model:
+def _closed(made: _Drawing, motion: _Energies, baumgarte: Sequence[float] | None) -> Model:
     """The Model of a mechanism with loops, a native DAE."""
     symbols = motion.symbols
     t, q, v, p = symbols.arguments
-    names = [f"{one.name}_{letter}" for one in made.closing for letter in one.rows]
-    phi = ca.vertcat(*(_rows(made, motion.frames, one) for one in made.closing))
-    place, kept = _checked(made, motion, system, phi, names)
+    names = [f"{closing.name}_{letter}" for closing in made.closing for letter in closing.rows]
+    phi = ca.vertcat(*(_rows(made, closing) for closing in made.closing))
+    place, kept = _checked(made, motion, phi, names)
     weights = _articulated(made, ca.SX.zeros(q.numel()), motion.gravity)[1]
     _check_weights(made, motion, place, ca.Function("weights", [t, q, p], [weights]))
     phi, names = phi[kept], [names[k] for k in kept]
     matrix, bias = mass_matrix_and_bias(motion.kinetic, motion.potential, q, v, motion.acting)
-    jacobian = ca.jacobian(phi, q)
     if baumgarte is None:
         pace = _pace(ca.Function("free", symbols.arguments, [matrix, bias]), place, made.size, motion)
         baumgarte = (pace, pace)
-    stabilisation = Baumgarte(*(_number("baumgarte", one) for one in baumgarte))
+    stabilisation = Baumgarte(*(_number("baumgarte", number) for number in baumgarte))
     return constrained_model(
-        LinearBalances(matrix, bias, jacobian.T, jacobian, -ca.jtimes(jacobian @ v, q, v)),
-        phi, Terms(motion.kinetic, motion.potential, forces=motion.passive, actuation=motion.drive), symbols,
-        stabilisation,
-        coordinate_names(motion.names, symbols), force_names=names, angles=tuple(motion.angles),
-        points=polyline("points", motion.points, [q, p]), strokes=motion.strokes, controls=motion.controls,
-        limits=_limits(system), system={**system, "baumgarte": [stabilisation.alpha, stabilisation.beta]},
+        LinearBalances.held(matrix, bias, phi, q, v), phi,
+        Terms(motion.kinetic, motion.potential, forces=motion.passive, actuation=motion.drive), symbols, stabilisation,
+        coordinate_names(motion.names, symbols), force_names=names, **_parts(made, motion),
+        system={**made.system, "baumgarte": [stabilisation.alpha, stabilisation.beta]},
     )  # fmt: skip
 
 
-def _pace(free: ca.Function, place: np.ndarray, size: float, motion: _Motion) -> float:
+def _pace(free: ca.Function, place: np.ndarray, size: float, motion: _Energies) -> float:
     """How fast the mechanism goes, in 1/s, a power of two: what stabilises its constraints."""
     values = np.array(motion.symbols.parameter_values)
     fastest = 0.0
     for away in (0.0, 0.3, -0.3):
         there = place + away * np.where(motion.angles, 1.0, size)
-        matrix, bias = (one.full() for one in free(0.0, there, 0 * place, values))
+        matrix, bias = (part.full() for part in free(0.0, there, 0 * place, values))
         pushed = np.linalg.lstsq(matrix, -bias.ravel(), rcond=None)[0]
         fastest = max(fastest, float(np.abs(pushed / np.where(motion.angles, 1.0, size)).max()))
     return float(2.0 ** np.round(np.log2(np.sqrt(fastest)))) if fastest > 0 else 1.0
 
 
-def _checked(
-    made: _Drawing, motion: _Motion, system: Table, phi: ca.SX, names: Sequence[str]
-) -> tuple[np.ndarray, list[int]]:
+def _checked(made: _Drawing, motion: _Energies, phi: ca.SX, names: Sequence[str]) -> tuple[np.ndarray, list[int]]:
     """An assembled configuration (n) near the pose, and the rows of phi(q, p) that are independent there."""
-    n, q, p, given = len(motion.names), motion.symbols.coordinates, motion.symbols.arguments[3], system.get("pose", {})
-    if len(names) >= n and system.get("redundant") != "drop":  # Kutzbach's count
+    n, q, p, given = len(motion.names), motion.symbols.coordinates, motion.symbols.arguments[3], made.tables("pose")
+    if len(names) >= n and made.system.get("redundant") != "drop":  # Kutzbach's count
         last = made.closing[-1]
         raise InputError(
             f"joints: over-constrained, {n} coordinates of the tree and {plural(len(names), 'equation')} of "
-            f"{', '.join(repr(one.name) for one in made.closing)} leave {n - len(names)} degrees of freedom "
+            f"{', '.join(repr(closing.name) for closing in made.closing)} leave {n - len(names)} degrees of freedom "
             f"(Kutzbach); take away joint {last.name!r} between {' and '.join(map(repr, last.table['between']))}, "
             "or with redundant = 'drop' equations that repeat others"
         )
@@ -1193,161 +1223,9 @@ def _checked(
             known = ", ".join(motion.names)
             raise InputError(f"pose: unknown coordinate {name!r}{closest(name, motion.names)}; use {known}")
     function, values = ca.Function("phi", [q, p], [phi, ca.jacobian(phi, q)]), np.array(motion.symbols.parameter_values)
-    closure = Closure(function, values, np.where(motion.angles, 1.0, made.size), names, made.joints)
+    closure = LoopClosure(function, values, np.where(motion.angles, 1.0, made.size), names, made.tables("joints"))
     place = closure.near(np.array([given.get(name, 0.0) for name in motion.names]))
-    return place, _independent(closure, place, motion.names, system.get("redundant") == "drop")
-
-
-def _independent(closure: Closure, place: np.ndarray, names: Sequence[str], drop: bool) -> list[int]:
-    """Rows that do not repeat earlier ones; `InputError` where some do, or only in this pose."""
-    slopes, rows = closure.slopes(place), len(closure.names)
-    kept = independent_rows(slopes)
-    if len(kept) == rows:
-        return kept
-    lost = next(k for k in range(rows) if k not in kept)
-    if len(_beside(closure, place)) > len(kept):
-        shown = ", ".join(f"{name} = {value:.4g}" for name, value in zip(names, place, strict=True))
-        raise InputError(
-            f"pose: singular at {shown}: the equations of {closure.joint(lost)} depend on the others here and "
-            "nowhere near (a dead point of the loop: bars in line); give another pose"
-        )
-    if drop:
-        if len(kept) >= len(place):
-            raise InputError("joints: over-constrained, the independent equations leave no freedom; take a joint away")
-        best = qr(slopes.T, mode="r", pivoting=True)[1]  # what is farthest from repeating others
-        return sorted(int(k) for k in best[: len(kept)])
-    raise InputError(
-        f"joints: over-constrained, row {closure.names[lost]!r} of {closure.joint(lost)} repeats what others hold "
-        f"(rank {len(kept)} of {rows} equations), so its force is not determined; loosen that joint, or leave "
-        "such rows out by redundant = 'drop'"
-    )
-
-
-def _beside(closure: Closure, place: np.ndarray) -> list[int]:
-    """Independent rows at the best of a few configurations nearby."""
-    random, best = np.random.default_rng(0), list[int]()
-    for _ in range(4):
-        start = place + 0.1 * closure.units * random.uniform(-1, 1, place.size)
-        with suppress(InputError):
-            best = max(best, independent_rows(closure.slopes(closure.near(start))), key=len)
-    return best
-
-
-def independent_rows(matrix: np.ndarray) -> list[int]:
-    """Rows of a matrix that are no combination of earlier ones."""
-    basis, kept = np.zeros((0, matrix.shape[1])), list[int]()
-    size = size_of(matrix)
-    for k, row in enumerate(matrix):
-        rest = row - basis.T @ (basis @ row)
-        rest -= basis.T @ (basis @ rest)
-        if np.linalg.norm(rest) > RANK_TOLERANCE * size:
-            basis, kept = np.vstack([basis, rest / np.linalg.norm(rest)]), [*kept, k]
-    return kept
-
-
-@dataclass(frozen=True)
-class Closure:
-    """The equations phi(q) = 0 of loops with the joints that they are of."""
-
-    function: ca.Function
-    """(q, p) -> (phi, J)"""
-    values: np.ndarray
-    units: np.ndarray
-    """of the coordinates (n)"""
-    names: Sequence[str]
-    joints: Mapping[str, Table]
-
-    @classmethod
-    def of(cls, model: Model, units: np.ndarray | None = None) -> Closure:
-        """That of a Model under constraints."""
-        constraint = constraint_of(model)
-        q, p = constraint.phi.sx_in()
-        function = ca.Function("phi", [q, p], [constraint.phi(q, p), constraint.jacobian(q, p)])
-        units = coordinate_units(model) if units is None else units
-        return cls(function, model.parameter_values, units, constraint.force_names, model.system.get("joints", {}))
-
-    def slopes(self, place: np.ndarray) -> np.ndarray:
-        """J at a place, columns in units of their own."""
-        return np.asarray(self.function(place, self.values)[1].full() * self.units)
-
-    def near(self, start: np.ndarray, fixed: Sequence[int] = ()) -> np.ndarray:
-        """A configuration (n) with phi = 0 near a start, some coordinates held, by Gauss-Newton; `InputError` naming
-        the joint that stays open."""
-
-        def phi(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            gaps, slopes = (part.full() for part in self.function(place, self.values))
-            return gaps.ravel(), slopes
-
-        loose, units = [k for k in range(start.size) if k not in fixed], self.units
-        found = closed(phi, start, loose, units, float(np.abs(units[units != 1.0]).max(initial=0.0)))
-        if found.converged:
-            return found.w
-        gaps = phi(found.w)[0]
-        worst = int(np.abs(gaps).argmax())
-        raise InputError(
-            f"joints: the loop stays open at {self.joint(worst)}: {abs(gaps[worst]):.3g} m are left between their "
-            "points in the nearest configuration that was found; check the lengths, or give a pose nearer to one that "
-            "closes"
-        )
-
-    def joint(self, row: int) -> str:
-        """The joint that a row belongs to, with its bodies, for messages."""
-        name = self.names[row].rpartition("_")[0]
-        if name not in self.joints:
-            return self.names[row]
-        return f"joint {name!r} between {' and '.join(map(repr, self.joints[name]['between']))}"
-
-
-def mechanism_state(
-    model: Model,
-    known: Mapping[str, float] | None = None,
-    rates: Mapping[str, float] | None = None,
-    near: np.ndarray | None = None,
-) -> np.ndarray:
-    """The state (2n) of a mechanism at some coordinates and rates (others at rest), its loops closed near the pose.
-
-    Coordinates that are not `known` start from `near` (n) or the pose. Raises `InputError` where a loop stays open, or
-    at a dead point of the given coordinates, which then do not say how the others move.
-    """
-    names = model.state_names[: model.degrees_of_freedom]
-    given = by_place(known or {}, names, "coordinate", "mechanism")
-    speeds = by_place(rates or {}, [f"{name}dot" for name in names], "rate", "mechanism")
-    pose = model.system.get("pose", {})
-    place = np.array([pose.get(name, 0.0) for name in names]) if near is None else np.array(near, float)
-    if place.shape != (len(names),):
-        raise InputError(f"near: {plural(place.size, 'number')}; give one for each of {', '.join(names)}")
-    rate = np.zeros(len(names))
-    rate[list(speeds)] = list(speeds.values())
-    if model.constraint is None:
-        place[list(given)] = list(given.values())
-        return np.concatenate([place, rate])
-    freedom = len(names) - len(model.constraint.force_names)
-    for what, table in (("coordinates", given), ("rates", speeds)):
-        if len(table) > freedom:
-            raise InputError(f"{what}: {len(table)} given, this mechanism has {plural(freedom, 'degree')} of freedom")
-    closure = Closure.of(model)
-    place, units = closure.near(place), closure.units
-    begin, wanted = place[list(given)], np.array(list(given.values()))
-    away = float(np.abs((wanted - begin) / units[list(given)]).max(initial=0.0))
-    for share in np.linspace(0.0, 1.0, 1 + int(np.ceil(away / STRIDE)))[1:]:  # the same assembly all the way
-        place[list(given)] = begin + share * (wanted - begin)
-        place = closure.near(place, list(given))
-    slopes = closure.slopes(place)
-    others = [k for k in range(len(names)) if k not in speeds]
-    if speeds and len(independent_rows(slopes[:, others].T)) < len(slopes):
-        raise InputError(
-            f"rates: dead point, here {', '.join(names[k] for k in speeds)} cannot say how "
-            f"{', '.join(names[k] for k in others)} move; give the rate of another coordinate"
-        )
-    rate[others] = units[others] * np.linalg.lstsq(slopes[:, others], -slopes @ (rate / units), rcond=1e-12)[0]
-    return np.concatenate([place, rate])
-
-
-def coordinate_units(model: Model) -> np.ndarray:
-    """1 rad of angles, of slides (n) the largest number of a point."""
-    sizes = [abs(value) for name, value in zip(model.parameter_names, model.parameter_values, strict=True)
-             if re.search(r"_[12]_[xyz]$|_com_[xyz]$|_length$", name)]  # fmt: skip
-    return np.where(model.angular, 1.0, max(sizes, default=1.0) or 1.0)
+    return place, independent_rows_at(closure, place, motion.names, made.system.get("redundant") == "drop")
 
 
 def body_point(model: Model, body: str, at: Sequence[float]) -> Callable[[Sequence[Any], Sequence[Any]], ca.SX]:
@@ -1365,138 +1243,6 @@ def body_point(model: Model, body: str, at: Sequence[float]) -> Callable[[Sequen
         node.q = q[names.index(node.name)]
     place = np.zeros(3)
     place[: len(at)] = at
-    found = ca.densify(made.point(made.frames(), body, ca.SX(place)))[: made.dimension]
-    function = ca.Function("point", [q, numbers.vector], [found])
+    there = ca.densify(made.point(body, ca.SX(place)))[: made.dimension]
+    function = ca.Function("point", [q, numbers.vector], [there])
     return lambda x, p: function(ca.vertcat(*x[: len(names)]), ca.vertcat(*p[: len(numbers.names)]))
-
-
-def minimal_mechanism(model: Model, independent: Sequence[str], near: np.ndarray | None = None) -> Model:
-    """The Model of a mechanism with loops in its `independent` coordinates u, as many as degrees of freedom.
-
-    The others follow from phi(u, d, p) = 0 by Newton's method along the straight line from the pose `near` (n) to u,
-    angles by the shorter way round; with q' = B u', q'' = B u'' + g the equations are B^T (M q'' + h) = 0. Source: R.
-    A. Wehage, E. J. Haug, Journal of Mechanical Design 104 (1982) 247-255. Valid while the closures determine the
-    others (no dead point of u). Raises `InputError`.
-    """
-    names, n = model.state_names[: model.degrees_of_freedom], model.degrees_of_freedom
-    freedom = n - len(constraint_of(model).force_names)
-    for name in independent:
-        if name not in names:
-            raise InputError(f"independent: unknown coordinate {name!r}{closest(name, names)}; use {', '.join(names)}")
-    if len(set(independent)) != freedom:
-        raise InputError(
-            f"independent: need {freedom} different coordinates of {', '.join(names)}, got {list(independent)}"
-        )
-    chosen = [names.index(name) for name in independent]
-    pose = mechanism_state(model, near=near)[:n]
-    rest = [k for k in range(n) if k not in chosen]
-    if _margins(model, pose[None])(chosen)[0] < RANK_TOLERANCE / LEAST_SHARE:
-        raise InputError(
-            f"independent: dead point of {', '.join(independent)} at the pose: {_weakest(model, pose, rest)} does not "
-            f"say where {', '.join(names[k] for k in rest)} go; choose other coordinates"
-        )
-    return _embedded(model, chosen, rest, pose)
-
-
-def _embedded(model: Model, chosen: list[int], rest: list[int], pose: np.ndarray) -> Model:
-    constraint, n, size = constraint_of(model), model.degrees_of_freedom, len(chosen)
-    t, u, rate = ca.SX.sym("t"), ca.SX.sym("u", size), ca.SX.sym("udot", size)
-    p = ca.SX.sym("p", model.parameter_values.size)
-    q = _followed(model, chosen, rest, pose, u, p)
-    jacobian = constraint.jacobian(q, p)
-    basis = ca.SX(n, size)
-    basis[chosen, :] = ca.SX.eye(size)
-    basis[rest, :] = -ca.solve(jacobian[:, rest], jacobian[:, chosen])
-    v = ca.mtimes(basis, rate)
-    turning = ca.SX(n, 1)
-    turning[rest] = -ca.solve(jacobian[:, rest], constraint.acceleration(q, v, ca.SX.zeros(n), p))
-    a = ca.SX.sym("a", n)
-    force = ca.SX.zeros(len(constraint.force_names))
-    equations = constraint.balances(t, q, v, a, force, p)
-    mass = ca.jacobian(equations, a)
-    bias = ca.substitute(equations, a, ca.densify(turning))
-    inner = ca.mtimes([basis.T, mass, basis])
-    symbols = Symbols(u, rate, p, model.parameter_names, tuple(map(float, model.parameter_values)),
-                      time=t if model.forced else None)  # fmt: skip
-    if model.forcing_period is not None:
-        symbols = replace(symbols, forcing_period=model.forcing_period(p))
-    forces = None if model.forces is None else ca.mtimes(basis.T, model.forces(t, q, v, p))
-    drive = None if model.actuation is None else ca.mtimes(basis.T, model.actuation(t, q, v, p))
-    terms = Terms(model.kinetic(q, v, p), model.potential(q, p), forces=forces, actuation=drive)
-    names = [model.state_names[k] for k in chosen]
-    acceleration = solve_positive_definite(inner, -ca.mtimes(basis.T, bias))
-    shown = {name: float(value) for name, value in zip(model.state_names, pose, strict=False)}
-    return mechanical_model(
-        ca.Function("acceleration", [t, u, rate, p], [acceleration]), terms, symbols, names,
-        invariants=[energy_invariant(terms.kinetic, terms.potential, u, rate, p)] if model.conservative else [],
-        angles=tuple(bool(model.angular[k]) for k in chosen),
-        points=None if model.points is None else ca.Function("points", [u, p], [model.points(q, p)]),
-        strokes=model.strokes, controls=model.controls, limits=model.limits,
-        system={**model.system, "pose": shown, "independent": names},
-    )  # fmt: skip
-
-
-def _followed(model: Model, chosen: list[int], rest: list[int], pose: np.ndarray, u: ca.SX, p: ca.SX) -> ca.SX:
-    """All coordinates (n) from the independent ones: one Newton step at each place along the way, a few at its end."""
-    constraint, n = constraint_of(model), model.degrees_of_freedom
-    angular = model.angular[chosen]
-    from_pose = ca.vertcat(*(
-        ca.atan2(ca.sin(u[k] - pose[j]), ca.cos(u[k] - pose[j])) if angular[k] else u[k] - pose[j]
-        for k, j in enumerate(chosen)
-    ))  # fmt: skip
-    found = ca.SX(ca.DM(pose))
-    for step in range(1, HOMOTOPY + FINAL + 1):
-        share = min(step / HOMOTOPY, 1.0)
-        found[chosen] = pose[chosen] + share * from_pose
-        phi, slopes = constraint.phi(found, p), constraint.jacobian(found, p)
-        found[rest] = found[rest] - ca.solve(slopes[:, rest], phi)
-    found[chosen] = u
-    assert found.numel() == n
-    return found
-
-
-def _in_all(model: Model, system: Table) -> ca.Function:
-    """(u, udot) -> all coordinates (n) and their rates, of the minimal form with this system."""
-    names = model.state_names[: model.degrees_of_freedom]
-    chosen = [names.index(name) for name in system["independent"]]
-    rest = [k for k in range(len(names)) if k not in chosen]
-    pose, u = np.array([system["pose"][name] for name in names]), ca.SX.sym("u", len(chosen))
-    return with_rates(u, _followed(model, chosen, rest, pose, u, ca.SX(ca.DM(model.parameter_values))))
-
-
-def _margins(model: Model, places: np.ndarray) -> Callable[[Sequence[int]], np.ndarray]:
-    """The least singular value, over the largest, of the slopes with which the loops' equations hold the others."""
-    rows = model.along(constraint_of(model).jacobian, places.T)
-    slopes = rows.reshape(rows.shape[0], len(places), -1).transpose(1, 0, 2) * coordinate_units(model)
-
-    def margins(chosen: Sequence[int]) -> np.ndarray:
-        values = np.linalg.svd(np.delete(slopes, chosen, axis=2), compute_uv=False)
-        return np.asarray(values[:, -1] / values[:, 0] / LEAST_SHARE)
-
-    return margins
-
-
-def _at_dead_point(model: Model, place: np.ndarray, chosen: Sequence[int]) -> str:
-    names, rest = model.state_names, [k for k in range(place.size) if k not in chosen]
-    return (
-        f"{_weakest(model, place, rest)} no longer says how {', '.join(names[k] for k in rest)} "
-        f"follow from {', '.join(names[k] for k in chosen)} (a dead point)"
-    )
-
-
-def _weakest(model: Model, place: np.ndarray, rest: Sequence[int]) -> str:
-    """The joint whose equation says least about where some coordinates go."""
-    closure = Closure.of(model)
-    return closure.joint(int(np.abs(np.linalg.svd(closure.slopes(place)[:, rest])[0][:, -1]).argmax()))
-
-
-def _put_together(model: Model, *given: Any, branch: int | None = None, **more: Any) -> np.ndarray:
-    del branch  # a pose says it
-    return mechanism_state(model, *given, **more)
-
-
-JOINED = Loops(
-    _put_together, lambda model, near: [mechanism_state(model, near=near)[: model.degrees_of_freedom]],
-    lambda model: range(model.degrees_of_freedom), _margins, _at_dead_point, _in_all,
-    lambda model, chosen, near: minimal_mechanism(model, [model.state_names[k] for k in chosen], near),
-)  # fmt: skip

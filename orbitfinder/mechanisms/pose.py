@@ -9,16 +9,11 @@ from orbitfinder.errors import InputError
 from orbitfinder.mechanics.constrained import allowed_velocities
 from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.mechanics.scales import surroundings
-from orbitfinder.mechanisms.mechanism import Closure
+from orbitfinder.mechanisms.closing import LoopClosure
 
-STEPS = 40
-LONGEST = 0.2
-"""Longest step of a coordinate in its unit: a hand does not take a mechanism through itself to another assembly"""
 DAMPING, SOFTER, HARDER, HARDEST = 1e-4, 5.0, 8.0, 1e4
 """Of steps, relative to how far the point goes with its coordinates: at first, less after one that helps, more after
 one that does not, and where there is none"""
-FASTEST = 5.0
-"""Speed of any point that is thrown, over that of the hand"""
 SMALL = 1e-6
 NEAR = 1e-10
 """A place is reached to this, and steps end that gain less, relative to the distance"""
@@ -33,15 +28,15 @@ def pulled(model: Model, state: np.ndarray, point: int, place: np.ndarray) -> np
     q, n = np.array(state[: model.degrees_of_freedom], float), model.degrees_of_freedom
     units, there = surroundings(model, q)[0], _seen(model, q[None])[0]
     missed = place - there[_checked(there, point)]
-    damping, closure = DAMPING, None if model.constraint is None else Closure.of(model, units)
-    for _ in range(STEPS):
+    damping, closure = DAMPING, None if model.constraint is None else LoopClosure.of(model, units)
+    for _ in range(40):
         away = float(np.hypot(*missed))
         slopes, ways = _slopes(model, q, units)
         reach, damping = slopes[point] @ slopes[point].T, damping / SOFTER
         while damping < HARDEST:
             damped = reach + (damping * np.trace(reach) + LEAST) * np.eye(2)
             step = ways @ (slopes[point].T @ np.linalg.solve(damped, missed))
-            step *= units * min(1.0, LONGEST / size_of(step))
+            step *= units * min(1.0, 0.2 / size_of(step))  # a hand takes no mechanism through itself
             trial = q + step if closure is None else closure.near(q + step)
             left = place - _seen(model, trial[None])[0, point]
             if np.hypot(*left) < away * (1 - NEAR):
@@ -58,14 +53,14 @@ def pulled(model: Model, state: np.ndarray, point: int, place: np.ndarray) -> np
 def thrown(model: Model, state: np.ndarray, point: int, velocity: np.ndarray) -> np.ndarray:
     """The state (2n) in the configuration of another one, with the least rates that give a point a velocity (m/s).
 
-    Near a dead point, where the point hardly follows its coordinates, nothing moves faster than `FASTEST` times that.
+    Near a dead point, where the point hardly follows its coordinates, nothing moves faster than five times that.
     """
     q = np.array(state[: model.degrees_of_freedom], float)
     units = surroundings(model, q)[0]
     slopes, ways = _slopes(model, q, units)
     moved = np.linalg.pinv(slopes[_checked(slopes, point)], rcond=1e-3) @ velocity
     speed = float(np.hypot(*(slopes @ moved).T).max())
-    slower = min(1.0, FASTEST * float(np.hypot(*velocity)) / nonzero(speed))
+    slower = min(1.0, 5.0 * float(np.hypot(*velocity)) / nonzero(speed))
     return np.concatenate([q, slower * units * (ways @ moved)])
 
 
@@ -88,8 +83,8 @@ def _checked(points: np.ndarray, point: int) -> int:
 def _seen(model: Model, q: np.ndarray) -> np.ndarray:
     """Where all points are at configurations (k x n): (k x m x 2), nan where a loop cannot be closed."""
     with np.errstate(all="ignore"):
-        found = positions(model, np.hstack([q, np.zeros_like(q)]))
-    return np.asarray(found.transpose(0, 2, 1))
+        places = positions(model, np.hstack([q, np.zeros_like(q)]))
+    return np.asarray(places.transpose(0, 2, 1))
 
 
 def _slopes(model: Model, q: np.ndarray, units: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

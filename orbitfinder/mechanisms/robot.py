@@ -2,7 +2,7 @@
 
 Every body's axes are turned as the ground's in the robot's zero position, so that no joint is turned, and the file's z,
 which points up, becomes x, down: (x, y, z) of a file is (-z, y, x) here. Links that are fixed to each other, and joints
-that are locked, are one body. Files are read by the libraries that define them: `urdf_parser_py` and `mujoco`, the
+that are locked, are a single body. Files are read by the libraries that define them: `urdf_parser_py` and `mujoco`, the
 extra [robot].
 """
 
@@ -25,33 +25,23 @@ from orbitfinder._runtime.processes import alone
 from orbitfinder._runtime.quiet import captured
 from orbitfinder.errors import InputError, closest, plural
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanisms.mechanism import GROUND, mechanism
+from orbitfinder.mechanisms.mechanism import GROUND, JOINTS, mechanism
 from orbitfinder.records.reading import file_bytes
 
 DOWN = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
 """From a file's axes (z up) to ours (x down)"""
-STRAIGHT = 1e-9
-"""What entries of a turn are 0 or 1 to, where angles of a file are rounded"""
 KINDS = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "fixed"}
-DIGITS = 15
 LARGEST, MOST_BODIES = 4_000_000, 1000
 """Bytes of a file, and bodies in it"""
 SECONDS, MEMORY = 30.0, 4_000_000_000
 """What MuJoCo gets to read a file: s, bytes"""
-UNKNOWN = (
-    "body_gravcomp", "jnt_stiffnesspoly", "jnt_springyield", "dof_dampingpoly", "tendon_stiffness", "tendon_damping",
-    "tendon_frictionloss", "tendon_armature",
-)  # fmt: skip
-"""What acts in a MuJoCo model where it is not 0, by its names, and is not known here"""
-ARRAYS = ("qpos", "body_", "jnt_", "dof_", "eq_", "tendon_")
-"""What is read of a MuJoCo model begins with these"""
 MJCF = {"damping": "damping", "rotor": "armature", "friction": "frictionloss"}
 BASE, WORLD = "base_joint", "world_of_base"
 """The free joint of a floating base, and what it hangs on"""
 
 
 @dataclass
-class _Body:
+class _RigidBody:
     """A link: mass, centre of mass (3), inertia about it (3 x 3), axes (3 x 3) and origin (3) in the ground's at 0."""
 
     mass: float = 0.0
@@ -81,13 +71,18 @@ class _Joint:
     mimics: tuple[str, float, float] | None = None
     """(joint, ratio, offset): where it is another joint's coordinate times a ratio, plus an offset"""
 
+    @property
+    def free(self) -> str:
+        """What it leaves free, in its order: slides P and turns R."""
+        return JOINTS[3][self.kind].free
+
 
 @dataclass
 class _Read:
     """What a file says of a robot."""
 
     name: str
-    bodies: dict[str, _Body]
+    bodies: dict[str, _RigidBody]
     joints: dict[str, _Joint]
     root: str
     gravity: Sequence[float] = (0.0, 0.0, -9.80665)
@@ -143,9 +138,13 @@ def robot(
         `of.mechanism`, which it makes.
     """
     path = Path(file)
-    made = _numbers(path, _file(path))
-    return mechanism(**tables(path, made, locked=locked, stiffness=stiffness, rest=rest, damping=damping,
-                              motors=motors, floating=floating, gravity=gravity), values=values)  # fmt: skip
+    data = _file(path)
+    made = _numbers(path, data)
+    made = _afloat(made) if floating else made
+    system, moving = _tables(made, locked)
+    system |= _acting(made, moving, stiffness, rest or {}, damping, motors)
+    drawn = {"file": path.name, "sha256": hashlib.sha256(data).hexdigest()}
+    return mechanism(**system, dimension=3, gravity=_fall(made, gravity), drawn=drawn, values=values)
 
 
 def _file(path: Path) -> bytes:
@@ -175,22 +174,22 @@ def _root(data: bytes) -> str:
     parser.StartElementHandler = first
     try:
         parser.Parse(data, True)
-    except StopIteration as found:
-        return str(found.value)
+    except StopIteration as stop:
+        return str(stop.value)
     except (expat.ExpatError, ValueError, LookupError):
         pass
     return ""
 
 
 def _put(table: dict[str, Any], kinds: str, name: str, value: Any) -> None:
-    """Add a body or a joint; `InputError` where there is one of that name."""
+    """Add a body or a joint; `InputError` where there is another of that name."""
     if name in table:
         raise InputError(f"file: two {kinds} are named {name!r}; rename one")
     table[name] = value
 
 
 def _checked(made: _Read) -> _Read:
-    """What was read; `InputError` for numbers that are none, and for names that are one once they are identifiers."""
+    """What was read; `InputError` for numbers that are none, and for names that are the same as identifiers."""
     if len(made.bodies) > MOST_BODIES:
         raise InputError(f"file: {len(made.bodies)} bodies, {MOST_BODIES} can be read; give a part of the robot")
     for kind, names in (("link", made.bodies), ("joint", made.joints)):
@@ -222,20 +221,26 @@ def _urdf(path: Path, data: bytes) -> _Read:
         raise InputError("file: URDF files need the extra: pip install 'orbitfinder[robot]'") from error
     try:
         with captured():
-            found = URDF.from_xml_string(data)
-            root = found.get_root()
+            robot_model = URDF.from_xml_string(data)
+            root = robot_model.get_root()
     except Exception as error:
         said = " ".join(str(error).split())
         raise InputError(f"file: {path.name} is no URDF that can be read ({type(error).__name__}: {said})") from error
-    bodies, joints = dict[str, _Body](), dict[str, _Joint]()
-    for link in found.links:
-        _put(bodies, "links", link.name, body := _Body())
+    bodies, joints = dict[str, _RigidBody](), dict[str, _Joint]()
+    for link in robot_model.links:
+        _put(bodies, "links", link.name, body := _RigidBody())
         if (weight := link.inertial) is not None:
             turn, place = _placed(weight.origin)
-            one = weight.inertia
-            matrix = np.array([[one.ixx, one.ixy, one.ixz], [one.ixy, one.iyy, one.iyz], [one.ixz, one.iyz, one.izz]])
+            tensor = weight.inertia
+            matrix = np.array(
+                [
+                    [tensor.ixx, tensor.ixy, tensor.ixz],
+                    [tensor.ixy, tensor.iyy, tensor.iyz],
+                    [tensor.ixz, tensor.iyz, tensor.izz],
+                ]
+            )
             body.mass, body.com, body.inertia = float(weight.mass), place, turn @ matrix @ turn.T
-    for joint in found.joints:
+    for joint in robot_model.joints:
         if joint.type not in KINDS:
             raise InputError(f"file: joint {joint.name!r} is {joint.type}; known are {', '.join(KINDS)}")
         turn, place = _placed(joint.origin)
@@ -250,7 +255,7 @@ def _urdf(path: Path, data: bytes) -> _Read:
             range=(low, high) if low < high and joint.type != "continuous" else None,
             mimics=(str(rule.joint), 1.0 if ratio is None else float(ratio), offset) if rule is not None else None,
         ))  # fmt: skip
-    return _Read(str(found.name), bodies, joints, str(root))
+    return _Read(str(robot_model.name), bodies, joints, str(root))
 
 
 def _placed(origin: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -265,7 +270,7 @@ def _placed(origin: Any) -> tuple[np.ndarray, np.ndarray]:
 def _straight(turn: np.ndarray) -> np.ndarray:
     """A turn whose entries that are 0 or 1 but for a file's rounding are so."""
     near = np.round(turn)
-    return np.where(np.abs(turn - near) < STRAIGHT, near, turn) if np.abs(turn - near).max() < STRAIGHT else turn
+    return near if np.abs(turn - near).max() < 1e-9 else turn
 
 
 def compiled(file: str) -> dict[str, Any]:
@@ -273,18 +278,19 @@ def compiled(file: str) -> dict[str, Any]:
     import mujoco  # noqa: PLC0415
 
     try:
-        one = mujoco.MjModel.from_xml_path(file)
+        model = mujoco.MjModel.from_xml_path(file)
     except Exception as error:
         return {"refused": " ".join(str(error).split())}
-    found: dict[str, Any] = {name: getattr(one, name).tolist() for name in dir(one) if name.startswith(ARRAYS)}
-    found |= {name: np.asarray(getattr(one.opt, name)).tolist() for name in ("gravity", "density", "viscosity")}
-    return found | {
-        "nflex": one.nflex,
-        "bodies": [_word(one.body(k).name or f"body{k}") for k in range(one.nbody)],
-        "joints": [_word(one.joint(k).name or f"joint{k}") for k in range(one.njnt)],
-        "kinds": [mujoco.mjtJoint(k).name for k in one.jnt_type.tolist()],
-        "equalities": [mujoco.mjtEq(k).name for k in one.eq_type.tolist()],
-        "off": [name for name, bit in mujoco.mjtDisableBit.__members__.items() if one.opt.disableflags & int(bit)],
+    read = ("qpos", "body_", "jnt_", "dof_", "eq_", "tendon_")
+    lists: dict[str, Any] = {name: getattr(model, name).tolist() for name in dir(model) if name.startswith(read)}
+    lists |= {name: np.asarray(getattr(model.opt, name)).tolist() for name in ("gravity", "density", "viscosity")}
+    return lists | {
+        "nflex": model.nflex,
+        "bodies": [_word(model.body(k).name or f"body{k}") for k in range(model.nbody)],
+        "joints": [_word(model.joint(k).name or f"joint{k}") for k in range(model.njnt)],
+        "kinds": [mujoco.mjtJoint(k).name for k in model.jnt_type.tolist()],
+        "equalities": [mujoco.mjtEq(k).name for k in model.eq_type.tolist()],
+        "off": [name for name, bit in mujoco.mjtDisableBit.__members__.items() if model.opt.disableflags & int(bit)],
     }
 
 
@@ -302,89 +308,85 @@ def _mjcf(path: Path, data: bytes) -> _Read:
         )
     if "refused" in lists:
         raise InputError(f"file: {path.name} is no MJCF that can be read ({lists['refused']})")
-    one = SimpleNamespace(**lists)
-    _check_smooth(one)
-    names, gravity = one.bodies, [0.0] * 3 if "mjDSBL_GRAVITY" in one.off else one.gravity
-    made = _Read(path.stem, {names[0]: _Body()}, {}, names[0], gravity)
+    model = SimpleNamespace(**lists)
+    _check_smooth(model)
+    names, gravity = model.bodies, [0.0] * 3 if "mjDSBL_GRAVITY" in model.off else model.gravity
+    made = _Read(path.stem, {names[0]: _RigidBody()}, {}, names[0], gravity)
     for k in range(1, len(names)):
-        turn = _straight(Rotation.from_quat(np.roll(one.body_iquat[k], -1)).as_matrix())
-        inertia = turn @ np.diag(one.body_inertia[k]) @ turn.T
-        _put(made.bodies, "bodies", names[k], _Body(one.body_mass[k], np.array(one.body_ipos[k]), inertia))
-        place, parent = np.array(one.body_pos[k]), names[one.body_parentid[k]]
-        turned = _straight(Rotation.from_quat(np.roll(one.body_quat[k], -1)).as_matrix())
-        if one.body_jntnum[k] > 1:
-            raise InputError(f"file: body {names[k]!r} has {one.body_jntnum[k]} joints; give each a body of its own")
+        turn = _straight(Rotation.from_quat(np.roll(model.body_iquat[k], -1)).as_matrix())
+        inertia = turn @ np.diag(model.body_inertia[k]) @ turn.T
+        _put(made.bodies, "bodies", names[k], _RigidBody(model.body_mass[k], np.array(model.body_ipos[k]), inertia))
+        place, parent = np.array(model.body_pos[k]), names[model.body_parentid[k]]
+        turned = _straight(Rotation.from_quat(np.roll(model.body_quat[k], -1)).as_matrix())
+        if model.body_jntnum[k] > 1:
+            raise InputError(f"file: body {names[k]!r} has {model.body_jntnum[k]} joints; give each a body of its own")
         name, joint = f"{names[k]}_weld", _Joint("fixed", parent, names[k], place, turned, np.eye(3)[0])
-        if one.body_jntnum[k]:
-            name, joint = _mjcf_joint(one, one.body_jntadr[k], joint)
+        if model.body_jntnum[k]:
+            name, joint = _mjcf_joint(model, model.body_jntadr[k], joint)
         _put(made.joints, "joints", name, joint)
     return made
 
 
-def _mjcf_joint(one: SimpleNamespace, k: int, joint: _Joint) -> tuple[str, _Joint]:
+def _mjcf_joint(model: SimpleNamespace, k: int, joint: _Joint) -> tuple[str, _Joint]:
     """Name and numbers of a MuJoCo model's joint, as its flags and equalities have it."""
-    name, dof, place = one.joints[k], one.jnt_dofadr[k], one.jnt_qposadr[k]
-    kind = {"mjJNT_HINGE": "revolute", "mjJNT_SLIDE": "prismatic", "mjJNT_FREE": "free"}.get(one.kinds[k])
+    name, dof, place = model.joints[k], model.jnt_dofadr[k], model.jnt_qposadr[k]
+    kind = {"mjJNT_HINGE": "revolute", "mjJNT_SLIDE": "prismatic", "mjJNT_FREE": "free"}.get(model.kinds[k])
     if kind is None:
         raise InputError(f"file: the joint of body {joint.child!r} is a ball, which is not known; use three hinges")
-    if np.any(one.jnt_pos[k]):
+    if np.any(model.jnt_pos[k]):
         raise InputError(f"file: the joint of body {joint.child!r} is off its origin; move the body's frame to it")
-    loss = {"damping": one.dof_damping[dof], "rotor": one.dof_armature[dof], "friction": one.dof_frictionloss[dof]}
-    if kind == "free" and any(loss.values()):
+    loss = {
+        "damping": model.dof_damping[dof],
+        "rotor": model.dof_armature[dof],
+        "friction": model.dof_frictionloss[dof],
+    }
+    afloat = len(JOINTS[3][kind].free) > 1
+    if afloat and any(loss.values()):
         what = next(entry for entry, value in loss.items() if value)
         raise InputError(f"file: the free joint {name!r} has {MJCF[what]}, which is not known; make it a <freejoint/>")
-    if kind != "free" and one.qpos0[place]:
-        raise InputError(f"file: joint {name!r} counts from ref = {one.qpos0[place]:g}; take ref out, 0 is as drawn")
+    if not afloat and model.qpos0[place]:
+        raise InputError(f"file: joint {name!r} counts from ref = {model.qpos0[place]:g}; take ref out, 0 is as drawn")
     for entry, flag in (("damping", "DAMPER"), ("friction", "FRICTIONLOSS")):
-        loss[entry] *= f"mjDSBL_{flag}" not in one.off and "mjDSBL_PASSIVE" not in one.off
-    sprung = not {"mjDSBL_SPRING", "mjDSBL_PASSIVE"} & {*one.off}
-    stops = one.jnt_limited[k] and not {"mjDSBL_LIMIT", "mjDSBL_CONSTRAINT"} & {*one.off}
-    rules = ((one.joints[one.eq_obj2id[i]], one.eq_data[i][1], one.eq_data[i][0]) for i in _held(one)
-             if one.eq_obj1id[i] == k)  # fmt: skip
+        loss[entry] *= f"mjDSBL_{flag}" not in model.off and "mjDSBL_PASSIVE" not in model.off
+    sprung = not {"mjDSBL_SPRING", "mjDSBL_PASSIVE"} & {*model.off}
+    stops = model.jnt_limited[k] and not {"mjDSBL_LIMIT", "mjDSBL_CONSTRAINT"} & {*model.off}
+    rules = ((model.joints[model.eq_obj2id[i]], model.eq_data[i][1], model.eq_data[i][0]) for i in _held(model)
+             if model.eq_obj1id[i] == k)  # fmt: skip
     return name, replace(
-        joint, kind=kind, axis=np.array(one.jnt_axis[k]), **loss, stiffness=one.jnt_stiffness[k] * sprung,
-        rest=one.qpos_spring[place], range=tuple(one.jnt_range[k]) if stops else None, mimics=next(rules, None),
+        joint, kind=kind, axis=np.array(model.jnt_axis[k]), **loss, stiffness=model.jnt_stiffness[k] * sprung,
+        rest=model.qpos_spring[place], range=tuple(model.jnt_range[k]) if stops else None, mimics=next(rules, None),
     )  # fmt: skip
 
 
-def _held(one: SimpleNamespace) -> list[int]:
+def _held(model: SimpleNamespace) -> list[int]:
     """The equalities that act."""
-    return [] if {"mjDSBL_EQUALITY", "mjDSBL_CONSTRAINT"} & {*one.off} else np.flatnonzero(one.eq_active0).tolist()
+    return [] if {"mjDSBL_EQUALITY", "mjDSBL_CONSTRAINT"} & {*model.off} else np.flatnonzero(model.eq_active0).tolist()
 
 
-def _check_smooth(one: SimpleNamespace) -> None:
+def _check_smooth(model: SimpleNamespace) -> None:
     """`InputError` naming what acts in a MuJoCo model and is not known here."""
-    named = {"body": one.bodies, "jnt": one.joints, "dof": [one.joints[k] for k in one.dof_jntid]}
-    wrong = [f"{name} (drag)" for name in ("density", "viscosity") if getattr(one, name)] + ["flex"] * one.nflex
-    for name in UNKNOWN:
+    named = {"body": model.bodies, "jnt": model.joints, "dof": [model.joints[k] for k in model.dof_jntid]}
+    wrong = [f"{name} (drag)" for name in ("density", "viscosity") if getattr(model, name)] + ["flex"] * model.nflex
+    unknown = (
+        "body_gravcomp", "jnt_stiffnesspoly", "jnt_springyield", "dof_dampingpoly", "tendon_stiffness",
+        "tendon_damping", "tendon_frictionloss", "tendon_armature",
+    )  # fmt: skip
+    for name in unknown:
         owner, _, what = name.partition("_")
-        acting = [k for k, value in enumerate(getattr(one, name, [])) if np.any(value)]
+        acting = [k for k, value in enumerate(getattr(model, name, [])) if np.any(value)]
         wrong += [f"{what} of {owner} {named[owner][k] if owner in named else k!r}" for k in acting]
     bound: set[int] = set()
-    for k in _held(one):
-        linear = one.equalities[k] == "mjEQ_JOINT" and one.eq_obj2id[k] >= 0 and not any(one.eq_data[k][2:5])
-        wrong += [] if linear and one.eq_obj1id[k] not in bound else [f"equality {k} ({one.equalities[k]})"]
-        bound.add(one.eq_obj1id[k])
+    for k in _held(model):
+        linear = model.equalities[k] == "mjEQ_JOINT" and model.eq_obj2id[k] >= 0 and not any(model.eq_data[k][2:5])
+        wrong += [] if linear and model.eq_obj1id[k] not in bound else [f"equality {k} ({model.equalities[k]})"]
+        bound.add(model.eq_obj1id[k])
     if wrong:
         raise InputError(f"file: {wrong[0]} acts in MuJoCo and is not known here; take it out of the file")
 
 
-def tables(
-    path: Path,
-    made: _Read,
-    *,
-    locked: Mapping[str, float] | Sequence[str] = (),
-    stiffness: Mapping[str, float] | float | None = None,
-    rest: Mapping[str, float] | None = None,
-    damping: Mapping[str, float] | float | None = None,
-    motors: Sequence[str] | str = (),
-    floating: bool = False,
-    gravity: Sequence[float] | float | None = None,
-) -> dict[str, Any]:
-    """The tables of the mechanism that a robot is, with `drawn`: the file's name and SHA-256."""
-    if floating:
-        made = _afloat(made)
-    free = [name for name, one in made.joints.items() if one.kind != "fixed"]
+def _tables(made: _Read, locked: Mapping[str, float] | Sequence[str]) -> tuple[dict[str, Any], list[str]]:
+    """The bodies and joints of the mechanism that a robot is, and the names of the joints that move."""
+    free = [name for name, joint in made.joints.items() if joint.free]
     still = dict(locked) if isinstance(locked, Mapping) else dict.fromkeys(locked, 0.0)
     _check_names("locked", still, free)
     still |= _following(made, still)
@@ -392,63 +394,61 @@ def tables(
     if not moving:
         raise InputError("locked: no joint is left to move; unlock one")
     bodies, whose = _lumped(made, still)
-    found: dict[str, Any] = {"dimension": 3, "gravity": _fall(made, gravity), "bodies": {}, "joints": {}}
+    system: dict[str, Any] = {"bodies": {}, "joints": {}}
     held = whose[made.root]
     for name in moving:
-        one = made.joints[name]
-        parent, (turn, place) = whose[one.parent], _frame(made, name)
+        joint = made.joints[name]
+        parent, (turn, place) = whose[joint.parent], _frame(made, name)
         before = bodies[parent].place if parent != held else np.zeros(3)
         table: dict[str, Any] = {
-            "kind": one.kind, "between": [GROUND if parent == held else _word(parent), _word(whose[one.child])],
+            "kind": joint.kind, "between": [GROUND if parent == held else _word(parent), _word(whose[joint.child])],
             "at": [_listed(DOWN @ (place - before)), [0.0, 0.0, 0.0]],
         }  # fmt: skip
-        if one.kind != "free":
-            table["axis"] = _listed(DOWN @ turn @ one.axis)
-        if one.rotor:
-            table["rotor"] = one.rotor
-        table |= {"range": list(one.range)} if one.range is not None else {}
-        table |= {"mimics": [_word(one.mimics[0]), *one.mimics[1:]]} if one.mimics is not None else {}
-        found["joints"][_word(name)] = table
+        if len(joint.free) == 1:
+            table["axis"] = _listed(DOWN @ turn @ joint.axis)
+        if joint.rotor:
+            table["rotor"] = joint.rotor
+        table |= {"range": list(joint.range)} if joint.range is not None else {}
+        table |= {"mimics": [_word(joint.mimics[0]), *joint.mimics[1:]]} if joint.mimics is not None else {}
+        system["joints"][_word(name)] = table
     for name, body in bodies.items():
         if name == held:
             continue
         if not body.mass > 0:
-            joint = next(j for j, one in made.joints.items() if whose[one.child] == name)
+            by = next(j for j, other in made.joints.items() if whose[other.child] == name)
             raise InputError(
-                f"file: link {name!r} moves with joint {joint!r} and has no mass; give it one, or lock the joint"
+                f"file: link {name!r} moves with joint {by!r} and has no mass; give it one, or lock the joint"
             )
         inertia = DOWN @ body.inertia @ DOWN.T
         six = [inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
-        found["bodies"][_word(name)] = {
+        system["bodies"][_word(name)] = {
             "mass": body.mass, "com": _listed(DOWN @ (body.com - body.place)), "inertia": _listed(six)
         }  # fmt: skip
-    _acting(found, made, moving, stiffness, rest or {}, damping, motors)
-    found["drawn"] = {"file": path.name, "sha256": hashlib.sha256(_file(path)).hexdigest()}
-    return found
+    return system, moving
 
 
 def _fall(made: _Read, gravity: Sequence[float] | float | None) -> list[float]:
     """Gravity (3) in our axes."""
     given = np.asarray(made.gravity if gravity is None else gravity, float)
-    found = np.array([0.0, 0.0, -float(given)]) if given.ndim == 0 else given
-    if found.shape != (3,) or not np.all(np.isfinite(found)):
+    fall = np.array([0.0, 0.0, -float(given)]) if given.ndim == 0 else given
+    if fall.shape != (3,) or not np.all(np.isfinite(fall)):
         raise InputError(f"gravity: {gravity}; give m/s^2 along the file's -z, or three numbers (x, y, z)")
-    return _listed(DOWN @ found)
+    return _listed(DOWN @ fall)
 
 
 def _following(made: _Read, still: Mapping[str, float]) -> dict[str, float]:
     """Where joints stay that mimic joints that do."""
-    found = {}
-    for name, one in made.joints.items():
-        if one.mimics is None or name in still or one.kind == "fixed":
+    followed = {}
+    for name, joint in made.joints.items():
+        if joint.mimics is None or name in still or not joint.free:
             continue
-        first, ratio, offset = one.mimics
+        first, ratio, offset = joint.mimics
         if first not in made.joints or first == name or made.joints[first].mimics is not None:
             why = "which mimics" if first in made.joints else "which is not there"
             raise InputError(f"file: joint {name!r} mimics {first!r}, {why}; name one that moves by itself, or lock it")
-        if first in still or made.joints[first].kind == "fixed":
-            found[name] = ratio * still.get(first, 0.0) + offset
-    return found
+        if first in still or not made.joints[first].free:
+            followed[name] = ratio * still.get(first, 0.0) + offset
+    return followed
 
 
 def _afloat(made: _Read) -> _Read:
@@ -456,15 +456,15 @@ def _afloat(made: _Read) -> _Read:
     if BASE in made.joints or WORLD in made.bodies:
         raise InputError(f"floating: the file has a joint {BASE!r} or a link {WORLD!r} already; rename it")
     joint = _Joint("free", WORLD, made.root, np.zeros(3), np.eye(3), np.eye(3)[0])
-    return replace(made, bodies={WORLD: _Body(), **made.bodies}, joints={BASE: joint, **made.joints}, root=WORLD)
+    return replace(made, bodies={WORLD: _RigidBody(), **made.bodies}, joints={BASE: joint, **made.joints}, root=WORLD)
 
 
 def _acting(
-    found: dict[str, Any], made: _Read, moving: list[str], stiffness: Any, rest: Mapping[str, float], damping: Any,
-    motors: Sequence[str] | str,
-) -> None:  # fmt: skip
+    made: _Read, moving: list[str], stiffness: Any, rest: Mapping[str, float], damping: Any, motors: Sequence[str] | str
+) -> dict[str, Any]:
     """Springs, dampers and motors of the moving joints."""
-    moving = [name for name in moving if made.joints[name].kind != "free"]
+    system = dict[str, Any]()
+    moving = [name for name in moving if len(made.joints[name].free) == 1]
     _check_names("rest", rest, moving)
     for key, given, entry in (("springs", stiffness, "stiffness"), ("dampers", damping, "damping")):
         own = {name: getattr(made.joints[name], entry) for name in moving}
@@ -489,12 +489,13 @@ def _acting(
                 if key == "springs" and (ease := rest.get(name, made.joints[name].rest)):
                     table[f"{_word(name)}_spring"]["rest"] = float(ease)
         if table:
-            found[key] = table
+            system[key] = table
     chosen = moving if motors == "all" else [motors] if isinstance(motors, str) else list(motors)
     _check_names("motors", chosen, moving)
     if chosen:
-        limits = {name: {"limit": one} if (one := made.joints[name].limit) else {} for name in chosen}
-        found["motors"] = {f"{_word(name)}_torque": {"joint": _word(name)} | limits[name] for name in chosen}
+        limits = {name: {"limit": most} if (most := made.joints[name].limit) else {} for name in chosen}
+        system["motors"] = {f"{_word(name)}_torque": {"joint": _word(name)} | limits[name] for name in chosen}
+    return system
 
 
 def _check_names(field: str, given: Iterable[str], known: Sequence[str]) -> None:
@@ -505,60 +506,62 @@ def _check_names(field: str, given: Iterable[str], known: Sequence[str]) -> None
 
 def _word(name: str) -> str:
     """A name of a file as an identifier."""
-    found = "".join(one if one.isalnum() else "_" for one in name)
-    return found if found[:1].isalpha() or found[:1] == "_" else f"_{found}"
+    word = "".join(letter if letter.isalnum() else "_" for letter in name)
+    return word if word[:1].isalpha() or word[:1] == "_" else f"_{word}"
 
 
 def _listed(numbers: Iterable[float]) -> list[float]:
     """Numbers without what the turning of axes leaves of round-off."""
     values = np.array(list(numbers), float)
     values[np.abs(values) < 1e-15 * np.abs(values).max(initial=0.0)] = 0.0
-    return [float(f"{one:.{DIGITS}g}") for one in values]
+    return [float(f"{value:.15g}") for value in values]
 
 
 def _frame(made: _Read, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Axes (3 x 3) and place (3) of a joint in the ground's, at the zero position."""
-    one = made.joints[name]
-    parent = made.bodies[one.parent]
-    return parent.turn @ one.turn, parent.place + parent.turn @ one.place
+    joint = made.joints[name]
+    parent = made.bodies[joint.parent]
+    return parent.turn @ joint.turn, parent.place + parent.turn @ joint.place
 
 
-def _lumped(made: _Read, still: Mapping[str, float]) -> tuple[dict[str, _Body], dict[str, str]]:
+def _lumped(made: _Read, still: Mapping[str, float]) -> tuple[dict[str, _RigidBody], dict[str, str]]:
     """Bodies that move, in the ground's axes at 0, and of which of them each link is a part."""
     whose, order = {made.root: made.root}, [made.root]
     for parent in order:
-        for name, one in made.joints.items():
-            if one.parent != parent:
+        for name, joint in made.joints.items():
+            if joint.parent != parent:
                 continue
-            if one.child in whose:
-                raise InputError(f"file: link {one.child!r} hangs on two joints, {name!r} the second; a URDF is a tree")
+            if joint.child in whose:
+                raise InputError(
+                    f"file: link {joint.child!r} hangs on two joints, {name!r} the second; a URDF is a tree"
+                )
             turn, place = _frame(made, name)
-            fixed = one.kind == "fixed" or name in still
-            if name in still and one.kind == "revolute":
-                turn = turn @ Rotation.from_rotvec(one.axis / np.linalg.norm(one.axis) * still[name]).as_matrix()
+            fixed = not joint.free or name in still
+            if name in still and joint.free == "R":
+                turn = turn @ Rotation.from_rotvec(joint.axis / np.linalg.norm(joint.axis) * still[name]).as_matrix()
             elif name in still:
-                place = place + turn @ one.axis / np.linalg.norm(one.axis) * still[name]
-            body = made.bodies.get(one.child)
+                place = place + turn @ joint.axis / np.linalg.norm(joint.axis) * still[name]
+            body = made.bodies.get(joint.child)
             if body is None:
-                raise InputError(f"file: joint {name!r} leads to link {one.child!r}, which is not there")
+                raise InputError(f"file: joint {name!r} leads to link {joint.child!r}, which is not there")
             body.turn, body.place = _straight(turn), place
-            whose[one.child] = whose[parent] if fixed else one.child
-            order.append(one.child)
+            whose[joint.child] = whose[parent] if fixed else joint.child
+            order.append(joint.child)
     lost = [name for name in made.bodies if name not in whose]
     if lost:
         raise InputError(f"file: {plural(len(lost), 'link')} hang on nothing, {', '.join(lost[:3])}; join them")
-    return {head: _together(made, [n for n, one in whose.items() if one == head], head) for head in
+    return {head: _together(made, [n for n, whole in whose.items() if whole == head], head) for head in
             dict.fromkeys(whose.values())}, whose  # fmt: skip
 
 
-def _together(made: _Read, names: Sequence[str], head: str) -> _Body:
-    """Links that move as one: mass, centre of mass and inertia about it in the ground's axes at 0 (Steiner)."""
+def _together(made: _Read, names: Sequence[str], head: str) -> _RigidBody:
+    """Links that move together: mass, centre of mass and inertia about it in the ground's axes at 0 (Steiner)."""
     parts = [made.bodies[name] for name in names]
-    mass = sum(one.mass for one in parts)
-    centres = [one.place + one.turn @ one.com for one in parts]
-    centre = sum((one.mass * at for one, at in zip(parts, centres, strict=True)), np.zeros(3)) / (mass or 1.0)
+    mass = sum(part.mass for part in parts)
+    centres = [part.place + part.turn @ part.com for part in parts]
+    centre = sum((part.mass * at for part, at in zip(parts, centres, strict=True)), np.zeros(3)) / (mass or 1.0)
     inertia = np.zeros((3, 3))
-    for one, at in zip(parts, centres, strict=True):
+    for part, at in zip(parts, centres, strict=True):
         away = at - centre
-        inertia += one.turn @ one.inertia @ one.turn.T + one.mass * (away @ away * np.eye(3) - np.outer(away, away))
-    return _Body(mass, centre, inertia, np.eye(3), made.bodies[head].place)
+        inertia += part.turn @ part.inertia @ part.turn.T + part.mass * (away @ away * np.eye(3) - np.outer(away, away))
+    return _RigidBody(mass, centre, inertia, np.eye(3), made.bodies[head].place)

@@ -68,7 +68,7 @@ def from_sympy(
     coordinates, speeds = list(method.q), list(method.u)
     if len(speeds) != len(coordinates) or len(getattr(method, "coneqs", ())):
         raise InputError("method: has constraints, which are not read from SymPy; see of.constrained")
-    rates = [one.diff(dynamicsymbols._t) for one in coordinates]
+    rates = [coordinate.diff(dynamicsymbols._t) for coordinate in coordinates]
     reader = _Reader(sympy, dynamicsymbols._t, coordinates, rates, values)
     if isinstance(method, KanesMethod):
         reader.renamed = _speeds(method, speeds, rates)
@@ -76,18 +76,23 @@ def from_sympy(
     else:
         level = method._L[0] if potential is None else method._L[0] - sympy.sympify(potential)
     energy = reader(level)
-    forces = _beyond(method, energy, reader, [str(one) for one in controls])
+    varying = [str(control) for control in controls]
+    forces = _beyond(method, energy, reader, varying)
     if forcing_period is None and reader.timed:
         raise InputError("forcing_period: the equations depend on time; give the period of what drives them, in s")
     symbols = Symbols(
         reader.q, reader.v, reader.p if reader.names else None, tuple(reader.names), tuple(reader.values),
         time=None if forcing_period is None else reader.t, forcing_period=forcing_period,
     )  # fmt: skip
-    turning = [True] * len(coordinates) if angles is True else [one in list(angles or []) for one in coordinates]
+    turning = (
+        [True] * len(coordinates)
+        if angles is True
+        else [coordinate in list(angles or []) for coordinate in coordinates]
+    )
     return lagrange(
         energy, ca.SX(0), symbols, forces=forces,
-        names=[one.func.__name__ for one in coordinates], angles=turning,
-        points=None if points is None else reader(sympy.Matrix(points)), controls=[str(one) for one in controls],
+        names=[coordinate.func.__name__ for coordinate in coordinates], angles=turning,
+        points=None if points is None else reader(sympy.Matrix(points)), controls=varying,
     )  # fmt: skip
 
 
@@ -106,11 +111,11 @@ def _check_values(values: Any) -> None:
 
 def _speeds(method: Any, speeds: list[Any], rates: list[Any]) -> dict[Any, Any]:
     """Kane's speeds as the coordinates' rates; `InputError` where they are something else."""
-    found = method.kindiffdict()
+    known = method.kindiffdict()
     for speed, rate in zip(speeds, rates, strict=True):
-        if found.get(rate) != speed:
+        if known.get(rate) != speed:
             raise InputError(
-                f"method: {rate} is {found.get(rate)} and not {speed}; give Kane's method the coordinates' rates as "
+                f"method: {rate} is {known.get(rate)} and not {speed}; give Kane's method the coordinates' rates as "
                 "speeds, in the order of the coordinates"
             )
     return dict(zip(speeds, rates, strict=True))
@@ -120,8 +125,8 @@ def _of_bodies(method: Any, potential: Any) -> Any:
     """T - V of the bodies of Kane's method."""
     if not method.bodies:
         raise InputError("method: has no bodies; form Kane's equations (kanes_equations(bodies, loads)) first")
-    kinetic = sum(one.kinetic_energy(method._inertial) for one in method.bodies)
-    return kinetic - (sum(one.potential_energy for one in method.bodies) if potential is None else potential)
+    kinetic = sum(body.kinetic_energy(method._inertial) for body in method.bodies)
+    return kinetic - (sum(body.potential_energy for body in method.bodies) if potential is None else potential)
 
 
 def _beyond(method: Any, lagrangian: ca.SX, reader: _Reader, controls: Sequence[str]) -> ca.SX | None:
@@ -139,7 +144,7 @@ def _beyond(method: Any, lagrangian: ca.SX, reader: _Reader, controls: Sequence[
     for _ in range(TRIALS):
         q, v = random.uniform(-1, 1, (2, len(reader.coordinates)))
         p = np.where(np.array(reader.values) == 0, 1.0, reader.values) * random.uniform(0.5, 1.5, len(reader.values))
-        mass, differs, force, more = (one.full() for one in tried(random.uniform(), q, v, p))
+        mass, differs, force, more = (part.full() for part in tried(random.uniform(), q, v, p))
         worst = max(worst, float(np.abs(differs).max() / np.abs(mass).max()))
         there |= bool(np.abs(more).max() > AGREE * np.abs(force).max())
     if worst > AGREE:
@@ -182,15 +187,19 @@ class _Reader:
 
     def flat(self, expression: Any) -> Any:
         """An expression in plain symbols in place of functions of time."""
-        found = self.sympy.sympify(expression).subs(self.renamed)
-        found = found.subs(dict(zip(self.rates, self.plain[1], strict=True)))
-        return found.subs(dict(zip(self.coordinates, self.plain[0], strict=True)))
+        flat = self.sympy.sympify(expression).subs(self.renamed)
+        flat = flat.subs(dict(zip(self.rates, self.plain[1], strict=True)))
+        return flat.subs(dict(zip(self.coordinates, self.plain[0], strict=True)))
 
     def __call__(self, expression: Any) -> ca.SX:
         """The same in CasADi; `InputError` for symbols without a value."""
         flat = self.flat(expression)
         self.timed |= self.clock in flat.free_symbols
-        own = {str(one): one for one in flat.free_symbols if one not in (*self.plain[0], *self.plain[1], self.clock)}
+        own = {
+            str(symbol): symbol
+            for symbol in flat.free_symbols
+            if symbol not in (*self.plain[0], *self.plain[1], self.clock)
+        }
         left = flat.atoms(self.sympy.Derivative, self.sympy.core.function.AppliedUndef)
         for name in [*own, *map(str, left)]:
             if name not in self.names:
@@ -200,7 +209,7 @@ class _Reader:
         arguments = [*self.plain[0], *self.plain[1], self.clock, *own.values()]
         parameters = [self.p[self.names.index(name)] for name in own]
         function = self.sympy.lambdify(arguments, list(flat) if flat.is_Matrix else flat, [FUNCTIONS, "math"], cse=True)
-        found = function(*ca.vertsplit(self.q), *ca.vertsplit(self.v), self.t, *parameters)
+        value = function(*ca.vertsplit(self.q), *ca.vertsplit(self.v), self.t, *parameters)
         if not flat.is_Matrix:
-            return ca.SX(found)
-        return ca.reshape(ca.vertcat(*found), flat.shape[1], flat.shape[0]).T
+            return ca.SX(value)
+        return ca.reshape(ca.vertcat(*value), flat.shape[1], flat.shape[0]).T

@@ -33,15 +33,10 @@ from orbitfinder.mechanics.kind import loops_of, system_kind
 from orbitfinder.mechanics.model import Model, counted, vector_field, wrapped
 from orbitfinder.mechanics.scales import given_or, snapped
 
-DESCENTS = 16
 FLAT = 1e-4
 """Slope (J per rad or m) at which a descent has reached a minimum; only its energy is asked for."""
 SHORT = replace(newton.RESTING, longest=0.3, cutoff=1e-15)
 """How an equilibrium under constraints is found, whose forces have units of their own; steps in rad or m"""
-AT_REST = 1e-10
-"""Rates of a first-order system below this share of what they are made of are those of an equilibrium."""
-ELLIPSE = 64
-"""Intervals of the ellipse that stands for a mode"""
 
 
 def equilibria(model: Model) -> list[np.ndarray]:
@@ -56,11 +51,7 @@ def resting_place(model: Model, energy: float) -> np.ndarray:
 
     Raises `InputError` when there is none.
     """
-
-    def potential(q: np.ndarray) -> float:
-        return float(model.potential(q, model.parameter_values))
-
-    place = equilibrium(model)
+    potential, place = _potential(model), equilibrium(model)
     if energy <= potential(place):
         place = min([place, *minima(model)], key=potential)
     lowest = potential(place)
@@ -73,13 +64,14 @@ def resting_place(model: Model, energy: float) -> np.ndarray:
 def minima(model: Model) -> list[np.ndarray]:
     """Coordinates (n each) of minima of the potential, met going down from places about q = 0."""
     reach, random = reach_of(model), np.random.default_rng(0)
-
-    def potential(q: np.ndarray) -> float:
-        return float(model.potential(q, model.parameter_values))
-
-    found = [newton.descended(potential, reach * random.uniform(-1, 1, reach.size)) for _ in range(DESCENTS)]
+    ends = [newton.descended(_potential(model), reach * random.uniform(-1, 1, reach.size)) for _ in range(16)]
     # a potential without a floor leads away from every minimum
-    return [q for q, _, slope in found if np.all(np.abs(q) < 4 * reach) and slope < FLAT]
+    return [q for q, _, slope in ends if np.all(np.abs(q) < 4 * reach) and slope < FLAT]
+
+
+def _potential(model: Model) -> Callable[[np.ndarray], float]:
+    """V(q) (J) at the model's own parameters."""
+    return lambda q: float(model.potential(q, model.parameter_values))
 
 
 def reach_of(model: Model) -> np.ndarray:
@@ -94,17 +86,17 @@ def equilibrium(model: Model) -> np.ndarray:
     from_here = np.array([pose.get(name, 0.0) for name in model.state_names[:n]])
 
     def potential(q: np.ndarray) -> float:
-        return float(model.potential(from_here + units * q, model.parameter_values))
+        return own(from_here + units * q)
 
-    zero = np.zeros(n)
+    zero, own = np.zeros(n), _potential(model)
     work = _work(potential, n)
     slopes = [potential(1e-6 * unit) - potential(-1e-6 * unit) for unit in np.eye(n)]
     if np.abs(slopes).max() < 1e-11 * max(work, abs(potential(zero))):
         return from_here
-    found = newton.descended(lambda q: potential(q) / work, zero, method="BFGS", options={"gtol": 1e-11})[0]
+    lowest = newton.descended(lambda q: potential(q) / work, zero, method="BFGS", options={"gtol": 1e-11})[0]
     accelerations = linearised(model)
-    rest = newton.equilibrium(lambda q: accelerations(q, zero)[:2], from_here + units * found, units)
-    return rest.w if rest.converged else from_here + units * found
+    rest = newton.equilibrium(lambda q: accelerations(q, zero)[:2], from_here + units * lowest, units)
+    return rest.w if rest.converged else from_here + units * lowest
 
 
 def _work(potential: Callable[[np.ndarray], float], n: int) -> float:
@@ -154,12 +146,12 @@ def _stationary(model: Model, start: np.ndarray) -> np.ndarray:
         corner = np.zeros((len(jacobian), len(jacobian)))
         return residual, np.block([[hessian, jacobian.T], [jacobian, corner]])
 
-    found = newton.equilibrium(linearised, start, settings=SHORT)
-    if not found.converged:
+    solution = newton.equilibrium(linearised, start, settings=SHORT)
+    if not solution.converged:
         near = np.array2string(start, precision=4)
         raise InputError(f"{model.system.get('kind')}: no equilibrium found near {near}; give other angles")
-    loops_of(model.system).check(model, found.w)
-    return found.w
+    loops_of(model.system).check(model, solution.w)
+    return solution.w
 
 
 def _descended(model: Model, start: np.ndarray) -> np.ndarray:
@@ -174,8 +166,6 @@ def _descended(model: Model, start: np.ndarray) -> np.ndarray:
     )[0]  # fmt: skip
 
 
-AMPLITUDE = 0.02
-"""Largest deviation (rad or m) at which a family is begun, unless said otherwise."""
 OSCILLATES = 1e-12
 """Squared frequencies beyond this, relative to the largest, are of modes that oscillate."""
 
@@ -221,9 +211,11 @@ def normal_modes(
 
 
 def _place(model: Model, given: Sequence[float] | np.ndarray | None) -> np.ndarray:
-    """The equilibrium given; without one q = 0, of a mechanism the nearest to its pose."""
+    """The equilibrium given; else q = 0, of a mechanism the nearest to its pose, under constraints the lowest."""
     if given is not None:
         return np.asarray(given, float)
+    if model.constraint is not None:
+        return linkage_equilibrium(model)
     return equilibrium(model) if system_kind(model.system).drawn else np.zeros(model.degrees_of_freedom)
 
 
@@ -291,15 +283,15 @@ def first_order_modes(
     def slopes(x: np.ndarray) -> np.ndarray:
         return np.asarray(slope(0.0, x, [], [], 0)[1].full())
 
-    found = root(rates, place, jac=slopes, tol=1e-14).x  # a trust region comes to equilibria that Newton's leaps miss
-    matrix, left = slopes(found), rates(found)
-    size = np.abs(matrix) @ np.maximum(np.abs(found), np.abs(found - place))
-    if not np.all(np.abs(left) <= AT_REST * np.maximum(size, size.max())):
+    rest = root(rates, place, jac=slopes, tol=1e-14).x  # a trust region comes to equilibria that Newton's leaps miss
+    matrix, left = slopes(rest), rates(rest)
+    size = np.abs(matrix) @ np.maximum(np.abs(rest), np.abs(rest - place))
+    if not np.all(np.abs(left) <= 1e-10 * np.maximum(size, size.max())):  # relative to what the rates are made of
         raise InputError(f"guess.equilibrium: none is found from {place.tolist()}; give a state nearer to it")
     values, vectors = np.linalg.eig(matrix)
     turning = np.flatnonzero(values.imag > np.sqrt(OSCILLATES) * np.abs(values).max(initial=0.0))
     turning = turning[np.argsort(values[turning].imag)]
-    return found, values[turning], vectors[:, turning]
+    return rest, values[turning], vectors[:, turning]
 
 
 def _first_order_mode(model: Model, mode: int, amplitude: float, equilibrium: Sequence[float] | np.ndarray) -> Guess:
@@ -309,7 +301,7 @@ def _first_order_mode(model: Model, mode: int, amplitude: float, equilibrium: Se
     _check_mode(mode, values.size, f"the equilibrium at {place.tolist()} has {pairs}")
     shape, frequency = vectors[:, mode - 1], float(values[mode - 1].imag)
     shape = amplitude * shape / shape[np.abs(shape).argmax()]
-    times = np.linspace(0.0, 2 * np.pi / frequency, ELLIPSE + 1)
+    times = np.linspace(0.0, 2 * np.pi / frequency, 65)
     states = place + np.real(np.exp(1j * frequency * times)[:, None] * shape)
     return Guess(states[0], float(times[-1]), times, states)
 
@@ -324,9 +316,9 @@ def rest_near(model: Model, place: Sequence[float] | np.ndarray) -> np.ndarray:
     if start.shape != (model.degrees_of_freedom,):
         raise InputError(f"guess.equilibrium: shape {start.shape} for {model.degrees_of_freedom} coordinates")
     size = max(1.0, newton.largest(start))
-    found = newton.equilibrium(lambda q: slopes(q, np.zeros(q.size))[:2], start, size)
-    if found.converged:
-        return found.w
+    solution = newton.equilibrium(lambda q: slopes(q, np.zeros(q.size))[:2], start, size)
+    if solution.converged:
+        return solution.w
     raise InputError(f"guess.equilibrium: no equilibrium found from {start.tolist()}; give a place nearer to one")
 
 
@@ -353,12 +345,12 @@ def _gyroscopic_mode(model: Model, mode: int, amplitude: float, equilibrium: Seq
     _check_mode(mode, frequencies.size, f"{frequencies.size} modes oscillate at {place.tolist()}")
     shape = shapes[:, mode - 1]
     shape = shape / shape[np.abs(shape[: place.size]).argmax()]  # the largest coordinate is largest at the start,
-    for one in declared(model):
-        gaps = one.matrix(place.size) @ shape - shape  # or else a mirrored motion starts on its mirror
-        if one.sense < 0 and np.abs(gaps).max() > 1e-9:
+    for symmetry in declared(model):
+        gaps = symmetry.matrix(place.size) @ shape - shape  # or else a mirrored motion starts on its mirror
+        if symmetry.sense < 0 and np.abs(gaps).max() > 1e-9:
             away = gaps[np.abs(gaps).argmax()]
             turned = shape * 1j * abs(away) / away
-            if np.abs(one.matrix(place.size) @ turned.real - turned.real).max() < 1e-9:
+            if np.abs(symmetry.matrix(place.size) @ turned.real - turned.real).max() < 1e-9:
                 shape = turned * np.sign(turned.real[: place.size][np.abs(turned.real[: place.size]).argmax()])
                 break
     return Guess(np.concatenate([place, 0 * place]) + amplitude * shape.real, 2 * np.pi / float(frequencies[mode - 1]))
@@ -381,11 +373,11 @@ def mode_problem(
     `mode` counts the oscillating modes of the equilibrium from 1, slowest first; without an `amplitude` it is 0.02 rad,
     or 0.02 of the length given. Raises `InputError`.
     """
-    amplitude = AMPLITUDE * float(given_or(model, 1.0).max()) if amplitude is None else amplitude
-    found = oscillating(normal_modes(model, equilibrium)[0])
-    modes = f"{plural(found.size, 'oscillating mode')} out of {model.degrees_of_freedom}"
-    _check_mode(mode, found.size, f"this equilibrium has {modes}", "mode")
-    guess = normal_mode(model, int(found[mode - 1]) + 1, amplitude, equilibrium)
+    amplitude = 0.02 * float(given_or(model, 1.0).max()) if amplitude is None else amplitude
+    swinging = oscillating(normal_modes(model, equilibrium)[0])
+    modes = f"{plural(swinging.size, 'oscillating mode')} out of {model.degrees_of_freedom}"
+    _check_mode(mode, swinging.size, f"this equilibrium has {modes}", "mode")
+    guess = normal_mode(model, int(swinging[mode - 1]) + 1, amplitude, equilibrium)
     return Problem(model, guess, symmetry=QUARTER.name, name=name or f"mode-{mode}")
 
 
@@ -393,7 +385,7 @@ def linkage_modes(
     model: Model, equilibrium: Sequence[float] | np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Squared angular frequencies (n - 2, rad^2/s^2, slowest first) and shapes (n x n-2) in the link angles."""
-    theta = linkage_equilibrium(model) if equilibrium is None else np.asarray(equilibrium, float)
+    theta = _place(model, equilibrium)
     _, jacobian, hessian, mass = stationary_terms(model, theta)
     basis = tangent_basis(jacobian)
     try:
@@ -407,7 +399,7 @@ def linkage_mode(
     model: Model, mode: int, amplitude: float, equilibrium: Sequence[float] | np.ndarray | None = None
 ) -> Guess:
     """Guess on a linear normal mode, at rest at its turning point: `mode` from 1, largest angle `amplitude` (rad)."""
-    theta = linkage_equilibrium(model) if equilibrium is None else np.asarray(equilibrium, float)
+    theta = _place(model, equilibrium)
     if not (np.isfinite(amplitude) and amplitude != 0):
         raise InputError(f"guess.amplitude: must be finite and not 0, got {amplitude}; give an angle in rad")
     moved, period = _swung(theta, *linkage_modes(model, theta), mode, amplitude)
