@@ -29,20 +29,6 @@ from orbitfinder.records.journal import fill
 
 FINE, SEEN = 2e-14, 1e-10
 """Relative tolerances of one step: of what is refined, and of what is drawn"""
-EFFORT = 3.0
-"""Seconds of interpreted stepping that a section takes, for `compiled`"""
-SAFETY, LEAST, MOST = 0.8, 0.2, 5.0
-"""A step aims at this share of the length that its error allows, and changes by no more than these factors"""
-NEWTON, ROOM = 50, 8 * float(np.finfo(float).eps)
-"""Steps of Newton's method on a crossing at most, and how near to the plane it must come, relative"""
-ON_IT = 1e-11
-"""A start this near to the plane, in units of its motion, is on it"""
-SHORTEST = 1e-13
-"""Steps shorter than this share of the longest mean that a motion ends in a singularity"""
-TOUCHING = 0.02
-"""A cubic turns back at the plane where it comes as near as this, relative to how far it came and goes"""
-SHORT = 500
-"""Operations of a field up to which a step and its error are one expression"""
 EVERY = 4
 """Crossings of each motion, on average, between two lines of a track"""
 
@@ -70,7 +56,7 @@ class Plane:
     def start(self, values: np.ndarray, rates: np.ndarray, unit: float) -> np.ndarray:
         """The cells that motions go into, some of which start on the plane."""
         nearest = np.round((values - self.level) / self.cycle) if self.cycle else np.zeros(values.shape)
-        there = np.abs(self.off(values, nearest)) <= ON_IT * unit
+        there = np.abs(self.off(values, nearest)) <= 1e-11 * unit  # on the plane, or it goes into a cell
         return np.where(there, np.where(rates > 0, nearest, nearest - 1), self.cell(values))
 
 
@@ -102,7 +88,7 @@ class Track:
 @lru_cache(maxsize=16)
 def _stepper(field: ca.Function) -> ca.Function:
     """(t, x), (h, s, free) -> (x after, error, x' after); one expression of a short field, or calls."""
-    short = field.is_a("SXFunction") and field.n_instructions() <= SHORT
+    short = field.is_a("SXFunction") and field.n_instructions() <= 500  # short: a step and its error are one expression
     z = (ca.SX.sym if short else ca.MX.sym)("z", 1 + field.size1_in(1))
     p = type(z).sym("p", 1 + field.size1_in(2) + field.size1_in(3))
     step, error = (
@@ -127,11 +113,11 @@ class Crossings:
     def stepped(self, times: np.ndarray, states: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, ...]:
         """States after steps of these lengths from states (k x d) at times (k), errors and rates there (k x d each)."""
         if not self._made:
-            self._made.append(compiled(_stepper(self.field), effort=EFFORT))
+            self._made.append(compiled(_stepper(self.field), effort=3.0))
         start, parameters = np.empty((len(states), 1 + self.size)), np.empty((len(states), 1 + self.tail.size))
         start[:, 0], start[:, 1:], parameters[:, 0], parameters[:, 1:] = times, states, lengths, self.tail
-        found, d = self._lanes.evaluated(self._made[0], STAGES, start, parameters), self.size
-        return found[:, :d], found[:, d : 2 * d], found[:, 2 * d :]
+        after, d = self._lanes.evaluated(self._made[0], STAGES, start, parameters), self.size
+        return after[:, :d], after[:, d : 2 * d], after[:, 2 * d :]
 
     def rates(self, times: np.ndarray, states: np.ndarray) -> np.ndarray:
         """x' (k x d)."""
@@ -179,16 +165,16 @@ class Crossings:
 
     def along(self, states: np.ndarray, moments: np.ndarray, *, tolerance: float = SEEN, sense: int = 1) -> np.ndarray:
         """States (k x m x d) of motions at the same increasing moments, the first of which is 0; nan from an end on."""
-        found = np.full((len(states), moments.size, self.size), np.nan)
-        found[:, 0] = now = np.array(states, float)
+        path = np.full((len(states), moments.size, self.size), np.nan)
+        path[:, 0] = now = np.array(states, float)
         for k in range(1, moments.size):
             span = moments[k] - moments[k - 1]
             well = np.isfinite(now).all(axis=1)
             clock = Plane(-1, span, 0, 0.0)
             there = self.passing(clock, now[well], 1, longest=2 * span, sense=sense, tolerance=tolerance).states[:, 0]
             now = np.full_like(now, np.nan)
-            now[well] = found[well, k] = there
-        return found
+            now[well] = path[well, k] = there
+        return path
 
 
 class _Run:
@@ -237,7 +223,7 @@ class _Run:
         with np.errstate(all="ignore"):
             norm = np.sqrt(np.mean((error / scale) ** 2, axis=1))
             norm = np.where(np.isfinite(norm) & np.isfinite(rates).all(axis=1), norm, np.inf)
-            factor = np.clip(SAFETY * norm ** (-1 / 8), LEAST, MOST)
+            factor = np.clip(0.8 * norm ** (-1 / 8), 0.2, 5.0)  # a share of what the error allows, within these factors
         good = norm <= 1.0
         turn = np.where(good, self._turn(here, h, (t, x, before), (after, rates)), np.nan)
         short = np.isfinite(turn)  # taken again as far as to the turn
@@ -246,19 +232,19 @@ class _Run:
         if path is not None:
             path(here[taken], t[taken] + self.sense * h[taken], after[taken])
         self._accept(here[taken], h[taken], after[taken], rates[taken])
-        self.alive[here[~taken & (self.lengths[here] < SHORTEST * self.longest)]] = False
+        self.alive[here[~taken & (self.lengths[here] < 1e-13 * self.longest)]] = False  # in a singularity
 
     def _turn(
         self, here: np.ndarray, h: np.ndarray, begin: tuple[np.ndarray, np.ndarray, np.ndarray],
         end: tuple[np.ndarray, np.ndarray],
     ) -> np.ndarray:  # fmt: skip
         """Where within steps that end on the side on which they began a cubic comes to the plane; else nan."""
-        found = np.full(h.size, np.nan)
+        turns = np.full(h.size, np.nan)
         if self.plane.component < 0:
-            return found
+            return turns
         (a, slope), (b, last) = self._watched(*begin), self._watched(begin[0], *end)
         if not (turning := slope * last < 0).any():
-            return found
+            return turns
         a, b, h, cells = a[turning], b[turning], h[turning], self.cells[here[turning]]
         slope, last = slope[turning] * h * self.sense, last[turning] * h * self.sense
         c3, c2 = 2 * (a - b) + slope + last, 3 * (b - a) - 2 * slope - last
@@ -270,12 +256,12 @@ class _Run:
             for s in (q / (3 * c3), slope / q):
                 height = a + s * (slope + s * (c2 + s * c3))
                 other = (self.plane.cell(height) != cells) & (s > 1e-3) & (s < 1 - 1e-3)
-                room = TOUCHING * (np.abs(height - a) + np.abs(height - b))
+                room = 0.02 * (np.abs(height - a) + np.abs(height - b))  # a cubic this near to the plane touches it
                 away = np.minimum(*(np.abs(self.plane.off(height, cells + k)) for k in (0.0, 1.0)))
                 other |= (away < room) & (s > 0.05) & (s < 0.95)
                 peak = np.where(other & (self.plane.cell(b) == cells), s * h, peak)
-        found[turning] = peak
-        return found
+        turns[turning] = peak
+        return turns
 
     def _accept(self, here: np.ndarray, h: np.ndarray, after: np.ndarray, rates: np.ndarray) -> None:
         """Take steps, and note those that cross, which are located all together at the end."""
@@ -329,9 +315,11 @@ class _Run:
         (t, h, level), x = rows[:, 2:5].T, rows[:, 5:]
         low, high, s, there = np.zeros(h.size), h.copy(), h * 0.5, x.copy()
         below = plane.off(self._watched(t, x, x)[0], level)
-        room = ROOM * (h + (np.abs(t) if i < 0 else 0.0))  # time is known to its own round-off
+        room = (
+            8 * float(np.finfo(float).eps) * (h + (np.abs(t) if i < 0 else 0.0))
+        )  # time is known to its own round-off
         k = np.arange(h.size)  # those that are not there yet: what each comes to depends on no other
-        for _ in range(NEWTON):
+        for _ in range(50):
             there[k], _, rates = self.of.stepped(t[k], x[k], sense * s[k])
             own, going = self._watched(t[k] + sense * s[k], there[k], rates)
             off = plane.off(own, level[k])
