@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 import orbitfinder as of
-from orbitfinder.atlas.sections import Section
+from orbitfinder.atlas.sections import EventSection
 from orbitfinder.atlas.signature import distance, same_orbit, signature_of
 from orbitfinder.atlas.starts import Target, context_of, make_start
 from orbitfinder.atlas.store import Atlas
@@ -93,16 +93,18 @@ def test_states_drawn_are_those_that_resets_make():
     """Of the simplest walker two numbers make four; of a runner the energy is held; of the compass gait both feet are
     on the ground, in the range asked for."""
     random = np.random.default_rng(3)
-    walker = Section.of(of.systems.simplest_walker(), {"theta": (0.1, 0.3), "thetadot": (-0.3, -0.1)}, 1, (1, 9), 0.0)
+    walker = EventSection.of(
+        of.systems.simplest_walker(), {"theta": (0.1, 0.3), "thetadot": (-0.3, -0.1)}, 1, (1, 9), 0.0
+    )
     theta, phi, rate, swing = walker.drawn(random)
     assert 0.1 < theta < 0.3 and -0.3 < rate < -0.1
     assert (phi, swing) == pytest.approx((2 * theta, (1 - np.cos(2 * theta)) * rate), abs=1e-12)
     model = of.systems.slip_runner(attack=0.384)
-    runner = Section.of(model, {"y": (0.93, 1.3), "xdot": (3.0, 7.0)}, 1, (0.1, 2.0), 1784.8)
+    runner = EventSection.of(model, {"y": (0.93, 1.3), "xdot": (3.0, 7.0)}, 1, (0.1, 2.0), 1784.8)
     for state in (runner.drawn(random) for _ in range(4)):
         assert energy(model, state) == pytest.approx(1784.8, rel=1e-12)
         assert state[0] == 0.0 and abs(state[3]) < 1e-12 and 3 < state[2] < 7
-    section = Section.of(of.systems.compass_gait(), {"stance": (0.2, 0.3), "swingdot": (-1, 1)}, 1, (0.1, 2), 0.0)
+    section = EventSection.of(of.systems.compass_gait(), {"stance": (0.2, 0.3), "swingdot": (-1, 1)}, 1, (0.1, 2), 0.0)
     stance, swing, *_ = section.drawn(random)
     assert 0.2 < stance < 0.3 and stance + swing == pytest.approx(-2 * 0.0524, abs=1e-14)
 
@@ -120,7 +122,7 @@ def test_a_course_may_be_another_than_the_cycle():
     """A ball that bounces twice off one wall: found, recorded, certified, and told from its mirror image."""
     wedge = of.systems.gravity_wedge()
     ranges = {"x": (-3.0, 0.0), "y": (0.5, 5.0), "xdot": (0.0, 3.0), "ydot": (-3.0, 3.0)}
-    section = Section.of(wedge, ranges, 2, (1.0, 16.0), 5.0)
+    section = EventSection.of(wedge, ranges, 2, (1.0, 16.0), 5.0)
     _, first = section.passes(LIMPING, 1)
     assert first.events == ("right", "right", "left")
     orbit = section.orbit(LIMPING, first.time, first.events)
@@ -134,7 +136,7 @@ def test_a_course_may_be_another_than_the_cycle():
 
 def test_orbits_are_told_apart_from_any_event_on():
     """A doubled cycle is the single one; started at its other impact, an orbit is itself; two of one period are two."""
-    section = Section.of(oscillator(), BOUNCES, 3, (0.5, 15.0), 0.0)
+    section = EventSection.of(oscillator(), BOUNCES, 3, (0.5, 15.0), 0.0)
     with np.errstate(all="ignore"):
         known = [each for count in (1, 2, 3) for each in scanned(Oscillator(), count, 12)]
     assert [len(one.passes) for one in known] == [1, 2, 3, 3]
@@ -151,7 +153,7 @@ def test_orbits_are_told_apart_from_any_event_on():
     assert not any(same_orbit(signs[k][0], signs[j][0]) for k, j in ((0, 1), (1, 2)))
     assert signs[1][0].period == pytest.approx(signs[2][0].period, abs=1e-12)
     with pytest.raises(ConvergenceError, match="period outside the range"):
-        Section.of(oscillator(), BOUNCES, 3, (3.0, 15.0), 0.0).orbit(single.state, single.period, ("hit",))
+        EventSection.of(oscillator(), BOUNCES, 3, (3.0, 15.0), 0.0).orbit(single.state, single.period, ("hit",))
 
 
 @pytest.mark.parametrize(

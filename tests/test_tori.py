@@ -23,7 +23,7 @@ from orbitfinder.loops.symmetry import NONE
 from orbitfinder.show.tori import save_torus_figures
 from orbitfinder.site.gather import gather
 from orbitfinder.site.section import section_data
-from orbitfinder.structures.ring import Ring, Turned, at_angles, resampled, turning
+from orbitfinder.structures.ring import Circle, Turned, at_angles, resampled, turning
 from orbitfinder.structures.sections import surface
 from orbitfinder.structures.tori import certify_torus, crossed, filled, resonance
 
@@ -159,7 +159,9 @@ def test_the_jacobian_is_that_of_the_rows(golden):
     model, h = of.systems.henon_heiles(), 1e-6
     equations = Equations(model, NONE)
     w = Turned(resampled(golden.curve, 17), golden.period, 1.2, np.zeros(0))
-    ring = Ring(equations, np.array([1.0, 2.0, 1.0, 0.5]), 0.7, np.zeros(0), (("energy", 0.08), ("rotation", 1.1)), 64)
+    ring = Circle(
+        equations, np.array([1.0, 2.0, 1.0, 0.5]), 0.7, np.zeros(0), (("energy", 0.08), ("rotation", 1.1)), 64
+    )
     found = ring.linearise(w)[1].matrix
     columns = ring.columns(w)
     for k in (0, 5, 30, 66, 67, 68, 69):

@@ -32,22 +32,11 @@ TURNS = ("recurrence", "random", "recurrence", "random", "settled")
 """Strategies in the order of their turns"""
 WALKED = {"random": 0, "recurrence": 10, "settled": 60}
 """Cycles that a start of each strategy goes through before those of its orbit"""
-LAST = 4
-"""A settled start begins at one of so many of the last returns to the section"""
-CHOICES = 4
-"""A start is drawn from so many of the nearest returns after as many cycles"""
 DRAWN = 40
 """States that are drawn for one on the section, and on which the section is measured"""
-DRAWS = 12
-"""Motions that a start begins until one of them comes back to the section as often as it takes: most may fall"""
-MOST_EVENTS = 8
-"""For each transition of the cycle: a motion with more events in a cycle is given up"""
 DRAWING = Settings(floor=0.0, round_off=0.0, converged=np.inf, most_evaluations=12, cutoff=1e-10)
 ONTO = Settings(floor=1e-12, round_off=1e-12, converged=1e-12, most_evaluations=12, cutoff=1e-10)
 """Of steps near to a state that is wanted, and then onto the section, whose equations are relative"""
-LOOSE = ReferenceSettings(relative_tolerance=1e-6, absolute_tolerance=1e-8)
-COVER = 1e-6
-"""Returns nearer than this, in lengths, are one"""
 
 
 @dataclass(frozen=True)
@@ -73,7 +62,7 @@ class Return:
 
 
 @dataclass(frozen=True, eq=False)
-class Section:
+class EventSection:
     """States right after the last transition of a hybrid Model's cycle, components (d) between `low` and `high` where
     these are finite; orbits of at most `cycles` passes, of periods (s), at the value `level` of what is conserved."""
 
@@ -90,32 +79,32 @@ class Section:
     def of(
         cls, model: Model, ranges: Mapping[str, tuple[float, float]], cycles: int, periods: tuple[float, float],
         level: float,
-    ) -> Section:  # fmt: skip
+    ) -> EventSection:  # fmt: skip
         """The section of a model. Raises `InputError` for ranges that say nothing, or that no event leads into."""
         _check(model, ranges, cycles)
         ends = np.full((2, len(model.state_names)), np.nan)
         for name, pair in ranges.items():
             ends[:, model.state_index(name)] = pair
-        one = cls(model, ends[0], ends[1], cycles, periods, level, np.ones(len(model.state_names)))
+        section = cls(model, ends[0], ends[1], cycles, periods, level, np.ones(len(model.state_names)))
         random = np.random.default_rng(0)
         try:
-            found = np.array([one.drawn(random) for _ in range(DRAWN)])
+            states = np.array([section.drawn(random) for _ in range(DRAWN)])
         except ConvergenceError as error:
             raise InputError(
                 f"search.section: no state after {model.hybrid.cycle[-1]!r} is found with components in these ranges"
                 + (f" and {model.invariants[0].name} = {level:.9g}" if model.invariants else "")
                 + "; widen them"
             ) from error
-        return replace(one, lengths=np.where(np.ptp(found, axis=0) > 0, np.ptp(found, axis=0), 1.0))
+        return replace(section, lengths=np.where(np.ptp(states, axis=0) > 0, np.ptp(states, axis=0), 1.0))
 
     @property
     def pins(self) -> tuple[Pin, ...]:
         """What its orbits are pinned by."""
-        return tuple(Pin(one.name, self.level) for one in self.model.invariants)
+        return tuple(Pin(invariant.name, self.level) for invariant in self.model.invariants)
 
     @cached_property
     def _automaton(self) -> Automaton:
-        return Automaton(self.model, LOOSE)
+        return Automaton(self.model, ReferenceSettings(1e-6, 1e-8))
 
     @cached_property
     def _after(self) -> Buffered:
@@ -155,8 +144,8 @@ class Section:
 
         with np.errstate(all="ignore"):  # near what is wanted, then onto the section the shortest way
             x = equilibrium(lambda x: phi(x, True), x, width, DRAWING).w
-            found = closed(lambda x: phi(x, False), x, units=width, size=1.0, settings=ONTO)
-        return found.w if found.converged else None
+            solution = closed(lambda x: phi(x, False), x, units=width, size=1.0, settings=ONTO)
+        return solution.w if solution.converged else None
 
     def passes(self, state: np.ndarray, count: int) -> Iterator[Pass]:
         """The state and what follows it on the section, `count` passes at most, as far as the motion goes."""
@@ -170,7 +159,7 @@ class Section:
                     arc = next(self._automaton.arcs(x, mode, self.periods[1], 1, by))
                 except IntegrationError:
                     return
-                if arc.ended_by is None or len(events) >= MOST_EVENTS * len(hybrid.cycle):
+                if arc.ended_by is None or len(events) >= 8 * len(hybrid.cycle):
                     return
                 by, x, t = arc.ended_by, arc.after, t + arc.duration
                 mode = hybrid.transition(by).target
@@ -180,54 +169,54 @@ class Section:
     def returns(self, strategy: str, random: np.random.Generator) -> Return:
         """A return near which an orbit is looked for. Raises `ConvergenceError`."""
         count, others = int(random.integers(self.cycles)) + 1, list[Return]()
-        for _ in range(DRAWS):
+        for _ in range(12):  # most may fall
             walked = list(self.passes(self.drawn(random), WALKED[strategy] + self.cycles))
-            found = self._nearest(walked, max(0, len(walked) - LAST - self.cycles) if strategy == "settled" else 0)
+            returns = self._nearest(walked, max(0, len(walked) - 4 - self.cycles) if strategy == "settled" else 0)
             if strategy == "random":
-                found = [one for one in found if one.begin == 0]
-            if found and strategy == "settled":
-                return found[0]
-            if best := [one for one in found if one.cycles == count][:CHOICES]:
+                returns = [back for back in returns if back.begin == 0]
+            if returns and strategy == "settled":
+                return returns[0]
+            if best := [back for back in returns if back.cycles == count][:4]:
                 return best[random.integers(len(best))]
-            others += found[:1]
+            others += returns[:1]
         if others:
             return others[random.integers(len(others))]
         raise ConvergenceError("no return in the range of periods")
 
     def _nearest(self, walked: list[Pass], first: int) -> list[Return]:
         """Returns in the range of periods, the nearest first, but for those that are as near after fewer cycles."""
-        found, (low, high) = list[Return](), self.periods
+        returns, (low, high) = list[Return](), self.periods
         for begin in range(first, len(walked) - 1):
             each = [self._between(walked[begin : begin + count + 1], begin)
                     for count in range(1, min(self.cycles, len(walked) - 1 - begin) + 1)]  # fmt: skip
-            for one in each:
-                shorter = [other.gap for other in each[: one.cycles - 1] if one.cycles % other.cycles == 0]
-                if low <= one.period <= high and one.gap < min(shorter, default=np.inf):
-                    found.append(one)
-        return sorted(found, key=lambda one: one.gap)
+            for back in each:
+                shorter = [other.gap for other in each[: back.cycles - 1] if back.cycles % other.cycles == 0]
+                if low <= back.period <= high and back.gap < min(shorter, default=np.inf):
+                    returns.append(back)
+        return sorted(returns, key=lambda back: back.gap)
 
     def _between(self, walked: list[Pass], begin: int) -> Return:
         first, last = walked[0], walked[-1]
-        course = tuple(name for one in walked[1:] for name in one.events)
+        course = tuple(name for passing in walked[1:] for name in passing.events)
         gap = np.abs(wrapped(last.state - first.state, self.model.angular) / self.lengths)
         near = float(gap[~np.isnan(self.low)].max())
         return Return(first.state, last.time - first.time, course, len(walked) - 1, begin, near)
 
     def orbit(self, state: np.ndarray, period: float, course: tuple[str, ...]) -> Orbit:
         """The orbit near a guess, over its minimal cycle, without certificate. Raises `ConvergenceError`."""
-        found = self._refined(state, period, course)
-        for count, nodes in self._parts(course, found):
+        refined = self._refined(state, period, course)
+        for count, nodes in self._parts(course, refined):
             whole = np.vstack([nodes, nodes[:1]])
             steps = [np.abs(wrapped(after - before, self.model.angular)).max() for before, after in pairwise(whole)]
-            if max(steps) < COVER * max(1.0, float(np.abs(nodes).max())):
+            if max(steps) < 1e-6 * max(1.0, float(np.abs(nodes).max())):  # nearer returns are the same
                 course = course[: len(course) // count]
-                found = self._refined(found.state, found.period / count, course)
+                refined = self._refined(refined.state, refined.period / count, course)
                 break
         low, high = self.periods
-        if not low <= found.period <= high:
+        if not low <= refined.period <= high:
             raise ConvergenceError("period outside the range")
         try:
-            orbit, _ = self._refiners[course].measured(found)
+            orbit, _ = self._refiners[course].measured(refined)
         except ConvergenceError as error:
             raise ConvergenceError("simulated from there, it takes another course") from error
         return replace(orbit, system={**orbit.system, "cycle": list(course)})
@@ -236,12 +225,12 @@ class Section:
         """The Model whose cycle is that of an orbit found."""
         return self._refiners[tuple(orbit.system["cycle"])].problem.model
 
-    def _parts(self, course: tuple[str, ...], found: Refined) -> Iterator[tuple[int, np.ndarray]]:
+    def _parts(self, course: tuple[str, ...], refined: Refined) -> Iterator[tuple[int, np.ndarray]]:
         """How often a course may repeat itself, most often first, and the states (k x d) where it would."""
         for count in range(len(course), 1, -1):
             size, over = divmod(len(course), count)
             if not over and course == course[:size] * count:
-                yield count, found.nodes[:: len(found.nodes) // count]
+                yield count, refined.nodes[:: len(refined.nodes) // count]
 
     def _refined(self, state: np.ndarray, period: float, course: tuple[str, ...]) -> Refined:
         guess = Guess(state, period)
@@ -262,7 +251,7 @@ def _check(model: Model, ranges: Mapping[str, tuple[float, float]], cycles: int)
             "be others"
         )
     if len(model.invariants) > 1:
-        several = ", ".join(one.name for one in model.invariants)
+        several = ", ".join(invariant.name for invariant in model.invariants)
         raise InputError(f"search: of machines that conserve one quantity at most, this one {several}; use find")
     names, last = model.state_names, str(model.hybrid.cycle[-1])
     if not ranges:

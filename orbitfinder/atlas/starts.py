@@ -16,7 +16,7 @@ from scipy.optimize import brentq
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.atlas.regions import Region, region_of
 from orbitfinder.atlas.sections import TURNS as TURNED
-from orbitfinder.atlas.sections import Section
+from orbitfinder.atlas.sections import EventSection
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.integrate.cvodes import Flow, build_flow
 from orbitfinder.integrate.equations import prepare
@@ -103,7 +103,7 @@ class Context:
     """the system's own reversals, by strategy; of a first-order system all that it may have, forwards too"""
     region: Region | None = None
     """where the states of a first-order system are drawn from"""
-    section: Section | None = None
+    section: EventSection | None = None
     """where those of a hybrid one are, and its orbits found"""
 
     @property
@@ -187,7 +187,7 @@ def _alone(model: Model, target: Target) -> Context:
 
 def _cut(model: Model, target: Target) -> Context:
     """The shared part of a search of a hybrid system."""
-    section = Section.of(model, target.section, target.cycles, target.periods, target.energy)
+    section = EventSection.of(model, target.section, target.cycles, target.periods, target.energy)
     place = section.drawn(np.random.default_rng(0))
     return Context(model, target, place, np.zeros((place.size, 0)), TURNED, section.lengths, section=section)
 

@@ -30,21 +30,9 @@ from orbitfinder.mechanics.newton import closed, least_norm
 from orbitfinder.records.journal import checkpoints, fill, packed, unpacked
 from orbitfinder.records.reading import content_digest
 
-SIZES = (0.01, 0.03, 0.1, 0.3)
-NEAR, HALF = 0.01, 0.5
-"""A motion has returned when it stays within this share of its disturbance; the most that may be granted it"""
-SLACK = 10.0
-"""times what the largest multiplier leaves of a disturbance, where that is more"""
-LOST = 100.0
-"""Extents off the orbit beyond which a motion is given up"""
-EFFORT = 30.0
-"""Seconds of interpreted simulation, for `compiled`"""
-LINES = 25
-"""Of the journal of a trial, at most"""
-
 
 @dataclass(frozen=True)
-class Run:
+class Recovery:
     """A disturbed motion: times (k, s), states (k x d), controls (k x m) held from each, distance (k) in extents."""
 
     times: np.ndarray
@@ -67,7 +55,7 @@ class _Plan:
 
 def basin(
     controller: Controller,
-    sizes: Sequence[float] = SIZES,
+    sizes: Sequence[float] = (0.01, 0.03, 0.1, 0.3),
     disturbances: int = 50,
     periods: int = 100,
     *,
@@ -136,9 +124,10 @@ def basin(
                 power += np.where(np.isinf(distance)[:, None], 0.0, controls - own) ** 2
                 np.maximum(far, distance, out=far)
             np.maximum(most, far, out=most)
-            if period % -(-periods // LINES) == 0 or period == periods:
+            if period % -(-periods // 25) == 0 or period == periods:
                 journal.add({"period": period, "motions": packed(np.column_stack(now()))})
-    near = float(np.clip(SLACK * np.abs(controller.multipliers).max() ** (periods - 1), NEAR, HALF))
+    left = np.abs(controller.multipliers).max() ** (periods - 1)  # of a disturbance, by the largest multiplier
+    near = float(np.clip(10.0 * left, 0.01, 0.5))  # a motion has returned that stays within this share of it
     back = far <= near * pushed + 3 * most[-1]
     rows = []
     for k, size in enumerate(sizes):
@@ -159,7 +148,7 @@ def recovery(
     rate: int = 200,
     seed: int = 0,
     model: Model | None = None,
-) -> Run:
+) -> Recovery:
     """One disturbed motion under a controller, sample by sample.
 
     Args:
@@ -172,7 +161,7 @@ def recovery(
         model: needed only for systems that no file describes.
 
     Returns:
-        A Run: times, states, controls, distance from the orbit.
+        A Recovery: times, states, controls, distance from the orbit.
 
     Raises:
         InputError: for numbers that cannot be.
@@ -185,18 +174,18 @@ def recovery(
     model = model or build_model(controller.system)
     _check([size], 1, periods, noise, rate)
     plan = _Plan(*disturbed(controller, model, np.array([size]), seed), periods, rate, noise, seed)
-    trial, found = _Trial(controller, model, plan), list[tuple[np.ndarray, np.ndarray, float]]()
+    trial, samples = _Trial(controller, model, plan), list[tuple[np.ndarray, np.ndarray, float]]()
     for _ in range(periods * rate):
         state = trial.states[0]
         _, controls, distance = trial.sample()
-        found.append((state, controls[0], float(distance[0])))
-    times = np.arange(len(found)) * (controller.period / rate)
-    return Run(times, *(np.array(part) for part in zip(*found, strict=True)))
+        samples.append((state, controls[0], float(distance[0])))
+    times = np.arange(len(samples)) * (controller.period / rate)
+    return Recovery(times, *(np.array(part) for part in zip(*samples, strict=True)))
 
 
 def _check(sizes: Sequence[float], disturbances: int, periods: int, noise: float, rate: int) -> None:
     """`InputError` for numbers that no simulation can be made of."""
-    if not len(sizes) or not all(np.isfinite(one) and one > 0 for one in sizes):
+    if not len(sizes) or not all(np.isfinite(size) and size > 0 for size in sizes):
         raise InputError(f"sizes: must be positive numbers, in extents of the orbit, got {list(sizes)}")
     for name, value in {"disturbances": disturbances, "periods": periods}.items():
         if value < 1:
@@ -216,7 +205,7 @@ def disturbed(controller: Controller, model: Model, sizes: np.ndarray, seed: int
     if model.constraint is not None:
         level = constraint_rows(model)
         bases = [tangent_basis(level(x).full() * controller.units) for x in on]
-        directions = np.array([e @ (e.T @ one) for e, one in zip(bases, directions, strict=True)])
+        directions = np.array([e @ (e.T @ direction) for e, direction in zip(bases, directions, strict=True)])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     pushed = on + sizes[:, None] * directions * controller.units
     if model.constraint is not None:
@@ -258,7 +247,7 @@ class _Trial:
         u, tau = law(measured, self.times if law.clock else self.places)
         wanted = law.at(tau)[:, : law.size + law.controls]
         gap = np.sqrt(law.gap(x, wanted[:, : law.size]) ** 2 @ (1 / self.units**2))
-        self.lost = self.lost | ~(gap <= LOST)
+        self.lost = self.lost | ~(gap <= 100.0)  # extents off the orbit: given up
         z, p = np.column_stack([self.times, x]), np.column_stack([np.full(len(x), self.span), u])
         x = self._lanes.evaluated(self._step, STAGES, z, p)[:, 1:]
         gone = self.lost | ~np.isfinite(x).all(axis=1)
@@ -269,4 +258,4 @@ class _Trial:
 
 def plant_step(model: Model, names: Sequence[str]) -> ca.Function:
     """One Runge-Kutta step of z = (t, x) with p = (h, u)."""
-    return compiled(step_of(vector_field(model, names)), effort=EFFORT)
+    return compiled(step_of(vector_field(model, names)), effort=30.0)

@@ -35,18 +35,26 @@ from orbitfinder.orbits.measure import versions
 from orbitfinder.records.certificate import Certificate, at_most
 from orbitfinder.records.orbit import Orbit
 
-LEAST_NODES, MOST_NODES = 256, 4096
-INTERPOLATED = 1e-5
-"""Relative error of the spline through every other node at which nodes are close enough: that through all has a 64th"""
-MARGIN = 1e-6
-"""How far inside the unit circle the multipliers of what is called stable are"""
-ALIKE = 1e-8
-"""Difference of well-conditioned multipliers between linear design and nonlinear closed loop"""
-CLOSED = 1e-8
-"""Gap, in extents, between what the controller takes for the orbit and the motion of its model from node to node"""
+LEAST_NODES = 256
 
-RECORDED = 1e-6
-"""Difference of recorded multipliers of the closed loop from those found again"""
+
+@dataclass(frozen=True)
+class Required:
+    """What is asked of a controller before it is called one."""
+
+    interpolated: float = 1e-5
+    """relative error of the spline through every other node, that through all has a 64th; or 4096 nodes"""
+    margin: float = 1e-6
+    """how far inside the unit circle the multipliers are"""
+    alike: float = 1e-8
+    """difference of well-conditioned multipliers between linear design and nonlinear closed loop"""
+    closed: float = 1e-8
+    """gap, in extents, between what it takes for the orbit and the motion of its model from node to node"""
+    recorded: float = 1e-6
+    """difference of recorded multipliers of the closed loop from those computed again"""
+
+
+REQUIRED = Required()
 
 Weight = float | Sequence[float] | Sequence[Sequence[float]] | np.ndarray | None
 
@@ -209,8 +217,8 @@ def _number(value: complex) -> str:
 
 def _weight(name: str, given: Weight, size: int) -> np.ndarray:
     """A symmetric weight (size x size) from a number, a diagonal or a matrix; R must be positive, Q not negative."""
-    found = np.asarray(1.0 if given is None else given, float)
-    matrix = found * np.eye(size) if found.ndim == 0 else np.diag(found) if found.ndim == 1 else found
+    weight = np.asarray(1.0 if given is None else given, float)
+    matrix = weight * np.eye(size) if weight.ndim == 0 else np.diag(weight) if weight.ndim == 1 else weight
     good = matrix.shape == (size, size) and np.all(np.isfinite(matrix)) and np.allclose(matrix, matrix.T)
     least = float(np.linalg.eigvalsh(matrix).min()) if good else -1.0
     if not good or least < 0 or (name == "R" and least <= 0):
@@ -228,9 +236,9 @@ def _designed(
     count = LEAST_NODES
     while True:
         reference = reference_of(orbit, model, names, trial.clock, count, trial)
-        found = _regulated(orbit, reference, *weights)
-        if _interpolates(found) or 2 * count > MOST_NODES:
-            return found
+        controller = _regulated(orbit, reference, *weights)
+        if _interpolates(controller) or 2 * count > 4096:
+            return controller
         count *= 2
 
 
@@ -256,23 +264,27 @@ def _regulated(orbit: Orbit, reference: Reference, weight: np.ndarray, ease: np.
 
 
 def _sorted(multipliers: np.ndarray) -> np.ndarray:
-    return np.asarray(sorted(multipliers.astype(complex), key=lambda one: (-abs(one), one.imag)), complex)
+    return np.asarray(
+        sorted(multipliers.astype(complex), key=lambda multiplier: (-abs(multiplier), multiplier.imag)), complex
+    )
 
 
-def _interpolates(found: Controller) -> bool:
+def _interpolates(controller: Controller) -> bool:
     """True when the spline through every other node meets the nodes between."""
-    thin = replace(found, **{name: getattr(found, name)[::2] for name in ("states", "inputs", "gains")})
-    odd = np.arange(1, len(found.states), 2)
-    values = law_of(thin).at(odd * (found.period / (len(found.states) - 1)))
-    rows = np.hstack([found.states, found.inputs, found.gains])
-    sizes = np.concatenate([found.units, found.control_units, np.tile(found.units, len(found.actuators))])
-    d, m = found.units.size, len(found.actuators)
+    thin = replace(controller, **{name: getattr(controller, name)[::2] for name in ("states", "inputs", "gains")})
+    odd = np.arange(1, len(controller.states), 2)
+    values = law_of(thin).at(odd * (controller.period / (len(controller.states) - 1)))
+    rows = np.hstack([controller.states, controller.inputs, controller.gains])
+    sizes = np.concatenate(
+        [controller.units, controller.control_units, np.tile(controller.units, len(controller.actuators))]
+    )
+    d, m = controller.units.size, len(controller.actuators)
     errors = np.abs(values - rows[odd])
-    gains = found.gains.reshape(len(rows), m, d) * found.units
+    gains = controller.gains.reshape(len(rows), m, d) * controller.units
     tallest = np.repeat(np.abs(gains).max(axis=(0, 2)), d)
     errors[:, : d + m] /= sizes[: d + m]
     errors[:, d + m :] *= sizes[d + m :] / nonzero(tallest)
-    return bool(errors.max() <= INTERPOLATED)
+    return bool(errors.max() <= REQUIRED.interpolated)
 
 
 def _check_limits(controller: Controller) -> None:
@@ -304,8 +316,8 @@ def verified(controller: Controller, model: Model | None = None) -> Controller:
     march = March(closed_loop(controller, model), forced=True, effort=EFFORT)
     varied = march.varied(nodes, uniform(1.0, count, STEPS), np.array([controller.period]))
     monodromy = np.eye(controller.units.size)
-    for one in varied.transitions:
-        monodromy = one @ monodromy
+    for transition in varied.transitions:
+        monodromy = transition @ monodromy
     units = extents_of(model, controller.states, controller.period)  # its own could hide any gap
     around = controller.states[-1] - controller.states[0]
     around[controller.angles > 0] -= 2 * np.pi * np.round(around[controller.angles > 0] / (2 * np.pi))
@@ -315,33 +327,33 @@ def verified(controller: Controller, model: Model | None = None) -> Controller:
     own = Reference(model, controller.actuators, controller.period, ends, controller.units, controller.clock)
     across = own.bases[0]
     reduced = across.T @ (monodromy * controller.units / controller.units[:, None]) @ across
-    found, left, right = eig(reduced, left=True, right=True)
+    multipliers, left, right = eig(reduced, left=True, right=True)
     sharp = np.abs(np.einsum("ik,ik->k", left.conj(), right))  # 1 / condition
     checks = (
-        at_most("reference", gap, CLOSED, "round the orbit, node by node, a motion of the model"),
-        at_most("multipliers", float(np.abs(found).max()), 1 - MARGIN,
+        at_most("reference", gap, REQUIRED.closed, "round the orbit, node by node, a motion of the model"),
+        at_most("multipliers", float(np.abs(multipliers).max()), 1 - REQUIRED.margin,
                  "largest modulus, of the nonlinear closed loop"),
-        at_most("agreement", _apart(found, controller.predicted, sharp), ALIKE,
+        at_most("agreement", _apart(multipliers, controller.predicted, sharp), REQUIRED.alike,
                  "of the multipliers with the linear design, over their condition"),
     )  # fmt: skip
-    return replace(controller, multipliers=_sorted(found), certificate=Certificate(checks))
+    return replace(controller, multipliers=_sorted(multipliers), certificate=Certificate(checks))
 
 
 def certify_controller(controller: Controller, model: Model | None = None) -> Certificate:
     """The certificate of a controller, from its tables and the Model alone, beside what its record claims."""
-    found = verified(controller, model)
-    assert found.certificate is not None
+    again = verified(controller, model)
+    assert again.certificate is not None
     claimed = controller.multipliers
-    away = np.abs(found.multipliers - claimed).max() if claimed.shape == found.multipliers.shape else np.inf
-    said = at_most("recorded_multipliers", float(away), RECORDED, "recorded - recomputed, of the closed loop")
-    return Certificate((*found.certificate.checks, said))
+    away = np.abs(again.multipliers - claimed).max() if claimed.shape == again.multipliers.shape else np.inf
+    said = at_most("recorded_multipliers", float(away), REQUIRED.recorded, "recorded - recomputed, of the closed loop")
+    return Certificate((*again.certificate.checks, said))
 
 
-def _apart(found: np.ndarray, predicted: np.ndarray, sharp: np.ndarray) -> float:
+def _apart(multipliers: np.ndarray, predicted: np.ndarray, sharp: np.ndarray) -> float:
     """The largest difference of multipliers, paired, each times the inverse of its condition."""
-    if found.size != predicted.size:
+    if multipliers.size != predicted.size:
         return np.inf
-    apart = np.abs(found[:, None] - predicted) * sharp[:, None]
+    apart = np.abs(multipliers[:, None] - predicted) * sharp[:, None]
     return float(apart[linear_sum_assignment(apart)].max())
 
 

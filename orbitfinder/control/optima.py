@@ -12,9 +12,10 @@ elsewhere, goes on from the last line that it shares.
 from __future__ import annotations
 
 import time
+from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +25,8 @@ from orbitfinder._runtime.keeping import STOPPED, finished
 from orbitfinder.continuation.follow import LOCATED, Pace, point_limit, walked, zero
 from orbitfinder.control.find import IPOPT_TOLERANCE, recorded
 from orbitfinder.control.optimum import Change, Optima
-from orbitfinder.control.program import AGREEMENT, MOST_STEPS, Program, Solution, coefficient_bounds, finer, optimum
-from orbitfinder.control.stationary import VIOLATED, Point, Stationary, Varying, moved
+from orbitfinder.control.program import AGREEMENT, MOST_STEPS, Optimum, Program, coefficient_bounds, finer, optimum
+from orbitfinder.control.stationary import VIOLATED, Extremal, Stationary, Varying, moved
 from orbitfinder.errors import ConvergenceError, InputError, closest
 from orbitfinder.loops.control import Task
 from orbitfinder.loops.ipopt import SolveSettings
@@ -40,19 +41,13 @@ from orbitfinder.records.orbit import Orbit, orbit_from_document, orbit_to_docum
 from orbitfinder.records.reading import typed
 
 PACE = Pace(first=0.02, shortest=2e-7, longest=0.3, points=200, bend=0.9, growth=1.6)
-HERE = 1e-14
-"""A target is reached where the number is as near, in its size"""
 TOGETHER = 1e-6
 """Constraints change together where their margins are this near"""
-UNBOUNDED = 1e7
-"""Multipliers that grow by this end a family: where what is asked ceases to be possible"""
 COSTLESS = 1e-12
 """A cost is none at this share of the largest met"""
-TOLD = ("fold", "active", "inactive")
-"""What may change the number of directions that lower the cost, without other optima branching off"""
 
 Report = Callable[[float, Orbit], None]
-Watch = Callable[[Point, np.ndarray], float]
+Watch = Callable[[Extremal, np.ndarray], float]
 """What becomes negative, of a point and the tangent there"""
 
 
@@ -92,14 +87,14 @@ def follow_optima(
     """
     if problem.control is None:
         raise InputError("problem: has no control; give Problem(..., control=of.Control(...)), or follow_family()")
-    targets = [float(one) for one in (*values, *(() if until is None else (until,)))]
+    targets = [float(value) for value in (*values, *(() if until is None else (until,)))]
     if not targets or not np.all(np.isfinite(targets)):
         raise InputError(f"values: {list(values)}; give finite values of {parameter}, or until")
     if points < 1:
         raise InputError(f"points: must be at least 1, got {points}")
     own, label = value_of(problem, parameter), name or problem.name
     start = problem if own == (first := targets[0] if values else own) else set_to(problem, parameter, first)
-    stated = {one.name: getattr(start, one.name) for one in fields(start) if one.name != "model"}
+    stated = {part.name: getattr(start, part.name) for part in fields(start) if part.name != "model"}
     chosen, walking = settings or SolveSettings(), replace(pace, points=points)
     request = {
         "problem": {**stated, "system": dict(start.model.system)}, "parameter": parameter,
@@ -107,31 +102,30 @@ def follow_optima(
         "pace": replace(walking, points=0),
     }  # fmt: skip
     path = None if out is None else Path(out) / label / "optima.jsonl"
-    with checkpoints(path, plain(request), lambda entries: typed(_Line, entries, "")) as journal:
-        walk = _Walk(start, parameter, targets, until is not None, chosen, walking, progress, label, journal)
+    with checkpoints(path, plain(request), lambda entries: typed(_Stand, entries, "")) as journal:
+        walk = _OptimaWalk(start, parameter, targets, until is not None, chosen, walking, progress, label, journal)
         return walk.along()
+
+
+def _numbers(problem: Problem) -> ChainMap[str, float]:
+    """What a family may be followed in, by name, and where a problem stands."""
+    control, model = problem.control, problem.model
+    assert control is not None
+    asked = {f"task {k}": next(x for x in (task.equals, task.highest, task.lowest) if x is not None)
+             for k, task in enumerate(control.tasks, 1)}  # fmt: skip
+    limits = {f"limit {name}": high if np.isfinite(high) else low for name, (low, high) in model.limits.items()}
+    physical = dict(zip(model.parameter_names, model.parameter_values, strict=True))
+    for name in {*problem.free, *model.controls} & physical.keys():
+        del physical[name]
+    return ChainMap({pin.name: pin.value for pin in problem.pin}, dict(control.numbers), asked, limits, physical)
 
 
 def value_of(problem: Problem, parameter: str) -> float:
     """Where a problem stands in a number. Raises `InputError`."""
-    control, model = problem.control, problem.model
-    assert control is not None
-    pins = {one.name: one.value for one in problem.pin}
-    if parameter in pins:
-        return pins[parameter]
-    if parameter in control.numbers:
-        return float(control.numbers[parameter])
-    kind, _, name = parameter.partition(" ")
-    if kind == "limit" and name in model.limits:
-        low, high = model.limits[name]
-        return high if np.isfinite(high) else low
-    if kind == "task" and name.isascii() and name.isdigit() and 1 <= int(name) <= len(control.tasks):
-        one = control.tasks[int(name) - 1]
-        return next(float(x) for x in (one.equals, one.highest, one.lowest) if x is not None)
-    if parameter in model.parameter_names and parameter not in (*problem.free, *model.controls):
-        return float(model.parameter_values[model.parameter_index(parameter)])
-    known = [*pins, *control.numbers, *(f"task {k + 1}" for k in range(len(control.tasks))),
-             *(f"limit {name}" for name in model.limits), *model.parameter_names]  # fmt: skip
+    numbers = _numbers(problem)
+    if parameter in numbers:
+        return float(numbers[parameter])
+    known = [name for names in numbers.maps for name in names]
     raise InputError(
         f"parameter: {parameter!r} is no pin and no physical parameter{closest(parameter, known)}; of this problem "
         f"there are {', '.join(known[:12])}"
@@ -143,15 +137,15 @@ def set_to(problem: Problem, parameter: str, value: float) -> Problem:
     value_of(problem, parameter)
     control, model, name = problem.control, problem.model, parameter.partition(" ")[2]
     assert control is not None
-    if parameter in {one.name for one in problem.pin}:
-        pins = tuple(replace(one, value=value) if one.name == parameter else one for one in problem.pin)
+    if parameter in {pin.name for pin in problem.pin}:
+        pins = tuple(replace(pin, value=value) if pin.name == parameter else pin for pin in problem.pin)
         period = value if parameter == "period" else problem.guess.period
         return replace(problem, pin=pins, guess=replace(problem.guess, period=period))
     if parameter in control.numbers:
         return replace(problem, control=replace(control, numbers={**control.numbers, parameter: value}))
     if parameter.startswith("limit "):
         limits = {**model.limits, name: _range(*model.limits[name], value)}
-        system = {**model.system, "limits": {one: list(pair) for one, pair in limits.items()}}
+        system = {**model.system, "limits": {control: list(pair) for control, pair in limits.items()}}
         return replace(problem, model=altered(model, limits=limits, system=system))
     if parameter.startswith("task "):
         tasks = list(control.tasks)
@@ -169,30 +163,30 @@ def _range(low: float, high: float, value: float) -> tuple[float, float]:
     return (-value if low == -high else low), value
 
 
-def _asking(one: Task, value: float) -> Task:
+def _asking(task: Task, value: float) -> Task:
     """A task that asks for another value."""
-    if one.equals is not None:
-        return replace(one, equals=value)
-    low, high = _range(one.low, one.high, value)
-    return replace(one, lowest=low if np.isfinite(low) else None, highest=high if np.isfinite(high) else None)
+    if task.equals is not None:
+        return replace(task, equals=value)
+    low, high = _range(task.low, task.high, value)
+    return replace(task, lowest=low if np.isfinite(low) else None, highest=high if np.isfinite(high) else None)
 
 
 def _varying(problem: Problem, parameter: str, program: Program) -> Varying:
     """What theta is to the program."""
     control, value = problem.control, value_of(problem, parameter)
     assert control is not None
-    pins = [one.name for one in problem.pin]
+    pins = [pin.name for pin in problem.pin]
     if parameter in pins:
         return Varying(value, pin=pins.index(parameter))
     if parameter.startswith("task "):
         number = int(parameter.removeprefix("task ")) - 1
-        ranges = [(one.low, one.high) for one in (control.tasks[number], _asking(control.tasks[number], value + 1.0))]
-        below, above = _slopes(*ranges)
+        task = control.tasks[number]
+        below, above = _slopes(*((at.low, at.high) for at in (task, _asking(task, value + 1.0))))
         return Varying(value, task=number, slopes=(float(below), float(above)))
     if parameter.startswith("limit "):
         other = set_to(problem, parameter, value + 1.0)
-        ends = [coefficient_bounds(one) for one in (program, Program(other, program.control, 1))]
-        pairs = [np.array(list(one.model.limits.values())).T for one in (problem, other)]
+        ends = [coefficient_bounds(at) for at in (program, Program(other, program.control, 1))]
+        pairs = [np.array(list(at.model.limits.values())).T for at in (problem, other)]
         return Varying(value, coefficients=_slopes(*ends), limits=_slopes(*pairs))
     return Varying(value, unknown=parameter)
 
@@ -209,7 +203,7 @@ Tangent = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
-class _Line:
+class _Stand:
     """Where a walk stands and all that decides how it goes on: a line of the journal.
 
     Its equations were stated at the value `stated` with a solution, in so many steps; `strongest` were the multipliers
@@ -221,9 +215,9 @@ class _Line:
     """
 
     stated: float
-    solution: Solution
+    solution: Optimum
     steps: int
-    point: Point
+    point: Extremal
     length: float
     strongest: float = 0.0
     largest: float = 0.0
@@ -250,8 +244,21 @@ class _Step:
     end: End | None = None
 
 
+@dataclass(frozen=True)
+class _Ending:
+    """What an end is to the walk: a target `reached`, from where it goes on to the next, or as many points as asked."""
+
+    reached: bool = False
+    full: bool = False
+
+
+def _ending(end: End | None) -> _Ending:
+    endings = {"target": _Ending(reached=True), "point limit": _Ending(full=True)}
+    return endings.get("" if end is None else end.kind, _Ending())
+
+
 @dataclass(eq=False)
-class _Walk:
+class _OptimaWalk:
     """A family of optima, as it grows: the walk to its targets, one after the other; `every` step of the last kept."""
 
     problem: Problem
@@ -262,11 +269,11 @@ class _Walk:
     pace: Pace
     progress: Report | None
     name: str
-    journal: Checkpoints[_Line]
-    kept: list[tuple[_Line, Orbit]] = field(default_factory=list)
+    journal: Checkpoints[_Stand]
+    kept: list[tuple[_Stand, Orbit]] = field(default_factory=list)
     last: int = -1
     lines: int = 0
-    stand: _Line = field(init=False)
+    stand: _Stand = field(init=False)
 
     def along(self) -> Optima:
         """The family: what the journal knows of it, and what comes then."""
@@ -280,34 +287,34 @@ class _Walk:
             assert self.problem.control is not None
             program, solution = optimum(self.problem, self.problem.control, IPOPT_TOLERANCE)
             value, solution = value_of(self.problem, self.parameter), replace(solution, points=np.zeros(0))
-            nowhere = Point(np.zeros(0), np.zeros(0), {})
-            self._begin(_Line(value, solution, program.parts.steps, nowhere, self.pace.first))
+            nowhere = Extremal(np.zeros(0), np.zeros(0), {})
+            self._begin(_Stand(value, solution, program.parts.steps, nowhere, self.pace.first))
             self.stand = replace(self.stand, largest=abs(self.system.cost(self.stand.point)))
             self._add(_Step(self.every))
-        while self.stand.leg < len(self.targets) and (self.stand.end is None or self.stand.end.kind == "target"):
+        while self.stand.leg < len(self.targets) and (self.stand.end is None or _ending(self.stand.end).reached):
             for step in walked(self, self.pace.points):
                 self._add(step)
         end = self.stand.end
         assert end is not None
-        return self._optima(f"{self.pace.points} points" if end.kind == "point limit" else end.reason)
+        return self._optima(f"{self.pace.points} points" if _ending(end).full else end.reason)
 
-    def _holds(self, line: _Line) -> bool:
+    def _holds(self, line: _Stand) -> bool:
         """Whether a line that comes after the one where the walk stands is what it would do now."""
         if line.after < 0 or self.stand.leg == len(self.targets):
             return line.after < 0
-        stand, kind, target = self.stand, "" if line.end is None else line.end.kind, self.targets[self.stand.leg]
+        stand, ending, target = self.stand, _ending(line.end), self.targets[self.stand.leg]
         full = stand.taken >= self.pace.points or len(self.kept) >= self.pace.points
-        if (full and line.taken > stand.taken) or (kind == "point limit" and not full):
+        if (full and line.taken > stand.taken) or (ending.full and not full):
             return False
         passed = (target - stand.value) * (target - line.value) <= 0
         turned = stand.tangent is None and (target - stand.value) * (line.target - stand.value) < 0
-        return line.target == target or not (kind == "target" or passed or turned)
+        return line.target == target or not (ending.reached or passed or turned)
 
     def _add(self, step: _Step) -> None:
         """A step as a line of the journal, with the optimum where it leads to if that is kept."""
         target = self.targets[self.stand.leg]
         if step.end is not None:
-            reached = step.end.kind == "target"
+            reached = _ending(step.end).reached
             if reached and abs(self.system.cost(self.stand.point)) <= COSTLESS * self.stand.largest:
                 self._extreme()
             self.stand = replace(self.stand, tangent=None, leg=self.stand.leg + reached)
@@ -321,7 +328,7 @@ class _Walk:
         self._take(self.lines, line, orbit)
         self.lines += 1
 
-    def _take(self, number: int, line: _Line, orbit: Orbit | None) -> None:
+    def _take(self, number: int, line: _Stand, orbit: Orbit | None) -> None:
         """On to where a line leads, a new one or one that the journal knows."""
         self.last, self.stand = number, line
         if orbit is not None:
@@ -333,9 +340,9 @@ class _Walk:
     def _optima(self, end: str) -> Optima:
         """What there is of the family."""
         last = len(self.kept) - 1
-        changes = tuple(replace(one, index=min(one.index, last)) for one in self.stand.changes)
+        changes = tuple(replace(change, index=min(change.index, last)) for change in self.stand.changes)
         lines, orbits = zip(*self.kept, strict=True) if self.kept else ((), ())
-        values, descents = np.array([one.value for one in lines]), tuple(one.descents for one in lines)
+        values, descents = np.array([line.value for line in lines]), tuple(line.descents for line in lines)
         return Optima(self.name, self.parameter, orbits, values, descents, changes, end)
 
     @cached_property
@@ -345,7 +352,7 @@ class _Walk:
         problem, solution, w = set_to(self.problem, name, stand.stated), stand.solution, stand.solution.unknowns
         assert problem.control is not None
         whole, number = problem, name in problem.control.numbers
-        if not number and " " not in name and name not in {one.name for one in problem.pin}:
+        if not number and " " not in name and name not in {pin.name for pin in problem.pin}:
             free = np.insert(w.free, len(problem.free), stand.stated)
             solution = replace(solution, unknowns=replace(w, free=free))
             whole = replace(problem, free=(*problem.free, name))
@@ -363,7 +370,7 @@ class _Walk:
         assert self.stand.tangent is not None
         return self.stand.tangent
 
-    def _plain(self) -> tuple[Problem, Solution]:
+    def _plain(self) -> tuple[Problem, Optimum]:
         """The problem where the walk stands, without theta among its unknowns, and its solution."""
         problem, solution = set_to(self.problem, self.parameter, self.value), self.system.solution(self.stand.point)
         w = solution.unknowns
@@ -371,7 +378,7 @@ class _Walk:
             solution = replace(solution, unknowns=replace(w, free=np.delete(w.free, len(problem.free))))
         return problem, solution
 
-    def _begin(self, stand: _Line) -> None:
+    def _begin(self, stand: _Stand) -> None:
         """Stand where the equations lead that are stated as it says."""
         self.stand = stand
         vars(self).pop("system", None)
@@ -402,7 +409,8 @@ class _Walk:
         if descents:
             said = f"stationary, no least: to second order the cost falls in {descents} of the directions left"
             orbit = replace(orbit, provenance={**orbit.provenance, "optimum": said})
-        told = any(one.index in (index - 1, index) and one.kind in TOLD for one in self.stand.changes)
+        told = any(change.index in (index - 1, index) and change.kind in ("fold", "active", "inactive")
+                   for change in self.stand.changes)  # fmt: skip
         if self.every and self.kept and (last := self.kept[-1][0].descents) != descents and not told:
             self._changed("branch", f"before it: the cost falls in {descents} directions, not {last}")
         orbit = certified(orbit, model)
@@ -421,7 +429,7 @@ class _Walk:
 
     def approach(self) -> tuple[float, End | None]:
         stand, target = self.stand, self.targets[self.stand.leg]
-        if abs(target - self.value) <= HERE * self.system.span:
+        if abs(target - self.value) <= 1e-14 * self.system.span:
             return 0.0, End("target", f"{self.parameter} reached {target:g}")
         if len(self.kept) >= self.pace.points:
             return 0.0, point_limit(self.pace.points)
@@ -460,54 +468,59 @@ class _Walk:
         return _Step(False)
 
     def ended(self, end: End) -> _Step:
-        return _Step(end.kind == "target" or self.every or not self.kept, end)
+        return _Step(_ending(end).reached or self.every or not self.kept, end)
 
-    def _met(self, length: float, new: Point, ahead: Tangent) -> _Step:
+    def _met(self, length: float, new: Extremal, ahead: Tangent) -> _Step:
         """On to the end of a step, or to the first of what lies before."""
         system, stand, target = self.system, self.stand, self.targets[self.stand.leg]
-        if np.abs(new.y).max(initial=0.0) > UNBOUNDED * max(stand.strongest, 1.0):
+        if np.abs(new.y).max(initial=0.0) > 1e7 * max(stand.strongest, 1.0):
             raise ConvergenceError("multipliers grow without bound: beyond, no motion does what is asked")
         margins, sides = system.margins(new)
-        wrong = np.flatnonzero(margins < -VIOLATED)
+        wrong = {int(k): int(sides[k]) for k in np.flatnonzero(margins < -VIOLATED)}
         side = np.sign(target - self.value)
-        watches: dict[str, Watch] = {
-            "target": lambda at, _: side * (target - system.theta(at)) / system.span,
-            "fold": lambda _, along: stand.onward * along[system.place],
-            "cost": lambda at, along: stand.rising * system.slope(at, along),
-        }
-        if wrong.size:
-            watches["constraint"] = lambda at, _: float(system.margins(at)[0][wrong].min())
-        found = []
-        for kind, watch in watches.items():
-            if (last := watch(new, ahead[0])) < 0 or (kind == "target" and last == 0):
-                found.append((self._located(watch, length, last), kind))
-        step = _Step(self.every and stand.leg == len(self.targets) - 1)
-        if not found:
+        events: dict[str, tuple[Watch, Callable[[], None]]] = {
+            "target": (lambda at, _: side * (target - system.theta(at)) / system.span, self._reach),
+            "fold": (lambda _, along: stand.onward * along[system.place], self._fold),
+            "cost": (lambda at, along: stand.rising * system.slope(at, along), self._past),
+            "constraint": (lambda at, _: float(system.margins(at)[0][list(wrong)].min(initial=np.inf)),
+                           partial(self._turn, wrong)),
+        }  # fmt: skip
+        shares = {}
+        for name, (watch, _) in events.items():
+            if (last := watch(new, ahead[0])) < 0 or (name == "target" and last == 0):
+                shares[name] = self._located(watch, length, last)
+        if not shares:
             self.stand = replace(stand, point=new, tangent=ahead, length=self.pace.next(length, 0))
-            return step
-        share, kind = min(found)
-        folds = [one for one, what in found if what == "fold"]
-        if kind == "cost" and folds and folds[0] - share <= TOGETHER * length:
-            share, kind = folds[0], "fold"  # where a family turns back its cost does
-        self.stand = replace(stand, point=new if share >= length else self._at(share))
-        if kind == "target":
-            unit, z = np.zeros(new.z.size), self.stand.point.z.copy()
-            unit[system.place], z[system.place] = 1.0, target / system.span
-            self.stand = replace(stand, point=system.corrected(z, self.stand.point, unit))
+            return _Step(self.every and stand.leg == len(self.targets) - 1)
+        first = min(shares, key=lambda name: (shares[name], name))
+        if first == "cost" and shares.get("fold", np.inf) - shares[first] <= TOGETHER * length:
+            first = "fold"  # where a family turns back its cost does
+        self.stand = replace(stand, point=new if shares[first] >= length else self._at(shares[first]))
+        events[first][1]()
+        if first == "target":
             return self.ended(End("target", f"{self.parameter} reached {target:g}"))
-        if kind == "constraint":
-            self._turn([(int(k), int(sides[k])) for k in wrong])
-            return step
-        tangent, onward = system.tangent(self.stand.point, self.tangent[0]), stand.onward
-        if kind == "fold":
-            self._changed("fold", f"{self.parameter} turns back")
-            onward = -onward
-        else:
-            self._extreme()
-        self.stand = replace(self.stand, tangent=tangent, onward=onward, rising=-stand.rising)
-        return step
+        return _Step(self.every and stand.leg == len(self.targets) - 1)
 
-    def _at(self, length: float) -> Point:
+    def _reach(self) -> None:
+        """To the target itself."""
+        system, point, target = self.system, self.stand.point, self.targets[self.stand.leg]
+        unit, z = np.zeros(point.z.size), point.z.copy()
+        unit[system.place], z[system.place] = 1.0, target / system.span
+        self.stand = replace(self.stand, point=system.corrected(z, point, unit))
+
+    def _fold(self) -> None:
+        """Round a turning point."""
+        tangent = self.system.tangent(self.stand.point, self.tangent[0])
+        self._changed("fold", f"{self.parameter} turns back")
+        self.stand = replace(self.stand, tangent=tangent, onward=-self.stand.onward, rising=-self.stand.rising)
+
+    def _past(self) -> None:
+        """Past an extreme of the cost."""
+        tangent = self.system.tangent(self.stand.point, self.tangent[0])
+        self._extreme()
+        self.stand = replace(self.stand, tangent=tangent, rising=-self.stand.rising)
+
+    def _at(self, length: float) -> Extremal:
         """The point of the curve in the plane across the tangent at a length. Raises `ConvergenceError`."""
         near = moved(self.stand.point, *self.tangent, length)
         return self.system.corrected(near.z, near, self.tangent[0])
@@ -526,28 +539,27 @@ class _Walk:
             return 0.0 if ends[0.0] <= 0 else length
         return zero(value, 0.0, length, LOCATED * length)
 
-    def _turn(self, wrong: list[tuple[int, int]]) -> None:
+    def _turn(self, wrong: dict[int, int]) -> None:
         """Along the curve beyond a corner, where the active set changes. Raises `ConvergenceError`."""
         system, at = self.system, self.stand.point
         margins = system.margins(at)[0]
-        changed = [(k, side) for k, side in wrong if margins[k] <= TOGETHER]
-        gone = [k for k, _ in changed if k in at.active]
+        changed = {k: side for k, side in wrong.items() if margins[k] <= TOGETHER}
+        gone = [k for k in changed if k in at.active]
         active = {k: side for k, side in at.active.items() if k not in gone}
-        active = system.independent(at, active | {k: side for k, side in changed if k not in gone})
+        active = system.independent(at, active | {k: side for k, side in changed.items() if k not in gone})
         y = np.zeros(at.y.size)
         y[list(active)] = at.y[list(active)]
-        point = Point(at.z, y, active)
+        point = Extremal(at.z, y, active)
         self.stand = replace(self.stand, point=point)
         along, change = system.tangent(point, self.tangent[0])
         trial = moved(point, along, change, TOGETHER)
-        told = [k for k, _ in changed]
-        rates = system.margins(trial)[0][told] - system.margins(point)[0][told]
+        rates = system.margins(trial)[0][list(changed)] - system.margins(point)[0][list(changed)]
         if float(np.sum(np.sign(rates))) < 0:
             along, change, rates = -along, -change, -rates
+        words = [system.name(k, side) for k, side in changed.items()]
         if np.any(rates < -TOGETHER * np.abs(rates).max()):
-            where = f"{system.name(*changed[0])} and {len(changed) - 1} more"
+            where = f"{words[0]} and {len(changed) - 1} more"
             raise ConvergenceError(f"the constraints met there leave no way on, which is where motions end ({where})")
-        words = [system.name(k, side) for k, side in changed]
         detail = "; ".join(words[:3]) + (f" and {len(words) - 3} more" if len(words) > 3 else "")
         self._changed("inactive" if gone else "active", detail)
         if along[system.place] * self.stand.onward < 0:
@@ -564,7 +576,8 @@ class _Walk:
 
     def _changed(self, kind: str, detail: str) -> None:
         point, changes = self.stand.point, self.stand.changes
-        if changes and changes[-1].kind == kind and abs(changes[-1].value - self.value) <= TOGETHER * self.system.span:
+        last = {change.kind: change.value for change in changes[-1:]}.get(kind, np.inf)
+        if abs(last - self.value) <= TOGETHER * self.system.span:
             return
         period = self.system.solution(point).unknowns.period
         new = Change(kind, len(self.kept), self.value, self.system.cost(point), period, detail)

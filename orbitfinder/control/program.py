@@ -11,7 +11,7 @@ Both carry the integrals of the cost and of what tasks ask on average. Derivativ
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
@@ -29,6 +29,7 @@ from orbitfinder.loops.control import Basis, Control, Task, stated
 from orbitfinder.loops.ipopt import minimised
 from orbitfinder.loops.loop import Equations, Loop, Unknowns
 from orbitfinder.loops.problem import Problem, boundary_constants, guessed_nodes
+from orbitfinder.loops.scales import floored
 from orbitfinder.loops.symmetry import Symmetry
 from orbitfinder.mechanics.hybrid import freed, share
 from orbitfinder.mechanics.model import Model, vector_field
@@ -36,29 +37,17 @@ from orbitfinder.mechanics.newton import Settings, stepped
 
 POINTS = 5
 """Legendre points of an element: of order 10"""
-FREE_RANGE = (0.05, 10.0)
-"""Period and freed parameters may change by these factors where no bounds say otherwise"""
 AGREEMENT = 1e-13
 """Steps of half the length must lead to the same states, relative to the motion"""
 COLLOCATED = 1e-11
 """The same of collocation, whose rows IPOPT leaves at about this"""
 MOST_STEPS = 32
-RESOLVED = 16
-"""Steps in a period of the highest harmonic of a control, to begin with"""
-MOST_ITERATIONS = 1000
 IPOPT = {
-    "max_iter": MOST_ITERATIONS, "constr_viol_tol": 1e-11, "dual_inf_tol": 1e-6, "compl_inf_tol": 1e-9,
+    "max_iter": 1000, "constr_viol_tol": 1e-11, "dual_inf_tol": 1e-6, "compl_inf_tol": 1e-9,
     "mu_target": 0.0, "mu_strategy": "adaptive",
 }  # fmt: skip
-FARTHEST = 1e3
-"""A guess's motion that goes farther than this, relative, is no guess"""
-MIRRORED = 1e-9
-"""A control's sign under a symmetry is tried to this, relative"""
-ALWAYS = "always"
 CORRECTED = Settings(floor=0.0, round_off=0.0, converged=np.inf, most_evaluations=2)
 """Newton steps after IPOPT, whatever they leave"""
-SINGULAR = 1e-13
-"""What keeps rows that say the same apart"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,13 +75,13 @@ class Arrangement:
         """An expression of cost or tasks. Raises `InputError`."""
         return stated(text, self.model, x, p, where, period, self.numbers(free))
 
-    def task(self, one: Task, x: Any, p: Any, free: Any, period: Any = None) -> Any:
+    def task(self, task: Task, x: Any, p: Any, free: Any, period: Any = None) -> Any:
         """The expression of a task; `InputError` for a constant, which no motion changes."""
-        found = self.stated(one.expression, x, p, "task.expression", free, period)
-        if isinstance(found, float) or found.is_constant():
-            raise InputError(f"task.expression: {one.expression!r} is the same for every motion; name a state or a "
+        value = self.stated(task.expression, x, p, "task.expression", free, period)
+        if isinstance(value, float) or value.is_constant():
+            raise InputError(f"task.expression: {task.expression!r} is the same for every motion; name a state or a "
                              "control in it, or leave the task out")  # fmt: skip
-        return found
+        return value
 
     @property
     def size(self) -> int:
@@ -102,24 +91,24 @@ class Arrangement:
     @property
     def means(self) -> tuple[Task, ...]:
         """The tasks on average."""
-        return tuple(one for one in self.control.tasks if one.at == "mean")
+        return tuple(task for task in self.control.tasks if task.at == "mean")
 
     @property
     def moments(self) -> tuple[tuple[int, Task], ...]:
         """The tasks at a phase, with the segment that begins there. Raises `InputError`."""
-        return tuple((self._segment(one), one) for one in self.control.tasks if not isinstance(one.at, str))
+        return tuple((self._segment(task), task) for task in self.control.tasks if not isinstance(task.at, str))
 
     @property
     def always(self) -> tuple[Task, ...]:
         """What holds everywhere: tasks, and limits that bounds on coefficients do not keep."""
-        own = tuple(one for one in self.control.tasks if one.at == ALWAYS)
+        own = tuple(task for task in self.control.tasks if task.at == "always")
         return own if self.bounded else own + self.limits
 
     @property
     def limits(self) -> tuple[Task, ...]:
         """The model's limits of controls as tasks."""
         return tuple(
-            Task(name, ALWAYS, lowest=None if np.isinf(low) else low, highest=None if np.isinf(high) else high)
+            Task(name, lowest=None if np.isinf(low) else low, highest=None if np.isinf(high) else high)
             for name, (low, high) in self.model.limits.items() if np.isfinite(low) or np.isfinite(high)
         )  # fmt: skip
 
@@ -174,7 +163,7 @@ class Arrangement:
         unfolded = () if basis.arcs else self.symmetry.unfolded(model)
         rate = vector_field(model, names, unfolded)(0.0, x, s, physical)
         rates = [self.stated(self.control.cost, x, p, "control.cost", free)]
-        rates += [self.task(one, x, p, free) for one in self.means]
+        rates += [self.task(task, x, p, free) for task in self.means]
         return [moment, x, s, given], rate, p, rates
 
     @property
@@ -199,8 +188,8 @@ class Arrangement:
         moment, x, s, given = inputs
         h, whole = symbol("h"), symbol("whole", self.size + count)
         field = ca.Function("f", [moment, x, s, given], [rate, ca.vertcat(*rates)])
-        found, more = field(moment, whole[: self.size], s, given)
-        moving = ca.Function("moving", [moment, whole, s, ca.vertcat(given, h)], [h * ca.vertcat(found, more)])
+        rate, more = field(moment, whole[: self.size], s, given)
+        moving = ca.Function("moving", [moment, whole, s, ca.vertcat(given, h)], [h * ca.vertcat(rate, more)])
         step = one_step(moving, symbol)
         z, states = ca.vertcat(0.0, x, ca.SX.zeros(count) if symbol is ca.SX.sym else ca.DM.zeros(count)), []
         for _ in range(self.steps):
@@ -224,8 +213,8 @@ class Arrangement:
             points = ca.reshape(z[self.size * POINTS * k : self.size * POINTS * (k + 1)], self.size, POINTS)
             both = ca.horzcat(now, points)
             for j, tau in enumerate(taus):
-                found, more = field((k + tau) / self.steps, points[:, j], s, given)
-                rows.append(both @ slopes[:, j] - h / self.steps * found)
+                speed, more = field((k + tau) / self.steps, points[:, j], s, given)
+                rows.append(both @ slopes[:, j] - h / self.steps * speed)
                 integrals += float(weights[j]) * h / self.steps * more
             now = both @ ends
             states.append(now)
@@ -235,7 +224,7 @@ class Arrangement:
         """(share, x, s, given, period) -> expressions of tasks (k) at a place of the motion."""
         inputs, _, p, _ = self.driven(arc, ca.SX.sym if self.mode(arc).scalar else ca.MX.sym)
         x, free, period = inputs[1], inputs[3][self.first_free :], type(inputs[1]).sym("period")
-        rows = [self.task(one, x, p, free, period) for one in tasks]
+        rows = [self.task(task, x, p, free, period) for task in tasks]
         return ca.Function("watched", [*inputs, period], [ca.densify(type(inputs[1])(ca.vertcat(*rows)))])
 
     def final(self) -> ca.Function:
@@ -245,14 +234,19 @@ class Arrangement:
         return ca.Function("final", [x, free, period], [self.stated(text, x, p, "control.final", free, period)])
 
 
+def mirror_of(model: Model, symmetry: Symmetry) -> np.ndarray:
+    """What a symmetry makes of a state (d x d)."""
+    first, last = symmetry.rows(model.degrees_of_freedom)
+    return np.asarray(-np.linalg.solve(last, first))
+
+
 def signs_of(model: Model, symmetry: Symmetry) -> tuple[int, ...]:
     """Of each control, whether a symmetry keeps (1) or reverses (-1) it; () without one. Raises `InputError`."""
     if not symmetry.maps:
         return ()
     if symmetry.reverses or symmetry.fraction != 0.5:
         raise InputError("symmetry: controlled motions repeat mirrored after half a period (reflection), or have none")
-    first, last = symmetry.rows(model.degrees_of_freedom)
-    mirror = -np.linalg.solve(last, first)
+    mirror = mirror_of(model, symmetry)
     field, random = vector_field(model, model.controls), np.random.default_rng(0)
     signs = []
     for k, name in enumerate(model.controls):
@@ -263,10 +257,10 @@ def signs_of(model: Model, symmetry: Symmetry) -> tuple[int, ...]:
             return np.asarray(field(0.0, state, ca.DM(0, 1), control).full().ravel())
 
         wanted = mirror @ at(x, u)
-        found = [one for one in (1, -1) if np.allclose(at(mirror @ x, one * u), wanted, rtol=MIRRORED, atol=MIRRORED)]
-        if not found:
+        kept = [sign for sign in (1, -1) if np.allclose(at(mirror @ x, sign * u), wanted, rtol=1e-9, atol=1e-9)]
+        if not kept:
             raise InputError(f"symmetry: the control {name} breaks it; use symmetry = 'none'")
-        signs.append(found[0])
+        signs.append(kept[0])
     return tuple(signs)
 
 
@@ -290,7 +284,7 @@ def _built(arrangement: Arrangement, arc: int, method: str) -> ca.Function:
 
 
 @dataclass(frozen=True)
-class Solution:
+class Optimum:
     """A solved program: the loop's unknowns, coefficients of all controls (m x whole), IPOPT's iterations."""
 
     unknowns: Unknowns
@@ -351,24 +345,21 @@ class Program:
             x = _built(parts, parts.arc(k), "shooting")(x, h, np.zeros(parts.unfolding), given, [])[0].full()[:, -1]
             if parts.basis.arcs and (k + 1) % parts.basis.each == 0:
                 x = self.equations.links.after(parts.arc(k), x, free)
-            if not np.all(np.isfinite(x)) or np.abs(x).max() > FARTHEST * size:
+            if not np.all(np.isfinite(x)) or np.abs(x).max() > 1e3 * size:  # no guess
                 return np.tile(start, (parts.basis.intervals, 1))
         return np.array(nodes)
 
     def given(self, segment: int, coefficients: Any, free: Any) -> Any:
         """(phase, length in phase, local coefficients, free) of a segment; coefficients (whole x m)."""
-        basis = self.parts.basis
-        begins = basis.begins(segment) if not basis.arcs else 0.0
-        length = basis.fraction / basis.intervals if not basis.arcs else 0.0
-        picked = [int(k) for k in basis.picked(segment)]
+        phases, picked = self.parts.basis.phases(segment), [int(k) for k in self.parts.basis.picked(segment)]
         columns = range(len(self.parts.model.controls))
         if isinstance(coefficients, np.ndarray):
-            return np.concatenate([[begins, length], *(coefficients[picked, i] for i in columns), free])
-        return ca.vertcat(begins, length, *(coefficients[i][picked] for i in columns), free)
+            return np.concatenate([phases, *(coefficients[picked, i] for i in columns), free])
+        return ca.vertcat(*phases, *(coefficients[i][picked] for i in columns), free)
 
-    def carried(self, near: Solution) -> tuple[Unknowns, np.ndarray]:
+    def carried(self, near: Optimum) -> tuple[Unknowns, np.ndarray]:
         """A solution of a problem of the same form as the start of this one's: at its pins and its parameters."""
-        w, period = near.unknowns, next((one.value for one in self.problem.pin if one.name == "period"), None)
+        w, period = near.unknowns, next((pin.value for pin in self.problem.pin if pin.name == "period"), None)
         return replace(w, period=w.period if period is None else period), near.coefficients
 
     @property
@@ -376,7 +367,7 @@ class Program:
         """Numbers in z for a segment."""
         return self.parts.size * POINTS * self.parts.steps if self.control.method == "collocation" else 0
 
-    def solved(self, start: tuple[Unknowns, np.ndarray], tolerance: float) -> Solution:
+    def solved(self, start: tuple[Unknowns, np.ndarray], tolerance: float) -> Optimum:
         """The optimum that IPOPT finds from a start. Raises `ConvergenceError`."""
         guess, coefficients = start
         stated = stated_program(self, guess)
@@ -389,7 +380,7 @@ class Program:
             raise _failed(stats, self)
         return self.solution(guess, answer, stated.normals, int(stats["iter_count"]))
 
-    def closed(self, solution: Solution) -> Solution:
+    def closed(self, solution: Optimum) -> Optimum:
         """A solution to the last digits of its equations, by Newton's least steps, far below IPOPT's tolerance."""
         w = solution.unknowns
         stated = stated_program(self, w)
@@ -398,7 +389,9 @@ class Program:
 
     def vector(self, w: Unknowns, coefficients: np.ndarray) -> np.ndarray:
         """v without collocation points."""
-        each = (np.linalg.lstsq(one, row, rcond=None)[0] for one, row in zip(self.shapes, coefficients, strict=True))
+        each = (
+            np.linalg.lstsq(shape, row, rcond=None)[0] for shape, row in zip(self.shapes, coefficients, strict=True)
+        )
         return np.concatenate([w.vector, *each])
 
     def names(self, like: Unknowns) -> list[str]:
@@ -406,33 +399,35 @@ class Program:
         parts = self.parts
         loop = ["" for _ in like.nodes.ravel()] + ["period"] + ["" for _ in like.unfolding] + list(parts.free)
         each = zip(parts.model.controls, self.shapes, strict=True)
-        controls = [f"{name} at phase {k / parts.basis.whole:.6g}" for name, one in each for k in range(one.shape[1])]
+        controls = [
+            f"{name} at phase {k / parts.basis.whole:.6g}" for name, shape in each for k in range(shape.shape[1])
+        ]
         return loop + controls + ["a number" for _ in parts.varied]
 
-    def solution(self, like: Unknowns, v: np.ndarray, normals: np.ndarray, iterations: int = 0) -> Solution:
+    def solution(self, like: Unknowns, v: np.ndarray, normals: np.ndarray, iterations: int = 0) -> Optimum:
         """The solution that v stands for."""
         cut = like.vector.size
-        sizes = cut + np.cumsum([0, *(one.shape[1] for one in self.shapes)])
-        values = [one @ v[sizes[k] : sizes[k + 1]] for k, one in enumerate(self.shapes)]
-        return Solution(like.at(v[:cut]), np.array(values), iterations, v[sizes[-1] :], normals)
+        sizes = cut + np.cumsum([0, *(shape.shape[1] for shape in self.shapes)])
+        values = [shape @ v[sizes[k] : sizes[k + 1]] for k, shape in enumerate(self.shapes)]
+        return Optimum(like.at(v[:cut]), np.array(values), iterations, v[sizes[-1] :], normals)
 
     def loop(self, guess: Unknowns) -> Loop:
         """The loop: closed, at the pins, its phase fixed where nothing else fixes it."""
         problem, equations = self.problem, self.equations
-        conditions = tuple(pinned(equations, one.name, one.value) for one in problem.pin)
+        conditions = tuple(pinned(equations, pin.name, pin.value) for pin in problem.pin)
         loop = Loop(equations, boundary_constants(problem, guess.nodes), conditions)
         normals = equations.phases(guess)
         timed = not (problem.boundary.reverses or problem.model.forced or problem.model.hybrid)
-        fixed = any(one.name in problem.model.state_names for one in problem.pin) or bool(self.parts.moments)
+        fixed = any(pin.name in problem.model.state_names for pin in problem.pin) or bool(self.parts.moments)
         if timed and fixed:
             normals = normals[1:]
         return Loop(loop.equations, loop.constant, loop.conditions, normals, guess.nodes[0])
 
-    def error(self, solution: Solution) -> float:
+    def error(self, solution: Optimum) -> float:
         """How far the ends of the segments are from those by shooting in steps half as long, relative to the motion."""
         finer = replace(self.parts, steps=2 * self.parts.steps)
         w, worst = solution.unknowns, 0.0
-        size = np.maximum(np.abs(w.nodes).max(axis=0), 1e-3 * np.abs(w.nodes).max())
+        size = floored(np.abs(w.nodes).max(axis=0))
         points = np.split(solution.points, len(w.nodes))
         for k, node in enumerate(w.nodes):
             h = float(self.parts.duration(k, w.period, ca.DM(w.free)))
@@ -440,19 +435,19 @@ class Program:
             arc = self.parts.arc(k)
             own = _built(self.parts, arc, self.control.method)(node, h, w.unfolding, given, points[k])[0].full()[:, -1]
             fine = _built(finer, arc, "shooting")(node, h, w.unfolding, given, [])[0].full()[:, -1]
-            worst = max(worst, float((np.abs(fine - own) / nonzero(size)).max()))
+            worst = max(worst, float((np.abs(fine - own) / size).max()))
         return worst
 
 
 def optimum(
-    problem: Problem, control: Control, tolerance: float, near: tuple[Program, Solution] | None = None
-) -> tuple[Program, Solution]:
+    problem: Problem, control: Control, tolerance: float, near: tuple[Program, Optimum] | None = None
+) -> tuple[Program, Optimum]:
     """The controlled motion of a problem, with as many steps as its states no longer depend on, closed to round-off.
 
     It starts at the guess, or at a solution `near` of a problem of the same form.
     The last digits of a collocated motion are those of shooting under its control. Raises `ConvergenceError`.
     """
-    steps = -(-RESOLVED * control.harmonics // control.intervals) if control.shape == "fourier" else 1
+    steps = -(-16 * control.harmonics // control.intervals) if control.shape == "fourier" else 1  # of the highest 16
     order, enough = (8, AGREEMENT) if control.method == "shooting" else (2 * POINTS, COLLOCATED)
     program = Program(problem, control, steps if near is None else near[0].parts.steps)
     start = program.guessed() if near is None else program.carried(near[1])
@@ -469,8 +464,7 @@ def optimum(
     solution = replace(solution, points=np.zeros(0))
     while (error := shot.error(solution)) > AGREEMENT and shot.parts.steps < MOST_STEPS:
         shot = Program(problem, shot.control, finer(shot.parts.steps, error, AGREEMENT, 8))
-    program, found = Program(problem, control, shot.parts.steps), shot.closed(solution)
-    return program, found
+    return Program(problem, control, shot.parts.steps), shot.closed(solution)
 
 
 def finer(steps: int, error: float, enough: float, order: int) -> int:
@@ -480,7 +474,7 @@ def finer(steps: int, error: float, enough: float, order: int) -> int:
 
 def _bounds(program: Program, guess: Unknowns) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest of the loop's unknowns."""
-    problem, low, high = program.problem, FREE_RANGE[0], FREE_RANGE[1]
+    problem, low, high = program.problem, 0.05, 10.0  # factors, where no bounds say otherwise
     times = problem.bounds.get("period", (low * guess.period, high * guess.period))
     lowest, highest = np.full(guess.free.size, -np.inf), np.full(guess.free.size, np.inf)
     for k, name in enumerate(program.parts.free):
@@ -520,74 +514,83 @@ class Statement:
     """of each row the number of the task that it belongs to; -1 of the loop's, -2 of limits kept by rows"""
 
 
+class _ProgramSymbols:
+    """The unknowns of a program as symbols, the free coefficients of each control, collocation points and numbers among
+    them, and what is known of each segment: what is `given` there and how long it lasts."""
+
+    def __init__(self, program: Program, guess: Unknowns) -> None:
+        parts, segments = program.parts, range(program.parts.basis.intervals)
+        self.parts, self.method = parts, program.control.method
+        self.nodes, self.tail = guess.symbols()
+        self.period, self.unfolding, free = self.tail
+        self.controls = [ca.MX.sym(f"c{k}", shape.shape[1]) for k, shape in enumerate(program.shapes)]
+        self.points = [ca.MX.sym("z", program.points) for _ in segments]
+        self.numbers = ca.MX.sym("numbers", len(parts.varied))
+        self.free = ca.vertcat(free, self.numbers)
+        whole = [ca.sparsify(ca.DM(shape)) @ c for shape, c in zip(program.shapes, self.controls, strict=True)]
+        self.given = [program.given(k, whole, self.free) for k in segments]
+        self.durations = [parts.duration(k, self.period, free) for k in segments]
+
+    def integrated(self) -> tuple[list[ca.MX], ca.MX, ca.MX]:
+        """States after each step of each segment, the integrals over the horizon, the rows of collocation points."""
+        paths, integrals, rows = list[ca.MX](), ca.MX(0), [ca.MX(0, 1)]
+        basis = self.parts.basis
+        for first in range(0, basis.intervals, basis.each):
+            own = slice(first, first + basis.each)
+            nodes, durations, given, points = (
+                ca.horzcat(*group[own]) for group in (self.nodes, self.durations, self.given, self.points)
+            )
+            mapped = _built(self.parts, self.parts.arc(first), self.method).map(basis.each)
+            path, more, obeyed = mapped(nodes, durations, ca.repmat(self.unfolding, 1, basis.each), given, points)
+            paths += ca.horzsplit(path, self.parts.steps)
+            integrals = integrals + ca.sum2(more)
+            rows.append(ca.vec(obeyed))
+        return paths, integrals, ca.vertcat(*rows)
+
+    def tasks(self, paths: list[ca.MX], integrals: ca.MX) -> Iterator[tuple[ca.MX, Task]]:
+        """The expressions of all tasks: at phases, on average, and of what holds always at the nodes and after each
+        step."""
+        parts = self.parts
+        for k, task in parts.moments:
+            watched = parts.watched(parts.arc(k), (task,))
+            yield watched(0.0, self.nodes[k], self.unfolding, self.given[k], self.period), task
+        for k, task in enumerate(parts.means):
+            yield integrals[1 + k] / self.period / parts.symmetry.fraction, task
+        for number, task in enumerate(parts.always):
+            rows = []
+            for k, (node, path) in enumerate(zip(self.nodes, paths, strict=True)):
+                watched = _watched(parts, parts.arc(k), number)
+                rows += [watched(j / parts.steps, x, self.unfolding, self.given[k], self.period)
+                         for j, x in enumerate([node, *ca.horzsplit(path)])]  # fmt: skip
+            yield ca.vertcat(*rows), task
+
+
 def stated_program(program: Program, guess: Unknowns) -> Statement:
     """The program in symbols, its phase that of a guess. Raises `InputError`."""
-    parts, control = program.parts, program.control
-    nodes, tail = guess.symbols()
-    period, s, free = tail
-    own = [ca.MX.sym(f"c{k}", one.shape[1]) for k, one in enumerate(program.shapes)]
-    full = [ca.sparsify(ca.DM(one)) @ c for one, c in zip(program.shapes, own, strict=True)]
-    count, points = parts.basis.intervals, program.points
-    z = [ca.MX.sym("z", points) for _ in nodes]
-    numbers = ca.MX.sym("numbers", len(parts.varied))
-    more = ca.vertcat(free, numbers)
-    given = [program.given(k, full, more) for k in range(count)]
-    durations = [parts.duration(k, period, free) for k in range(count)]
-    paths, integrals, rows = _integrated(parts, control.method, nodes, durations, s, given, z)
-    loop = program.loop(guess)
-    closing = loop.stated(nodes, period, free, [path[:, -1] for path in paths])
-    tasks = [(parts.watched(parts.arc(k), (one,))(0.0, nodes[k], s, given[k], period), one) for k, one in parts.moments]
-    tasks += [(integrals[1 + k] / period / parts.symmetry.fraction, one) for k, one in enumerate(parts.means)]
-    tasks += [(_everywhere(parts, k, nodes, paths, s, given, period), one) for k, one in enumerate(parts.always)]
-    ranges = [(closing, 0.0, 0.0), (rows, 0.0, 0.0), *((row, one.low, one.high) for row, one in tasks)]
-    whose = [-1, -1, *(control.tasks.index(one) if one in control.tasks else -2 for _, one in tasks)]
-    cost = integrals[0] / parts.symmetry.fraction / (period if control.average else 1.0)
-    first, last = _bounds(program, guess)
-    c_low, c_high = coefficient_bounds(program)
-    labels = np.concatenate([np.full(row.numel(), one) for (row, _, _), one in zip(ranges, whose, strict=True)])
-    infinite, more_free = np.full(points * count, np.inf), np.full(len(parts.varied), np.inf)
-    return Statement(
-        ca.vertcat(*nodes, *tail, *own, *z, numbers), cost + parts.final()(nodes[0], more, period),
-        ca.vertcat(*(row for row, _, _ in ranges)),
-        np.concatenate([np.full(row.numel(), low) for row, low, _ in ranges]),
-        np.concatenate([np.full(row.numel(), high) for row, _, high in ranges]),
-        np.concatenate([first, c_low, -infinite, -more_free]), np.concatenate([last, c_high, infinite, more_free]),
-        loop.normals, labels,
-    )  # fmt: skip
+    symbols, loop, control = _ProgramSymbols(program, guess), program.loop(guess), program.control
+    paths, integrals, obeyed = symbols.integrated()
+    closing = loop.stated(symbols.nodes, symbols.period, symbols.tail[2], [path[:, -1] for path in paths])
+    tasks = list(symbols.tasks(paths, integrals))
+    rows = [([closing], 0.0, 0.0), ([obeyed], 0.0, 0.0), *(([row], task.low, task.high) for row, task in tasks)]
+    whose = [-1, -1, *(control.tasks.index(task) if task in control.tasks else -2 for _, task in tasks)]
+    unknowns = [
+        ([*symbols.nodes, *symbols.tail], *_bounds(program, guess)), (symbols.controls, *coefficient_bounds(program)),
+        (symbols.points, -np.inf, np.inf), ([symbols.numbers], -np.inf, np.inf),
+    ]  # fmt: skip
+    cost = integrals[0] / program.parts.symmetry.fraction / (symbols.period if control.average else 1.0)
+    cost += program.parts.final()(symbols.nodes[0], symbols.free, symbols.period)
+    (v, lower, upper), (all_rows, low, high) = _stacked(unknowns), _stacked(rows)
+    labels = np.concatenate([np.full(row.numel(), number) for ([row], _, _), number in zip(rows, whose, strict=True)])
+    return Statement(v, cost, all_rows, low, high, lower, upper, loop.normals, labels)
 
 
-def _integrated(
-    parts: Arrangement, method: str, nodes: list[ca.MX], durations: list[ca.MX], s: ca.MX, given: list[ca.MX],
-    z: list[ca.MX],
-) -> tuple[list[ca.MX], ca.MX, ca.MX]:  # fmt: skip
-    """States after each step of each segment, the integrals over the horizon, the rows of collocation points."""
-    paths: list[ca.MX] = []
-    integrals, rows = ca.MX(0), [ca.MX(0, 1)]
-    count = parts.basis.intervals
-    each = parts.basis.each if parts.basis.arcs else count
-    for first in range(0, count, each):
-        span = range(first, first + each)
-        one = _built(parts, parts.arc(first), method)
-        mapped = one.map(each)
-        columns = ([ca.horzcat(*(group[k] for k in span)) for group in (nodes, durations)], ca.repmat(s, 1, each),
-                   [ca.horzcat(*(group[k] for k in span)) for group in (given, z)])  # fmt: skip
-        path, more, obeyed = mapped(*columns[0], columns[1], *columns[2])
-        paths += ca.horzsplit(path, parts.steps)
-        integrals = integrals + ca.sum2(more)
-        rows.append(ca.vec(obeyed))
-    return paths, integrals, ca.vertcat(*rows)
-
-
-def _everywhere(
-    parts: Arrangement, number: int, nodes: list[ca.MX], paths: list[ca.MX], s: ca.MX, given: list[ca.MX], period: ca.MX
-) -> ca.MX:  # fmt: skip
-    """An expression of `always` at the nodes and after each step."""
-    found = []
-    for k, (node, path) in enumerate(zip(nodes, paths, strict=True)):
-        function = _watched(parts, parts.arc(k), number)
-        for j, x in enumerate([node, *ca.horzsplit(path)]):
-            found.append(function(j / parts.steps, x, s, given[k], period))
-    return ca.vertcat(*found)
+def _stacked(blocks: Sequence[tuple[list[ca.MX], Any, Any]]) -> tuple[ca.MX, np.ndarray, np.ndarray]:
+    """Symbols below each other, and the ends of their ranges, of a block one pair or one for each of its numbers."""
+    sizes = [sum(symbol.numel() for symbol in symbols) for symbols, _, _ in blocks]
+    low, high = (
+        np.concatenate([np.full(size, block[end]) for size, block in zip(sizes, blocks, strict=True)]) for end in (1, 2)
+    )
+    return ca.vertcat(*(symbol for symbols, _, _ in blocks for symbol in symbols)), low, high
 
 
 @lru_cache(maxsize=32)
@@ -618,7 +621,7 @@ def _closed(stated: Statement, at: np.ndarray) -> np.ndarray:
         matrix = slope.sparse().tocsr()
         sizes = nonzero(np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=1)).ravel()))
         matrix, left = diags(1.0 / sizes) @ matrix, left.full().ravel() / sizes
-        square = (matrix @ matrix.T + SINGULAR * identity(len(chosen))).tocsc()
+        square = (matrix @ matrix.T + 1e-13 * identity(len(chosen))).tocsc()  # rows that say the same stay apart
         return -np.asarray(matrix.T @ splu(square).solve(left))
 
     return stepped(at, correction, CORRECTED).w
@@ -630,8 +633,8 @@ def _failed(stats: Any, program: Program) -> ConvergenceError:
     why = {
         "Infeasible_Problem_Detected": "no motion does what is asked near this guess; ask for less (limits, tasks), or "
         "start nearer",
-        "Maximum_Iterations_Exceeded": f"not converged after {MOST_ITERATIONS} iterations; start nearer, or give more "
-        "intervals",
+        "Maximum_Iterations_Exceeded": f"not converged after {IPOPT['max_iter']} iterations; start nearer, or give "
+        "more intervals",
         "Not_Enough_Degrees_Of_Freedom": "more equations than unknowns: leave out a pin or a task, or free a parameter",
     }.get(status, f"IPOPT stopped ({status}); start nearer, give bounds, or another number of intervals")
     return ConvergenceError(f"no controlled motion found: {why} ({program.control.method}, "

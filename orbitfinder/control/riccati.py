@@ -23,10 +23,6 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError
 
-MOST_DOUBLINGS = 60
-SETTLED = 1e-15
-"""Relative change of P in a doubling at which it has converged"""
-
 
 @dataclass(frozen=True)
 class Scattering:
@@ -69,10 +65,10 @@ class Regulator:
     @property
     def monodromy(self) -> np.ndarray:
         """The closed loop's state-transition matrix (m x m) over the period."""
-        found = np.eye(self.transitions.shape[1])
-        for one in self.transitions:
-            found = one @ found
-        return found
+        monodromy = np.eye(self.transitions.shape[1])
+        for transition in self.transitions:
+            monodromy = transition @ monodromy
+        return monodromy
 
 
 def periodic(pieces: Sequence[Scattering]) -> Regulator:
@@ -82,8 +78,8 @@ def periodic(pieces: Sequence[Scattering]) -> Regulator:
     """
     last = _doubled(whole(pieces))
     solutions, transitions = [last], list[np.ndarray]()
-    for one in reversed(pieces):
-        solution, closed = one.before(solutions[-1])
+    for piece in reversed(pieces):
+        solution, closed = piece.before(solutions[-1])
         solutions.append(solution)
         transitions.append(closed)
     return Regulator(np.array(solutions[::-1]), np.array(transitions[::-1]))
@@ -91,21 +87,21 @@ def periodic(pieces: Sequence[Scattering]) -> Regulator:
 
 def whole(pieces: Sequence[Scattering]) -> Scattering:
     """All pieces as one."""
-    found = pieces[0]
-    for one in pieces[1:]:
-        found = found.then(one)
-    return found
+    joined = pieces[0]
+    for piece in pieces[1:]:
+        joined = joined.then(piece)
+    return joined
 
 
 @np.errstate(over="ignore", invalid="ignore")  # what is not finite is raised
 def _doubled(period: Scattering) -> np.ndarray:
     """P(0) of infinitely many periods one after another."""
-    for _ in range(MOST_DOUBLINGS):
+    for _ in range(60):
         twice = period.then(period)
         change, size = float(np.abs(twice.cost - period.cost).max()), float(np.abs(twice.cost).max())
         if not np.isfinite(size):
             break
-        if change <= SETTLED * size and np.abs(twice.transition).max() < 1.0:
+        if change <= 1e-15 * size and np.abs(twice.transition).max() < 1.0:
             return twice.cost
         period = twice
     raise ConvergenceError(

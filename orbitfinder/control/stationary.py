@@ -26,26 +26,18 @@ from scipy.sparse import bmat, csc_matrix, csr_matrix, diags
 from scipy.sparse.linalg import splu
 
 from orbitfinder._runtime.sizes import nonzero, size_of
-from orbitfinder.control.program import Program, Solution, stated_program
+from orbitfinder.control.program import Optimum, Program, stated_program
 from orbitfinder.errors import ConvergenceError
+from orbitfinder.loops.scales import control_sizes, floored
 from orbitfinder.mechanics.model import vector_field
 from orbitfinder.mechanics.newton import Settings, largest, stepped
 
-NEAR = 1e-6
-"""A constraint is tried as active where it is met to this, in sizes of the unknowns"""
 VIOLATED = 1e-8
 """A constraint is violated, a multiplier has the wrong sign, beyond this"""
-DEPENDENT = 1e-8
-"""Gradients that differ by less, of norm 1, say the same"""
 NEWTON = Settings(
     floor=1e-9, round_off=1e-7, converged=1e-7, contraction=0.5, most_evaluations=10, farthest=1e3
 )  # fmt: skip
 """Of steps, relative to the unknowns"""
-NEGATIVE = 1e-9
-"""An eigenvalue is negative below this share of the largest"""
-STILL = 1e-3
-"""Least size of a control that is unused: this share of what would accelerate as much as the motion does"""
-ROUNDS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +56,7 @@ class Varying:
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class Extremal:
     """A point of the curve: z in units of its sizes, multipliers of all constraints (0 of inactive ones), the active
     set {constraint: -1 at its lowest, 0 equation, 1 at its highest}."""
 
@@ -76,24 +68,26 @@ class Point:
 class Stationary:
     """The conditions of an optimum of one program along theta."""
 
-    def __init__(self, program: Program, solution: Solution, varying: Varying) -> None:
+    def __init__(self, program: Program, solution: Optimum, varying: Varying) -> None:
         w = solution.unknowns
         self.program, self.varying, self.like = program, varying, w
-        self.statement = one = stated_program(program, w)
-        n, own = one.v.numel(), program.vector(w, solution.coefficients)
+        self.statement = stated = stated_program(program, w)
+        n, own = stated.v.numel(), program.vector(w, solution.coefficients)
         self.names = program.names(w)
-        asked = np.isfinite(one.lower) | np.isfinite(one.upper)  # limits of controls, bounds that the problem states
+        asked = np.isfinite(stated.lower) | np.isfinite(
+            stated.upper
+        )  # limits of controls, bounds that the problem states
         asked[: w.vector.size] = [name in program.problem.bounds for name in self.names[: w.vector.size]]
         self.boxed = np.flatnonzero(asked[:n])
         extra = not varying.unknown
         self.place = n if extra else n - 1 if program.parts.varied else (
             w.vector.size - w.free.size + program.parts.free.index(varying.unknown))  # fmt: skip
-        rows = ca.vertcat(one.rows, one.v[[int(k) for k in self.boxed]])
-        y, z = ca.MX.sym("y", rows.numel()), ca.vertcat(one.v, ca.MX.sym("theta", int(extra)))
-        self._first = ca.Function("first", [z], [one.cost, ca.gradient(one.cost, z), rows, ca.jacobian(rows, z)])
-        self._second = ca.Function("second", [z, y], [ca.hessian(one.cost + ca.dot(y, rows), z)[0]])
+        rows = ca.vertcat(stated.rows, stated.v[[int(k) for k in self.boxed]])
+        y, z = ca.MX.sym("y", rows.numel()), ca.vertcat(stated.v, ca.MX.sym("theta", int(extra)))
+        self._first = ca.Function("first", [z], [stated.cost, ca.gradient(stated.cost, z), rows, ca.jacobian(rows, z)])
+        self._second = ca.Function("second", [z, y], [ca.hessian(stated.cost + ca.dot(y, rows), z)[0]])
         self.low, self.high = (np.concatenate([part, more[self.boxed]])
-                               for part, more in ((one.low, one.lower), (one.high, one.upper)))  # fmt: skip
+                               for part, more in ((stated.low, stated.lower), (stated.high, stated.upper)))  # fmt: skip
         self.drift = self._drift(w.vector.size)
         begin = np.append(own, varying.value) if extra or program.parts.varied else own
         self.sizes = self._sizes(solution, begin)
@@ -106,45 +100,43 @@ class Stationary:
     def _drift(self, first: int) -> np.ndarray:
         """How fast lowest and highest (2 x m) of all constraints go with theta."""
         varying, tasks, problem = self.varying, self.statement.tasks, self.program.problem
-        found = np.zeros((2, self.low.size))
+        drift = np.zeros((2, self.low.size))
         if varying.pin is not None:
             guards = 0 if problem.model.hybrid is None else len(problem.model.hybrid.cycle)
-            found[:, int(np.sum(tasks == -1)) - guards - len(problem.pin) + varying.pin] = 1.0
+            drift[:, int(np.sum(tasks == -1)) - guards - len(problem.pin) + varying.pin] = 1.0
         if varying.task is not None:
-            found[:, : tasks.size][:, tasks == varying.task] = np.array(varying.slopes)[:, None]
+            drift[:, : tasks.size][:, tasks == varying.task] = np.array(varying.slopes)[:, None]
         if varying.coefficients is not None:
             of_controls = self.boxed >= first
-            found[:, tasks.size :][:, of_controls] = varying.coefficients[:, self.boxed[of_controls] - first]
+            drift[:, tasks.size :][:, of_controls] = varying.coefficients[:, self.boxed[of_controls] - first]
         if varying.limits is not None and np.any(tasks == -2):
             each = int(np.sum(tasks == -2)) // varying.limits.shape[1]
-            found[:, : tasks.size][:, tasks == -2] = np.repeat(varying.limits, each, axis=1)
-        return found
+            drift[:, : tasks.size][:, tasks == -2] = np.repeat(varying.limits, each, axis=1)
+        return drift
 
-    def _sizes(self, solution: Solution, begin: np.ndarray) -> np.ndarray:
+    def _sizes(self, solution: Optimum, begin: np.ndarray) -> np.ndarray:
         """Of each of z what is large, so that the norm of z is its root mean square."""
         w, program = solution.unknowns, self.program
         model, count = program.parts.mode(0), len(w.nodes)
-        extents = np.ptp(w.nodes, axis=0)
-        extents = np.maximum(extents, nonzero(1e-3 * float(extents.max())))
+        extents = floored(np.ptp(w.nodes, axis=0))
         names = program.parts.model.controls
         by_u = ca.MX.sym("u", len(names))
         rate = vector_field(model, names)(0.0, w.nodes[0], ca.DM(0, 1), by_u)
         ease = np.abs(ca.Function("ease", [by_u], [ca.jacobian(rate, by_u)])(0.0).full())
-        natural = 2 * np.pi / w.period / nonzero((ease / extents[:, None]).max(axis=0))
-        sizes = [np.tile(extents * np.sqrt(count), count), [w.period], np.ones(w.unfolding.size)]
-        sizes.append(nonzero(np.abs(w.free)))
+        natural = control_sizes((ease / extents[:, None]).max(axis=0), w.period, 1e3)
+        sizes = [w.joined(extents * np.sqrt(count), w.period, 1.0, nonzero(np.abs(w.free)))]
         for k, row in enumerate(solution.coefficients):
-            own = max(float(np.abs(row).max()), STILL * float(natural[k]) if natural[k] < 1e100 else 1.0)
+            own = max(float(np.abs(row).max()), 1e-3 * float(natural[k]))
             sizes.append(np.full(program.shapes[k].shape[1], own * np.sqrt(program.shapes[k].shape[1])))
-        found = np.concatenate([*sizes, [abs(self.varying.value) or 1.0]])[: begin.size]
-        return np.asarray(found)
+        units = np.concatenate([*sizes, [abs(self.varying.value) or 1.0]])[: begin.size]
+        return np.asarray(units)
 
     @property
     def span(self) -> float:
         """The size of theta."""
         return float(self.sizes[self.place])
 
-    def theta(self, point: Point) -> float:
+    def theta(self, point: Extremal) -> float:
         """The value of theta."""
         return float(point.z[self.place] * self.span)
 
@@ -164,7 +156,7 @@ class Stationary:
             np.array([self.low, self.high]) + self.drift * (z[self.place] * self.span - self.varying.value)
         )
 
-    def cost(self, point: Point) -> float:
+    def cost(self, point: Extremal) -> float:
         """The cost there."""
         return self.values(point.z)[0]
 
@@ -189,15 +181,17 @@ class Stationary:
         matrix = bmat([[hessian[self.others], jacobian[chosen].T.tocsr()[self.others]], [a, None]])
         return residual, csr_matrix(matrix), gradient
 
-    def corrected(self, z: np.ndarray, near: Point, row: np.ndarray, active: dict[int, int] | None = None) -> Point:
+    def corrected(
+        self, z: np.ndarray, near: Extremal, row: np.ndarray, active: dict[int, int] | None = None
+    ) -> Extremal:
         """The point of the curve on the hyperplane through z normal to `row`. Raises `ConvergenceError`."""
         active = near.active if active is None else active
         aim, chosen, size = float(row @ z), np.array(list(active), int), z.size
 
-        def point(w: np.ndarray) -> Point:
+        def point(w: np.ndarray) -> Extremal:
             y = np.zeros(near.y.size)
             y[chosen] = w[size:]
-            return Point(w[:size], y, active)
+            return Extremal(w[:size], y, active)
 
         def step(w: np.ndarray) -> np.ndarray:
             at = point(w)
@@ -205,55 +199,55 @@ class Stationary:
             return self._bordered(matrix, row, np.append(-residual, aim - row @ at.z))
 
         start = np.append(z, near.y[chosen])
-        found = stepped(start, step, NEWTON, measure=lambda step: largest(step[:size]))
-        if not found.converged:
+        solution = stepped(start, step, NEWTON, measure=lambda step: largest(step[:size]))
+        if not solution.converged:
             raise ConvergenceError("Newton's method does not converge")
-        return point(found.w)
+        return point(solution.w)
 
     @staticmethod
     def _bordered(matrix: csr_matrix, row: np.ndarray, right: np.ndarray) -> np.ndarray:
         border = np.concatenate([row, np.zeros(matrix.shape[1] - row.size)])
         try:
-            found = splu(csc_matrix(bmat([[matrix], [csr_matrix(border)]]))).solve(right)
+            solution = splu(csc_matrix(bmat([[matrix], [csr_matrix(border)]]))).solve(right)
         except RuntimeError as error:
             raise ConvergenceError("the equations are singular") from error
-        if not np.all(np.isfinite(found)):
+        if not np.all(np.isfinite(solution)):
             raise ConvergenceError("the equations are singular")
-        return np.asarray(found)
+        return np.asarray(solution)
 
-    def tangent(self, point: Point, like: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def tangent(self, point: Extremal, like: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The direction of the curve (dz, dy) with |dz| = 1, on the side of `like`. Raises `ConvergenceError`."""
         _, matrix, _ = self._system(point.z, point.y, point.active)
         right = np.zeros(matrix.shape[0] + 1)
         right[-1] = 1.0
-        found = self._bordered(matrix, like, right)
-        found = self._bordered(matrix, found[: like.size] / np.linalg.norm(found[: like.size]), right)
-        found /= np.linalg.norm(found[: like.size])
-        if found[: like.size] @ like < 0:
-            found = -found
+        tangent = self._bordered(matrix, like, right)
+        tangent = self._bordered(matrix, tangent[: like.size] / np.linalg.norm(tangent[: like.size]), right)
+        tangent /= np.linalg.norm(tangent[: like.size])
+        if tangent[: like.size] @ like < 0:
+            tangent = -tangent
         whole = np.zeros(point.y.size)
-        whole[list(point.active)] = found[like.size :]
-        return found[: like.size], whole
+        whole[list(point.active)] = tangent[like.size :]
+        return tangent[: like.size], whole
 
-    def slope(self, point: Point, tangent: np.ndarray) -> float:
+    def slope(self, point: Extremal, tangent: np.ndarray) -> float:
         """d cost / d arclength, in its unit."""
         return float(self.values(point.z)[1] @ tangent)
 
-    def margins(self, point: Point) -> tuple[np.ndarray, np.ndarray]:
+    def margins(self, point: Extremal) -> tuple[np.ndarray, np.ndarray]:
         """Of each constraint how far it is from becoming active or, if it is active, from being let go; and its side.
 
         Multipliers are relative to the largest; equations have infinite margins.
         """
         rows, (low, high) = self.values(point.z)[2], self.ends(point.z)
         below, above = (rows - low) / self.heights, (high - rows) / self.heights
-        found, sides = np.minimum(below, above), np.where(below < above, -1, 1)
-        found[self.low == self.high] = np.inf
+        margins, sides = np.minimum(below, above), np.where(below < above, -1, 1)
+        margins[self.low == self.high] = np.inf
         size = size_of(point.y)
         for k, side in point.active.items():
-            found[k], sides[k] = (np.inf, 0) if side == 0 else (side * point.y[k] / size, side)
-        return found, sides
+            margins[k], sides[k] = (np.inf, 0) if side == 0 else (side * point.y[k] / size, side)
+        return margins, sides
 
-    def independent(self, point: Point, wanted: dict[int, int]) -> dict[int, int]:
+    def independent(self, point: Extremal, wanted: dict[int, int]) -> dict[int, int]:
         """Those of constraints whose gradients, theta left out, say something new: equations first, in order."""
         jacobian = self.values(point.z)[3]
         kept: dict[int, int] = {}
@@ -267,23 +261,23 @@ class Stationary:
             left = columns - basis @ (basis.T @ columns)
             left -= basis @ (basis.T @ left)
             q, r, order = qr(left, mode="economic", pivoting=True)
-            rank = int(np.sum(np.abs(np.diag(r)) > DEPENDENT))
+            rank = int(np.sum(np.abs(np.diag(r)) > 1e-8))  # gradients that differ by less say the same
             basis = np.hstack([basis, q[:, :rank]])
             kept |= {names[int(k)]: wanted[names[int(k)]] for k in sorted(order[:rank])}
         return kept
 
-    def started(self) -> Point:
+    def started(self) -> Extremal:
         """The point of the curve at the program's optimum, with its active set. Raises `ConvergenceError`."""
         z = self.begin
-        bare = Point(z, np.zeros(self.low.size), {})
+        bare = Extremal(z, np.zeros(self.low.size), {})
         margins, sides = self.margins(bare)
         equations = {int(k): 0 for k in np.flatnonzero(self.low == self.high)}
-        met = {int(k): int(sides[k]) for k in np.flatnonzero(margins < NEAR)}
+        met = {int(k): int(sides[k]) for k in np.flatnonzero(margins < 1e-6)}
         active = self._signed(bare, self.independent(bare, equations | met))
         unit = np.zeros(z.size)
         unit[self.place] = 1.0
-        for _ in range(ROUNDS):
-            point = self.corrected(z, Point(z, self._fitted(bare, active), active), unit)
+        for _ in range(20):
+            point = self.corrected(z, Extremal(z, self._fitted(bare, active), active), unit)
             margins, sides = self.margins(point)
             wrong = [int(k) for k in np.flatnonzero(margins < -VIOLATED)]
             if not wrong:
@@ -293,7 +287,7 @@ class Stationary:
             active, z = self.independent(point, active), point.z
         raise ConvergenceError("the constraints that are met are not clear")
 
-    def _fitted(self, point: Point, active: dict[int, int]) -> np.ndarray:
+    def _fitted(self, point: Extremal, active: dict[int, int]) -> np.ndarray:
         """Multipliers that meet the conditions best."""
         _, gradient, _, jacobian = self.values(point.z)
         chosen = list(active)
@@ -302,7 +296,7 @@ class Stationary:
         y[chosen] = np.linalg.lstsq(matrix, -gradient[self.others], rcond=1e-12)[0]
         return y
 
-    def _signed(self, point: Point, active: dict[int, int]) -> dict[int, int]:
+    def _signed(self, point: Extremal, active: dict[int, int]) -> dict[int, int]:
         """Active constraints without those whose multipliers, of the right signs, are 0."""
         sides = np.array(list(active.values()))
         y = self._fitted(point, active)[list(active)]
@@ -313,9 +307,9 @@ class Stationary:
         low, high = np.where(sides > 0, 0.0, -np.inf), np.where(sides < 0, 0.0, np.inf)
         y = lsq_linear(matrix, -gradient[self.others], (low, high), method="bvls").x
         kept = (sides == 0) | (y * sides > VIOLATED * size_of(y))
-        return {k: side for (k, side), one in zip(active.items(), kept, strict=True) if one}
+        return {k: side for (k, side), stays in zip(active.items(), kept, strict=True) if stays}
 
-    def descents(self, point: Point) -> int:
+    def descents(self, point: Extremal) -> int:
         """In how many directions that keep to the active constraints the cost falls to second order; 0 of a least."""
         chosen = np.array(list(point.active), int)
         _, matrix, _ = self._system(point.z, point.y, point.active)
@@ -323,12 +317,12 @@ class Stationary:
         hessian, a = matrix[:count][:, self.others].toarray(), matrix[count:][:, self.others].toarray()
         space = qr(a.T, mode="full")[0][:, chosen.size :]
         values = np.linalg.eigvalsh(space.T @ hessian @ space)
-        return int(np.sum(values < -NEGATIVE * size_of(values)))
+        return int(np.sum(values < -1e-9 * size_of(values)))
 
-    def solution(self, point: Point) -> Solution:
+    def solution(self, point: Extremal) -> Optimum:
         """The point as a solution of the program, theta left out where it is no freed parameter of the problem."""
-        found = self.program.solution(self.like, point.z * self.sizes, self.statement.normals)
-        return replace(found, points=np.zeros(0))
+        solution = self.program.solution(self.like, point.z * self.sizes, self.statement.normals)
+        return replace(solution, points=np.zeros(0))
 
     def name(self, constraint: int, side: int) -> str:
         """What a constraint is, where along the period, in words."""
@@ -339,11 +333,11 @@ class Stationary:
         tasks = self.statement.tasks
         if tasks[constraint] == -1:
             return f"equation {constraint}"
-        one = int(tasks[constraint])
-        first = int(np.flatnonzero(tasks == one)[0])
-        if one == -2:
+        number = int(tasks[constraint])
+        first = int(np.flatnonzero(tasks == number)[0])
+        if number == -2:
             return f"a limit of {', '.join(parts.model.controls)} {end}"
-        task = parts.control.tasks[one]
+        task = parts.control.tasks[number]
         if task.at != "always":
             return f"{task.expression} {end}"
         segment, step = divmod(constraint - first, parts.steps + 1)
@@ -351,6 +345,6 @@ class Stationary:
         return f"{task.expression} {end} at phase {phase:.6g}"
 
 
-def moved(point: Point, step: np.ndarray, multipliers: np.ndarray, length: float) -> Point:
+def moved(point: Extremal, step: np.ndarray, multipliers: np.ndarray, length: float) -> Extremal:
     """The point that a tangent leads to."""
     return replace(point, z=point.z + length * step, y=point.y + length * multipliers)

@@ -23,6 +23,7 @@ import numpy as np
 
 from orbitfinder.control.riccati import Scattering, whole
 from orbitfinder.integrate.march import March, uniform
+from orbitfinder.loops.scales import control_sizes
 from orbitfinder.mechanics.constrained import constraint_rows, tangent_basis
 from orbitfinder.mechanics.model import Model, vector_field
 from orbitfinder.orbits.floquet import complement
@@ -31,10 +32,6 @@ EFFORT = 0.3
 """Seconds of interpreted marching in one design, for `compiled`"""
 STEPS = 2
 """Runge-Kutta steps from node to node"""
-LASTING = 1e-6
-"""A multiplier of modulus above 1 minus this does not decay by itself"""
-OUT_OF_REACH = 1e-6
-"""A deviation that controls move less than this, relative to what they move most, is not theirs to correct"""
 
 
 @dataclass(frozen=True)
@@ -61,27 +58,26 @@ class Reference:
         """E (N + 1 x d x m), the last one the first."""
         rates = self.slopes[0][:, : 0 if self.clock else 1, :]
         if self.model.constraint is None:
-            found = [complement(np.zeros((0, self.units.size)), rate) for rate in rates]
-            return np.array([*found, found[0]])
-        found, level = [], constraint_rows(self.model)
+            bases = [complement(np.zeros((0, self.units.size)), rate) for rate in rates]
+            return np.array([*bases, bases[0]])
+        bases, level = [], constraint_rows(self.model)
         for state, rate in zip(self.states[:-1], rates, strict=True):
             tangent = tangent_basis(level(state).full() * self.units)
-            found.append(tangent @ complement(np.zeros((0, tangent.shape[1])), rate @ tangent))
-        return np.array([*found, found[0]])
+            bases.append(tangent @ complement(np.zeros((0, tangent.shape[1])), rate @ tangent))
+        return np.array([*bases, bases[0]])
 
     @cached_property
     def slopes(self) -> tuple[np.ndarray, np.ndarray]:
         """g (N x 1 x d) and dg/du (N x d x m) along the orbit."""
         times = np.linspace(0.0, self.period, len(self.states))[:-1]
         n, d, m = len(times), self.units.size, len(self.names)
-        found = _slopes(self).map(n)(times[None], self.states[:-1].T, np.tile(self.inputs[:, None], (1, n)))
-        return found[0].full().T[:, None, :], found[2].full().reshape(d, n, m).transpose(1, 0, 2)
+        slopes = _slopes(self).map(n)(times[None], self.states[:-1].T, np.tile(self.inputs[:, None], (1, n)))
+        return slopes[0].full().T[:, None, :], slopes[2].full().reshape(d, n, m).transpose(1, 0, 2)
 
     @cached_property
     def control_units(self) -> np.ndarray:
         """Of each control (m) what moves the state by its extents in a radian of the period, rms over it."""
-        sizes = np.sqrt((self.slopes[1] ** 2).sum(axis=1).mean(axis=0))
-        return np.asarray(np.where(sizes > 0, 2 * np.pi / self.period / np.where(sizes > 0, sizes, 1.0), 1.0))
+        return control_sizes(np.sqrt((self.slopes[1] ** 2).sum(axis=1).mean(axis=0)), self.period)
 
     @cached_property
     def _march(self) -> March:
@@ -103,7 +99,7 @@ class Reference:
 
     def reach(self, names: Sequence[str] | None = None) -> Scattering:
         """Over the period: the monodromy of deviations (m x m) and the Gramian of the controls of these names."""
-        acting = [float(names is None or one in names) for one in self.names]
+        acting = [float(names is None or name in names) for name in self.names]
         return whole(self.pieces(np.zeros((self.units.size,) * 2), np.diag(acting)))
 
 
@@ -113,7 +109,7 @@ def lasting(period: Scattering) -> tuple[np.ndarray, np.ndarray]:
     Of all deviations where every one decays.
     """
     multipliers, seen = np.linalg.eig(period.transition.T)
-    chosen = np.abs(multipliers) >= 1.0 - LASTING
+    chosen = np.abs(multipliers) >= 1.0 - 1e-6  # it does not decay by itself
     chosen |= not chosen.any()
     return multipliers[chosen], seen[:, chosen] / np.linalg.norm(seen[:, chosen], axis=0)
 
@@ -127,7 +123,7 @@ def authority(period: Scattering, duration: float) -> tuple[float, complex]:
     moved = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", seen.conj(), period.reach, seen).real, 0.0) * duration)
     least = int(np.argmin(moved))
     most = np.sqrt(np.linalg.norm(period.reach, 2) * duration)
-    return float(moved[least] * (moved[least] > OUT_OF_REACH * most)), complex(multipliers[least])
+    return float(moved[least] * (moved[least] > 1e-6 * most)), complex(multipliers[least])
 
 
 def _slopes(reference: Reference) -> ca.Function:

@@ -21,7 +21,6 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.records.control import DEGREES, MOST, SHAPES
 
 METHODS = ("shooting", "collocation")
-RESERVED = ("pi", "period")
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,7 @@ class Task:
             raise InputError(f"task.at: must be a phase from 0 to 1, 'always' or 'mean', got {self.at!r}")
         if not isinstance(self.at, str) and not 0 <= self.at < 1:
             raise InputError(f"task.at: must be a phase from 0 to below 1, got {self.at!r}; 0 is the start")
-        given = [one for one in (self.equals, self.lowest, self.highest) if one is not None]
+        given = [bound for bound in (self.equals, self.lowest, self.highest) if bound is not None]
         if not given or (self.equals is not None and len(given) > 1) or not np.all(np.isfinite(given)):
             raise InputError(f"task: {self.expression!r} needs equals, or lowest, highest or both, as finite numbers")
         if not self.low <= self.high:
@@ -122,7 +121,7 @@ class Control:
     def __post_init__(self) -> None:
         check_fields(self)
         for name, value in self.numbers.items():
-            if not name.isidentifier() or name in RESERVED:
+            if not name.isidentifier() or name in ("pi", "period"):
                 raise InputError(f"control.numbers: {name!r} cannot be a name; use letters, digits and _")
             if isinstance(value, (bool, str)) or not np.isfinite(value):
                 raise InputError(f"control.numbers.{name}: must be a finite number, got {value!r}")
@@ -208,15 +207,15 @@ class Basis:
             return [
                 rest**3 / 6, (3 * share**3 - 6 * share**2 + 4) / 6, (3 * rest**3 - 6 * rest**2 + 4) / 6, share**3 / 6
             ]  # fmt: skip
-        found: list[Any] = [1.0]
+        values: list[Any] = [1.0]
         for k in range(1, self.harmonics + 1):
             angle = 2 * np.pi * k * phase
-            found += [ca.cos(angle), ca.sin(angle)]
-        return found
+            values += [ca.cos(angle), ca.sin(angle)]
+        return values
 
-    def begins(self, interval: int) -> float:
-        """The phase at which an interval of a smooth system begins."""
-        return self.fraction * interval / self.intervals
+    def phases(self, interval: int) -> tuple[float, float]:
+        """The phase at which an interval begins, and its length; 0 on arcs, whose splines ask for none."""
+        return (0.0, 0.0) if self.arcs else (self.fraction * interval / self.intervals, self.fraction / self.intervals)
 
 
 def basis_of(entry: Mapping[str, Any]) -> Basis:
@@ -243,9 +242,9 @@ def history(entry: Mapping[str, Any], period: float, looks: int = 16) -> tuple[n
 
 def named(model: Model, x: Any, p: Any, period: Any = None) -> dict[str, Any]:
     """What expressions may name: components of the state, physical parameters (controls among them), the period."""
-    found = {name: p[k] for k, name in enumerate(model.parameter_names)}
-    found |= {name: x[k] for k, name in enumerate(model.state_names)}
-    return found if period is None else found | {"period": period}
+    names = {name: p[k] for k, name in enumerate(model.parameter_names)}
+    names |= {name: x[k] for k, name in enumerate(model.state_names)}
+    return names if period is None else names | {"period": period}
 
 
 def stated(

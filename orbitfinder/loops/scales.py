@@ -153,6 +153,18 @@ class Measures:
         )
 
 
+def floored(sizes: np.ndarray, share: float = 1e-3) -> np.ndarray:
+    """Sizes, none of them below a share of the largest or 0."""
+    return nonzero(np.maximum(sizes, share * sizes.max()))
+
+
+def control_sizes(strength: np.ndarray, period: float, unused: float = 1.0) -> np.ndarray:
+    """Of controls (m) that accelerate by their `strength` (m) in extents, what changes a state by these in a radian of
+    the period; a size that is `unused` of those that do not act."""
+    acts = strength > 0
+    return np.asarray(np.where(acts, 2 * np.pi / period / np.where(acts, strength, 1.0), unused))
+
+
 HARMONIC = 8.0**0.5
 """The extent of a harmonic motion in its root mean squares."""
 

@@ -33,6 +33,7 @@ from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.integrate.dop853 import integrate_in
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.loops.scales import floored
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, energy, vector_field, wrapped
 from orbitfinder.mechanics.newton import Settings, Solver, full
@@ -48,34 +49,41 @@ from orbitfinder.records.reading import typed
 from orbitfinder.structures.crossings import FINE
 from orbitfinder.structures.manifold import Connection, End
 from orbitfinder.structures.manifolds import Local, ManifoldSettings, Part, grown, local_manifold, surface_of
-from orbitfinder.structures.sections import Surface, solved_component, surface
+from orbitfinder.structures.sections import Surface, levels_at, solved_component, surface
 
 NEWTON = Settings(floor=1e-13, round_off=1e-10, converged=1e-10, contraction=0.5, most_evaluations=25, patience=4)
 """How a connection is solved: gaps in extents of the orbits"""
-LARGEST_STEP = 0.3
-"""Change of a place's logarithm in one step of Newton's method"""
-GAP, POINT, TANGENT = 1e-9, 1e-8, 1e-4
-"""What a certificate allows: gaps between crossings and error of the point, in extents; the least angle (rad)"""
-LEVEL = 1e-11
-"""Difference of the energies of all crossings, relative"""
-CURVED = 0.01
-"""How far along its manifold a start may be from its place, relative to that"""
-LINEAR = 1e-6
-"""How far off its manifold a start may be, in extents of the orbit"""
-APART = 1e-3
-"""A connection's point is at least this far from its orbits, in extents: else it is the orbit itself"""
-SAME_POINT = 1e-5
-"""Crossings nearer to each other than this, in extents, are one"""
 TRIED = 12
 """Crossings of curves that are tried for each connection asked for: manifolds that coincide cross in their round-off"""
 COARSE = ManifoldSettings(spacing=0.03, turning=0.5, halvings=6)
 """How finely curves are grown that are only to be intersected"""
-SAMPLES = 40
-"""Recorded states between two crossings"""
 
 
 @dataclass(frozen=True)
-class Chain:
+class Allowed:
+    """What the certificate of a connection allows, in extents unless said."""
+
+    gap: float = 1e-9
+    """of both orbits after a period, between crossings, and of these off the plane"""
+    point: float = 1e-8
+    """error of the point"""
+    angle: float = 1e-4
+    """least between the manifolds (rad)"""
+    level: float = 1e-11
+    """difference of the energies of all crossings, relative"""
+    local: float = 1e-6
+    """of a start off its manifold"""
+    curved: float = 0.01
+    """of a start from its place, along its manifold, relative to that"""
+    apart: float = 1e-3
+    """of the point from its orbits at least: else it is the orbit itself"""
+
+
+ALLOWED = Allowed()
+
+
+@dataclass(frozen=True)
+class ReturnChain:
     """A connection's unknowns: crossings (m + 1 x d) from one local manifold to the other, their places there, and
     which crossing it is looked at."""
 
@@ -87,7 +95,7 @@ class Chain:
 
 
 @dataclass(frozen=True)
-class Linear:
+class Linearisation:
     """A chain's gaps (m x 2), the derivative of each return (m x 2 x 2), durations (m, s), the matrix of the
     problem."""
 
@@ -131,36 +139,36 @@ def connect(
         InputError: for orbits of different energies and a plane that they do not cross.
 
     Examples:
-        >>> found = of.connect(saddle, plane="theta1=0", returns=2, most=1)
-        >>> [one.certificate.passed for one in found]
+        >>> homoclinic = of.connect(saddle, plane="theta1=0", returns=2, most=1)
+        >>> [connection.certificate.passed for connection in homoclinic]
         [True]
 
     See Also:
         `of.sections.follow_connection` follows one in the energy.
     """
     goal, chosen = other or orbit, settings or COARSE
-    found = surface_of(orbit, model, plane, axes, direction)
-    _check_section(found, orbit, goal)
-    for one in (orbit, goal) if other else (orbit,):
-        if not certify(one, found.model).passed:
-            raise InputError(f"orbit: {one.name} does not pass its certificate; connections join orbits")
-    ends = local_manifold(orbit, found, "unstable"), local_manifold(goal, found, "stable")
+    cut = surface_of(orbit, model, plane, axes, direction)
+    _check_section(cut, orbit, goal)
+    for end in (orbit, goal) if other else (orbit,):
+        if not certify(end, cut.model).passed:
+            raise InputError(f"orbit: {end.name} does not pass its certificate; connections join orbits")
+    ends = local_manifold(orbit, cut, "unstable"), local_manifold(goal, cut, "stable")
     if near is not None and (len(near) != 2 or not np.all(np.isfinite(near))):
         raise InputError(f"near: need two numbers, one for each axis, got {', '.join(map(str, near))}")
-    here, there = (_curves(one, returns, chosen) for one in ends)
+    here, there = (_curves(end, returns, chosen) for end in ends)
     point = None if near is None else np.asarray(near, float)
     called = orbit.name if other is None else f"{orbit.name}-{goal.name}"
     connections: list[Connection] = []
     for guess in islice(_crossings(*ends, here, there, point), TRIED * most):
-        if any(_met(found, guess.states[guess.chosen], one) for one in connections):
+        if any(_met(cut, guess.states[guess.chosen], other) for other in connections):
             continue
         try:
             made = solved(guess)
         except (ConvergenceError, IntegrationError):
             continue
-        if _own(made) < APART or any(_met(found, made.states[made.chosen], one) for one in connections):
+        if _own(made) < ALLOWED.apart or any(_met(cut, made.states[made.chosen], other) for other in connections):
             continue
-        known = certified_connection(described(made, f"{called}-{len(connections) + 1}"), found.model)
+        known = certified_connection(described(made, f"{called}-{len(connections) + 1}"), cut.model)
         if known.certificate is None or not known.certificate.passed:
             continue
         connections.append(known)
@@ -169,10 +177,10 @@ def connect(
     return tuple(connections)
 
 
-def _check_section(found: Surface, orbit: Orbit, goal: Orbit) -> None:
+def _check_section(cut: Surface, orbit: Orbit, goal: Orbit) -> None:
     """`InputError` where the manifolds of both orbits are no curves in one plane."""
-    model, held = found.model, len(found.levels)
-    size = len(model.state_names) - held - (found.plane.component >= 0)
+    model, held = cut.model, len(cut.levels)
+    size = len(model.state_names) - held - (cut.plane.component >= 0)
     if size != 2:
         raise InputError(
             f"orbit: its section has {size} dimensions, in which curves do not meet; connections are found in 2, as of "
@@ -194,21 +202,21 @@ def _curves(base: Local, returns: int, chosen: ManifoldSettings) -> list[Part]:
 
 def _crossings(
     origin: Local, goal: Local, here: Sequence[Part], there: Sequence[Part], near: np.ndarray | None
-) -> Iterator[Chain]:
+) -> Iterator[ReturnChain]:
     """Where polylines cross, those of few returns first, or those nearest to a point (2) of the axes: guesses of
     chains."""
-    found = []
+    guesses = []
     for (states, places, count, _), (others, marks, number, _) in product(here, there):
         if count + number < 2:
             continue
         p, q = origin.surface.chart(states), origin.surface.chart(others)
         for i, j, s, t in _intersections(p, q):
             away = count + number if near is None else float(np.linalg.norm(p[i] + s * (p[i + 1] - p[i]) - near))
-            found.append((away, _between(places, i, s), count, _between(marks, j, t), number))
-    for _, a, count, b, number in sorted(found):
+            guesses.append((away, _between(places, i, s), count, _between(marks, j, t), number))
+    for _, a, count, b, number in sorted(guesses):
         forth, back = _returned(origin, a, count), _returned(goal, b, number)
         if np.isfinite(forth).all() and np.isfinite(back).all():
-            yield Chain(origin, goal, np.vstack([forth, back[-2::-1]]), (a, b), count)
+            yield ReturnChain(origin, goal, np.vstack([forth, back[-2::-1]]), (a, b), count)
 
 
 def _between(places: np.ndarray, k: int, share: float) -> float:
@@ -236,52 +244,52 @@ def _intersections(p: np.ndarray, q: np.ndarray) -> Iterator[tuple[int, int, flo
                 yield i, int(j), float(s[j]), float(t[j])
 
 
-def _frames(found: Surface, states: np.ndarray) -> np.ndarray:
+def _frames(cut: Surface, states: np.ndarray) -> np.ndarray:
     """d state / d axes (k x d x 2) on the section at the held energy."""
     frames = np.zeros((*states.shape, 2))
-    frames[:, list(found.axes), [0, 1]] = 1.0
-    if found.levels:
-        i, slopes = solved_component(found), found.invariants(states)[1][:, 0]
-        frames[:, i] = -slopes[:, list(found.axes)] / slopes[:, i, None]
+    frames[:, list(cut.axes), [0, 1]] = 1.0
+    if cut.levels:
+        i, slopes = solved_component(cut), cut.invariants(states)[1][:, 0]
+        frames[:, i] = -slopes[:, list(cut.axes)] / slopes[:, i, None]
     return frames
 
 
-def _linear(chain: Chain) -> Linear:
+def _linear(chain: ReturnChain) -> Linearisation:
     """The gaps of a chain and their derivatives. Raises `IntegrationError` where a crossing has no return."""
-    base, found, starts = chain.origin, chain.origin.surface, chain.states[:-1]
-    size, axes, plane = starts.shape[1], list(found.axes), found.plane
+    base, cut, starts = chain.origin, chain.origin.surface, chain.states[:-1]
+    size, axes, plane = starts.shape[1], list(cut.axes), cut.plane
     begins = np.hstack([starts, np.tile(np.eye(size).ravel(), (len(starts), 1))])
     passing = base.varied.passing(plane, begins, 1, longest=20 * base.orbit.period, tolerance=FINE)
     if not passing.complete.all():
         raise IntegrationError("the motion does not come back to the section")
     ends = passing.states[:, 0, :size]
-    moved = passing.states[:, 0, size:].reshape(-1, size, size).transpose(0, 2, 1) @ _frames(found, starts)
+    moved = passing.states[:, 0, size:].reshape(-1, size, size).transpose(0, 2, 1) @ _frames(cut, starts)
     if plane.component >= 0:
-        rates = found.motions.rates(passing.times[:, 0], ends)
+        rates = cut.motions.rates(passing.times[:, 0], ends)
         moved = moved - rates[:, :, None] * (moved[:, None, plane.component] / rates[:, plane.component, None, None])
-    gaps = wrapped(ends - chain.states[1:], found.model.angular)
-    return Linear(gaps[:, axes], moved[:, axes], passing.times[:, 0], _matrix(chain, moved[:, axes]))
+    gaps = wrapped(ends - chain.states[1:], cut.model.angular)
+    return Linearisation(gaps[:, axes], moved[:, axes], passing.times[:, 0], _matrix(chain, moved[:, axes]))
 
 
-def _matrix(chain: Chain, slopes: np.ndarray) -> np.ndarray:
+def _matrix(chain: ReturnChain, slopes: np.ndarray) -> np.ndarray:
     """d gaps / d (log a, y_1, ..., y_m-1, log b) (2 m x 2 m)."""
     count, axes = len(slopes), list(chain.origin.surface.axes)
-    found = np.zeros((2 * count, 2 * count))
+    matrix = np.zeros((2 * count, 2 * count))
     ends = [end.direction[axes] * place for end, place in zip((chain.origin, chain.goal), chain.places, strict=True)]
-    found[:2, 0] = slopes[0] @ ends[0]
-    found[-2:, -1] = -ends[1]
+    matrix[:2, 0] = slopes[0] @ ends[0]
+    matrix[-2:, -1] = -ends[1]
     for k in range(1, count):
-        found[2 * k : 2 * k + 2, 2 * k - 1 : 2 * k + 1] = slopes[k]
-        found[2 * k - 2 : 2 * k, 2 * k - 1 : 2 * k + 1] = -np.eye(2)
-    return found
+        matrix[2 * k : 2 * k + 2, 2 * k - 1 : 2 * k + 1] = slopes[k]
+        matrix[2 * k - 2 : 2 * k, 2 * k - 1 : 2 * k + 1] = -np.eye(2)
+    return matrix
 
 
-def solved(chain: Chain, settings: Settings = NEWTON) -> Chain:
+def solved(chain: ReturnChain, settings: Settings = NEWTON) -> ReturnChain:
     """The connection near a guess, by Newton's method. Raises `ConvergenceError` where the manifolds do not meet
     there."""
     axes = list(chain.origin.surface.axes)
 
-    def linearised(chain: Chain) -> tuple[np.ndarray, Solver]:
+    def linearised(chain: ReturnChain) -> tuple[np.ndarray, Solver]:
         linear = _linear(chain)
 
         def solver(_: np.ndarray) -> np.ndarray:
@@ -289,26 +297,26 @@ def solved(chain: Chain, settings: Settings = NEWTON) -> Chain:
                 step = np.linalg.solve(linear.matrix, -linear.gaps.ravel())
             except np.linalg.LinAlgError as error:
                 raise ConvergenceError("connection: the manifolds touch and do not cross there") from error
-            return step / max(1.0, float(np.abs(step[[0, -1]]).max()) / LARGEST_STEP)
+            return step / max(1.0, float(np.abs(step[[0, -1]]).max()) / 0.3)  # of logarithms
 
         return linear.gaps / np.maximum(chain.origin.extents[axes], np.abs(chain.states[1:, axes])), solver
 
-    found = full(chain, linearised, settings, _moved)
-    if not found.converged:
+    solution = full(chain, linearised, settings, _moved)
+    if not solution.converged:
         raise ConvergenceError(
-            f"connection: the manifolds come within {found.size:.2g} of each other there and do not meet"
+            f"connection: the manifolds come within {solution.size:.2g} of each other there and do not meet"
         )
-    return found.w
+    return solution.w
 
 
-def _moved(chain: Chain, step: np.ndarray) -> Chain:
+def _moved(chain: ReturnChain, step: np.ndarray) -> ReturnChain:
     """The chain after a step of its unknowns, its crossings held at their energy."""
-    found = chain.origin.surface
+    cut = chain.origin.surface
     places = chain.places[0] * float(np.exp(step[0])), chain.places[1] * float(np.exp(step[-1]))
     inner = chain.states[1:-1].copy()
-    inner[:, list(found.axes)] += step[1:-1].reshape(-1, 2)
-    if len(inner) and found.levels:
-        inner = found.held(inner, along=[solved_component(found)])
+    inner[:, list(cut.axes)] += step[1:-1].reshape(-1, 2)
+    if len(inner) and cut.levels:
+        inner = cut.held(inner, along=[solved_component(cut)])
     first, last = (end.states(np.array([at])) for end, at in zip((chain.origin, chain.goal), places, strict=True))
     states = np.vstack([first, inner, last])
     if not np.isfinite(states).all():
@@ -316,7 +324,7 @@ def _moved(chain: Chain, step: np.ndarray) -> Chain:
     return replace(chain, states=states, places=places)
 
 
-def tangents(chain: Chain, linear: Linear) -> np.ndarray:
+def tangents(chain: ReturnChain, linear: Linearisation) -> np.ndarray:
     """The tangents (2 x 2) of the unstable and of the stable manifold at the chosen crossing, on the axes."""
     axes = list(chain.origin.surface.axes)
     forth, back = chain.origin.direction[axes], chain.goal.direction[axes]
@@ -329,52 +337,47 @@ def tangents(chain: Chain, linear: Linear) -> np.ndarray:
     return np.array([forth, back])
 
 
-def _angle(chain: Chain, linear: Linear, units: np.ndarray) -> float:
+def _angle(chain: ReturnChain, linear: Linearisation, units: np.ndarray) -> float:
     """Between the manifolds at the chosen crossing (rad, 0 to pi / 2), the axes being measured in extents."""
-    a, b = (one / np.linalg.norm(one) for one in tangents(chain, linear) / units[list(chain.origin.surface.axes)])
+    a, b = (
+        tangent / np.linalg.norm(tangent)
+        for tangent in tangents(chain, linear) / units[list(chain.origin.surface.axes)]
+    )
     return float(np.arcsin(min(1.0, abs(a[0] * b[1] - a[1] * b[0]))))
 
 
-def _own(chain: Chain) -> float:
+def _own(chain: ReturnChain) -> float:
     """How far the chosen crossing is from the points of its orbits, in their extents."""
     state = chain.states[chain.chosen]
-    return min(float(np.linalg.norm((state - one.point) / one.extents)) for one in (chain.origin, chain.goal))
+    return min(float(np.linalg.norm((state - end.point) / end.extents)) for end in (chain.origin, chain.goal))
 
 
-def _met(found: Surface, state: np.ndarray, other: Connection) -> bool:
-    """Whether a crossing is one of a connection that is known."""
+def _met(cut: Surface, state: np.ndarray, other: Connection) -> bool:
+    """Whether a crossing is one of a connection that is known, to a share of its extents."""
     units = nonzero(np.ptp(other.states, axis=0))
-    return bool(np.abs(wrapped(other.states - state, found.model.angular) / units).max(axis=1).min() <= SAME_POINT)
+    return bool(np.abs(wrapped(other.states - state, cut.model.angular) / units).max(axis=1).min() <= 1e-5)
 
 
-def described(chain: Chain, name: str) -> Connection:
+def described(chain: ReturnChain, name: str) -> Connection:
     """The Connection (without certificate) of a chain."""
-    found, linear = chain.origin.surface, _linear(chain)
-    names = found.model.state_names
+    cut, linear = chain.origin.surface, _linear(chain)
+    names = cut.model.state_names
     ends = [
-        End(
-            one.orbit.name,
-            one.orbit.state,
-            one.orbit.period,
-            one.multiplier,
-            one.point,
-            one.direction,
-            place,
-            one.extents,
-        )
-        for one, place in zip((chain.origin, chain.goal), chain.places, strict=True)
-    ]
-    units = extents_of(found.model, chain.states, chain.origin.orbit.period)
+        End(end.orbit.name, end.orbit.state, end.orbit.period, end.multiplier, end.point, end.direction, place,
+            end.extents)
+        for end, place in zip((chain.origin, chain.goal), chain.places, strict=True)
+    ]  # fmt: skip
+    units = extents_of(cut.model, chain.states, chain.origin.orbit.period)
     parts, since = [], 0.0
-    times = np.linspace(0.0, 1.0, SAMPLES + 1)
+    times = np.linspace(0.0, 1.0, 41)  # states between two crossings
     for state, duration in zip(chain.states, linear.durations, strict=False):
-        rows = found.motions.along(state[None], times * duration, tolerance=FINE)[0, :-1]
+        rows = cut.motions.along(state[None], times * duration, tolerance=FINE)[0, :-1]
         parts.append(np.column_stack([since + times[:-1] * duration, rows]))
         since += duration
     whole = np.vstack([*parts, np.append(since, chain.states[-1])])
     return Connection(
-        name, dict(found.model.system), names, found.name, found.plane.component,
-        (names[found.axes[0]], names[found.axes[1]]), chain.origin.orbit.energy, chain.states, linear.durations,
+        name, dict(cut.model.system), names, cut.name, cut.plane.component,
+        (names[cut.axes[0]], names[cut.axes[1]]), chain.origin.orbit.energy, chain.states, linear.durations,
         chain.chosen, _angle(chain, linear, units), float("inf"), ends[0], ends[1], None, whole[:, 0], whole[:, 1:],
     )  # fmt: skip
 
@@ -399,9 +402,8 @@ class _Independent:
     def end(self, state: np.ndarray, duration: float) -> np.ndarray:
         """The state after a time, which may be negative."""
         field, sense, start = self.hamiltonian.field, float(np.sign(duration)), self.hamiltonian.start(state)
-        units = np.maximum(np.abs(start), 1e-3 * np.abs(start).max())
         moments = np.array([0.0, abs(duration)])
-        path = integrate_in(units, lambda t, y: sense * field(sense * t, y), start, moments)
+        path = integrate_in(floored(np.abs(start)), lambda t, y: sense * field(sense * t, y), start, moments)
         return np.asarray(self.hamiltonian.states(path)[-1])
 
 
@@ -414,35 +416,37 @@ def _certificate(connection: Connection, model: Model) -> tuple[Certificate, flo
     motion = _Independent(model)
     try:
         came = np.array([motion.end(x, t) for x, t in zip(states, durations, strict=False)])
-        closed = [wrapped(motion.end(one.point, one.period) - one.point, model.angular) for one in ends]
-        local = [_off(motion, one, x, sense) for one, x, sense in zip(ends, states[[0, -1]], (1, -1), strict=True)]
+        closed = [wrapped(motion.end(end.point, end.period) - end.point, model.angular) for end in ends]
+        local = [_off(motion, end, x, sense) for end, x, sense in zip(ends, states[[0, -1]], (1, -1), strict=True)]
         chain = _chain(connection, model)
         linear = _linear(chain)
     except (IntegrationError, ConvergenceError, InputError) as failure:
         return Certificate((refused("integration", failure),)), np.inf
-    units, growth = extents_of(model, states, connection.origin.period), [_growth(one) for one in ends]
+    units, growth = extents_of(model, states, connection.origin.period), [_growth(end) for end in ends]
     axes, gaps = list(chain.origin.surface.axes), wrapped(came - states[1:], model.angular)
     errors = np.abs(gaps[:, axes])
     errors[0] += np.abs(linear.slopes[0] @ local[0][axes])
     errors[-1] += np.abs(local[1][axes])
     place = 2 * chain.chosen - 1
     error = float(np.linalg.norm((np.abs(_inverse(linear.matrix)) @ errors.ravel())[place : place + 2]))
-    away = [np.linalg.norm(wrapped(states[chain.chosen] - one.point, model.angular) / one.extents) for one in ends]
-    gap = max(np.abs(gap / one.extents).max() / g for gap, one, g in zip(closed, ends, growth, strict=True))
-    off = max(np.linalg.norm(gap / one.extents) for gap, one in zip(local, ends, strict=True))
-    level = [energy(model, x) for x in (*states, *(one.state for one in ends))]
+    away = [np.linalg.norm(wrapped(states[chain.chosen] - end.point, model.angular) / end.extents) for end in ends]
+    gap = max(np.abs(gap / end.extents).max() / g for gap, end, g in zip(closed, ends, growth, strict=True))
+    off = max(np.linalg.norm(gap / end.extents) for gap, end in zip(local, ends, strict=True))
+    level = [energy(model, x) for x in (*states, *(end.state for end in ends))]
     plane = max(float(np.abs(_off_plane(chain, x)).max()) for x in (states, came))
     checks = [
-        at_most("orbits", gap, GAP, "gap of both orbits after a period, over their multipliers"),
-        at_most("local", off, LINEAR, "of the first and the last crossing off the local manifolds, in extents"),
-        *([at_most("energy", float(np.ptp(level)) / nonzero(abs(level[0])), LEVEL,
+        at_most("orbits", gap, ALLOWED.gap, "gap of both orbits after a period, over their multipliers"),
+        at_most("local", off, ALLOWED.local, "of the first and the last crossing off the local manifolds, in extents"),
+        *([at_most("energy", float(np.ptp(level)) / nonzero(abs(level[0])), ALLOWED.level,
                    "of all crossings and both orbits, relative")] if model.conservative else []),
-        at_most("gap", float(np.abs(gaps / units).max()), GAP, "from each crossing to the next, by DOP853, in extents"),
-        at_most("section", plane, GAP, "crossings off the plane, in extents"),
-        at_least("angle", _angle(chain, linear, units), TANGENT,
+        at_most("gap", float(np.abs(gaps / units).max()), ALLOWED.gap,
+                "from each crossing to the next, by DOP853, in extents"),
+        at_most("section", plane, ALLOWED.gap, "crossings off the plane, in extents"),
+        at_least("angle", _angle(chain, linear, units), ALLOWED.angle,
                  "between the manifolds (rad); 0 where they only touch"),
-        at_most("error", error / float(units[axes].max()), POINT, "of the point, in extents: all that, carried"),
-        at_least("apart", float(min(away)), APART, "the point is not the orbit's own"),
+        at_most("error", error / float(units[axes].max()), ALLOWED.point,
+                "of the point, in extents: all that, carried"),
+        at_least("apart", float(min(away)), ALLOWED.apart, "the point is not the orbit's own"),
     ]  # fmt: skip
     return Certificate(tuple(checks)), error
 
@@ -459,7 +463,7 @@ def _inverse(matrix: np.ndarray) -> np.ndarray:
         return np.full_like(matrix, np.inf)
 
 
-def _off_plane(chain: Chain, states: np.ndarray) -> np.ndarray:
+def _off_plane(chain: ReturnChain, states: np.ndarray) -> np.ndarray:
     """How far states (k x d) are off the section, in extents."""
     plane, units = chain.origin.surface.plane, chain.origin.extents
     if plane.component < 0:
@@ -469,23 +473,21 @@ def _off_plane(chain: Chain, states: np.ndarray) -> np.ndarray:
     return np.asarray(plane.off(own, nearest) / units[plane.component])
 
 
-def _chain(connection: Connection, model: Model) -> Chain:
+def _chain(connection: Connection, model: Model) -> ReturnChain:
     """The chain of a record."""
-    n, p, x = model.degrees_of_freedom, model.parameter_values, connection.origin.state
-    levels = {one.name: float(one.value(x[:n], x[n:], p)) for one in model.invariants}
     plane = None
     if connection.component >= 0:
         level = float(connection.states[connection.chosen][connection.component])
         plane = f"{model.state_names[connection.component]}={level!r}"
     rate = vector_field(model)(0.0, connection.states[connection.chosen], [], []).full().ravel()
     direction = 1 if connection.component < 0 else int(np.sign(rate[connection.component])) or 1
-    found = surface(model, plane, connection.axes, direction, levels=levels)
+    cut = surface(model, plane, connection.axes, direction, levels=levels_at(model, connection.origin.state))
     ends = [
-        Local(_no_orbit(one), found, sense, one.point, one.direction, one.multiplier, 1, one.extents)
-        for one, sense in ((connection.origin, 1), (connection.goal, -1))
+        Local(_no_orbit(end), cut, sense, end.point, end.direction, end.multiplier, 1, end.extents)
+        for end, sense in ((connection.origin, 1), (connection.goal, -1))
     ]
     places = connection.origin.place, connection.goal.place
-    return Chain(ends[0], ends[1], connection.states, places, connection.chosen)
+    return ReturnChain(ends[0], ends[1], connection.states, places, connection.chosen)
 
 
 def _no_orbit(end: End) -> Orbit:
@@ -507,7 +509,7 @@ def _off(independent: _Independent, end: End, state: np.ndarray, sense: int) -> 
     spanned = [end.direction / end.extents, *([] if model.forced else [rate])]
     along = np.linalg.qr(np.column_stack(spanned))[0]
     own = float(gap @ spanned[0])  # along the manifold only as far as its curvature goes
-    beyond = np.sign(own) * max(abs(own) - CURVED * abs(end.place), 0.0)
+    beyond = np.sign(own) * max(abs(own) - ALLOWED.curved * abs(end.place), 0.0)
     return np.asarray((gap - along @ (along.T @ gap) + beyond * spanned[0]) * end.extents)
 
 
@@ -533,35 +535,35 @@ def follow_connection(
         raise InputError("energies: this system conserves none; connections are followed in energy")
     if not np.isfinite(levels).all():
         raise InputError(f"energies: must be finite, got {', '.join(map(str, levels))}")
-    if any(plain(one.system) != plain(connection.system) for one in (orbit, other) if one):
+    if any(plain(end.system) != plain(connection.system) for end in (orbit, other) if end):
         raise InputError("orbit: of another system than the connection; give the orbits that it joins")
-    orbits, found = (orbit,) if other is None else (orbit, other), [connection]
-    joined = [(one.state, one.period, one.symmetry) for one in orbits]
+    orbits, members = (orbit,) if other is None else (orbit, other), [connection]
+    joined = [(end.state, end.period, end.symmetry) for end in orbits]
     request = plain({"name": label, "connection": entries_of(connection), "orbits": joined})
     path, refiners = None if out is None else Path(out) / label / "connection.jsonl", list[Refiner]()
     with checkpoints(path, request, _read) as journal:
         known = dict(journal.known)
         for k, level in enumerate(levels, 1):
             if levels[:k] not in known:
-                refiners = refiners or [_refiner(one, model) for one in orbits]
-                known[levels[:k]] = _next(found[-2:], refiners, level, f"{label}-{k}")
+                refiners = refiners or [_refiner(end, model) for end in orbits]
+                known[levels[:k]] = _next(members[-2:], refiners, level, f"{label}-{k}")
                 journal.add(_entry(levels[:k], known[levels[:k]]))
-            one = known[levels[:k]]
-            if isinstance(one, str):
-                logging.getLogger(__name__).warning("energies: %r: %s; give some nearer ones before it", level, one)
+            member = known[levels[:k]]
+            if isinstance(member, str):
+                logging.getLogger(__name__).warning("energies: %r: %s; give some nearer ones before it", level, member)
                 break
-            found.append(one)
+            members.append(member)
             if progress:
-                progress(one)
-    return tuple(found[1:])
+                progress(member)
+    return tuple(members[1:])
 
 
-def _entry(levels: tuple[float, ...], found: Connection | str) -> dict[str, Any]:
+def _entry(levels: tuple[float, ...], member: Connection | str) -> dict[str, Any]:
     """The line of a journal: energies up to one, and the connection there or why there is none."""
-    if isinstance(found, str):
-        return {"energies": levels, "end": found}
-    motion = {"times": found.times, "samples": found.samples}
-    return dict(plain({"energies": levels, "connection": entries_of(found), **motion}))
+    if isinstance(member, str):
+        return {"energies": levels, "end": member}
+    motion = {"times": member.times, "samples": member.samples}
+    return dict(plain({"energies": levels, "connection": entries_of(member), **motion}))
 
 
 def _read(line: Mapping[str, Any]) -> tuple[tuple[float, ...], Connection | str]:
@@ -576,7 +578,7 @@ def _read(line: Mapping[str, Any]) -> tuple[tuple[float, ...], Connection | str]
 def _next(known: Sequence[Connection], refiners: Sequence[Refiner], level: float, name: str) -> Connection | str:
     """The connection at another energy, from one or two that are known; or why there is none."""
     model = refiners[0].problem.model
-    chains = [(one.energy, _chain(one, model)) for one in known]
+    chains = [(member.energy, _chain(member, model)) for member in known]
     try:
         chain = reached(chains, level, partial(_at_level, chains, refiners))
     except (ConvergenceError, IntegrationError) as error:
@@ -593,21 +595,21 @@ def _refiner(orbit: Orbit, model: Model) -> Refiner:
         return Refiner(problem)
 
 
-def _at_level(known: Known[Chain], refiners: Sequence[Refiner], level: float) -> tuple[Chain, int]:
+def _at_level(known: Known[ReturnChain], refiners: Sequence[Refiner], level: float) -> tuple[ReturnChain, int]:
     """The chain at another energy: its orbits there, motions from places on the secant through the last two, Newton."""
     (before, past), (here, chain) = known[0], known[-1]
-    found = chain.origin.surface
-    orbits = [one.orbit(one.refine(None, (Pin("energy", level),)), False) for one in refiners]
-    names = found.model.state_names
-    text, axes = f"{names[found.plane.component]}={found.plane.level!r}", [names[k] for k in found.axes]
-    surfaces = [surface_of(one, found.model, text, axes, found.plane.direction) for one in orbits]
+    cut = chain.origin.surface
+    orbits = [refiner.orbit(refiner.refine(None, (Pin("energy", level),)), False) for refiner in refiners]
+    names = cut.model.state_names
+    text, axes = f"{names[cut.plane.component]}={cut.plane.level!r}", [names[k] for k in cut.axes]
+    surfaces = [surface_of(refiner, cut.model, text, axes, cut.plane.direction) for refiner in orbits]
     origin, goal = (
         local_manifold(orbits[k], surfaces[k], which, point=end.point)
         for k, which, end in ((0, "unstable", chain.origin), (-1, "stable", chain.goal))
     )
     goal = replace(goal, surface=surfaces[0])
     share = np.clip((level - here) / (here - before), -2.0, 2.0) if here != before else 0.0
-    a, b = (one * abs(one / other) ** share for one, other in zip(chain.places, past.places, strict=True))
+    a, b = (refiner * abs(refiner / other) ** share for refiner, other in zip(chain.places, past.places, strict=True))
     forth, back = _returned(origin, a, chain.chosen), _returned(goal, b, len(chain.states) - 1 - chain.chosen)
     if not (np.isfinite(forth).all() and np.isfinite(back).all()):
         raise ConvergenceError("connection: its motion does not come back to the section at this energy")

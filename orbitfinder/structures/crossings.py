@@ -52,12 +52,6 @@ class StepSettings:
 STEPS = StepSettings()
 
 
-SAFETY, LEAST, MOST = 0.8, 0.2, 5.0
-"""A step aims at this share of the length that its error allows, and changes by no more than these factors"""
-NEWTON, ROOM = 50, 8 * float(np.finfo(float).eps)
-"""Steps of Newton's method on a crossing at most, and how near to the plane it must come, relative"""
-
-
 @dataclass(frozen=True)
 class Plane:
     """x_i = `level` of component i, crossed with x_i growing (`direction` 1), falling (-1) or both ways (0).
@@ -248,7 +242,7 @@ class _Run:
         with np.errstate(all="ignore"):
             norm = np.sqrt(np.mean((error / scale) ** 2, axis=1))
             norm = np.where(np.isfinite(norm) & np.isfinite(rates).all(axis=1), norm, np.inf)
-            factor = np.clip(SAFETY * norm ** (-1 / 8), LEAST, MOST)
+            factor = np.clip(0.8 * norm ** (-1 / 8), 0.2, 5.0)  # a share of what the error allows, within these factors
         good = norm <= 1.0
         turn = np.where(good, self._turn(here, h, (t, x, before), (after, rates)), np.nan)
         short = np.isfinite(turn)  # taken again as far as to the turn
@@ -340,9 +334,11 @@ class _Run:
         (t, h, level), x = rows[:, 2:5].T, rows[:, 5:]
         low, high, s, there = np.zeros(h.size), h.copy(), h * 0.5, x.copy()
         below = plane.off(self._watched(t, x, x)[0], level)
-        room = ROOM * (h + (np.abs(t) if i < 0 else 0.0))  # time is known to its own round-off
+        room = (
+            8 * float(np.finfo(float).eps) * (h + (np.abs(t) if i < 0 else 0.0))
+        )  # time is known to its own round-off
         k = np.arange(h.size)  # those that are not there yet: what each comes to depends on no other
-        for _ in range(NEWTON):
+        for _ in range(50):
             there[k], _, rates = self.of.stepped(t[k], x[k], sense * s[k])
             own, going = self._watched(t[k] + sense * s[k], there[k], rates)
             off = plane.off(own, level[k])

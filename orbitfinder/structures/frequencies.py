@@ -25,24 +25,10 @@ from orbitfinder.mechanics.model import Model, check_states, vector_field
 from orbitfinder.mechanics.scales import surroundings
 from orbitfinder.structures.crossings import Crossings, Plane
 
-POWER = 3
-"""Of Hann's window: a line at m times the resolution disturbs another as m^-(2 POWER + 1)"""
-PRECISE = 1e-13
-"""Relative tolerance of a step of the motions"""
 LINES = 6
 """Lines looked for in each coordinate"""
-SHARE = 16
-"""This part of the time is integrated first, to see how fast motions are"""
-FAINT = 1e-6
-"""Lines this small beside the largest are none"""
-ORDER, SAME = 8, 0.1
-"""Whole combinations up to this many of each frequency, this near in units of the resolution, are not new ones"""
-NEWTON = 8
-"""Steps of Newton's method on a maximum"""
 LEAST = 20
 """Turns that half of the time takes at least"""
-ROOM = 4_000_000
-"""Numbers of lines that are held at once"""
 
 
 @dataclass(frozen=True)
@@ -111,7 +97,7 @@ def frequency_map(model: Model, starts: Any, duration: float) -> FrequencyMap:
     path, step = _halves(Crossings(vector_field(model), units), begins, duration)
     count, halves = max(1, len(model.state_names) // 2), np.full((2, len(begins), len(places), 2, LINES), np.nan)
     well = np.flatnonzero(np.isfinite(path).all(axis=(0, 2, 3)))
-    width = max(1, ROOM // (LINES * path.shape[2] * 2 * len(places)))
+    width = max(1, 4_000_000 // (LINES * path.shape[2] * 2 * len(places)))
     for part in np.split(well, range(width, well.size, width)) if well.size else ():
         signals = _signals(model, path[:, part])
         halves[:, part, : signals.shape[2]] = np.stack(_lines(signals, step), axis=3)
@@ -135,30 +121,31 @@ def _halves(motions: Crossings, starts: np.ndarray, duration: float) -> tuple[np
     def counted(which: np.ndarray, *_: np.ndarray) -> None:
         taken[which] += 1
 
-    first, clock = duration / SHARE, Plane(-1, 0.0, 0, duration / SHARE)
-    tried = motions.passing(clock, starts, 1, longest=2 * first, tolerance=PRECISE, path=counted)
+    first = duration / 16  # shows how fast motions are
+    clock = Plane(-1, 0.0, 0, first)
+    tried = motions.passing(clock, starts, 1, longest=2 * first, tolerance=1e-13, path=counted)
     steps = taken[tried.complete].max(initial=0.0)
     if not steps:
         raise InputError("starts: all motions leave; start where they stay, or ask for a shorter duration")
-    half = int(np.ceil(0.25 * steps * SHARE))  # a turn takes some 30 steps
+    half = int(np.ceil(0.25 * steps * 16))  # a turn takes some 30 steps
     step = 0.5 * duration / half
-    path = motions.sampled(starts, step, 2 * half, tolerance=PRECISE)
+    path = motions.sampled(starts, step, 2 * half, tolerance=1e-13)
     return np.stack([path[:, : half + 1], path[:, half:]]), step
 
 
 def _signals(model: Model, path: np.ndarray) -> np.ndarray:
     """What is analysed (2 x k x n x m) of states (2 x k x m x d): q - i q' of each coordinate (or p), both by their
     size; e^(i q) of an angle that goes round; single components where they do not come in pairs."""
-    n, found = model.degrees_of_freedom, []
+    n, signals = model.degrees_of_freedom, []
     paired = model.rates is None or model.hamiltonian
     for i, j in model.planes if paired else [(i, i) for i in range(n)]:
-        one, other = (_measured(path[..., k]) for k in (i, j))
-        signal = one - 1j * other if paired else one + 0j
+        value, rate = (_measured(path[..., k]) for k in (i, j))
+        signal = value - 1j * rate if paired else value + 0j
         if i < n and model.angular[i]:
             around = np.abs(path[..., -1, i] - path[..., 0, i]) > 4 * np.pi
             signal = np.where(around[..., None], np.exp(1j * path[..., i]), signal)
-        found.append(signal)
-    return np.stack(found, axis=2)
+        signals.append(signal)
+    return np.stack(signals, axis=2)
 
 
 def _measured(values: np.ndarray) -> np.ndarray:
@@ -169,7 +156,8 @@ def _measured(values: np.ndarray) -> np.ndarray:
 
 
 def _window(count: int) -> np.ndarray:
-    return np.asarray((1 - np.cos(2 * np.pi * np.arange(count) / (count - 1))) ** POWER)
+    # of Hann's window: a line at m times the resolution disturbs another as m^-7
+    return np.asarray((1 - np.cos(2 * np.pi * np.arange(count) / (count - 1))) ** 3)
 
 
 def _lines(signals: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
@@ -177,20 +165,20 @@ def _lines(signals: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
     flat = signals.reshape(-1, signals.shape[-1])
     times = step * (np.arange(flat.shape[1]) - 0.5 * (flat.shape[1] - 1))
     weights, left = _window(times.size), flat
-    found, waves = np.zeros((len(flat), 0)), np.zeros((len(flat), 0, times.size), complex)
+    values, waves = np.zeros((len(flat), 0)), np.zeros((len(flat), 0, times.size), complex)
     for _ in range(LINES):
         coarse = np.abs(np.fft.fft(left * weights, axis=1)).argmax(axis=1)
         near = 2 * np.pi * np.fft.fftfreq(times.size, step)[coarse]
-        found = np.column_stack([found, _peak(left * weights, times, near)])
-        waves = np.concatenate([waves, np.exp(1j * found[:, -1:] * times)[:, None]], axis=1)
+        values = np.column_stack([values, _peak(left * weights, times, near)])
+        waves = np.concatenate([waves, np.exp(1j * values[:, -1:] * times)[:, None]], axis=1)
         sizes, left = _fitted(flat, waves, weights)
     for k in range(LINES):  # each again, with all the others subtracted
         alone = left + sizes[:, k, None] * waves[:, k]
-        found[:, k] = _peak(alone * weights, times, found[:, k])
-        waves[:, k] = np.exp(1j * found[:, k, None] * times)
+        values[:, k] = _peak(alone * weights, times, values[:, k])
+        waves[:, k] = np.exp(1j * values[:, k, None] * times)
         sizes, left = _fitted(flat, waves, weights)
     shape = (*signals.shape[:-1], LINES)
-    return found.reshape(shape), np.abs(sizes).reshape(shape)
+    return values.reshape(shape), np.abs(sizes).reshape(shape)
 
 
 def _fitted(flat: np.ndarray, waves: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -204,15 +192,15 @@ def _fitted(flat: np.ndarray, waves: np.ndarray, weights: np.ndarray) -> tuple[n
 
 def _peak(windowed: np.ndarray, times: np.ndarray, near: np.ndarray) -> np.ndarray:
     """The frequencies (b) near given ones at which the Fourier integrals of windowed signals (b x m) are largest."""
-    bound, found, span = np.pi / (times[-1] - times[0]), near.copy(), np.stack([times**0, -1j * times, -(times**2)])
-    for _ in range(NEWTON):
-        value, slope, bend = span @ (windowed * np.exp(-1j * found[:, None] * times)).T
+    bound, values, span = np.pi / (times[-1] - times[0]), near.copy(), np.stack([times**0, -1j * times, -(times**2)])
+    for _ in range(8):
+        value, slope, bend = span @ (windowed * np.exp(-1j * values[:, None] * times)).T
         rise = np.real(slope * value.conj())
         turn = np.abs(slope) ** 2 + np.real(bend * value.conj())
         with np.errstate(all="ignore"):
             change = np.where(turn < 0, -rise / turn, bound * np.sign(rise))
-        found = found + np.clip(np.nan_to_num(change), -bound, bound)
-    return found
+        values = values + np.clip(np.nan_to_num(change), -bound, bound)
+    return values
 
 
 def _basis(lines: np.ndarray, known: tuple[float, ...], count: int, resolution: float) -> np.ndarray:
@@ -221,22 +209,22 @@ def _basis(lines: np.ndarray, known: tuple[float, ...], count: int, resolution: 
     values, sizes = values[np.isfinite(values[:, 0])], sizes[np.isfinite(values[:, 0])]
     rest = np.argsort(-sizes[:, 1:].ravel())
     order = np.concatenate([values[:, 0], values[:, 1:].ravel()[rest]])
-    strong = np.concatenate([sizes[:, 0], sizes[:, 1:].ravel()[rest]]) > FAINT * sizes.max()
-    basis, found = list(known), np.full((2, count), np.nan)
+    strong = np.concatenate([sizes[:, 0], sizes[:, 1:].ravel()[rest]]) > 1e-6 * sizes.max()  # fainter ones are none
+    basis, chosen = list(known), np.full((2, count), np.nan)
     for value in order[strong]:
         k = len(basis) - len(known)
         if k == count:
             break
-        whole = np.array(list(product(range(-ORDER, ORDER + 1), repeat=len(basis)))) @ np.array(basis)
-        if np.abs(value - whole).min() > SAME * resolution:
+        whole = np.array(list(product(range(-8, 9), repeat=len(basis)))) @ np.array(basis)
+        if np.abs(value - whole).min() > 0.1 * resolution:  # nearer to a combination, it is no new one
             basis.append(float(value))
-            found[:, k] = value, later[np.nanargmin(np.abs(later - value))]
-    return found
+            chosen[:, k] = value, later[np.nanargmin(np.abs(later - value))]
+    return chosen
 
 
-def frequency_table(found: FrequencyMap, model: Model) -> str:
+def frequency_table(frequencies: FrequencyMap, model: Model) -> str:
     """A frequency map as CSV: starts, frequencies in both halves (rad/s), diffusion."""
-    count = found.frequencies.shape[1]
+    count = frequencies.frequencies.shape[1]
     heads = [*model.state_names, *(f"w{k + 1}" for k in range(count)), *(f"w{k + 1}_later" for k in range(count))]
-    rows = np.column_stack([found.starts, found.frequencies, found.later, found.diffusion])
+    rows = np.column_stack([frequencies.starts, frequencies.frequencies, frequencies.later, frequencies.diffusion])
     return "\n".join([",".join([*heads, "diffusion"]), *(",".join(map(repr, row)) for row in rows.tolist()), ""])

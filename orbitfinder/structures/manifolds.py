@@ -39,20 +39,8 @@ from orbitfinder.orbits.floquet import complement, generated
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.structures.crossings import FINE, SEEN, Crossings, Passing, Plane
 from orbitfinder.structures.manifold import Manifold, reach
-from orbitfinder.structures.sections import Surface, nodes_of, pierced, surface
+from orbitfinder.structures.sections import Surface, levels_at, nodes_of, pierced, surface
 
-HYPERBOLIC = 1e-3
-"""A multiplier has a manifold where |mu| exceeds 1 by this"""
-REAL = 1e-6
-"""Imaginary part, relative, below which a multiplier is real"""
-FIRST = 1e-3
-"""The displacement, in extents of the orbit, at which the error is first measured"""
-SECOND_ORDER = 1.5
-"""Least order of the displacement's error that is believed to be that of a manifold"""
-ROUND_OFF = 1e-13
-"""Error of a displacement that is round-off"""
-LONGEST = 20.0
-"""Periods of the orbit in which a motion comes back to the section, or has left"""
 WHICH = {"unstable": 1, "stable": -1}
 
 
@@ -109,7 +97,7 @@ class Local:
 
     def returned(self, states: np.ndarray, count: int, tolerance: float = FINE) -> Passing:
         """The next crossings along the manifold."""
-        longest = LONGEST * self.orbit.period
+        longest = 20.0 * self.orbit.period  # or it has left
         motions, plane = self.surface.motions, self.surface.plane
         return motions.passing(plane, states, count, longest=longest, sense=self.sense, tolerance=tolerance)
 
@@ -122,12 +110,12 @@ class Local:
         """How far x(s) is off the manifold, in extents: against the return of x(s / growth)."""
         before = self.states(np.array([place / self.growth]))
         gap = self.returned(before, self.laps).states[:, -1] - self.states(np.array([place]))
-        found = float(np.linalg.norm(self.off(wrapped(gap, self.surface.model.angular))))
-        return float(found / (1.0 - self.growth**-3.0))
+        away = float(np.linalg.norm(self.off(wrapped(gap, self.surface.model.angular))))
+        return float(away / (1.0 - self.growth**-3.0))
 
     def displacement(self, accuracy: float) -> tuple[float, float, float]:
         """d with an error of about the accuracy, its error, and that at d / 2. Raises `ConvergenceError`."""
-        place = FIRST
+        place = 1e-3  # in extents of the orbit
         for _ in range(12):
             error = self.error(place)
             if error <= accuracy * 1.5:
@@ -135,7 +123,7 @@ class Local:
             place *= max(0.5 * min(1.0, (accuracy / error) ** 0.5) * 1.9, 0.05) if np.isfinite(error) else 0.1
         half = self.error(place / 2)
         order = np.log2(nonzero(error) / nonzero(half))
-        if not (error <= ROUND_OFF * 10 or order >= SECOND_ORDER) or not np.isfinite(error):
+        if not (error <= 1e-12 or order >= 1.5) or not np.isfinite(error):  # round-off, or that of a manifold
             raise ConvergenceError(
                 f"displacement: {error:.2g} off the manifold at {place:.2g} and {half:.2g} at half of it, not of "
                 "second order: its return loses too many digits to begin on; take one of the same family farther from "
@@ -144,13 +132,13 @@ class Local:
         return place, error, half
 
 
-def varied_motions(found: Surface, units: np.ndarray) -> Crossings:
+def varied_motions(cut: Surface, units: np.ndarray) -> Crossings:
     """What integrates motions of a section's Model with their variations, measured in `units` (d)."""
     measures = np.concatenate([units, (units[:, None] / units[None, :]).ravel("F")])
-    return Crossings(variational_field(vector_field(found.model)), measures)
+    return Crossings(variational_field(vector_field(cut.model)), measures)
 
 
-def local_manifold(orbit: Orbit, found: Surface, which: str, number: int = 0, point: np.ndarray | None = None) -> Local:
+def local_manifold(orbit: Orbit, cut: Surface, which: str, number: int = 0, point: np.ndarray | None = None) -> Local:
     """The local manifold of an orbit at its first crossing of a section, or at the one nearest to `point`.
 
     `number` counts the multipliers outside (unstable) or inside the unit circle from the strongest. Raises
@@ -158,33 +146,33 @@ def local_manifold(orbit: Orbit, found: Surface, which: str, number: int = 0, po
     """
     if which not in WHICH:
         raise InputError(f"which: must be unstable or stable, got {which!r}")
-    model, sense = found.model, WHICH[which]
-    crossed = pierced(found, orbit)
+    model, sense = cut.model, WHICH[which]
+    crossed = pierced(cut, orbit)
     units = extents_of(model, orbit.samples if len(orbit.samples) > 2 else crossed.states, orbit.period)
     nearest = 0 if point is None else int(np.linalg.norm((crossed.states - point) / units, axis=1).argmin())
     start, begin = crossed.states[nearest], float(crossed.moments[nearest])
     rate = vector_field(model)(0.0, start, [], []).full().ravel()
-    monodromy = _monodromy(found, orbit, begin, start, sense, units)
+    monodromy = _monodromy(cut, orbit, begin, start, sense, units)
     multiplier, direction = _eigenpair(model, start, rate, monodromy, which, number)
-    if found.plane.component >= 0:
-        direction = direction - rate * direction[found.plane.component] / rate[found.plane.component]
-        direction[found.plane.component] = 0.0
+    if cut.plane.component >= 0:
+        direction = direction - rate * direction[cut.plane.component] / rate[cut.plane.component]
+        direction[cut.plane.component] = 0.0
     direction = direction / float(np.linalg.norm(direction / units))
-    across = direction[list(found.axes)] / units[list(found.axes)]
+    across = direction[list(cut.axes)] / units[list(cut.axes)]
     direction *= 1.0 if across[int(np.abs(across).argmax())] > 0 else -1.0
     laps = len(crossed.moments) * (1 if multiplier > 0 else 2)
-    return Local(orbit, found, sense, start, direction, float(multiplier), laps, units)
+    return Local(orbit, cut, sense, start, direction, float(multiplier), laps, units)
 
 
 def _monodromy(
-    found: Surface, orbit: Orbit, begin: float, start: np.ndarray, sense: int, units: np.ndarray
+    cut: Surface, orbit: Orbit, begin: float, start: np.ndarray, sense: int, units: np.ndarray
 ) -> np.ndarray:
     """Phi over a period (`sense` -1: backwards) from a crossing (d) at a moment, from node to node of the orbit."""
-    size, period, nodes = start.size, orbit.period, nodes_of(found, orbit)
+    size, period, nodes = start.size, orbit.period, nodes_of(cut, orbit)
     since = (sense * (np.arange(len(nodes)) * period / len(nodes) - begin)) % period
     order = [k for k in np.argsort(since) if 1e-9 * period < since[k] < (1 - 1e-9) * period]
     cuts = np.concatenate([[0.0], since[order], [period]])
-    motions, total = varied_motions(found, units), np.eye(size)
+    motions, total = varied_motions(cut, units), np.eye(size)
     for k, state in enumerate([start, *nodes[order]]):
         moment = begin + sense * cuts[k]
         clock = Plane(-1, sense * moment + cuts[k + 1] - cuts[k], 0)
@@ -206,7 +194,7 @@ def _eigenpair(
     basis = complement(gradients, directions) if len(gradients) + len(directions) else np.eye(state.size)
     values, vectors = np.linalg.eig(basis.T @ monodromy @ basis)
     order = np.argsort(-np.abs(values))
-    growing = [k for k in order if abs(values[k]) > 1 + HYPERBOLIC]
+    growing = [k for k in order if abs(values[k]) > 1 + 1e-3]  # what is nearer to 1 has no manifold
     shown = ", ".join(f"{z.real:.6g}" + (f"{z.imag:+.6g}i" if z.imag else "") for z in values[order])
     if not growing:
         raise InputError(
@@ -216,7 +204,7 @@ def _eigenpair(
     if number >= len(growing):
         raise InputError(f"number: the orbit has {plural(len(growing), 'multiplier')} that grow; count them from 0")
     chosen = growing[number]
-    if abs(values[chosen].imag) > REAL * abs(values[chosen]):
+    if abs(values[chosen].imag) > 1e-6 * abs(values[chosen]):  # or it is real
         raise InputError(
             f"which: the multiplier {values[chosen]:.6g} is complex, its manifold winds about the orbit and has no "
             "single direction; give another orbit, or number= of a real multiplier"
@@ -280,14 +268,14 @@ def manifold(
         raise InputError(f"returns: must be between 0 and 1000, got {returns}")
     if tube is not None and not (np.isfinite(tube) and tube > 0):
         raise InputError(f"tube: must be positive and finite, got {tube}; give a time in s")
-    found = surface_of(orbit, model, plane, axes, direction)
-    base = local_manifold(orbit, found, which, number)
+    cut = surface_of(orbit, model, plane, axes, direction)
+    base = local_manifold(orbit, cut, which, number)
     place, error, half = base.displacement(chosen.accuracy)
     sides = (1, -1) if side == 0 else (side,)
     if tube is not None:
         parts = _tube(base, place, tube, sides, chosen)
     else:
-        parts = [one for way in sides for one in grown(base, way * place, returns, chosen)]
+        parts = [part for way in sides for part in grown(base, way * place, returns, chosen)]
     return recorded(base, "curves" if tube is None else "tube", (place, error, half), parts)
 
 
@@ -304,9 +292,7 @@ def surface_of(
         )
     if orbit.shift:
         raise InputError("orbit: it comes back only up to a shift, and is no orbit on a section; give one that closes")
-    n, p, x = model.degrees_of_freedom, model.parameter_values, orbit.state
-    levels = {one.name: float(one.value(x[:n], x[n:], p)) for one in model.invariants}
-    return surface(model, plane, axes, direction, levels=levels, state=orbit.state)
+    return surface(model, plane, axes, direction, levels=levels_at(model, orbit.state), state=orbit.state)
 
 
 Part = tuple[np.ndarray, np.ndarray, int, np.ndarray]
@@ -315,13 +301,13 @@ Part = tuple[np.ndarray, np.ndarray, int, np.ndarray]
 
 def recorded(base: Local, kind: str, measured: tuple[float, float, float], parts: Sequence[Part]) -> Manifold:
     """The Manifold of its parts."""
-    found, names = base.surface, base.surface.model.state_names
+    cut, names = base.surface, base.surface.model.state_names
     if not parts:
-        raise ConvergenceError(f"manifold: no point of it comes back to {found.name}")
+        raise ConvergenceError(f"manifold: no point of it comes back to {cut.name}")
     states = np.vstack([part[0] for part in parts])
     return Manifold(
-        base.orbit.name, dict(found.model.system), names, "unstable" if base.sense > 0 else "stable", kind, found.name,
-        (names[found.axes[0]], names[found.axes[1]]), base.orbit.energy, base.multiplier, *measured, base.point,
+        base.orbit.name, dict(cut.model.system), names, "unstable" if base.sense > 0 else "stable", kind, cut.name,
+        (names[cut.axes[0]], names[cut.axes[1]]), base.orbit.energy, base.multiplier, *measured, base.point,
         base.direction, states,
         np.concatenate([np.full(len(part[0]), k) for k, part in enumerate(parts)]),
         np.concatenate([part[1] for part in parts]),
@@ -358,9 +344,9 @@ class _Table:
     def add(self, shares: np.ndarray) -> None:
         """More points, in their order."""
         start, images = self.base.states(self.places(shares)), self.states.shape[1] - 1
-        found = self.base.returned(start, images, SEEN)
-        states = np.concatenate([start[:, None], found.states], axis=1)
-        times = np.concatenate([np.zeros((len(start), 1)), found.times], axis=1)
+        passing = self.base.returned(start, images, SEEN)
+        states = np.concatenate([start[:, None], passing.states], axis=1)
+        times = np.concatenate([np.zeros((len(start), 1)), passing.times], axis=1)
         order = np.argsort(np.concatenate([self.shares, shares]), kind="stable")
         self.shares = np.concatenate([self.shares, shares])[order]
         self.states = np.concatenate([self.states, states])[order]
@@ -368,9 +354,9 @@ class _Table:
 
     def extend(self) -> None:
         """One more return of all points."""
-        found = self.base.returned(self.states[:, -1], 1, SEEN)
-        self.states = np.concatenate([self.states, found.states], axis=1)
-        self.times = np.concatenate([self.times, self.times[:, -1:] + found.times], axis=1)
+        passing = self.base.returned(self.states[:, -1], 1, SEEN)
+        self.states = np.concatenate([self.states, passing.states], axis=1)
+        self.times = np.concatenate([self.times, self.times[:, -1:] + passing.times], axis=1)
 
     @cached_property
     def angular(self) -> np.ndarray:
@@ -395,13 +381,13 @@ class _Table:
         lengths = np.linalg.norm(self.gaps(image), axis=1)
         known = np.asarray(np.isfinite(self.states[:, image]).all(axis=1))
         torn = np.logical_not(lengths <= 2 * chosen.spacing)
-        found = []
+        curves = []
         for run in np.split(np.arange(self.shares.size), np.flatnonzero(torn) + 1):
             run = run[known[run]]
             if run.size > 1:
                 places = self.places(self.shares[run])
-                found.append((self.states[run, image], places, image, self.times[run, image]))
-        return found
+                curves.append((self.states[run, image], places, image, self.times[run, image]))
+        return curves
 
 
 def _filled(table: _Table, image: int, chosen: ManifoldSettings) -> None:
@@ -456,10 +442,10 @@ def _around(base: Local, place: float, phases: np.ndarray) -> np.ndarray:
     begin = np.concatenate([base.point, np.eye(size).ravel()])[None]
     order = np.argsort(phases)
     moments = np.concatenate([[0.0], period * np.maximum(phases[order], 1e-12)])
-    found = base.varied.along(begin, np.maximum.accumulate(moments), tolerance=FINE, sense=base.sense)[0, 1:]
-    matrices = found[:, size:].reshape(len(phases), size, size).transpose(0, 2, 1)
+    path = base.varied.along(begin, np.maximum.accumulate(moments), tolerance=FINE, sense=base.sense)[0, 1:]
+    matrices = path[:, size:].reshape(len(phases), size, size).transpose(0, 2, 1)
     slope = np.log(abs(base.multiplier)) * base.sense
     moved = (matrices @ base.direction) * np.exp(-slope * phases[order])[:, None]
     states = np.empty((len(phases), size))
-    states[order] = found[:, :size] + place * moved
+    states[order] = path[:, :size] + place * moved
     return states

@@ -35,14 +35,8 @@ from orbitfinder.mechanics.newton import Settings
 T = TypeVar("T")
 CORRECTOR = Settings(floor=3e-13, round_off=3e-13, converged=1e-10, most_evaluations=16)
 """How a torus is solved: rows in units of the motion"""
-CONFIRMED = 1e-12
-"""What arcs by twice the steps may end apart, in units of the motion"""
 RESOLVED = 1e-11
 """What the highest harmonics may be of the curve's size"""
-DETERMINED = 1e-11
-"""Pivots this small beside the largest leave unknowns undetermined"""
-MOST_STEPS = 4096
-"""Steps of an arc at most"""
 
 
 @lru_cache(maxsize=64)
@@ -72,7 +66,7 @@ def turning(count: int, angle: float) -> tuple[np.ndarray, np.ndarray]:
     """R (N x N), which turns a curve's states by an angle, and dR/d(angle); both circulant."""
     waves = harmonics(count)
     kernel = np.exp(1j * waves * angle)
-    turn, slope = (np.fft.ifft(np.fft.ifftshift(one)).real for one in (kernel, 1j * waves * kernel))
+    turn, slope = (np.fft.ifft(np.fft.ifftshift(factors)).real for factors in (kernel, 1j * waves * kernel))
     return scipy.linalg.circulant(turn), scipy.linalg.circulant(slope)
 
 
@@ -102,11 +96,12 @@ class Turned:
 
 
 @dataclass(frozen=True, eq=False)
-class Ring:
+class Circle:
     """The rows of a torus, in units of the motion (d), of time and of the freed parameters.
 
     `held` are values of "energy", "rotation" (rho, in rad) or freed parameters by name; `steps` the Runge-Kutta steps
-    of an arc. A `ContinuationProblem`, whose curves have as many states as their series needs, `most` at most.
+    of an arc, `most_steps` at most. A `ContinuationProblem`, whose curves have as many states as their series needs,
+    `most` at most.
     """
 
     equations: Equations
@@ -116,6 +111,7 @@ class Ring:
     held: tuple[tuple[str, float], ...] = ()
     steps: int = 32
     most: int = 151
+    most_steps: int = 4096
     settings: Settings = CORRECTOR
 
     @property
@@ -153,7 +149,7 @@ class Ring:
     def _rows(self, w: Turned, ends: np.ndarray) -> np.ndarray:
         turn, _ = turning(len(w.curve), w.angle)
         arcs = (ends - turn @ w.curve) / self.units
-        return np.concatenate([arcs.ravel(), [self.aim(w, *one)[0] for one in self.held]])
+        return np.concatenate([arcs.ravel(), [self.aim(w, *held)[0] for held in self.held]])
 
     def linearise(self, w: Turned) -> tuple[np.ndarray, Factored]:
         """All rows and their derivatives, by one march. Raises `ConvergenceError`."""
@@ -164,9 +160,9 @@ class Ring:
         """The derivatives of all rows by all unknowns, both measured."""
         (count, size), own = w.curve.shape, self.columns(w)
         cut = w.curve.size
-        found = np.zeros((cut + len(self.held), own.size))
+        matrix = np.zeros((cut + len(self.held), own.size))
         turn, by_angle = turning(count, w.angle)
-        arcs = found[:cut].reshape(count, size, -1)
+        arcs = matrix[:cut].reshape(count, size, -1)
         arcs[:, :, :cut] = -np.einsum("kl,ij->kilj", turn, np.eye(size)).reshape(count, size, cut)
         for k in range(count):
             arcs[k, :, k * size : (k + 1) * size] += path.transitions[k]
@@ -174,16 +170,16 @@ class Ring:
         arcs[:, :, cut + 1] = -by_angle @ w.curve
         arcs[:, :, cut + 2 :] = path.columns[:, :, 1 + self.equations.march.unfolding :]
         arcs *= own / self.units[:, None]
-        for k, one in enumerate(self.held, start=cut):
-            found[k] = self.aim(w, *one)[1] * own
-        return found
+        for k, aim in enumerate(self.held, start=cut):
+            matrix[k] = self.aim(w, *aim)[1] * own
+        return matrix
 
     def phases(self, w: Turned) -> np.ndarray:
         """Rows over w that fix time (unless forced) and angle, of length 1 over the measured curve."""
         places = 2 * np.pi * np.arange(len(w.curve)) / len(w.curve)
         along = at_angles(w.curve, places, derivative=True) / self.units
         chosen = [along] if self.forced else [self.rates(w), along]
-        rows = [(one / self.units / nonzero(float(np.linalg.norm(one)))).ravel() for one in chosen]
+        rows = [(direction / self.units / nonzero(float(np.linalg.norm(direction)))).ravel() for direction in chosen]
         return np.pad(rows, ((0, 0), (0, 2 + w.free.size)))
 
     def aim(self, w: Turned, name: str, value: float) -> tuple[float, np.ndarray]:
@@ -193,10 +189,10 @@ class Ring:
             place = w.curve.size + (1 if name == "rotation" else 2 + p.free.index(name))
             slope[place] = 1.0 / (1.0 if name == "rotation" else self.sizes[place - w.curve.size - 2])
             return float((w.vector[place] - value) * slope[place]), slope
-        found, by_state, by_free = p.quantities_at(Unknowns(first, w.period, np.zeros(0), w.free, np.zeros(2)))
+        values, by_state, by_free = p.quantities_at(Unknowns(first, w.period, np.zeros(0), w.free, np.zeros(2)))
         slope[: first.size], slope[w.curve.size + 2 :] = by_state[p.energy], by_free[p.energy]
         size = nonzero(float(np.linalg.norm(by_state[p.energy] * self.units)))
-        return float(found[p.energy] - value) / size, slope / size
+        return float(values[p.energy] - value) / size, slope / size
 
     def value(self, w: Turned, name: str) -> float:
         """What may be held: the energy (J) where the curve begins, the angle (rad), or a freed parameter."""
@@ -208,7 +204,7 @@ class Ring:
         values, _, _ = p.quantities_at(Unknowns(w.curve[:1], w.period, np.zeros(0), w.free, np.zeros(2)))
         return float(values[p.energy])
 
-    def at(self, w: Turned, tangent: np.ndarray) -> tuple[Ring, Turned, np.ndarray]:
+    def at(self, w: Turned, tangent: np.ndarray) -> tuple[Circle, Turned, np.ndarray]:
         """The ring with as many steps as a torus that was met needs, and the torus with as many states.
 
         Raises `ConvergenceError` where that is more than `most`.
@@ -238,15 +234,15 @@ class Ring:
         except IntegrationError as error:
             raise ConvergenceError(f"no torus found near: {error}") from error
 
-    def confirmed(self, w: Turned) -> Ring:
+    def confirmed(self, w: Turned) -> Circle:
         """The ring with as many steps of an arc as twice as many confirm. Raises `ConvergenceError`."""
         ring = self
-        while ring.steps <= MOST_STEPS:
+        while ring.steps <= self.most_steps:
             ends = [self.equations.march.ends(w.curve, ring.mesh(len(w.curve), k), self.tail(w)) for k in (1, 2)]
-            if np.abs((ends[0] - ends[1]) / self.units).max() <= CONFIRMED:
+            if np.abs((ends[0] - ends[1]) / self.units).max() <= 1e-12:  # what arcs by twice the steps end apart
                 return ring
             ring = replace(ring, steps=2 * ring.steps)
-        raise ConvergenceError(f"the motion on this torus needs more than {MOST_STEPS} steps a return")
+        raise ConvergenceError(f"the motion on this torus needs more than {self.most_steps} steps a return")
 
 
 def unresolved(curve: np.ndarray) -> float:
@@ -275,7 +271,7 @@ class Factored:
         (triangle,) = scipy.linalg.qr(matrix, mode="r", check_finite=False)
         triangle = triangle[: matrix.shape[1]]
         sizes = np.abs(np.diag(triangle))
-        if not sizes.min() > DETERMINED * sizes.max():
+        if not sizes.min() > 1e-11 * sizes.max():  # a pivot this small leaves unknowns undetermined
             raise ConvergenceError(
                 "a torus is not determined there: its rotation number is resonant, or its curve is that of an orbit"
             )
@@ -285,8 +281,8 @@ class Factored:
             return np.asarray(scipy.linalg.solve_triangular(triangle, half, check_finite=False))
 
         def step(rows: np.ndarray) -> np.ndarray:
-            found, whole = best(rows), np.zeros(self.columns.size)
-            whole[self.known] = -(found + best(rows - matrix @ found))
+            first, whole = best(rows), np.zeros(self.columns.size)
+            whole[self.known] = -(first + best(rows - matrix @ first))
             return np.asarray(whole * self.columns)
 
         return step

@@ -38,18 +38,8 @@ from orbitfinder.records.orbit import Orbit
 from orbitfinder.structures.crossings import FINE, SEEN, Crossings, Passing, Plane, Track
 from orbitfinder.structures.section import Section
 
-TIMES = 300.0
-"""A motion that is not back after so many of the system's own times has left"""
-HELD = 1e-13
-"""A state is at its energy to this, relative to the sizes of the energy's terms"""
-GROWN, MOST_GROWTHS, BORDER = 1.15, 80, 160
-"""How a box of seeds grows until no motion is possible on its border, how often at most, points of its border"""
-LINKED, SAME = 1e-9, 1e-9
-"""Recorded nodes lead to each other this well, and two crossings are one this near to each other, in periods"""
 BESIDE = 1e-9
 """How far from a motion, in its units, another begins that shows whether neighbours part"""
-SETTLED = 20
-"""Returns of a dissipative motion that are left out"""
 
 
 @dataclass(frozen=True)
@@ -101,13 +91,13 @@ class Surface:
 
     def invariants(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What the held invariants miss at states (k x m), and their gradients (k x m x d)."""
-        names = [one.name for one in self.model.invariants]
+        names = [invariant.name for invariant in self.model.invariants]
         chosen = [k for k, name in enumerate(names) if name in self.levels]
         size, count = len(self.model.state_names), len(names)
         if not chosen:
             return np.zeros((len(states), 0)), np.zeros((len(states), 0, size))
-        found = self._lanes.evaluated(conserved(self.model), 1, states)
-        values, slopes = found[:, :count], found[:, count:].reshape(len(states), count, size)
+        both = self._lanes.evaluated(conserved(self.model), 1, states)
+        values, slopes = both[:, :count], both[:, count:].reshape(len(states), count, size)
         return values[:, chosen] - [self.levels[names[k]] for k in chosen], slopes[:, chosen]
 
     def held(self, states: np.ndarray, along: Sequence[int] | None = None) -> np.ndarray:
@@ -119,26 +109,28 @@ class Surface:
         moved = [i for i in (range(size) if along is None else along) if i != self.plane.component]
         weights = np.zeros(size)
         weights[moved] = self.units[moved]
-        found = states.copy()
+        nearest = states.copy()
         if not self.levels:
-            return found
+            return nearest
         with np.errstate(all="ignore"):
             for _ in range(8):
-                missed, slopes = self.invariants(found)
+                missed, slopes = self.invariants(nearest)
                 rows = np.nan_to_num(slopes * weights, nan=0.0, posinf=0.0, neginf=0.0)
                 steps = np.linalg.pinv(rows) @ np.nan_to_num(missed)[:, :, None]
-                found = found - weights * steps[:, :, 0]
-            missed, slopes = self.invariants(found)
-            sizes = np.abs(slopes * found[:, None, :]).sum(axis=2) + np.abs(list(self.levels.values())) + LEAST
-            good = np.isfinite(found).all(axis=1) & (np.abs(missed) <= HELD * 10 * sizes).all(axis=1)
-        return np.where(good[:, None], found, np.nan)
+                nearest = nearest - weights * steps[:, :, 0]
+            missed, slopes = self.invariants(nearest)
+            sizes = np.abs(slopes * nearest[:, None, :]).sum(axis=2) + np.abs(list(self.levels.values())) + LEAST
+            # relative to the terms of the invariants
+            good = np.isfinite(nearest).all(axis=1) & (np.abs(missed) <= 1e-12 * sizes).all(axis=1)
+        return np.where(good[:, None], nearest, np.nan)
 
     def passing(
         self, states: np.ndarray, count: int, *, sense: int = 1, tolerance: float = SEEN,
         seen: Callable[[Callable[[], Passing]], None] | None = None, track: Track | None = None,
     ) -> Passing:  # fmt: skip
         """The next crossings of motions that begin at states (k x d)."""
-        longest = max(TIMES * self.clock, 2 * self.plane.cycle if self.plane.component < 0 else 0.0)
+        # a motion that is not back has left
+        longest = max(300.0 * self.clock, 2 * self.plane.cycle if self.plane.component < 0 else 0.0)
         return self.motions.passing(self.plane, states, count, longest=longest, sense=sense, tolerance=tolerance,
                                     seen=seen, track=track)  # fmt: skip
 
@@ -167,8 +159,8 @@ def surface(
     if plane is not None and (model.forced or model.hybrid is not None):
         what = "looked at once a period of its forcing" if model.forced else "looked at after its own events"
         raise InputError(f"plane: {plane!r} given for a system that is {what}; leave the plane out")
-    found = _plane(model, plane, direction, state)
-    return Surface(model, found, _axes(model, found, axes), dict(levels or {}))
+    cut = _plane(model, plane, direction, state)
+    return Surface(model, cut, _axes(model, cut, axes), dict(levels or {}))
 
 
 def named_surface(
@@ -238,13 +230,19 @@ def _axes(model: Model, plane: Plane, axes: Sequence[str] | None) -> tuple[int, 
     return names.index(given[0]), names.index(given[1])
 
 
+def levels_at(model: Model, state: np.ndarray) -> dict[str, float]:
+    """The values of all invariants at a state (d), by name."""
+    n, p = model.degrees_of_freedom, model.parameter_values
+    return {invariant.name: float(invariant.value(state[:n], state[n:], p)) for invariant in model.invariants}
+
+
 def level_of(model: Model, energy: float | None, state: np.ndarray | None) -> dict[str, float]:
     """The value of the energy to hold, by its name: as given, else that of a state. Raises `InputError`."""
     if not model.conservative:
         if energy is not None:
             raise InputError("energy: this system conserves none, its motions have no energy to begin at; leave it out")
         return {}
-    name = next(one.name for one in model.invariants if one.generator is None)
+    name = next(invariant.name for invariant in model.invariants if invariant.generator is None)
     if energy is None and state is None:
         raise InputError("energy: missing; give the energy of the motions, such as 0.12")
     if energy is not None and not np.isfinite(energy):
@@ -304,19 +302,19 @@ def section(
             raise InputError(f"{what}: must be between 1 and {most}, got {count}")
     model, state, own = _of(system, model)
     levels = {} if model.hybrid is not None else level_of(model, energy, state)
-    found = surface(model, plane, axes, direction, levels=levels)
-    starts = _starts(found, seeds, dict(ranges or {}), state)
+    cut = surface(model, plane, axes, direction, levels=levels)
+    starts = _starts(cut, seeds, dict(ranges or {}), state)
     names, chosen = model.state_names, next(iter(levels.values()), float("nan"))
     unknown = np.full(len(starts), np.inf)
 
     def made(passing: Passing, growth: np.ndarray = unknown) -> Section:
         """The crossings so far as a Section."""
-        settled = SETTLED * (not model.conservative and not model.forced and returns > 2 * SETTLED)
+        settled = 20 * (not model.conservative and not model.forced and returns > 40)  # left out
         times, states = passing.times[:, settled:], passing.states[:, settled:]
         known = np.isfinite(times)
         which = np.broadcast_to(np.arange(len(starts))[:, None], times.shape)[known]
         return Section(
-            name or own, dict(model.system), names, found.name, (names[found.axes[0]], names[found.axes[1]]), chosen,
+            name or own, dict(model.system), names, cut.name, (names[cut.axes[0]], names[cut.axes[1]]), chosen,
             wrapped(states[known], model.angular), times[known], which, starts, growth,
         )  # fmt: skip
 
@@ -330,12 +328,12 @@ def section(
         if hybrid:
             passing = _events(model, starts, returns, seen, track("seeds"))
         else:
-            passing = found.passing(starts, returns, seen=seen, track=track("seeds"))
+            passing = cut.passing(starts, returns, seen=seen, track=track("seeds"))
         if not np.isfinite(passing.times).any():
-            raise InputError(f"plane: no motion comes to {found.name}; choose another plane, energy or direction")
+            raise InputError(f"plane: no motion comes to {cut.name}; choose another plane, energy or direction")
         if not hybrid:
             seen(lambda: passing)
-            growth = _divergence(found, starts, passing.states, track("neighbours"))
+            growth = _divergence(cut, starts, passing.states, track("neighbours"))
     return made(passing, growth)
 
 
@@ -364,9 +362,9 @@ def _of(system: Model | Orbit | Problem, model: Model | None) -> tuple[Model, np
     return model or build_model(system.system), system.state, system.name
 
 
-def _starts(found: Surface, seeds: int, ranges: Mapping[str, Sequence[float]], state: np.ndarray | None) -> np.ndarray:
+def _starts(cut: Surface, seeds: int, ranges: Mapping[str, Sequence[float]], state: np.ndarray | None) -> np.ndarray:
     """States (k x d) on the section that fill a box of its axes evenly, as far as motions are possible there."""
-    model, names = found.model, [found.model.state_names[i] for i in found.axes]
+    model, names = cut.model, [cut.model.state_names[i] for i in cut.axes]
     for name, given in ranges.items():
         if name not in names:
             raise InputError(f"ranges: {name!r} is no axis{closest(name, names)}; the axes are {' and '.join(names)}")
@@ -375,19 +373,19 @@ def _starts(found: Surface, seeds: int, ranges: Mapping[str, Sequence[float]], s
     base = np.zeros(len(model.state_names)) if state is None else np.asarray(state, float).copy()
     if model.conservative and model.hybrid is None:
         base[:] = 0.0  # or other coordinates of a motion elsewhere would be taken for those of the plane
-    if found.plane.component >= 0:
-        base[found.plane.component] = found.plane.level
-    box = _box(found, base, ranges)
+    if cut.plane.component >= 0:
+        base[cut.plane.component] = cut.plane.level
+    box = _box(cut, base, ranges)
     states = np.zeros((0, base.size))
     for k in range(8):
         points = box[0] + (box[1] - box[0]) * _spread(max(seeds, 16) * 2**k)
-        states = at_points(found, base, points)
+        states = at_points(cut, base, points)
         states = states[np.isfinite(states).all(axis=1)]
         if len(states) >= seeds:
             return states[:seeds]
     if not len(states):
         raise InputError(
-            f"energy: no motion of this energy crosses {found.name}; choose another plane or energy, or give ranges"
+            f"energy: no motion of this energy crosses {cut.name}; choose another plane or energy, or give ranges"
         )
     return states
 
@@ -402,21 +400,21 @@ def _spread(count: int) -> np.ndarray:
     return np.asarray((0.5 + np.arange(1, count + 1)[:, None] / [g, g * g]) % 1.0)
 
 
-def at_points(found: Surface, base: np.ndarray, points: np.ndarray) -> np.ndarray:
+def at_points(cut: Surface, base: np.ndarray, points: np.ndarray) -> np.ndarray:
     """The states (k x d) of points (k x 2) of the axes, at the held energy; nan where no motion is possible.
 
     The rate that is found from the energy is that of the plane's own coordinate, in the direction that is looked at.
     """
     states = np.tile(base, (len(points), 1))
-    states[:, list(found.axes)] = points
-    if not found.levels:
+    states[:, list(cut.axes)] = points
+    if not cut.levels:
         return states
-    i = solved_component(found)
-    unit = found.units[i]
+    i = solved_component(cut)
+    unit = cut.units[i]
     values = []
     for x in (-unit, 0.0, unit):  # energies are of the second degree in a rate or momentum; what is not is polished
         states[:, i] = x
-        values.append(found.invariants(states)[0][:, 0])
+        values.append(cut.invariants(states)[0][:, 0])
     low, c, high = values
     a, b = 0.5 * (high + low) - c, 0.5 * (high - low)
     with np.errstate(all="ignore"):
@@ -425,75 +423,75 @@ def at_points(found: Surface, base: np.ndarray, points: np.ndarray) -> np.ndarra
     for sign in (1.0, -1.0):
         with np.errstate(all="ignore"):
             states[:, i] = unit * (-b + sign * root) / (2 * a)
-        there = found.held(states, along=[i])
+        there = cut.held(states, along=[i])
         good = np.isfinite(there).all(axis=1)
-        good[good] = _rising(found, there[good])
+        good[good] = _rising(cut, there[good])
         best = np.where(good[:, None] & ~np.isfinite(best), there, best)
     return best
 
 
-def _rising(found: Surface, states: np.ndarray) -> np.ndarray:
+def _rising(cut: Surface, states: np.ndarray) -> np.ndarray:
     """Which states (k) cross the plane in the direction that is looked at."""
-    plane = found.plane
+    plane = cut.plane
     if not len(states) or plane.component < 0:
         return np.ones(len(states), bool)
-    rates = found.motions.rates(np.zeros(len(states)), states)[:, plane.component]
+    rates = cut.motions.rates(np.zeros(len(states)), states)[:, plane.component]
     return np.asarray(rates * (plane.direction or 1) > 0)
 
 
-def solved_component(found: Surface) -> int:
+def solved_component(cut: Surface) -> int:
     """The component that is found from the energy: the rate or momentum of the plane's coordinate, or another one."""
-    model, i = found.model, found.plane.component
+    model, i = cut.model, cut.plane.component
     half = len(model.state_names) // 2
     conjugate = [half + i] if 0 <= i < half and (model.rates is None or model.hamiltonian) else []
     rates = range(half, 2 * half) if model.rates is None or model.hamiltonian else range(len(model.state_names))
-    left = [j for j in (*conjugate, *rates) if j != i and j not in found.axes]
+    left = [j for j in (*conjugate, *rates) if j != i and j not in cut.axes]
     if not left:
-        names = ", ".join(model.state_names[j] for j in (i, *found.axes))
+        names = ", ".join(model.state_names[j] for j in (i, *cut.axes))
         raise InputError(f"axes: nothing is left to find from the energy beside {names}; choose other axes")
     return int(left[0])
 
 
-def _box(found: Surface, base: np.ndarray, ranges: Mapping[str, Sequence[float]]) -> tuple[np.ndarray, np.ndarray]:
+def _box(cut: Surface, base: np.ndarray, ranges: Mapping[str, Sequence[float]]) -> tuple[np.ndarray, np.ndarray]:
     """Least and greatest values of the axes: those given, whole turns of angles, else as far as the energy allows."""
-    model = found.model
-    names = [model.state_names[i] for i in found.axes]
-    angles = [i < model.degrees_of_freedom and bool(model.angular[i]) for i in found.axes]
+    model = cut.model
+    names = [model.state_names[i] for i in cut.axes]
+    angles = [i < model.degrees_of_freedom and bool(model.angular[i]) for i in cut.axes]
     fixed = {k: ranges[name] for k, name in enumerate(names) if name in ranges}
     fixed |= {k: (-np.pi, np.pi) for k in range(2) if angles[k] and k not in fixed}
-    middle = base[list(found.axes)]
-    wide = 0.02 * found.units[list(found.axes)]
+    middle = base[list(cut.axes)]
+    wide = 0.02 * cut.units[list(cut.axes)]
     low, high = middle - wide, middle + wide
     for k, (least, greatest) in fixed.items():
         low[k], high[k] = least, greatest
     free = [k for k in range(2) if k not in fixed]
     if not free:
         return low, high
-    if not found.levels:
-        size = 1.5 * np.maximum(np.abs(middle), found.units[list(found.axes)])
+    if not cut.levels:
+        size = 1.5 * np.maximum(np.abs(middle), cut.units[list(cut.axes)])
         low[free], high[free] = -size[free], size[free]
         return low, high
-    for _ in range(MOST_GROWTHS):
-        if _closed(found, base, low, high, free):
+    for _ in range(80):  # until no motion is possible on the border
+        if _closed(cut, base, low, high, free):
             return low, high
-        wide = GROWN * wide
+        wide = 1.15 * wide
         low[free], high[free] = (middle - wide)[free], (middle + wide)[free]
     raise InputError(
-        f"ranges: missing; motions of this energy are not bounded on {found.name}, give the range of "
+        f"ranges: missing; motions of this energy are not bounded on {cut.name}, give the range of "
         f"{' and '.join(names[k] for k in free)}"
     )
 
 
-def _closed(found: Surface, base: np.ndarray, low: np.ndarray, high: np.ndarray, free: Sequence[int]) -> bool:
+def _closed(cut: Surface, base: np.ndarray, low: np.ndarray, high: np.ndarray, free: Sequence[int]) -> bool:
     """Whether no motion is possible on those sides of a box that are free to move."""
-    along, sides = np.linspace(0.0, 1.0, BORDER // 4), []
+    along, sides = np.linspace(0.0, 1.0, 40), []
     for k in free:
         for end in (low[k], high[k]):
             side = np.empty((along.size, 2))
             side[:, 1 - k] = low[1 - k] + along * (high - low)[1 - k]
             side[:, k] = end
             sides.append(side)
-    return not np.isfinite(at_points(found, base, np.vstack(sides))).any()
+    return not np.isfinite(at_points(cut, base, np.vstack(sides))).any()
 
 
 def _events(
@@ -509,14 +507,14 @@ def _events(
     known = {int(motion[0, 0]): rows for motion, rows in track.known if motion[0, 1] == returns}
     for k, start in enumerate(starts):
         if k not in known:
-            found = list[np.ndarray]()
+            after = list[np.ndarray]()
             with contextlib.suppress(IntegrationError):  # it has left: what was seen of it stays
                 for arc in Automaton(model, SECOND).arcs(
                     start, hybrid.first.name, events=returns * max(1, len(hybrid.cycle))
                 ):
-                    if arc.ended_by is not None and last in (None, arc.ended_by) and len(found) < returns:
-                        found.append(np.array([k, len(found), arc.times[-1], *arc.after]))
-            known[k] = np.vstack([np.zeros((0, 3 + starts.shape[1])), *found])
+                    if arc.ended_by is not None and last in (None, arc.ended_by) and len(after) < returns:
+                        after.append(np.array([k, len(after), arc.times[-1], *arc.after]))
+            known[k] = np.vstack([np.zeros((0, 3 + starts.shape[1])), *after])
             track.add(np.array([[k, returns]]), known[k])
         rows = known[k]
         times[k, : len(rows)], states[k, : len(rows)] = rows[:, 2], rows[:, 3:]
@@ -524,15 +522,15 @@ def _events(
     return Passing(times, states)
 
 
-def _divergence(found: Surface, starts: np.ndarray, states: np.ndarray, track: Track) -> np.ndarray:
+def _divergence(cut: Surface, starts: np.ndarray, states: np.ndarray, track: Track) -> np.ndarray:
     """How much farther apart (k) each motion and one that begins `BESIDE` it come, at most, on the section."""
     beside = starts.copy()
-    beside[:, found.axes[0]] += BESIDE * found.units[found.axes[0]]
-    if found.levels:
-        beside = found.held(beside, along=[solved_component(found)])
-    others = found.passing(beside, states.shape[1], track=track).states
-    units = found.units[list(found.axes)]
-    apart = np.linalg.norm(wrapped(others - states, found.model.angular)[..., list(found.axes)] / units, axis=2)
+    beside[:, cut.axes[0]] += BESIDE * cut.units[cut.axes[0]]
+    if cut.levels:
+        beside = cut.held(beside, along=[solved_component(cut)])
+    others = cut.passing(beside, states.shape[1], track=track).states
+    units = cut.units[list(cut.axes)]
+    apart = np.linalg.norm(wrapped(others - states, cut.model.angular)[..., list(cut.axes)] / units, axis=2)
     return np.asarray(np.max(np.nan_to_num(apart, nan=0.0), axis=1) / BESIDE)
 
 
@@ -544,7 +542,7 @@ class Pierced:
     states: np.ndarray
 
 
-def nodes_of(found: Surface, orbit: Orbit) -> np.ndarray:
+def nodes_of(cut: Surface, orbit: Orbit) -> np.ndarray:
     """States (N x d) at equal times over an orbit's period: its nodes where each leads to the next, else its first.
 
     A motion from one state alone leaves an unstable orbit by its round-off.
@@ -552,38 +550,39 @@ def nodes_of(found: Surface, orbit: Orbit) -> np.ndarray:
     nodes, count = np.asarray(orbit.nodes, float), len(orbit.nodes)
     if nodes.ndim != 2 or nodes.shape[1] != orbit.state.size or not np.array_equal(nodes[:1], orbit.state[None]):
         return orbit.state[None]
-    spans = np.arange(count) * (orbit.period / count) if found.model.forced else np.zeros(count)
+    spans = np.arange(count) * (orbit.period / count) if cut.model.forced else np.zeros(count)
     clock = Plane(-1, orbit.period / count, 0)
     ends = [
-        found.motions.passing(replace(clock, level=begin + clock.level), node[None], 1, longest=2 * clock.level,
+        cut.motions.passing(replace(clock, level=begin + clock.level), node[None], 1, longest=2 * clock.level,
                               tolerance=FINE, times=begin).states[0, 0]
         for node, begin in zip(nodes, spans, strict=True)
     ]  # fmt: skip
-    gaps = wrapped(np.array(ends) - np.roll(nodes, -1, axis=0), found.model.angular)
-    return nodes if np.abs(gaps / nonzero(np.abs(nodes).max(axis=0))).max() <= LINKED else orbit.state[None]
+    gaps = wrapped(np.array(ends) - np.roll(nodes, -1, axis=0), cut.model.angular)
+    # whether each leads to the next
+    return nodes if np.abs(gaps / nonzero(np.abs(nodes).max(axis=0))).max() <= 1e-9 else orbit.state[None]
 
 
-def check_plane(one: Any, other: Any) -> None:
+def check_plane(mine: Any, other: Any) -> None:
     """`InputError` unless two records (sections, manifolds, connections) lie on one plane with the same axes."""
-    if (one.plane.split(",")[0], tuple(one.axes)) != (other.plane.split(",")[0], tuple(other.axes)):
+    if (mine.plane.split(",")[0], tuple(mine.axes)) != (other.plane.split(",")[0], tuple(other.axes)):
         raise InputError(
-            f"{one.name}: plane: {one.plane} with axes {', '.join(one.axes)}, and {other.name} has {other.plane} with "
-            f"{', '.join(other.axes)}; make both with one plane and axes"
+            f"{mine.name}: plane: {mine.plane} with axes {', '.join(mine.axes)}, and {other.name} has {other.plane} "
+            f"with {', '.join(other.axes)}; make both with one plane and axes"
         )
 
 
 def crossings(model: Model, record: Any, orbit: Orbit) -> np.ndarray:
     """Where an orbit crosses the plane of a record in its axes (k x 2). Raises `InputError` where it does not."""
-    found = named_surface(model, record.plane, record.axes, state=orbit.state)
-    return found.chart(pierced(found, orbit).states)
+    cut = named_surface(model, record.plane, record.axes, state=orbit.state)
+    return cut.chart(pierced(cut, orbit).states)
 
 
-def pierced(found: Surface, orbit: Orbit) -> Pierced:
+def pierced(cut: Surface, orbit: Orbit) -> Pierced:
     """Where an orbit crosses a section in one period. Raises `InputError` where it does not."""
-    if found.model.hybrid is not None:
-        return Pierced(np.zeros(1), check_states(found.model, orbit.state[None]))
-    nodes, plane, motions = nodes_of(found, orbit), found.plane, found.motions
-    span, close = orbit.period / len(nodes), SAME * orbit.period
+    if cut.model.hybrid is not None:
+        return Pierced(np.zeros(1), check_states(cut.model, orbit.state[None]))
+    nodes, plane, motions = nodes_of(cut, orbit), cut.plane, cut.motions
+    span, close = orbit.period / len(nodes), 1e-9 * orbit.period
     begins, count = np.arange(len(nodes)) * span, 8
     while True:
         passing = motions.passing(plane, nodes, count, longest=1.5 * span, tolerance=FINE, times=begins)
@@ -594,7 +593,7 @@ def pierced(found: Surface, orbit: Orbit) -> Pierced:
     rates = motions.rates(begins, nodes)
     i = plane.component
     own, going = (begins, np.ones(len(nodes))) if i < 0 else (nodes[:, i], rates[:, i])
-    unit = orbit.period if i < 0 else float(found.units[i])
+    unit = orbit.period if i < 0 else float(cut.units[i])
     there = (plane.start(own, going, unit) != plane.start(own, -going, unit)) & (plane.direction * going >= 0)
     moments = np.concatenate([begins[there], passing.times[within] % orbit.period])
     states = np.vstack([nodes[there], passing.states[within]])
@@ -604,6 +603,6 @@ def pierced(found: Surface, orbit: Orbit) -> Pierced:
         if not kept or apart.min() > close:
             kept.append(k)
     if not kept:
-        raise InputError(f"plane: {orbit.name} does not cross {found.name}; choose another plane or direction")
+        raise InputError(f"plane: {orbit.name} does not cross {cut.name}; choose another plane or direction")
     order = sorted(kept, key=lambda k: float(moments[k]))
     return Pierced(moments[order], states[order])

@@ -34,38 +34,18 @@ from orbitfinder.records.certificate import Certificate, at_least, at_most, equa
 from orbitfinder.records.codec import entries_of
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import typed
-from orbitfinder.structures.ring import RESOLVED, Ring, Turned, at_angles, coefficients, harmonics, unresolved
+from orbitfinder.structures.ring import RESOLVED, Circle, Turned, at_angles, coefficients, harmonics, unresolved
 from orbitfinder.structures.sections import Surface
 from orbitfinder.structures.torus import Tori, Torus
 
-TURNING = 1e-3
-"""How far from the unit circle a multiplier is at most that a torus begins with"""
-FASTEST = 1e6
-"""Multipliers above this need arcs shorter than a return"""
-AMPLITUDE = 0.01
-"""Of the first torus, in extents of the orbit"""
 FEWEST = 17
 """States of a curve at first"""
-CLEAN = 1e-13
-"""Harmonics below this are round-off"""
 INVARIANT = 1e-9
 """What a return may miss the curve by between its states, in extents of the motion"""
 RETURNS = 10
 """... and so many returns one after another, times their number squared"""
 RESONANCE = 1e-9
 """A rotation number this near to p/q, q up to the states of the curve, is resonant"""
-FLAT = 1e-6
-"""The sine between curve and flow, and the size of the curve beside the orbit's, from which on a torus is one"""
-ARC = 128
-"""States of a return that show where it goes"""
-SHOWN, CROSSINGS = 480, 8
-"""Motions by which a torus is drawn on a section, and crossings of each in a return at most"""
-OFF_MESH = 12
-SEED = 20
-LOW_ORDER = 12
-"""A family that ends before a resonance of this order or less says so"""
-SHORTEST, LONGEST = 1e-3, 10.0
-"""Steps along a family, in units of its metric"""
 
 
 @dataclass(frozen=True)
@@ -120,16 +100,16 @@ def torus(
 
     Examples:
         >>> golden = of.torus(loop, rotation=(3 - 5**0.5) / 4)
-        >>> [round(one, 9) for one in golden.frequencies], golden.certificate.passed
+        >>> [round(frequency, 9) for frequency in golden.frequencies], golden.certificate.passed
         ([1.020516687, 0.194901344], True)
     """
     chosen = settings or TorusSettings()
-    found = follow_tori(orbit, until=rotation, mode=mode, model=model, settings=replace(chosen, certify=False))
-    last = found.tori[-1]
+    family = follow_tori(orbit, until=rotation, mode=mode, model=model, settings=replace(chosen, certify=False))
+    last = family.tori[-1]
     if abs(last.rotation - rotation) > RESONANCE:
-        met = sorted(one.rotation for one in found.tori)
+        met = sorted(member.rotation for member in family.tori)
         met_range = f"those met are {met[0]:.9g} to {met[-1]:.9g}"
-        raise ConvergenceError(f"no torus of rotation number {rotation:.9g} was reached, {met_range}: {found.end}")
+        raise ConvergenceError(f"no torus of rotation number {rotation:.9g} was reached, {met_range}: {family.end}")
     return certify_torus(last, _model(orbit, model)) if chosen.certify else last
 
 
@@ -192,7 +172,9 @@ def follow_tori(
     else:
         ring, guess, direction = _from_orbit(origin, system, asked, mode)
     ring = replace(ring, most=chosen.most_states)
-    inner = Goals(asked, None if until is None else _inner(asked, until), tuple(_inner(asked, one) for one in goals))
+    inner = Goals(
+        asked, None if until is None else _inner(asked, until), tuple(_inner(asked, value) for value in goals)
+    )
 
     def begin() -> Point:
         point = _first(ring, guess, direction)
@@ -207,19 +189,19 @@ def follow_tori(
     path = None if out is None else Path(out) / label / "tori.jsonl"
     request = {"origin": _origin_entry(origin), "asked": asked, "mode": mode, "states": chosen.most_states,
                "step": chosen.step, "certify": chosen.certify, "system": dict(system.system)}  # fmt: skip
-    pace = Pace(first=chosen.step, shortest=SHORTEST, longest=LONGEST, points=chosen.points, quick=6)
+    pace = Pace(first=chosen.step, shortest=1e-3, longest=10.0, points=chosen.points, quick=6)
     held = {label: value / (2 * np.pi) if label == "rotation" else value for label, value in ring.held}
 
     curve = SolutionCurve()
 
     def tori(end: str) -> Tori:
-        return Tori(label, dict(system.system), asked, held, tuple(one.record for one in curve.points), end)
+        return Tori(label, dict(system.system), asked, held, tuple(kept.record for kept in curve.points), end)
 
     with contextlib.nullcontext() if path is None else locks.alone_in(path.parent):
-        for one in follow(curve, CurveJournal(keeping, path, request, leads_there), begin, inner, pace):
+        for kept in follow(curve, CurveJournal(keeping, path, request, leads_there), begin, inner, pace):
             finished(lambda: tori(STOPPED))
             if progress:
-                progress(one.record)
+                progress(kept.record)
     return tori(_ended(curve, asked, until, chosen.points))
 
 
@@ -282,15 +264,15 @@ def _other_way_round(first: Point, goals: Goals) -> bool:
     goal = goals.until if goals.until is not None else min(goals.at, default=None)
     if goals.name != "rotation" or goal is None:
         return False
-    ahead = [one for one in (goal, 2 * np.pi - goal) if towards(first, "rotation", one) > 0]
-    return bool(ahead) and min(ahead, key=lambda one: abs(one - first.w.angle)) != goal
+    ahead = [angle for angle in (goal, 2 * np.pi - goal) if towards(first, "rotation", angle) > 0]
+    return bool(ahead) and min(ahead, key=lambda angle: abs(angle - first.w.angle)) != goal
 
 
-Guessed = tuple[Ring, Turned, np.ndarray]
+Guessed = tuple[Circle, Turned, np.ndarray]
 """A ring, a guess of its torus, and the direction (over w) in which that is one of a family"""
 
 
-def _backwards(ring: Ring, guess: Turned, direction: np.ndarray) -> Guessed:
+def _backwards(ring: Circle, guess: Turned, direction: np.ndarray) -> Guessed:
     """The same gone round the other way."""
 
     def turned(curve: np.ndarray) -> np.ndarray:
@@ -315,18 +297,19 @@ def _from_orbit(orbit: Orbit, model: Model, asked: str, mode: int) -> Guessed:
     sizes = parameter_sizes(model, free, w.free)
     direction = np.concatenate([around.ravel(), np.zeros(2 + w.free.size)])
     still = Turned(np.tile(orbit.state, (FEWEST, 1)), orbit.period, angle, w.free)
-    guess = still.moved(AMPLITUDE * direction)
-    return Ring(equations, units, orbit.period / (2 * np.pi), sizes, held).confirmed(guess), guess, direction
+    guess = still.moved(0.01 * direction)
+    return Circle(equations, units, orbit.period / (2 * np.pi), sizes, held).confirmed(guess), guess, direction
 
 
 def _turning_pair(monodromy: np.ndarray, mode: int) -> tuple[float, np.ndarray]:
     """The angle (rad) and the eigenvector of the chosen pair on the unit circle, slowest first. Raises `InputError`."""
     multipliers, vectors = np.linalg.eig(monodromy)
-    if np.abs(multipliers).max() > FASTEST:
+    if np.abs(multipliers).max() > 1e6:  # arcs would have to be shorter than a return
         raise InputError(
             f"origin: a multiplier of {np.abs(multipliers).max():.2g}; tori are not found around such orbits"
         )
-    on = [k for k, mu in enumerate(multipliers) if abs(abs(mu) - 1) < TURNING and mu.imag > TURNING]
+    # on the unit circle, and turning
+    on = [k for k, mu in enumerate(multipliers) if abs(abs(mu) - 1) < 1e-3 and mu.imag > 1e-3]
     if not on:
         raise InputError("origin: no pair of multipliers turns on the unit circle; tori lie around elliptic orbits, "
                          "and begin at torus events")  # fmt: skip
@@ -344,12 +327,12 @@ def _from_torus(torus: Torus, model: Model, asked: str) -> Guessed:
     w = Turned(torus.curve, torus.period, 2 * np.pi * torus.rotation, numbers)
     held = (("rotation", w.angle),) if asked == "energy" else (("energy", torus.energy),) if model.conservative else ()
     units = extents_of(model, filled(torus, model, FEWEST).reshape(-1, w.curve.shape[1]), torus.period)
-    ring = Ring(equations, units, w.period / (2 * np.pi), parameter_sizes(model, free, numbers), held).confirmed(w)
+    ring = Circle(equations, units, w.period / (2 * np.pi), parameter_sizes(model, free, numbers), held).confirmed(w)
     direction = np.concatenate([(w.curve - w.curve.mean(axis=0)).ravel(), np.zeros(2 + w.free.size)])
     return ring, w, direction
 
 
-def _first(ring: Ring, guess: Turned, direction: np.ndarray) -> Point:
+def _first(ring: Circle, guess: Turned, direction: np.ndarray) -> Point:
     """The torus in the plane through a guess across a direction."""
     point = solved(ring, guess, plane(ring, guess, direction))
     ring, w, tangent = ring.at(point.w, point.tangent)
@@ -361,20 +344,20 @@ def filled(torus: Torus, model: Model, lines: int) -> np.ndarray:
     equations = Equations(with_parameters(model, torus.free), NONE)
     starts = at_angles(torus.curve, 2 * np.pi * np.arange(lines) / lines)
     tail = np.concatenate([[torus.period], np.zeros(equations.march.unfolding)])
-    path = equations.march.states(starts, np.linspace(0.0, lines, ARC * lines + 1), tail)
-    return np.concatenate([starts[:, None], path[1:].reshape(lines, ARC, -1)], axis=1)
+    path = equations.march.states(starts, np.linspace(0.0, lines, 128 * lines + 1), tail)
+    return np.concatenate([starts[:, None], path[1:].reshape(lines, 128, -1)], axis=1)
 
 
-def crossed(torus: Torus, found: Surface) -> np.ndarray:
+def crossed(torus: Torus, cut: Surface) -> np.ndarray:
     """Where a torus crosses a section: states (k x d), the crossings in one return of motions from all round its curve.
 
     Raises `InputError` where it does not.
     """
-    starts = at_angles(torus.curve, 2 * np.pi * np.arange(SHOWN) / SHOWN)
-    passing = found.motions.passing(found.plane, starts, CROSSINGS, longest=1.5 * torus.period)
+    starts = at_angles(torus.curve, 2 * np.pi * np.arange(480) / 480)
+    passing = cut.motions.passing(cut.plane, starts, 8, longest=1.5 * torus.period)
     states = passing.states[passing.times <= torus.period * (1 + INVARIANT)]
     if not len(states):
-        raise InputError(f"plane: the torus does not cross {found.name}; choose another plane or direction")
+        raise InputError(f"plane: the torus does not cross {cut.name}; choose another plane or direction")
     return np.asarray(states)
 
 
@@ -382,7 +365,7 @@ def strip(curve: np.ndarray) -> float:
     """Half the width of the strip in which the series converges: the decay rate of its coefficients above round-off."""
     waves, sizes = harmonics(len(curve)), np.abs(coefficients(curve)).max(axis=1)
     largest = np.array([sizes[np.abs(waves) >= k].max() for k in range(1, waves.max() + 1)])
-    clear = np.arange(max(3, np.flatnonzero(largest > 10 * CLEAN * largest[0])[-1] + 1))
+    clear = np.arange(max(3, np.flatnonzero(largest > 1e-12 * largest[0])[-1] + 1))  # the others are round-off
     return float(-np.polyfit(clear, np.log(nonzero(largest[clear])), 1)[0])
 
 
@@ -395,7 +378,7 @@ def _inner(name: str, value: float) -> float:
 class _Keeping:
     """How tori are kept: the ring of the first, the system, whether each is certified."""
 
-    ring: Ring
+    ring: Circle
     model: Model
     certify: bool
 
@@ -403,8 +386,8 @@ class _Keeping:
         """The Torus. Raises `ConvergenceError` where its curve needs more states."""
         if unresolved(point.w.curve / self.ring.units) > RESOLVED:
             raise ConvergenceError(f"a torus needs more than {len(point.w.curve)} states")
-        found = _recorded(point)
-        return certify_torus(found, self.model) if self.certify else found
+        record = _recorded(point)
+        return certify_torus(record, self.model) if self.certify else record
 
     def write(self, point: Point, record: Torus) -> dict[str, Any]:
         """Both in plain numbers."""
@@ -446,15 +429,15 @@ def _ended(curve: SolutionCurve, asked: str, until: float | None, most: int) -> 
     """Why a family ends, in words."""
     assert curve.end is not None
     kinds = {"target": f"{asked} reached {until or 0.0:.12g}", "point limit": f"point limit of {most}"}
-    return kinds.get(curve.end.kind) or _breaking([one.record for one in curve.points], asked, curve.end.reason)
+    return kinds.get(curve.end.kind) or _breaking([kept.record for kept in curve.points], asked, curve.end.reason)
 
 
-def _breaking(found: list[Torus], asked: str, why: str) -> str:
+def _breaking(tori: list[Torus], asked: str, why: str) -> str:
     """Why a family ends where it breaks down: the width of its strip, and where that goes to 0."""
-    values = np.array([torus_value(one, asked) for one in found])
-    widths = np.array([one.strip for one in found])
+    values = np.array([torus_value(member, asked) for member in tori])
+    widths = np.array([member.strip for member in tori])
     told = f"break-down near {asked} {values[-1]:.9g}: {why}"
-    if len(found) > 2 and widths[-1] < widths[-3]:
+    if len(tori) > 2 and widths[-1] < widths[-3]:
         slope = (values[-1] - values[-3]) / (widths[-1] - widths[-3])
         zero = values[-1] - slope * widths[-1]
         told += f"; the strip of convergence is {widths[-1]:.3g} wide, and 0 near {zero:.6g}"
@@ -463,9 +446,9 @@ def _breaking(found: list[Torus], asked: str, why: str) -> str:
 
 
 def _resonant(here: float, there: float) -> str:
-    """The resonance of lowest order that a family of tori stops before, in words."""
+    """The resonance of lowest order, 12 at most, that a family of tori stops before, in words."""
     low, high = sorted((here, there))
-    between = [(p, q) for q in range(1, LOW_ORDER + 1) for p in range(q + 1) if low <= p / q <= high]
+    between = [(p, q) for q in range(1, 13) for p in range(q + 1) if low <= p / q <= high]
     return " (the resonance {}/{})".format(*between[0]) if between else ""
 
 
@@ -482,7 +465,7 @@ def certify_torus(torus: Torus, model: Model) -> Torus:
     curve), series (its highest harmonics), once (the curve is gone round once).
     """
     own = with_parameters(model, torus.free)
-    angles = np.random.default_rng(SEED).uniform(0, 2 * np.pi, OFF_MESH)
+    angles = np.random.default_rng(20).uniform(0, 2 * np.pi, 12)
     field, turn = vector_field(accelerations(own)), 2 * np.pi * torus.rotation
     starts = at_angles(torus.curve, angles)
     period = float(own.forcing_period(own.parameter_values)) if own.forced else 0.0  # type: ignore[misc]
@@ -490,13 +473,13 @@ def certify_torus(torus: Torus, model: Model) -> Torus:
     longest = torus.period / STEPS_PER_PERIOD
     scale = nonzero(np.abs(starts).max(axis=0))
     units = np.where(scale > 1e-9 * scale.max(), scale, scale.max())
-    paths = np.array([integrate_in(units, field, one, times, longest_step=longest) for one in starts])
+    paths = np.array([integrate_in(units, field, start, times, longest_step=longest) for start in starts])
     extents = extents_of(own, paths.reshape(-1, torus.curve.shape[1]), torus.period)
     missed = np.abs((paths[:, -1] - at_angles(torus.curve, angles + turn)) / extents).max()
     many = integrate_in(units, field, starts[0], torus.period * np.arange(RETURNS + 1), longest_step=longest)
     strayed = np.abs((many - at_angles(torus.curve, angles[0] + turn * np.arange(RETURNS + 1))) / extents).max()
     along = at_angles(torus.curve, angles, derivative=True) / extents
-    flow = np.array([field(0.0, one) for one in starts]) / extents
+    flow = np.array([field(0.0, start) for start in starts]) / extents
     norms = np.linalg.norm(along, axis=1) * np.linalg.norm(flow, axis=1)
     across = np.sqrt(np.maximum(0.0, 1.0 - (np.sum(along * flow, axis=1) / nonzero(norms)) ** 2))
     size = float((np.ptp(torus.curve, axis=0) / extents).max())
@@ -505,8 +488,8 @@ def certify_torus(torus: Torus, model: Model) -> Torus:
         at_most("invariance", missed, INVARIANT, "a return, between the curve's states, by another integrator"),
         at_most("returns", strayed, INVARIANT * RETURNS**2, f"{RETURNS} returns of one motion"),
         at_most("series", unresolved(torus.curve / extents), 10 * RESOLVED, "the highest harmonics"),
-        at_least("dimension", float(across.min()), FLAT, "sine between curve and flow"),
-        at_least("amplitude", size, FLAT, "the curve in extents of the motion"),
+        at_least("dimension", float(across.min()), 1e-6, "sine between curve and flow"),
+        at_least("amplitude", size, 1e-6, "the curve in extents of the motion"),
         equal("resonance", near is not None, 0.0, "{}/{}".format(*near) if near else "none up to the number of states"),
         at_most("once", float(_rounds(torus.curve / extents) - 1), 0.0, "the curve is gone round once"),
     ]  # fmt: skip
