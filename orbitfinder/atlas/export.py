@@ -8,7 +8,7 @@ import json
 from typing import Any
 
 from orbitfinder.atlas.signature import in_words
-from orbitfinder.atlas.store import Atlas, Filter, Row, named_state, proved
+from orbitfinder.atlas.store import Atlas, AtlasRow, Filter, named_state, proved
 from orbitfinder.errors import InputError
 from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.records.orbit import orbit_from_document
@@ -51,7 +51,7 @@ def flat_names(state_names: tuple[str, ...]) -> tuple[str, ...]:
     return (*names[:place], *state_names, *names[place:])
 
 
-def flat(atlas: Atlas, row: Row, state_names: tuple[str, ...]) -> dict[str, Any]:
+def flat(atlas: Atlas, row: AtlasRow, state_names: tuple[str, ...]) -> dict[str, Any]:
     """One row: numbers in SI units and rad, the state at t = 0 and where the orbit came from."""
     document = atlas.document(row.id)
     origin = dict(document.get("provenance") or {})
@@ -85,7 +85,7 @@ def as_parquet(names: list[str], rows: list[dict[str, Any]], system: str) -> byt
     table = pyarrow.table({name: [row[name] for row in rows] for name in names})
     told = {name: dict(zip(("unit", "meaning"), FIELDS.get(name, STATE), strict=True)) for name in names}
     fields = [table.schema.field(name).with_metadata(told[name]) for name in names]
-    fields = [one.with_type(pyarrow.float64()) if pyarrow.types.is_null(one.type) else one for one in fields]
+    fields = [field.with_type(pyarrow.float64()) if pyarrow.types.is_null(field.type) else field for field in fields]
     sink = io.BytesIO()
     parquet.write_table(table.cast(pyarrow.schema(fields, {"system": system})), sink)
     return sink.getvalue()

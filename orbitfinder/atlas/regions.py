@@ -53,25 +53,25 @@ class Level:
         places = equilibria(model)
         inner = np.array([energy(model, place) < level for place in places])
         places = places[inner] if np.any(inner) else places
-        one = cls(model, level, places, np.ones(places.shape[1]), bool(np.any(inner)))
+        region = cls(model, level, places, np.ones(places.shape[1]), bool(np.any(inner)))
         met = []
         for place in places:
             for unit in np.eye(place.size):
-                found = [one.crossing(place, sign * unit) for sign in (1.0, -1.0)]
-                sizes = [np.abs(x - place).max() for x in found if x is not None]
+                crossings = [region.crossing(place, sign * unit) for sign in (1.0, -1.0)]
+                sizes = [np.abs(x - place).max() for x in crossings if x is not None]
                 met.append(min(sizes, default=np.nan))
         if np.all(np.isnan(met)):
             raise InputError(f"energy: no state of energy {level:.9g} is found about equilibria; give another energy")
         sizes = np.nanmin(np.reshape(np.append(met, np.full(place.size, 1e300)), (-1, place.size)), axis=0)
-        return replace(one, lengths=given_or(model, alike(np.where(sizes < 1e300, sizes, 1.0))))
+        return replace(region, lengths=given_or(model, alike(np.where(sizes < 1e300, sizes, 1.0))))
 
     def drawn(self, random: np.random.Generator) -> np.ndarray:
         """Where a ray in a random direction, from near one of the places, first meets the level."""
         return self._cast(random, np.ones(self.lengths.size))
 
-    def fixed(self, one: Involution, random: np.random.Generator) -> np.ndarray:
+    def fixed(self, reversal: Involution, random: np.random.Generator) -> np.ndarray:
         """The same within the fixed set."""
-        return self._cast(random, np.broadcast_to(one.signs, self.lengths.size))
+        return self._cast(random, np.broadcast_to(reversal.signs, self.lengths.size))
 
     def _cast(self, random: np.random.Generator, signs: np.ndarray) -> np.ndarray:
         angles = self.model.angular
@@ -140,9 +140,9 @@ class Attractor:
         away = 0.2 * (random.uniform() < 0.5) * self.lengths * random.normal(size=self.lengths.size)
         return np.asarray(self.states[random.integers(len(self.states))] + away)
 
-    def fixed(self, one: Involution, random: np.random.Generator) -> np.ndarray:
+    def fixed(self, reversal: Involution, random: np.random.Generator) -> np.ndarray:
         """Such a state, put into the fixed set."""
-        x, signs = self.drawn(random), np.broadcast_to(one.signs, self.lengths.size)
+        x, signs = self.drawn(random), np.broadcast_to(reversal.signs, self.lengths.size)
         return np.asarray(np.where(signs < 0, np.pi * self.angles * random.integers(0, 2, signs.size), x))
 
 
@@ -164,13 +164,13 @@ def random_states(model: Model) -> list[np.ndarray]:
 
 def equilibria(model: Model) -> np.ndarray:
     """Equilibria (k x d) that Newton's method finds from random states, else the states themselves."""
-    drawn, found = random_states(model), list[np.ndarray]()
+    drawn, places = random_states(model), list[np.ndarray]()
     for start in (np.zeros(drawn[0].size), *drawn):
         try:
             with np.errstate(all="ignore"):
                 place = first_order_modes(model, start)[0]
         except (InputError, ValueError, np.linalg.LinAlgError):
             continue
-        if np.isfinite(energy(model, place)) and not any(np.abs(place - one).max() < STILL for one in found):
-            found.append(place)
-    return np.array(found or [one for one in drawn if np.isfinite(energy(model, one))])
+        if np.isfinite(energy(model, place)) and not any(np.abs(place - known).max() < STILL for known in places):
+            places.append(place)
+    return np.array(places or [state for state in drawn if np.isfinite(energy(model, state))])

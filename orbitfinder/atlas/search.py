@@ -28,7 +28,7 @@ from orbitfinder.atlas.shard import WHOLE, Shard, shard_from
 from orbitfinder.atlas.starts import CYCLES, METHOD, Context, Target, context_of, strategy_of
 from orbitfinder.atlas.store import Atlas, check_range
 from orbitfinder.atlas.tables import explained, transaction
-from orbitfinder.atlas.workers import Cluster, Inline, Job, Local, Pool, Request, Workers
+from orbitfinder.atlas.workers import Cluster, Inline, Job, LocalWorkers, Pool, Request, Workers
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
@@ -57,7 +57,7 @@ class Limits:
 
 
 @dataclass
-class Statistics:
+class SearchStatistics:
     """What a search has done in this run; `orbits` are those in the atlas."""
 
     done: int = 0
@@ -88,10 +88,10 @@ class Statistics:
     def left(self) -> float | None:
         """Seconds that are left, as far as one can tell."""
         limits = self.limits
-        found = [] if limits.budget is None else [max(0.0, limits.budget - self.elapsed)]
+        seconds = [] if limits.budget is None else [max(0.0, limits.budget - self.elapsed)]
         if limits.starts is not None and self.done:
-            found.append(max(0, (limits.shard or WHOLE).count(limits.starts) - self.made) * self.elapsed / self.done)
-        return min(found) if found else None
+            seconds.append(max(0, (limits.shard or WHOLE).count(limits.starts) - self.made) * self.elapsed / self.done)
+        return min(seconds) if seconds else None
 
 
 def register(atlas: Atlas, request: Request, context: Context, alone: bool = False) -> int:
@@ -112,10 +112,10 @@ def register(atlas: Atlas, request: Request, context: Context, alone: bool = Fal
             "SELECT ?, ?, ?, ?, ?, coalesce(max(id), 0) * ? FROM orbits",
             [*key, 0 if alone else 1],
         )
-        found = atlas.connection.execute(
+        row = atlas.connection.execute(
             "SELECT id FROM searches WHERE energy = ? AND shortest = ? AND longest = ? AND seed = ? AND method = ?", key
         )
-        return int(found.fetchone()[0])
+        return int(row.fetchone()[0])
 
 
 def unmade(atlas: Atlas, search: int, shard: Shard) -> Iterator[int]:
@@ -133,14 +133,14 @@ def unmade(atlas: Atlas, search: int, shard: Shard) -> Iterator[int]:
 
 def sources(atlas: Atlas, search: int) -> list[int]:
     """Orbits of other energies that the atlas held when the search was first asked for, nearest energy first."""
-    found = atlas.select(
+    rows = atlas.select(
         [int],
         "SELECT orbits.id FROM orbits, searches WHERE searches.id = ? AND orbits.id <= searches.sources "
         "AND abs(orbits.energy - searches.energy) > 1e-6 * max(abs(searches.energy), abs(action) / orbits.period) "
         "ORDER BY abs(orbits.energy - searches.energy), orbits.id LIMIT ?",
         [search, MOST_SOURCES],
     )
-    return [number for (number,) in found]
+    return [number for (number,) in rows]
 
 
 class Search:
@@ -148,7 +148,7 @@ class Search:
 
     def __init__(
         self, atlas: Atlas, request: Request, context: Context, limits: Limits,
-        progress: Callable[[Statistics], None] | None = None,
+        progress: Callable[[SearchStatistics], None] | None = None,
     ) -> None:  # fmt: skip
         self._atlas, self._context, self._limits, self._progress = atlas, context, limits, progress
         self.id = register(atlas, request, context, limits.shard is not None)
@@ -159,9 +159,9 @@ class Search:
         self._under_way = 0
         self._answers: dict[int, Attempt] = {}
         made = atlas.select([int], "SELECT count(*) FROM starts WHERE search = ?", [self.id])[0][0]
-        self.statistics = Statistics(orbits=len(atlas), begun_at=self._next, before=made, limits=limits)
+        self.statistics = SearchStatistics(orbits=len(atlas), begun_at=self._next, before=made, limits=limits)
 
-    def run(self, workers: Workers) -> Statistics:
+    def run(self, workers: Workers) -> SearchStatistics:
         """Hand out, judge and write until a limit is reached; starts under way are waited for."""
         for row in self._atlas.rows():
             workers.learn((row.energy, row.period, abs(row.action)))
@@ -263,7 +263,7 @@ class Found:
     __repr__ = brief("atlas", "summary")
 
     atlas: Path
-    tallies: tuple[tuple[float, Statistics], ...]
+    tallies: tuple[tuple[float, SearchStatistics], ...]
     summary: Summary
 
 
@@ -281,7 +281,7 @@ def search(
     executor: Executor | None = None,
     shard: str | tuple[int, int] | None = None,
     folder: str | Path | None = None,
-    progress: Callable[[float, Statistics], None] | None = None,
+    progress: Callable[[float, SearchStatistics], None] | None = None,
     section: Mapping[str, Sequence[float]] | None = None,
     cycles: int = CYCLES,
 ) -> Found:
@@ -353,7 +353,7 @@ def levels(model: Model, energies: float | Sequence[float] | None) -> tuple[floa
         if not model.invariants and (model.rates is not None or model.hybrid is not None):
             raise InputError("energy: this system conserves none; leave it out")
         given = [] if energies is None else energies
-        return tuple(float(one) for one in (given if isinstance(given, Sequence) else [given]))
+        return tuple(float(level) for level in (given if isinstance(given, Sequence) else [given]))
     return (0.0,)
 
 
@@ -368,7 +368,7 @@ def employed(
     rebuildable(context.model, request)
     if executor is not None:
         return Pool(request, executor, workers)
-    return Local(request, workers) if scheduler is None else Cluster(request, scheduler)
+    return LocalWorkers(request, workers) if scheduler is None else Cluster(request, scheduler)
 
 
 def rebuildable(model: Model, request: Request) -> None:

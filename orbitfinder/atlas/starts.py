@@ -128,7 +128,7 @@ class Context:
 
 
 @dataclass(frozen=True)
-class Start:
+class SearchStart:
     """One start: its number, strategy, the symmetry imposed, state (2n) and period (s), of a hybrid system the events
     that its motion goes through."""
 
@@ -153,13 +153,13 @@ def context_of(model: Model, target: Target) -> Context:
     lengths = shell_lengths(model, place, target.energy)
     origin = np.append(np.where(lengths == 1.0, 0.0, lengths), np.zeros(lengths.size))
     own = {
-        f"{DECLARED}{one.name}": one for one in declared(model)
-        if one.sense < 0 and Symmetry((one,)).held_by(model, origin)
+        f"{DECLARED}{reversal.name}": reversal for reversal in declared(model)
+        if reversal.sense < 0 and Symmetry((reversal,)).held_by(model, origin)
     }  # fmt: skip
-    known = [name for name, one in SYMMETRIES.items() if one.held_by(model, origin)]
+    known = [name for name, symmetry in SYMMETRIES.items() if symmetry.held_by(model, origin)]
     imposed = {"none"} | {symmetry for symmetry, _ in STRATEGIES.values()}
     chosen = {name: SYMMETRIES[name] for name in known if name in imposed}
-    chosen |= {one.name: Symmetry((one,)) for one in own.values()}
+    chosen |= {reversal.name: Symmetry((reversal,)) for reversal in own.values()}
     turns = (*(name for name in TURNS if possible(name, known)), *own, *(own if len(own) == 1 else ()))
     return _ready(Context(model, target, place, normal_modes(model, place)[1], turns, lengths, declared=own), chosen)
 
@@ -167,10 +167,10 @@ def context_of(model: Model, target: Target) -> Context:
 def _ready(context: Context, chosen: Mapping[str, Symmetry]) -> Context:
     """With equations and flows by the symmetries that are imposed, and the step of the cheap stage."""
     model, units = context.model, unless_one(context.units)
-    equations = {name: Equations(model, one, alone=True) for name, one in chosen.items()}
-    flows = {name: build_flow(model, (), one.unfolded(model), units=units) for name, one in chosen.items()}
-    found = replace(context, equations=equations, flows=flows)
-    return replace(found, step=calibrated(found))
+    equations = {name: Equations(model, symmetry, alone=True) for name, symmetry in chosen.items()}
+    flows = {name: build_flow(model, (), symmetry.unfolded(model), units=units) for name, symmetry in chosen.items()}
+    ready = replace(context, equations=equations, flows=flows)
+    return replace(ready, step=calibrated(ready))
 
 
 def _alone(model: Model, target: Target) -> Context:
@@ -178,8 +178,9 @@ def _alone(model: Model, target: Target) -> Context:
     region = region_of(model, target.energy, target.periods[1])
     prepare(model)
     place = region.drawn(np.random.default_rng(0))
-    own = {f"{DECLARED}{one.name}": one for one in involutions(model) if Symmetry((one,), True).held_by(model, place)}
-    chosen = {NONE.name: ALONE} | {one.name: Symmetry((one,), True) for one in own.values()}
+    held = [mirror for mirror in involutions(model) if Symmetry((mirror,), True).held_by(model, place)]
+    own = {f"{DECLARED}{mirror.name}": mirror for mirror in held}
+    chosen = {NONE.name: ALONE} | {mirror.name: Symmetry((mirror,), True) for mirror in own.values()}
     turns = ("recurrence", *own, "random", "recurrence", *own)
     shapes, lengths = np.zeros((place.size, 0)), region.lengths
     return _ready(Context(model, target, place, shapes, turns, lengths, declared=own, region=region), chosen)
@@ -197,16 +198,16 @@ def shell_lengths(model: Model, place: np.ndarray, energy: float) -> np.ndarray:
 
     These are powers of 2, 1 where they are within a factor of 16 of it or V never comes to E.
     """
-    found = np.ones(place.size)
+    sizes = np.ones(place.size)
     for k, unit in enumerate(np.eye(place.size)):
         if model.angular[k]:
             continue
         trials = (place + sign * size * unit for size in REACHES for sign in (-1, 1))
         above = (float(model.potential(q, model.parameter_values)) > energy for q in trials)
-        first = next((i for i, one in enumerate(above) if one), None)
+        first = next((i for i, higher in enumerate(above) if higher), None)
         size = 1.0 if first is None else REACHES[first // 2]
-        found[k] = alike(size)
-    return given_or(model, found)
+        sizes[k] = alike(size)
+    return given_or(model, sizes)
 
 
 def possible(name: str, known: Sequence[str]) -> bool:
@@ -222,13 +223,13 @@ def calibrated(context: Context) -> float:
     tail = np.append(span, np.zeros(march.unfolding))
 
     def marched(count: int) -> np.ndarray:
-        found = []
+        ends = []
         for state in states:
             try:
-                found.append(march.ends(state[None], uniform(1.0, 1, count), tail)[0])
+                ends.append(march.ends(state[None], uniform(1.0, 1, count), tail)[0])
             except IntegrationError:
-                found.append(np.full(state.size, np.inf))
-        return np.asarray(found)
+                ends.append(np.full(state.size, np.inf))
+        return np.asarray(ends)
 
     coarse = marched(steps)
     for _ in range(MOST_HALVINGS):
@@ -260,7 +261,7 @@ def check(model: Model, target: Target) -> None:
             "search: works in minimal coordinates, not on systems under constraints; give minimal_linkage(...) from "
             "Python, or use find with a guess"
         )
-    names = [one.name for one in model.invariants]
+    names = [invariant.name for invariant in model.invariants]
     alone = model.rates is not None and not names
     if model.forced or not (alone or (model.conservative and len(names) == 1)):
         raise InputError(
@@ -269,24 +270,24 @@ def check(model: Model, target: Target) -> None:
         )
 
 
-def make_start(context: Context, seed: int, index: int) -> Start:
+def make_start(context: Context, seed: int, index: int) -> SearchStart:
     """The start with this number; `ConvergenceError` when its strategy proposes none."""
     name = strategy_of(context, index)
     random = np.random.default_rng([seed, index])
     if context.section is not None:
-        found = context.section.returns(name, random)
-        return Start(index, name, NONE.name, found.state, found.period, found.course)
+        returned = context.section.returns(name, random)
+        return SearchStart(index, name, NONE.name, returned.state, returned.period, returned.course)
     if name in context.declared:
-        one = context.declared[name]
-        symmetry, state = one.name, _fixed(context, one, random) if one.sense < 0 else _random_state(context, random)
-        return Start(index, name, symmetry, state, _return_time(context, name, state, random))
+        mirror = context.declared[name]
+        state = _fixed(context, mirror, random) if mirror.sense < 0 else _random_state(context, random)
+        return SearchStart(index, name, mirror.name, state, _return_time(context, name, state, random))
     symmetry, propose = STRATEGIES[name]
     state = propose(context, random)
     if name == "recurrence":
         state, period = _recurrence(context, state, random)
     else:
         period = _return_time(context, name if name == REVERSAL.name else symmetry, state, random)
-    return Start(index, name, symmetry, state, period)
+    return SearchStart(index, name, symmetry, state, period)
 
 
 def strategy_of(context: Context, index: int) -> str:
@@ -369,12 +370,12 @@ def _crossing(context: Context, random: np.random.Generator) -> np.ndarray:
     return on_shell(context, context.equilibrium, context.lengths * random.normal(size=n))
 
 
-def _fixed(context: Context, one: Involution, random: np.random.Generator) -> np.ndarray:
+def _fixed(context: Context, reversal: Involution, random: np.random.Generator) -> np.ndarray:
     """In the fixed set of a reversal: some coordinates at 0 (or a half turn), the others at rest."""
     if context.region is not None:
-        return context.region.fixed(one, random)
+        return context.region.fixed(reversal, random)
     angles = context.model.angular
-    signs = np.broadcast_to(one.signs, angles.size)
+    signs = np.broadcast_to(reversal.signs, angles.size)
     for _ in range(ATTEMPTS):
         q = np.where(signs < 0, np.pi * angles * random.integers(0, 2, signs.size), random_position(context, random))
         if potential(context, q) < context.target.energy:
@@ -420,11 +421,11 @@ def boundary_gap(context: Context, symmetry: str, states: np.ndarray) -> np.ndar
     return np.asarray((np.abs(gaps) / np.where(units > 0, units, 1.0)).max(axis=1))
 
 
-def _gap_alone(one: Involution | None, states: np.ndarray, angular: np.ndarray) -> np.ndarray:
-    """The same of first-order states (k x d) in lengths, under an involution or none."""
-    if one is not None and one.sense < 0:
-        return np.asarray(np.abs(off_centre(one, states, angular)).max(axis=1))
-    first = states[0] if one is None else one.matrix(states.shape[1]) @ states[0]
+def _gap_alone(mirror: Involution | None, states: np.ndarray, angular: np.ndarray) -> np.ndarray:
+    """The same of first-order states (k x d) in lengths, under an mirror or none."""
+    if mirror is not None and mirror.sense < 0:
+        return np.asarray(np.abs(off_centre(mirror, states, angular)).max(axis=1))
+    first = states[0] if mirror is None else mirror.matrix(states.shape[1]) @ states[0]
     return np.asarray(np.abs(wrapped(states - first, angular)).max(axis=1))
 
 
@@ -444,10 +445,10 @@ def _return_time(context: Context, symmetry: str, state: np.ndarray, random: np.
     times, states = simulated(context, state, fraction * high)
     gaps = boundary_gap(context, symmetry, states)
     inner = (gaps[1:-1] <= gaps[:-2]) & (gaps[1:-1] <= gaps[2:]) & (times[1:-1] >= fraction * low)
-    found = np.flatnonzero(inner) + 1
-    if not found.size:
+    minima = np.flatnonzero(inner) + 1
+    if not minima.size:
         raise ConvergenceError("no return in the range of periods")
-    best = found[np.argsort(gaps[found])][:CHOICES]
+    best = minima[np.argsort(gaps[minima])][:CHOICES]
     return float(times[random.choice(best)] / fraction)
 
 
@@ -455,16 +456,16 @@ def _recurrence(context: Context, state: np.ndarray, random: np.random.Generator
     """The state and period of one of the closest returns of a longer simulation to itself."""
     low, high = context.target.periods
     times, states = simulated(context, state, RECURRENCE_SPAN * high)
-    step, found = float(times[1]), []
+    step, returns = float(times[1]), []
     window = int(np.ceil(high / step))
     for begin in range(0, len(times) - window, max(1, window // RECURRENCE_BEGINNINGS)):
         gaps = boundary_gap(context, "none", states[begin : begin + window])
         first = int(np.ceil(low / step))
         inner = gaps[first:-1]
         minima = np.flatnonzero((inner <= gaps[first - 1 : -2]) & (inner <= gaps[first + 1 :])) + first
-        found += [(float(gaps[k]), begin, int(k)) for k in minima]
-    if not found:
+        returns += [(float(gaps[k]), begin, int(k)) for k in minima]
+    if not returns:
         raise ConvergenceError("no return in the range of periods")
-    best = sorted(found)[:CHOICES]
+    best = sorted(returns)[:CHOICES]
     _, begin, length = best[random.integers(len(best))]
     return states[begin], length * step

@@ -51,7 +51,7 @@ SAME_ENERGY = 1e-9
 
 
 @dataclass(frozen=True)
-class Row:
+class AtlasRow:
     """One line of an atlas: an orbit in a few numbers (SI units), `instability` its largest |multiplier|.
 
     `signature` says how often each coordinate turns back in a period (see `signature.in_words`), `proof` the stability
@@ -70,7 +70,7 @@ class Row:
     proof: str
 
 
-COLUMNS = tuple(Row.__dataclass_fields__)
+COLUMNS = tuple(AtlasRow.__dataclass_fields__)
 LINES = f"SELECT {', '.join(COLUMNS)} FROM orbits"
 ALIKE_ENERGY = "CAST(printf('%.9g', energy) AS REAL)"
 """What rows are sorted by: energies that differ by round-off are one"""
@@ -106,10 +106,10 @@ class Filter:
             if (limits := getattr(self, name)) is not None:
                 check_range(name, limits)
         for name, known in KINDS.items():
-            for one in named(getattr(self, name)):
-                if one not in known:
-                    meant = STABLE if one == "stable" else closest(one, known)
-                    raise InputError(f"{name}: unknown {one!r}{meant}; use {', '.join(known)}")
+            for word in named(getattr(self, name)):
+                if word not in known:
+                    meant = STABLE if word == "stable" else closest(word, known)
+                    raise InputError(f"{name}: unknown {word!r}{meant}; use {', '.join(known)}")
 
     def condition(self) -> tuple[str, list[Any]]:
         """The same as an SQL condition with its values."""
@@ -138,7 +138,7 @@ def named(kinds: str | Sequence[str]) -> tuple[str, ...]:
 def check_range(name: str, limits: Sequence[float]) -> None:
     """`InputError` when two limits are no closed range."""
     try:
-        low, high = (float(one) for one in limits)
+        low, high = (float(limit) for limit in limits)
     except (TypeError, ValueError):
         low, high = np.nan, np.nan
     if not low <= high:
@@ -229,13 +229,14 @@ class Atlas(Shown):
         if write:
             with transaction(self.connection):
                 self.connection.execute("INSERT OR IGNORE INTO about VALUES ('system', ?)", [text])
-        found = self._recorded()
-        if canonical(found) != canonical(system) and not self._moves_alike(system, write):
+        recorded = self._recorded()
+        if canonical(recorded) != canonical(system) and not self._moves_alike(system, write):
             raise InputError(
-                f"{self.path}: system: holds orbits of {described(found, system)}, not of {described(system, found)}; "
-                "give another atlas file" + (UNDESCRIBED if system_kind(system) is OTHER else "")
+                f"{self.path}: system: holds orbits of {described(recorded, system)}, not of "
+                f"{described(system, recorded)}; give another atlas file"
+                + (UNDESCRIBED if system_kind(system) is OTHER else "")
             )
-        return found
+        return recorded
 
     def _moves_alike(self, system: Mapping[str, Any], write: bool) -> bool:
         """True when a Model without a description, given to read, has the recorded energy all along every orbit."""
@@ -270,22 +271,22 @@ class Atlas(Shown):
     def __len__(self) -> int:
         return int(self.select([int], "SELECT count(*) FROM orbits")[0][0])
 
-    def rows(self, chosen: Filter | None = None, order: str = "energy, period") -> list[Row]:
-        """The orbits that pass a filter, by energy and period (or by `order`, columns of `Row`)."""
+    def rows(self, chosen: Filter | None = None, order: str = "energy, period") -> list[AtlasRow]:
+        """The orbits that pass a filter, by energy and period (or by `order`, columns of `AtlasRow`)."""
         words = order.replace(",", " ").split()
         if not set(words) <= {*COLUMNS, "DESC"}:
             raise InputError(f"order: unknown {order!r}; use columns among {', '.join(COLUMNS)}")
         condition, values = (chosen or Filter()).condition()
         told = re.sub(r"\benergy\b", ALIKE_ENERGY, order)
         question = f"{LINES} WHERE {condition} ORDER BY {told}, id"
-        return [Row(*entry) for entry in self.select(list(get_type_hints(Row).values()), question, values)]
+        return [AtlasRow(*entry) for entry in self.select(list(get_type_hints(AtlasRow).values()), question, values)]
 
-    def row(self, number: int) -> Row:
+    def row(self, number: int) -> AtlasRow:
         """The line of one orbit, by its id."""
-        found = self.select(list(get_type_hints(Row).values()), f"{LINES} WHERE id = ?", [int(number)])
-        if not found:
+        rows = self.select(list(get_type_hints(AtlasRow).values()), f"{LINES} WHERE id = ?", [int(number)])
+        if not rows:
             raise self._missing(number)
-        return Row(*found[0])
+        return AtlasRow(*rows[0])
 
     def document(self, number: int) -> dict[str, Any]:
         """The orbit.json document of an orbit by its id."""
@@ -310,16 +311,16 @@ class Atlas(Shown):
 
     def look_up(self, signature: Signature) -> int | None:
         """The id of the orbit that a signature belongs to, None when it is new."""
-        return next((one for one in self.near(signature.bins) if same_orbit(self.signature(one), signature)), None)
+        return next((k for k in self.near(signature.bins) if same_orbit(self.signature(k), signature)), None)
 
     def near(self, bins: tuple[int, int]) -> list[int]:
         """The ids of the orbits in and next to bins of period and action."""
         periods, actions = neighbours(bins)
-        found = self.select(
+        rows = self.select(
             [int], "SELECT id FROM orbits WHERE period_bin IN (?, ?, ?) AND action_bin IN (?, ?, ?) ORDER BY id",
             [*periods, *actions],
         )  # fmt: skip
-        return [one for (one,) in found]
+        return [number for (number,) in rows]
 
     def signature(self, number: int) -> Signature:
         """The signature of a stored orbit, its loop integrated again unless it is still in memory."""
@@ -413,7 +414,7 @@ def named_state(document: Mapping[str, Any], names: Sequence[str]) -> dict[str, 
 def canonical(system: Mapping[str, Any]) -> str:
     """A description of a system in which 2 and 2.0 are one, keys sorted."""
     told = {key: value for key, value in system.items() if key not in ALIKE}
-    return json.dumps(walked(told, lambda one: float(one) if is_number(one) else one), sort_keys=True)
+    return json.dumps(walked(told, lambda entry: float(entry) if is_number(entry) else entry), sort_keys=True)
 
 
 def described(system: Mapping[str, Any], other: Mapping[str, Any]) -> str:

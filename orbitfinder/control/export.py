@@ -225,8 +225,8 @@ def c_text(controller: Controller, states: tuple[str, ...]) -> str:
         "SPLINE": ",\n".join(f"  {{{c_numbers(row)}}}" for row in own.spline),
         "FOLLOWED": f"fmod(tau, {word}_period)" if own.clock else f"{word}_follow(x, tau, 2)",
     }  # fmt: skip
-    return re.sub(r"\b[A-Z]+\b", lambda one: numbers.get(one[0], one[0]), C_FILE.replace("WORD", word))
+    return re.sub(r"\b[A-Z]+\b", lambda name: numbers.get(name[0], name[0]), C_FILE.replace("WORD", word))
 
 
 def _bounds(values: np.ndarray) -> str:
-    return ", ".join(c_number(one) if np.isfinite(one) else f"{'-' if one < 0 else ''}HUGE_VAL" for one in values)
+    return ", ".join(c_number(x) if np.isfinite(x) else f"{'-' if x < 0 else ''}HUGE_VAL" for x in values)

@@ -129,7 +129,7 @@ def unfolding_places(source: Source) -> list[int]:
 
 def _symmetries(source: Source) -> list[ca.Function]:
     """Generators of the symmetries besides time translation: each needs a phase condition of its own."""
-    return [one.generator for one in source.model.invariants if one.generator is not None]
+    return [invariant.generator for invariant in source.model.invariants if invariant.generator is not None]
 
 
 def _boundary(source: Source) -> str:
@@ -156,7 +156,7 @@ def _legend() -> list[str]:
 
 def _parameters_in_par(lines: list[str]) -> str:
     """The lines indented, with p(k) read from PAR, where AUTO may vary it."""
-    moved = [re.sub(r"\bp\((\d+)\)", lambda found: f"PAR({FIRST - 1 + int(found.group(1))})", one) for one in lines]
+    moved = [re.sub(r"\bp\((\d+)\)", lambda match: f"PAR({FIRST - 1 + int(match.group(1))})", line) for line in lines]
     return "\n".join(f"  {line}" for line in moved)
 
 

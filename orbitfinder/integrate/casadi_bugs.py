@@ -35,8 +35,8 @@ def parameter_jacobian() -> tuple[bool, str]:
     flow = ca.integrator("flow", "cvodes", {"t": t, "x": x, "p": p, "ode": rate}, 0, 1, TIGHT)
     chosen = ca.MX.sym("p", 3)
     slope = ca.Function("slope", [chosen], [ca.jacobian(flow(x0=0, p=chosen)["xf"], chosen)])
-    values = slope([1, 2, 3]).full().ravel()
-    worst = float(values[np.argmax(np.abs(values - 0.5))])
+    slopes = slope([1, 2, 3]).full().ravel()
+    worst = float(slopes[np.argmax(np.abs(slopes - 0.5))])
     return abs(worst - 0.5) > 1e-6, f"0.5 expected, {worst:.6g} found"
 
 
@@ -53,8 +53,8 @@ def algebraic_adjoint() -> tuple[bool, str]:
     shifts = step * np.eye(4)
     differences = np.array([float(value(at + shift) - value(at - shift)) / (2 * step) for shift in shifts])
     gap = np.abs(slope - differences)
-    wanted, derived = differences[gap.argmax()], slope[gap.argmax()]
-    return bool(gap.max() > 1e-5), f"{wanted:.6g} expected, {derived:.6g} found"
+    wanted, seen = differences[gap.argmax()], slope[gap.argmax()]
+    return bool(gap.max() > 1e-5), f"{wanted:.6g} expected, {seen:.6g} found"
 
 
 def overdetermined_problem() -> tuple[bool, str]:
@@ -85,7 +85,7 @@ TRIALS: tuple[tuple[str, str, Callable[[], tuple[bool, str]], str], ...] = (
 
 def known_defects() -> list[Defect]:
     """Every trial, run on the installed CasADi (about 0.1 s)."""
-    bugs = []
+    defects = []
     for name, reference, trial, instead in TRIALS:
         present: bool | None = None
         with captured():
@@ -93,5 +93,5 @@ def known_defects() -> list[Defect]:
                 present, seen = trial()
             except RuntimeError as error:
                 seen = f"could not be tried: {str(error).strip().splitlines()[-1]}"
-        bugs.append(Defect(name, reference, present, seen, instead))
-    return bugs
+        defects.append(Defect(name, reference, present, seen, instead))
+    return defects

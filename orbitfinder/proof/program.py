@@ -23,7 +23,7 @@ COMMUTATIVE = ("add", "mul")
 
 
 @dataclass(frozen=True)
-class Program:
+class ScalarProgram:
     """Operations (name, target, operand, operand or -1) on values numbered in order of creation.
 
     `constants` are (value, number), `inputs` (value, argument, entry) and `outputs` one dictionary
@@ -57,7 +57,7 @@ class Ring:
     functions: dict[str, Callable[..., Any]]
 
 
-def program(function: ca.Function) -> Program:
+def program(function: ca.Function) -> ScalarProgram:
     """The program of an SX function. `InputError` names an operation that has no power series here."""
     if not function.is_a("SXFunction"):
         raise InputError(
@@ -71,7 +71,7 @@ def program(function: ca.Function) -> Program:
         {_entry(function, i, nonzero): value for nonzero, value in result.items()}
         for i, result in ((i, graph.outputs.get(i, {})) for i in range(function.n_out()))
     )
-    return Program(graph.size, tuple(graph.constants), tuple(graph.inputs), tuple(graph.operations), outputs)
+    return ScalarProgram(graph.size, tuple(graph.constants), tuple(graph.inputs), tuple(graph.operations), outputs)
 
 
 def _entry(function: ca.Function, output: int, nonzero: int) -> int:

@@ -26,10 +26,10 @@ def tails(series: Sequence[Any], rest: Any, span: Any) -> list[Any]:
 
     `series` are the p coefficients; T_0 is the range of the whole function. Works on matrices too.
     """
-    found = [rest]
+    bounds = [rest]
     for coefficient in reversed(series):
-        found.append(coefficient + found[-1] * span)
-    return found
+        bounds.append(coefficient + bounds[-1] * span)
+    return bounds
 
 
 def remainders(code: Recurrence, values: Sequence[Series], order: int, span: Any, inputs: Sequence[Any]) -> list[Any]:

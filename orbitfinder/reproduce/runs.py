@@ -32,7 +32,7 @@ LYAPUNOV_SPAN, STRETCH = 400.0, 0.05
 
 
 @dataclass(frozen=True)
-class Run:
+class MethodRun:
     """Times (k), states in the angles (k x 2n), energy (k) and, for a DAE, |phi| and |phidot| (k)."""
 
     times: np.ndarray
@@ -47,7 +47,7 @@ class Run:
         return float(np.abs(self.energy - self.energy[0]).max())
 
 
-def simulate(method: str, span: float, baumgarte: Baumgarte | None = None) -> Run:
+def simulate(method: str, span: float, baumgarte: Baumgarte | None = None) -> MethodRun:
     """The triple pendulum from horizontal rest by one method at the report's tolerance.
 
     "dae" is integrated natively by IDAS in maximal coordinates, the others by CVODES in the angles.
@@ -59,11 +59,11 @@ def simulate(method: str, span: float, baumgarte: Baumgarte | None = None) -> Ru
         start = maximal_states(model, HORIZONTAL_REST)
         result = simulate_dae(model, start, span, count, DaeSettings(IDAS_TOLERANCE, IDAS_TOLERANCE))
         states = minimal_states(model, result.states)
-        return Run(times, states, result.energy, result.constraint_drift, result.rate_drift)
+        return MethodRun(times, states, result.energy, result.constraint_drift, result.rate_drift)
     flow = build_flow(chain(3, formulation=method), settings=IntegratorSettings(TOLERANCE, TOLERANCE))
     states = sample(flow, HORIZONTAL_REST, span, count)
     kinetic, potential = energies(flow.model, states)
-    return Run(times, states, kinetic + potential, np.zeros(count), np.zeros(count))
+    return MethodRun(times, states, kinetic + potential, np.zeros(count), np.zeros(count))
 
 
 def energy_part(folder: Path) -> dict[str, Any]:
@@ -86,7 +86,7 @@ def energy_part(folder: Path) -> dict[str, Any]:
     return numbers
 
 
-def energy_figure(runs: dict[str, Run], title: str) -> Any:
+def energy_figure(runs: dict[str, MethodRun], title: str) -> Any:
     """Kinetic, potential and total energy above, the drift of the total below."""
     figure = new_figure(6.4, 4.6, title)
     upper, lower = figure.subplots(2, 1, sharex=True)
@@ -152,15 +152,15 @@ def stretching(span: float, interval: float) -> np.ndarray:
     L. Galgani, A. Giorgilli, J.-M. Strelcyn, Meccanica 15 (1980) 9-20.
     """
     flow = build_flow(chain(3), settings=IntegratorSettings(1e-10, 1e-10))
-    state, tangent, total, found = HORIZONTAL_REST, np.ones(6) / np.sqrt(6.0), 0.0, []
+    state, tangent, total, logarithms = HORIZONTAL_REST, np.ones(6) / np.sqrt(6.0), 0.0, []
     for _ in range(round(span / interval)):
         state, matrix = transition(flow, state, interval)
         tangent = matrix @ tangent
         length = float(np.linalg.norm(tangent))
         total += np.log(length)
         tangent /= length
-        found.append(total)
-    return np.array(found)
+        logarithms.append(total)
+    return np.array(logarithms)
 
 
 def difference_figure(
@@ -297,7 +297,7 @@ def derivation_part(folder: Path) -> dict[str, Any]:
 
     These are the only numbers of the report page that differ from run to run.
     """
-    found: dict[str, Any] = {}
+    costs: dict[str, Any] = {}
     for formulation in FORMULATIONS:
         seconds: dict[str, float] = {}
         operations: dict[str, int] = {}
@@ -306,9 +306,9 @@ def derivation_part(folder: Path) -> dict[str, Any]:
             operations[str(count)] = _operations(model.acceleration)
             if seconds[str(count)] > PATIENCE:
                 break
-        found[formulation] = {"seconds": seconds, "operations": operations, "exponent": _exponent(seconds)}
-    save_both(derivation_figure(found), folder / "derivation")
-    return found
+        costs[formulation] = {"seconds": seconds, "operations": operations, "exponent": _exponent(seconds)}
+    save_both(derivation_figure(costs), folder / "derivation")
+    return costs
 
 
 def _derived(count: int, formulation: str) -> tuple[Any, float]:
@@ -326,7 +326,7 @@ def _operations(function: Any) -> int:
     if function.is_a("SXFunction"):
         return int(function.n_instructions())
     inner = [function.get_function(name) for name in function.get_function()]
-    return sum(_operations(one) for one in inner)
+    return sum(_operations(part) for part in inner)
 
 
 def _exponent(seconds: dict[str, float]) -> float:
@@ -336,11 +336,11 @@ def _exponent(seconds: dict[str, float]) -> float:
     return float(np.polyfit(np.log(counts), np.log(times), 1)[0]) if counts.size > 1 else float("nan")
 
 
-def derivation_figure(found: dict[str, Any]) -> Any:
+def derivation_figure(costs: dict[str, Any]) -> Any:
     """Time to derive against the number of links, log-log."""
     figure = new_figure(6.4, 3.8, "Time to derive n links")
     axes = figure.subplots()
-    for k, (name, entry) in enumerate(found.items()):
+    for k, (name, entry) in enumerate(costs.items()):
         counts = [int(n) for n in entry["seconds"]]
         label = rf"{TITLES[name]}: $n^{{{entry['exponent']:.1f}}}$"
         axes.loglog(
