@@ -28,16 +28,6 @@ from orbitfinder.orbits.certify import certified, return_distances
 from orbitfinder.orbits.measure import action, marched, whole_period
 from orbitfinder.records.orbit import VERSION, Orbit, orbit_from_document
 
-LARGEST_COVER = 30
-LARGEST_UNFOLDING = 1e-8
-COVER = 1e-5
-"""A return at T/k nearer than this, relative to the motion's extent, means that the loop was run k times."""
-PERIOD_MARGIN = 1.15
-"""The cheap stage lets the period leave the range by this factor before it holds it."""
-SMALLEST = 1e-3
-"""Motions of less than this extent (rad or lengths of the energy shell) are equilibria."""
-GROWTH_PER_SEGMENT = 10.0
-FEWEST_SEGMENTS, MOST_SEGMENTS = 2, 16
 CONTINUATION = "continuation"
 """The strategy that starts from a known orbit of another energy and follows its family to this one."""
 FAMILY = FamilySettings(points=40, first_step=0.1, longest_step=0.6, events=False, certify=False, longest_period=4.0)
@@ -166,8 +156,8 @@ def begun(context: Context, equations: Equations, state: np.ndarray, period: flo
         mesh = uniform(fraction, count, rounded(period * fraction / count / context.step))
         return equations.unknowns(np.asarray(state, float)[None], period, mesh)
 
-    between, clock = (FEWEST_SEGMENTS, MOST_SEGMENTS), period * fraction / np.pi
-    count = segments_needed(equations, alone(1), clock, GROWTH_PER_SEGMENT, between)
+    how, clock = context.settings, period * fraction / np.pi
+    count = segments_needed(equations, alone(1), clock, how.growth_per_segment, how.segments)
     w = alone(count)
     states = equations.march.states(w.nodes, w.mesh, w.tail)
     return replace(w, nodes=states[: -1 : w.steps // count]), states[-1]
@@ -183,19 +173,20 @@ def turns(context: Context, nodes: np.ndarray, end: np.ndarray) -> tuple[int, ..
 def solved(context: Context, problem: Problem, w: Unknowns) -> ClosedLoop:
     """The polished loop near w."""
     low, high = context.target.periods
-    periods = low / PERIOD_MARGIN, high * PERIOD_MARGIN
+    how = context.settings
+    periods = low / how.period_margin, high * how.period_margin
     equations = context.equations[problem.symmetry]
     loop = scaled_loop(problem, equations, context.step, w, periods, context.units, context.clock)
     try:
         closed = polished(loop, *solve(loop, w))
     except Stalled as stall:
         closed = polished(loop, *orbit_in_valley(loop, stall.w))
-    if context.clock * np.abs(closed.unfolding).max(initial=0.0) > LARGEST_UNFOLDING:
+    if context.clock * np.abs(closed.unfolding).max(initial=0.0) > how.largest_unfolding:
         raise ConvergenceError("unfolding does not vanish")
     closed = replace(closed, nodes=centred(context, problem, closed.nodes))
     march = context.equations[NONE.name].march
     nodes, times, states = whole_period(problem, context.flows[problem.symmetry], march, closed)
-    if (np.ptp(states, axis=0) / context.units).max() < SMALLEST:
+    if (np.ptp(states, axis=0) / context.units).max() < how.smallest:
         raise ConvergenceError("equilibrium")
     return ClosedLoop(problem, closed, nodes, times, states, action(context.model, times, states))
 
@@ -221,11 +212,13 @@ def minimal(context: Context, loop: ClosedLoop) -> ClosedLoop:
     low, high = context.target.periods
     if not low <= loop.w.period <= 2 * high:  # a multiple cover that is too long may have a period in range
         raise ConvergenceError("period outside the range")
-    covers = [k for k in range(2, LARGEST_COVER + 1) if not np.any(loop.problem.turns % k)]
+    covers = [k for k in range(2, context.settings.largest_cover + 1) if not np.any(loop.problem.turns % k)]
     near: list[bool] = []
     if covers:
         states = loop.states / context.sizes
-        near = [far < COVER for far in return_distances(loop.times, states, context.model.angular, covers)]
+        near = [
+            far < context.settings.cover for far in return_distances(loop.times, states, context.model.angular, covers)
+        ]
     if any(near):
         loop = uncovered(context, loop, max(compress(covers, near)))
     if not low <= loop.w.period <= high:

@@ -37,11 +37,8 @@ AHEAD = 32
 """Starts for each place among the workers that may be under way or unjudged: bounds the memory."""
 MOST_SOURCES = 80
 """Known orbits that a search at another energy continues from."""
-PATIENCE = 0.2
-"""Seconds between two looks at the clock."""
 DEFAULT_BUDGET = 60.0
 """Seconds of a search that is given no limit."""
-LARGEST_SEED = 2**63 - 1
 
 
 @dataclass(frozen=True)
@@ -167,7 +164,7 @@ class Search:
             workers.learn((row.energy, row.period, abs(row.action)))
         while self._hand_out(workers) or self._under_way:
             limit.check()
-            for job, attempt in workers.results(PATIENCE):
+            for job, attempt in workers.results(0.2):  # s between two looks at the clock
                 self._under_way -= 1
                 self._answers[job.number] = attempt
             while self._unjudged and self._unjudged[0] in self._answers:
@@ -392,7 +389,7 @@ def check_request(shells: Sequence[float], starts: int | None, budget: float | N
         raise InputError(f"starts: must not be negative, got {starts}; give a number of starts")
     if budget is not None and not 0 < budget < float("inf"):
         raise InputError(f"budget: must be positive and finite, got {budget}; give it in s")
-    if not 0 <= seed <= LARGEST_SEED:
+    if not 0 <= seed < 2**63:
         raise InputError(f"seed: must be between 0 and 2^63 - 1, got {seed}; give a whole number")
     if not 0 <= workers <= 256:
         raise InputError(f"workers: must be between 0 and 256, got {workers}; 0 searches in this process")

@@ -31,18 +31,11 @@ LOOP_SAMPLES = 512
 """States that a signature keeps of its loop."""
 ARC_SAMPLES = 16
 """States that it keeps of each arc of a hybrid orbit."""
-AGREEMENT = 1e-7
-"""Energy, period and action of one orbit found twice differ by less than this, relative."""
+AGREEMENT, DISTANCE = 1e-7, 5e-3
+"""By less than this energy, period and action of an orbit met twice differ, relative, and its loops, phases aligned,
+relative to the motion's extent; interpolated rates err by 1e-3."""
 LEAST = 1e-3
 """Share of how far angles move, a radian for each length, that other coordinates count as at least, and vice versa."""
-DISTANCE = 5e-3
-"""Loops of one orbit lie over each other to this, relative to the motion's extent; interpolated rates err by 1e-3."""
-PHASE_STEPS = 4
-"""Gauss-Newton steps in aligning two loops."""
-LEAST_TURN = 1e-6
-"""A coordinate turns back where its rate changes its sign by more than this, in units of the largest rate."""
-BIN = 1e-6
-"""Width of the bins of asinh(period) and asinh(action) that the atlas is indexed by; wider than `AGREEMENT`."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +77,7 @@ def turning_points(signature: Signature) -> tuple[int, ...]:
         scale = np.abs(rates).max(axis=0)
     else:
         scale = _extents(loop, signature.angles)[n:]
-    moving = [rate[np.abs(rate) > LEAST_TURN * unit] for rate, unit in zip(rates.T, scale, strict=True)]
+    moving = [rate[np.abs(rate) > 1e-6 * unit] for rate, unit in zip(rates.T, scale, strict=True)]
     return tuple(int(np.sum(np.sign(rate) != np.sign(np.roll(rate, 1)))) for rate in moving)
 
 
@@ -101,8 +94,11 @@ def in_words(orbit: Orbit, signature: Signature) -> str:
 
 
 def quantised(value: float) -> int:
-    """The bin of a number; d asinh(x) = dx / sqrt(1 + x^2), so that `agree` is never wider than one bin."""
-    return int(np.floor(np.arcsinh(value) / BIN))
+    """The bin of a number; d asinh(x) = dx / sqrt(1 + x^2), so that `agree` is never wider than one bin.
+
+    Bins are wider than `AGREEMENT`.
+    """
+    return int(np.floor(np.arcsinh(value) / 1e-6))
 
 
 def neighbours(bins: tuple[int, int]) -> tuple[list[int], list[int]]:
@@ -232,7 +228,7 @@ def _aligned(first: Signature, image: np.ndarray, scale: np.ndarray) -> float:
 def _phase(first: Signature, path: Callable[[np.ndarray], np.ndarray], moment: float, scale: np.ndarray) -> float:
     """The time (s) near a moment at which a path is nearest to the loop's first state."""
     apart = first.period / len(first.loop) / 4
-    for _ in range(PHASE_STEPS):
+    for _ in range(4):
         before, here, after = path(np.array([moment - apart, moment, moment + apart]))
         chord = wrapped(after - before, first.angles) / scale / 2
         gap = wrapped(first.loop[0] - here, first.angles) / scale

@@ -46,25 +46,42 @@ CYCLES = 3
 """Cycles of a hybrid system that an orbit goes through at most unless told otherwise."""
 METHOD = 2
 """Raised whenever the same number of a start would lead elsewhere than before; part of what a search is."""
-SAMPLES_PER_PERIOD = 400
-"""Samples of the simulation over the longest period."""
-CHOICES = 4
-"""The period is drawn from this many of the nearest returns."""
-RECURRENCE_SPAN = 3.0
-"""A recurrence start simulates this many of the longest periods."""
-RECURRENCE_BEGINNINGS = 40
-"""Returns are looked for from this many moments in each longest period."""
-ATTEMPTS = 200
-SPANS = 16
-"""The step is calibrated on this fraction of the longest period."""
-CALIBRATION_STATES = 24
-STEP_ERROR = 1e-7
-MOST_HALVINGS = 12
-REACHES = 2.0 ** np.arange(-100, 100)
-"""Distances from the equilibrium at which the energy shell is looked for."""
 DECLARED = "declared-"
 """In front of the name of a reversal that the system has or declares: such starts begin in its fixed set, look for the
 next return to it, and solve half a period."""
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """How starts are proposed, and how what they lead to is judged; another value needs another `METHOD`."""
+
+    samples_per_period: int = 400
+    """of the simulation over the longest period"""
+    choices: int = 4
+    """nearest returns from which the period is drawn"""
+    recurrence_span: float = 3.0
+    """longest periods that a recurrence start simulates"""
+    recurrence_beginnings: int = 40
+    """moments in each longest period from which returns are looked for"""
+    attempts: int = 200
+    """at a position below the energy"""
+    spans: int = 16
+    """the step is calibrated on this fraction of the longest period"""
+    calibration_states: int = 24
+    step_error: float = 1e-7
+    """of the median motion over such a span"""
+    most_halvings: int = 12
+    growth_per_segment: float = 10.0
+    segments: tuple[int, int] = (2, 16)
+    """fewest and most"""
+    period_margin: float = 1.15
+    """factor by which the cheap stage lets the period leave the range before it holds it"""
+    largest_unfolding: float = 1e-8
+    smallest: float = 1e-3
+    """motions of less than this extent (rad or lengths of the energy shell) are equilibria"""
+    largest_cover: int = 30
+    cover: float = 1e-5
+    """a return at T/k nearer than this, relative to the motion's extent, means that the loop was run k times"""
 
 
 @dataclass(frozen=True)
@@ -105,6 +122,7 @@ class Context:
     """where the states of a first-order system are drawn from"""
     section: Section | None = None
     """where those of a hybrid one are, and its orbits found"""
+    settings: SearchSettings = SearchSettings()
 
     @property
     def units(self) -> np.ndarray:
@@ -199,13 +217,14 @@ def shell_lengths(model: Model, place: np.ndarray, energy: float) -> np.ndarray:
     These are powers of 2, 1 where they are within a factor of 16 of it or V never comes to E.
     """
     sizes = np.ones(place.size)
+    reaches = 2.0 ** np.arange(-100, 100)  # distances from the equilibrium at which the energy shell is looked for
     for k, unit in enumerate(np.eye(place.size)):
         if model.angular[k]:
             continue
-        trials = (place + sign * size * unit for size in REACHES for sign in (-1, 1))
+        trials = (place + sign * size * unit for size in reaches for sign in (-1, 1))
         above = (float(model.potential(q, model.parameter_values)) > energy for q in trials)
         first = next((i for i, higher in enumerate(above) if higher), None)
-        size = 1.0 if first is None else REACHES[first // 2]
+        size = 1.0 if first is None else reaches[first // 2]
         sizes[k] = alike(size)
     return given_or(model, sizes)
 
@@ -216,10 +235,10 @@ def possible(name: str, known: Sequence[str]) -> bool:
 
 
 def calibrated(context: Context) -> float:
-    """The step (s) with which the median motion on the energy shell is right to `STEP_ERROR` per span."""
-    random, march = np.random.default_rng(0), context.equations[NONE.name].march
-    states = np.array([_random_state(context, random) for _ in range(CALIBRATION_STATES)])
-    span, steps = context.target.periods[1] / SPANS, 4
+    """The step (s) with which the median motion on the energy shell is right to `step_error` per span."""
+    how, random, march = context.settings, np.random.default_rng(0), context.equations[NONE.name].march
+    states = np.array([_random_state(context, random) for _ in range(how.calibration_states)])
+    span, steps = context.target.periods[1] / how.spans, 4
     tail = np.append(span, np.zeros(march.unfolding))
 
     def marched(count: int) -> np.ndarray:
@@ -232,12 +251,12 @@ def calibrated(context: Context) -> float:
         return np.asarray(ends)
 
     coarse = marched(steps)
-    for _ in range(MOST_HALVINGS):
+    for _ in range(how.most_halvings):
         fine = marched(2 * steps)
         with np.errstate(invalid="ignore"):
             size = np.maximum(1.0, np.abs(fine / context.units).max(axis=1))
             error = np.abs((fine - coarse) / context.units).max(axis=1) / size
-        if float(np.median(np.nan_to_num(error, nan=np.inf))) < STEP_ERROR:
+        if float(np.median(np.nan_to_num(error, nan=np.inf))) < how.step_error:
             return span / steps
         steps, coarse = 2 * steps, fine
     raise InputError(
@@ -298,8 +317,8 @@ def strategy_of(context: Context, index: int) -> str:
 def random_position(context: Context, random: np.random.Generator, most: float = 1.0) -> np.ndarray:
     """Coordinates (n) with V < E, angles uniform within `most` of a half turn of the equilibrium."""
     reach = np.where(context.model.angular, np.pi, 2.0 * context.lengths)
-    for attempt in range(ATTEMPTS):
-        shrink = most * (1.0 - 0.9 * attempt / ATTEMPTS)
+    for attempt in range(context.settings.attempts):
+        shrink = most * (1.0 - 0.9 * attempt / context.settings.attempts)
         q = context.equilibrium + shrink * reach * random.uniform(-1, 1, reach.size)
         if potential(context, q) < context.target.energy:
             return q
@@ -363,7 +382,7 @@ def _centre(context: Context, random: np.random.Generator) -> np.ndarray:
 def _crossing(context: Context, random: np.random.Generator) -> np.ndarray:
     """Passing a configuration that the reflection keeps: every angle 0 or a half turn, as the energy allows."""
     n, angles = context.model.degrees_of_freedom, context.model.angular
-    for _ in range(ATTEMPTS):
+    for _ in range(context.settings.attempts):
         q = np.where(angles, np.pi * random.integers(0, 2, n), 0.0) * (random.uniform() < 0.5)
         if potential(context, q) < context.target.energy:
             return on_shell(context, q, context.lengths * random.normal(size=n))
@@ -376,7 +395,7 @@ def _fixed(context: Context, reversal: Involution, random: np.random.Generator) 
         return context.region.fixed(reversal, random)
     angles = context.model.angular
     signs = np.broadcast_to(reversal.signs, angles.size)
-    for _ in range(ATTEMPTS):
+    for _ in range(context.settings.attempts):
         q = np.where(signs < 0, np.pi * angles * random.integers(0, 2, signs.size), random_position(context, random))
         if potential(context, q) < context.target.energy:
             return on_shell(context, q, context.lengths * np.where(signs < 0, random.normal(size=signs.size), 0.0))
@@ -431,7 +450,7 @@ def _gap_alone(mirror: Involution | None, states: np.ndarray, angular: np.ndarra
 
 def simulated(context: Context, state: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
     """Times and states of a loose simulation."""
-    samples = SAMPLES_PER_PERIOD * duration / context.target.periods[1]
+    samples = context.settings.samples_per_period * duration / context.target.periods[1]
     count = rounded(max(samples, duration / context.step))
     march, mesh = context.equations["none"].march, uniform(1.0, 1, count)
     return duration * mesh, march.states(state[None], mesh, np.append(duration, np.zeros(march.unfolding)))
@@ -448,17 +467,17 @@ def _return_time(context: Context, symmetry: str, state: np.ndarray, random: np.
     minima = np.flatnonzero(inner) + 1
     if not minima.size:
         raise ConvergenceError("no return in the range of periods")
-    best = minima[np.argsort(gaps[minima])][:CHOICES]
+    best = minima[np.argsort(gaps[minima])][: context.settings.choices]
     return float(times[random.choice(best)] / fraction)
 
 
 def _recurrence(context: Context, state: np.ndarray, random: np.random.Generator) -> tuple[np.ndarray, float]:
     """The state and period of one of the closest returns of a longer simulation to itself."""
     low, high = context.target.periods
-    times, states = simulated(context, state, RECURRENCE_SPAN * high)
+    times, states = simulated(context, state, context.settings.recurrence_span * high)
     step, returns = float(times[1]), []
     window = int(np.ceil(high / step))
-    for begin in range(0, len(times) - window, max(1, window // RECURRENCE_BEGINNINGS)):
+    for begin in range(0, len(times) - window, max(1, window // context.settings.recurrence_beginnings)):
         gaps = boundary_gap(context, "none", states[begin : begin + window])
         first = int(np.ceil(low / step))
         inner = gaps[first:-1]
@@ -466,6 +485,6 @@ def _recurrence(context: Context, state: np.ndarray, random: np.random.Generator
         returns += [(float(gaps[k]), begin, int(k)) for k in minima]
     if not returns:
         raise ConvergenceError("no return in the range of periods")
-    best = sorted(returns)[:CHOICES]
+    best = sorted(returns)[: context.settings.choices]
     _, begin, length = best[random.integers(len(best))]
     return states[begin], length * step

@@ -40,8 +40,6 @@ LOOPS_KEPT = 4096
 
 ALIKE = ("formulation", "cycle")
 """What may differ in the description of one system: all formulations are one motion, all cycles one machine's."""
-CUSTOM = "custom"
-"""The kind of a system that was built in Python and that no file describes."""
 UNDESCRIBED = (
     " (a Model built in Python has no description: it may read the orbits whose energies it has; to write, "
     "search the problem file that they came from, with --trust)"
@@ -72,8 +70,6 @@ class AtlasRow:
 
 COLUMNS = tuple(AtlasRow.__dataclass_fields__)
 LINES = f"SELECT {', '.join(COLUMNS)} FROM orbits"
-ALIKE_ENERGY = "CAST(printf('%.9g', energy) AS REAL)"
-"""What rows are sorted by: energies that differ by round-off are one"""
 
 
 @dataclass(frozen=True)
@@ -108,7 +104,8 @@ class Filter:
         for name, known in KINDS.items():
             for word in named(getattr(self, name)):
                 if word not in known:
-                    meant = STABLE if word == "stable" else closest(word, known)
+                    stable = ", stable orbits are elliptic where an energy is kept and asymptotically stable elsewhere"
+                    meant = stable if word == "stable" else closest(word, known)
                     raise InputError(f"{name}: unknown {word!r}{meant}; use {', '.join(known)}")
 
     def condition(self) -> tuple[str, list[Any]]:
@@ -125,7 +122,6 @@ class Filter:
         return " AND ".join(parts), values
 
 
-STABLE = ", stable orbits are elliptic where an energy is kept and asymptotically stable elsewhere"
 KINDS = {"stability": STABILITIES, "symmetry": tuple(SYMMETRIES)}
 """What a filter chooses by name."""
 
@@ -277,7 +273,8 @@ class Atlas(Shown):
         if not set(words) <= {*COLUMNS, "DESC"}:
             raise InputError(f"order: unknown {order!r}; use columns among {', '.join(COLUMNS)}")
         condition, values = (chosen or Filter()).condition()
-        told = re.sub(r"\benergy\b", ALIKE_ENERGY, order)
+        alike = "CAST(printf('%.9g', energy) AS REAL)"  # energies that differ by round-off are one
+        told = re.sub(r"\benergy\b", alike, order)
         question = f"{LINES} WHERE {condition} ORDER BY {told}, id"
         return [AtlasRow(*entry) for entry in self.select(list(get_type_hints(AtlasRow).values()), question, values)]
 

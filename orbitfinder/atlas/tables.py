@@ -24,7 +24,8 @@ APPLICATION = 0x6F726266
 """The letters `orbf`."""
 PATIENCE = 60.0
 """Seconds that a writer waits for another one's transaction."""
-BASE = """
+MIGRATIONS: tuple[str, ...] = (
+    """
 CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE orbits (
     id INTEGER PRIMARY KEY,
@@ -53,16 +54,16 @@ CREATE TABLE starts (
     seconds REAL NOT NULL,
     PRIMARY KEY (search, number)
 ) WITHOUT ROWID;
-"""
-LISTING = """
+""",
+    """
 CREATE INDEX orbits_by_energy ON orbits (energy, period);
 CREATE INDEX starts_by_orbit ON starts (orbit);
-"""
-DESCRIBED = """
+""",
+    """
 ALTER TABLE orbits ADD COLUMN signature TEXT NOT NULL DEFAULT '';
 ALTER TABLE orbits ADD COLUMN proof TEXT NOT NULL DEFAULT '';
-"""
-MIGRATIONS: tuple[str, ...] = (BASE, LISTING, DESCRIBED)
+""",
+)
 """Scripts that raise the version by one each; a published one is never edited, only followed by another."""
 VERSION = len(MIGRATIONS)
 OURS = ("about", "orbits", "searches", "starts", "orbits_by_signature", "orbits_by_energy", "starts_by_orbit")

@@ -36,18 +36,12 @@ from orbitfinder.mechanics.kind import build_model
 
 LONGEST_START = 120.0
 """s after which one start is given up, or a budget would be overrun without end; ordinary ones take 0.01 to 10"""
-MOST_TRIES = 2
-"""A start whose worker died is tried once more; then it has cost itself and nothing else."""
 DIED = "worker died"
 MOST_FALSE_STARTS = 3
 CONNECTING = 20.0
 """Seconds to wait for the scheduler."""
-WAITING = 300.0
-"""Seconds to wait for workers, at the beginning and whenever none is left."""
 EACH = 2
 """Starts under way for each thread: one in work, one waiting there."""
-LOOK_EVERY = 2.0
-"""Seconds between two looks at how many threads there are."""
 _one_at_a_time = threading.Lock()
 
 
@@ -240,7 +234,7 @@ class LocalWorkers(Workers):
         job = worker.job
         if job is None:
             return []
-        if job.tries < MOST_TRIES:
+        if job.tries < 2:  # once more; then it has cost itself and nothing else
             self._again.append(replace(job, tries=job.tries + 1))
             return []
         return [(job, Attempt(job.number, "", reason=DIED))]
@@ -352,11 +346,11 @@ class Pool(Futures):
 
 
 class Cluster(Futures):
-    """The workers behind a Dask scheduler."""
+    """The workers behind a Dask scheduler, `waiting` (s) for them at the beginning and whenever none is left."""
 
     name, remedy = "cluster", "install the same orbitfinder there"
 
-    def __init__(self, request: Request, address: str, waiting: float = WAITING) -> None:
+    def __init__(self, request: Request, address: str, waiting: float = 300.0) -> None:
         super().__init__(request)
         self._distributed, self._waiting = _distributed(), waiting
         self.lost = (self._distributed.KilledWorker,)
@@ -373,7 +367,7 @@ class Cluster(Futures):
     @property
     def room(self) -> int:
         """Starts that the threads of the cluster can take on."""
-        if time.monotonic() - self._looked > LOOK_EVERY:
+        if time.monotonic() - self._looked > 2.0:
             self._looked = time.monotonic()
             self._threads = sum(self._client.nthreads().values())
             if self._threads:
