@@ -7,25 +7,11 @@ builds on the same CasADi.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
-from orbitfinder._runtime.quiet import captured
-
 TIGHT = {"abstol": 1e-12, "reltol": 1e-12}
-
-
-@dataclass(frozen=True)
-class Defect:
-    """A defect and what was seen of it here: `present` is None when the trial itself could not run."""
-
-    name: str
-    reference: str
-    present: bool | None
-    seen: str
-    instead: str
 
 
 def parameter_jacobian() -> tuple[bool, str]:
@@ -81,17 +67,4 @@ TRIALS: tuple[tuple[str, str, Callable[[], tuple[bool, str]], str], ...] = (
         "equations are counted before IPOPT is called",
     ),
 )  # fmt: skip
-
-
-def known_defects() -> list[Defect]:
-    """Every trial, run on the installed CasADi (about 0.1 s)."""
-    defects = []
-    for name, reference, trial, instead in TRIALS:
-        present: bool | None = None
-        with captured():
-            try:
-                present, seen = trial()
-            except RuntimeError as error:
-                seen = f"could not be tried: {str(error).strip().splitlines()[-1]}"
-        defects.append(Defect(name, reference, present, seen, instead))
-    return defects
+"""(name, reference, trial: whether it is there and what was seen, what orbitfinder does instead)"""
