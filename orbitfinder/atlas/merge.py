@@ -18,7 +18,7 @@ from orbitfinder._runtime import limit
 from orbitfinder._runtime.arguments import checked
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.atlas.signature import same_orbit, signature_of
-from orbitfinder.atlas.store import RESTORE, Atlas
+from orbitfinder.atlas.store import RESTORE, STORED, Atlas
 from orbitfinder.atlas.tables import explained, transaction
 from orbitfinder.errors import InputError, plural
 from orbitfinder.mechanics.model import Model
@@ -193,12 +193,6 @@ def _entries(k: int, book: Atlas) -> Iterator[_Birth]:
         yield _Birth(not birth, birth, tuple(numbers), not proof, digest, *where)  # type: ignore[arg-type]
 
 
-COLUMNS = (
-    "period_bin, action_bin, energy, period, action, symmetry, stability, instability, closure, signature, proof, "
-    "document"
-)
-
-
 def _orbits(out: Atlas, books: Sequence[Atlas], entries: Sequence[_Birth]) -> dict[tuple[int, int], int]:
     """Write each orbit once; the new id of every orbit by its atlas and id there."""
     known, seen = dict[tuple[int, int], int](), dict[bytes, int]()
@@ -211,10 +205,8 @@ def _orbits(out: Atlas, books: Sequence[Atlas], entries: Sequence[_Birth]) -> di
                 signature = signature_of(orbit_from_document(document), out.model)
                 number = next((k for k in near if same_orbit(out.signature(k), signature)), None)
             if number is None:
-                row = book.connection.execute(f"SELECT {COLUMNS} FROM orbits WHERE id = ?", [entry.number]).fetchone()
-                places = ", ".join("?" * len(row))
-                number = out.connection.execute(f"INSERT INTO orbits ({COLUMNS}) VALUES ({places})", row).lastrowid
-                assert number is not None
+                row = book.connection.execute(f"SELECT {STORED} FROM orbits WHERE id = ?", [entry.number]).fetchone()
+                number = out.put(row)
             seen[entry.digest] = number
         known[entry.book, entry.number] = number
     return known

@@ -69,6 +69,8 @@ class AtlasRow:
 
 
 COLUMNS = tuple(AtlasRow.__dataclass_fields__)
+STORED = f"period_bin, action_bin, {', '.join(COLUMNS[1:])}, document"
+"""What the line of an orbit holds besides its id, in the order in which it is written"""
 LINES = f"SELECT {', '.join(COLUMNS)} FROM orbits"
 
 
@@ -345,11 +347,12 @@ class Atlas(Shown):
             float(np.abs(orbit.floquet_multipliers).max(initial=1.0)), orbit.closure, in_words(orbit, signature),
             proved(document), compressed(document),
         ]  # fmt: skip
-        cursor = self.connection.execute(
-            "INSERT INTO orbits (period_bin, action_bin, energy, period, action, symmetry, stability, instability, "
-            f"closure, signature, proof, document) VALUES ({', '.join('?' * len(numbers))})",
-            numbers,
-        )
+        return self.put(numbers)
+
+    def put(self, numbers: Sequence[Any]) -> int:
+        """Write the line of an orbit (see `STORED`); its id. To be called inside a transaction."""
+        places = ", ".join("?" * len(numbers))
+        cursor = self.connection.execute(f"INSERT INTO orbits ({STORED}) VALUES ({places})", numbers)
         assert cursor.lastrowid is not None
         return cursor.lastrowid
 

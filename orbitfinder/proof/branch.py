@@ -77,18 +77,26 @@ ROUGH = TaylorSettings(order=12, bits=80, tolerance=1e-14)
 SHARP = TaylorSettings()
 """How the ends of a branch are enclosed"""
 AGAIN = "prove the branch again"
-FIRST = 2e-3
-"""Energies of the first piece that is tried, relative to those of the family"""
-RADIUS = 1e-8
-"""Half width of a piece's box at least, beside its unknowns"""
-REMAINDER = 1e-4
-"""Remainder of a step beside the half width of a piece's box"""
-WANTED = 0.2
-"""How much of its box the image of a piece is to fill"""
-FARTHEST = 0.3
-"""How far from the nearest point of the family the first orbit may be (rad, rad/s, s)"""
-NARROWEST = 1e-6
-"""Energies of the shortest piece that is tried, relative to those asked for"""
+SAID = ("stability_change",)
+"""Events that say what others at the same place do to the stability, and have no multiplier of their own"""
+
+
+@dataclass(frozen=True)
+class BranchSettings:
+    """How a branch is cut into pieces."""
+
+    first: float = 2e-3
+    """energies of the first piece that is tried, relative to those of the family"""
+    radius: float = 1e-8
+    """half width of a piece's box at least, beside its unknowns"""
+    remainder: float = 1e-4
+    """remainder of a step beside the half width of a piece's box"""
+    wanted: float = 0.2
+    """how much of its box the image of a piece is to fill"""
+    farthest: float = 0.3
+    """how far from the nearest point of the family the first orbit may be (rad, rad/s, s)"""
+    narrowest: float = 1e-6
+    """energies of the shortest piece that is tried, relative to those asked for"""
 
 
 @dataclass(frozen=True)
@@ -150,25 +158,6 @@ class Checked:
         return [x + y for x, y in zip(self.piece.at(place), self.image, strict=True)]
 
 
-def checked(equations: TheoremEquations, piece: Piece) -> Checked:
-    """The operator on a piece, every energy of it at once."""
-    settings = replace(ROUGH, tolerance=REMAINDER * min(piece.radius))
-    here, centre, nodes = replace(equations, energy=piece.energy), piece.functions, equations.formulation.nodes
-    still = nodes([arb(0)] * len(centre))
-    starts = [[x - y for x, y in zip(*pair, strict=True)] for pair in zip(nodes(piece.spread), still, strict=True)]
-    clouds = [integrate(here.field, bundle(*pair), settings) for pair in zip(nodes(centre), starts, strict=True)]
-    values: np.ndarray = np.array(residual(here, centre, [end.point for end, _ in clouds]), dtype=object)
-    around = [x + y for x, y in zip(centre, piece.spread, strict=True)]
-    rows = jacobian_rows(here, around, [end.derivatives.ravel().tolist() for end, _ in clouds])
-    slopes: np.ndarray = np.array(rows, dtype=object)
-    inverse = inverse_along(slopes)
-    defect = ranged(table(identity(len(centre))) - inverse @ slopes)
-    parts = zip(ranges(inverse @ values), (defect * column(piece.spread)).entries(), strict=True)
-    image = [e - f for f, e in parts]
-    arcs = [(ranges(end.point), ranged(end.derivatives), ranges(end.hull), steps) for end, steps in clouds]
-    return Checked(piece, image, norm(defect), inside(piece.spread, image), arcs)
-
-
 def inverse_along(slopes: np.ndarray) -> np.ndarray:
     """A polynomial in e near the inverse of a matrix of functions: C_0 = M_0^-1, C_k = -C_0 sum_{j>=1} M_j C_{k-j}."""
     flat = [slope.short for slope in along(slopes.ravel().tolist())]
@@ -180,32 +169,6 @@ def inverse_along(slopes: np.ndarray) -> np.ndarray:
     for i, j in np.ndindex(slopes.shape):
         inverse[i, j] = Along(arb_poly([float(matrix[i, j]) for matrix in powers]))
     return inverse
-
-
-def fitted(equations: TheoremEquations, near: Callable[[float], Vector], low: float, high: float) -> Checked:
-    """A piece through orbits at Chebyshev's points between two energies, from unknowns near those at a value of e."""
-    places = np.polynomial.chebyshev.chebpts1(DEGREE + 1)
-    rows, middle, half = [], 0.5 * (low + high), 0.5 * (high - low)
-    inverse = linearised(replace(equations, energy=arb(middle)), near(0.0), ROUGH)[1]
-    for place in places.tolist():
-        here = replace(equations, energy=arb(middle) + arb(half) * arb(place))
-        rows.append([float(x) for x in solve(here, near(place), ROUGH, 1e-13, FARTHEST, inverse)[0]])
-    bends = np.polynomial.chebyshev.chebfit(places, np.array(rows), DEGREE)
-    powers: np.ndarray = np.zeros((bends.shape[1], DEGREE + 1))
-    for k, bend in enumerate(bends.T):
-        terms = np.polynomial.chebyshev.cheb2poly(bend)  # without the zeros that it ends with
-        powers[k, : len(terms)] = terms
-    radius = np.full(len(powers), RADIUS * np.abs(powers).max())
-    piece = Piece(low, high, tuple(tuple(map(float, terms)) for terms in powers), tuple(map(float, radius)))
-    return checked(equations, piece)
-
-
-def scaled(shown: Checked | None) -> float:
-    """How much wider (or narrower) than a piece the next one may be: what is left out grows with e to the D + 1."""
-    if shown is None:
-        return 0.4
-    wanted = (WANTED / nonzero(fill(shown))) ** (1.0 / (DEGREE + 1))
-    return float(np.clip(wanted, 0.3, 2.0 if shown.proved else 0.8))
 
 
 def guess(joined: Sequence[Checked], near: Vector, low: float, high: float) -> Callable[[float], Vector]:
@@ -339,6 +302,50 @@ class _BranchProof:
     model: Model
     equations: TheoremEquations
     say: Progress
+    settings: BranchSettings = BranchSettings()
+
+    def checked(self, piece: Piece) -> Checked:
+        """The operator on a piece, every energy of it at once."""
+        settings = replace(ROUGH, tolerance=self.settings.remainder * min(piece.radius))
+        here, centre = replace(self.equations, energy=piece.energy), piece.functions
+        nodes = here.formulation.nodes
+        still = nodes([arb(0)] * len(centre))
+        starts = [[x - y for x, y in zip(*pair, strict=True)] for pair in zip(nodes(piece.spread), still, strict=True)]
+        clouds = [integrate(here.field, bundle(*pair), settings) for pair in zip(nodes(centre), starts, strict=True)]
+        values: np.ndarray = np.array(residual(here, centre, [end.point for end, _ in clouds]), dtype=object)
+        around = [x + y for x, y in zip(centre, piece.spread, strict=True)]
+        rows = jacobian_rows(here, around, [end.derivatives.ravel().tolist() for end, _ in clouds])
+        slopes: np.ndarray = np.array(rows, dtype=object)
+        inverse = inverse_along(slopes)
+        defect = ranged(table(identity(len(centre))) - inverse @ slopes)
+        parts = zip(ranges(inverse @ values), (defect * column(piece.spread)).entries(), strict=True)
+        image = [e - f for f, e in parts]
+        arcs = [(ranges(end.point), ranged(end.derivatives), ranges(end.hull), steps) for end, steps in clouds]
+        return Checked(piece, image, norm(defect), inside(piece.spread, image), arcs)
+
+    def fitted(self, near: Callable[[float], Vector], low: float, high: float) -> Checked:
+        """A piece through orbits at Chebyshev's points between two energies, from unknowns near those at an e."""
+        places = np.polynomial.chebyshev.chebpts1(DEGREE + 1)
+        rows, middle, half = [], 0.5 * (low + high), 0.5 * (high - low)
+        inverse = linearised(replace(self.equations, energy=arb(middle)), near(0.0), ROUGH)[1]
+        for place in places.tolist():
+            here = replace(self.equations, energy=arb(middle) + arb(half) * arb(place))
+            rows.append([float(x) for x in solve(here, near(place), ROUGH, 1e-13, self.settings.farthest, inverse)[0]])
+        bends = np.polynomial.chebyshev.chebfit(places, np.array(rows), DEGREE)
+        powers: np.ndarray = np.zeros((bends.shape[1], DEGREE + 1))
+        for k, bend in enumerate(bends.T):
+            terms = np.polynomial.chebyshev.cheb2poly(bend)  # without the zeros that it ends with
+            powers[k, : len(terms)] = terms
+        radius = np.full(len(powers), self.settings.radius * np.abs(powers).max())
+        piece = Piece(low, high, tuple(tuple(map(float, terms)) for terms in powers), tuple(map(float, radius)))
+        return self.checked(piece)
+
+    def scaled(self, shown: Checked | None) -> float:
+        """How much wider (or narrower) than a piece the next one may be: what is left out grows with e to the D + 1."""
+        if shown is None:
+            return 0.4
+        wanted = (self.settings.wanted / nonzero(fill(shown))) ** (1.0 / (DEGREE + 1))
+        return float(np.clip(wanted, 0.3, 2.0 if shown.proved else 0.8))
 
     def pieces(self, near: Vector, low: float, high: float, first: float) -> list[Checked]:
         """The pieces from one energy to another, from unknowns near the first orbit. Raises `NotProved`."""
@@ -348,15 +355,15 @@ class _BranchProof:
             following = high if high - here < 1.3 * length else here + length
             shown, why = None, "the operator does not map the box into itself"
             try:
-                shown = fitted(self.equations, guess(joined, near, here, following), here, following)
+                shown = self.fitted(guess(joined, near, here, following), here, following)
                 if shown.proved:
                     self.join(joined, shown)
             except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
                 shown, why = None, str(error)
-            length = (following - here) * scaled(shown)
+            length = (following - here) * self.scaled(shown)
             if shown is not None and shown.proved:
                 here = following
-            elif length < NARROWEST * (high - low):
+            elif length < self.settings.narrowest * (high - low):
                 raise NotProved(f"no piece of the branch is short enough beyond {here!r} J: {why}")
         return joined
 
@@ -364,7 +371,7 @@ class _BranchProof:
         """Recorded pieces checked once more. Raises `NotProved`."""
         joined: list[Checked] = []
         for piece in pieces:
-            shown = checked(self.equations, piece)
+            shown = self.checked(piece)
             if not shown.proved:
                 raise NotProved(f"from {piece.low!r} to {piece.high!r} J the operator does not map the box into itself")
             self.join(joined, shown)
@@ -408,13 +415,14 @@ def prove_branch(
             raise InputError("system: it conserves no energy; a branch is proved over an interval of energies")
         start = approach(model, origin, chosen_symmetry(origin, model, codes, symmetry), 1)
         equations = make_equations(model, codes, start, arb(origin.energy))
-        inner = [event for event in family.events if low < event.energy < high and event.kind != "stability_change"]
+        inner = [event for event in family.events if low < event.energy < high and event.kind not in SAID]
         asked = [(event.kind, 2.0 * float(complex(event.multiplier).real)) for event in inner]
         form, cut = start.formulation, equations.section
         section = None if cut is None else (tuple(cut[0]), tuple(cut[1]))
         stated = form.symmetry.name, form.segments, form.constants, form.turns, section
         empty = Branch(family.name, model.system, *stated, low, high, formulation=form)
-        run, first = _BranchProof(model, equations, say), FIRST * float(np.ptp(family.values("energy")))
+        run = _BranchProof(model, equations, say)
+        first = run.settings.first * float(np.ptp(family.values("energy")))
         return _concluded(empty, run, codes, asked, lambda: run.pieces(unknowns_at(start), low, high, first))
 
 

@@ -131,7 +131,7 @@ def state_remainder(field: Field, jet: Jet, h: Any, order: int) -> Vector | None
             return None
         if inside(trial, image):
             return image
-        trial = [arb(x.mid(), 1.5 * arb(x.rad()) + abs(x).upper() * 2.0**-10 + LEAST) for x in image]
+        trial = _widened(image)
     return None
 
 
@@ -156,44 +156,37 @@ def transition_remainder(
     below p.
     """
     order, n, d, span = settings.order, field.size, field.dimension, up_to(arb(step.h))
-    _, rest, own = _state_image(field, jet, span, step.remainder, order)
-    values = outputs(jet.code, rest)
+    _, rest, state = _state_image(field, jet, span, step.remainder, order)
+    values, width, factor = outputs(jet.code, rest), d + 2, jet.tau / (order + 1)
     slopes = [*slopes, slope_series(n, d, {k: [x] for k, x in values[1].items()}, 1)[0]]
-    forcing = own[n:] + [values[0].get(i, arb(0)) for i in range(n)]
-    trial = arb_mat(d + 1, d + 2)
+    forcing = state[n:] + [values[0].get(i, arb(0)) for i in range(n)]  # remainders of the field, its derivative by tau
+
+    def image(trial: Any) -> Vector:
+        """The rows of (q, v) of Picard's image."""
+        own = blocks[order] + trial * span
+        beyond = tails(blocks[:order], own, span)
+        lower = slopes[0] * beyond[0]
+        for slope, tail in zip(slopes[1:], beyond[1:], strict=True):
+            lower += slope * tail
+        rows = [factor * x for x in own.entries()[n * width : d * width]] + [factor * x for x in lower.entries()]
+        for i, x in enumerate(forcing):
+            rows[i * width + width - 1] += x / (order + 1)
+        return rows
+
+    trial = arb_mat(d + 1, width)
     for _ in range(GUESSES + 3):
-        image = _transition_image(field, jet, blocks, slopes, forcing, trial, span, order)
-        if inside(trial.entries()[: -d - 2], image.entries()[: -d - 2]):
+        rows = image(trial)
+        if inside(trial.entries()[:-width], rows):
             return trial
-        grown = [arb(x.mid(), 1.5 * arb(x.rad()) + abs(x).upper() * 2.0**-10 + LEAST)
-                 for x in image.entries()[: -d - 2]]  # fmt: skip
-        trial = arb_mat(d + 1, d + 2, grown + [arb(0)] * (d + 2))
+        trial = arb_mat(d + 1, width, _widened(rows) + [arb(0)] * width)
     raise IntegrationError(
-        "the derivatives over a step could not be enclosed; raise the order",
-        time=step.begin * float(jet.tau.mid()),
+        "the derivatives over a step could not be enclosed; raise the order", time=step.begin * float(jet.tau.mid())
     )
 
 
-def _transition_image(
-    field: Field, jet: Jet, blocks: list[Any], slopes: list[Any], forcing: Vector, trial: Any,
-    span: Any, order: int,
-) -> Any:  # fmt: skip
-    """Picard's image of the remainder H (d+1 x d+2) of the derivatives of (q, v, s).
-
-    `blocks` their coefficients 0..p, `slopes` those of d(a + s u)/d(q, v, s) below p and its remainder,
-    `forcing` the remainders (d) of the field, its derivative by tau.
-    """
-    n, d, width = field.size, field.dimension, field.dimension + 2
-    own = blocks[order] + trial * span
-    found_tails = tails(blocks[:order], own, span)
-    lower = slopes[0] * found_tails[0]
-    for slope, tail in zip(slopes[1:], found_tails[1:], strict=True):
-        lower += slope * tail
-    factor = jet.tau / (order + 1)
-    rows = [factor * x for x in own.entries()[n * width : d * width]] + [factor * x for x in lower.entries()]
-    for i, x in enumerate(forcing):
-        rows[i * width + width - 1] += x / (order + 1)
-    return arb_mat(d + 1, width, rows + [arb(0)] * width)
+def _widened(balls: Vector) -> Vector:
+    """The next trial for a remainder after one whose image was not inside it."""
+    return [arb(x.mid(), 1.5 * arb(x.rad()) + abs(x).upper() * 2.0**-10 + LEAST) for x in balls]
 
 
 # --------------------------------------------------------------------------------------------------

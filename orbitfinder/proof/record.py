@@ -29,12 +29,6 @@ MARGIN = 2.0
 """Radii are recorded wider than they are found by this factor: a replay elsewhere has other round-off"""
 LOOSEST = 0.1
 """Radius beyond which a recorded ball claims next to nothing, unless no smaller one is found; relative above 1"""
-PHASE = 1e-6
-"""Largest difference, in periods, between a recorded phase and the recomputed one (a minimum found to 1e-9)"""
-EXACT = 3000
-"""Decimal digits that hold the sum of any two floats exactly"""
-NUMBER = r"\[?[-+]?\d[-+\d.e/ ]*\]?"
-"""A decimal, or a ball such as [1.25 +/- 3e-10]"""
 
 
 def enclosure(ball: Any, digits: int = DIGITS, margin: float = 1.0) -> dict[str, Any]:
@@ -201,8 +195,9 @@ def _minimal(recorded: Any, fresh: Mapping[str, Any]) -> bool:
 
 
 def _same_words(recorded: Any, fresh: str) -> bool:
-    """True for the same sentence, whatever the last digits of the numbers in it."""
-    return isinstance(recorded, str) and re.sub(NUMBER, "#", recorded) == re.sub(NUMBER, "#", fresh)
+    """True for the same sentence, whatever the last digits of the numbers in it, balls such as [1.25 +/- 3e-10] too."""
+    number = r"\[?[-+]?\d[-+\d.e/ ]*\]?"
+    return isinstance(recorded, str) and re.sub(number, "#", recorded) == re.sub(number, "#", fresh)
 
 
 def _holds(recorded: Any, fresh: Any) -> bool:
@@ -216,7 +211,7 @@ def _holds(recorded: Any, fresh: Any) -> bool:
         (value, radius), (centre, within) = (
             (Decimal(str(ball["value"])), Decimal(float(ball["radius"]))) for ball in (recorded, fresh)
         )
-        with localcontext(Context(EXACT, traps=[Inexact, InvalidOperation])):
+        with localcontext(Context(3000, traps=[Inexact, InvalidOperation])):  # digits that hold the sum of two floats
             loosest = max(Decimal(LOOSEST) * max(Decimal(1), abs(centre)), 4 * within)
             return abs(value - centre) + within <= radius <= loosest
     except (KeyError, TypeError, ValueError, ArithmeticError):
@@ -238,7 +233,9 @@ COMPARED: dict[str, Callable[[Any, Any], bool]] = {
     **dict.fromkeys(("contraction", "steps"), close),
     **dict.fromkeys(("distance", "period_distance", "enclosure_radius"), _wider),
     "box_radius": _at_least,
-    "phase": lambda recorded, fresh: abs((recorded - fresh + 0.5) % 1.0 - 0.5) < PHASE,
+    "phase": lambda recorded, fresh: (
+        abs((recorded - fresh + 0.5) % 1.0 - 0.5) < 1e-6
+    ),  # periods: a minimum, known to 1e-9
     "minimal_period": _minimal,
     "stability_reason": _same_words,
 }

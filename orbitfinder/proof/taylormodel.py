@@ -41,7 +41,7 @@ def remainders(code: Recurrence, values: Sequence[Series], order: int, span: Any
     for (value, _, _), ball in zip(code.variables, inputs, strict=True):
         model.rest[value] = ball
     for name, target, a, b, constant in code.operations:
-        if name in LINEAR:
+        if name in ("add", "sub", "neg"):  # of which the remainder is that of their operands' remainders
             model.rest[target] = WHOLE[name](*operands(model.rest, a, b, constant))
         elif name == "sincos":
             model.rest[target], model.rest[b] = _sincos(model, target, a, b)
@@ -138,8 +138,6 @@ def _power(m: _Model, w: int, u: int, _v: int, c: Any) -> Any:
     return -(span**c) * growth + c * span ** (c - 1) * m.rest[u]
 
 
-LINEAR = ("add", "sub", "neg")
-"""Operations whose remainder is that of their operands' remainders"""
 RULES: dict[str, Callable[..., Any]] = {
     "scale": lambda m, w, u, v, c: c * m.rest[u], "shift": lambda m, w, u, v, c: m.rest[u],
     "mul": _product,

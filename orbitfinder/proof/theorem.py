@@ -313,7 +313,6 @@ def nearest(apart: np.ndarray, flow: np.ndarray) -> float:
 # Many digits of an orbit: Newton at high precision, and the interval Newton theorem round the result.
 
 
-MOST_DIGITS = 250
 GUARD = 8
 """digits carried beyond those asked for"""
 
@@ -344,8 +343,8 @@ def settings_for(digits: int, order: int | None = None, bits: int | None = None)
     The order that costs least grows as -ln(tolerance) / 2: A. Jorba, M. Zou, Experimental
     Mathematics 14 (2005) 99-117, section 3.
     """
-    if not 1 <= digits <= MOST_DIGITS:
-        raise InputError(f"digits: must be from 1 to {MOST_DIGITS}, got {digits}; 50 are plenty for most purposes")
+    if not 1 <= digits <= 250:
+        raise InputError(f"digits: must be from 1 to 250, got {digits}; 50 are plenty for most purposes")
     wanted = digits + GUARD
     least = math.ceil(wanted * math.log2(10)) + 40
     if bits is not None and bits < least:
