@@ -456,6 +456,11 @@ def simulated(context: Context, state: np.ndarray, duration: float) -> tuple[np.
     return duration * mesh, march.states(state[None], mesh, np.append(duration, np.zeros(march.unfolding)))
 
 
+def _minima(gaps: np.ndarray) -> np.ndarray:
+    """Where gaps are no larger than before and after."""
+    return np.flatnonzero((gaps[1:-1] <= gaps[:-2]) & (gaps[1:-1] <= gaps[2:])) + 1
+
+
 def _return_time(context: Context, symmetry: str, state: np.ndarray, random: np.random.Generator) -> float:
     """A period at which the boundary condition nearly holds, drawn from the nearest few."""
     half = symmetry == REVERSAL.name or symmetry in context.declared
@@ -463,8 +468,8 @@ def _return_time(context: Context, symmetry: str, state: np.ndarray, random: np.
     low, high = context.target.periods
     times, states = simulated(context, state, fraction * high)
     gaps = boundary_gap(context, symmetry, states)
-    inner = (gaps[1:-1] <= gaps[:-2]) & (gaps[1:-1] <= gaps[2:]) & (times[1:-1] >= fraction * low)
-    minima = np.flatnonzero(inner) + 1
+    minima = _minima(gaps)
+    minima = minima[times[minima] >= fraction * low]
     if not minima.size:
         raise ConvergenceError("no return in the range of periods")
     best = minima[np.argsort(gaps[minima])][: context.settings.choices]
@@ -479,10 +484,7 @@ def _recurrence(context: Context, state: np.ndarray, random: np.random.Generator
     window = int(np.ceil(high / step))
     for begin in range(0, len(times) - window, max(1, window // context.settings.recurrence_beginnings)):
         gaps = boundary_gap(context, "none", states[begin : begin + window])
-        first = int(np.ceil(low / step))
-        inner = gaps[first:-1]
-        minima = np.flatnonzero((inner <= gaps[first - 1 : -2]) & (inner <= gaps[first + 1 :])) + first
-        returns += [(float(gaps[k]), begin, int(k)) for k in minima]
+        returns += [(float(gaps[k]), begin, int(k)) for k in _minima(gaps) if k >= np.ceil(low / step)]
     if not returns:
         raise ConvergenceError("no return in the range of periods")
     best = sorted(returns)[: context.settings.choices]

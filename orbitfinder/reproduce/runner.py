@@ -15,7 +15,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from orbitfinder._runtime import __version__
 from orbitfinder.errors import InputError
 from orbitfinder.records.reading import write_atomically
-from orbitfinder.reproduce.facts import HOURS_FOR_100_LINKS, ORBITS, SEPARATION, TOLERANCE
+from orbitfinder.reproduce.facts import FORMULATIONS, HOURS_FOR_100_LINKS, ORBITS, SEPARATION, SIZES, TOLERANCE
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,6 @@ def fingerprint(part: Part) -> str:
 
 
 Numbers = dict[str, Any]
-SIZES = ["3", "10", "30", "100", "300", "1000"]
 METHODS = (
     ("Newton-Euler", "newton-euler", "2"), ("DAE, native, no stabilisation", "dae", "4"),
     ("DAE, native, Baumgarte", "dae with Baumgarte", "4"), ("Lagrange", "lagrange", "5"),
@@ -109,7 +108,7 @@ def write_page(folder: Path, numbers: Numbers) -> Path:
     """Write README.md from the parts' numbers."""
     text = PAGES.get_template("README.md.jinja").render(
         numbers, printed_orbits=ORBITS, tolerance=TOLERANCE, separation=SEPARATION, hours=HOURS_FOR_100_LINKS,
-        sizes=SIZES, orbit_rows=_orbits(numbers["orbits"]), energy_rows=_energy(numbers["energy"]),
+        sizes=[*map(str, SIZES)], orbit_rows=_orbits(numbers["orbits"]), energy_rows=_energy(numbers["energy"]),
         difference_rows=_differences(numbers["differences"]), chain_rows=_chains(numbers["derivation"]),
         linkage_rows=_linkages(numbers["four_bar"]["linkages"]),
     )  # fmt: skip
@@ -157,8 +156,8 @@ def _linkages(linkages: list[Numbers]) -> list[list[str]]:
 
 def _chains(derivation: Numbers) -> list[list[str]]:
     rows = []
-    for name in ("lagrange", "newton-euler", "dae", "recursive"):
+    for name in FORMULATIONS:
         seconds, exponent = derivation[name]["seconds"], derivation[name]["exponent"]
-        cells = [f"{seconds[n]:.3f}" if n in seconds else "left out" for n in SIZES]
+        cells = [f"{seconds[n]:.3f}" if n in seconds else "left out" for n in map(str, SIZES)]
         rows.append([name, *cells, f"{exponent:.1f}"])
     return rows

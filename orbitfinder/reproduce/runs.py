@@ -16,7 +16,16 @@ from orbitfinder.mechanics.constrained import maximal_states, minimal_states
 from orbitfinder.mechanics.model import Baumgarte, energies, positions
 from orbitfinder.mechanisms.chain import chain, chain_dae
 from orbitfinder.mechanisms.linkage import assemble, linkage, linkage_rates, linkage_state
-from orbitfinder.reproduce.facts import FIGURE_OF_METHOD, HOURS_FOR_100_LINKS, METHODS, SEPARATION, TITLES, TOLERANCE
+from orbitfinder.reproduce.facts import (
+    FIGURE_OF_METHOD,
+    FORMULATIONS,
+    HOURS_FOR_100_LINKS,
+    METHODS,
+    SEPARATION,
+    SIZES,
+    TITLES,
+    TOLERANCE,
+)
 from orbitfinder.show.animate import AnimationSettings, save_animation, simulation_clip
 from orbitfinder.show.style import dress, new_figure, plane, save_both
 from orbitfinder.show.svg import COLOURS
@@ -282,14 +291,7 @@ def figure_10(result: DaeTrajectory, points: np.ndarray) -> Any:
 # Chains of many links: what it costs to derive them by each formulation, and 100 links in motion.
 
 
-SIZES = (3, 10, 30, 100, 300, 1000)
-FORMULATIONS = ("lagrange", "newton-euler", "dae", "recursive")
-PATIENCE = 1.5
-"""s: a formulation that took longer for one size is not asked for the next, some 3 times larger"""
-WARM, QUICK = 5, 30
-"""Times that up to so many links are derived: the first also pays for imports, caches and memory"""
-LINKS, SPAN = 100, 10.0
-LONG_CHAIN = IntegratorSettings(1e-11, 1e-12, max_steps=500_000)
+LINKS = 100
 
 
 def derivation_part(folder: Path) -> dict[str, Any]:
@@ -304,17 +306,20 @@ def derivation_part(folder: Path) -> dict[str, Any]:
         for count in SIZES:
             model, seconds[str(count)] = _derived(count, formulation)
             operations[str(count)] = _operations(model.acceleration)
-            if seconds[str(count)] > PATIENCE:
-                break
+            if seconds[str(count)] > 1.5:
+                break  # one size more is some 3 times larger
         costs[formulation] = {"seconds": seconds, "operations": operations, "exponent": _exponent(seconds)}
     save_both(derivation_figure(costs), folder / "derivation")
     return costs
 
 
 def _derived(count: int, formulation: str) -> tuple[Any, float]:
-    """A chain and the processor seconds that it takes to derive, the least of several where it is quick."""
+    """A chain and the processor seconds that it takes to derive, the least of several where it is quick.
+
+    The first time also pays for imports, caches and memory.
+    """
     took = float("inf")
-    for _ in range(WARM if count <= QUICK else 1):
+    for _ in range(5 if count <= 30 else 1):
         began = time.process_time()
         model = chain(count, formulation=formulation)
         took = min(took, time.process_time() - began)
@@ -360,15 +365,16 @@ def hundred_part(folder: Path) -> dict[str, Any]:
     """100 links from horizontal rest for 10 s: energy drift against m g l n^2 / 2, and an animation."""
     model = chain(LINKS)
     start = np.concatenate([np.full(LINKS, np.pi / 2), np.zeros(LINKS)])
-    states = sample(build_flow(model, settings=LONG_CHAIN), start, SPAN, 501)
+    settings = IntegratorSettings(1e-11, 1e-12, max_steps=500_000)
+    states = sample(build_flow(model, settings=settings), start, SPAN, 501)
     times = np.linspace(0.0, SPAN, len(states))
     kinetic, potential = energies(model, states)
     total = kinetic + potential
     scale = 9.8 * LINKS**2 / 2
     points = positions(model, states)
-    settings = AnimationSettings(pixels=320, rate=20, supersampling=2)
-    clip = simulation_clip(times, points, f"{LINKS} links from horizontal rest", settings)
-    save_animation(clip, folder / "chain-100.gif", settings)
+    drawn = AnimationSettings(pixels=320, rate=20, supersampling=2)
+    clip = simulation_clip(times, points, f"{LINKS} links from horizontal rest", drawn)
+    save_animation(clip, folder / "chain-100.gif", drawn)
     save_both(chain_figure(times, points, total - total[0], scale), folder / "chain-100")
     drift = float(np.abs(total - total[0]).max())
     return {"links": LINKS, "span": SPAN, "drift": drift, "scale": scale, "relative_drift": drift / scale}
