@@ -28,7 +28,7 @@ from prove_atlas import cost
 import orbitfinder as of
 from orbitfinder.atlas.export import FIELDS, STATE, exported
 from orbitfinder.atlas.report import summarise, total
-from orbitfinder.atlas.store import Row
+from orbitfinder.atlas.store import AtlasRow
 from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.proof.record import entry
@@ -94,7 +94,7 @@ class Pick:
 
     why: str
     name: str
-    row: Row
+    row: AtlasRow
 
 
 def compacted(source: Path, target: Path) -> None:
@@ -157,21 +157,21 @@ def narrow(document: dict) -> bool:
     )
 
 
-def least(rows: list[Row], taken: set[int], key, wanted=lambda row: True) -> Row:
+def least(rows: list[AtlasRow], taken: set[int], key, wanted=lambda row: True) -> AtlasRow:
     """The untaken row with the least key."""
     row = min((row for row in rows if wanted(row) and row.id not in taken), key=key)
     taken.add(row.id)
     return row
 
 
-def twelve(triple: list[Row], quadruple: list[Row]) -> list[Pick]:
-    def rate(row: Row) -> float:
+def twelve(triple: list[AtlasRow], quadruple: list[AtlasRow]) -> list[Pick]:
+    def rate(row: AtlasRow) -> float:
         return float(np.log(row.instability) / row.period)
 
-    def unstable(row: Row) -> bool:
+    def unstable(row: AtlasRow) -> bool:
         return row.stability == "unstable"
 
-    def asymmetric(row: Row) -> bool:
+    def asymmetric(row: AtlasRow) -> bool:
         return row.symmetry == "none"
 
     found = []
@@ -245,7 +245,7 @@ def energies_of(name: str, atlas: of.Atlas) -> list[str]:
     return lines
 
 
-def kinds(rows: Sequence[Row]) -> set[tuple[int, ...]]:
+def kinds(rows: Sequence[AtlasRow]) -> set[tuple[int, ...]]:
     """What differs in energy, period or action: orbits of equal numbers are, but for chance, images of each other."""
     return {
         tuple(round(np.arcsinh(value) * 1e5) for value in (row.energy, row.period, abs(row.action))) for row in rows

@@ -1,101 +1,13 @@
 """Built-in systems: each function returns a Model, and problem files name them with kind = "python"."""
 
-from orbitfinder.mechanisms.driven import (
-    DRIVEN,
-    driven_cart_pole,
-    driven_compass,
-    driven_hopper,
-    driven_oscillator,
-    driven_swing,
-)
-from orbitfinder.mechanisms.library import FUNCTIONS as SMOOTH
-from orbitfinder.mechanisms.library import (
-    brusselator,
-    cart_chain,
-    coupled_pendula,
-    double_well,
-    duffing,
-    fitzhugh_nagumo,
-    forced_duffing,
-    forced_pendulum,
-    henon_heiles,
-    hodgkin_huxley,
-    lorenz,
-    pendulum_on_cart,
-    planar_oscillator,
-    restricted_three_body,
-    restricted_three_body_canonical,
-    rossler,
-    rotating_hoop,
-    spherical_pendulum,
-    spring_pendulum,
-    swinging_spring,
-    three_bodies,
-    turning_three_bodies,
-    van_der_pol,
-    vibrated_pendulum,
-)
-from orbitfinder.mechanisms.machines import (
-    MACHINES,
-    bouncing_ball,
-    compass_gait,
-    five_link_walker,
-    gravity_wedge,
-    impact_oscillator,
-    kneed_walker,
-    rimless_wheel,
-    rocking_block,
-    simplest_walker,
-    slip_runner,
-    slip_walker,
-    vertical_hopper,
-    wall_pendulum,
-)
+from orbitfinder.mechanisms import driven, library, machines
+from orbitfinder.mechanisms.driven import *  # noqa: F403  what their `__all__` lists
+from orbitfinder.mechanisms.library import *  # noqa: F403
+from orbitfinder.mechanisms.machines import *  # noqa: F403
 
-FUNCTIONS = SMOOTH | MACHINES | DRIVEN
+FUNCTIONS = library.FUNCTIONS | machines.MACHINES | driven.DRIVEN
 
-__all__ = [
-    "FUNCTIONS",
-    "bouncing_ball",
-    "brusselator",
-    "cart_chain",
-    "compass_gait",
-    "coupled_pendula",
-    "double_well",
-    "driven_cart_pole",
-    "driven_compass",
-    "driven_hopper",
-    "driven_oscillator",
-    "driven_swing",
-    "duffing",
-    "fitzhugh_nagumo",
-    "five_link_walker",
-    "forced_duffing",
-    "forced_pendulum",
-    "gravity_wedge",
-    "henon_heiles",
-    "hodgkin_huxley",
-    "impact_oscillator",
-    "kneed_walker",
-    "lorenz",
-    "pendulum_on_cart",
-    "planar_oscillator",
-    "restricted_three_body",
-    "restricted_three_body_canonical",
-    "rimless_wheel",
-    "rocking_block",
-    "rossler",
-    "rotating_hoop",
-    "simplest_walker",
-    "slip_runner",
-    "slip_walker",
-    "spherical_pendulum",
-    "spring_pendulum",
-    "swinging_spring",
-    "three_bodies",
-    "turning_three_bodies",
-    "van_der_pol",
-    "vertical_hopper",
-    "vibrated_pendulum",
-    "wall_pendulum",
-]
+__all__ = ["FUNCTIONS"]
+__all__ += library.__all__
+__all__ += machines.__all__
+__all__ += driven.__all__

@@ -36,6 +36,7 @@ LIBRARIES = {
         "mechanisms",
         "control",
         "structures.crossings",
+        "cli.casadi_bugs",
     ),
     "click": ("cli",),
     "rich": ("cli",),

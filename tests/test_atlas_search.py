@@ -23,7 +23,7 @@ from orbitfinder.atlas.search import Limits, Search, register, unmade
 from orbitfinder.atlas.shard import WHOLE, Shard
 from orbitfinder.atlas.starts import Target, context_of, make_start
 from orbitfinder.atlas.store import Atlas
-from orbitfinder.atlas.workers import DIED, Inline, Job, Local, Request, perform
+from orbitfinder.atlas.workers import DIED, Inline, Job, LocalWorkers, Request, perform
 from orbitfinder.errors import ConvergenceError, InputError, OrbitfinderError
 from orbitfinder.loops.symmetry import undeclared_mirrors
 from orbitfinder.mechanics.kind import build_model
@@ -99,7 +99,7 @@ def test_the_number_of_workers_does_not_matter(triple, undisturbed, tmp_path):
     assert found.tallies[0][1].done == STARTS and found.summary.orbits == len(content(path)[0])
 
 
-class Murderous(Local):
+class Murderous(LocalWorkers):
     """Kills the worker of chosen starts: `first` only when tried first, `always` every time."""
 
     first, always = (5, 11), ()
@@ -136,7 +136,7 @@ def test_workers_that_cannot_begin_are_not_hired_for_ever(tmp_path, monkeypatch)
     monkeypatch.setattr(workers, "MOST_FALSE_STARTS", 1)
     (tmp_path / "deadly.py").write_text("import os\n\ndef system():\n    os._exit(3)\n")
     system = {"kind": "python", "module": "deadly", "function": "system", "arguments": {}}
-    crew = Local(Request(system, Target(1.0, PERIODS), 0, str(tmp_path)), 1)
+    crew = LocalWorkers(Request(system, Target(1.0, PERIODS), 0, str(tmp_path)), 1)
     with pytest.raises(OrbitfinderError, match=r"processes die before they begin; .*workers = 0 searches without"):
         for _ in range(20):
             crew.results(5.0)
@@ -211,9 +211,9 @@ def test_the_valley_is_followed_to_a_zero(elastic, monkeypatch):
     values = np.linalg.svd(jacobian, compute_uv=False)
     assert np.abs(solver.linearised(fine, path)[0]).max() < 1e-12 and values[-1] < 1e-2 * values[-2]
     assert np.abs(solver.linearised(fine, given[1])[0]).max() > 1e-7
-    monkeypatch.setattr(solver, "MOST_TRIALS", 0)
+    lost = replace(given[0], settings=replace(given[0].settings, most_trials=0))
     with pytest.raises(ConvergenceError, match="stalled near a degenerate orbit") as stalled:
-        solver.orbit_in_valley(*given)
+        solver.orbit_in_valley(lost, *given[1:])
     assert stalled.value.w.nodes.shape == path.nodes.shape
 
 

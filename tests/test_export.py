@@ -23,8 +23,10 @@ from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.exports import source
 from orbitfinder.exports.auto import ENERGY, PERIOD, auto_files
+from orbitfinder.exports.formats import FORMATS, Format
+from orbitfinder.exports.julia import julia_files
 from orbitfinder.exports.source import FORTRAN, C, dense_states, fortran_number, source_of, straight_line
-from orbitfinder.exports.write import export_orbit, julia_file
+from orbitfinder.exports.write import export_orbit
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import altered, vector_field
 from orbitfinder.problemfile.read import read_trajectory
@@ -182,7 +184,7 @@ def test_julia_statements_are_the_right_hand_side(triple, system):
     field, (t, x, s, _) = field_and_arguments(system)
     model = build_model(SYSTEMS[system])
     orbit = replace(triple, system=SYSTEMS[system], state=x, samples=np.vstack([x, x]), times=np.arange(2.0))
-    found = julia_in_python(julia_file(source_of(orbit)), x, t)
+    found = julia_in_python(*julia_files(source_of(orbit)).values(), x, t)
     wanted = field(t, x, 0 * s, model.parameter_values).full().ravel()
     np.testing.assert_allclose(found, wanted, rtol=1e-13, atol=1e-13)
 
@@ -191,7 +193,7 @@ def test_julia_file_is_julia(triple):
     """The grammar of tree-sitter finds no error in it (Julia itself was not run)."""
     grammar, tree_sitter = pytest.importorskip("tree_sitter_julia"), pytest.importorskip("tree_sitter")
     parser = tree_sitter.Parser(tree_sitter.Language(grammar.language()))
-    text = julia_file(source_of(triple))
+    (text,) = julia_files(source_of(triple)).values()
     assert not parser.parse(text.encode()).root_node.has_error
     assert parser.parse(text.replace("return du\nend", "return du").encode()).root_node.has_error
 
@@ -362,6 +364,15 @@ def test_titles_cannot_break_out_of_comments(triple):
         assert "\n end module" not in text and (name.endswith(".dat") or text.isascii())
     heading = source_of(hostile).heading[0]
     assert heading == "* / int main(){} end module ? ?"
+
+
+def test_a_format_is_one_entry(tmp_path, triple, monkeypatch):
+    """What puts itself into the table is written, and what it has no place for refused, as of any other."""
+    monkeypatch.setitem(FORMATS, "names", Format(lambda source: {"names.txt": " ".join(source.model.state_names)}))
+    (path,) = export_orbit(triple, "names", tmp_path)
+    assert path.read_text() == "theta1 theta2 theta3 theta1dot theta2dot theta3dot"
+    with pytest.raises(InputError, match="^to: unknown format 'xml'; use one of csv, auto, julia, c, names"):
+        export_orbit(triple, "xml", tmp_path)
 
 
 def test_unknown_format_of_the_python_function(tmp_path, triple):

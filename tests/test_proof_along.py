@@ -11,7 +11,7 @@ from orbitfinder.mechanisms.chain import chain
 from orbitfinder.proof import along as module
 from orbitfinder.proof.along import Along, bundle, ranged
 from orbitfinder.proof.balls import arb, arb_poly, precision
-from orbitfinder.proof.enclosure import Settings, cloud, integrate
+from orbitfinder.proof.enclosure import TaylorSettings, cloud, integrate
 from orbitfinder.proof.field import make_field
 
 pytestmark = pytest.mark.needs("proof")
@@ -76,7 +76,7 @@ def contained(field, start, settings):
     good = [sum(one.h for one in steps) == 1.0]
     for place in PLACES:
         there = [x.short(arb(float(place))) if isinstance(x, Along) else x for x in start]
-        alone, _ = integrate(field, cloud(there), Settings(20, 106, 1e-20))
+        alone, _ = integrate(field, cloud(there), TaylorSettings(20, 106, 1e-20))
         good += [value(x, place).contains(y) for x, y in zip(end.point, alone.point, strict=False)]
         pairs = zip(end.derivatives.ravel(), alone.derivatives.entries(), strict=True)
         good += [value(x, place).contains(y) for x, y in pairs]
@@ -85,7 +85,7 @@ def contained(field, start, settings):
 
 def test_the_flow_of_every_energy_is_enclosed(swing):
     """Against one integration for each of nine e; the derivatives vary 1e3 times more than their enclosure is wide."""
-    good, end = contained(*swing, Settings(12, 80, 1e-12))
+    good, end = contained(*swing, TaylorSettings(12, 80, 1e-12))
     assert all(good)
     width = max(float(x.short[0].rad()) for x in end.derivatives.ravel())
     varied = max(float(x.rad()) for x in ranged(end.derivatives).entries())
@@ -99,4 +99,4 @@ def test_a_flow_without_what_is_cut_off_is_found_out(swing, monkeypatch):
         return self.whole.truncate(3)
 
     monkeypatch.setattr(module.Along, "short", property(forgetful))
-    assert not all(contained(*swing, Settings(12, 80, 1e-12))[0])
+    assert not all(contained(*swing, TaylorSettings(12, 80, 1e-12))[0])

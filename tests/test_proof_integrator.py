@@ -14,7 +14,7 @@ from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanisms.chain import chain
 from orbitfinder.proof import enclosure
 from orbitfinder.proof.balls import arb, decimal, floats, precision, radii, radius
-from orbitfinder.proof.enclosure import Settings, cloud
+from orbitfinder.proof.enclosure import TaylorSettings, cloud
 from orbitfinder.proof.field import make_field, programs
 from orbitfinder.proof.invariance import has_symmetry, turns_leave
 from orbitfinder.proof.program import Ring, program
@@ -22,7 +22,7 @@ from orbitfinder.proof.series import coefficients, outputs, recurrence, whole_se
 from orbitfinder.proof.taylormodel import remainders
 
 pytestmark = pytest.mark.needs("proof")
-FAST = Settings(order=14, bits=96, tolerance=1e-14)
+FAST = TaylorSettings(order=14, bits=96, tolerance=1e-14)
 FLOATS = Ring(
     float,
     {
@@ -268,7 +268,7 @@ def test_broken_enclosure_is_caught(monkeypatch):
 
 def test_dropped_remainder_is_caught(monkeypatch):
     """At a low order, an enclosure without its remainder misses the exact solution."""
-    coarse = Settings(order=4, bits=96, tolerance=1e-7)
+    coarse = TaylorSettings(order=4, bits=96, tolerance=1e-7)
 
     def contains():
         here, _ = enclosure.integrate(make_field(oscillator()), cloud([arb(1), arb(0), arb(0), arb(1)]), coarse)
@@ -286,7 +286,7 @@ def test_hopeless_step_is_reported():
     """A solution that leaves every bound ends in a message, not in an enclosure."""
     field = make_field(oscillator(lambda q: -(q**4)))
     with pytest.raises(IntegrationError, match="no validated step is short enough"):
-        enclosure.integrate(field, cloud([arb(3), arb(30), arb(0), arb(5)]), Settings(10, 80, 1e-12, 1e-5))
+        enclosure.integrate(field, cloud([arb(3), arb(30), arb(0), arb(5)]), TaylorSettings(10, 80, 1e-12, 1e-5))
 
 
 def test_symmetries_are_read_off_the_graph():

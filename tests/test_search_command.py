@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from conftest import database
 from test_atlas_search import content
 
-from orbitfinder.atlas.search import Limits, Statistics
+from orbitfinder.atlas.search import Limits, SearchStatistics
 from orbitfinder.cli import atlas as cataloguing
 from orbitfinder.cli import search as searching
 from orbitfinder.cli.console import paced
@@ -182,7 +182,7 @@ def test_durations(text, value):
 
 def test_progress_in_words():
     """A line and a table say starts, hits, new, known, failures, rate and time left."""
-    tally = Statistics(done=10, hits=6, new=4, duplicates=2, orbits=9, begun_at=5, before=5,
+    tally = SearchStatistics(done=10, hits=6, new=4, duplicates=2, orbits=9, begun_at=5, before=5,
                        limits=Limits(starts=35, budget=60.0))  # fmt: skip
     tally.failures["iteration limit"] = 4
     tally.began = time.monotonic() - 2.0

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from orbitfinder._runtime import __version__
 from orbitfinder.atlas.signature import Numbers, Signature, among, resampled, signature_of
-from orbitfinder.atlas.solver import Stalled, orbit_in_valley, polished, scaled, solve
-from orbitfinder.atlas.starts import Context, Start, make_start, strategy_of
+from orbitfinder.atlas.solver import Stalled, orbit_in_valley, polished, scaled_loop, solve
+from orbitfinder.atlas.starts import Context, SearchStart, make_start, strategy_of
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.follow import follow
 from orbitfinder.families.point import FamilySettings
@@ -28,16 +28,6 @@ from orbitfinder.orbits.certify import certified, return_distances
 from orbitfinder.orbits.measure import action, marched, whole_period
 from orbitfinder.records.orbit import VERSION, Orbit, orbit_from_document
 
-LARGEST_COVER = 30
-LARGEST_UNFOLDING = 1e-8
-COVER = 1e-5
-"""A return at T/k nearer than this, relative to the motion's extent, means that the loop was run k times."""
-PERIOD_MARGIN = 1.15
-"""The cheap stage lets the period leave the range by this factor before it holds it."""
-SMALLEST = 1e-3
-"""Motions of less than this extent (rad or lengths of the energy shell) are equilibria."""
-GROWTH_PER_SEGMENT = 10.0
-FEWEST_SEGMENTS, MOST_SEGMENTS = 2, 16
 CONTINUATION = "continuation"
 """The strategy that starts from a known orbit of another energy and follows its family to this one."""
 FAMILY = FamilySettings(points=40, first_step=0.1, longest_step=0.6, events=False, certify=False, longest_period=4.0)
@@ -102,7 +92,7 @@ def attempt(
         return Attempt(index, strategy_of(context, index) if source is None else CONTINUATION, reason=reason)
 
 
-def continuation(context: Context, index: int, source: Mapping[str, Any]) -> Start:
+def continuation(context: Context, index: int, source: Mapping[str, Any]) -> SearchStart:
     """The start at the first orbit of the source's family that has the energy wanted.
 
     `ConvergenceError` when the family ends before.
@@ -116,11 +106,11 @@ def continuation(context: Context, index: int, source: Mapping[str, Any]) -> Sta
     for batch in follow(Run(start.curve, FAMILY, towards, origin, until=context.target.energy)):
         for point in batch.points:
             if point.role == "end":
-                return Start(index, CONTINUATION, NONE.name, point.state, point.period)
+                return SearchStart(index, CONTINUATION, NONE.name, point.state, point.period)
     raise ConvergenceError("family ends before the energy")
 
 
-def finished(context: Context, seed: int, start: Start, known: ArrayLike | None) -> Attempt:
+def finished(context: Context, seed: int, start: SearchStart, known: ArrayLike | None) -> Attempt:
     """The attempt that a start becomes; `ConvergenceError` or `IntegrationError` when it leads nowhere."""
     if context.section is not None:
         orbit = context.section.orbit(start.state, start.period, start.course)
@@ -131,15 +121,15 @@ def finished(context: Context, seed: int, start: Start, known: ArrayLike | None)
 
 
 def judged(
-    context: Context, seed: int, start: Start, signature: Signature, known: ArrayLike | None,
-    found: Callable[[], tuple[Orbit, Model]],
+    context: Context, seed: int, start: SearchStart, signature: Signature, known: ArrayLike | None,
+    made: Callable[[], tuple[Orbit, Model]],
 ) -> Attempt:  # fmt: skip
     """The attempt with the signature of what was found, and unless that seems to be known its Orbit, certified."""
     if known is not None and among(known, signature.numbers):
         return Attempt(start.index, start.strategy, signature)
-    orbit, model = found()
+    orbit, model = made()
     name = f"e{context.target.energy:g}-s{seed}-n{start.index}".replace("+", "")  # unique, and good for a folder
-    said = origin(seed, start) | {"invariants": [one.name for one in model.invariants]}
+    said = origin(seed, start) | {"invariants": [invariant.name for invariant in model.invariants]}
     orbit = certified(replace(orbit, provenance=said, name=name), model)
     if orbit.certificate is not None and not orbit.certificate.passed:
         failed = ", ".join(orbit.certificate.failures)
@@ -147,7 +137,7 @@ def judged(
     return Attempt(start.index, start.strategy, signature, orbit)
 
 
-def converged(context: Context, start: Start) -> ClosedLoop:
+def converged(context: Context, start: SearchStart) -> ClosedLoop:
     """The loop that a start leads to, over the period found."""
     guess = Guess(start.state, start.period)
     problem = Problem(context.model, guess, pin=context.pins, symmetry=start.symmetry)
@@ -166,8 +156,8 @@ def begun(context: Context, equations: Equations, state: np.ndarray, period: flo
         mesh = uniform(fraction, count, rounded(period * fraction / count / context.step))
         return equations.unknowns(np.asarray(state, float)[None], period, mesh)
 
-    between, clock = (FEWEST_SEGMENTS, MOST_SEGMENTS), period * fraction / np.pi
-    count = segments_needed(equations, alone(1), clock, GROWTH_PER_SEGMENT, between)
+    how, clock = context.settings, period * fraction / np.pi
+    count = segments_needed(equations, alone(1), clock, how.growth_per_segment, how.segments)
     w = alone(count)
     states = equations.march.states(w.nodes, w.mesh, w.tail)
     return replace(w, nodes=states[: -1 : w.steps // count]), states[-1]
@@ -183,21 +173,22 @@ def turns(context: Context, nodes: np.ndarray, end: np.ndarray) -> tuple[int, ..
 def solved(context: Context, problem: Problem, w: Unknowns) -> ClosedLoop:
     """The polished loop near w."""
     low, high = context.target.periods
-    periods = low / PERIOD_MARGIN, high * PERIOD_MARGIN
+    how = context.settings
+    periods = low / how.period_margin, high * how.period_margin
     equations = context.equations[problem.symmetry]
-    loop = scaled(problem, equations, context.step, w, periods, context.units, context.clock)
+    loop = scaled_loop(problem, equations, context.step, w, periods, context.units, context.clock)
     try:
-        found = polished(loop, *solve(loop, w))
+        closed = polished(loop, *solve(loop, w))
     except Stalled as stall:
-        found = polished(loop, *orbit_in_valley(loop, stall.w))
-    if context.clock * np.abs(found.unfolding).max(initial=0.0) > LARGEST_UNFOLDING:
+        closed = polished(loop, *orbit_in_valley(loop, stall.w))
+    if context.clock * np.abs(closed.unfolding).max(initial=0.0) > how.largest_unfolding:
         raise ConvergenceError("unfolding does not vanish")
-    found = replace(found, nodes=centred(context, problem, found.nodes))
+    closed = replace(closed, nodes=centred(context, problem, closed.nodes))
     march = context.equations[NONE.name].march
-    nodes, times, states = whole_period(problem, context.flows[problem.symmetry], march, found)
-    if (np.ptp(states, axis=0) / context.units).max() < SMALLEST:
+    nodes, times, states = whole_period(problem, context.flows[problem.symmetry], march, closed)
+    if (np.ptp(states, axis=0) / context.units).max() < how.smallest:
         raise ConvergenceError("equilibrium")
-    return ClosedLoop(problem, found, nodes, times, states, action(context.model, times, states))
+    return ClosedLoop(problem, closed, nodes, times, states, action(context.model, times, states))
 
 
 def measured(context: Context, loop: ClosedLoop) -> Orbit:
@@ -221,11 +212,13 @@ def minimal(context: Context, loop: ClosedLoop) -> ClosedLoop:
     low, high = context.target.periods
     if not low <= loop.w.period <= 2 * high:  # a multiple cover that is too long may have a period in range
         raise ConvergenceError("period outside the range")
-    covers = [k for k in range(2, LARGEST_COVER + 1) if not np.any(loop.problem.turns % k)]
+    covers = [k for k in range(2, context.settings.largest_cover + 1) if not np.any(loop.problem.turns % k)]
     near: list[bool] = []
     if covers:
         states = loop.states / context.sizes
-        near = [far < COVER for far in return_distances(loop.times, states, context.model.angular, covers)]
+        near = [
+            far < context.settings.cover for far in return_distances(loop.times, states, context.model.angular, covers)
+        ]
     if any(near):
         loop = uncovered(context, loop, max(compress(covers, near)))
     if not low <= loop.w.period <= high:
@@ -244,7 +237,7 @@ def uncovered(context: Context, loop: ClosedLoop, cover: int) -> ClosedLoop:
     return solved(context, problem, w)
 
 
-def origin(seed: int, start: Start) -> dict[str, Any]:
+def origin(seed: int, start: SearchStart) -> dict[str, Any]:
     """Provenance of an orbit found from a start: enough to find it again."""
     course = {"course": list(start.course)} if start.course else {}
     return {

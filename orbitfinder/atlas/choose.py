@@ -83,14 +83,14 @@ def least_unstable(
         `of.search` keeps all that are found.
     """
     check(problem)
-    found = candidates(problem, starts, seed, progress)
+    known = candidates(problem, starts, seed, progress)
     low, high = problem.bounds["period"]
-    if not found:
+    if not known:
         raise ConvergenceError(
             f"no orbit found: none of {starts} starts led to one with a period from {low:g} to {high:g} s at this "
             "energy; widen bounds.period, or try more starts"
         )
-    best = found[0].orbit
+    best = known[0].orbit
     plain = without_choice(replace(problem, symmetry="none"))
     wanted = replace(plain, pin=problem.pin, guess=_guess(best), winding=best.winding)
     orbit = find_orbit(wanted, settings, progress)
@@ -99,7 +99,7 @@ def least_unstable(
             f"the chosen orbit (period {best.period:.9g} s) was left for another ({orbit.period:.9g} s) when it was "
             "refined; use another seed"
         )
-    return replace(orbit, provenance={**orbit.provenance, "choice": _record(found, starts, seed)})
+    return replace(orbit, provenance={**orbit.provenance, "choice": _record(known, starts, seed)})
 
 
 def check(problem: Problem) -> None:
@@ -110,7 +110,7 @@ def check(problem: Problem) -> None:
             "periods in bounds, and nothing free; use find_orbit otherwise"
         )
     extra = [name for name in problem.bounds if name != "period"]
-    if extra or problem.constraints or problem.boundary.maps or [one.name for one in problem.pin] != ["energy"]:
+    if extra or problem.constraints or problem.boundary.maps or [pin.name for pin in problem.pin] != ["energy"]:
         raise InputError(
             "objective: a choice among separate orbits goes by energy (pin) and period (bounds) only; leave out other "
             "bounds, constraints, pins and the symmetry"
@@ -121,19 +121,19 @@ def candidates(problem: Problem, starts: int, seed: int, progress: Callback | No
     """The distinct orbits found, least unstable first."""
     began = time.perf_counter()
     shared = context_of(problem.model, Target(problem.pin[0].value, problem.bounds["period"]))
-    found: list[Candidate] = []
-    _own(problem, found)
+    known: list[Candidate] = []
+    _own(problem, known)
     for index in range(starts):
-        one = attempt(shared, seed, index, [each.signature.numbers for each in found])
-        if one.signature is not None:
-            _add(found, one.signature, one.orbit)
-        if progress and index % 20 == 19 and found:
-            best = min(found, key=lambda each: each.rank).orbit
+        trial = attempt(shared, seed, index, [each.signature.numbers for each in known])
+        if trial.signature is not None:
+            _add(known, trial.signature, trial.orbit)
+        if progress and index % 20 == 19 and known:
+            best = min(known, key=lambda each: each.rank).orbit
             progress(Progress("choosing", index + 1, best.closure, best.period, time.perf_counter() - began))
-    return sorted(found, key=lambda each: each.rank)
+    return sorted(known, key=lambda each: each.rank)
 
 
-def _own(problem: Problem, found: list[Candidate]) -> None:
+def _own(problem: Problem, known: list[Candidate]) -> None:
     """Add the orbit that the guess itself leads to, when there is one and its period fits."""
     try:
         orbit = find_orbit(replace(without_choice(problem), pin=problem.pin))
@@ -141,16 +141,16 @@ def _own(problem: Problem, found: list[Candidate]) -> None:
         return
     low, high = problem.bounds["period"]
     if low <= orbit.period <= high and orbit.certificate is not None and orbit.certificate.passed:
-        _add(found, signature_of(orbit, problem.model), orbit)
+        _add(known, signature_of(orbit, problem.model), orbit)
 
 
-def _add(found: list[Candidate], signature: Signature, orbit: Orbit | None) -> None:
-    for k, each in enumerate(found):
+def _add(known: list[Candidate], signature: Signature, orbit: Orbit | None) -> None:
+    for k, each in enumerate(known):
         if same_orbit(each.signature, signature):
-            found[k] = replace(each, found=each.found + 1)
+            known[k] = replace(each, found=each.found + 1)
             return
     if orbit is not None:
-        found.append(Candidate(orbit, signature, 1, rank(orbit)))
+        known.append(Candidate(orbit, signature, 1, rank(orbit)))
 
 
 def _guess(orbit: Orbit) -> Guess:
@@ -160,9 +160,9 @@ def _guess(orbit: Orbit) -> Guess:
     return Guess(np.asarray(orbit.state), orbit.period)
 
 
-def _record(found: list[Candidate], starts: int, seed: int) -> dict[str, object]:
-    radii = [one.rank[0] for one in found]
+def _record(known: list[Candidate], starts: int, seed: int) -> dict[str, object]:
+    radii = [candidate.rank[0] for candidate in known]
     return {
-        "starts": starts, "seed": seed, "orbits": len(found), "spectral_radius": radii[0],
-        "runner_up": radii[1] if len(radii) > 1 else None, "times_found": found[0].found,
+        "starts": starts, "seed": seed, "orbits": len(known), "spectral_radius": radii[0],
+        "runner_up": radii[1] if len(radii) > 1 else None, "times_found": known[0].found,
     }  # fmt: skip

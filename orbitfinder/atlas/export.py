@@ -5,10 +5,11 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections.abc import Callable
 from typing import Any
 
 from orbitfinder.atlas.signature import in_words
-from orbitfinder.atlas.store import Atlas, Filter, Row, named_state, proved
+from orbitfinder.atlas.store import Atlas, AtlasRow, Filter, named_state, proved
 from orbitfinder.errors import InputError
 from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.records.orbit import orbit_from_document
@@ -36,12 +37,16 @@ STATE = ("rad or m, and 1/s", "component of the state at t = 0: coordinates, the
 
 def exported(atlas: Atlas, kind: str, chosen: Filter | None = None) -> bytes:
     """The content of a file of that kind: json (orbit documents), csv or parquet (one row an orbit)."""
-    if kind == "json":
-        return (json.dumps(list(atlas.documents(chosen)), indent=1, allow_nan=False) + "\n").encode()
+    return WRITERS[kind](atlas, chosen)
+
+
+def _documents(atlas: Atlas, chosen: Filter | None) -> bytes:
+    return (json.dumps(list(atlas.documents(chosen)), indent=1, allow_nan=False) + "\n").encode()
+
+
+def _table(atlas: Atlas, chosen: Filter | None) -> tuple[list[str], list[dict[str, Any]]]:
     states = atlas.model.state_names
-    rows = [flat(atlas, row, states) for row in atlas.rows(chosen)]
-    names = list(flat_names(states))
-    return as_csv(names, rows) if kind == "csv" else as_parquet(names, rows, json.dumps(atlas.system, sort_keys=True))
+    return list(flat_names(states)), [flat(atlas, row, states) for row in atlas.rows(chosen)]
 
 
 def flat_names(state_names: tuple[str, ...]) -> tuple[str, ...]:
@@ -51,7 +56,7 @@ def flat_names(state_names: tuple[str, ...]) -> tuple[str, ...]:
     return (*names[:place], *state_names, *names[place:])
 
 
-def flat(atlas: Atlas, row: Row, state_names: tuple[str, ...]) -> dict[str, Any]:
+def flat(atlas: Atlas, row: AtlasRow, state_names: tuple[str, ...]) -> dict[str, Any]:
     """One row: numbers in SI units and rad, the state at t = 0 and where the orbit came from."""
     document = atlas.document(row.id)
     origin = dict(document.get("provenance") or {})
@@ -85,7 +90,14 @@ def as_parquet(names: list[str], rows: list[dict[str, Any]], system: str) -> byt
     table = pyarrow.table({name: [row[name] for row in rows] for name in names})
     told = {name: dict(zip(("unit", "meaning"), FIELDS.get(name, STATE), strict=True)) for name in names}
     fields = [table.schema.field(name).with_metadata(told[name]) for name in names]
-    fields = [one.with_type(pyarrow.float64()) if pyarrow.types.is_null(one.type) else one for one in fields]
+    fields = [field.with_type(pyarrow.float64()) if pyarrow.types.is_null(field.type) else field for field in fields]
     sink = io.BytesIO()
     parquet.write_table(table.cast(pyarrow.schema(fields, {"system": system})), sink)
     return sink.getvalue()
+
+
+WRITERS: dict[str, Callable[[Atlas, Filter | None], bytes]] = {
+    "json": _documents,
+    "csv": lambda atlas, chosen: as_csv(*_table(atlas, chosen)),
+    "parquet": lambda atlas, chosen: as_parquet(*_table(atlas, chosen), json.dumps(atlas.system, sort_keys=True)),
+}

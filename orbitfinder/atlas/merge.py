@@ -18,7 +18,7 @@ from orbitfinder._runtime import limit
 from orbitfinder._runtime.arguments import checked
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.atlas.signature import same_orbit, signature_of
-from orbitfinder.atlas.store import RESTORE, Atlas
+from orbitfinder.atlas.store import RESTORE, STORED, Atlas
 from orbitfinder.atlas.tables import explained, transaction
 from orbitfinder.errors import InputError, plural
 from orbitfinder.mechanics.model import Model
@@ -58,7 +58,7 @@ class Merged:
 
 
 @dataclass(frozen=True, order=True)
-class _Entry:
+class _Birth:
     """An orbit of one of the atlases in the order of the union: by its birth, those without one after all others."""
 
     orphan: bool
@@ -103,7 +103,7 @@ def merge_atlases(
     if not files:
         raise InputError("files: none given; name the atlases to merge")
     with contextlib.ExitStack() as stack:
-        books = [stack.enter_context(Atlas(one, model=model, trusted=trusted)) for one in _distinct(files)]
+        books = [stack.enter_context(Atlas(file, model=model, trusted=trusted)) for file in _distinct(files)]
         for book in books[1:]:
             stack.enter_context(Atlas(book.path, books[0].system, model=model, trusted=trusted))  # or it is of another
         out = stack.enter_context(Atlas(atlas, books[0].system, write=True, model=model, trusted=trusted))
@@ -112,8 +112,8 @@ def merge_atlases(
         with explained(out.path):
             _check_requests([*books, held], union)
             for k, book in enumerate([*books, held]):
-                for one in _entries(k, book):
-                    book.document(one.number)  # `InputError` where it is damaged, before anything is written
+                for entry in _entries(k, book):
+                    book.document(entry.number)  # `InputError` where it is damaged, before anything is written
             taken = {key for (key,) in held.select([str], "SELECT key FROM about")}
             marks = [(mark, book) for book in books if (mark := _mark(book)) not in taken]
             for k, (mark, book) in enumerate(marks or [("", held)]):
@@ -129,27 +129,27 @@ def merge_atlases(
 
 def _joined(out: Atlas, books: Sequence[Atlas]) -> None:
     """Make an atlas the union of several, the last of which reads what it holds; in a transaction."""
-    entries = sorted(one for k, book in enumerate(books) for one in _entries(k, book))
+    entries = sorted(entry for k, book in enumerate(books) for entry in _entries(k, book))
     for table in ("starts", "orbits", "searches"):
         out.connection.execute(f"DELETE FROM {table}")
     out.forget()
     known = _orbits(out, books, entries)
-    _starts(out, books, known, [one for one in entries if not one.orphan])
+    _starts(out, books, known, [entry for entry in entries if not entry.orphan])
 
 
 def _mark(book: Atlas) -> str:
     """What an atlas that has taken all of another one says `about` it: the journal of a merge."""
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     with explained(book.path):
         for table in ("searches", "starts", "orbits"):
             for row in book.connection.execute(f"SELECT * FROM {table} ORDER BY 1, 2"):
-                found.update(repr(row).encode())
-    return f"merged {found.hexdigest()}"
+                digest.update(repr(row).encode())
+    return f"merged {digest.hexdigest()}"
 
 
 def _distinct(files: Sequence[str | Path]) -> list[Path]:
     """Each file once."""
-    return list({Path(one).resolve(): Path(one) for one in files}.values())
+    return list({Path(file).resolve(): Path(file) for file in files}.values())
 
 
 def _searches(book: Atlas) -> dict[int, Request]:
@@ -169,15 +169,15 @@ def _check_requests(books: Sequence[Atlas], union: bool) -> None:
     for book, requests in asked:
         others = [known for other, known in asked if other is not book]
         if others and not union and not any(requests & known for known in others):
-            one = min(requests)
+            energy, shortest, longest, seed, _ = min(requests)
             raise InputError(
-                f"{book.path}: searches: at {one[0]:g} J, periods {one[1]:g} to {one[2]:g} s, seed {one[3]}, and none "
+                f"{book.path}: searches: at {energy:g} J, periods {shortest:g} to {longest:g} s, seed {seed}, and none "
                 "of them is in another of these atlases, so it is no shard of the same search; leave it out, or give "
                 "--union (union=True) to catalogue different searches together"
             )
 
 
-def _entries(k: int, book: Atlas) -> Iterator[_Entry]:
+def _entries(k: int, book: Atlas) -> Iterator[_Birth]:
     """The orbits of an atlas with the starts that found them."""
     requests, born = _searches(book), dict[int, Birth]()
     for orbit, search, number in book.select(
@@ -190,41 +190,33 @@ def _entries(k: int, book: Atlas) -> Iterator[_Entry]:
         ((_, *numbers, first, second, proof, document),) = book.select(kinds, question, [number])
         birth, digest = born.get(number, ()), hashlib.sha256(document).digest()
         where = k, number, (first, second)
-        yield _Entry(not birth, birth, tuple(numbers), not proof, digest, *where)  # type: ignore[arg-type]
+        yield _Birth(not birth, birth, tuple(numbers), not proof, digest, *where)  # type: ignore[arg-type]
 
 
-COLUMNS = (
-    "period_bin, action_bin, energy, period, action, symmetry, stability, instability, closure, signature, proof, "
-    "document"
-)
-
-
-def _orbits(out: Atlas, books: Sequence[Atlas], entries: Sequence[_Entry]) -> dict[tuple[int, int], int]:
+def _orbits(out: Atlas, books: Sequence[Atlas], entries: Sequence[_Birth]) -> dict[tuple[int, int], int]:
     """Write each orbit once; the new id of every orbit by its atlas and id there."""
     known, seen = dict[tuple[int, int], int](), dict[bytes, int]()
-    for one in entries:
-        number = seen.get(one.digest)
+    for entry in entries:
+        number = seen.get(entry.digest)
         if number is None:
-            book = books[one.book]
-            document, near = book.document(one.number), out.near(one.bins)  # `InputError` where it is damaged
+            book = books[entry.book]
+            document, near = book.document(entry.number), out.near(entry.bins)  # `InputError` where it is damaged
             if near:
-                found = signature_of(orbit_from_document(document), out.model)
-                number = next((k for k in near if same_orbit(out.signature(k), found)), None)
+                signature = signature_of(orbit_from_document(document), out.model)
+                number = next((k for k in near if same_orbit(out.signature(k), signature)), None)
             if number is None:
-                row = book.connection.execute(f"SELECT {COLUMNS} FROM orbits WHERE id = ?", [one.number]).fetchone()
-                places = ", ".join("?" * len(row))
-                number = out.connection.execute(f"INSERT INTO orbits ({COLUMNS}) VALUES ({places})", row).lastrowid
-                assert number is not None
-            seen[one.digest] = number
-        known[one.book, one.number] = number
+                row = book.connection.execute(f"SELECT {STORED} FROM orbits WHERE id = ?", [entry.number]).fetchone()
+                number = out.put(row)
+            seen[entry.digest] = number
+        known[entry.book, entry.number] = number
     return known
 
 
-def _starts(out: Atlas, books: Sequence[Atlas], known: dict[tuple[int, int], int], births: Sequence[_Entry]) -> None:
+def _starts(out: Atlas, books: Sequence[Atlas], known: dict[tuple[int, int], int], births: Sequence[_Birth]) -> None:
     """Write every search and start once; of a start that two atlases hold the one that met an orbit."""
     execute, ids = out.connection.execute, dict[Request, int]()
     search = "INSERT INTO searches (energy, shortest, longest, seed, method, sources) VALUES (?, ?, ?, ?, ?, 0)"
-    for request in sorted({one for book in books for one in _searches(book).values()}):
+    for request in sorted({wanted for book in books for wanted in _searches(book).values()}):
         row = execute(search, request)
         ids[request] = int(row.lastrowid or 0)
     for k, book in enumerate(books):
@@ -236,12 +228,12 @@ def _starts(out: Atlas, books: Sequence[Atlas], known: dict[tuple[int, int], int
                 met = None if orbit is None else known[k, orbit]
                 outcome = "failed" if met is None else "duplicate"
                 execute(PREFERRED, [ids[requests[search]], number, strategy, outcome, reason, met, seconds])
-    first: dict[int, _Entry] = {}
-    for one in births:
-        first.setdefault(known[one.book, one.number], one)
-    for number, one in first.items():
-        assert one.birth
-        place = [ids[one.birth[0]], one.birth[1], number]
+    first: dict[int, _Birth] = {}
+    for entry in births:
+        first.setdefault(known[entry.book, entry.number], entry)
+    for number, entry in first.items():
+        assert entry.birth
+        place = [ids[entry.birth[0]], entry.birth[1], number]
         execute("UPDATE starts SET outcome = 'new' WHERE search = ? AND number = ? AND orbit = ?", place)
 
 
@@ -261,5 +253,5 @@ def _summary(out: Atlas) -> Merged:
         "SELECT energy, shortest, longest, seed, count(number), coalesce(max(number) + 1 - count(number), 0) "
         "FROM searches LEFT JOIN starts ON starts.search = searches.id GROUP BY searches.id ORDER BY searches.id",
     )
-    found = tuple(Joined(energy, (low, high), seed, made, missing) for energy, low, high, seed, made, missing in rows)
-    return Merged(out.path, len(out), sum(one.starts for one in found), found)
+    joined = tuple(Joined(energy, (low, high), seed, made, missing) for energy, low, high, seed, made, missing in rows)
+    return Merged(out.path, len(out), sum(search.starts for search in joined), joined)

@@ -19,22 +19,33 @@ from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.scales import alike, given_or
 from orbitfinder.orbits.guesses.modes import first_order_modes
 
-DRAWN = 48
-"""States from which equilibria, and later attractors, are looked for"""
-REACHES = 2.0 ** np.arange(-20, 21)
-"""Distances along a ray, in lengths"""
-RAYS = 60
-"""Rays that are cast before a start is given up"""
-SPANS = 6.0
-"""Motions settle for half of so many of the longest periods"""
-SETTLED = 8
-"""Motions on attractors that are kept"""
-SAMPLES = 400
-GROWN = 4.0
-"""What gets this much larger in the second half runs away"""
-STILL = 1e-6
-"""What moves less than this, relative to where it is, is at rest"""
 LOOSE = ReferenceSettings(relative_tolerance=1e-8, absolute_tolerance=1e-10)
+
+
+@dataclass(frozen=True)
+class RegionSettings:
+    """How level sets and attractors are looked for."""
+
+    drawn: int = 48
+    """states from which equilibria, and later attractors, are looked for"""
+    reaches: tuple[float, ...] = tuple(2.0**k for k in range(-20, 21))
+    """distances along a ray, in lengths"""
+    rays: int = 60
+    """cast before a start is given up"""
+    spans: float = 6.0
+    """motions settle for half of so many of the longest periods"""
+    settled: int = 8
+    """motions on attractors that are kept"""
+    samples: int = 400
+    """of each half"""
+    grown: float = 4.0
+    """what gets this much larger in the second half runs away"""
+    still: float = 1e-6
+    """what moves less than this, relative to where it is, is at rest"""
+    loose: ReferenceSettings = LOOSE
+
+
+SETTINGS = RegionSettings()
 
 
 @dataclass(frozen=True)
@@ -53,29 +64,29 @@ class Level:
         places = equilibria(model)
         inner = np.array([energy(model, place) < level for place in places])
         places = places[inner] if np.any(inner) else places
-        one = cls(model, level, places, np.ones(places.shape[1]), bool(np.any(inner)))
+        region = cls(model, level, places, np.ones(places.shape[1]), bool(np.any(inner)))
         met = []
         for place in places:
             for unit in np.eye(place.size):
-                found = [one.crossing(place, sign * unit) for sign in (1.0, -1.0)]
-                sizes = [np.abs(x - place).max() for x in found if x is not None]
+                crossings = [region.crossing(place, sign * unit) for sign in (1.0, -1.0)]
+                sizes = [np.abs(x - place).max() for x in crossings if x is not None]
                 met.append(min(sizes, default=np.nan))
         if np.all(np.isnan(met)):
             raise InputError(f"energy: no state of energy {level:.9g} is found about equilibria; give another energy")
         sizes = np.nanmin(np.reshape(np.append(met, np.full(place.size, 1e300)), (-1, place.size)), axis=0)
-        return replace(one, lengths=given_or(model, alike(np.where(sizes < 1e300, sizes, 1.0))))
+        return replace(region, lengths=given_or(model, alike(np.where(sizes < 1e300, sizes, 1.0))))
 
     def drawn(self, random: np.random.Generator) -> np.ndarray:
         """Where a ray in a random direction, from near one of the places, first meets the level."""
         return self._cast(random, np.ones(self.lengths.size))
 
-    def fixed(self, one: Involution, random: np.random.Generator) -> np.ndarray:
+    def fixed(self, reversal: Involution, random: np.random.Generator) -> np.ndarray:
         """The same within the fixed set."""
-        return self._cast(random, np.broadcast_to(one.signs, self.lengths.size))
+        return self._cast(random, np.broadcast_to(reversal.signs, self.lengths.size))
 
     def _cast(self, random: np.random.Generator, signs: np.ndarray) -> np.ndarray:
         angles = self.model.angular
-        for _ in range(RAYS):
+        for _ in range(SETTINGS.rays):
             shifted = random.normal(size=signs.size) * random.uniform() ** 3 * (random.uniform() < 0.5)
             place = self.places[random.integers(len(self.places))] + self.lengths * shifted
             place = np.where(signs < 0, np.pi * angles * random.integers(0, 2, signs.size), place)
@@ -93,7 +104,7 @@ class Level:
             return energy(self.model, place + length * direction) - self.level
 
         last, before = 0.0, excess(0.0)
-        for length in REACHES:
+        for length in SETTINGS.reaches:
             here = excess(length)
             if not np.isfinite(here):
                 return None
@@ -114,18 +125,21 @@ class Attractor:
     @classmethod
     def of(cls, model: Model, longest: float) -> Attractor:
         """What is left of motions from random states after some of the longest periods (s). Raises `InputError`."""
-        field, times = vector_field(accelerations(model)), np.linspace(0.0, SPANS * longest, 2 * SAMPLES)
+        field, times = (
+            vector_field(accelerations(model)),
+            np.linspace(0.0, SETTINGS.spans * longest, 2 * SETTINGS.samples),
+        )
         kept: list[np.ndarray] = []
         for start in random_states(model):
             try:
-                before, path = np.split(integrate(field, start, times, LOOSE), 2)
+                before, path = np.split(integrate(field, start, times, SETTINGS.loose), 2)
             except IntegrationError:
                 continue
             moved = np.ptp(path, axis=0)
-            bounded = np.abs(path).max() < GROWN * np.abs(before).max()
-            if bounded and np.any(moved > STILL * np.maximum(np.abs(path).max(axis=0), STILL)):
+            bounded = np.abs(path).max() < SETTINGS.grown * np.abs(before).max()
+            if bounded and np.any(moved > SETTINGS.still * np.maximum(np.abs(path).max(axis=0), SETTINGS.still)):
                 kept.append(path)
-            if len(kept) == SETTLED:
+            if len(kept) == SETTINGS.settled:
                 break
         if not kept:
             raise InputError(
@@ -140,9 +154,9 @@ class Attractor:
         away = 0.2 * (random.uniform() < 0.5) * self.lengths * random.normal(size=self.lengths.size)
         return np.asarray(self.states[random.integers(len(self.states))] + away)
 
-    def fixed(self, one: Involution, random: np.random.Generator) -> np.ndarray:
+    def fixed(self, reversal: Involution, random: np.random.Generator) -> np.ndarray:
         """Such a state, put into the fixed set."""
-        x, signs = self.drawn(random), np.broadcast_to(one.signs, self.lengths.size)
+        x, signs = self.drawn(random), np.broadcast_to(reversal.signs, self.lengths.size)
         return np.asarray(np.where(signs < 0, np.pi * self.angles * random.integers(0, 2, signs.size), x))
 
 
@@ -159,18 +173,20 @@ def random_states(model: Model) -> list[np.ndarray]:
     """Seeded states (d) about 0, near and far, in the lengths given."""
     random, given = np.random.default_rng(0), given_or(model, 1.0)
     far = (1.0, 4.0, 16.0, 0.25)
-    return [given * far[k % len(far)] * random.normal(size=given.size) for k in range(DRAWN)]
+    return [given * far[k % len(far)] * random.normal(size=given.size) for k in range(SETTINGS.drawn)]
 
 
 def equilibria(model: Model) -> np.ndarray:
     """Equilibria (k x d) that Newton's method finds from random states, else the states themselves."""
-    drawn, found = random_states(model), list[np.ndarray]()
+    drawn, places = random_states(model), list[np.ndarray]()
     for start in (np.zeros(drawn[0].size), *drawn):
         try:
             with np.errstate(all="ignore"):
                 place = first_order_modes(model, start)[0]
         except (InputError, ValueError, np.linalg.LinAlgError):
             continue
-        if np.isfinite(energy(model, place)) and not any(np.abs(place - one).max() < STILL for one in found):
-            found.append(place)
-    return np.array(found or [one for one in drawn if np.isfinite(energy(model, one))])
+        if np.isfinite(energy(model, place)) and not any(
+            np.abs(place - known).max() < SETTINGS.still for known in places
+        ):
+            places.append(place)
+    return np.array(places or [state for state in drawn if np.isfinite(energy(model, state))])

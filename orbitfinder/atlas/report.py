@@ -111,10 +111,10 @@ def summarise(atlas: Atlas, searches: Sequence[int] | None = None) -> Summary:
     yields = tuple(Yield(*row) for row in counted)
     return Summary(
         orbits=len(atlas),
-        starts=sum(one.starts for one in yields),
-        hits=sum(one.hits for one in yields),
-        new=sum(one.new for one in yields),
-        seconds=float(sum(one.seconds for one in yields)),
+        starts=sum(strategy.starts for strategy in yields),
+        hits=sum(strategy.hits for strategy in yields),
+        new=sum(strategy.new for strategy in yields),
+        seconds=float(sum(strategy.seconds for strategy in yields)),
         yields=yields,
         failures=dict(failed),
         strata=stratified(atlas, where, values),
@@ -155,8 +155,8 @@ def discovery(atlas: Atlas, search: int) -> tuple[np.ndarray, np.ndarray, np.nda
     for orbit, symmetry, _ in rows:
         if orbit is not None:
             met.setdefault(symmetry or "", Counter())[orbit] += 1
-        distinct.append(sum(len(one) for one in met.values()))
-        estimates.append(sum(chao1(np.array(list(one.values()), int))[0] for one in met.values()))
+        distinct.append(sum(len(orbits) for orbits in met.values()))
+        estimates.append(sum(chao1(np.array(list(orbits.values()), int))[0] for orbits in met.values()))
     return np.cumsum([seconds for *_, seconds in rows]), np.array(distinct, int), np.array(estimates)
 
 
@@ -178,7 +178,7 @@ def reaches(strategy: str, symmetry: str) -> bool:
 
 def total(strata: Sequence[Stratum]) -> tuple[float, float]:
     """The sum of the lower bounds, and its standard error."""
-    return sum(one.least for one in strata), float(np.hypot.reduce([0.0, *(one.standard_error for one in strata)]))
+    return sum(each.least for each in strata), float(np.hypot.reduce([0.0, *(each.standard_error for each in strata)]))
 
 
 def remarks(strata: Sequence[Stratum], stalled: int) -> tuple[str, ...]:
@@ -186,22 +186,22 @@ def remarks(strata: Sequence[Stratum], stalled: int) -> tuple[str, ...]:
     least, error = total(strata)
     doubt = f" +- {error:.0f}" if error >= 0.5 else ""
     told = plural(round(least), "orbit") if not doubt else f"{least:.0f}{doubt} orbits"
-    found = [f"at least about {told} in all (Chao1 by energy and symmetry, a lower bound)"]
+    sentences = [f"at least about {told} in all (Chao1 by energy and symmetry, a lower bound)"]
     if stalled:
-        found.append(f"starts that stalled near degenerate orbits: {stalled}; what lies there may be missing")
-    if once := sum(one.once for one in strata):
-        found.append(f"orbits met only once: {once}; more like them are likely")
-    found += [unseen(one) for one in sorted(strata, key=lambda one: one.starts)[:1]]
-    return tuple(found)
+        sentences.append(f"starts that stalled near degenerate orbits: {stalled}; what lies there may be missing")
+    if once := sum(each.once for each in strata):
+        sentences.append(f"orbits met only once: {once}; more like them are likely")
+    sentences += [unseen(each) for each in sorted(strata, key=lambda each: each.starts)[:1]]
+    return tuple(sentences)
 
 
-def unseen(one: Stratum) -> str:
+def unseen(where: Stratum) -> str:
     """What may be missing in a stratum."""
-    kind = "without symmetry" if one.symmetry == "none" else f"of symmetry {one.symmetry}"
-    sought = f"orbits {kind} at {one.energy:g} J were sought by {plural(one.starts, 'start')}"
-    if one.starts < 6:
+    kind = "without symmetry" if where.symmetry == "none" else f"of symmetry {where.symmetry}"
+    sought = f"orbits {kind} at {where.energy:g} J were sought by {plural(where.starts, 'start')}"
+    if where.starts < 6:
         return f"{sought}: too few to say how many there are"
-    return f"{sought} only: what fewer than 1 in {one.starts // 3} of these would meet may be missing"
+    return f"{sought} only: what fewer than 1 in {where.starts // 3} of these would meet may be missing"
 
 
 def chao1(counts: np.ndarray) -> tuple[float, float]:

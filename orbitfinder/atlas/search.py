@@ -28,7 +28,7 @@ from orbitfinder.atlas.shard import WHOLE, Shard, shard_from
 from orbitfinder.atlas.starts import CYCLES, METHOD, Context, Target, context_of, strategy_of
 from orbitfinder.atlas.store import Atlas, check_range
 from orbitfinder.atlas.tables import explained, transaction
-from orbitfinder.atlas.workers import Cluster, Inline, Job, Local, Pool, Request, Workers
+from orbitfinder.atlas.workers import Cluster, Inline, Job, LocalWorkers, Pool, Request, Workers
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
@@ -37,11 +37,8 @@ AHEAD = 32
 """Starts for each place among the workers that may be under way or unjudged: bounds the memory."""
 MOST_SOURCES = 80
 """Known orbits that a search at another energy continues from."""
-PATIENCE = 0.2
-"""Seconds between two looks at the clock."""
 DEFAULT_BUDGET = 60.0
 """Seconds of a search that is given no limit."""
-LARGEST_SEED = 2**63 - 1
 
 
 @dataclass(frozen=True)
@@ -57,7 +54,7 @@ class Limits:
 
 
 @dataclass
-class Statistics:
+class SearchStatistics:
     """What a search has done in this run; `orbits` are those in the atlas."""
 
     done: int = 0
@@ -88,10 +85,10 @@ class Statistics:
     def left(self) -> float | None:
         """Seconds that are left, as far as one can tell."""
         limits = self.limits
-        found = [] if limits.budget is None else [max(0.0, limits.budget - self.elapsed)]
+        seconds = [] if limits.budget is None else [max(0.0, limits.budget - self.elapsed)]
         if limits.starts is not None and self.done:
-            found.append(max(0, (limits.shard or WHOLE).count(limits.starts) - self.made) * self.elapsed / self.done)
-        return min(found) if found else None
+            seconds.append(max(0, (limits.shard or WHOLE).count(limits.starts) - self.made) * self.elapsed / self.done)
+        return min(seconds) if seconds else None
 
 
 def register(atlas: Atlas, request: Request, context: Context, alone: bool = False) -> int:
@@ -112,10 +109,10 @@ def register(atlas: Atlas, request: Request, context: Context, alone: bool = Fal
             "SELECT ?, ?, ?, ?, ?, coalesce(max(id), 0) * ? FROM orbits",
             [*key, 0 if alone else 1],
         )
-        found = atlas.connection.execute(
+        row = atlas.connection.execute(
             "SELECT id FROM searches WHERE energy = ? AND shortest = ? AND longest = ? AND seed = ? AND method = ?", key
         )
-        return int(found.fetchone()[0])
+        return int(row.fetchone()[0])
 
 
 def unmade(atlas: Atlas, search: int, shard: Shard) -> Iterator[int]:
@@ -133,14 +130,14 @@ def unmade(atlas: Atlas, search: int, shard: Shard) -> Iterator[int]:
 
 def sources(atlas: Atlas, search: int) -> list[int]:
     """Orbits of other energies that the atlas held when the search was first asked for, nearest energy first."""
-    found = atlas.select(
+    rows = atlas.select(
         [int],
         "SELECT orbits.id FROM orbits, searches WHERE searches.id = ? AND orbits.id <= searches.sources "
         "AND abs(orbits.energy - searches.energy) > 1e-6 * max(abs(searches.energy), abs(action) / orbits.period) "
         "ORDER BY abs(orbits.energy - searches.energy), orbits.id LIMIT ?",
         [search, MOST_SOURCES],
     )
-    return [number for (number,) in found]
+    return [number for (number,) in rows]
 
 
 class Search:
@@ -148,7 +145,7 @@ class Search:
 
     def __init__(
         self, atlas: Atlas, request: Request, context: Context, limits: Limits,
-        progress: Callable[[Statistics], None] | None = None,
+        progress: Callable[[SearchStatistics], None] | None = None,
     ) -> None:  # fmt: skip
         self._atlas, self._context, self._limits, self._progress = atlas, context, limits, progress
         self.id = register(atlas, request, context, limits.shard is not None)
@@ -159,15 +156,15 @@ class Search:
         self._under_way = 0
         self._answers: dict[int, Attempt] = {}
         made = atlas.select([int], "SELECT count(*) FROM starts WHERE search = ?", [self.id])[0][0]
-        self.statistics = Statistics(orbits=len(atlas), begun_at=self._next, before=made, limits=limits)
+        self.statistics = SearchStatistics(orbits=len(atlas), begun_at=self._next, before=made, limits=limits)
 
-    def run(self, workers: Workers) -> Statistics:
+    def run(self, workers: Workers) -> SearchStatistics:
         """Hand out, judge and write until a limit is reached; starts under way are waited for."""
         for row in self._atlas.rows():
             workers.learn((row.energy, row.period, abs(row.action)))
         while self._hand_out(workers) or self._under_way:
             limit.check()
-            for job, attempt in workers.results(PATIENCE):
+            for job, attempt in workers.results(0.2):  # s between two looks at the clock
                 self._under_way -= 1
                 self._answers[job.number] = attempt
             while self._unjudged and self._unjudged[0] in self._answers:
@@ -263,7 +260,7 @@ class Found:
     __repr__ = brief("atlas", "summary")
 
     atlas: Path
-    tallies: tuple[tuple[float, Statistics], ...]
+    tallies: tuple[tuple[float, SearchStatistics], ...]
     summary: Summary
 
 
@@ -281,7 +278,7 @@ def search(
     executor: Executor | None = None,
     shard: str | tuple[int, int] | None = None,
     folder: str | Path | None = None,
-    progress: Callable[[float, Statistics], None] | None = None,
+    progress: Callable[[float, SearchStatistics], None] | None = None,
     section: Mapping[str, Sequence[float]] | None = None,
     cycles: int = CYCLES,
 ) -> Found:
@@ -353,7 +350,7 @@ def levels(model: Model, energies: float | Sequence[float] | None) -> tuple[floa
         if not model.invariants and (model.rates is not None or model.hybrid is not None):
             raise InputError("energy: this system conserves none; leave it out")
         given = [] if energies is None else energies
-        return tuple(float(one) for one in (given if isinstance(given, Sequence) else [given]))
+        return tuple(float(level) for level in (given if isinstance(given, Sequence) else [given]))
     return (0.0,)
 
 
@@ -368,7 +365,7 @@ def employed(
     rebuildable(context.model, request)
     if executor is not None:
         return Pool(request, executor, workers)
-    return Local(request, workers) if scheduler is None else Cluster(request, scheduler)
+    return LocalWorkers(request, workers) if scheduler is None else Cluster(request, scheduler)
 
 
 def rebuildable(model: Model, request: Request) -> None:
@@ -392,7 +389,7 @@ def check_request(shells: Sequence[float], starts: int | None, budget: float | N
         raise InputError(f"starts: must not be negative, got {starts}; give a number of starts")
     if budget is not None and not 0 < budget < float("inf"):
         raise InputError(f"budget: must be positive and finite, got {budget}; give it in s")
-    if not 0 <= seed <= LARGEST_SEED:
+    if not 0 <= seed < 2**63:
         raise InputError(f"seed: must be between 0 and 2^63 - 1, got {seed}; give a whole number")
     if not 0 <= workers <= 256:
         raise InputError(f"workers: must be between 0 and 256, got {workers}; 0 searches in this process")

@@ -47,20 +47,20 @@ def shard_from(given: str | tuple[int, int] | None) -> Shard | None:
     if given == AUTO:
         return _of_array()
     if isinstance(given, str):
-        found = re.fullmatch(r"\s*(\d{1,9})\s*/\s*(\d{1,9})\s*", given)
-        if not found:
+        match = re.fullmatch(r"\s*(\d{1,9})\s*/\s*(\d{1,9})\s*", given)
+        if not match:
             raise InputError(f"shard: {given!r} is none; give k/n such as 3/8, or {AUTO} in a Slurm array")
-        return Shard(int(found[1]), int(found[2]))
+        return Shard(int(match[1]), int(match[2]))
     return Shard(*given)
 
 
 def _of_array() -> Shard:
     """The shard of a task of a Slurm array."""
-    found = {name: os.environ.get(name, "") for name in (TASK, FIRST, COUNT)}
-    if not all(text.isdigit() for text in found.values()):
-        said = ", ".join(f"{name}={text}" for name, text in found.items() if text) or "none of them is set"
-        raise InputError(f"shard: {AUTO} needs {', '.join(found)} ({said}); run it by sbatch --array=1-8, or give k/n")
-    task, first, count = (int(text) for text in found.values())
+    values = {name: os.environ.get(name, "") for name in (TASK, FIRST, COUNT)}
+    if not all(text.isdigit() for text in values.values()):
+        said = ", ".join(f"{name}={text}" for name, text in values.items() if text) or "none of them is set"
+        raise InputError(f"shard: {AUTO} needs {', '.join(values)} ({said}); run it by sbatch --array=1-8, or give k/n")
+    task, first, count = (int(text) for text in values.values())
     step = int(text) if (text := os.environ.get(STEP, "")).isdigit() and int(text) else 1
     part, rest = divmod(task - first, step)
     if rest or not 0 <= part < count:

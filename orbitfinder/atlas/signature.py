@@ -31,18 +31,11 @@ LOOP_SAMPLES = 512
 """States that a signature keeps of its loop."""
 ARC_SAMPLES = 16
 """States that it keeps of each arc of a hybrid orbit."""
-AGREEMENT = 1e-7
-"""Energy, period and action of one orbit found twice differ by less than this, relative."""
+AGREEMENT, DISTANCE = 1e-7, 5e-3
+"""By less than this energy, period and action of an orbit met twice differ, relative, and its loops, phases aligned,
+relative to the motion's extent; interpolated rates err by 1e-3."""
 LEAST = 1e-3
 """Share of how far angles move, a radian for each length, that other coordinates count as at least, and vice versa."""
-DISTANCE = 5e-3
-"""Loops of one orbit lie over each other to this, relative to the motion's extent; interpolated rates err by 1e-3."""
-PHASE_STEPS = 4
-"""Gauss-Newton steps in aligning two loops."""
-LEAST_TURN = 1e-6
-"""A coordinate turns back where its rate changes its sign by more than this, in units of the largest rate."""
-BIN = 1e-6
-"""Width of the bins of asinh(period) and asinh(action) that the atlas is indexed by; wider than `AGREEMENT`."""
 
 
 @dataclass(frozen=True)
@@ -84,8 +77,8 @@ def turning_points(signature: Signature) -> tuple[int, ...]:
         scale = np.abs(rates).max(axis=0)
     else:
         scale = _extents(loop, signature.angles)[n:]
-    moving = [one[np.abs(one) > LEAST_TURN * unit] for one, unit in zip(rates.T, scale, strict=True)]
-    return tuple(int(np.sum(np.sign(one) != np.sign(np.roll(one, 1)))) for one in moving)
+    moving = [rate[np.abs(rate) > 1e-6 * unit] for rate, unit in zip(rates.T, scale, strict=True)]
+    return tuple(int(np.sum(np.sign(rate) != np.sign(np.roll(rate, 1)))) for rate in moving)
 
 
 def in_words(orbit: Orbit, signature: Signature) -> str:
@@ -101,8 +94,11 @@ def in_words(orbit: Orbit, signature: Signature) -> str:
 
 
 def quantised(value: float) -> int:
-    """The bin of a number; d asinh(x) = dx / sqrt(1 + x^2), so that `agree` is never wider than one bin."""
-    return int(np.floor(np.arcsinh(value) / BIN))
+    """The bin of a number; d asinh(x) = dx / sqrt(1 + x^2), so that `agree` is never wider than one bin.
+
+    Bins are wider than `AGREEMENT`.
+    """
+    return int(np.floor(np.arcsinh(value) / 1e-6))
 
 
 def neighbours(bins: tuple[int, int]) -> tuple[list[int], list[int]]:
@@ -133,8 +129,8 @@ def _of_arcs(orbit: Orbit, model: Model) -> Signature:
     if len(samples) < 2:
         times, samples = sampled(model, orbit.state, orbit.period)
     pieces, moments = course(model, times, samples).pieces, np.linspace(0.0, 1.0, ARC_SAMPLES)
-    loop = [between(one.times, one.states, model.degrees_of_freedom, one.times[0] + moments * np.ptp(one.times))
-            for one in pieces]  # fmt: skip
+    loop = [between(piece.times, piece.states, model.degrees_of_freedom, piece.times[0] + moments * np.ptp(piece.times))
+            for piece in pieces]  # fmt: skip
     return Signature(
         energy=orbit.energy if model.invariants else 0.0,
         period=orbit.period,
@@ -179,16 +175,16 @@ def distance(first: Signature, second: Signature) -> float:
     scale = _extents(first.loop, first.angles)
     if first.arcs:
         turned = (np.roll(second.loop, ARC_SAMPLES * k, axis=0) for k in range(first.arcs))
-        return min(float(np.abs(wrapped(one - first.loop, first.angles) / scale).max()) for one in turned)
+        return min(float(np.abs(wrapped(image - first.loop, first.angles) / scale).max()) for image in turned)
     return min(_aligned(first, image, scale) for image in images(second.loop, n))
 
 
 def images(loop: np.ndarray, n: int) -> Iterator[np.ndarray]:
     """The loop, its reflection, its time reversal and both (k x 2n each); of a first-order system the loop alone."""
     yield loop
-    for one in USUAL if n < loop.shape[1] else ():
-        image = loop @ one.matrix(n).T
-        yield image if one.sense > 0 else np.roll(image[::-1], 1, axis=0)
+    for mirror in USUAL if n < loop.shape[1] else ():
+        image = loop @ mirror.matrix(n).T
+        yield image if mirror.sense > 0 else np.roll(image[::-1], 1, axis=0)
 
 
 def _extents(loop: np.ndarray, angles: Sequence[bool]) -> np.ndarray:
@@ -222,17 +218,17 @@ def _aligned(first: Signature, image: np.ndarray, scale: np.ndarray) -> float:
     count, n = image.shape[0], len(first.angles)
     gaps = np.abs(wrapped(image - first.loop[0], first.angles) / scale).max(axis=1)
     path = _path(image, first.period, n, first.angles)
-    grid, found = np.arange(count) * first.period / count, np.inf
+    grid, least = np.arange(count) * first.period / count, np.inf
     for k in np.argsort(gaps)[:3]:
         moved = path(grid + _phase(first, path, float(grid[k]), scale))
-        found = min(found, float(np.abs(wrapped(moved - first.loop, first.angles) / scale).max()))
-    return found
+        least = min(least, float(np.abs(wrapped(moved - first.loop, first.angles) / scale).max()))
+    return least
 
 
 def _phase(first: Signature, path: Callable[[np.ndarray], np.ndarray], moment: float, scale: np.ndarray) -> float:
     """The time (s) near a moment at which a path is nearest to the loop's first state."""
     apart = first.period / len(first.loop) / 4
-    for _ in range(PHASE_STEPS):
+    for _ in range(4):
         before, here, after = path(np.array([moment - apart, moment, moment + apart]))
         chord = wrapped(after - before, first.angles) / scale / 2
         gap = wrapped(first.loop[0] - here, first.angles) / scale

@@ -31,38 +31,69 @@ from orbitfinder.loops.problem import Problem, loop_of
 from orbitfinder.loops.scales import Measures
 from orbitfinder.mechanics.newton import Settings, Solver, chord, full, largest
 
-FINER = 3
-"""The polish begins with steps shorter than the cheap stage's by this factor."""
-SQUARED_ABOVE = 1e-6
-"""Damping above which the normal equations are accurate enough."""
-PATIENCE = 6
-"""Evaluations in which the residual must have halved, or it creeps."""
-NEAR = 1e-2
-"""Scaled residual below which a path is near an orbit."""
-NARROW = 3e-2
-"""A Jacobian is nearly singular in one direction when its last singular value is this much below the one before."""
-CONVERGED = 1e-6
-"""Scaled residual at which the polish takes over."""
-MOST_EVALUATIONS = 40
-HOPELESS = ((12, 1.0), (24, 0.3))
-"""(evaluations, scaled residual): given up when it is still larger after so many."""
-LARGEST_STEP = 1.0
-"""Scaled length of a step, about a radian."""
-LARGEST_RATE = 100.0
-"""Bound on rates, in units of the guess's root mean square; a step beyond it is not taken."""
-LARGEST_UNFOLDING = 100.0
-"""Bound on |s| times the clock (s); values of 10 have been seen to come back, this has left the problem."""
 POLISH = Settings(floor=1e-13, round_off=1e-13, converged=1e-10, most_evaluations=8)
-"""Scaled residuals of the polish."""
-LONGEST, SHORTEST = 0.3, 1e-3
-"""Scaled steps along the valley."""
 REGULAR = Settings(floor=0.0, converged=0.0, round_off=0.0, most_evaluations=6, patience=0, progress=1.0)
-"""How the regular equations are solved: given up where what is left of them grows"""
-MOST_TRIALS = 60
-SLACK = 1e-3
-"""The regular equations hold when they are smaller than |mu| by this."""
-ROUND_OFF = 3e-13
-"""Scaled residual that counts as none."""
+
+
+@dataclass(frozen=True)
+class ClosingSettings:
+    """How a start is brought to an orbit; residuals and steps are scaled."""
+
+    finer: int = 3
+    """the polish begins with steps shorter than the cheap stage's by this factor"""
+    squared_above: float = 1e-6
+    """damping above which the normal equations are accurate enough"""
+    patience: int = 6
+    """evaluations in which the residual must have halved, or it creeps"""
+    near: float = 1e-2
+    """residual below which a path is near an orbit"""
+    narrow: float = 3e-2
+    """a Jacobian is nearly singular in one direction when its last singular value is this much below the one before"""
+    converged: float = 1e-6
+    """residual at which the polish takes over"""
+    most_evaluations: int = 40
+    hopeless: tuple[tuple[int, float], ...] = ((12, 1.0), (24, 0.3))
+    """(evaluations, residual): given up when it is still larger after so many"""
+    largest_step: float = 1.0
+    """about a radian"""
+    largest_rate: float = 100.0
+    """bound on rates, in units of the guess's root mean square; a step beyond it is not taken"""
+    largest_unfolding: float = 100.0
+    """bound on |s| times the clock (s); values of 10 have been seen to come back, this has left the problem"""
+    polish: Settings = POLISH
+    longest: float = 0.3
+    shortest: float = 1e-3
+    """of the steps along the valley"""
+    regular: Settings = REGULAR
+    """how the regular equations are solved: given up where what is left of them grows"""
+    most_trials: int = 60
+    slack: float = 1e-3
+    """the regular equations hold when they are smaller than |mu| by this"""
+    round_off: float = 3e-13
+    """residual that counts as none"""
+
+    def creeping(self, norms: list[float]) -> bool:
+        """True when the last residuals are small and have not halved in a while; asked anew after as long again."""
+        near = norms[-1] < self.near and len(norms) > self.patience and len(norms) % self.patience == 0
+        return near and norms[-1] > norms[-1 - self.patience] / 2
+
+    def singular(self, jacobian: np.ndarray) -> bool:
+        """True when a Jacobian is nearly singular in one direction alone."""
+        values = np.linalg.svd(jacobian, compute_uv=False)
+        return bool(values[-1] < self.narrow * values[-2])
+
+    def step(self, jacobian: np.ndarray, residual: np.ndarray, damping: float) -> np.ndarray:
+        """The Levenberg-Marquardt step, no longer than `largest_step` in any component."""
+        try:
+            if damping > self.squared_above:
+                matrix = jacobian.T @ jacobian
+                matrix[np.diag_indices_from(matrix)] += damping
+                step = -np.linalg.solve(matrix, jacobian.T @ residual)
+            else:
+                step = np.linalg.lstsq(jacobian, -residual, rcond=1e-13)[0]
+        except np.linalg.LinAlgError as error:
+            raise ConvergenceError("singular equations") from error
+        return np.asarray(step * min(1.0, self.largest_step / size_of(step)))
 
 
 class Stalled(ConvergenceError):
@@ -74,7 +105,7 @@ class Stalled(ConvergenceError):
 
 
 @dataclass(frozen=True)
-class Scaled:
+class ScaledLoop:
     """The loop of one start, the longest step of its marches (s), what all is measured in."""
 
     loop: Loop
@@ -82,6 +113,7 @@ class Scaled:
     measures: Measures
     periods: tuple[float, float]
     units: tuple[float, ...] = ()
+    settings: ClosingSettings = ClosingSettings()
 
     def at(self, w: Unknowns) -> Unknowns:
         """w on the mesh that the step asks for."""
@@ -90,7 +122,7 @@ class Scaled:
         return w if w.mesh.size == steps * count + 1 else replace(w, mesh=uniform(fraction, count, steps))
 
 
-def scaled(
+def scaled_loop(
     problem: Problem,
     equations: Equations,
     step: float,
@@ -98,7 +130,7 @@ def scaled(
     periods: tuple[float, float],
     units: np.ndarray,
     clock: float,
-) -> Scaled:
+) -> ScaledLoop:
     """The loop of one start, scales and references from its guess, from the `units` of states (2n) and a `clock` (s).
 
     A first-order system's states (d) are scaled by their units alone.
@@ -106,14 +138,14 @@ def scaled(
     n, loop = problem.model.degrees_of_freedom, loop_of(problem, equations, w, None, problem.pin)
     if problem.model.rates is not None:
         measures = Measures.of(loop, w, w.joined(units, problem.guess.period, 1.0 / clock, np.zeros(0)))
-        return Scaled(loop, step, measures, periods, tuple(units))
+        return ScaledLoop(loop, step, measures, periods, tuple(units))
     rate = max(float(np.sqrt(np.mean((w.nodes[:, n:] / units[:n]) ** 2))), 2 * np.pi / problem.guess.period)
     node = np.concatenate([units[:n], rate * units[:n]])
     measures = Measures.of(loop, w, w.joined(node, problem.guess.period, 1.0 / clock, np.zeros(0)))
     first, phases, _ = np.split(measures.rows, [measures.rows.size - len(loop.normals) - 1, measures.rows.size - 1])
     phases = np.full(phases.size, rate) if np.all(units == 1.0) else phases
     rows = np.concatenate([first, phases, [_span(problem, w.nodes[0, :n], node[n:])]])
-    return Scaled(loop, step, replace(measures, rows=rows), periods, tuple(units))
+    return ScaledLoop(loop, step, replace(measures, rows=rows), periods, tuple(units))
 
 
 def _span(problem: Problem, q: np.ndarray, v: np.ndarray) -> float:
@@ -124,111 +156,85 @@ def _span(problem: Problem, q: np.ndarray, v: np.ndarray) -> float:
     return max(abs(level - lowest), 0.1 * abs(level), 1e-3 * min(1.0, moving))
 
 
-def linearised(one: Scaled, w: Unknowns) -> tuple[np.ndarray, np.ndarray]:
-    """Scaled residual and Jacobian by the variational equations."""
-    w = one.at(w)
-    path = one.loop.equations.varied(w)
-    jacobian = one.loop.linearised(w, path).matrix()
-    return one.loop.rows(w, path.ends) / one.measures.rows, one.measures.matrix(jacobian)
+def linearised(scaled: ScaledLoop, w: Unknowns) -> tuple[np.ndarray, np.ndarray]:
+    """ScaledLoop residual and Jacobian by the variational equations."""
+    w = scaled.at(w)
+    path = scaled.loop.equations.varied(w)
+    jacobian = scaled.loop.linearised(w, path).matrix()
+    return scaled.loop.rows(w, path.ends) / scaled.measures.rows, scaled.measures.matrix(jacobian)
 
 
-def moved(one: Scaled, w: Unknowns, step: np.ndarray) -> Unknowns:
+def moved(scaled: ScaledLoop, w: Unknowns, step: np.ndarray) -> Unknowns:
     """The unknowns after a scaled step, the period kept in range."""
-    after = w.moved(step * one.measures.columns)
-    return replace(after, period=float(np.clip(after.period, *one.periods)))
+    after = w.moved(step * scaled.measures.columns)
+    return replace(after, period=float(np.clip(after.period, *scaled.periods)))
 
 
-def bounded(one: Scaled, w: Unknowns) -> Unknowns:
+def bounded(scaled: ScaledLoop, w: Unknowns) -> Unknowns:
     """The unknowns, if rates and unfolding are within bounds; `IntegrationError` otherwise."""
-    n = 0 if one.loop.equations.model.rates is not None else w.nodes.shape[1] // 2
-    sizes = w.at(one.measures.columns)
-    fast = float(np.abs(w.nodes[:, n:] / sizes.nodes[:, n:]).max()) > LARGEST_RATE
-    if fast or float(np.abs(w.unfolding / sizes.unfolding).max(initial=0.0)) > LARGEST_UNFOLDING:
+    n = 0 if scaled.loop.equations.model.rates is not None else w.nodes.shape[1] // 2
+    sizes = w.at(scaled.measures.columns)
+    fast = float(np.abs(w.nodes[:, n:] / sizes.nodes[:, n:]).max()) > scaled.settings.largest_rate
+    if fast or float(np.abs(w.unfolding / sizes.unfolding).max(initial=0.0)) > scaled.settings.largest_unfolding:
         raise IntegrationError("out of bounds", time=0.0, state=w.nodes[0])
     return w
 
 
-def solve(one: Scaled, w: Unknowns) -> tuple[Unknowns, np.ndarray]:
+def solve(scaled: ScaledLoop, w: Unknowns) -> tuple[Unknowns, np.ndarray]:
     """Unknowns with a small scaled residual and the Jacobian there; `ConvergenceError` says why there is none."""
-    damping = 1e-2
-    residual, jacobian = linearised(one, w)
+    damping, how = 1e-2, scaled.settings
+    residual, jacobian = linearised(scaled, w)
     norm = float(np.abs(residual).max())
     norms: list[float] = []
-    for evaluation in range(1, MOST_EVALUATIONS + 1):
-        if norm < CONVERGED:
+    for evaluation in range(1, how.most_evaluations + 1):
+        if norm < how.converged:
             return w, jacobian
-        if any(evaluation > after and norm > most for after, most in HOPELESS):
+        if any(evaluation > after and norm > most for after, most in how.hopeless):
             raise ConvergenceError("hopeless start")
         norms.append(norm)
-        if creeping(norms) and narrow(jacobian):
+        if how.creeping(norms) and how.singular(jacobian):
             raise Stalled(w)
-        step = damped_step(jacobian, residual, damping)
+        step = how.step(jacobian, residual, damping)
         try:
-            trial = bounded(one, moved(one, w, step))
-            found, slopes = linearised(one, trial)
+            trial = bounded(scaled, moved(scaled, w, step))
+            rows, slopes = linearised(scaled, trial)
         except IntegrationError:
             damping = max(10 * damping, 1e-3)
             continue
-        if float(np.linalg.norm(found)) < float(np.linalg.norm(residual)):
-            w, residual, jacobian = trial, found, slopes
+        if float(np.linalg.norm(rows)) < float(np.linalg.norm(residual)):
+            w, residual, jacobian = trial, rows, slopes
             norm, damping = float(np.abs(residual).max()), damping / 10 if damping > 1e-9 else 0.0
         else:
             damping = max(5 * damping, 1e-4)
     raise ConvergenceError("iteration limit")
 
 
-def creeping(norms: list[float]) -> bool:
-    """True when the last residuals are small and have not halved in a while; asked anew after as long again."""
-    near = norms[-1] < NEAR and len(norms) > PATIENCE and len(norms) % PATIENCE == 0
-    return near and norms[-1] > norms[-1 - PATIENCE] / 2
-
-
-def narrow(jacobian: np.ndarray) -> bool:
-    """True when a Jacobian is nearly singular in one direction alone."""
-    values = np.linalg.svd(jacobian, compute_uv=False)
-    return bool(values[-1] < NARROW * values[-2])
-
-
-def damped_step(jacobian: np.ndarray, residual: np.ndarray, damping: float) -> np.ndarray:
-    """The Levenberg-Marquardt step, no longer than `LARGEST_STEP` in any component."""
-    try:
-        if damping > SQUARED_ABOVE:
-            matrix = jacobian.T @ jacobian
-            matrix[np.diag_indices_from(matrix)] += damping
-            step = -np.linalg.solve(matrix, jacobian.T @ residual)
-        else:
-            step = np.linalg.lstsq(jacobian, -residual, rcond=1e-13)[0]
-    except np.linalg.LinAlgError as error:
-        raise ConvergenceError("singular equations") from error
-    return np.asarray(step * min(1.0, LARGEST_STEP / size_of(step)))
-
-
-def polished(one: Scaled, w: Unknowns, jacobian: np.ndarray) -> Unknowns:
+def polished(scaled: ScaledLoop, w: Unknowns, jacobian: np.ndarray) -> Unknowns:
     """w to round-off, by chord steps with an accurate residual, on the mesh that it needs; `Stalled` above 1e-10."""
-    equations, measures = one.loop.equations, one.measures
+    equations, measures = scaled.loop.equations, scaled.measures
 
     def rows(w: Unknowns, ends: np.ndarray) -> np.ndarray:
-        return np.asarray(one.loop.rows(w, ends) / measures.rows)
+        return np.asarray(scaled.loop.rows(w, ends) / measures.rows)
 
     def solver(jacobian: np.ndarray) -> Solver:
         inverse = np.linalg.pinv(jacobian, rcond=1e-13)
         return lambda rows: -(inverse @ rows) * measures.columns
 
     def renewed(w: Unknowns) -> Solver:
-        return solver(measures.matrix(one.loop.linearised(w, equations.varied(w)).matrix()))
+        return solver(measures.matrix(scaled.loop.linearised(w, equations.varied(w)).matrix()))
 
-    w = replace(one, step=one.step / FINER).at(w)
-    ends, mesh = equations.march.refined_ends(w.nodes, w.mesh, w.tail, one.units)
+    w = replace(scaled, step=scaled.step / scaled.settings.finer).at(w)
+    ends, mesh = equations.march.refined_ends(w.nodes, w.mesh, w.tail, scaled.units)
     w = replace(w, mesh=mesh)
     functions = (lambda w: rows(w, equations.ends(w)), renewed)
-    found = chord(w, rows(w, ends), solver(jacobian), functions, POLISH, Unknowns.moved)
-    if not found.converged:
-        raise Stalled(found.w)
-    return found.w
+    solved = chord(w, rows(w, ends), solver(jacobian), functions, scaled.settings.polish, Unknowns.moved)
+    if not solved.converged:
+        raise Stalled(solved.w)
+    return solved.w
 
 
 @dataclass(frozen=True)
-class Point:
+class ValleyPoint:
     """A point of the valley: w, scaled residual F and Jacobian there, u and v, and mu = u.F."""
 
     w: Unknowns
@@ -243,26 +249,26 @@ class Point:
         return float(self.left @ self.residual)
 
 
-def orbit_in_valley(one: Scaled, w: Unknowns) -> tuple[Unknowns, np.ndarray]:
+def orbit_in_valley(scaled: ScaledLoop, w: Unknowns) -> tuple[Unknowns, np.ndarray]:
     """The unknowns of an orbit in the valley that w lies in, and the Jacobian there; `Stalled` when there is none."""
-    fine = replace(one, step=fine_step(one, w))
+    fine = replace(scaled, step=fine_step(scaled, w))
     try:
-        here = corrected(fine, turned(Point(w, *linearised(fine, w), np.zeros(0), np.zeros(0))), 0.0)
-        if abs(here.mu) > ROUND_OFF:
+        here = corrected(fine, turned(ValleyPoint(w, *linearised(fine, w), np.zeros(0), np.zeros(0))), 0.0)
+        if abs(here.mu) > scaled.settings.round_off:
             here = crossed(fine, *bracket(fine, turned(here)))
     except (IntegrationError, np.linalg.LinAlgError) as error:
         raise Stalled(w) from error
     return here.w, here.jacobian
 
 
-def fine_step(one: Scaled, w: Unknowns) -> float:
+def fine_step(scaled: ScaledLoop, w: Unknowns) -> float:
     """The longest step (s) with which half of it agrees; the polish that follows needs no better Jacobian."""
-    w = one.at(w)
-    mesh = one.loop.equations.march.refined_ends(w.nodes, w.mesh, w.tail, one.units)[1]
+    w = scaled.at(w)
+    mesh = scaled.loop.equations.march.refined_ends(w.nodes, w.mesh, w.tail, scaled.units)[1]
     return 2 * w.period * float(mesh[-1]) / (mesh.size - 1)
 
 
-def turned(at: Point) -> Point:
+def turned(at: ValleyPoint) -> ValleyPoint:
     """The point with the singular vectors of its own Jacobian, in the senses of those that it came with."""
     left, _, right = np.linalg.svd(at.jacobian)
     u, v = left[:, -1], right[-1]
@@ -271,55 +277,57 @@ def turned(at: Point) -> Point:
     return replace(at, left=u, right=v)
 
 
-def corrected(one: Scaled, at: Point, length: float) -> Point:
+def corrected(scaled: ScaledLoop, at: ValleyPoint, length: float) -> ValleyPoint:
     """Where the regular equations hold at h = `length` from a point, by Newton's method; `Stalled` if nowhere."""
+    how = scaled.settings
 
-    def onward(point: Point, step: np.ndarray) -> Point:
-        w = bounded(one, moved(one, point.w, step))
-        return Point(w, *linearised(one, w), at.left, at.right)
+    def onward(point: ValleyPoint, step: np.ndarray) -> ValleyPoint:
+        w = bounded(scaled, moved(scaled, point.w, step))
+        return ValleyPoint(w, *linearised(scaled, w), at.left, at.right)
 
-    def regular(point: Point) -> tuple[np.ndarray, Solver]:
+    def regular(point: ValleyPoint) -> tuple[np.ndarray, Solver]:
         rest = point.residual - point.mu * at.left
 
         def step(_: np.ndarray) -> np.ndarray:
             bordered = np.block([[point.jacobian, -at.left[:, None]], [at.right[None], np.zeros((1, 1))]])
             return np.asarray(np.linalg.solve(bordered, np.append(-rest, 0.0))[:-1])
 
-        hold = largest(rest) < max(SLACK * abs(point.mu), ROUND_OFF)
+        hold = largest(rest) < max(how.slack * abs(point.mu), how.round_off)
         return np.zeros(0) if hold else rest, step
 
-    found = full(onward(at, length * at.right), regular, REGULAR, onward)
-    if not found.converged:
+    solved = full(onward(at, length * at.right), regular, how.regular, onward)
+    if not solved.converged:
         raise Stalled(at.w)
-    return found.w
+    return solved.w
 
 
-def bracket(one: Scaled, at: Point) -> tuple[Point, Point, float]:
+def bracket(scaled: ScaledLoop, at: ValleyPoint) -> tuple[ValleyPoint, ValleyPoint, float]:
     """Two successive points between which mu changes its sign, and h from the first to the second."""
-    length = -LONGEST * (np.sign(at.mu * (at.left @ at.jacobian @ at.right)) or 1.0)  # the way on which |mu| falls
-    for _ in range(MOST_TRIALS):
+    how = scaled.settings
+    length = -how.longest * (np.sign(at.mu * (at.left @ at.jacobian @ at.right)) or 1.0)  # the way on which |mu| falls
+    for _ in range(how.most_trials):
         try:
-            there = corrected(one, at, length)
+            there = corrected(scaled, at, length)
         except (Stalled, IntegrationError):
             length /= 2
-            if abs(length) < SHORTEST:
+            if abs(length) < how.shortest:
                 break
             continue
         if there.mu * at.mu <= 0:
             return at, there, length
-        at, length = turned(there), float(np.clip(1.5 * length, -LONGEST, LONGEST))
+        at, length = turned(there), float(np.clip(1.5 * length, -how.longest, how.longest))
     raise Stalled(at.w)
 
 
-def crossed(one: Scaled, first: Point, second: Point, length: float) -> Point:
+def crossed(scaled: ScaledLoop, first: ValleyPoint, second: ValleyPoint, length: float) -> ValleyPoint:
     """The zero of mu between two points, `length` apart."""
     met = {0.0: first, length: second}
 
     def mu(share: float) -> float:
         if share not in met:
-            met[share] = corrected(one, first, share)
+            met[share] = corrected(scaled, first, share)
         value = met[share].mu
-        return 0.0 if abs(value) < ROUND_OFF else value
+        return 0.0 if abs(value) < scaled.settings.round_off else value
 
     root = zero(mu, 0.0, length, 1e-13)
-    return met.get(root) or corrected(one, first, root)
+    return met.get(root) or corrected(scaled, first, root)

@@ -46,25 +46,42 @@ CYCLES = 3
 """Cycles of a hybrid system that an orbit goes through at most unless told otherwise."""
 METHOD = 2
 """Raised whenever the same number of a start would lead elsewhere than before; part of what a search is."""
-SAMPLES_PER_PERIOD = 400
-"""Samples of the simulation over the longest period."""
-CHOICES = 4
-"""The period is drawn from this many of the nearest returns."""
-RECURRENCE_SPAN = 3.0
-"""A recurrence start simulates this many of the longest periods."""
-RECURRENCE_BEGINNINGS = 40
-"""Returns are looked for from this many moments in each longest period."""
-ATTEMPTS = 200
-SPANS = 16
-"""The step is calibrated on this fraction of the longest period."""
-CALIBRATION_STATES = 24
-STEP_ERROR = 1e-7
-MOST_HALVINGS = 12
-REACHES = 2.0 ** np.arange(-100, 100)
-"""Distances from the equilibrium at which the energy shell is looked for."""
 DECLARED = "declared-"
 """In front of the name of a reversal that the system has or declares: such starts begin in its fixed set, look for the
 next return to it, and solve half a period."""
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """How starts are proposed, and how what they lead to is judged; another value needs another `METHOD`."""
+
+    samples_per_period: int = 400
+    """of the simulation over the longest period"""
+    choices: int = 4
+    """nearest returns from which the period is drawn"""
+    recurrence_span: float = 3.0
+    """longest periods that a recurrence start simulates"""
+    recurrence_beginnings: int = 40
+    """moments in each longest period from which returns are looked for"""
+    attempts: int = 200
+    """at a position below the energy"""
+    spans: int = 16
+    """the step is calibrated on this fraction of the longest period"""
+    calibration_states: int = 24
+    step_error: float = 1e-7
+    """of the median motion over such a span"""
+    most_halvings: int = 12
+    growth_per_segment: float = 10.0
+    segments: tuple[int, int] = (2, 16)
+    """fewest and most"""
+    period_margin: float = 1.15
+    """factor by which the cheap stage lets the period leave the range before it holds it"""
+    largest_unfolding: float = 1e-8
+    smallest: float = 1e-3
+    """motions of less than this extent (rad or lengths of the energy shell) are equilibria"""
+    largest_cover: int = 30
+    cover: float = 1e-5
+    """a return at T/k nearer than this, relative to the motion's extent, means that the loop was run k times"""
 
 
 @dataclass(frozen=True)
@@ -105,6 +122,7 @@ class Context:
     """where the states of a first-order system are drawn from"""
     section: EventSection | None = None
     """where those of a hybrid one are, and its orbits found"""
+    settings: SearchSettings = SearchSettings()
 
     @property
     def units(self) -> np.ndarray:
@@ -128,7 +146,7 @@ class Context:
 
 
 @dataclass(frozen=True)
-class Start:
+class SearchStart:
     """One start: its number, strategy, the symmetry imposed, state (2n) and period (s), of a hybrid system the events
     that its motion goes through."""
 
@@ -153,13 +171,13 @@ def context_of(model: Model, target: Target) -> Context:
     lengths = shell_lengths(model, place, target.energy)
     origin = np.append(np.where(lengths == 1.0, 0.0, lengths), np.zeros(lengths.size))
     own = {
-        f"{DECLARED}{one.name}": one for one in declared(model)
-        if one.sense < 0 and Symmetry((one,)).held_by(model, origin)
+        f"{DECLARED}{reversal.name}": reversal for reversal in declared(model)
+        if reversal.sense < 0 and Symmetry((reversal,)).held_by(model, origin)
     }  # fmt: skip
-    known = [name for name, one in SYMMETRIES.items() if one.held_by(model, origin)]
+    known = [name for name, symmetry in SYMMETRIES.items() if symmetry.held_by(model, origin)]
     imposed = {"none"} | {symmetry for symmetry, _ in STRATEGIES.values()}
     chosen = {name: SYMMETRIES[name] for name in known if name in imposed}
-    chosen |= {one.name: Symmetry((one,)) for one in own.values()}
+    chosen |= {reversal.name: Symmetry((reversal,)) for reversal in own.values()}
     turns = (*(name for name in TURNS if possible(name, known)), *own, *(own if len(own) == 1 else ()))
     return _ready(Context(model, target, place, normal_modes(model, place)[1], turns, lengths, declared=own), chosen)
 
@@ -167,10 +185,10 @@ def context_of(model: Model, target: Target) -> Context:
 def _ready(context: Context, chosen: Mapping[str, Symmetry]) -> Context:
     """With equations and flows by the symmetries that are imposed, and the step of the cheap stage."""
     model, units = context.model, unless_one(context.units)
-    equations = {name: Equations(model, one, alone=True) for name, one in chosen.items()}
-    flows = {name: build_flow(model, (), one.unfolded(model), units=units) for name, one in chosen.items()}
-    found = replace(context, equations=equations, flows=flows)
-    return replace(found, step=calibrated(found))
+    equations = {name: Equations(model, symmetry, alone=True) for name, symmetry in chosen.items()}
+    flows = {name: build_flow(model, (), symmetry.unfolded(model), units=units) for name, symmetry in chosen.items()}
+    ready = replace(context, equations=equations, flows=flows)
+    return replace(ready, step=calibrated(ready))
 
 
 def _alone(model: Model, target: Target) -> Context:
@@ -178,8 +196,9 @@ def _alone(model: Model, target: Target) -> Context:
     region = region_of(model, target.energy, target.periods[1])
     prepare(model)
     place = region.drawn(np.random.default_rng(0))
-    own = {f"{DECLARED}{one.name}": one for one in involutions(model) if Symmetry((one,), True).held_by(model, place)}
-    chosen = {NONE.name: ALONE} | {one.name: Symmetry((one,), True) for one in own.values()}
+    held = [mirror for mirror in involutions(model) if Symmetry((mirror,), True).held_by(model, place)]
+    own = {f"{DECLARED}{mirror.name}": mirror for mirror in held}
+    chosen = {NONE.name: ALONE} | {mirror.name: Symmetry((mirror,), True) for mirror in own.values()}
     turns = ("recurrence", *own, "random", "recurrence", *own)
     shapes, lengths = np.zeros((place.size, 0)), region.lengths
     return _ready(Context(model, target, place, shapes, turns, lengths, declared=own, region=region), chosen)
@@ -197,16 +216,17 @@ def shell_lengths(model: Model, place: np.ndarray, energy: float) -> np.ndarray:
 
     These are powers of 2, 1 where they are within a factor of 16 of it or V never comes to E.
     """
-    found = np.ones(place.size)
+    sizes = np.ones(place.size)
+    reaches = 2.0 ** np.arange(-100, 100)  # distances from the equilibrium at which the energy shell is looked for
     for k, unit in enumerate(np.eye(place.size)):
         if model.angular[k]:
             continue
-        trials = (place + sign * size * unit for size in REACHES for sign in (-1, 1))
+        trials = (place + sign * size * unit for size in reaches for sign in (-1, 1))
         above = (float(model.potential(q, model.parameter_values)) > energy for q in trials)
-        first = next((i for i, one in enumerate(above) if one), None)
-        size = 1.0 if first is None else REACHES[first // 2]
-        found[k] = alike(size)
-    return given_or(model, found)
+        first = next((i for i, higher in enumerate(above) if higher), None)
+        size = 1.0 if first is None else reaches[first // 2]
+        sizes[k] = alike(size)
+    return given_or(model, sizes)
 
 
 def possible(name: str, known: Sequence[str]) -> bool:
@@ -215,28 +235,28 @@ def possible(name: str, known: Sequence[str]) -> bool:
 
 
 def calibrated(context: Context) -> float:
-    """The step (s) with which the median motion on the energy shell is right to `STEP_ERROR` per span."""
-    random, march = np.random.default_rng(0), context.equations[NONE.name].march
-    states = np.array([_random_state(context, random) for _ in range(CALIBRATION_STATES)])
-    span, steps = context.target.periods[1] / SPANS, 4
+    """The step (s) with which the median motion on the energy shell is right to `step_error` per span."""
+    how, random, march = context.settings, np.random.default_rng(0), context.equations[NONE.name].march
+    states = np.array([_random_state(context, random) for _ in range(how.calibration_states)])
+    span, steps = context.target.periods[1] / how.spans, 4
     tail = np.append(span, np.zeros(march.unfolding))
 
     def marched(count: int) -> np.ndarray:
-        found = []
+        ends = []
         for state in states:
             try:
-                found.append(march.ends(state[None], uniform(1.0, 1, count), tail)[0])
+                ends.append(march.ends(state[None], uniform(1.0, 1, count), tail)[0])
             except IntegrationError:
-                found.append(np.full(state.size, np.inf))
-        return np.asarray(found)
+                ends.append(np.full(state.size, np.inf))
+        return np.asarray(ends)
 
     coarse = marched(steps)
-    for _ in range(MOST_HALVINGS):
+    for _ in range(how.most_halvings):
         fine = marched(2 * steps)
         with np.errstate(invalid="ignore"):
             size = np.maximum(1.0, np.abs(fine / context.units).max(axis=1))
             error = np.abs((fine - coarse) / context.units).max(axis=1) / size
-        if float(np.median(np.nan_to_num(error, nan=np.inf))) < STEP_ERROR:
+        if float(np.median(np.nan_to_num(error, nan=np.inf))) < how.step_error:
             return span / steps
         steps, coarse = 2 * steps, fine
     raise InputError(
@@ -260,7 +280,7 @@ def check(model: Model, target: Target) -> None:
             "search: works in minimal coordinates, not on systems under constraints; give minimal_linkage(...) from "
             "Python, or use find with a guess"
         )
-    names = [one.name for one in model.invariants]
+    names = [invariant.name for invariant in model.invariants]
     alone = model.rates is not None and not names
     if model.forced or not (alone or (model.conservative and len(names) == 1)):
         raise InputError(
@@ -269,24 +289,24 @@ def check(model: Model, target: Target) -> None:
         )
 
 
-def make_start(context: Context, seed: int, index: int) -> Start:
+def make_start(context: Context, seed: int, index: int) -> SearchStart:
     """The start with this number; `ConvergenceError` when its strategy proposes none."""
     name = strategy_of(context, index)
     random = np.random.default_rng([seed, index])
     if context.section is not None:
-        found = context.section.returns(name, random)
-        return Start(index, name, NONE.name, found.state, found.period, found.course)
+        returned = context.section.returns(name, random)
+        return SearchStart(index, name, NONE.name, returned.state, returned.period, returned.course)
     if name in context.declared:
-        one = context.declared[name]
-        symmetry, state = one.name, _fixed(context, one, random) if one.sense < 0 else _random_state(context, random)
-        return Start(index, name, symmetry, state, _return_time(context, name, state, random))
+        mirror = context.declared[name]
+        state = _fixed(context, mirror, random) if mirror.sense < 0 else _random_state(context, random)
+        return SearchStart(index, name, mirror.name, state, _return_time(context, name, state, random))
     symmetry, propose = STRATEGIES[name]
     state = propose(context, random)
     if name == "recurrence":
         state, period = _recurrence(context, state, random)
     else:
         period = _return_time(context, name if name == REVERSAL.name else symmetry, state, random)
-    return Start(index, name, symmetry, state, period)
+    return SearchStart(index, name, symmetry, state, period)
 
 
 def strategy_of(context: Context, index: int) -> str:
@@ -297,8 +317,8 @@ def strategy_of(context: Context, index: int) -> str:
 def random_position(context: Context, random: np.random.Generator, most: float = 1.0) -> np.ndarray:
     """Coordinates (n) with V < E, angles uniform within `most` of a half turn of the equilibrium."""
     reach = np.where(context.model.angular, np.pi, 2.0 * context.lengths)
-    for attempt in range(ATTEMPTS):
-        shrink = most * (1.0 - 0.9 * attempt / ATTEMPTS)
+    for attempt in range(context.settings.attempts):
+        shrink = most * (1.0 - 0.9 * attempt / context.settings.attempts)
         q = context.equilibrium + shrink * reach * random.uniform(-1, 1, reach.size)
         if potential(context, q) < context.target.energy:
             return q
@@ -362,20 +382,20 @@ def _centre(context: Context, random: np.random.Generator) -> np.ndarray:
 def _crossing(context: Context, random: np.random.Generator) -> np.ndarray:
     """Passing a configuration that the reflection keeps: every angle 0 or a half turn, as the energy allows."""
     n, angles = context.model.degrees_of_freedom, context.model.angular
-    for _ in range(ATTEMPTS):
+    for _ in range(context.settings.attempts):
         q = np.where(angles, np.pi * random.integers(0, 2, n), 0.0) * (random.uniform() < 0.5)
         if potential(context, q) < context.target.energy:
             return on_shell(context, q, context.lengths * random.normal(size=n))
     return on_shell(context, context.equilibrium, context.lengths * random.normal(size=n))
 
 
-def _fixed(context: Context, one: Involution, random: np.random.Generator) -> np.ndarray:
+def _fixed(context: Context, reversal: Involution, random: np.random.Generator) -> np.ndarray:
     """In the fixed set of a reversal: some coordinates at 0 (or a half turn), the others at rest."""
     if context.region is not None:
-        return context.region.fixed(one, random)
+        return context.region.fixed(reversal, random)
     angles = context.model.angular
-    signs = np.broadcast_to(one.signs, angles.size)
-    for _ in range(ATTEMPTS):
+    signs = np.broadcast_to(reversal.signs, angles.size)
+    for _ in range(context.settings.attempts):
         q = np.where(signs < 0, np.pi * angles * random.integers(0, 2, signs.size), random_position(context, random))
         if potential(context, q) < context.target.energy:
             return on_shell(context, q, context.lengths * np.where(signs < 0, random.normal(size=signs.size), 0.0))
@@ -420,20 +440,25 @@ def boundary_gap(context: Context, symmetry: str, states: np.ndarray) -> np.ndar
     return np.asarray((np.abs(gaps) / np.where(units > 0, units, 1.0)).max(axis=1))
 
 
-def _gap_alone(one: Involution | None, states: np.ndarray, angular: np.ndarray) -> np.ndarray:
-    """The same of first-order states (k x d) in lengths, under an involution or none."""
-    if one is not None and one.sense < 0:
-        return np.asarray(np.abs(off_centre(one, states, angular)).max(axis=1))
-    first = states[0] if one is None else one.matrix(states.shape[1]) @ states[0]
+def _gap_alone(mirror: Involution | None, states: np.ndarray, angular: np.ndarray) -> np.ndarray:
+    """The same of first-order states (k x d) in lengths, under an mirror or none."""
+    if mirror is not None and mirror.sense < 0:
+        return np.asarray(np.abs(off_centre(mirror, states, angular)).max(axis=1))
+    first = states[0] if mirror is None else mirror.matrix(states.shape[1]) @ states[0]
     return np.asarray(np.abs(wrapped(states - first, angular)).max(axis=1))
 
 
 def simulated(context: Context, state: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
     """Times and states of a loose simulation."""
-    samples = SAMPLES_PER_PERIOD * duration / context.target.periods[1]
+    samples = context.settings.samples_per_period * duration / context.target.periods[1]
     count = rounded(max(samples, duration / context.step))
     march, mesh = context.equations["none"].march, uniform(1.0, 1, count)
     return duration * mesh, march.states(state[None], mesh, np.append(duration, np.zeros(march.unfolding)))
+
+
+def _minima(gaps: np.ndarray) -> np.ndarray:
+    """Where gaps are no larger than before and after."""
+    return np.flatnonzero((gaps[1:-1] <= gaps[:-2]) & (gaps[1:-1] <= gaps[2:])) + 1
 
 
 def _return_time(context: Context, symmetry: str, state: np.ndarray, random: np.random.Generator) -> float:
@@ -443,28 +468,25 @@ def _return_time(context: Context, symmetry: str, state: np.ndarray, random: np.
     low, high = context.target.periods
     times, states = simulated(context, state, fraction * high)
     gaps = boundary_gap(context, symmetry, states)
-    inner = (gaps[1:-1] <= gaps[:-2]) & (gaps[1:-1] <= gaps[2:]) & (times[1:-1] >= fraction * low)
-    found = np.flatnonzero(inner) + 1
-    if not found.size:
+    minima = _minima(gaps)
+    minima = minima[times[minima] >= fraction * low]
+    if not minima.size:
         raise ConvergenceError("no return in the range of periods")
-    best = found[np.argsort(gaps[found])][:CHOICES]
+    best = minima[np.argsort(gaps[minima])][: context.settings.choices]
     return float(times[random.choice(best)] / fraction)
 
 
 def _recurrence(context: Context, state: np.ndarray, random: np.random.Generator) -> tuple[np.ndarray, float]:
     """The state and period of one of the closest returns of a longer simulation to itself."""
     low, high = context.target.periods
-    times, states = simulated(context, state, RECURRENCE_SPAN * high)
-    step, found = float(times[1]), []
+    times, states = simulated(context, state, context.settings.recurrence_span * high)
+    step, returns = float(times[1]), []
     window = int(np.ceil(high / step))
-    for begin in range(0, len(times) - window, max(1, window // RECURRENCE_BEGINNINGS)):
+    for begin in range(0, len(times) - window, max(1, window // context.settings.recurrence_beginnings)):
         gaps = boundary_gap(context, "none", states[begin : begin + window])
-        first = int(np.ceil(low / step))
-        inner = gaps[first:-1]
-        minima = np.flatnonzero((inner <= gaps[first - 1 : -2]) & (inner <= gaps[first + 1 :])) + first
-        found += [(float(gaps[k]), begin, int(k)) for k in minima]
-    if not found:
+        returns += [(float(gaps[k]), begin, int(k)) for k in _minima(gaps) if k >= np.ceil(low / step)]
+    if not returns:
         raise ConvergenceError("no return in the range of periods")
-    best = sorted(found)[:CHOICES]
+    best = sorted(returns)[: context.settings.choices]
     _, begin, length = best[random.integers(len(best))]
     return states[begin], length * step

@@ -40,8 +40,6 @@ LOOPS_KEPT = 4096
 
 ALIKE = ("formulation", "cycle")
 """What may differ in the description of one system: all formulations are one motion, all cycles one machine's."""
-CUSTOM = "custom"
-"""The kind of a system that was built in Python and that no file describes."""
 UNDESCRIBED = (
     " (a Model built in Python has no description: it may read the orbits whose energies it has; to write, "
     "search the problem file that they came from, with --trust)"
@@ -51,7 +49,7 @@ SAME_ENERGY = 1e-9
 
 
 @dataclass(frozen=True)
-class Row:
+class AtlasRow:
     """One line of an atlas: an orbit in a few numbers (SI units), `instability` its largest |multiplier|.
 
     `signature` says how often each coordinate turns back in a period (see `signature.in_words`), `proof` the stability
@@ -70,10 +68,10 @@ class Row:
     proof: str
 
 
-COLUMNS = tuple(Row.__dataclass_fields__)
+COLUMNS = tuple(AtlasRow.__dataclass_fields__)
+STORED = f"period_bin, action_bin, {', '.join(COLUMNS[1:])}, document"
+"""What the line of an orbit holds besides its id, in the order in which it is written"""
 LINES = f"SELECT {', '.join(COLUMNS)} FROM orbits"
-ALIKE_ENERGY = "CAST(printf('%.9g', energy) AS REAL)"
-"""What rows are sorted by: energies that differ by round-off are one"""
 
 
 @dataclass(frozen=True)
@@ -106,10 +104,11 @@ class Filter:
             if (limits := getattr(self, name)) is not None:
                 check_range(name, limits)
         for name, known in KINDS.items():
-            for one in named(getattr(self, name)):
-                if one not in known:
-                    meant = STABLE if one == "stable" else closest(one, known)
-                    raise InputError(f"{name}: unknown {one!r}{meant}; use {', '.join(known)}")
+            for word in named(getattr(self, name)):
+                if word not in known:
+                    stable = ", stable orbits are elliptic where an energy is kept and asymptotically stable elsewhere"
+                    meant = stable if word == "stable" else closest(word, known)
+                    raise InputError(f"{name}: unknown {word!r}{meant}; use {', '.join(known)}")
 
     def condition(self) -> tuple[str, list[Any]]:
         """The same as an SQL condition with its values."""
@@ -125,7 +124,6 @@ class Filter:
         return " AND ".join(parts), values
 
 
-STABLE = ", stable orbits are elliptic where an energy is kept and asymptotically stable elsewhere"
 KINDS = {"stability": STABILITIES, "symmetry": tuple(SYMMETRIES)}
 """What a filter chooses by name."""
 
@@ -138,7 +136,7 @@ def named(kinds: str | Sequence[str]) -> tuple[str, ...]:
 def check_range(name: str, limits: Sequence[float]) -> None:
     """`InputError` when two limits are no closed range."""
     try:
-        low, high = (float(one) for one in limits)
+        low, high = (float(limit) for limit in limits)
     except (TypeError, ValueError):
         low, high = np.nan, np.nan
     if not low <= high:
@@ -229,13 +227,14 @@ class Atlas(Shown):
         if write:
             with transaction(self.connection):
                 self.connection.execute("INSERT OR IGNORE INTO about VALUES ('system', ?)", [text])
-        found = self._recorded()
-        if canonical(found) != canonical(system) and not self._moves_alike(system, write):
+        recorded = self._recorded()
+        if canonical(recorded) != canonical(system) and not self._moves_alike(system, write):
             raise InputError(
-                f"{self.path}: system: holds orbits of {described(found, system)}, not of {described(system, found)}; "
-                "give another atlas file" + (UNDESCRIBED if system_kind(system) is OTHER else "")
+                f"{self.path}: system: holds orbits of {described(recorded, system)}, not of "
+                f"{described(system, recorded)}; give another atlas file"
+                + (UNDESCRIBED if system_kind(system) is OTHER else "")
             )
-        return found
+        return recorded
 
     def _moves_alike(self, system: Mapping[str, Any], write: bool) -> bool:
         """True when a Model without a description, given to read, has the recorded energy all along every orbit."""
@@ -270,22 +269,23 @@ class Atlas(Shown):
     def __len__(self) -> int:
         return int(self.select([int], "SELECT count(*) FROM orbits")[0][0])
 
-    def rows(self, chosen: Filter | None = None, order: str = "energy, period") -> list[Row]:
-        """The orbits that pass a filter, by energy and period (or by `order`, columns of `Row`)."""
+    def rows(self, chosen: Filter | None = None, order: str = "energy, period") -> list[AtlasRow]:
+        """The orbits that pass a filter, by energy and period (or by `order`, columns of `AtlasRow`)."""
         words = order.replace(",", " ").split()
         if not set(words) <= {*COLUMNS, "DESC"}:
             raise InputError(f"order: unknown {order!r}; use columns among {', '.join(COLUMNS)}")
         condition, values = (chosen or Filter()).condition()
-        told = re.sub(r"\benergy\b", ALIKE_ENERGY, order)
+        alike = "CAST(printf('%.9g', energy) AS REAL)"  # energies that differ by round-off are one
+        told = re.sub(r"\benergy\b", alike, order)
         question = f"{LINES} WHERE {condition} ORDER BY {told}, id"
-        return [Row(*entry) for entry in self.select(list(get_type_hints(Row).values()), question, values)]
+        return [AtlasRow(*entry) for entry in self.select(list(get_type_hints(AtlasRow).values()), question, values)]
 
-    def row(self, number: int) -> Row:
+    def row(self, number: int) -> AtlasRow:
         """The line of one orbit, by its id."""
-        found = self.select(list(get_type_hints(Row).values()), f"{LINES} WHERE id = ?", [int(number)])
-        if not found:
+        rows = self.select(list(get_type_hints(AtlasRow).values()), f"{LINES} WHERE id = ?", [int(number)])
+        if not rows:
             raise self._missing(number)
-        return Row(*found[0])
+        return AtlasRow(*rows[0])
 
     def document(self, number: int) -> dict[str, Any]:
         """The orbit.json document of an orbit by its id."""
@@ -310,16 +310,16 @@ class Atlas(Shown):
 
     def look_up(self, signature: Signature) -> int | None:
         """The id of the orbit that a signature belongs to, None when it is new."""
-        return next((one for one in self.near(signature.bins) if same_orbit(self.signature(one), signature)), None)
+        return next((k for k in self.near(signature.bins) if same_orbit(self.signature(k), signature)), None)
 
     def near(self, bins: tuple[int, int]) -> list[int]:
         """The ids of the orbits in and next to bins of period and action."""
         periods, actions = neighbours(bins)
-        found = self.select(
+        rows = self.select(
             [int], "SELECT id FROM orbits WHERE period_bin IN (?, ?, ?) AND action_bin IN (?, ?, ?) ORDER BY id",
             [*periods, *actions],
         )  # fmt: skip
-        return [one for (one,) in found]
+        return [number for (number,) in rows]
 
     def signature(self, number: int) -> Signature:
         """The signature of a stored orbit, its loop integrated again unless it is still in memory."""
@@ -347,11 +347,12 @@ class Atlas(Shown):
             float(np.abs(orbit.floquet_multipliers).max(initial=1.0)), orbit.closure, in_words(orbit, signature),
             proved(document), compressed(document),
         ]  # fmt: skip
-        cursor = self.connection.execute(
-            "INSERT INTO orbits (period_bin, action_bin, energy, period, action, symmetry, stability, instability, "
-            f"closure, signature, proof, document) VALUES ({', '.join('?' * len(numbers))})",
-            numbers,
-        )
+        return self.put(numbers)
+
+    def put(self, numbers: Sequence[Any]) -> int:
+        """Write the line of an orbit (see `STORED`); its id. To be called inside a transaction."""
+        places = ", ".join("?" * len(numbers))
+        cursor = self.connection.execute(f"INSERT INTO orbits ({STORED}) VALUES ({places})", numbers)
         assert cursor.lastrowid is not None
         return cursor.lastrowid
 
@@ -413,7 +414,7 @@ def named_state(document: Mapping[str, Any], names: Sequence[str]) -> dict[str, 
 def canonical(system: Mapping[str, Any]) -> str:
     """A description of a system in which 2 and 2.0 are one, keys sorted."""
     told = {key: value for key, value in system.items() if key not in ALIKE}
-    return json.dumps(walked(told, lambda one: float(one) if is_number(one) else one), sort_keys=True)
+    return json.dumps(walked(told, lambda entry: float(entry) if is_number(entry) else entry), sort_keys=True)
 
 
 def described(system: Mapping[str, Any], other: Mapping[str, Any]) -> str:

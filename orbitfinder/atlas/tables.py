@@ -24,7 +24,8 @@ APPLICATION = 0x6F726266
 """The letters `orbf`."""
 PATIENCE = 60.0
 """Seconds that a writer waits for another one's transaction."""
-BASE = """
+MIGRATIONS: tuple[str, ...] = (
+    """
 CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE orbits (
     id INTEGER PRIMARY KEY,
@@ -53,16 +54,16 @@ CREATE TABLE starts (
     seconds REAL NOT NULL,
     PRIMARY KEY (search, number)
 ) WITHOUT ROWID;
-"""
-LISTING = """
+""",
+    """
 CREATE INDEX orbits_by_energy ON orbits (energy, period);
 CREATE INDEX starts_by_orbit ON starts (orbit);
-"""
-DESCRIBED = """
+""",
+    """
 ALTER TABLE orbits ADD COLUMN signature TEXT NOT NULL DEFAULT '';
 ALTER TABLE orbits ADD COLUMN proof TEXT NOT NULL DEFAULT '';
-"""
-MIGRATIONS: tuple[str, ...] = (BASE, LISTING, DESCRIBED)
+""",
+)
 """Scripts that raise the version by one each; a published one is never edited, only followed by another."""
 VERSION = len(MIGRATIONS)
 OURS = ("about", "orbits", "searches", "starts", "orbits_by_signature", "orbits_by_energy", "starts_by_orbit")
@@ -118,17 +119,17 @@ def _reading(path: Path) -> sqlite3.Connection:
 def _checked(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:
     """The connection, or one to a migrated copy in memory, if its file is an atlas."""
     try:
-        found = _version(path, connection)
-        if found == 0:
+        version = _version(path, connection)
+        if version == 0:
             raise InputError(f"{path}: empty, not an atlas yet; make one with orbitfinder search")
-        if found == VERSION:
+        if version == VERSION:
             return connection
         with contextlib.closing(connection):
             copy = sqlite3.connect(":memory:", isolation_level=None)
             connection, left = copy, connection
             connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_FILE)
             left.backup(connection)
-        _migrate(connection, found)
+        _migrate(connection, version)
         return connection
     except BaseException:
         connection.close()
@@ -143,22 +144,22 @@ def _version(path: Path, connection: sqlite3.Connection) -> int:
     try:
         mark = connection.execute("PRAGMA application_id").fetchone()[0]
         tables = connection.execute("SELECT type, name, sql FROM sqlite_master").fetchall()
-        found = int(connection.execute("PRAGMA user_version").fetchone()[0])
+        version = int(connection.execute("PRAGMA user_version").fetchone()[0])
     finally:
         if not inside and connection.in_transaction:
             connection.execute("ROLLBACK")
     if mark != APPLICATION:
-        if tables or mark or found:
+        if tables or mark or version:
             raise InputError(f"{path}: a database of another program, not an atlas; give another file")
         return 0
-    if found > VERSION:
+    if version > VERSION:
         raise InputError(
-            f"{path}: version: an atlas of version {found}, this orbitfinder knows up to {VERSION}; "
+            f"{path}: version: an atlas of version {version}, this orbitfinder knows up to {VERSION}; "
             "update orbitfinder, nothing was changed"
         )
     connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_FILE)
-    _check_schema(path, tables, found)
-    return found
+    _check_schema(path, tables, version)
+    return version
 
 
 def _check_schema(path: Path, made: Sequence[tuple[Any, ...]], version: int) -> None:
@@ -187,19 +188,19 @@ def _prepared(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:
     connection.execute("PRAGMA foreign_keys = ON")
     while _version(path, connection) < VERSION:
         with transaction(connection):
-            found = _version(path, connection)  # another writer may have been faster
-            _migrate(connection, found, found + 1)
+            version = _version(path, connection)  # another writer may have been faster
+            _migrate(connection, version, version + 1)
     return connection
 
 
-def _migrate(connection: sqlite3.Connection, found: int, wanted: int = VERSION) -> None:
+def _migrate(connection: sqlite3.Connection, version: int, wanted: int = VERSION) -> None:
     """Raise the version of an atlas from the one found to the one wanted."""
-    for script in MIGRATIONS[found:wanted]:
+    for script in MIGRATIONS[version:wanted]:
         for statement in script.split(";"):
             connection.execute(statement)
-        found += 1
+        version += 1
         connection.execute(f"PRAGMA application_id = {APPLICATION}")
-        connection.execute(f"PRAGMA user_version = {found}")
+        connection.execute(f"PRAGMA user_version = {version}")
 
 
 @lru_cache

@@ -36,18 +36,12 @@ from orbitfinder.mechanics.kind import build_model
 
 LONGEST_START = 120.0
 """s after which one start is given up, or a budget would be overrun without end; ordinary ones take 0.01 to 10"""
-MOST_TRIES = 2
-"""A start whose worker died is tried once more; then it has cost itself and nothing else."""
 DIED = "worker died"
 MOST_FALSE_STARTS = 3
 CONNECTING = 20.0
 """Seconds to wait for the scheduler."""
-WAITING = 300.0
-"""Seconds to wait for workers, at the beginning and whenever none is left."""
 EACH = 2
 """Starts under way for each thread: one in work, one waiting there."""
-LOOK_EVERY = 2.0
-"""Seconds between two looks at how many threads there are."""
 _one_at_a_time = threading.Lock()
 
 
@@ -93,15 +87,15 @@ def perform(context: Context, seed: int, job: Job, known: ArrayLike) -> Attempt:
     began = time.process_time()
     try:
         with limit.limited(LONGEST_START):
-            found = attempt(context, seed, job.number, None if job.certain else known, job.source)
+            made = attempt(context, seed, job.number, None if job.certain else known, job.source)
     except (RuntimeError, ValueError, ArithmeticError, LimitError) as error:
         limit.check()  # that of the whole search ends the search
         name = CONTINUATION if job.source is not None else strategy_of(context, job.number)
-        found = Attempt(job.number, name, reason=f"error: {type(error).__name__}")
-    if found.orbit is not None:  # dense samples stay here: the nodes rebuild them
-        light = replace(found.orbit, times=np.zeros(0), samples=np.zeros((0, found.orbit.state.size)))
-        found = replace(found, orbit=light)
-    return replace(found, seconds=time.process_time() - began)
+        made = Attempt(job.number, name, reason=f"error: {type(error).__name__}")
+    if made.orbit is not None:  # dense samples stay here: the nodes rebuild them
+        light = replace(made.orbit, times=np.zeros(0), samples=np.zeros((0, made.orbit.state.size)))
+        made = replace(made, orbit=light)
+    return replace(made, seconds=time.process_time() - began)
 
 
 class Workers(abc.ABC):
@@ -173,7 +167,7 @@ class Worker(processes.Hand):
     ready: bool = False
 
 
-class Local(Workers):
+class LocalWorkers(Workers):
     """Spawned processes on this machine."""
 
     def __init__(self, request: Request, count: int) -> None:
@@ -190,7 +184,7 @@ class Local(Workers):
         return len(self._idle()) - len(self._again)
 
     def _idle(self) -> list[Worker]:
-        return [one for one in self._workers if one.ready and one.job is None]
+        return [worker for worker in self._workers if worker.ready and worker.job is None]
 
     def submit(self, job: Job) -> None:
         """Give a start to an idle worker, with the known orbits that it has not heard of."""
@@ -201,14 +195,14 @@ class Local(Workers):
 
     def results(self, timeout: float) -> list[tuple[Job, Attempt]]:
         """Attempts that have come in; dead workers are replaced, their starts repeated once."""
-        found: list[tuple[Job, Attempt]] = []
-        ready = wait([one.pipe for one in self._workers], timeout)
+        ended: list[tuple[Job, Attempt]] = []
+        ready = wait([hand.pipe for hand in self._workers], timeout)
         for k, worker in enumerate(self._workers):
             if worker.pipe in ready:
-                found += self._heard_from(k, worker)
+                ended += self._heard_from(k, worker)
         while self._again and self._idle():
             self.submit(self._again.pop(0))
-        return found
+        return ended
 
     def close(self) -> None:
         """End them: they hold nothing that the parent does not have."""
@@ -240,7 +234,7 @@ class Local(Workers):
         job = worker.job
         if job is None:
             return []
-        if job.tries < MOST_TRIES:
+        if job.tries < 2:  # once more; then it has cost itself and nothing else
             self._again.append(replace(job, tries=job.tries + 1))
             return []
         return [(job, Attempt(job.number, "", reason=DIED))]
@@ -352,11 +346,11 @@ class Pool(Futures):
 
 
 class Cluster(Futures):
-    """The workers behind a Dask scheduler."""
+    """The workers behind a Dask scheduler, `waiting` (s) for them at the beginning and whenever none is left."""
 
     name, remedy = "cluster", "install the same orbitfinder there"
 
-    def __init__(self, request: Request, address: str, waiting: float = WAITING) -> None:
+    def __init__(self, request: Request, address: str, waiting: float = 300.0) -> None:
         super().__init__(request)
         self._distributed, self._waiting = _distributed(), waiting
         self.lost = (self._distributed.KilledWorker,)
@@ -373,7 +367,7 @@ class Cluster(Futures):
     @property
     def room(self) -> int:
         """Starts that the threads of the cluster can take on."""
-        if time.monotonic() - self._looked > LOOK_EVERY:
+        if time.monotonic() - self._looked > 2.0:
             self._looked = time.monotonic()
             self._threads = sum(self._client.nthreads().values())
             if self._threads:

@@ -13,12 +13,13 @@ from orbitfinder.cli.console import Progress, display
 from orbitfinder.cli.jobs import check_writable, named_orbits
 from orbitfinder.cli.options import FILES, FINITE, SYSTEM_TRUST, option, orbit_files, out_option, text, usual
 from orbitfinder.errors import InputError, plural
+from orbitfinder.exports.formats import FORMATS
 from orbitfinder.records.registry import answer
 
 
 @click.command()
 @orbit_files
-@option("to", "What to write.", kind=("csv", "auto", "julia", "c"), required=True)
+@option("to", "What to write.", kind=tuple(FORMATS), required=True)
 @usual("Folder for the files; default: beside each ORBIT.json.", trust=SYSTEM_TRUST, json=False)
 def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> None:
     """Write each ORBIT.json for another program.

@@ -17,7 +17,7 @@ from orbitfinder.errors import InputError, plural
 
 if TYPE_CHECKING:
     from orbitfinder.atlas.report import Summary
-    from orbitfinder.atlas.search import Statistics
+    from orbitfinder.atlas.search import SearchStatistics
     from orbitfinder.problemfile.read import ProblemFile
 
 SPEAK_EVERY = 5.0
@@ -76,7 +76,7 @@ def search(file: Path, book: Path, budget: float | None, starts: int | None, tru
         loaded = load_problem_file(file, trust)
         energies, periods = wanted(loaded)
 
-        def report(energy: float, tally: Statistics) -> None:
+        def report(energy: float, tally: SearchStatistics) -> None:
             interrupt.check()
             shown.show(progress(energy, tally, bool(loaded.model.invariants)))
 
@@ -126,7 +126,7 @@ def sections(loaded: ProblemFile) -> dict[str, Any]:
     return {key: one for key, one in loaded.document.get("search", {}).items() if key in ("section", "cycles")}
 
 
-def progress(energy: float, tally: Statistics, conserved: bool = True) -> Progress:
+def progress(energy: float, tally: SearchStatistics, conserved: bool = True) -> Progress:
     """How far a search has come."""
     made, failed, left = tally.made, sum(tally.failures.values()), tally.left
     rate, remaining = f"{tally.done / max(tally.elapsed, 1e-9):.1f}", "" if left is None else f"{left:.0f} s"

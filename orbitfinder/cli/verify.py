@@ -18,7 +18,7 @@ from orbitfinder.records.registry import answer, held, kind_of, load, load_orbit
 
 if TYPE_CHECKING:
     from orbitfinder.proof.branch import Branch
-    from orbitfinder.proof.theorem import Proof, Refined
+    from orbitfinder.proof.theorem import Proof, RefinedOrbit
     from orbitfinder.records.family import Family
 
 
@@ -328,7 +328,7 @@ def refine(
     finish("refined", document, found.enclosed or not enclose)
 
 
-def refined_document(found: Refined) -> dict[str, Any]:
+def refined_document(found: RefinedOrbit) -> dict[str, Any]:
     """The JSON form of a refined orbit."""
     from orbitfinder.proof.balls import precision
     from orbitfinder.proof.record import enclosure

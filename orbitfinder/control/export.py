@@ -15,6 +15,7 @@ from orbitfinder.control.controller import Controller
 from orbitfinder.control.law import Law
 from orbitfinder.errors import InputError
 from orbitfinder.exports.source import c_number, c_numbers, word_of
+from orbitfinder.exports.write import csv_text
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.reading import plain_numbers, write_atomically
@@ -52,7 +53,7 @@ def export_controller(controller: Controller, folder: str | Path, model: Model |
     target, word = Path(folder), word_of(controller.name)
     target.mkdir(parents=True, exist_ok=True)
     files: dict[str, Callable[[Controller, tuple[str, ...]], str]] = {
-        f"{word}_gains.csv": csv_text, f"{word}_controller.c": c_text, f"{word}_controller.py": python_text,
+        f"{word}_gains.csv": gains_text, f"{word}_controller.c": c_text, f"{word}_controller.py": python_text,
     }  # fmt: skip
     for name, text in files.items():
         write_atomically(target / name, text(controller, model.state_names).encode())
@@ -66,12 +67,11 @@ def export_program(controller: Controller, to: str, folder: str | Path, model: M
     return [path for path in export_controller(controller, folder, model) if (path.suffix == ".csv") == (to == "csv")]
 
 
-def csv_text(controller: Controller, states: tuple[str, ...]) -> str:
+def gains_text(controller: Controller, states: tuple[str, ...]) -> str:
     """A header line, then t (s), x*, u* and K row after row at each node."""
-    header = ["t", *states, *controller.actuators, *(f"K_{u}_{x}" for u in controller.actuators for x in states)]
+    names = [*states, *controller.actuators, *(f"K_{u}_{x}" for u in controller.actuators for x in states)]
     times = np.linspace(0.0, controller.period, len(controller.states))
-    rows = np.column_stack([times, controller.states, controller.inputs, controller.gains]).tolist()
-    return "\n".join([",".join(header), *(",".join(map(repr, row)) for row in rows)]) + "\n"
+    return csv_text(names, times, np.column_stack([controller.states, controller.inputs, controller.gains]))
 
 
 def _heading(controller: Controller, states: tuple[str, ...]) -> list[str]:
@@ -225,8 +225,8 @@ def c_text(controller: Controller, states: tuple[str, ...]) -> str:
         "SPLINE": ",\n".join(f"  {{{c_numbers(row)}}}" for row in own.spline),
         "FOLLOWED": f"fmod(tau, {word}_period)" if own.clock else f"{word}_follow(x, tau, 2)",
     }  # fmt: skip
-    return re.sub(r"\b[A-Z]+\b", lambda one: numbers.get(one[0], one[0]), C_FILE.replace("WORD", word))
+    return re.sub(r"\b[A-Z]+\b", lambda name: numbers.get(name[0], name[0]), C_FILE.replace("WORD", word))
 
 
 def _bounds(values: np.ndarray) -> str:
-    return ", ".join(c_number(one) if np.isfinite(one) else f"{'-' if one < 0 else ''}HUGE_VAL" for one in values)
+    return ", ".join(c_number(x) if np.isfinite(x) else f"{'-' if x < 0 else ''}HUGE_VAL" for x in values)

@@ -30,81 +30,6 @@ MOST = 1 + PERIOD - MORE
 ROWS = 2001
 """Rows of the .dat file; AUTO interpolates linearly between them before its first correction."""
 
-FUNC = """subroutine FUNC(NDIM, U, ICP, PAR, IJAC, F, DFDU, DFDP)
-  implicit none
-  integer, intent(in) :: NDIM, ICP(*), IJAC
-  double precision, intent(in) :: U(NDIM), PAR(*)
-  double precision, intent(out) :: F(NDIM)
-  double precision, intent(inout) :: DFDU(NDIM, NDIM), DFDP(NDIM, *)
-  double precision :: w({work}), t(1), s({unfoldings}), forcing(1), rate
-{body}
-end subroutine FUNC
-"""
-STPNT = """subroutine STPNT(NDIM, U, PAR, T)
-  implicit none
-  integer, intent(in) :: NDIM
-  double precision, intent(inout) :: U(NDIM), PAR(*)
-  double precision, intent(in) :: T
-{body}
-end subroutine STPNT
-"""
-PVLS = """subroutine PVLS(NDIM, U, PAR)
-  implicit none
-  integer, intent(in) :: NDIM
-  double precision, intent(in) :: U(NDIM)
-  double precision, intent(inout) :: PAR(*)
-  double precision, external :: GETP
-  double precision :: w({work}), x({size}), e(1)
-  integer :: i
-  do i = 1, {size}
-    x(i) = GETP('BV0', i, U)
-  end do
-{body}
-  PAR({energy}) = e(1)
-end subroutine PVLS
-"""
-BOUNDARY = """subroutine BCND(NDIM, PAR, ICP, NBC, U0, U1, FB, IJAC, DBC)
-  implicit none
-  integer, intent(in) :: NDIM, ICP(*), NBC, IJAC
-  double precision, intent(in) :: PAR(*), U0(NDIM), U1(NDIM)
-  double precision, intent(out) :: FB(NBC)
-  double precision, intent(inout) :: DBC(NBC, *)
-{loop}
-end subroutine BCND
-
-subroutine ICND(NDIM, PAR, ICP, NINT, U, UOLD, UDOT, UPOLD, FI, IJAC, DINT)
-  implicit none
-  integer, intent(in) :: NDIM, ICP(*), NINT, IJAC
-  double precision, intent(in) :: PAR(*), U(NDIM), UOLD(NDIM), UDOT(NDIM), UPOLD(NDIM)
-  double precision, intent(out) :: FI(NINT)
-  double precision, intent(inout) :: DINT(NINT, *)
-  double precision :: w({work}), x({size}), along({size})
-  x = UOLD
-  FI(1) = dot_product(UPOLD, U - UOLD)
-{phases}
-end subroutine ICND
-"""
-NO_BOUNDARY = """subroutine BCND
-end subroutine BCND
-
-subroutine ICND
-end subroutine ICND
-"""
-REST = """subroutine FOPT
-end subroutine FOPT
-"""
-CONSTANTS = """NDIM = {dimension}, IPS = {problem}, IRS = 0, ILP = {folds}
-ICP = [{free}]
-NTST = {intervals}, NCOL = 4, IAD = 3, ISP = 2, ISW = 1, IPLT = 0, NBC = {boundary}, NINT = {phases}
-NMX = 20, NPR = 20, MXBF = 0, IID = 2, ITMX = 8, ITNW = 7, NWTN = 3, JAC = 0
-EPSL = 1e-9, EPSU = 1e-9, EPSS = 1e-7
-DS = 0.01, DSMIN = 1e-06, DSMAX = 0.1, IADS = 1
-NPAR = {parameters}, THL = {{}}, THU = {{}}
-unames = {{{states}}}
-parnames = {{{names}}}
-dat = '{word}'
-"""
-
 
 def auto_files(source: Source) -> dict[str, str]:
     """The three files of an AUTO run, by name. Raises `InputError` for what AUTO's IPS = 2 cannot state."""
@@ -119,7 +44,8 @@ def auto_files(source: Source) -> dict[str, str]:
 def equations(source: Source) -> str:
     """The equations file: FUNC, STPNT with the parameters of the orbit, PVLS with the energy."""
     comments = "".join(f"! {line}\n" for line in [*source.heading, *_legend()])
-    return "\n".join([comments, _func(source), _stpnt(source), _pvls(source), _boundary(source), REST])
+    rest = "subroutine FOPT\nend subroutine FOPT\n"
+    return "\n".join([comments, _func(source), _stpnt(source), _pvls(source), _boundary(source), rest])
 
 
 def unfolding_places(source: Source) -> list[int]:
@@ -129,13 +55,13 @@ def unfolding_places(source: Source) -> list[int]:
 
 def _symmetries(source: Source) -> list[ca.Function]:
     """Generators of the symmetries besides time translation: each needs a phase condition of its own."""
-    return [one.generator for one in source.model.invariants if one.generator is not None]
+    return [invariant.generator for invariant in source.model.invariants if invariant.generator is not None]
 
 
 def _boundary(source: Source) -> str:
     """Closure and phase conditions (the integral of generator(old).(new - old)) where AUTO's own do not suffice."""
     if not _symmetries(source):
-        return NO_BOUNDARY
+        return "subroutine BCND\nend subroutine BCND\n\nsubroutine ICND\nend subroutine ICND\n"
     n, size, lines, work = source.model.degrees_of_freedom, len(source.model.state_names), [], 1
     x, p = ca.SX.sym("x", size), ca.SX.sym("p", len(source.model.parameter_names))
     for k, generator in enumerate(_symmetries(source), start=2):
@@ -146,7 +72,27 @@ def _boundary(source: Source) -> str:
     turned_by = turned(source.model, np.array(source.orbit.winding), source.orbit.shift)
     turns = [2 * np.pi * float(k) for k in turned_by] + [0.0] * (size - n)
     loop = [f"FB({i}) = U1({i}) - U0({i}) - ({fortran_number(turn)})" for i, turn in enumerate(turns, start=1)]
-    return BOUNDARY.format(loop=_parameters_in_par(loop), work=work, size=size, phases=_parameters_in_par(lines))
+    return f"""subroutine BCND(NDIM, PAR, ICP, NBC, U0, U1, FB, IJAC, DBC)
+  implicit none
+  integer, intent(in) :: NDIM, ICP(*), NBC, IJAC
+  double precision, intent(in) :: PAR(*), U0(NDIM), U1(NDIM)
+  double precision, intent(out) :: FB(NBC)
+  double precision, intent(inout) :: DBC(NBC, *)
+{_parameters_in_par(loop)}
+end subroutine BCND
+
+subroutine ICND(NDIM, PAR, ICP, NINT, U, UOLD, UDOT, UPOLD, FI, IJAC, DINT)
+  implicit none
+  integer, intent(in) :: NDIM, ICP(*), NINT, IJAC
+  double precision, intent(in) :: PAR(*), U(NDIM), UOLD(NDIM), UDOT(NDIM), UPOLD(NDIM)
+  double precision, intent(out) :: FI(NINT)
+  double precision, intent(inout) :: DINT(NINT, *)
+  double precision :: w({work}), x({size}), along({size})
+  x = UOLD
+  FI(1) = dot_product(UPOLD, U - UOLD)
+{_parameters_in_par(lines)}
+end subroutine ICND
+"""
 
 
 def _legend() -> list[str]:
@@ -156,7 +102,7 @@ def _legend() -> list[str]:
 
 def _parameters_in_par(lines: list[str]) -> str:
     """The lines indented, with p(k) read from PAR, where AUTO may vary it."""
-    moved = [re.sub(r"\bp\((\d+)\)", lambda found: f"PAR({FIRST - 1 + int(found.group(1))})", one) for one in lines]
+    moved = [re.sub(r"\bp\((\d+)\)", lambda match: f"PAR({FIRST - 1 + int(match.group(1))})", line) for line in lines]
     return "\n".join(f"  {line}" for line in moved)
 
 
@@ -175,7 +121,16 @@ def _func(source: Source) -> str:
         after += [f"F({i + 1}) = F({i + 1}) + s(1) * U({i + 1})" for i in source.rates]
     if _symmetries(source):  # IPS = 4 does not scale time
         after += [f"F = PAR({PERIOD}) * F"]
-    return FUNC.format(work=work, unfoldings=len(places), body=_parameters_in_par([*before, *lines, *after]))
+    return f"""subroutine FUNC(NDIM, U, ICP, PAR, IJAC, F, DFDU, DFDP)
+  implicit none
+  integer, intent(in) :: NDIM, ICP(*), IJAC
+  double precision, intent(in) :: U(NDIM), PAR(*)
+  double precision, intent(out) :: F(NDIM)
+  double precision, intent(inout) :: DFDU(NDIM, NDIM), DFDP(NDIM, *)
+  double precision :: w({work}), t(1), s({len(places)}), forcing(1), rate
+{_parameters_in_par([*before, *lines, *after])}
+end subroutine FUNC
+"""
 
 
 def _oscillator(c: int, s: int) -> list[str]:
@@ -189,13 +144,35 @@ def _stpnt(source: Source) -> str:
     values |= {FIRST + k: float(value) for k, value in enumerate(source.model.parameter_values)}
     lines = [f"PAR({place}) = {fortran_number(value)}" for place, value in values.items()]
     lines += [f"U({i + 1}) = {fortran_number(value)}" for i, value in enumerate(_with_clock(source)[1][0])]
-    return STPNT.format(body="\n".join(f"  {line}" for line in lines))
+    body = "\n".join(f"  {line}" for line in lines)
+    return f"""subroutine STPNT(NDIM, U, PAR, T)
+  implicit none
+  integer, intent(in) :: NDIM
+  double precision, intent(inout) :: U(NDIM), PAR(*)
+  double precision, intent(in) :: T
+{body}
+end subroutine STPNT
+"""
 
 
 def _pvls(source: Source) -> str:
     lines, work = straight_line(source.energy, FORTRAN, ["x", "p"], ["e"])
     size = len(source.model.state_names)
-    return PVLS.format(work=work, size=size, energy=ENERGY, body=_parameters_in_par(lines))
+    return f"""subroutine PVLS(NDIM, U, PAR)
+  implicit none
+  integer, intent(in) :: NDIM
+  double precision, intent(in) :: U(NDIM)
+  double precision, intent(inout) :: PAR(*)
+  double precision, external :: GETP
+  double precision :: w({work}), x({size}), e(1)
+  integer :: i
+  do i = 1, {size}
+    x(i) = GETP('BV0', i, U)
+  end do
+{_parameters_in_par(lines)}
+  PAR({ENERGY}) = e(1)
+end subroutine PVLS
+"""
 
 
 def constants(source: Source) -> str:
@@ -209,19 +186,20 @@ def constants(source: Source) -> str:
     names |= {FIRST + k: f"{name}_" if name in taken else name for k, name in enumerate(model.parameter_names)}
     clock = ["clock_cos", "clock_sin"] if model.forced else []
     states = [*model.state_names, *clock]
-    return CONSTANTS.format(
-        dimension=len(states),
-        folds=int(varied != UNFOLDING),  # the unfolding is 0 all along a family, no fold in it means anything
-        free=", ".join(map(str, (varied, PERIOD, *more, ENERGY))),
-        problem=4 if _symmetries(source) else 2,
-        boundary=len(states) if _symmetries(source) else 0,
-        phases=1 + len(_symmetries(source)) if _symmetries(source) else 0,
-        intervals=50 if source.orbit.certificate is None or source.orbit.certificate.scale < 100 else 100,
-        parameters=max(36, FIRST + len(model.parameter_names)),
-        states=", ".join(f"{k + 1}: '{name}'" for k, name in enumerate(states)),
-        names=", ".join(f"{k}: '{name}'" for k, name in sorted(names.items())),
-        word=source.identifier,
-    )
+    loop = (4, len(states), 1 + len(_symmetries(source))) if _symmetries(source) else (2, 0, 0)
+    intervals = 50 if source.orbit.certificate is None or source.orbit.certificate.scale < 100 else 100
+    folds = int(varied != UNFOLDING)  # the unfolding is 0 all along a family, no fold in it means anything
+    return f"""NDIM = {len(states)}, IPS = {loop[0]}, IRS = 0, ILP = {folds}
+ICP = [{", ".join(map(str, (varied, PERIOD, *more, ENERGY)))}]
+NTST = {intervals}, NCOL = 4, IAD = 3, ISP = 2, ISW = 1, IPLT = 0, NBC = {loop[1]}, NINT = {loop[2]}
+NMX = 20, NPR = 20, MXBF = 0, IID = 2, ITMX = 8, ITNW = 7, NWTN = 3, JAC = 0
+EPSL = 1e-9, EPSU = 1e-9, EPSS = 1e-7
+DS = 0.01, DSMIN = 1e-06, DSMAX = 0.1, IADS = 1
+NPAR = {max(36, FIRST + len(model.parameter_names))}, THL = {{}}, THU = {{}}
+unames = {{{", ".join(f"{k}: '{name}'" for k, name in enumerate(states, start=1))}}}
+parnames = {{{", ".join(f"{k}: '{name}'" for k, name in sorted(names.items()))}}}
+dat = '{source.identifier}'
+"""
 
 
 def _with_clock(source: Source) -> tuple[np.ndarray, np.ndarray]:

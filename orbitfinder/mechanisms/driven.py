@@ -74,8 +74,8 @@ def driven_hopper(
     return hopper("driven_hopper", made, made["push"] - made["damping"] * made.v, controls=["push"])
 
 
-DRIVEN: dict[str, Callable[..., Model]] = {
-    function.__name__: function
-    for function in (driven_cart_pole, driven_compass, driven_hopper, driven_oscillator, driven_swing)
-}
+__all__ = [
+    "driven_cart_pole", "driven_compass", "driven_hopper", "driven_oscillator", "driven_swing",
+]  # fmt: skip
+DRIVEN: dict[str, Callable[..., Model]] = {name: globals()[name] for name in __all__}
 """By name: what problem files may call"""

@@ -547,13 +547,10 @@ def hodgkin_huxley(current: float = 10.0) -> Model:
     return ingredients(1, {"current": current}).first_order("hodgkin_huxley", field, ("V", "m", "h", "n"))
 
 
-FUNCTIONS: dict[str, Callable[..., Model]] = {
-    one.__name__: one
-    for one in (
-        brusselator, cart_chain, coupled_pendula, double_well, duffing, fitzhugh_nagumo, forced_duffing,
-        forced_pendulum, henon_heiles,
-        hodgkin_huxley, lorenz, pendulum_on_cart, planar_oscillator, restricted_three_body,
-        restricted_three_body_canonical, rossler, rotating_hoop, spherical_pendulum, spring_pendulum, swinging_spring,
-        three_bodies, turning_three_bodies, van_der_pol, vibrated_pendulum,
-    )
-}  # fmt: skip
+__all__ = [
+    "brusselator", "cart_chain", "coupled_pendula", "double_well", "duffing", "fitzhugh_nagumo", "forced_duffing",
+    "forced_pendulum", "henon_heiles", "hodgkin_huxley", "lorenz", "pendulum_on_cart", "planar_oscillator",
+    "restricted_three_body", "restricted_three_body_canonical", "rossler", "rotating_hoop", "spherical_pendulum",
+    "spring_pendulum", "swinging_spring", "three_bodies", "turning_three_bodies", "van_der_pol", "vibrated_pendulum",
+]  # fmt: skip
+FUNCTIONS: dict[str, Callable[..., Model]] = {name: globals()[name] for name in __all__}

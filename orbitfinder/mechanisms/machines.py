@@ -639,10 +639,9 @@ def impact_oscillator(
     return _machine([Mode("free", model, holds)], [hit], _wall("stop"))
 
 
-MACHINES: dict[str, Callable[..., Model]] = {
-    one.__name__: one
-    for one in (
-        bouncing_ball, compass_gait, five_link_walker, gravity_wedge, impact_oscillator, kneed_walker, rimless_wheel,
-        rocking_block, simplest_walker, slip_runner, slip_walker, vertical_hopper, wall_pendulum,
-    )
-}  # fmt: skip
+__all__ = [
+    "bouncing_ball", "compass_gait", "five_link_walker", "gravity_wedge", "impact_oscillator", "kneed_walker",
+    "rimless_wheel", "rocking_block", "simplest_walker", "slip_runner", "slip_walker", "vertical_hopper",
+    "wall_pendulum",
+]  # fmt: skip
+MACHINES: dict[str, Callable[..., Model]] = {name: globals()[name] for name in __all__}

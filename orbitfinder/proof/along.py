@@ -28,8 +28,8 @@ from orbitfinder.proof.balls import (
     identity,
     truncated,
 )
-from orbitfinder.proof.enclosure import Cloud, Settings, Step, transition_remainder
-from orbitfinder.proof.field import Field, Solution, slope_series
+from orbitfinder.proof.enclosure import Cloud, Step, TaylorSettings, transition_remainder
+from orbitfinder.proof.field import Field, Jet, slope_series
 from orbitfinder.proof.series import coefficients
 
 DEGREE = 8
@@ -82,12 +82,12 @@ class Along:
         return Along(self.short * (other.short if isinstance(other, Along) else other))
 
     def __truediv__(self, other: Any) -> Along:
-        found: Along = self * (other.inverse if isinstance(other, Along) else 1 / arb(other))
-        return found
+        quotient: Along = self * (other.inverse if isinstance(other, Along) else 1 / arb(other))
+        return quotient
 
     def __rtruediv__(self, other: Any) -> Along:
-        found: Along = self.inverse * other
-        return found
+        quotient: Along = self.inverse * other
+        return quotient
 
     def __pow__(self, power: Any) -> Along:
         return self.applied(lambda x: x**power)
@@ -99,8 +99,8 @@ class Along:
         """1 / this."""
         if self._inverse is None:
             self._inverse = self.applied(lambda x: 1 / x)
-        found: Along = self._inverse
-        return found
+        inverse: Along = self._inverse
+        return inverse
 
     def sin_cos(self) -> tuple[Along, Along]:
         """Sine and cosine."""
@@ -139,8 +139,8 @@ class Along:
         near += [arb(0)] * (order - len(near))
         total = change * 0 + (far[order] if len(far) > order else arb(0)) * arb(0, (most**order).upper())
         power: Any = arb(1)
-        for one in near[:order]:
-            total, power = total + power * one, change * power
+        for term in near[:order]:
+            total, power = total + power * term, change * power
         return Along(total.whole)
 
 
@@ -162,16 +162,16 @@ def along(values: Sequence[Any]) -> list[Along]:
 
 def table(matrix: Any) -> np.ndarray:
     """A matrix of balls as one of objects."""
-    found = np.empty((matrix.nrows(), matrix.ncols()), dtype=object)
-    found.ravel()[:] = matrix.entries()
-    return found
+    objects = np.empty((matrix.nrows(), matrix.ncols()), dtype=object)
+    objects.ravel()[:] = matrix.entries()
+    return objects
 
 
 def thinned(matrix: np.ndarray) -> np.ndarray:
     """The thin functions of a matrix of functions."""
-    found = np.empty(matrix.shape, dtype=object)
-    found.ravel()[:] = [x.thin for x in along(matrix.ravel().tolist())]
-    return found
+    thin = np.empty(matrix.shape, dtype=object)
+    thin.ravel()[:] = [x.thin for x in along(matrix.ravel().tolist())]
+    return thin
 
 
 # --------------------------------------------------------------------------------------------------
@@ -197,22 +197,22 @@ class Bundle(Cloud):
         """Enclosure (d + 2) of all solutions, by the mean value theorem from z(e)."""
         return along(super().hull)
 
-    def whole(self, found: Solution) -> Solution:
-        """A solution with balls that hold its coefficients for every e."""
-        other = copy(found)
-        other.z, other.tau, other.unfolding = ranges(found.z), *ranges([found.tau, found.unfolding])
-        other.states = [ranges(one) for one in found.states]
-        other.values = [ranges(one) for one in found.values]
+    def whole(self, jet: Jet) -> Jet:
+        """The jet with balls that hold its coefficients for every e."""
+        other = copy(jet)
+        other.z, other.tau, other.unfolding = ranges(jet.z), *ranges([jet.tau, jet.unfolding])
+        other.states = [ranges(series) for series in jet.states]
+        other.values = [ranges(series) for series in jet.values]
         return other
 
-    def flow(self, field: Field, found: Solution, step: Step, settings: Settings) -> np.ndarray:
+    def flow(self, field: Field, jet: Jet, step: Step, settings: TaylorSettings) -> np.ndarray:
         """d(q, v)(h)/dz over the box for each e (d x d+2)."""
         order, n, d = settings.order, field.size, field.dimension
-        other = copy(found)
+        other = copy(jet)
         other.code = field.varied
-        known = [found.states[entry + n * argument] if argument != 2 else [found.unfolding, *[arb(0)] * order]
+        known = [jet.states[entry + n * argument] if argument != 2 else [jet.unfolding, *[arb(0)] * order]
                  for _, argument, entry in field.varied.variables]  # fmt: skip
-        other.values = coefficients(field.varied, order - 1, lambda k, _: [one[k] for one in known])
+        other.values = coefficients(field.varied, order - 1, lambda k, _: [series[k] for series in known])
         zero = [arb(0)] * order
         slopes = other.results()[1]
         lines = np.empty((order, n, d + 1), dtype=object)
@@ -222,16 +222,16 @@ class Bundle(Cloud):
         last = np.full((1, d + 2), arb(0), dtype=object)
         for k in range(order):
             lower = sum(lines[j] @ blocks[k - j] for j in range(k + 1))
-            factor = found.tau / (k + 1)
+            factor = jet.tau / (k + 1)
             rows = np.vstack([blocks[k][n:d], lower]) * factor
-            rows[:, -1] += np.array([one[k + 1] / found.tau for one in found.states], dtype=object)
+            rows[:, -1] += np.array([series[k + 1] / jet.tau for series in jet.states], dtype=object)
             blocks.append(np.vstack([rows, last]))
         flat = self.whole(other)
-        over = [ranged(one) for one in blocks]
+        over = [ranged(matrix) for matrix in blocks]
         rest = transition_remainder(field, flat, step, over, slope_series(n, d, flat.results()[1], order), settings)
         total = table(block(rest, d, 0, d + 2))
-        for one in reversed(blocks):
-            total = total * arb(step.h) + one[:d]
+        for matrix in reversed(blocks):
+            total = total * arb(step.h) + matrix[:d]
         return np.asarray(total)
 
     def parted(self, image: Vector) -> tuple[Vector, Any]:

@@ -9,7 +9,7 @@ is Krawczyk's operator for each e. F and DF are enclosed as polynomials in e wit
 what cancels for each e does so in the enclosures. If K(Y) lies in the interior of Y for every e, then for each E there
 is exactly one zero in the box; DF is regular there, so it is a C^1 function of E. Two pieces that share an energy have
 the same orbit there if the first one's K(Y), moved to that energy, lies in the second one's box.
-Source: A. Neumaier, Interval Methods for Systems of Equations (1990), section 5.1, with parameters.
+Source: A. Neumaier, Interval Methods for Systems of TheoremEquations (1990), section 5.1, with parameters.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ from orbitfinder.proof.balls import (
     inside,
     precision,
 )
-from orbitfinder.proof.enclosure import Settings, integrate
+from orbitfinder.proof.enclosure import TaylorSettings, integrate
 from orbitfinder.proof.field import Programs, make_field, programs
 from orbitfinder.proof.formulation import Formulation, approach
 from orbitfinder.proof.krawczyk import (
     Arc,
-    Equations,
+    TheoremEquations,
     approximate_inverse,
     jacobian_rows,
     linearised,
@@ -72,23 +72,31 @@ from orbitfinder.proof.trajectory import Trajectory, horizon, minimal_period, tr
 from orbitfinder.records.codec import Codec, entries_of
 from orbitfinder.records.family import Family, FamilyPoint
 
-ROUGH = Settings(order=12, bits=80, tolerance=1e-14)
+ROUGH = TaylorSettings(order=12, bits=80, tolerance=1e-14)
 """How the centres of a branch's boxes are found"""
-SHARP = Settings()
+SHARP = TaylorSettings()
 """How the ends of a branch are enclosed"""
 AGAIN = "prove the branch again"
-FIRST = 2e-3
-"""Energies of the first piece that is tried, relative to those of the family"""
-RADIUS = 1e-8
-"""Half width of a piece's box at least, beside its unknowns"""
-REMAINDER = 1e-4
-"""Remainder of a step beside the half width of a piece's box"""
-WANTED = 0.2
-"""How much of its box the image of a piece is to fill"""
-FARTHEST = 0.3
-"""How far from the nearest point of the family the first orbit may be (rad, rad/s, s)"""
-NARROWEST = 1e-6
-"""Energies of the shortest piece that is tried, relative to those asked for"""
+SAID = ("stability_change",)
+"""Events that say what others at the same place do to the stability, and have no multiplier of their own"""
+
+
+@dataclass(frozen=True)
+class BranchSettings:
+    """How a branch is cut into pieces."""
+
+    first: float = 2e-3
+    """energies of the first piece that is tried, relative to those of the family"""
+    radius: float = 1e-8
+    """half width of a piece's box at least, beside its unknowns"""
+    remainder: float = 1e-4
+    """remainder of a step beside the half width of a piece's box"""
+    wanted: float = 0.2
+    """how much of its box the image of a piece is to fill"""
+    farthest: float = 0.3
+    """how far from the nearest point of the family the first orbit may be (rad, rad/s, s)"""
+    narrowest: float = 1e-6
+    """energies of the shortest piece that is tried, relative to those asked for"""
 
 
 @dataclass(frozen=True)
@@ -114,7 +122,7 @@ class Piece:
     @property
     def functions(self) -> list[Along]:
         """The centre as functions of e."""
-        return [Along(arb_poly(list(one))) for one in self.centre]
+        return [Along(arb_poly(list(coefficients))) for coefficients in self.centre]
 
     @property
     def spread(self) -> Vector:
@@ -128,7 +136,11 @@ class Piece:
 
     def at(self, place: float) -> Vector:
         """The centre at a value of e."""
-        return [one.whole(arb(place)) for one in self.functions]
+        return [function.whole(arb(place)) for function in self.functions]
+
+    def around(self, place: float) -> Vector:
+        """The box of unknowns at a value of e."""
+        return [x + y for x, y in zip(self.at(place), self.spread, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -146,84 +158,39 @@ class Checked:
         return [x + y for x, y in zip(self.piece.at(place), self.image, strict=True)]
 
 
-def checked(equations: Equations, piece: Piece) -> Checked:
-    """The operator on a piece, every energy of it at once."""
-    settings = replace(ROUGH, tolerance=REMAINDER * min(piece.radius))
-    here, centre, nodes = replace(equations, energy=piece.energy), piece.functions, equations.formulation.nodes
-    still = nodes([arb(0)] * len(centre))
-    starts = [[x - y for x, y in zip(*pair, strict=True)] for pair in zip(nodes(piece.spread), still, strict=True)]
-    found = [integrate(here.field, bundle(*pair), settings) for pair in zip(nodes(centre), starts, strict=True)]
-    values: np.ndarray = np.array(residual(here, centre, [end.point for end, _ in found]), dtype=object)
-    around = [x + y for x, y in zip(centre, piece.spread, strict=True)]
-    rows = jacobian_rows(here, around, [end.derivatives.ravel().tolist() for end, _ in found])
-    slopes: np.ndarray = np.array(rows, dtype=object)
-    inverse = inverse_along(slopes)
-    defect = ranged(table(identity(len(centre))) - inverse @ slopes)
-    parts = zip(ranges(inverse @ values), (defect * column(piece.spread)).entries(), strict=True)
-    image = [e - f for f, e in parts]
-    arcs = [(ranges(end.point), ranged(end.derivatives), ranges(end.hull), steps) for end, steps in found]
-    return Checked(piece, image, norm(defect), inside(piece.spread, image), arcs)
-
-
 def inverse_along(slopes: np.ndarray) -> np.ndarray:
     """A polynomial in e near the inverse of a matrix of functions: C_0 = M_0^-1, C_k = -C_0 sum_{j>=1} M_j C_{k-j}."""
-    flat = [one.short for one in along(slopes.ravel().tolist())]
-    terms = [np.array([float(one[k].mid()) for one in flat]).reshape(slopes.shape) for k in range(DEGREE + 1)]
-    found = [approximate_inverse(terms[0])]
+    flat = [slope.short for slope in along(slopes.ravel().tolist())]
+    terms = [np.array([float(slope[k].mid()) for slope in flat]).reshape(slopes.shape) for k in range(DEGREE + 1)]
+    powers = [approximate_inverse(terms[0])]
     for k in range(1, DEGREE + 1):
-        found.append(-found[0] @ sum(terms[j] @ found[k - j] for j in range(1, k + 1)))
+        powers.append(-powers[0] @ sum(terms[j] @ powers[k - j] for j in range(1, k + 1)))
     inverse = np.empty(slopes.shape, dtype=object)
     for i, j in np.ndindex(slopes.shape):
-        inverse[i, j] = Along(arb_poly([float(one[i, j]) for one in found]))
+        inverse[i, j] = Along(arb_poly([float(matrix[i, j]) for matrix in powers]))
     return inverse
 
 
-def fitted(equations: Equations, near: Callable[[float], Vector], low: float, high: float) -> Checked:
-    """A piece through orbits at Chebyshev's points between two energies, from unknowns near those at a value of e."""
-    places = np.polynomial.chebyshev.chebpts1(DEGREE + 1)
-    rows, middle, half = [], 0.5 * (low + high), 0.5 * (high - low)
-    inverse = linearised(replace(equations, energy=arb(middle)), near(0.0), ROUGH)[1]
-    for place in places.tolist():
-        here = replace(equations, energy=arb(middle) + arb(half) * arb(place))
-        rows.append([float(x) for x in solve(here, near(place), ROUGH, 1e-13, FARTHEST, inverse)[0]])
-    bends = np.polynomial.chebyshev.chebfit(places, np.array(rows), DEGREE)
-    powers: np.ndarray = np.zeros((bends.shape[1], DEGREE + 1))
-    for k, one in enumerate(bends.T):
-        found = np.polynomial.chebyshev.cheb2poly(one)  # without the zeros that it ends with
-        powers[k, : len(found)] = found
-    radius = np.full(len(powers), RADIUS * np.abs(powers).max())
-    piece = Piece(low, high, tuple(tuple(map(float, one)) for one in powers), tuple(map(float, radius)))
-    return checked(equations, piece)
-
-
-def scaled(found: Checked | None) -> float:
-    """How much wider (or narrower) than a piece the next one may be: what is left out grows with e to the D + 1."""
-    if found is None:
-        return 0.4
-    wanted = (WANTED / nonzero(fill(found))) ** (1.0 / (DEGREE + 1))
-    return float(np.clip(wanted, 0.3, 2.0 if found.proved else 0.8))
-
-
-def guess(found: Sequence[Checked], near: Vector, low: float, high: float) -> Callable[[float], Vector]:
+def guess(joined: Sequence[Checked], near: Vector, low: float, high: float) -> Callable[[float], Vector]:
     """Unknowns near the orbits of the next piece by e: the last one's polynomials carried on."""
-    if not found:
+    if not joined:
         return lambda place: near
-    last = found[-1].piece
+    last = joined[-1].piece
     far = (high - low) / (last.high - last.low)
     return lambda place: last.at(1.0 + far * (place + 1.0))
 
 
-def fill(found: Checked) -> float:
+def fill(shown: Checked) -> float:
     """How much of its box the image of a piece fills."""
-    sizes = [abs(x).upper() for x in found.image]
+    sizes = [abs(x).upper() for x in shown.image]
     if not all(x.is_finite() for x in sizes):
         return float("inf")
-    return max(float(x) / r for x, r in zip(sizes, found.piece.radius, strict=True))
+    return max(float(x) / r for x, r in zip(sizes, shown.piece.radius, strict=True))
 
 
 def same_orbit(before: Checked, after: Piece) -> bool:
     """Whether the orbit of the energy that two pieces share is in the box of the second one as it is of the first."""
-    return inside([x + y for x, y in zip(after.at(-1.0), after.spread, strict=True)], before.end(1.0))
+    return inside(after.around(-1.0), before.end(1.0))
 
 
 @dataclass(frozen=True)
@@ -277,13 +244,13 @@ class Branch(Record):
     formulation: Formulation = field(kw_only=True)
 
 
-def tests(found: Trajectory, level: float) -> dict[str, tuple[Any, str]]:
+def tests(path: Trajectory, level: float) -> dict[str, tuple[Any, str]]:
     """Determinants (balls) that change their sign where an odd number of pairs of multipliers of the root map N pass.
 
     Where the symmetry reverses time, N = R0 A^-1 R1 A: K = N + N^-1 leaves the fixed space of R0 to itself, and has
     each index nu + 1/nu once there. At -1 it is blocks of A: R0 x = x, R1 A x = -A x, or R0 x = -x, R1 A x = A x.
     """
-    matrix, form = found.horizon_matrix, found.formulation
+    matrix, form = path.horizon_matrix, path.formulation
     n, size = form.size, form.dimension
 
     def chosen(rows: np.ndarray, columns: np.ndarray, of: Any) -> Any:
@@ -295,10 +262,10 @@ def tests(found: Trajectory, level: float) -> dict[str, tuple[Any, str]]:
         forward = form.symmetry.forward
         root = matrix if forward is None else exact(forward.matrix(n)) * matrix
         return {"det(N + 1)": ((root + identity(size)).det(), "")}
-    first, last = (np.diag(one.matrix(n)) for one in form.symmetry.mirrors)
-    plus, minus, over, under = (np.flatnonzero(one) for one in (first > 0, first < 0, last > 0, last < 0))
+    first, last = (np.diag(mirror.matrix(n)) for mirror in form.symmetry.mirrors)
+    plus, minus, over, under = (np.flatnonzero(signs) for signs in (first > 0, first < 0, last > 0, last < 0))
     if level == -2.0 and form.symmetry.forward is not None and plus.size == over.size:
-        names = [one.name for one in form.symmetry.mirrors]
+        names = [mirror.name for mirror in form.symmetry.mirrors]
         return {
             "det A[R1 +, R0 +]": (chosen(over, plus, matrix).det(), names[0]),
             "det A[R1 -, R0 -]": (chosen(under, minus, matrix).det(), names[1]),
@@ -318,76 +285,121 @@ def passage(
     Balls are written wider than they are by `margin`.
     """
     level = float(round(level)) if abs(level - round(level)) < 1e-9 else level
-    found, (low, high) = None, (tests(one, level) for one in ends)
+    best, (low, high) = None, (tests(end, level) for end in ends)
     for name, (value, kept) in low.items():
         other = high[name][0]
         proved = bool((value < 0 and other > 0) or (value > 0 and other < 0))
         at_low, at_high = (arb(ball.mid(), margin * ball.rad()).str(digits) for ball in (value, other))
-        one = Passage(kind, level, name, at_low, at_high, proved, kept if proved else "")
-        found = one if found is None or proved else found
-    return found
+        tested = Passage(kind, level, name, at_low, at_high, proved, kept if proved else "")
+        best = tested if best is None or proved else best
+    return best
 
 
 @dataclass
-class _Run:
+class _BranchProof:
     """A branch being proved."""
 
     model: Model
-    equations: Equations
+    equations: TheoremEquations
     say: Progress
+    settings: BranchSettings = BranchSettings()
+
+    def checked(self, piece: Piece) -> Checked:
+        """The operator on a piece, every energy of it at once."""
+        settings = replace(ROUGH, tolerance=self.settings.remainder * min(piece.radius))
+        here, centre = replace(self.equations, energy=piece.energy), piece.functions
+        nodes = here.formulation.nodes
+        still = nodes([arb(0)] * len(centre))
+        starts = [[x - y for x, y in zip(*pair, strict=True)] for pair in zip(nodes(piece.spread), still, strict=True)]
+        clouds = [integrate(here.field, bundle(*pair), settings) for pair in zip(nodes(centre), starts, strict=True)]
+        values: np.ndarray = np.array(residual(here, centre, [end.point for end, _ in clouds]), dtype=object)
+        around = [x + y for x, y in zip(centre, piece.spread, strict=True)]
+        rows = jacobian_rows(here, around, [end.derivatives.ravel().tolist() for end, _ in clouds])
+        slopes: np.ndarray = np.array(rows, dtype=object)
+        inverse = inverse_along(slopes)
+        defect = ranged(table(identity(len(centre))) - inverse @ slopes)
+        parts = zip(ranges(inverse @ values), (defect * column(piece.spread)).entries(), strict=True)
+        image = [e - f for f, e in parts]
+        arcs = [(ranges(end.point), ranged(end.derivatives), ranges(end.hull), steps) for end, steps in clouds]
+        return Checked(piece, image, norm(defect), inside(piece.spread, image), arcs)
+
+    def fitted(self, near: Callable[[float], Vector], low: float, high: float) -> Checked:
+        """A piece through orbits at Chebyshev's points between two energies, from unknowns near those at an e."""
+        places = np.polynomial.chebyshev.chebpts1(DEGREE + 1)
+        rows, middle, half = [], 0.5 * (low + high), 0.5 * (high - low)
+        inverse = linearised(replace(self.equations, energy=arb(middle)), near(0.0), ROUGH)[1]
+        for place in places.tolist():
+            here = replace(self.equations, energy=arb(middle) + arb(half) * arb(place))
+            rows.append([float(x) for x in solve(here, near(place), ROUGH, 1e-13, self.settings.farthest, inverse)[0]])
+        bends = np.polynomial.chebyshev.chebfit(places, np.array(rows), DEGREE)
+        powers: np.ndarray = np.zeros((bends.shape[1], DEGREE + 1))
+        for k, bend in enumerate(bends.T):
+            terms = np.polynomial.chebyshev.cheb2poly(bend)  # without the zeros that it ends with
+            powers[k, : len(terms)] = terms
+        radius = np.full(len(powers), self.settings.radius * np.abs(powers).max())
+        piece = Piece(low, high, tuple(tuple(map(float, terms)) for terms in powers), tuple(map(float, radius)))
+        return self.checked(piece)
+
+    def scaled(self, shown: Checked | None) -> float:
+        """How much wider (or narrower) than a piece the next one may be: what is left out grows with e to the D + 1."""
+        if shown is None:
+            return 0.4
+        wanted = (self.settings.wanted / nonzero(fill(shown))) ** (1.0 / (DEGREE + 1))
+        return float(np.clip(wanted, 0.3, 2.0 if shown.proved else 0.8))
 
     def pieces(self, near: Vector, low: float, high: float, first: float) -> list[Checked]:
         """The pieces from one energy to another, from unknowns near the first orbit. Raises `NotProved`."""
-        found: list[Checked] = []
+        joined: list[Checked] = []
         here, length = low, min(first, high - low)
         while here < high:
             following = high if high - here < 1.3 * length else here + length
-            one, why = None, "the operator does not map the box into itself"
+            shown, why = None, "the operator does not map the box into itself"
             try:
-                one = fitted(self.equations, guess(found, near, here, following), here, following)
-                if one.proved:
-                    self.join(found, one)
+                shown = self.fitted(guess(joined, near, here, following), here, following)
+                if shown.proved:
+                    self.join(joined, shown)
             except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
-                one, why = None, str(error)
-            length = (following - here) * scaled(one)
-            if one is not None and one.proved:
+                shown, why = None, str(error)
+            length = (following - here) * self.scaled(shown)
+            if shown is not None and shown.proved:
                 here = following
-            elif length < NARROWEST * (high - low):
+            elif length < self.settings.narrowest * (high - low):
                 raise NotProved(f"no piece of the branch is short enough beyond {here!r} J: {why}")
-        return found
+        return joined
 
     def again(self, pieces: Sequence[Piece]) -> list[Checked]:
         """Recorded pieces checked once more. Raises `NotProved`."""
-        found: list[Checked] = []
+        joined: list[Checked] = []
         for piece in pieces:
-            one = checked(self.equations, piece)
-            if not one.proved:
+            shown = self.checked(piece)
+            if not shown.proved:
                 raise NotProved(f"from {piece.low!r} to {piece.high!r} J the operator does not map the box into itself")
-            self.join(found, one)
-        return found
+            self.join(joined, shown)
+        return joined
 
-    def join(self, found: list[Checked], one: Checked) -> None:
+    def join(self, joined: list[Checked], shown: Checked) -> None:
         """Add a piece. `NotProved` unless it goes on where the last one ends, and all in it are orbits."""
-        if found and not (found[-1].piece.high == one.piece.low and same_orbit(found[-1], one.piece)):
-            raise NotProved(f"the pieces that meet at {one.piece.low!r} J could not be shown to have one orbit there")
-        path = horizon(self.equations, one.piece.box, one.arcs)
+        if joined and not (joined[-1].piece.high == shown.piece.low and same_orbit(joined[-1], shown.piece)):
+            raise NotProved(f"the pieces that meet at {shown.piece.low!r} J could not be shown to have one orbit there")
+        path = horizon(self.equations, shown.piece.box, shown.arcs)
         check_motion(path, self.model, "a state of the branch", "the branch")
         minimal, _, reason = minimal_period(path, self.model.angles)
         if not minimal:
             raise NotProved(f"the period could be a multiple of the minimal one on a piece of the branch: {reason}")
-        found.append(one)
-        self.say(f"{one.piece.low!r} to {one.piece.high!r} J: one orbit for each energy, {fill(one):.0%} of the box")
+        joined.append(shown)
+        low, high = shown.piece.low, shown.piece.high
+        self.say(f"{low!r} to {high!r} J: one orbit for each energy, {fill(shown):.0%} of the box")
 
-    def end(self, one: Checked, place: float) -> Trajectory:
+    def end(self, shown: Checked, place: float) -> Trajectory:
         """The orbit at an end of the branch, enclosed to many digits, which is shown to be that of the piece there."""
         with precision(SHARP.bits):
-            energy = one.piece.low if place < 0 else one.piece.high
+            energy = shown.piece.low if place < 0 else shown.piece.high
             here = replace(self.equations, field=make_field(self.model), energy=decimal(energy))
-            centre = solve(here, one.end(place), SHARP, CENTRE)[0]
-            found = enclosed(here, centre, SHARP, lambda line: None)
-            if not inside([x + y for x, y in zip(one.piece.at(place), one.piece.spread, strict=True)], found.image):
+            centre = solve(here, shown.end(place), SHARP, CENTRE)[0]
+            contracted = enclosed(here, centre, SHARP, lambda line: None)
+            if not inside(shown.piece.around(place), contracted.image):
                 raise NotProved(f"the orbit at {energy!r} J could not be shown to be on the branch")
-            return trajectory(here, found.image, SHARP)
+            return trajectory(here, contracted.image, SHARP)
 
 
 def prove_branch(
@@ -403,13 +415,14 @@ def prove_branch(
             raise InputError("system: it conserves no energy; a branch is proved over an interval of energies")
         start = approach(model, origin, chosen_symmetry(origin, model, codes, symmetry), 1)
         equations = make_equations(model, codes, start, arb(origin.energy))
-        inner = [one for one in family.events if low < one.energy < high and one.kind != "stability_change"]
-        asked = [(one.kind, 2.0 * float(complex(one.multiplier).real)) for one in inner]
+        inner = [event for event in family.events if low < event.energy < high and event.kind not in SAID]
+        asked = [(event.kind, 2.0 * float(complex(event.multiplier).real)) for event in inner]
         form, cut = start.formulation, equations.section
         section = None if cut is None else (tuple(cut[0]), tuple(cut[1]))
         stated = form.symmetry.name, form.segments, form.constants, form.turns, section
         empty = Branch(family.name, model.system, *stated, low, high, formulation=form)
-        run, first = _Run(model, equations, say), FIRST * float(np.ptp(family.values("energy")))
+        run = _BranchProof(model, equations, say)
+        first = run.settings.first * float(np.ptp(family.values("energy")))
         return _concluded(empty, run, codes, asked, lambda: run.pieces(unknowns_at(start), low, high, first))
 
 
@@ -423,44 +436,44 @@ def replayed(branch: Branch, model: Model | None = None, progress: Progress | No
     with precision(ROUGH.bits):
         model = model or branch_model(branch)
         codes = programs(model)
-        equations = Equations(make_field(model, codes), branch.formulation, None, branch.section)
-        run = _Run(model, equations, progress or (lambda line: None))
-        asked = [(one.kind, one.level) for one in branch.passages]
+        equations = TheoremEquations(make_field(model, codes), branch.formulation, None, branch.section)
+        run = _BranchProof(model, equations, progress or (lambda line: None))
+        asked = [(event.kind, event.level) for event in branch.passages]
         ends = [branch.pieces[0].low, branch.pieces[-1].high] if branch.pieces else []
         if ends != [branch.low, branch.high]:
             return replace(branch, proved=False, reason="the pieces do not reach from one end to the other")
         return _concluded(branch, run, codes, asked, lambda: run.again(branch.pieces), 1.0, 2 * DIGITS)
 
 
-def contradictions(recorded: Branch, found: Branch) -> list[str]:
+def contradictions(recorded: Branch, fresh: Branch) -> list[str]:
     """Every claim of a recorded branch that the proof done again, its balls written as found, does not prove."""
     wrong = [
-        f"contraction from {one.low!r} J: recorded {one.contraction:.3g}, found {other.contraction:.3g}"
-        for one, other in zip(recorded.pieces, found.pieces, strict=True)
-        if not close(one.contraction, other.contraction)
+        f"contraction from {old.low!r} J: recorded {old.contraction:.3g}, found {new.contraction:.3g}"
+        for old, new in zip(recorded.pieces, fresh.pieces, strict=True)
+        if not close(old.contraction, new.contraction)
     ]
-    if len(recorded.passages) != len(found.passages):
-        return [*wrong, f"events: {len(recorded.passages)} recorded, {len(found.passages)} can be tested"]
+    if len(recorded.passages) != len(fresh.passages):
+        return [*wrong, f"events: {len(recorded.passages)} recorded, {len(fresh.passages)} can be tested"]
     return wrong + [
-        f"event: recorded {one}, found {other}"
-        for one, other in zip(recorded.passages, found.passages, strict=True) if not _borne(one, other)
+        f"event: recorded {old}, found {new}"
+        for old, new in zip(recorded.passages, fresh.passages, strict=True) if not _borne(old, new)
     ]  # fmt: skip
 
 
-def _borne(recorded: Passage, found: Passage) -> bool:
+def _borne(recorded: Passage, fresh: Passage) -> bool:
     """Whether a passage found again bears a recorded one out: all its words, and its balls inside the recorded ones."""
     try:
-        (low, high), narrower = ([arb(one.low), arb(one.high)] for one in (recorded, found))
+        (low, high), narrower = ([arb(event.low), arb(event.high)] for event in (recorded, fresh))
     except ValueError:
         return False
-    inner = all(ball.is_finite() and ball.contains(one) for ball, one in zip((low, high), narrower, strict=True))
+    inner = all(ball.is_finite() and ball.contains(narrow) for ball, narrow in zip((low, high), narrower, strict=True))
     apart = not recorded.proved or bool((low < 0 and high > 0) or (low > 0 and high < 0))
-    return inner and apart and replace(found, low=recorded.low, high=recorded.high) == recorded
+    return inner and apart and replace(fresh, low=recorded.low, high=recorded.high) == recorded
 
 
 def _concluded(
-    about: Branch, run: _Run, codes: Programs, asked: Sequence[tuple[str, float]], pieces: Callable[[], list[Checked]],
-    *written: Any,
+    about: Branch, run: _BranchProof, codes: Programs, asked: Sequence[tuple[str, float]],
+    pieces: Callable[[], list[Checked]], *written: Any,
 ) -> Branch:  # fmt: skip
     """What pieces and their ends say, balls as `written` (see `passage`)."""
     began, passed = time.perf_counter(), []
@@ -470,15 +483,15 @@ def _concluded(
 
     try:
         check_graph(codes, about.formulation, run.model)
-        found = pieces()
+        joined = pieces()
         if asked:
-            ends = [run.end(found[0], -1.0), run.end(found[-1], 1.0)]
+            ends = [run.end(joined[0], -1.0), run.end(joined[-1], 1.0)]
             with precision(SHARP.bits):
                 each = (passage(kind, level, ends, *written) for kind, level in asked)
-                passed = [one for one in each if one is not None]
+                passed = [event for event in each if event is not None]
     except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
         return replace(about, proved=False, reason=str(error), wall_time=spent())
-    kept = tuple(replace(one.piece, contraction=one.contraction) for one in found)
+    kept = tuple(replace(shown.piece, contraction=shown.contraction) for shown in joined)
     return replace(about, proved=True, reason="", pieces=kept, passages=tuple(passed), wall_time=spent())
 
 
@@ -504,14 +517,14 @@ def branch_document(branch: Branch) -> dict[str, Any]:
 
 def read_branch(path: Path) -> Branch:
     """A branch-proof.json. Raises `InputError`."""
-    found = RECORDS.load(path)
-    model = build_model(dict(found.system))
-    symmetry = named(found.symmetry, model)
+    record = RECORDS.load(path)
+    model = build_model(dict(record.system))
+    symmetry = named(record.symmetry, model)
     size = model.degrees_of_freedom
-    form = Formulation(symmetry, size, found.segments, found.constants, found.turns, bool(model.invariants))
-    sizes = {len(one) for piece in found.pieces for one in (piece.centre, piece.radius)}
+    form = Formulation(symmetry, size, record.segments, record.constants, record.turns, bool(model.invariants))
+    sizes = {len(numbers) for piece in record.pieces for numbers in (piece.centre, piece.radius)}
     fits = (len(form.constants), len(form.turns)) == (form.dimension, size) and sizes <= {form.unknowns}
-    positive = all(r > 0 and np.isfinite(r) for piece in found.pieces for r in piece.radius)
-    if not (fits and positive and found.segments > 0):
+    positive = all(r > 0 and np.isfinite(r) for piece in record.pieces for r in piece.radius)
+    if not (fits and positive and record.segments > 0):
         raise InputError(f"{path}: pieces: do not fit the system or its symmetry; {AGAIN}")
-    return Branch(**vars(found), formulation=form)
+    return Branch(**vars(record), formulation=form)

@@ -35,7 +35,7 @@ from orbitfinder.proof.balls import (
     radius,
     up_to,
 )
-from orbitfinder.proof.field import Field, Solution, slope_series
+from orbitfinder.proof.field import Field, Jet, slope_series
 from orbitfinder.proof.series import outputs
 from orbitfinder.proof.taylormodel import remainders, tails
 
@@ -46,7 +46,7 @@ GUESSES = 5
 
 
 @dataclass(frozen=True)
-class Settings:
+class TaylorSettings:
     """How the validated integrator works.
 
     `order` of the Taylor polynomial, Arb's `bits`, `tolerance` on the remainder of one step (rad,
@@ -86,7 +86,7 @@ class Step:
 def valued(series: list[Vector], remainder: Vector, time: Any) -> Vector:
     """Polynomials with remainder at a time or over a ball of times."""
     power = time ** len(series[0])
-    return [horner(one, time) + rest * power for one, rest in zip(series, remainder, strict=True)]
+    return [horner(polynomial, time) + rest * power for polynomial, rest in zip(series, remainder, strict=True)]
 
 
 def horner(series: Sequence[Any], time: Any) -> Any:
@@ -97,23 +97,23 @@ def horner(series: Sequence[Any], time: Any) -> Any:
     return total
 
 
-def find_step(field: Field, found: Solution, begin: float, trial: float, settings: Settings) -> tuple[Step, float]:
-    """A step of the solutions `found` whose remainder is within tolerance, and the length to try next."""
-    largest = nonzero(magnitude([one[-1] for one in found.states]))
+def find_step(field: Field, jet: Jet, begin: float, trial: float, settings: TaylorSettings) -> tuple[Step, float]:
+    """A step of a jet of solutions whose remainder is within tolerance, and the length to try next."""
+    largest = nonzero(magnitude([series[-1] for series in jet.states]))
     h = min(_rounded(min(trial, (settings.tolerance / largest) ** (1.0 / settings.order))), 1.0 - begin)
     while h >= settings.shortest or (h > 0 and begin + h == 1.0):
-        rest = state_remainder(field, found, arb(h), settings.order)
+        rest = state_remainder(field, jet, arb(h), settings.order)
         if rest is None:
             h = _rounded(0.6 * h)
             continue
         error = radius(rest) * h ** (settings.order + 1)
         ratio = 0.9 * (settings.tolerance / nonzero(error)) ** (1.0 / (settings.order + 1))
         if error <= settings.tolerance:
-            return Step(begin, h, found.states, rest, list(found.z[-2:])), h * min(max(ratio, 1.0), 1.5)
+            return Step(begin, h, jet.states, rest, list(jet.z[-2:])), h * min(max(ratio, 1.0), 1.5)
         h = _rounded(h * min(max(ratio, 0.3), 0.9))
     raise IntegrationError(
         "no validated step is short enough; raise the order or the precision, or use more segments",
-        time=begin * float(found.tau.mid()),
+        time=begin * float(jet.tau.mid()),
     )
 
 
@@ -121,80 +121,72 @@ def _rounded(h: float) -> float:
     return float(int(min(h, 1.0) / GRID) * GRID)
 
 
-def state_remainder(field: Field, found: Solution, h: Any, order: int) -> Vector | None:
+def state_remainder(field: Field, jet: Jet, h: Any, order: int) -> Vector | None:
     """eta (d) of a step of length h, or None when Picard's operator maps no trial into itself."""
     span = up_to(h)
     trial = [arb(0)] * field.dimension
     for _ in range(GUESSES):
-        image = _state_image(field, found, span, trial, order)[0]
+        image = _state_image(field, jet, span, trial, order)[0]
         if not all(x.is_finite() for x in image):
             return None
         if inside(trial, image):
             return image
-        trial = [arb(x.mid(), 1.5 * arb(x.rad()) + abs(x).upper() * 2.0**-10 + LEAST) for x in image]
+        trial = _widened(image)
     return None
 
 
-def _state_image(
-    field: Field, found: Solution, span: Any, trial: Vector, order: int
-) -> tuple[Vector, list[Any], Vector]:
+def _state_image(field: Field, jet: Jet, span: Any, trial: Vector, order: int) -> tuple[Vector, list[Any], Vector]:
     """Picard's image of eta, the remainders of all values of the program, and the state's own (orders from p)."""
     n = field.size
-    own = [one[order] + span * eta for one, eta in zip(found.states, trial, strict=True)]
-    inputs = [arb(0) if argument == 2 else own[entry + n * argument] for _, argument, entry in found.code.variables]
-    rest = remainders(found.code, found.values, order, span, inputs)
-    accelerations = outputs(found.code, rest)[0]
-    factor = found.tau / (order + 1)
+    own = [series[order] + span * eta for series, eta in zip(jet.states, trial, strict=True)]
+    inputs = [arb(0) if argument == 2 else own[entry + n * argument] for _, argument, entry in jet.code.variables]
+    rest = remainders(jet.code, jet.values, order, span, inputs)
+    accelerations = outputs(jet.code, rest)[0]
+    factor = jet.tau / (order + 1)
     image = [factor * x for x in own[n:]] + [factor * accelerations.get(i, arb(0)) for i in range(n)]  # q' = v first
     return image, rest, own
 
 
 def transition_remainder(
-    field: Field, found: Solution, step: Step, blocks: list[Any], slopes: list[Any], settings: Settings
+    field: Field, jet: Jet, step: Step, blocks: list[Any], slopes: list[Any], settings: TaylorSettings
 ) -> Any:
     """The remainder H (d+1 x d+2) of the derivatives of (q, v, s) over a step.
 
-    `found` has the Jacobian's values, `blocks` are the coefficients 0..p, `slopes` those of d(a + s u)/d(q, v, s)
+    `jet` has the Jacobian's values, `blocks` are the coefficients 0..p, `slopes` those of d(a + s u)/d(q, v, s)
     below p.
     """
     order, n, d, span = settings.order, field.size, field.dimension, up_to(arb(step.h))
-    _, rest, own = _state_image(field, found, span, step.remainder, order)
-    values = outputs(found.code, rest)
+    _, rest, state = _state_image(field, jet, span, step.remainder, order)
+    values, width, factor = outputs(jet.code, rest), d + 2, jet.tau / (order + 1)
     slopes = [*slopes, slope_series(n, d, {k: [x] for k, x in values[1].items()}, 1)[0]]
-    forcing = own[n:] + [values[0].get(i, arb(0)) for i in range(n)]
-    trial = arb_mat(d + 1, d + 2)
+    forcing = state[n:] + [values[0].get(i, arb(0)) for i in range(n)]  # remainders of the field, its derivative by tau
+
+    def image(trial: Any) -> Vector:
+        """The rows of (q, v) of Picard's image."""
+        own = blocks[order] + trial * span
+        beyond = tails(blocks[:order], own, span)
+        lower = slopes[0] * beyond[0]
+        for slope, tail in zip(slopes[1:], beyond[1:], strict=True):
+            lower += slope * tail
+        rows = [factor * x for x in own.entries()[n * width : d * width]] + [factor * x for x in lower.entries()]
+        for i, x in enumerate(forcing):
+            rows[i * width + width - 1] += x / (order + 1)
+        return rows
+
+    trial = arb_mat(d + 1, width)
     for _ in range(GUESSES + 3):
-        image = _transition_image(field, found, blocks, slopes, forcing, trial, span, order)
-        if inside(trial.entries()[: -d - 2], image.entries()[: -d - 2]):
+        rows = image(trial)
+        if inside(trial.entries()[:-width], rows):
             return trial
-        grown = [arb(x.mid(), 1.5 * arb(x.rad()) + abs(x).upper() * 2.0**-10 + LEAST)
-                 for x in image.entries()[: -d - 2]]  # fmt: skip
-        trial = arb_mat(d + 1, d + 2, grown + [arb(0)] * (d + 2))
+        trial = arb_mat(d + 1, width, _widened(rows) + [arb(0)] * width)
     raise IntegrationError(
-        "the derivatives over a step could not be enclosed; raise the order", time=step.begin * float(found.tau.mid())
+        "the derivatives over a step could not be enclosed; raise the order", time=step.begin * float(jet.tau.mid())
     )
 
 
-def _transition_image(
-    field: Field, found: Solution, blocks: list[Any], slopes: list[Any], forcing: Vector, trial: Any, span: Any,
-    order: int,
-) -> Any:  # fmt: skip
-    """Picard's image of the remainder H (d+1 x d+2) of the derivatives of (q, v, s).
-
-    `blocks` their coefficients 0..p, `slopes` those of d(a + s u)/d(q, v, s) below p and its remainder,
-    `forcing` the remainders (d) of the field, its derivative by tau.
-    """
-    n, d, width = field.size, field.dimension, field.dimension + 2
-    own = blocks[order] + trial * span
-    found_tails = tails(blocks[:order], own, span)
-    lower = slopes[0] * found_tails[0]
-    for slope, tail in zip(slopes[1:], found_tails[1:], strict=True):
-        lower += slope * tail
-    factor = found.tau / (order + 1)
-    rows = [factor * x for x in own.entries()[n * width : d * width]] + [factor * x for x in lower.entries()]
-    for i, x in enumerate(forcing):
-        rows[i * width + width - 1] += x / (order + 1)
-    return arb_mat(d + 1, width, rows + [arb(0)] * width)
+def _widened(balls: Vector) -> Vector:
+    """The next trial for a remainder after one whose image was not inside it."""
+    return [arb(x.mid(), 1.5 * arb(x.rad()) + abs(x).upper() * 2.0**-10 + LEAST) for x in balls]
 
 
 # --------------------------------------------------------------------------------------------------
@@ -244,7 +236,7 @@ class Cloud:
         constants = [c + d for c, d in zip(self.centre[size:], self.start.entries()[size:], strict=True)]
         return [x + d for x, d in zip(self.point, moved, strict=True)] + constants
 
-    def advanced(self, field: Field, begin: float, trial: float, settings: Settings) -> tuple[Self, Step, float]:
+    def advanced(self, field: Field, begin: float, trial: float, settings: TaylorSettings) -> tuple[Self, Step, float]:
         """The same after one validated step, the step, and the length to try next."""
         solutions = field.solution(self.hull, settings.order)
         step, following = find_step(field, self.whole(solutions), begin, trial, settings)
@@ -264,17 +256,17 @@ class Cloud:
         )  # fmt: skip
         return after, step, following
 
-    def whole(self, found: Solution) -> Solution:
-        """The solution in balls."""
-        return found
+    def whole(self, jet: Jet) -> Jet:
+        """The jet, its coefficients in balls."""
+        return jet
 
-    def flow(self, field: Field, found: Solution, step: Step, settings: Settings) -> Any:
+    def flow(self, field: Field, jet: Jet, step: Step, settings: TaylorSettings) -> Any:
         """dz(h)/dz over the starting box (d+2 square), by the same argument for the variational equations."""
         order, n, d = settings.order, field.size, field.dimension
-        found = found.varied(field.varied)
-        series = found.transitions()
-        blocks = [block(one, d + 1, 0, d + 2) for one in series]
-        rest = transition_remainder(field, found, step, blocks, slope_series(n, d, found.results()[1], order), settings)
+        jet = jet.varied(field.varied)
+        series = jet.transitions()
+        blocks = [block(matrix, d + 1, 0, d + 2) for matrix in series]
+        rest = transition_remainder(field, jet, step, blocks, slope_series(n, d, jet.results()[1], order), settings)
         last = arb_mat(d + 2, d + 2, rest.entries() + [arb(0)] * (d + 2))
         return horner([*series, last], arb(step.h))
 
@@ -323,7 +315,7 @@ def orthogonal(matrix: Any, weights: np.ndarray) -> Any:
 Moving = TypeVar("Moving", bound=Cloud)
 
 
-def integrate(field: Field, start: Moving, settings: Settings, trial: float = 1.0) -> tuple[Moving, list[Step]]:
+def integrate(field: Field, start: Moving, settings: TaylorSettings, trial: float = 1.0) -> tuple[Moving, list[Step]]:
     """The Cloud one segment (unit time, tau seconds) later, and the steps on the way."""
     here, begin, steps = start, 0.0, []
     while begin < 1.0:

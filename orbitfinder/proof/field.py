@@ -21,7 +21,7 @@ import numpy as np
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import Vector, arb, arb_mat, decimal, exact, identity
-from orbitfinder.proof.program import Program, program
+from orbitfinder.proof.program import ScalarProgram, program
 from orbitfinder.proof.series import BALLS, Recurrence, coefficients, outputs, recurrence, whole_series
 
 
@@ -33,13 +33,13 @@ class Programs:
     gradient (d), None where nothing is conserved; `mass` is M = d2T/dv2 (n x n), None there and of first-order systems.
     """
 
-    rates: Program
-    jacobian: Program
-    energy: Program | None
-    mass: Program | None
+    rates: ScalarProgram
+    jacobian: ScalarProgram
+    energy: ScalarProgram | None
+    mass: ScalarProgram | None
 
     @property
-    def all(self) -> tuple[Program, ...]:
+    def all(self) -> tuple[ScalarProgram, ...]:
         """Those that whole turns of angles must leave as they are."""
         return (self.rates,) if self.energy is None else (self.rates, self.energy)
 
@@ -52,24 +52,25 @@ def programs(model: Model) -> Programs:
     p = ca.SX.sym("p", len(model.parameter_values))
     if model.rates is not None:
         return _alone(model, model.rates, q, v, s, p)
-    kinds = [model.acceleration, model.kinetic, model.potential, *(one.unfolding for one in model.invariants)]
-    if not all(one.is_a("SXFunction") for one in kinds):
+    unfoldings = [invariant.unfolding for invariant in model.invariants]
+    graphs = [model.acceleration, model.kinetic, model.potential, *unfoldings]
+    if not all(graph.is_a("SXFunction") for graph in graphs):
         raise InputError(
             "system: its equations are solved numerically inside the graph (many coordinates, linkages), "
             "which ball arithmetic cannot follow; only systems with closed-form accelerations can be proved"
         )
     rates, inputs, x = model.acceleration(0.0, q, v, p), [q, v, s, p], ca.vertcat(q, v)
     energy = mass = None
-    for one in model.invariants:
-        rates += s * one.unfolding(q, v, p)
-        check_unfolding(program(one.unfolding), n)
-        total = one.value(q, v, p)
+    for invariant in model.invariants:
+        rates += s * invariant.unfolding(q, v, p)
+        check_unfolding(program(invariant.unfolding), n)
+        total = invariant.value(q, v, p)
         energy = program(ca.Function("energy", inputs, [total, ca.gradient(total, x)]))
         mass = program(ca.Function("mass", inputs, [ca.hessian(model.kinetic(q, v, p), v)[0]]))
     return Programs(*_with_slopes("accelerations", inputs, rates, ca.vertcat(x, s)), energy, mass)
 
 
-def _with_slopes(name: str, inputs: list[ca.SX], rates: ca.SX, by: ca.SX) -> tuple[Program, Program]:
+def _with_slopes(name: str, inputs: list[ca.SX], rates: ca.SX, by: ca.SX) -> tuple[ScalarProgram, ScalarProgram]:
     """The programs of rates, and of these with their derivatives."""
     both = ca.Function(f"{name}_and_jacobian", inputs, [rates, ca.jacobian(rates, by)])
     return program(ca.Function(name, inputs, [rates])), program(both)
@@ -104,7 +105,7 @@ def check_provable(model: Model) -> None:
         )
     if not model.invariants:
         return
-    names = ", ".join(one.name for one in model.invariants)
+    names = ", ".join(invariant.name for invariant in model.invariants)
     if not model.canonical or not model.conservative:
         raise InputError(
             f"system: that it conserves {names} is declared and not how it is made, which the theorem needs; describe "
@@ -117,7 +118,7 @@ def check_provable(model: Model) -> None:
         )
 
 
-def check_unfolding(code: Program, size: int) -> None:
+def check_unfolding(code: ScalarProgram, size: int) -> None:
     """`InputError` unless the energy is unfolded by a + s v, which is what the theorem's sign argument is about."""
     places = {value: (argument, entry) for value, argument, entry in code.inputs}
     if [places.get(code.outputs[0].get(i, -1)) for i in range(size)] != [(1, i) for i in range(size)]:
@@ -134,17 +135,17 @@ class Field:
     """d, components of the state"""
     plain: Recurrence
     varied: Recurrence
-    energy_program: Program | None
-    mass_program: Program | None
+    energy_program: ScalarProgram | None
+    mass_program: ScalarProgram | None
     parameters: Vector
 
     def states(self, z: Sequence[Any], order: int) -> list[Vector]:
         """Series of (q, v) (d lists of order + 1 balls) of the solution through z (d + 2)."""
         return self.solution(z, order).states
 
-    def solution(self, z: Sequence[Any], order: int, vary: bool = False) -> Solution:
+    def solution(self, z: Sequence[Any], order: int, vary: bool = False) -> Jet:
         """The series through z with those of the program's values, of the Jacobian's too when asked for."""
-        plain = Solution(self, z, order)
+        plain = Jet(self, z, order)
         return plain.varied(self.varied) if vary else plain
 
     def rates(self, z: Sequence[Any]) -> Vector:
@@ -161,8 +162,8 @@ class Field:
     def mass(self, z: Sequence[Any]) -> Any:
         """Mass matrix M(q) (n x n) at z, of a mechanical system."""
         assert self.mass_program is not None
-        n, found = self.size, self.mass_program.run(self._arguments(z), BALLS)[0]
-        return arb_mat(n, n, [found.get(i + n * j, arb(0)) for i in range(n) for j in range(n)])
+        n, entries = self.size, self.mass_program.run(self._arguments(z), BALLS)[0]
+        return arb_mat(n, n, [entries.get(i + n * j, arb(0)) for i in range(n) for j in range(n)])
 
     def _arguments(self, z: Sequence[Any]) -> list[Any]:
         n, d = self.size, self.dimension
@@ -185,7 +186,7 @@ def make_field(model: Model, codes: Programs | None = None) -> Field:
     )
 
 
-class Solution:
+class Jet:
     """The series of one solution: q_{k+1} = tau v_k / (k+1), v_{k+1} = tau a_k / (k+1).
 
     `states` (d lists) has orders 0..order, `values` (of the program) 0..order - 1.
@@ -200,7 +201,7 @@ class Solution:
         first = self.results()[0]
         self._grow(order, [first.get(i, [arb(0)] * order) for i in range(n)])
 
-    def varied(self, code: Recurrence) -> Solution:
+    def varied(self, code: Recurrence) -> Jet:
         """The same with the values of the program that has the Jacobian too."""
         zero = [arb(0)] * (self.order - 1)
         known = [[self.unfolding, *zero] if argument == 2 else self.states[entry + self.n * argument]
@@ -227,8 +228,8 @@ class Solution:
         n, factor = self.n, self.tau / k
         for i in range(len(self.states) - n):
             self.states[i].append(factor * self.states[n + i][k - 1])
-        for one, rate in zip(self.states[-n:], accelerations, strict=True):
-            one.append(factor * rate[k - 1])
+        for series, rate in zip(self.states[-n:], accelerations, strict=True):
+            series.append(factor * rate[k - 1])
 
     def _coefficient(self, argument: int, entry: int, k: int) -> Any:
         """Coefficient k of an argument (q, v, s) of the programs."""
@@ -247,7 +248,7 @@ def transition_series(n: int, z: Sequence[Any], states: list[Vector], results: l
     blocks, series = [exact(np.eye(d + 1, size))], [identity(size)]
     for k in range(order):
         lower = sum((slopes[j] * blocks[k - j] for j in range(1, k + 1)), slopes[0] * blocks[k])
-        rows = _next_rows(n, k, tau, lower, blocks[k], [one[k + 1] for one in states])
+        rows = _next_rows(n, k, tau, lower, blocks[k], [component[k + 1] for component in states])
         blocks.append(arb_mat(d + 1, size, rows + [arb(0)] * size))
         series.append(arb_mat(size, size, rows + [arb(0)] * (2 * size)))
     return series
@@ -257,7 +258,7 @@ def slope_series(n: int, d: int, jacobian: dict[int, Vector], order: int) -> lis
     """Coefficients 0..order - 1 of d(a + s u)/d(q, v, s) as matrices (n x d+1)."""
     zero = [arb(0)] * order
     columns = [jacobian.get(i + n * j, zero) for i in range(n) for j in range(d + 1)]
-    return [arb_mat(n, d + 1, [one[k] for one in columns]) for k in range(order)]
+    return [arb_mat(n, d + 1, [slope[k] for slope in columns]) for k in range(order)]
 
 
 def _next_rows(n: int, k: int, tau: Any, lower: Any, block: Any, step: Vector) -> Vector:

@@ -91,7 +91,7 @@ class Formulation:
         """Signs (d) with which the first node's components enter the conditions at the end."""
         if self.symmetry.reverses:
             return (0,) * self.dimension
-        return tuple(int(one) for one in np.diag(self.symmetry.rows(self.size)[0]))
+        return tuple(int(sign) for sign in np.diag(self.symmetry.rows(self.size)[0]))
 
     @property
     def unknowns(self) -> int:
@@ -129,7 +129,7 @@ def image(formulation: Formulation, fraction: Any) -> tuple[Any, Any]:
     symmetry, constants = formulation.symmetry, np.asarray(formulation.constants, float)
 
     def mapped(inner: Any, matrix: np.ndarray, moved: np.ndarray) -> Any:
-        signs, multiples = ([round(one) for one in values] for values in (np.diag(matrix), moved))
+        signs, multiples = ([round(value) for value in values] for values in (np.diag(matrix), moved))
         return lambda x: [sign * a + arb.pi() * k for sign, a, k in zip(signs, inner(x), multiples, strict=True)]
 
     half = fraction - Fraction(1, 2)
@@ -220,9 +220,9 @@ def symmetric_instant(
         return distance(integrate(field, states[first], np.array([times[first], time]), SECOND)[-1])  # type: ignore[arg-type]
 
     try:
-        found = minimize_scalar(
+        least = minimize_scalar(
             at, bounds=(times[first], times[best + 1]), method="bounded", options={"xatol": 1e-9 * times[-1]}
         )
     except IntegrationError:
         return float(times[best])
-    return float(found.x) if found.fun < distance(states[best]) else float(times[best])
+    return float(least.x) if least.fun < distance(states[best]) else float(times[best])

@@ -12,13 +12,13 @@ from dataclasses import replace
 import numpy as np
 
 from orbitfinder.loops.symmetry import ALONE, NONE, Symmetry
-from orbitfinder.proof.program import Program
+from orbitfinder.proof.program import ScalarProgram
 
 EVEN, ODD, NEITHER, BOTH = 1, -1, 0, 2
 """BOTH is the parity of zero"""
 
 
-def parities(code: Program, signs: dict[int, list[int]]) -> list[dict[int, int]]:
+def parities(code: ScalarProgram, signs: dict[int, list[int]]) -> list[dict[int, int]]:
     """Parities of each result's entries when entry i of every argument k is multiplied by signs[k][i] (1 or -1)."""
     value: list[int] = [EVEN] * code.size
     for target, argument, entry in code.inputs:
@@ -46,34 +46,34 @@ def _parity(name: str, a: int, b: int, exponent: float | None) -> int:
     return EVEN if a in (EVEN, BOTH) else NEITHER
 
 
-def has_symmetry(rates: Program, energy: Program | None, symmetry: Symmetry, n: int) -> bool:
+def has_symmetry(rates: ScalarProgram, energy: ScalarProgram | None, symmetry: Symmetry, n: int) -> bool:
     """True when the accelerations a(q, v, s) of n coordinates (and the energy) provably have a symmetry of orbits.
 
     a(P q, sense P v, sense s) = P a(q, v, s), and E(P q, P v) = E(q, v) of one that does not reverse time. Of rates
     f(q, s) alone f(P q, sense s) = sense P f(q, s). Arguments are numbered q, v, s = 0, 1, 2.
     """
-    for one in symmetry.maps:
-        places = [round(sign) for sign in np.diag(one.places(n))]
-        signs = {0: places, 1: [one.sense * sign for sign in places], 2: [one.sense]}
-        image = [one.sense * sign for sign in places] if one.first_order else places
-        if one.order or any(found not in (image[i], BOTH) for i, found in parities(rates, signs)[0].items()):
+    for mirror in symmetry.maps:
+        places = [round(sign) for sign in np.diag(mirror.places(n))]
+        signs = {0: places, 1: [mirror.sense * sign for sign in places], 2: [mirror.sense]}
+        image = [mirror.sense * sign for sign in places] if mirror.first_order else places
+        if mirror.order or any(parity not in (image[i], BOTH) for i, parity in parities(rates, signs)[0].items()):
             return False
-        if energy and one.sense > 0 and any(found not in (EVEN, BOTH) for found in parities(energy, signs)[0].values()):
+        if energy and mirror.sense > 0 and not {*parities(energy, signs)[0].values()} <= {EVEN, BOTH}:
             return False
     return True
 
 
-def usable_symmetry(rates: Program, energy: Program | None, symmetry: Symmetry, n: int) -> Symmetry:
+def usable_symmetry(rates: ScalarProgram, energy: ScalarProgram | None, symmetry: Symmetry, n: int) -> Symmetry:
     """The recorded symmetry, or the part of it that the equations provably have; none when it is no part.
 
     A motion can look symmetric where its equations are not (x -> -x together with another reflection).
     """
-    candidates = (symmetry, *(replace(symmetry, maps=(one,)) for one in symmetry.maps))
-    found = (one for one in candidates if has_symmetry(rates, energy, one, n))
-    return next(found, ALONE if symmetry.first_order else NONE)
+    candidates = (symmetry, *(replace(symmetry, maps=(mirror,)) for mirror in symmetry.maps))
+    usable = (candidate for candidate in candidates if has_symmetry(rates, energy, candidate, n))
+    return next(usable, ALONE if symmetry.first_order else NONE)
 
 
-def turns_leave(code: Program, angles: Sequence[bool]) -> bool:
+def turns_leave(code: ScalarProgram, angles: Sequence[bool]) -> bool:
     """True when the first result provably does not change as angles (argument 0) make whole turns.
 
     Followed are whole-numbered combinations of angles; only through a sine or a cosine does one of

@@ -2,7 +2,7 @@
 
 K(X) = m - C F(m) + (1 - C DF(X)) (X - m). If K(X) lies in the interior of X, F has exactly one
 zero in X, and it lies in K(X). Source: R. Krawczyk, Computing 4 (1969) 187-201; A. Neumaier,
-Interval Methods for Systems of Equations (1990), section 5.1.
+Interval Methods for Systems of TheoremEquations (1990), section 5.1.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.proof.balls import Vector, arb, arb_mat, block, column, exact, floats, inside, magnitude, midpoints
-from orbitfinder.proof.enclosure import Settings, Step, cloud, horner, integrate
+from orbitfinder.proof.enclosure import Step, TaylorSettings, cloud, horner, integrate
 from orbitfinder.proof.field import Field
 from orbitfinder.proof.formulation import Formulation
 
@@ -25,7 +25,7 @@ Arc = tuple[Vector, Any, Vector, list[Step]]
 
 
 @dataclass(frozen=True)
-class Equations:
+class TheoremEquations:
     """F(u) = 0 with everything it needs besides the unknowns.
 
     `section` are (anchor (d), normal (d)) of the hyperplane that fixes the phase, `energy` (J) a ball, None where
@@ -52,16 +52,16 @@ class Krawczyk:
     arcs: list[Arc]
 
 
-def arcs_over(equations: Equations, box: Vector, centre: Vector, settings: Settings) -> list[Arc]:
+def arcs_over(equations: TheoremEquations, box: Vector, centre: Vector, settings: TaylorSettings) -> list[Arc]:
     """Every segment integrated from the nodes of a box of unknowns, about its centre."""
-    found = []
+    arcs = []
     for node, point in zip(equations.formulation.nodes(box), equations.formulation.nodes(centre), strict=True):
         end, steps = integrate(equations.field, cloud(node, point), settings)
-        found.append((end.point[: equations.field.dimension], end.derivatives, end.hull, steps))
-    return found
+        arcs.append((end.point[: equations.field.dimension], end.derivatives, end.hull, steps))
+    return arcs
 
 
-def residual(equations: Equations, unknowns: Vector, ends: Sequence[Vector]) -> Vector:
+def residual(equations: TheoremEquations, unknowns: Vector, ends: Sequence[Vector]) -> Vector:
     """F at a point (or over a box, without its correlations) from the segments' ends (d each)."""
     form = equations.formulation
     nodes = form.nodes(unknowns)
@@ -76,12 +76,12 @@ def residual(equations: Equations, unknowns: Vector, ends: Sequence[Vector]) -> 
     return rows if equations.energy is None else [*rows, equations.field.energy(nodes[0])[0] - equations.energy]
 
 
-def jacobian(equations: Equations, box: Vector, derivatives: Sequence[Any]) -> Any:
+def jacobian(equations: TheoremEquations, box: Vector, derivatives: Sequence[Any]) -> Any:
     """DF over a box of unknowns from the segments' derivatives (d x d+2 each)."""
     return arb_mat(jacobian_rows(equations, box, [matrix.entries() for matrix in derivatives]))
 
 
-def jacobian_rows(equations: Equations, box: Vector, derivatives: Sequence[Sequence[Any]]) -> list[list[Any]]:
+def jacobian_rows(equations: TheoremEquations, box: Vector, derivatives: Sequence[Sequence[Any]]) -> list[list[Any]]:
     """The rows of DF from the entries of the segments' derivatives, row after row."""
     form = equations.formulation
     d, total, mirror = form.dimension, form.unknowns, form.mirror
@@ -120,7 +120,7 @@ def jacobian_rows(equations: Equations, box: Vector, derivatives: Sequence[Seque
     return rows
 
 
-def krawczyk(equations: Equations, box: Vector, settings: Settings) -> Krawczyk:
+def krawczyk(equations: TheoremEquations, box: Vector, settings: TaylorSettings) -> Krawczyk:
     """K on a box of unknowns about its centre."""
     centre = midpoints(box)
     arcs = arcs_over(equations, box, centre, settings)
@@ -137,10 +137,10 @@ def krawczyk(equations: Equations, box: Vector, settings: Settings) -> Krawczyk:
 def approximate_inverse(matrix: np.ndarray) -> np.ndarray:
     """A float inverse; of a singular matrix zeros, which prove nothing."""
     try:
-        found = np.linalg.inv(matrix)
+        inverse = np.linalg.inv(matrix)
     except np.linalg.LinAlgError:
         return np.zeros_like(matrix)
-    return found if np.all(np.isfinite(found)) else np.zeros_like(matrix)
+    return inverse if np.all(np.isfinite(inverse)) else np.zeros_like(matrix)
 
 
 def norm(matrix: Any) -> float:
@@ -162,48 +162,48 @@ ROUGH = 1e-5
 """Corrections above this make a new Jacobian worth while"""
 
 
-def step_length(series: list[Vector], left: float, settings: Settings) -> float:
+def step_length(series: list[Vector], left: float, settings: TaylorSettings) -> float:
     """A step whose last term is below the tolerance."""
     order = len(series[0]) - 1
-    last, before = (magnitude([one[k] for one in series]) for k in (-1, -2))
+    last, before = (magnitude([component[k] for component in series]) for k in (-1, -2))
     largest = max(last, before ** (order / (order - 1)))
     h = 0.9 * (settings.tolerance / nonzero(largest)) ** (1.0 / order)
     return min(left, float(int(min(h, 1.0) * 2.0**40) * 2.0**-40))
 
 
-def flow(equations: Equations, node: Vector, settings: Settings, vary: bool) -> tuple[Vector, Any]:
+def flow(equations: TheoremEquations, node: Vector, settings: TaylorSettings, vary: bool) -> tuple[Vector, Any]:
     """End (d) of a segment and, when asked for, the derivatives (d x d+2), as centres of balls."""
     field, size = equations.field, equations.field.dimension
     here, begin = midpoints(node), 0.0
     total = exact(np.eye(size + 2))
     while begin < 1.0:
-        found = field.solution(here, settings.order, vary)
-        h = step_length(found.states, 1.0 - begin, settings)
+        solution = field.solution(here, settings.order, vary)
+        h = step_length(solution.states, 1.0 - begin, settings)
         if not 0 < h <= 1:
             raise ConvergenceError("no orbit near: the solution leaves every bound on the way")
-        here = midpoints([horner(one, arb(h)) for one in found.states]) + here[size:]
+        here = midpoints([horner(component, arb(h)) for component in solution.states]) + here[size:]
         if vary:
-            total = (horner(found.transitions(), arb(h)) * total).mid()
+            total = (horner(solution.transitions(), arb(h)) * total).mid()
         begin += h
     return here[:size], block(total, size, 0, size + 2)
 
 
-def linearised(equations: Equations, unknowns: Vector, settings: Settings) -> tuple[Vector, np.ndarray]:
+def linearised(equations: TheoremEquations, unknowns: Vector, settings: TaylorSettings) -> tuple[Vector, np.ndarray]:
     """F and an approximate inverse of DF at a point."""
-    found = [flow(equations, node, settings, vary=True) for node in equations.formulation.nodes(unknowns)]
-    values = residual(equations, unknowns, [end for end, _ in found])
-    slopes = floats(jacobian(equations, unknowns, [matrix for _, matrix in found]))
+    flows = [flow(equations, node, settings, vary=True) for node in equations.formulation.nodes(unknowns)]
+    values = residual(equations, unknowns, [end for end, _ in flows])
+    slopes = floats(jacobian(equations, unknowns, [matrix for _, matrix in flows]))
     return midpoints(values), approximate_inverse(slopes)
 
 
-def evaluated(equations: Equations, unknowns: Vector, settings: Settings) -> Vector:
+def evaluated(equations: TheoremEquations, unknowns: Vector, settings: TaylorSettings) -> Vector:
     """F at a point."""
     ends = [flow(equations, node, settings, vary=False)[0] for node in equations.formulation.nodes(unknowns)]
     return midpoints(residual(equations, unknowns, ends))
 
 
 def solve(
-    equations: Equations, start: Vector, settings: Settings, target: float, farthest: float = 1e-2,
+    equations: TheoremEquations, start: Vector, settings: TaylorSettings, target: float, farthest: float = 1e-2,
     known: np.ndarray | None = None,
 ) -> tuple[Vector, int]:  # fmt: skip
     """Unknowns whose last correction is below `target`, and the number of iterations.

@@ -14,16 +14,15 @@ import casadi as ca
 
 from orbitfinder.errors import InputError
 
-BINARY = {ca.OP_ADD: "add", ca.OP_SUB: "sub", ca.OP_MUL: "mul", ca.OP_DIV: "div",
-          ca.OP_POW: "pow", ca.OP_CONSTPOW: "pow"}  # fmt: skip
-UNARY = {ca.OP_NEG: "neg", ca.OP_SQ: "sq", ca.OP_SIN: "sin", ca.OP_COS: "cos", ca.OP_SQRT: "sqrt",
-         ca.OP_EXP: "exp", ca.OP_LOG: "log", ca.OP_TWICE: "twice", ca.OP_INV: "inv", ca.OP_TAN: "tan",
-         ca.OP_ASSIGN: "copy"}  # fmt: skip
-COMMUTATIVE = ("add", "mul")
+OPERATIONS = {
+    ca.OP_ADD: "add", ca.OP_SUB: "sub", ca.OP_MUL: "mul", ca.OP_DIV: "div", ca.OP_POW: "pow", ca.OP_CONSTPOW: "pow",
+    ca.OP_NEG: "neg", ca.OP_SQ: "sq", ca.OP_SIN: "sin", ca.OP_COS: "cos", ca.OP_SQRT: "sqrt", ca.OP_EXP: "exp",
+    ca.OP_LOG: "log", ca.OP_TWICE: "twice", ca.OP_INV: "inv", ca.OP_TAN: "tan", ca.OP_ASSIGN: "copy",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Program:
+class ScalarProgram:
     """Operations (name, target, operand, operand or -1) on values numbered in order of creation.
 
     `constants` are (value, number), `inputs` (value, argument, entry) and `outputs` one dictionary
@@ -57,7 +56,7 @@ class Ring:
     functions: dict[str, Callable[..., Any]]
 
 
-def program(function: ca.Function) -> Program:
+def program(function: ca.Function) -> ScalarProgram:
     """The program of an SX function. `InputError` names an operation that has no power series here."""
     if not function.is_a("SXFunction"):
         raise InputError(
@@ -71,7 +70,7 @@ def program(function: ca.Function) -> Program:
         {_entry(function, i, nonzero): value for nonzero, value in result.items()}
         for i, result in ((i, graph.outputs.get(i, {})) for i in range(function.n_out()))
     )
-    return Program(graph.size, tuple(graph.constants), tuple(graph.inputs), tuple(graph.operations), outputs)
+    return ScalarProgram(graph.size, tuple(graph.constants), tuple(graph.inputs), tuple(graph.operations), outputs)
 
 
 def _entry(function: ca.Function, output: int, nonzero: int) -> int:
@@ -99,23 +98,21 @@ class _Graph:
 
     def instruction(self, function: ca.Function, k: int) -> None:
         """One instruction of the graph."""
-        kind, taken, given = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
-        if kind == ca.OP_OUTPUT:
+        code, taken, given = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
+        if code == ca.OP_OUTPUT:
             self.outputs.setdefault(given[0], {})[given[1]] = self.register[taken[0]]
-        elif kind == ca.OP_INPUT:
+        elif code == ca.OP_INPUT:
             self.register[given[0]] = target = self.new()
             self.inputs.append((target, taken[0], taken[1]))
-        elif kind == ca.OP_CONST:
+        elif code == ca.OP_CONST:
             self.register[given[0]] = self.constant(function.instruction_constant(k))
-        elif kind in BINARY:
-            self.register[given[0]] = self.apply(BINARY[kind], *(self.register[slot] for slot in taken))
-        elif kind in UNARY:
-            self.register[given[0]] = self.apply(UNARY[kind], self.register[taken[0]])
+        elif code in OPERATIONS:
+            self.register[given[0]] = self.apply(OPERATIONS[code], *(self.register[slot] for slot in taken))
         else:
             names = {getattr(ca, name): name for name in dir(ca) if name.startswith("OP_")}
             raise InputError(
-                f"{function.name()}: the operation {names.get(kind, kind)} has no power series here; "
-                f"proofs know {', '.join(sorted({*BINARY.values(), *UNARY.values()} - {'copy'}))}"
+                f"{function.name()}: the operation {names.get(code, code)} has no power series here; "
+                f"proofs know {', '.join(sorted({*OPERATIONS.values()} - {'copy'}))}"
             )
 
     def constant(self, number: float) -> int:
@@ -138,7 +135,7 @@ class _Graph:
             return self.apply("mul", self.constant(2.0), a)
         if name == "mul" and a == b:
             return self.apply("sq", a)
-        key = (name, *sorted((a, b))) if name in COMMUTATIVE else (name, a, b)
+        key = (name, *sorted((a, b))) if name in ("add", "mul") else (name, a, b)
         if key not in self.known:
             self.known[key] = self.new()
             self.operations.append((name, self.known[key], a, b))

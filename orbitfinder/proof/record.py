@@ -29,12 +29,6 @@ MARGIN = 2.0
 """Radii are recorded wider than they are found by this factor: a replay elsewhere has other round-off"""
 LOOSEST = 0.1
 """Radius beyond which a recorded ball claims next to nothing, unless no smaller one is found; relative above 1"""
-PHASE = 1e-6
-"""Largest difference, in periods, between a recorded phase and the recomputed one (a minimum found to 1e-9)"""
-EXACT = 3000
-"""Decimal digits that hold the sum of any two floats exactly"""
-NUMBER = r"\[?[-+]?\d[-+\d.e/ ]*\]?"
-"""A decimal, or a ball such as [1.25 +/- 3e-10]"""
 
 
 def enclosure(ball: Any, digits: int = DIGITS, margin: float = 1.0) -> dict[str, Any]:
@@ -98,15 +92,15 @@ def write_entry(path: Path, proof: Proof) -> None:
 
 def read_entry(orbit: Orbit, path: Path) -> Mapping[str, Any]:
     """The entry of an orbit, read from a path. `InputError` when there is none, or it is of another theorem."""
-    found = orbit.proof
-    if found is None:
+    recorded = orbit.proof
+    if recorded is None:
         raise InputError(f"{path}: proof: missing; prove the orbit first: orbitfinder prove {path}")
-    if found.get("theorem") != STATEMENT:
+    if recorded.get("theorem") != STATEMENT:
         raise InputError(
-            f"{path}: proof.theorem: version {found.get('theorem')!r}, this orbitfinder proves version {STATEMENT}; "
+            f"{path}: proof.theorem: version {recorded.get('theorem')!r}, this orbitfinder proves version {STATEMENT}; "
             f"prove it again: orbitfinder prove {path}"
         )
-    return found
+    return recorded
 
 
 @dataclass(frozen=True)
@@ -131,9 +125,9 @@ class Recorded:
     stability_reason: str
 
 
-def options_of(found: Mapping[str, Any]) -> Options:
+def options_of(recorded: Mapping[str, Any]) -> Options:
     """The options that a recorded proof was made with. Raises `InputError`."""
-    known = read_as(Recorded, found, "proof: malformed entry", "prove the orbit again")
+    known = read_as(Recorded, recorded, "proof: malformed entry", "prove the orbit again")
     chosen = {"symmetry": known.symmetry, "segments": known.segments, "phase": known.phase % 1.0}
     return checked(Options(known.order, known.bits, known.tolerance, **chosen))
 
@@ -152,7 +146,7 @@ def checked(options: Options) -> Options:
 
 
 def replay(
-    orbit: Orbit, found: Mapping[str, Any], model: Model | None = None, progress: Progress | None = None
+    orbit: Orbit, recorded: Mapping[str, Any], model: Model | None = None, progress: Progress | None = None
 ) -> tuple[Proof, list[str]]:
     """The proof done again with the recorded settings, and every recorded claim that it does not prove.
 
@@ -163,19 +157,19 @@ def replay(
 
     def borne(proof: Proof) -> bool:
         nonlocal wrong
-        now = contradictions(found, entry(proof, 1.0, 2 * DIGITS))
+        now = contradictions(recorded, entry(proof, 1.0, 2 * DIGITS))
         wrong = now if wrong is None else {name: said for name, said in now.items() if name in wrong}
         return not wrong or not wrong.keys() <= ENCLOSED
 
-    proof = proved_until(borne, orbit, model, options_of(found), progress)
+    proof = proved_until(borne, orbit, model, options_of(recorded), progress)
     return proof, list((wrong or {}).values()) if proof.proved else [proof.reason]
 
 
-def contradictions(found: Mapping[str, Any], fresh: Mapping[str, Any]) -> dict[str, str]:
+def contradictions(recorded: Mapping[str, Any], fresh: Mapping[str, Any]) -> dict[str, str]:
     """What is wrong with each claim of a recorded entry that the proof done again, written as found, does not prove."""
     return {
-        name: f"{name}: recorded {shortened(repr(found.get(name)), 80)}, found {shortened(repr(fresh[name]), 80)}"
-        for name, same in COMPARED.items() if not same(found.get(name), fresh[name])
+        name: f"{name}: recorded {shortened(repr(recorded.get(name)), 80)}, found {shortened(repr(fresh[name]), 80)}"
+        for name, same in COMPARED.items() if not same(recorded.get(name), fresh[name])
     }  # fmt: skip
 
 
@@ -201,8 +195,9 @@ def _minimal(recorded: Any, fresh: Mapping[str, Any]) -> bool:
 
 
 def _same_words(recorded: Any, fresh: str) -> bool:
-    """True for the same sentence, whatever the last digits of the numbers in it."""
-    return isinstance(recorded, str) and re.sub(NUMBER, "#", recorded) == re.sub(NUMBER, "#", fresh)
+    """True for the same sentence, whatever the last digits of the numbers in it, balls such as [1.25 +/- 3e-10] too."""
+    number = r"\[?[-+]?\d[-+\d.e/ ]*\]?"
+    return isinstance(recorded, str) and re.sub(number, "#", recorded) == re.sub(number, "#", fresh)
 
 
 def _holds(recorded: Any, fresh: Any) -> bool:
@@ -214,9 +209,9 @@ def _holds(recorded: Any, fresh: Any) -> bool:
         return same and all(_holds(a, b) for a, b in zip(recorded, fresh, strict=True))
     try:
         (value, radius), (centre, within) = (
-            (Decimal(str(one["value"])), Decimal(float(one["radius"]))) for one in (recorded, fresh)
+            (Decimal(str(ball["value"])), Decimal(float(ball["radius"]))) for ball in (recorded, fresh)
         )
-        with localcontext(Context(EXACT, traps=[Inexact, InvalidOperation])):
+        with localcontext(Context(3000, traps=[Inexact, InvalidOperation])):  # digits that hold the sum of two floats
             loosest = max(Decimal(LOOSEST) * max(Decimal(1), abs(centre)), 4 * within)
             return abs(value - centre) + within <= radius <= loosest
     except (KeyError, TypeError, ValueError, ArithmeticError):
@@ -238,7 +233,9 @@ COMPARED: dict[str, Callable[[Any, Any], bool]] = {
     **dict.fromkeys(("contraction", "steps"), close),
     **dict.fromkeys(("distance", "period_distance", "enclosure_radius"), _wider),
     "box_radius": _at_least,
-    "phase": lambda recorded, fresh: abs((recorded - fresh + 0.5) % 1.0 - 0.5) < PHASE,
+    "phase": lambda recorded, fresh: (
+        abs((recorded - fresh + 0.5) % 1.0 - 0.5) < 1e-6
+    ),  # periods: a minimum, known to 1e-9
     "minimal_period": _minimal,
     "stability_reason": _same_words,
 }

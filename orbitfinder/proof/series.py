@@ -14,7 +14,7 @@ from operator import mul
 from typing import Any
 
 from orbitfinder.proof.balls import arb, arb_series, truncated
-from orbitfinder.proof.program import Program, Ring
+from orbitfinder.proof.program import Ring, ScalarProgram
 
 BALLS = Ring(
     arb,
@@ -41,7 +41,7 @@ class Recurrence:
     """A program with its parameters filled in: what depends on them alone is folded into balls.
 
     `variables` are (value, argument, entry) of what is left, `fixed` the values that are constant,
-    `operations` act on series. `outputs` as in `Program`.
+    `operations` act on series. `outputs` as in `ScalarProgram`.
     """
 
     size: int
@@ -51,13 +51,13 @@ class Recurrence:
     outputs: tuple[dict[int, int], ...]
 
 
-def recurrence(code: Program, constants: Mapping[int, Sequence[Any]]) -> Recurrence:
+def recurrence(code: ScalarProgram, constants: Mapping[int, Sequence[Any]]) -> Recurrence:
     """The recurrence of a program, some of whose arguments are constant balls."""
     fold = _Fold(code, constants)
     for name, target, a, b in code.operations:
         fold.operation(name, target, a, b)
-    results = tuple({entry: fold.place(value) for entry, value in one.items()} for one in code.outputs)
-    wanted = {value for one in results for value in one.values()}
+    results = tuple({entry: fold.place(value) for entry, value in result.items()} for result in code.outputs)
+    wanted = {value for result in results for value in result.values()}
     kept: list[Operation] = []
     for operation in reversed(fold.operations):
         targets = {operation[1], operation[3]} if operation[0] == "sincos" else {operation[1]}
@@ -70,7 +70,7 @@ def recurrence(code: Program, constants: Mapping[int, Sequence[Any]]) -> Recurre
 class _Fold:
     """A program being specialised: constants evaluated, trivial operations removed, sines paired with cosines."""
 
-    def __init__(self, code: Program, constants: Mapping[int, Sequence[Any]]) -> None:
+    def __init__(self, code: ScalarProgram, constants: Mapping[int, Sequence[Any]]) -> None:
         self.size = code.size
         self.fixed: dict[int, Any] = {value: arb(number) for value, number in code.constants}
         self.alias: dict[int, int] = {}
@@ -203,7 +203,7 @@ def whole_series(code: Recurrence, order: int, variables: Sequence[Sequence[Any]
                 values[target], values[b] = values[a].sin_cos()
             else:
                 values[target] = WHOLE[name](*operands(values, a, b, constant))
-        return [[] if one is None else _padded(one.coeffs(), order) for one in values]
+        return [[] if ball is None else _padded(ball.coeffs(), order) for ball in values]
 
 
 def operands(values: Sequence[Any], a: int, b: int, constant: Any) -> list[Any]:
@@ -217,7 +217,7 @@ def _padded(series: list[Any], order: int) -> list[Any]:
 
 def outputs(code: Recurrence, values: Sequence[Any]) -> list[dict[int, Any]]:
     """What belongs to the program's results among something given for each value."""
-    return [{entry: values[value] for entry, value in one.items()} for one in code.outputs]
+    return [{entry: values[value] for entry, value in result.items()} for result in code.outputs]
 
 
 Series = list[Any]
@@ -268,9 +268,9 @@ def _log(k: int, w: Series, u: Series, slope: Series, *_: Any) -> None:
     if k == 0:
         w.append(u[0].log())
         return
-    found = (k * u[k] - sum(map(mul, slope, reversed(u[1:k])))) / (k * u[0])
-    slope.append(k * found)
-    w.append(found)
+    term = (k * u[k] - sum(map(mul, slope, reversed(u[1:k])))) / (k * u[0])
+    slope.append(k * term)
+    w.append(term)
 
 
 def _power(k: int, w: Series, u: Series, _slope: Series, _v: None, c: Any) -> None:

@@ -26,10 +26,10 @@ def tails(series: Sequence[Any], rest: Any, span: Any) -> list[Any]:
 
     `series` are the p coefficients; T_0 is the range of the whole function. Works on matrices too.
     """
-    found = [rest]
+    bounds = [rest]
     for coefficient in reversed(series):
-        found.append(coefficient + found[-1] * span)
-    return found
+        bounds.append(coefficient + bounds[-1] * span)
+    return bounds
 
 
 def remainders(code: Recurrence, values: Sequence[Series], order: int, span: Any, inputs: Sequence[Any]) -> list[Any]:
@@ -41,7 +41,7 @@ def remainders(code: Recurrence, values: Sequence[Series], order: int, span: Any
     for (value, _, _), ball in zip(code.variables, inputs, strict=True):
         model.rest[value] = ball
     for name, target, a, b, constant in code.operations:
-        if name in LINEAR:
+        if name in ("add", "sub", "neg"):  # of which the remainder is that of their operands' remainders
             model.rest[target] = WHOLE[name](*operands(model.rest, a, b, constant))
         elif name == "sincos":
             model.rest[target], model.rest[b] = _sincos(model, target, a, b)
@@ -81,6 +81,12 @@ class _Model:
         """Hull of the ranges of a value and of its polynomial."""
         return self.tails(value)[-1].union(self.tails(value, whole=False)[-1])
 
+    def behind(self, value: int, divisor: int) -> Any:
+        """The orders from p of (divisor) (polynomial of value) without the divisor's constant, t^p taken out."""
+        return sum(
+            map(mul, [*self.series(divisor)[1:], self.rest[divisor]], self.tails(value, whole=False)[1:]), arb(0)
+        )
+
     def beyond(self, value: int, derivative: int) -> Any:
         """The orders from p - 1 of (polynomial of value) (d/dt polynomial of derivative), t^{p-1} taken out."""
         return sum(map(mul, self.series(value), self.slope_tails(derivative)), arb(0))
@@ -93,14 +99,12 @@ def _product(m: _Model, _w: int, u: int, v: int, _c: None) -> Any:
 
 def _divide(m: _Model, w: int, u: int, v: int, _c: None) -> Any:
     """From v (W + t^p r_w) = u with W the polynomial: r_w = (r_u - sum_{i>=1} v_i T_{p-i}(W) - r_v W) / v."""
-    product = sum(map(mul, [*m.series(v)[1:], m.rest[v]], m.tails(w, whole=False)[1:]), arb(0))
-    return (m.rest[u] - product) / m.tails(v)[-1]
+    return (m.rest[u] - m.behind(w, v)) / m.tails(v)[-1]
 
 
 def _quotient(m: _Model, w: int, u: int, *_: Any) -> Any:
     """The same for a constant over u."""
-    product = sum(map(mul, [*m.series(u)[1:], m.rest[u]], m.tails(w, whole=False)[1:]), arb(0))
-    return -product / m.tails(u)[-1]
+    return -m.behind(w, u) / m.tails(u)[-1]
 
 
 def _sincos(m: _Model, s: int, u: int, c: int) -> tuple[Any, Any]:
@@ -138,8 +142,6 @@ def _power(m: _Model, w: int, u: int, _v: int, c: Any) -> Any:
     return -(span**c) * growth + c * span ** (c - 1) * m.rest[u]
 
 
-LINEAR = ("add", "sub", "neg")
-"""Operations whose remainder is that of their operands' remainders"""
 RULES: dict[str, Callable[..., Any]] = {
     "scale": lambda m, w, u, v, c: c * m.rest[u], "shift": lambda m, w, u, v, c: m.rest[u],
     "mul": _product,

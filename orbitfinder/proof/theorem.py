@@ -21,11 +21,11 @@ from orbitfinder.loops.symmetry import Symmetry, named
 from orbitfinder.mechanics.kind import build_model, system_kind
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import Vector, arb, decimal, magnitude, precision, radius
-from orbitfinder.proof.enclosure import Settings
+from orbitfinder.proof.enclosure import TaylorSettings
 from orbitfinder.proof.field import Programs, make_field, programs
 from orbitfinder.proof.formulation import Approach, Formulation, approach
 from orbitfinder.proof.invariance import has_symmetry, turns_leave, usable_symmetry
-from orbitfinder.proof.krawczyk import Equations, Krawczyk, krawczyk, solve
+from orbitfinder.proof.krawczyk import Krawczyk, TheoremEquations, krawczyk, solve
 from orbitfinder.proof.trajectory import (
     Stability,
     Trajectory,
@@ -65,7 +65,7 @@ class Proof(Shown):
     proved: bool
     reason: str
     symmetry: str
-    settings: Settings
+    settings: TaylorSettings
     wall_time: float
     segments: int = 0
     steps: int = 0
@@ -94,7 +94,7 @@ class NotProved(Exception):
 
 
 @dataclass(frozen=True)
-class Options(Settings):
+class Options(TaylorSettings):
     """What to prove and how: the integrator's settings, the symmetry to use (that of the record if None), segments.
 
     `phase` says which of two symmetric instants is the first node (see `Approach`); `nearness` is the largest distance
@@ -148,10 +148,10 @@ def proved_until(
     with precision(options.bits):
         symmetry = chosen_symmetry(orbit, model, codes, options.symmetry)
         try:
-            found = _prove(orbit, model, codes, symmetry, options, say, enough)
+            proof = _prove(orbit, model, codes, symmetry, options, say, enough)
         except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
             return Proof(False, str(error), symmetry.name, options, time.perf_counter() - began)
-        return replace(found, wall_time=time.perf_counter() - began)
+        return replace(proof, wall_time=time.perf_counter() - began)
 
 
 def chosen_symmetry(orbit: Orbit, model: Model, codes: Programs, asked: str | None) -> Symmetry:
@@ -206,12 +206,12 @@ def unknowns_at(start: Approach) -> Vector:
     return [arb(x) for x in start.formulation.unknowns_of(start.nodes, start.duration)]
 
 
-def make_equations(model: Model, codes: Programs, start: Approach, energy: Any) -> Equations:
+def make_equations(model: Model, codes: Programs, start: Approach, energy: Any) -> TheoremEquations:
     """The theorem's equations; the section is normal to the flow at the first node."""
     section = None
     if not start.formulation.symmetry.reverses:
         section = ([float(x) for x in start.nodes[0]], [float(x) for x in start.flow])
-    return Equations(make_field(model, codes), start.formulation, energy, section)
+    return TheoremEquations(make_field(model, codes), start.formulation, energy, section)
 
 
 def check_graph(codes: Programs, form: Formulation, model: Model) -> None:
@@ -225,20 +225,20 @@ def check_graph(codes: Programs, form: Formulation, model: Model) -> None:
         raise NotProved("the equations' invariance under whole turns could not be read off their graph")
 
 
-def enclosed(equations: Equations, centre: Vector, settings: Settings, say: Progress) -> Krawczyk:
+def enclosed(equations: TheoremEquations, centre: Vector, settings: TaylorSettings, say: Progress) -> Krawczyk:
     """K on the largest box on which it contracts."""
     reasons = []
     for size in RADII:
         try:
-            found = krawczyk(equations, [x + arb(0, size) for x in centre], settings)
+            contracted = krawczyk(equations, [x + arb(0, size) for x in centre], settings)
         except IntegrationError as error:
             reasons.append(f"radius {size:g}: {error}")
             continue
-        verdict = "inside" if found.proved else "not inside"
-        say(f"box of radius {size:g}: contraction {found.contraction:.2g}, {verdict}")
-        if found.proved:
-            return found
-        reasons.append(f"radius {size:g}: contraction {found.contraction:.3g}")
+        verdict = "inside" if contracted.proved else "not inside"
+        say(f"box of radius {size:g}: contraction {contracted.contraction:.2g}, {verdict}")
+        if contracted.proved:
+            return contracted
+        reasons.append(f"radius {size:g}: contraction {contracted.contraction:.3g}")
     raise NotProved("the interval Newton operator maps no box into itself (" + "; ".join(reasons) + ")")
 
 
@@ -313,13 +313,12 @@ def nearest(apart: np.ndarray, flow: np.ndarray) -> float:
 # Many digits of an orbit: Newton at high precision, and the interval Newton theorem round the result.
 
 
-MOST_DIGITS = 250
 GUARD = 8
 """digits carried beyond those asked for"""
 
 
 @dataclass(frozen=True)
-class Refined:
+class RefinedOrbit:
     """An orbit to many digits: its period (s) and first node (d) as balls.
 
     `enclosed` is True when exactly one orbit lies in the balls, False when they are only Newton's limit.
@@ -334,31 +333,31 @@ class Refined:
     period: Any
     state: Vector
     phase: Fraction
-    settings: Settings
+    settings: TaylorSettings
     wall_time: float
 
 
-def settings_for(digits: int, order: int | None = None, bits: int | None = None) -> Settings:
+def settings_for(digits: int, order: int | None = None, bits: int | None = None) -> TaylorSettings:
     """Order, precision and tolerance that reach so many digits.
 
     The order that costs least grows as -ln(tolerance) / 2: A. Jorba, M. Zou, Experimental
     Mathematics 14 (2005) 99-117, section 3.
     """
-    if not 1 <= digits <= MOST_DIGITS:
-        raise InputError(f"digits: must be from 1 to {MOST_DIGITS}, got {digits}; 50 are plenty for most purposes")
+    if not 1 <= digits <= 250:
+        raise InputError(f"digits: must be from 1 to 250, got {digits}; 50 are plenty for most purposes")
     wanted = digits + GUARD
     least = math.ceil(wanted * math.log2(10)) + 40
     if bits is not None and bits < least:
         raise InputError(f"bits: {digits} digits need at least {least}, got {bits}; leave it out")
     if order is not None and not 4 <= order <= 2000:
         raise InputError(f"order: must be from 4 to 2000, got {order}; leave it out")
-    return Settings(order or max(20, math.ceil(wanted * math.log(10) / 2)), bits or least, 10.0**-wanted)
+    return TaylorSettings(order or max(20, math.ceil(wanted * math.log(10) / 2)), bits or least, 10.0**-wanted)
 
 
 def refine(
-    orbit: Orbit, settings: Settings, digits: int, model: Model | None = None,
+    orbit: Orbit, settings: TaylorSettings, digits: int, model: Model | None = None,
     symmetry: str | None = None, enclose: bool = True, progress: Progress | None = None,
-) -> Refined:  # fmt: skip
+) -> RefinedOrbit:  # fmt: skip
     """An orbit refined at its recorded energy, read as the decimal that it is written as."""
     began, say = time.perf_counter(), progress or (lambda line: None)
     with precision(settings.bits):
@@ -367,7 +366,7 @@ def refine(
         chosen = chosen_symmetry(orbit, model, codes, symmetry)
         start = approach(model, orbit, chosen, None)
         equations = make_equations(model, codes, start, level(orbit, codes))
-        rough = solve(equations, unknowns_at(start), Settings(), 1e-20)[0]
+        rough = solve(equations, unknowns_at(start), TaylorSettings(), 1e-20)[0]
         centre, rounds = solve(equations, rough, settings, 10.0 ** -(digits + GUARD // 2))
         say(f"Newton settled in {plural(rounds, 'iteration')} at {settings.bits} bits, order {settings.order}")
         image, reason = centre, "not asked for"
@@ -375,15 +374,15 @@ def refine(
             try:
                 check_graph(codes, start.formulation, model)
                 box = [x + arb(0, 10.0 ** -max(digits - GUARD, 8)) for x in centre]
-                found = krawczyk(equations, box, settings)
-                image, reason = (found.image, "") if found.proved else (centre, f"contraction {found.contraction:.3g}")
+                again = krawczyk(equations, box, settings)
+                image, reason = (again.image, "") if again.proved else (centre, f"contraction {again.contraction:.3g}")
             except (IntegrationError, NotProved, ZeroDivisionError) as error:
                 reason = str(error)
         if enclose and not reason and radius(image) > 10.0**-digits:
             reason = f"the enclosure is only good to {radius(image):.1g}"
         form = start.formulation
         node = form.nodes(image)[0]
-        return Refined(
+        return RefinedOrbit(
             digits, enclose and not reason, reason, chosen.name, equations.energy,
             node[-1] * form.segments * form.parts, node[: form.dimension],
             Fraction(start.phase), settings, time.perf_counter() - began,

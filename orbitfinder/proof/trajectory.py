@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.proof.balls import Vector, arb, arb_mat, between, block, fmpq, identity
-from orbitfinder.proof.enclosure import Settings, Step
+from orbitfinder.proof.enclosure import Step, TaylorSettings
 from orbitfinder.proof.field import Field
 from orbitfinder.proof.formulation import Formulation, image
-from orbitfinder.proof.krawczyk import Arc, Equations, krawczyk
+from orbitfinder.proof.krawczyk import Arc, TheoremEquations, krawczyk
 
 PIECES = 8
 """Parts of a step over which the field's sign is looked at"""
@@ -52,18 +52,18 @@ class Trajectory:
         """The state at a time measured in segments from the start of the horizon."""
         k = min(int(time), self.formulation.segments - 1)
         local = time - k
-        step = next(one for one in reversed(self.steps[k]) if Fraction(one.begin) <= local)
+        step = next(passed for passed in reversed(self.steps[k]) if Fraction(passed.begin) <= local)
         after = local - Fraction(step.begin)
         return step.at(arb(fmpq(after.numerator, after.denominator)))
 
 
-def trajectory(equations: Equations, box: Vector, settings: Settings) -> Trajectory:
+def trajectory(equations: TheoremEquations, box: Vector, settings: TaylorSettings) -> Trajectory:
     """The trajectories from a box of unknowns that holds every zero, itself made smaller by the operator once more."""
     again = krawczyk(equations, box, settings)
     return horizon(equations, [x.intersection(y) for x, y in zip(box, again.image, strict=True)], again.arcs)
 
 
-def horizon(equations: Equations, box: Vector, arcs: Sequence[Arc]) -> Trajectory:
+def horizon(equations: TheoremEquations, box: Vector, arcs: Sequence[Arc]) -> Trajectory:
     """The trajectories from a box of unknowns by the arcs from a box that holds it."""
     size = equations.field.dimension
     total = identity(size)
@@ -72,22 +72,22 @@ def horizon(equations: Equations, box: Vector, arcs: Sequence[Arc]) -> Trajector
     return Trajectory(equations.field, equations.formulation, box, [arc[3] for arc in arcs], total)
 
 
-def monodromy(found: Trajectory) -> Any:
+def monodromy(path: Trajectory) -> Any:
     """dx(T)/dx(0) (d square) from the horizon's, by the symmetry."""
-    phi, size = found.horizon_matrix, found.formulation.dimension
-    root, power = found.formulation.symmetry.root(
+    phi, size = path.horizon_matrix, path.formulation.dimension
+    root, power = path.formulation.symmetry.root(
         phi,
         lambda other: phi.solve(other, algorithm="precond"),
         size,
-        made=lambda matrix: arb_mat(size, size, [arb(float(one)) for one in matrix.ravel()]),
+        made=lambda matrix: arb_mat(size, size, [arb(float(entry)) for entry in matrix.ravel()]),
         times=operator.mul,
     )
     return root * root if power == 2 else root
 
 
-def positive_mass(found: Trajectory) -> bool:
+def positive_mass(path: Trajectory) -> bool:
     """True when the mass matrix is positive definite at every state on the way (L D L^T of its enclosures)."""
-    return all(positive_definite(found.field.mass(step.reach)) for steps in found.steps for step in steps)
+    return all(positive_definite(path.field.mass(step.reach)) for steps in path.steps for step in steps)
 
 
 def positive_definite(matrix: Any) -> bool:
@@ -103,27 +103,27 @@ def positive_definite(matrix: Any) -> bool:
     return True
 
 
-def moves(found: Trajectory) -> bool:
+def moves(path: Trajectory) -> bool:
     """True when some component of the field is provably not zero at the first node."""
-    return any(not x.contains(0) for x in found.field.rates(found.first)[: found.formulation.dimension])
+    return any(not x.contains(0) for x in path.field.rates(path.first)[: path.formulation.dimension])
 
 
-def escape(found: Trajectory, angles: Sequence[bool]) -> tuple[Fraction, int] | None:
+def escape(path: Trajectory, angles: Sequence[bool]) -> tuple[Fraction, int] | None:
     """A fraction of the period within which one component, which is also returned, moves one way only.
 
     Until then the orbit has not been back at its first state.
     """
-    form = found.formulation
-    rates, turning = found.field.rates(found.first)[: form.dimension], dict(enumerate(angles))
+    form = path.formulation
+    rates, turning = path.field.rates(path.first)[: form.dimension], dict(enumerate(angles))
     component = max(range(len(rates)), key=lambda i: float(abs(rates[i]).lower().mid()))
     reached = Fraction(0)
-    for k, steps in enumerate(found.steps):
+    for k, steps in enumerate(path.steps):
         for step in steps:
             for piece in range(PIECES):
                 low, high = (Fraction(step.h) * Fraction(j, PIECES) for j in (piece, piece + 1))
-                here = step.at(between(_ball(low), _ball(high))) + found.first[-2:]
-                turned = found.field.rates(here)[component].contains(0)
-                whole = abs(here[component] - found.first[component]) < 2 * arb.pi()
+                here = step.at(between(_ball(low), _ball(high))) + path.first[-2:]
+                turned = path.field.rates(here)[component].contains(0)
+                whole = abs(here[component] - path.first[component]) < 2 * arb.pi()
                 far = turning.get(component, False) and not whole
                 if turned or far:
                     return (reached, component) if reached else None
@@ -135,19 +135,19 @@ def _ball(number: Fraction) -> Any:
     return arb(fmpq(number.numerator, number.denominator))
 
 
-def minimal_period(found: Trajectory, angles: Sequence[bool]) -> tuple[bool, int, str]:
+def minimal_period(path: Trajectory, angles: Sequence[bool]) -> tuple[bool, int, str]:
     """Whether T is proved minimal, the largest k for which T/k was looked at, and what stood in the way.
 
     A period T/k below the escape time is impossible; for the other k, x(T/k) must differ from x(0) in
     some component (angles modulo whole turns).
     """
-    left = escape(found, angles)
+    left = escape(path, angles)
     if left is None:
         return False, 0, "no component of the state is monotone at first"
     most = int(1 / left[0])
-    start = found.state(Fraction(0))
+    start = path.state(Fraction(0))
     for k in range(2, most + 1):
-        apart = [a - b for a, b in zip(found.state(Fraction(1, k)), start, strict=True)]
+        apart = [a - b for a, b in zip(path.state(Fraction(1, k)), start, strict=True)]
         if not any(_apart(x, i < len(angles) and angles[i]) for i, x in enumerate(apart)):
             return False, k, f"the state at T/{k} could not be told from the first"
     return True, most, ""
@@ -160,17 +160,17 @@ def _apart(difference: Any, angle: bool) -> bool:
     return not (difference / (2 * arb.pi())).contains_integer() if angle else not difference.contains(0)
 
 
-def reduced(found: Trajectory, matrix: Any) -> Any:
+def reduced(path: Trajectory, matrix: Any) -> Any:
     """The monodromy on the energy surface modulo the flow (2n - 2 square; modulo the flow alone without an energy).
 
     With f the field, g = grad E, g Phi = g and Phi f = f; in a basis (f, W, u) with g W = 0 the matrix
     is block triangular and its middle block is what is asked for.
     """
-    size = found.formulation.dimension
-    flow = found.field.rates(found.first)[:size]
+    size = path.formulation.dimension
+    flow = path.field.rates(path.first)[:size]
     f, columns = np.array([float(x.mid()) for x in flow]), [flow]
-    if found.formulation.conserved:
-        slope = found.field.energy(found.first)[1]
+    if path.formulation.conserved:
+        slope = path.field.energy(path.first)[1]
         g = np.array([float(x.mid()) for x in slope])
         u = g / np.linalg.norm(g)
         tangent = f - (f @ u) * u
@@ -183,7 +183,7 @@ def reduced(found: Trajectory, matrix: Any) -> Any:
     else:
         columns += [list(map(arb, w)) for w in np.linalg.svd(f[None] / np.linalg.norm(f))[2][1:].tolist()]
     basis = arb_mat(size, size, [columns[j][i] for i in range(size) for j in range(size)])
-    whole, last = basis.solve(matrix * basis, algorithm="precond").tolist(), size - int(found.formulation.conserved)
+    whole, last = basis.solve(matrix * basis, algorithm="precond").tolist(), size - int(path.formulation.conserved)
     return arb_mat([row[1:last] for row in whole[1:last]])
 
 
@@ -212,22 +212,22 @@ def stability(reduced: Any, conserved: bool = True) -> Stability:
         others = "one degree of freedom: no multiplier besides the two at 1"
         return Stability("linearly stable", others if conserved else "no multiplier besides the flow's", [])
     try:
-        found = list(reduced.eig(algorithm="rump"))
+        multipliers = list(reduced.eig(algorithm="rump"))
     except (ValueError, ZeroDivisionError):
         return Stability("open", "two multipliers could not be separated", [])
-    found.sort(key=lambda one: (-round(float(abs(one).mid()), 6), float(one.imag.mid())))
-    largest = abs(found[0])
-    if not conserved and max(abs(one).upper() for one in found) < 1:
-        return Stability("asymptotically stable", "every multiplier is inside the unit circle", found)
+    multipliers.sort(key=lambda mu: (-round(float(abs(mu).mid()), 6), float(mu.imag.mid())))
+    largest = abs(multipliers[0])
+    if not conserved and max(abs(mu).upper() for mu in multipliers) < 1:
+        return Stability("asymptotically stable", "every multiplier is inside the unit circle", multipliers)
     if largest > 1:
         return Stability(
-            "unstable", f"a multiplier of absolute value {arb(largest).str(12)} is off the unit circle", found
+            "unstable", f"a multiplier of absolute value {arb(largest).str(12)} is off the unit circle", multipliers
         )
     if not conserved:
-        return Stability("open", "a multiplier could be on the unit circle or off it", found)
-    for k, one in enumerate(found):
-        mirrored = 1 / one.conjugate()
-        for j, other in enumerate(found):
+        return Stability("open", "a multiplier could be on the unit circle or off it", multipliers)
+    for k, mu in enumerate(multipliers):
+        mirrored = 1 / mu.conjugate()
+        for j, other in enumerate(multipliers):
             if j != k and mirrored.overlaps(other):
-                return Stability("open", "a multiplier could be one of a pair just off the unit circle", found)
-    return Stability("linearly stable", "every multiplier is simple and on the unit circle", found)
+                return Stability("open", "a multiplier could be one of a pair just off the unit circle", multipliers)
+    return Stability("linearly stable", "every multiplier is simple and on the unit circle", multipliers)

@@ -16,6 +16,8 @@ SEPARATION = 17.0
 """s after which the report's solutions diverge (section 2.4)"""
 HOURS_FOR_100_LINKS = 5.0
 """more than this to derive 100 links (section 2.3)"""
+FORMULATIONS, SIZES = ("lagrange", "newton-euler", "dae", "recursive"), (3, 10, 30, 100, 300, 1000)
+"""of the chains whose derivation is timed here"""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from orbitfinder._runtime import __version__
 from orbitfinder.errors import InputError
 from orbitfinder.records.reading import write_atomically
-from orbitfinder.reproduce.facts import HOURS_FOR_100_LINKS, ORBITS, SEPARATION, TOLERANCE
+from orbitfinder.reproduce.facts import FORMULATIONS, HOURS_FOR_100_LINKS, ORBITS, SEPARATION, SIZES, TOLERANCE
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Part:
 PARTS = (
     Part("schematics", "figures 1, 3, 9: schematics", "orbitfinder.reproduce.schematics", "schematic_part"),
     Part("energy", "figures 2, 4, 5: energy by each method", "orbitfinder.reproduce.runs", "energy_part"),
-    Part("differences", "figures 6 to 8: methods compared", "orbitfinder.reproduce.runs", "difference_part"),
+    Part("differences", "figures 6 to 8: methods gaps", "orbitfinder.reproduce.runs", "difference_part"),
     Part("four_bar", "figure 10: four-bar linkages", "orbitfinder.reproduce.runs", "four_bar_part"),
     Part("orbits", "figures 11 to 13: periodic orbits", "orbitfinder.reproduce.orbits", "orbit_part"),
     Part("hundred", "100 links in motion", "orbitfinder.reproduce.runs", "hundred_part"),
@@ -93,7 +93,6 @@ def fingerprint(part: Part) -> str:
 
 
 Numbers = dict[str, Any]
-SIZES = ["3", "10", "30", "100", "300", "1000"]
 METHODS = (
     ("Newton-Euler", "newton-euler", "2"), ("DAE, native, no stabilisation", "dae", "4"),
     ("DAE, native, Baumgarte", "dae with Baumgarte", "4"), ("Lagrange", "lagrange", "5"),
@@ -109,7 +108,7 @@ def write_page(folder: Path, numbers: Numbers) -> Path:
     """Write README.md from the parts' numbers."""
     text = PAGES.get_template("README.md.jinja").render(
         numbers, printed_orbits=ORBITS, tolerance=TOLERANCE, separation=SEPARATION, hours=HOURS_FOR_100_LINKS,
-        sizes=SIZES, orbit_rows=_orbits(numbers["orbits"]), energy_rows=_energy(numbers["energy"]),
+        sizes=[*map(str, SIZES)], orbit_rows=_orbits(numbers["orbits"]), energy_rows=_energy(numbers["energy"]),
         difference_rows=_differences(numbers["differences"]), chain_rows=_chains(numbers["derivation"]),
         linkage_rows=_linkages(numbers["four_bar"]["linkages"]),
     )  # fmt: skip
@@ -121,11 +120,12 @@ def write_page(folder: Path, numbers: Numbers) -> Path:
 def _orbits(numbers: Numbers) -> list[list[str]]:
     rows = []
     for printed in ORBITS:
-        one = numbers[printed.name]
+        orbit = numbers[printed.name]
         rows.append([
-            f"[{printed.name}](orbits/{printed.name}/orbit.json)", str(printed.figure), f"{one['printed_closure']:.1e}",
-            f"{one['closure']:.1e}", f"{printed.period_guess:.12g}", f"{one['period']:.14f}",
-            f"{one['energy']:.9f}", one["stability"], one["symmetry"], "yes" if one["certified"] else "NO",
+            f"[{printed.name}](orbits/{printed.name}/orbit.json)", str(printed.figure),
+            f"{orbit['printed_closure']:.1e}", f"{orbit['closure']:.1e}", f"{printed.period_guess:.12g}",
+            f"{orbit['period']:.14f}", f"{orbit['energy']:.9f}", orbit["stability"], orbit["symmetry"],
+            "yes" if orbit["certified"] else "NO",
         ])  # fmt: skip
     return rows
 
@@ -141,23 +141,23 @@ def _energy(numbers: Numbers) -> list[list[str]]:
 def _differences(numbers: Numbers) -> list[list[str]]:
     rows = []
     for pair in ("lagrange - newton-euler", "lagrange - dae", "dae - newton-euler"):
-        one = numbers[pair]
-        first = "never" if one["first_above_1_rad"] is None else f"{one['first_above_1_rad']:.2f}"
-        rows.append([pair, str(one["figure"]), f"{one['largest_to_12_s']:.1e}", first, f"{one['rate']:.2f}"])
+        gaps = numbers[pair]
+        first = "never" if gaps["first_above_1_rad"] is None else f"{gaps['first_above_1_rad']:.2f}"
+        rows.append([pair, str(gaps["figure"]), f"{gaps['largest_to_12_s']:.1e}", first, f"{gaps['rate']:.2f}"])
     return rows
 
 
 def _linkages(linkages: list[Numbers]) -> list[list[str]]:
     return [
-        [one["title"], f"{one['span']:g}", *(f"{one[what]:.1e}" for what in ("drift", "phi", "phidot")), one["motion"]]
-        for one in linkages
+        [bar["title"], f"{bar['span']:g}", *(f"{bar[what]:.1e}" for what in ("drift", "phi", "phidot")), bar["motion"]]
+        for bar in linkages
     ]
 
 
 def _chains(derivation: Numbers) -> list[list[str]]:
     rows = []
-    for name in ("lagrange", "newton-euler", "dae", "recursive"):
+    for name in FORMULATIONS:
         seconds, exponent = derivation[name]["seconds"], derivation[name]["exponent"]
-        cells = [f"{seconds[n]:.3f}" if n in seconds else "left out" for n in SIZES]
+        cells = [f"{seconds[n]:.3f}" if n in seconds else "left out" for n in map(str, SIZES)]
         rows.append([name, *cells, f"{exponent:.1f}"])
     return rows

@@ -16,7 +16,16 @@ from orbitfinder.mechanics.constrained import maximal_states, minimal_states
 from orbitfinder.mechanics.model import Baumgarte, energies, positions
 from orbitfinder.mechanisms.chain import chain, chain_dae
 from orbitfinder.mechanisms.linkage import assemble, linkage, linkage_rates, linkage_state
-from orbitfinder.reproduce.facts import FIGURE_OF_METHOD, HOURS_FOR_100_LINKS, METHODS, SEPARATION, TITLES, TOLERANCE
+from orbitfinder.reproduce.facts import (
+    FIGURE_OF_METHOD,
+    FORMULATIONS,
+    HOURS_FOR_100_LINKS,
+    METHODS,
+    SEPARATION,
+    SIZES,
+    TITLES,
+    TOLERANCE,
+)
 from orbitfinder.show.animate import AnimationSettings, save_animation, simulation_clip
 from orbitfinder.show.style import dress, new_figure, plane, save_both
 from orbitfinder.show.svg import COLOURS
@@ -32,7 +41,7 @@ LYAPUNOV_SPAN, STRETCH = 400.0, 0.05
 
 
 @dataclass(frozen=True)
-class Run:
+class MethodRun:
     """Times (k), states in the angles (k x 2n), energy (k) and, for a DAE, |phi| and |phidot| (k)."""
 
     times: np.ndarray
@@ -47,7 +56,7 @@ class Run:
         return float(np.abs(self.energy - self.energy[0]).max())
 
 
-def simulate(method: str, span: float, baumgarte: Baumgarte | None = None) -> Run:
+def simulate(method: str, span: float, baumgarte: Baumgarte | None = None) -> MethodRun:
     """The triple pendulum from horizontal rest by one method at the report's tolerance.
 
     "dae" is integrated natively by IDAS in maximal coordinates, the others by CVODES in the angles.
@@ -59,11 +68,11 @@ def simulate(method: str, span: float, baumgarte: Baumgarte | None = None) -> Ru
         start = maximal_states(model, HORIZONTAL_REST)
         result = simulate_dae(model, start, span, count, DaeSettings(IDAS_TOLERANCE, IDAS_TOLERANCE))
         states = minimal_states(model, result.states)
-        return Run(times, states, result.energy, result.constraint_drift, result.rate_drift)
+        return MethodRun(times, states, result.energy, result.constraint_drift, result.rate_drift)
     flow = build_flow(chain(3, formulation=method), settings=IntegratorSettings(TOLERANCE, TOLERANCE))
     states = sample(flow, HORIZONTAL_REST, span, count)
     kinetic, potential = energies(flow.model, states)
-    return Run(times, states, kinetic + potential, np.zeros(count), np.zeros(count))
+    return MethodRun(times, states, kinetic + potential, np.zeros(count), np.zeros(count))
 
 
 def energy_part(folder: Path) -> dict[str, Any]:
@@ -86,7 +95,7 @@ def energy_part(folder: Path) -> dict[str, Any]:
     return numbers
 
 
-def energy_figure(runs: dict[str, Run], title: str) -> Any:
+def energy_figure(runs: dict[str, MethodRun], title: str) -> Any:
     """Kinetic, potential and total energy above, the drift of the total below."""
     figure = new_figure(6.4, 4.6, title)
     upper, lower = figure.subplots(2, 1, sharex=True)
@@ -152,15 +161,15 @@ def stretching(span: float, interval: float) -> np.ndarray:
     L. Galgani, A. Giorgilli, J.-M. Strelcyn, Meccanica 15 (1980) 9-20.
     """
     flow = build_flow(chain(3), settings=IntegratorSettings(1e-10, 1e-10))
-    state, tangent, total, found = HORIZONTAL_REST, np.ones(6) / np.sqrt(6.0), 0.0, []
+    state, tangent, total, logarithms = HORIZONTAL_REST, np.ones(6) / np.sqrt(6.0), 0.0, []
     for _ in range(round(span / interval)):
         state, matrix = transition(flow, state, interval)
         tangent = matrix @ tangent
         length = float(np.linalg.norm(tangent))
         total += np.log(length)
         tangent /= length
-        found.append(total)
-    return np.array(found)
+        logarithms.append(total)
+    return np.array(logarithms)
 
 
 def difference_figure(
@@ -282,14 +291,7 @@ def figure_10(result: DaeTrajectory, points: np.ndarray) -> Any:
 # Chains of many links: what it costs to derive them by each formulation, and 100 links in motion.
 
 
-SIZES = (3, 10, 30, 100, 300, 1000)
-FORMULATIONS = ("lagrange", "newton-euler", "dae", "recursive")
-PATIENCE = 1.5
-"""s: a formulation that took longer for one size is not asked for the next, some 3 times larger"""
-WARM, QUICK = 5, 30
-"""Times that up to so many links are derived: the first also pays for imports, caches and memory"""
-LINKS, SPAN = 100, 10.0
-LONG_CHAIN = IntegratorSettings(1e-11, 1e-12, max_steps=500_000)
+LINKS = 100
 
 
 def derivation_part(folder: Path) -> dict[str, Any]:
@@ -297,24 +299,27 @@ def derivation_part(folder: Path) -> dict[str, Any]:
 
     These are the only numbers of the report page that differ from run to run.
     """
-    found: dict[str, Any] = {}
+    costs: dict[str, Any] = {}
     for formulation in FORMULATIONS:
         seconds: dict[str, float] = {}
         operations: dict[str, int] = {}
         for count in SIZES:
             model, seconds[str(count)] = _derived(count, formulation)
             operations[str(count)] = _operations(model.acceleration)
-            if seconds[str(count)] > PATIENCE:
-                break
-        found[formulation] = {"seconds": seconds, "operations": operations, "exponent": _exponent(seconds)}
-    save_both(derivation_figure(found), folder / "derivation")
-    return found
+            if seconds[str(count)] > 1.5:
+                break  # one size more is some 3 times larger
+        costs[formulation] = {"seconds": seconds, "operations": operations, "exponent": _exponent(seconds)}
+    save_both(derivation_figure(costs), folder / "derivation")
+    return costs
 
 
 def _derived(count: int, formulation: str) -> tuple[Any, float]:
-    """A chain and the processor seconds that it takes to derive, the least of several where it is quick."""
+    """A chain and the processor seconds that it takes to derive, the least of several where it is quick.
+
+    The first time also pays for imports, caches and memory.
+    """
     took = float("inf")
-    for _ in range(WARM if count <= QUICK else 1):
+    for _ in range(5 if count <= 30 else 1):
         began = time.process_time()
         model = chain(count, formulation=formulation)
         took = min(took, time.process_time() - began)
@@ -326,7 +331,7 @@ def _operations(function: Any) -> int:
     if function.is_a("SXFunction"):
         return int(function.n_instructions())
     inner = [function.get_function(name) for name in function.get_function()]
-    return sum(_operations(one) for one in inner)
+    return sum(_operations(part) for part in inner)
 
 
 def _exponent(seconds: dict[str, float]) -> float:
@@ -336,11 +341,11 @@ def _exponent(seconds: dict[str, float]) -> float:
     return float(np.polyfit(np.log(counts), np.log(times), 1)[0]) if counts.size > 1 else float("nan")
 
 
-def derivation_figure(found: dict[str, Any]) -> Any:
+def derivation_figure(costs: dict[str, Any]) -> Any:
     """Time to derive against the number of links, log-log."""
     figure = new_figure(6.4, 3.8, "Time to derive n links")
     axes = figure.subplots()
-    for k, (name, entry) in enumerate(found.items()):
+    for k, (name, entry) in enumerate(costs.items()):
         counts = [int(n) for n in entry["seconds"]]
         label = rf"{TITLES[name]}: $n^{{{entry['exponent']:.1f}}}$"
         axes.loglog(
@@ -360,15 +365,16 @@ def hundred_part(folder: Path) -> dict[str, Any]:
     """100 links from horizontal rest for 10 s: energy drift against m g l n^2 / 2, and an animation."""
     model = chain(LINKS)
     start = np.concatenate([np.full(LINKS, np.pi / 2), np.zeros(LINKS)])
-    states = sample(build_flow(model, settings=LONG_CHAIN), start, SPAN, 501)
+    settings = IntegratorSettings(1e-11, 1e-12, max_steps=500_000)
+    states = sample(build_flow(model, settings=settings), start, SPAN, 501)
     times = np.linspace(0.0, SPAN, len(states))
     kinetic, potential = energies(model, states)
     total = kinetic + potential
     scale = 9.8 * LINKS**2 / 2
     points = positions(model, states)
-    settings = AnimationSettings(pixels=320, rate=20, supersampling=2)
-    clip = simulation_clip(times, points, f"{LINKS} links from horizontal rest", settings)
-    save_animation(clip, folder / "chain-100.gif", settings)
+    drawn = AnimationSettings(pixels=320, rate=20, supersampling=2)
+    clip = simulation_clip(times, points, f"{LINKS} links from horizontal rest", drawn)
+    save_animation(clip, folder / "chain-100.gif", drawn)
     save_both(chain_figure(times, points, total - total[0], scale), folder / "chain-100")
     drift = float(np.abs(total - total[0]).max())
     return {"links": LINKS, "span": SPAN, "drift": drift, "scale": scale, "relative_drift": drift / scale}

@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.atlas.report import discovery
-from orbitfinder.atlas.store import Atlas, Filter, Row
+from orbitfinder.atlas.store import Atlas, AtlasRow, Filter
 from orbitfinder.errors import InputError, plural
 from orbitfinder.families.members import MemberMotion, amplitudes, motions, whole
 from orbitfinder.loops.control import history
@@ -579,7 +579,7 @@ def save_atlas_figures(atlas: Atlas, folder: str | Path, chosen: Filter | None =
     return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in figures.items()]
 
 
-def energy_period(rows: Sequence[Row]) -> Figure:
+def energy_period(rows: Sequence[AtlasRow]) -> Figure:
     """Largest multiplier against period, one panel an energy; of many energies, energy against period.
 
     One mark an orbit, by stability.
@@ -610,7 +610,7 @@ def energy_period(rows: Sequence[Row]) -> Figure:
     return figure
 
 
-def instability(rows: Sequence[Row]) -> Figure:
+def instability(rows: Sequence[AtlasRow]) -> Figure:
     """Histogram of ln |largest multiplier| / period, the mean rate (1/s) at which neighbours leave."""
     figure = new_figure(8.0, 4.6, f"{plural(len(rows), 'periodic orbit')}: how fast neighbours leave")
     axes = figure.subplots()

@@ -9,8 +9,8 @@ from typing import Any
 
 from nicegui import ui
 
-from orbitfinder.atlas.search import Statistics
-from orbitfinder.atlas.store import Row
+from orbitfinder.atlas.search import SearchStatistics
+from orbitfinder.atlas.store import AtlasRow
 from orbitfinder.errors import InputError, plural
 from orbitfinder.studio import plots
 from orbitfinder.studio.desk import Desk, button
@@ -131,7 +131,7 @@ class SearchPanel:
             said += f"; {plural(len(item.atlas), 'orbit')} in {atlas}"
         self._about.set_text(said)
 
-    def _counted(self, name: str, atlas: Path, at: Statistics) -> None:
+    def _counted(self, name: str, atlas: Path, at: SearchStatistics) -> None:
         self._about.set_text(f"{name}: {plural(at.made, 'start')}, {plural(at.orbits, 'orbit')}")
         if at.orbits != self._count or name != self._listed:
             self._refresh(name, atlas)
@@ -142,7 +142,7 @@ class SearchPanel:
             self._changed()
 
 
-def _named(row: Row) -> str:
+def _named(row: AtlasRow) -> str:
     return "" if row.symmetry == "none" else f", {row.symmetry.replace('+', ' and ')}"
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.atlas.report import summarise
-from orbitfinder.atlas.store import Atlas, Row
+from orbitfinder.atlas.store import Atlas, AtlasRow
 from orbitfinder.errors import InputError, plural
 from orbitfinder.families.entries import SWITCHABLE
 from orbitfinder.families.minimal import minimal_problem
@@ -99,7 +99,7 @@ def _recorded(file: Path) -> Opened:
     return Opened(build_model(orbit.system), orbit.state, SWINGS * orbit.period, name, **place)
 
 
-def _rows(atlas: Path) -> list[Row]:
+def _rows(atlas: Path) -> list[AtlasRow]:
     """The orbits of an atlas, in the order in which they were found. Raises `InputError` where there are none."""
     with Atlas(atlas) as book:
         rows = book.rows(order="id")
@@ -146,7 +146,7 @@ class Item:
     parent: str | None = None
     family: Family | None = None
     orbit: Orbit | None = None
-    atlas: tuple[Row, ...] | None = None
+    atlas: tuple[AtlasRow, ...] | None = None
     saved: bool = False
 
 

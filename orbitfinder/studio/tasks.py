@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.atlas.choose import solve
-from orbitfinder.atlas.search import Statistics, search
+from orbitfinder.atlas.search import SearchStatistics, search
 from orbitfinder.continuation.follow import Pace, reached
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.branches import branches
@@ -157,7 +157,7 @@ class Tasks:
         """Search for orbits for a time (s) and keep them in an atlas: what `orbitfinder search` does; its starts."""
         last = [0.0]
 
-        def report(_: float, at: Statistics) -> None:
+        def report(_: float, at: SearchStatistics) -> None:
             if time.monotonic() - last[0] > SPEAK_EVERY:
                 last[0] = time.monotonic()
                 self._say(at)
