@@ -27,6 +27,7 @@ from orbitfinder.loops.symmetry import REVERSAL, SYMMETRIES
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import positions, vector_field
 from orbitfinder.mechanisms.chain import chain
+from orbitfinder.orbits.course import course
 from orbitfinder.orbits.guesses.modes import mode_problem
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.problemfile.write import orbit_name, orbit_text, toml
@@ -38,7 +39,7 @@ from orbitfinder.site import writing
 from orbitfinder.site.build import Settings, build_site
 from orbitfinder.site.gather import evenly, gather
 from orbitfinder.site.landscape import landscape
-from orbitfinder.site.motion import Simulator, histories, packed, recorded, skeleton
+from orbitfinder.site.motion import Simulator, histories, packed, skeleton
 from orbitfinder.site.pages import span, spread
 from orbitfinder.site.text import PAGES, coordinate, mechanism, number, script_data, size, slug_maker
 from orbitfinder.site.writing import MARK, check_target, mark, write_site
@@ -705,8 +706,8 @@ def test_points_are_picked_evenly_along_the_curve():
 def test_resampling_follows_the_rates():
     times = np.linspace(0, 2 * np.pi, 9)
     states = np.column_stack([np.sin(times), np.cos(times)])
-    seen = recorded(chain(1), times, states, np.zeros((9, 2, 1))).at(50)
     moments = np.linspace(0, 2 * np.pi, 50, endpoint=False)
+    seen = course(chain(1), times, states).states(moments)
     assert np.abs(seen[:, 0] - np.sin(moments)).max() < 2e-3
 
 

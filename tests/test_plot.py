@@ -19,7 +19,7 @@ from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.guesses.modes import normal_mode
 from orbitfinder.records.family import load_family
 from orbitfinder.show import plot
-from orbitfinder.show.strokes import tip
+from orbitfinder.show.scene import tip
 from orbitfinder.show.style import arrows, bare, line_style, new_figure, place_labels
 from orbitfinder.show.svg import COLOURS
 

@@ -30,6 +30,7 @@ from orbitfinder.records.certificate import Certificate
 from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.diagram import diagram_of
+from orbitfinder.show.scene import Scene, cuts_of
 from orbitfinder.show.svg import axis, curves, diagram, greek, moving_mechanism, moving_portrait, ranged, unit_circle
 from orbitfinder.structures.torus import Tori
 
@@ -85,8 +86,8 @@ def problem_html(problem: Problem) -> str:
     pictures = []
     state = np.asarray(guess.state, float)
     if model.points is not None and model.constraint is None and state.size == len(model.state_names):
-        shape = positions(model, state[None])
-        pictures = [moving_mechanism(np.concatenate([shape, shape]), guess.period, "the guess", strokes=model.strokes)]
+        pose = positions(model, np.stack([state, state]))
+        pictures = [moving_mechanism(Scene(pose, strokes=model.strokes, period=guess.period), "the guess")]
     return plain_html(problem, [("count", str(problem.count()))], pictures)
 
 
@@ -186,11 +187,11 @@ def numbers(orbit: Orbit) -> list[tuple[str, str]]:
 def motions(orbit: Orbit, model: Model | None = None) -> list[str]:
     """Mechanism (where one is declared) and phase portrait of a period; `model` of a system that no file describes,
     nothing without it."""
-    found = period_of(orbit, model)
-    if found is None:
+    known = period_of(orbit, model)
+    if known is None:
         return []
-    model, seen = found
-    return [*([] if model.points is None else [mechanism(model, seen)]), Portrait(model, seen).svg()]
+    model, seen = known
+    return [*([] if model.points is None else [mechanism(scene_of(model, seen))]), Portrait(model, seen).svg()]
 
 
 def period_of(orbit: Orbit, model: Model | None = None) -> tuple[Model, Course] | None:
@@ -202,17 +203,16 @@ def period_of(orbit: Orbit, model: Model | None = None) -> tuple[Model, Course] 
         return None
 
 
-def mechanism(model: Model, seen: Course, around: np.ndarray | None = None) -> str:
+def scene_of(model: Model, seen: Course) -> Scene:
+    """What is drawn of a mechanism over a period."""
+    moments = evenly(seen)
+    points = seen.positions(moments) if seen.jumps else positions(model, seen.samples)
+    return Scene(points, strokes=model.strokes, ground=seen.grounds(moments[:1]), period=seen.period)
+
+
+def mechanism(scene: Scene, around: np.ndarray | None = None) -> str:
     """The mechanism over a period, in the scale of the points `around` or its own."""
-    lines = seen.grounds(evenly(seen)[:1])
-    ground = None if lines is None else lines[0]
-    label = f"the mechanism over {seen.period:.4g} s"
-    return moving_mechanism(drawn_points(model, seen), seen.period, label, ground, model.strokes, around)
-
-
-def drawn_points(model: Model, seen: Course) -> np.ndarray:
-    """Positions (k x 2 x m) of what is drawn over a period."""
-    return seen.positions(evenly(seen)) if seen.jumps else positions(model, seen.samples)
+    return moving_mechanism(scene, f"the mechanism over {scene.period:.4g} s", around)
 
 
 def evenly(seen: Course) -> np.ndarray:
@@ -230,9 +230,8 @@ class Portrait:
         most = model.planes[0] if jumping else max(model.planes, key=lambda pair: moved[pair[0]])
         self.plane = across, up = plane or most
         self.period, self.places = seen.period, states[:, [across, up]]
-        after = np.searchsorted(evenly(seen), [at for at, _ in seen.events])
         last = len(states) - bool(seen.turned[[across, up]].any())  # after a turn the first is somewhere else
-        self.cuts = [int(k) for k in dict.fromkeys(after) if 0 < k <= last]
+        self.cuts = [k for k in dict.fromkeys(cuts_of(seen, evenly(seen))) if 0 < k <= last]
         self.names = axis(model, across, greek), axis(model, up, greek)
 
     @property
@@ -304,15 +303,15 @@ def family_html(family: Family) -> str:
 def _members(points: Sequence[FamilyPoint], parameter: str) -> str:
     """The mechanism of some orbits of a family in one scale, their numbers below; nothing where none is declared."""
     known = [(point, period_of(point)) for point in points]
-    seen = [(point, *found) for point, found in known if found is not None and found[0].points is not None]
-    if not seen:
+    scenes = [(point, scene_of(*told)) for point, told in known if told is not None and told[0].points is not None]
+    if not scenes:
         return ""
-    around = np.concatenate([drawn_points(model, one) for _, model, one in seen])
+    around = np.concatenate([scene.points for _, scene in scenes])
     parts = []
-    for point, model, one in seen:
+    for point, scene in scenes:
         value = f"{parameter} = {point.value:.6g}" if parameter else f"E = {point.energy:.6g} J"
         below = f"{escape(value)}, T = {point.period:.5g} s<br>{escape(point.stability)}"
-        parts.append(f"<div>{mechanism(model, one, around)}<br>{below}</div>")
+        parts.append(f"<div>{mechanism(scene, around)}<br>{below}</div>")
     return "".join(parts)
 
 

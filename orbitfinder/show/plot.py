@@ -28,7 +28,7 @@ from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.diagram import LOOKS, Diagram, frequencies
 from orbitfinder.show.paths import family_paths, has_path, path_views
-from orbitfinder.show.strokes import tip
+from orbitfinder.show.scene import Scene, tip
 from orbitfinder.show.style import (
     LEAST_SIDE,
     arrows,
@@ -47,12 +47,8 @@ from orbitfinder.show.style import (
 )
 from orbitfinder.show.svg import COLOURS, axis, label
 
-SNAPSHOTS = 48
-"""Configurations drawn over one period."""
 STILL = 1e-9
 """Change relative to its size below which a component stands still."""
-WALKED, GROUNDS = 3, 8
-"""Periods drawn of what walks, places of a ground that moves."""
 MOST_PORTRAITS = 12
 MOST_IN_LEGEND = 12
 
@@ -229,20 +225,20 @@ def swept_configuration(orbit: Orbit, model: Model) -> Figure:
 
     What walks is shown for three periods, on its ground.
     """
-    course = course_of(orbit, model)
+    course, snapshots = course_of(orbit, model), 48
     figure = new_figure(*((9.0, 5.0) if course.walks else (6.4, 6.4)), *heading(orbit, "swept configuration"))
-    axes, rounds = figure.subplots(), WALKED if course.walks else 1
+    axes, rounds = figure.subplots(), 3 if course.walks else 1
     if course.jumps:
-        moments = np.linspace(0.0, rounds * course.period, rounds * SNAPSHOTS // (2 if course.walks else 1) + 1)[:-1]
+        moments = np.linspace(0.0, rounds * course.period, rounds * snapshots // (2 if course.walks else 1) + 1)[:-1]
         joints, paths = course.positions(moments), _tips(course, rounds)
     else:
-        _, states = orbit.times, orbit.samples
-        joints, paths = positions(model, states[:: max(1, (len(states) - 1) // SNAPSHOTS)]), positions(model, states)
+        paths = positions(model, orbit.samples)
+        joints = paths[:: max(1, (len(paths) - 1) // snapshots)]
     sweep(axes, joints, strokes=model.strokes)
     end = tip(paths)
     trail(axes, paths[:, :, end], 1.4, label="path of the tip")
     still = not course.jumps or np.ptp(joints[:, :, 0], axis=0).max() == 0
-    configuration(axes, joints, model.strokes, 2.0, still, named=True)
+    configuration(axes, Scene(joints, strokes=model.strokes), 2.0, still, named=True)
     plane(axes)
     axes.margins(0.06)
     seen = np.concatenate([joints[:, 1].ravel(), paths[:, 1, end]])
@@ -265,7 +261,7 @@ def _tips(course: Course, rounds: int) -> np.ndarray:
 
 def draw_ground(axes: Any, course: Course) -> None:
     """What the machine stands on or hits, without changing what is seen; where it moves, its places at equal times."""
-    moments = np.linspace(0.0, course.period, GROUNDS, endpoint=False)
+    moments = np.linspace(0.0, course.period, 8, endpoint=False)
     if (lines := course.grounds(moments)) is None:
         return
     moving = not course.walks and np.ptp(lines, axis=0).max() > 0
@@ -362,7 +358,7 @@ def _draw(axes: Any, motion: Motion) -> None:
         return
     sweep(axes, motion.joints[:: max(1, len(motion.joints) // 30)], width=0.8, strokes=motion.strokes)
     trail(axes, motion.joints[:, :, tip(motion.joints)], 1.1)
-    configuration(axes, motion.joints, motion.strokes, 1.6, still=True, named=False)
+    configuration(axes, Scene(motion.joints, strokes=motion.strokes), 1.6, still=True, named=False)
 
 
 def frequency_energy(

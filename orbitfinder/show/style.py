@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from orbitfinder.records.reading import write_atomically
-from orbitfinder.show.strokes import Strokes, extent, outlines, tip
+from orbitfinder.show.scene import BRUSHES, Scene, Strokes, extent, outlines, tip
 from orbitfinder.show.svg import COLOURS
 
 DASHES = ("-", "--", "-.", ":")
@@ -123,31 +123,31 @@ def sweep(
     axes: Any, joints: np.ndarray, faint: float = 0.10, more: float = 0.45, width: float = 1.0, strokes: Strokes = ()
 ) -> None:
     """Configurations of a mechanism (k x 2 x m; x down, y right), early ones faint; of one with strokes only rods."""
-    rods = [one for one in strokes if one[0] == "rod"]
+    rods = [(kind, chosen) for kind, chosen in strokes if BRUSHES[kind].pinned]
     for k, points in enumerate(joints):
         for _, (down, right) in outlines(points, rods, 1.0):
             axes.plot(right, -down, color=COLOURS[0], alpha=faint + more * k / len(joints), linewidth=width)
 
 
-def configuration(axes: Any, joints: np.ndarray, strokes: Strokes, width: float, still: bool, named: bool) -> None:
-    """The first of the configurations (k x 2 x m) in black, springs thin, the ground filled; pivots that stand `still`
-    as squares, and what each is in a legend where they are `named`."""
-    down, right = joints[0]
-    if not strokes:
+def configuration(axes: Any, scene: Scene, width: float, still: bool, named: bool) -> None:
+    """The first configuration of a scene in black, springs thin, the ground filled; pivots that stand `still` as
+    squares, and what each is in a legend where they are `named`."""
+    down, right = scene.points[0]
+    if not scene.strokes:
         marked = {"marker": "o" if named and right.size <= 12 else None, "markersize": 4.5}
         axes.plot(right, -down, color="black", linewidth=width, label="t = 0" if named else None, **marked)
-        ends = [0, -1] if 0 <= tip(joints) < right.size - 1 else [0]  # of a linkage the last joint is a pivot too
+        ends = [0, -1] if 0 <= tip(scene.points) < right.size - 1 else [0]  # of a linkage the last one is a pivot too
         style: dict[str, Any] = {"color": "black", "markersize": 8 if named else 4, "linestyle": "none"}
         if still and (right.size > 1 or not named):  # a lone one is no pivot
             style["label"] = "fixed joint" if named else None
             axes.plot(right[ends], -down[ends], "s" if right.size > 1 else "o", **style)
         return
     label = "t = 0" if named else None
-    for kind, (down, right) in outlines(joints[0], strokes, extent(joints)):
-        draw, thin = (axes.fill, 0.5) if kind in ("ground", "slider") else (axes.plot, 1.0 if kind == "rod" else 0.5)
-        draw(right, -down, color="0.4" if kind == "spring" else "black", linewidth=thin * width,
-             label=label if kind == "rod" else None)  # fmt: skip
-        label = None if kind == "rod" else label
+    for kind, (down, right) in outlines(scene.points[0], scene.strokes, extent(scene.points)):
+        brush = BRUSHES[kind]
+        draw, colour = axes.fill if brush.filled else axes.plot, "black" if brush.filled or brush.rigid else "0.4"
+        draw(right, -down, color=colour, linewidth=brush.thick * width, label=label if brush.pinned else None)
+        label = None if brush.pinned else label
 
 
 def trail(axes: Any, path: np.ndarray, width: float, **more: Any) -> None:

@@ -16,7 +16,7 @@ from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import unit_names
 from orbitfinder.show.diagram import Diagram
-from orbitfinder.show.strokes import Strokes, extent, outlines
+from orbitfinder.show.scene import Scene, extent, outlines
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """M. Okabe, K. Ito, Color Universal Design (2008), without the yellow that vanishes on white."""
@@ -174,33 +174,26 @@ def dot(places: np.ndarray, duration: float) -> str:
     return f'<circle cx="{places[0][0]:.1f}" cy="{places[0][1]:.1f}" r="4" fill="{TIP}">{"".join(moves)}</circle>'
 
 
-def moving_mechanism(
-    positions: np.ndarray,
-    duration: float,
-    label: str,
-    ground: np.ndarray | None = None,
-    strokes: Strokes = (),
-    around: np.ndarray | None = None,
-) -> str:
-    """A mechanism through one period: `positions` (k x 2 x m; x down, y right), the path of its end behind it, and what
-    it stands on (2 x g). `strokes` say what is drawn through which points; the scale is that of the points `around`
-    (k x 2 x j), where several pictures share it."""
-    box = _upright(positions if around is None else around)
-    places = fitted(_upright(positions), around=box)
-    floor = np.zeros((0, 2)) if ground is None else fitted(_upright(ground), around=box)
-    size = extent(positions if around is None else around)
-    shown = frames_of(positions, sum(line.shape[1] for _, line in outlines(positions[0], strokes, size)))
-    moving = zip(*(outlines(positions[k], strokes, size) for k in shown), strict=True)
+def moving_mechanism(scene: Scene, label: str, around: np.ndarray | None = None) -> str:
+    """A mechanism through one period, the path of its end behind it, on its ground; the scale is that of the points
+    `around` (k x 2 x j), where several pictures share it."""
+    positions, duration = scene.points, scene.period
+    around = positions if around is None else around
+    window, size = _upright(around), extent(around)
+    places = fitted(_upright(positions), around=window)
+    below = "" if scene.ground is None else path(fitted(_upright(scene.ground[0]), around=window))
+    shown = frames_of(positions, sum(line.shape[1] for _, line in outlines(positions[0], scene.strokes, size)))
+    moving = zip(*(outlines(positions[k], scene.strokes, size) for k in shown), strict=True)
     lines = [
-        _stroke(frames[0][0], [fitted(_upright(line), around=box) for _, line in frames], duration) for frames in moving
+        _stroke(frames[0][0], [fitted(_upright(line), around=window) for _, line in frames], duration)
+        for frames in moving
     ]
-    tip = places[:: max(1, len(places) // 200), -1]
+    trace = path(places[:: max(1, len(places) // 200), -1])
     fixed = np.ptp(places, axis=0).max(axis=1) < 0.5
     joints = "".join(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="currentColor"/>' for x, y in places[0][fixed])
-    below = f'<polyline points="{path(floor)}" fill="none" stroke="currentColor" stroke-opacity=".6"/>'
+    floor = f'<polyline points="{below}" fill="none" stroke="currentColor" stroke-opacity=".6"/>' if below else ""
     return picture(
-        f"{below if len(floor) else ''}"
-        f'<polyline points="{path(tip)}" fill="none" stroke="{TIP}" stroke-opacity=".45"/>'
+        f'{floor}<polyline points="{trace}" fill="none" stroke="{TIP}" stroke-opacity=".45"/>'
         f"{''.join(lines)}{joints}{'' if fixed[-1] else dot(places[shown, -1], duration)}",
         label,
     )

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from orbitfinder.mechanics.model import Model, energies, positions
+from orbitfinder.site.motion import base64_of
 
 CELLS, REACH = 60, 1.5
 """Cells of the grid each way, and how far it goes from the middle of the picture, in its larger side"""
@@ -43,7 +43,7 @@ def landscape(
     return {
         "down": [float(f"{x:.7g}") for x in down], "right": [float(f"{x:.7g}") for x in right],
         "levels": np.quantile(known, SHARES).tolist(),
-        "data": base64.b64encode(values.astype("<f4").tobytes()).decode(),
+        "data": base64_of(values),
     }  # fmt: skip
 
 

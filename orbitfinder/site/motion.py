@@ -20,12 +20,12 @@ from orbitfinder.errors import IntegrationError, OrbitfinderError
 from orbitfinder.integrate.rk8 import march
 from orbitfinder.loops.symmetry import NONE, named, symmetries_of
 from orbitfinder.mechanics.kind import build_model, with_parameters
-from orbitfinder.mechanics.model import Model, energies, positions, vector_field
+from orbitfinder.mechanics.model import Model, energies, vector_field
 from orbitfinder.mechanics.scales import shared
-from orbitfinder.orbits.course import Course, Piece, course, sampled
+from orbitfinder.orbits.course import Course, course, sampled
 from orbitfinder.records.family import Event, FamilyPoint
 from orbitfinder.records.orbit import Orbit, orbit_to_document
-from orbitfinder.show.strokes import Strokes, extent
+from orbitfinder.show.scene import BRUSHES, Scene, Strokes, box, cuts_of, extent, places, positions_at
 
 COUNTS = (24, 32, 40, 48, 60, 72, 84, 96, 120, 144, 180, 216, 264, 324, 400, 480, 640, 960)
 """Samples a period that are tried in turn."""
@@ -38,8 +38,6 @@ ENDS = 1e-7
 """Agreement of two step sizes that is enough for a picture."""
 GAP = 1e-2
 """Largest jump between pieces of a motion that is still shown, relative to its extent."""
-JUMPING = 240
-"""Samples of a hybrid period, between whose events the page interpolates."""
 SMOOTH = 0.004
 LEVELS = 32767
 NOTHING = np.zeros(0)
@@ -52,31 +50,22 @@ RIGID = 1e-6
 
 
 @dataclass(frozen=True)
-class Scene:
+class Filmed(Scene):
     """One period of what a model does, by its `course`, with the names and kinds of its n coordinates, n = d / 2 or d.
 
-    `points` (m x 2 x j, x down and y right, m) are at m equal times, the end left out; `drawn` says
-    what they are: "mechanism", or "plane" where the system declares no points.
+    What does not loop does not come back to where it was: it starts again after a period.
     """
 
     model: Any
     """the Model, or the names and kinds alone of one that no file describes"""
     course: Course
-    points: np.ndarray
     skeleton: Skeleton | None = None
     """what of the points turns rigidly; nothing where the motion jumps"""
-    drifts: bool = False
-    """whether the picture does not come back to where it was: it starts again after a period"""
-
-    @property
-    def period(self) -> float:
-        """s"""
-        return self.course.period
 
     @property
     def states(self) -> np.ndarray:
         """Its samples (k x d), the end among them."""
-        return np.vstack([one.states for one in self.course.pieces])
+        return np.vstack([piece.states for piece in self.course.pieces])
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -87,11 +76,6 @@ class Scene:
     def angles(self) -> tuple[bool, ...]:
         """Which coordinates are angles."""
         return tuple(self.model.angles) or (True,) * self.model.degrees_of_freedom
-
-    @property
-    def drawn(self) -> str:
-        """What the points are."""
-        return "plane" if self.model.points is None else "mechanism"
 
     @property
     def partners(self) -> list[int]:
@@ -137,7 +121,7 @@ class Simulator:
         found = self.model(system)
         return found and found[0]
 
-    def orbit(self, document: Mapping[str, Any], dense: tuple[np.ndarray, np.ndarray] | None = None) -> Scene | None:
+    def orbit(self, document: Mapping[str, Any], dense: tuple[np.ndarray, np.ndarray] | None = None) -> Filmed | None:
         """The motion of an orbit document from its nodes, or from dense samples where its system is unknown."""
         found, period = self.model(document["system"]), float(document["period"])
         if found is None:
@@ -153,18 +137,18 @@ class Simulator:
             return None
         return _motion(model, *path)
 
-    def of(self, orbit: Orbit) -> Scene | None:
+    def of(self, orbit: Orbit) -> Filmed | None:
         """The motion of an orbit in memory."""
         dense = (orbit.times, orbit.samples) if len(orbit.samples) > 1 else None
         return self.orbit(orbit_to_document(orbit), dense)
 
-    def neighbour(self, document: Mapping[str, Any], motion: Scene) -> Scene | None:
+    def neighbour(self, document: Mapping[str, Any], motion: Filmed) -> Filmed | None:
         """What starts OFF (of the extent of the motion) from an orbit and is left alone for TURNS periods.
 
         It starts where small differences grow most: a difference is sent round twice and made small again.
         """
         found, period = self.model(document["system"]), motion.period
-        if found is None or motion.course.jumps or motion.drifts or found[0].forced:
+        if found is None or motion.course.jumps or not motion.loops or found[0].forced:
             return None
         model, field = found
         state, sizes = motion.states[0], np.ptp(motion.states, axis=0)
@@ -179,14 +163,14 @@ class Simulator:
         path = _path(field, state + away * (OFF / size_of(away / scales)), TURNS * period)
         if path is None or np.abs(path[:, state.size // 2 :]).max() > 1e3 * np.abs(motion.states).max():
             return None
-        return replace(_motion(model, np.linspace(0.0, TURNS * period, len(path)), path), drifts=True)
+        return replace(_motion(model, np.linspace(0.0, TURNS * period, len(path)), path), loops=False)
 
     def conserves(self, system: Mapping[str, Any]) -> bool:
         """Whether an energy is conserved, True where nothing is known of the system."""
         found = self.model(system)
         return found is None or found[0].conservative
 
-    def member(self, system: Mapping[str, Any], one: FamilyPoint | Event) -> Scene | None:
+    def member(self, system: Mapping[str, Any], one: FamilyPoint | Event) -> Filmed | None:
         """The motion of a point or event of a family from its nodes (or its state), completed by its symmetry.
 
         `system` is the family's: its equations are built once, with what varies along it as their argument.
@@ -265,28 +249,40 @@ def _closes(states: np.ndarray, model: Model) -> bool:
 
 def _jumping(
     model: Model, state: np.ndarray, period: float, dense: tuple[np.ndarray, np.ndarray] | None
-) -> Scene | None:
+) -> Filmed | None:
     """The motion of a hybrid orbit from its samples or its state, by pieces; None where it goes another way."""
     try:
         path = course(model, *(dense or sampled(model, state, period)))
     except OrbitfinderError:
         return None
-    return Scene(model, path, _seen(model, path, JUMPING))
+    moments = equal_times(path.period, 240)  # between the events among them the page interpolates
+    ground = path.grounds(moments)
+    if ground is not None and (path.walks or np.ptp(ground, axis=0).max() == 0):
+        ground = ground[:1]
+    return _filmed(model, path, positions_at(model, path, moments), ground=ground, cuts=cuts_of(path, moments))
 
 
-def _motion(model: Any, times: np.ndarray, states: np.ndarray, returns: bool = False) -> Scene:
+def _motion(model: Any, times: np.ndarray, states: np.ndarray, returns: bool = False) -> Filmed:
     """A smooth motion that `returns`, or that is asked whether it does, at as few times as a page needs."""
     path = course(model, times, states)
     gap = 0.0 if returns else np.abs(places(model, states[-1:]) - places(model, states[:1])).max()
-    drifts = bool(gap > GAP * extent(_seen(model, path, FIRST)))
-    points, bones = _fewest(lambda count: _seen(model, path, count), model.strokes, drifts)
-    return Scene(model, path, points, bones, drifts)
+
+    def seen(count: int) -> np.ndarray:
+        return positions_at(model, path, equal_times(path.period, count))
+
+    drifts = bool(gap > GAP * extent(seen(FIRST)))
+    points, bones = _fewest(seen, model.strokes, drifts)
+    return _filmed(model, path, points, skeleton=bones, loops=not drifts)
 
 
-def _seen(model: Any, path: Course, count: int) -> np.ndarray:
-    """What is drawn at equal times over a period, the end left out."""
-    moments = np.linspace(0.0, path.period, count, endpoint=False)
-    return places(model, path.states(moments)) if model.points is None else path.positions(moments)
+def _filmed(model: Any, path: Course, points: np.ndarray, **more: Any) -> Filmed:
+    drawn = "plane" if model.points is None else "mechanism"
+    return Filmed(points, model, path, strokes=model.strokes, period=path.period, drawn=drawn, **more)
+
+
+def equal_times(period: float, count: int) -> np.ndarray:
+    """Times (s) over a period, the end left out."""
+    return np.linspace(0.0, period, count, endpoint=False)
 
 
 def _without_model(states: np.ndarray) -> Any:
@@ -297,20 +293,10 @@ def _without_model(states: np.ndarray) -> Any:
                            hybrid=None, rates=None, conservative=False)  # fmt: skip
 
 
-def recorded(model: Model, times: np.ndarray, states: np.ndarray, points: np.ndarray) -> Scene:
-    """What was simulated, as it is: nothing returns or jumps, and no more than these points of it is drawn."""
-    duration, still = max(float(times[-1] - times[0]), 1e-9), np.zeros(2)
-    path = Course((Piece(times, states, model, still),), duration, still, np.zeros(states.shape[1]))
-    return Scene(model, path, points)
-
-
-def places(model: Any, states: np.ndarray) -> np.ndarray:
-    """What of states (k x d) is drawn (k x 2 x j; down, right): the points of a mechanism, or one in the plane of the
-    first two coordinates, or of one and its rate."""
-    if model.points is not None:
-        return positions(model, states)
-    second = states[:, 1 % states.shape[1]]
-    return np.stack([-second, states[:, 0]], axis=1)[:, :, None]
+def recorded(model: Model, states: np.ndarray, duration: float, cuts: tuple[int, ...] = ()) -> Scene:
+    """What was simulated (k x d states at equal times over a duration, s), as it is: nothing returns."""
+    drawn = "plane" if model.points is None else "mechanism"
+    return Scene(places(model, states), strokes=model.strokes, period=max(duration, 1e-9), drawn=drawn, cuts=cuts)
 
 
 @dataclass(frozen=True)
@@ -353,7 +339,7 @@ def skeleton(points: np.ndarray, strokes: Strokes) -> Skeleton:
     many, size = points.shape[2], extent(points)
     near: dict[int, list[int]] = {k: [k - 1] if k and not strokes else [] for k in range(many)}
     for kind, line in strokes:
-        for first, second in pairwise(line if kind in ("rod", "disc") else ()):
+        for first, second in pairwise(line if BRUSHES[kind].rigid else ()):
             near[max(first, second)].append(min(first, second))
     rods = []
     for k in range(1, many):
@@ -408,29 +394,32 @@ def framed(shown: Sequence[Mapping[str, Any]]) -> dict[str, list[float]] | None:
     return {"centre": ((low + high) / 2).tolist(), "spans": (high - low).tolist()}
 
 
-def _box(motion: Scene) -> tuple[np.ndarray, np.ndarray]:
+def _window(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest x and y of what is drawn: points, and discs about some of them."""
-    seen = [motion.points]
-    for kind, line in motion.model.strokes:
-        if kind == "disc":
-            centre, rim = motion.points[:, :, [line[0]]], motion.points[:, :, [line[1]]]
-            radius = np.linalg.norm(rim - centre, axis=1, keepdims=True)
-            seen += [centre - radius, centre + radius]
-    whole = np.concatenate(seen, axis=2)
-    return whole.min(axis=(0, 2)), whole.max(axis=(0, 2))
+    seen = [scene.points]
+    for centre, rim in (line for kind, line in scene.strokes if BRUSHES[kind].centred):
+        middle = scene.points[:, :, [centre]]
+        radius = np.linalg.norm(scene.points[:, :, [rim]] - middle, axis=1, keepdims=True)
+        seen += [middle - radius, middle + radius]
+    return box(np.concatenate(seen, axis=2))
 
 
-def packed(motion: Scene) -> dict[str, Any]:
+def base64_of(numbers: np.ndarray, kind: str = "<f4") -> str:
+    """Numbers for the page: little-endian, 32 bits each unless another `kind` is asked for, in base64."""
+    return base64.b64encode(numbers.astype(kind).tobytes()).decode()
+
+
+def packed(scene: Scene) -> dict[str, Any]:
     """Channels for the page: int16 little-endian in base64, channel by channel; still channels as numbers.
 
     Of m points channel c is x of point c for c < m, y of point c - m below 2 m, and the angle of point c - 2 m about
     its parent from there; a position is centre + half * int / 32767, an angle middle + swing * int / 32767.
     """
-    many = motion.points.shape[2]
-    bones = motion.skeleton or Skeleton(many)
-    values, turns = bones.channels(motion.points)
-    turns *= not motion.drifts
-    low, high = _box(motion)
+    many = scene.points.shape[2]
+    bones = (scene.skeleton if isinstance(scene, Filmed) else None) or Skeleton(many)
+    values, turns = bones.channels(scene.points)
+    turns *= scene.loops
+    low, high = _window(scene)
     centre, half = (low + high) / 2, max(float((high - low).max()) / 2, 1e-12)
     about = {point: (parent, length) for point, parent, length in bones.rods}
     placed = [c for c in range(2 * many) if c % many not in about]
@@ -445,41 +434,33 @@ def packed(motion: Scene) -> dict[str, Any]:
         [point, parent, *(_short(x) for x in (length, middles[2 * many + point], turns[2 * many + point]))]
         for point, (parent, length) in about.items()
     ]
-    return _landscape(motion) | {
-        "count": len(motion.points),
+    broken: dict[str, Any] = {"jumps": _jumps(scene.cuts)} if scene.cuts else {}
+    if not scene.loops:
+        broken = {"jumps": [len(scene.points) - 1]}
+    if scene.ground is not None:
+        broken["ground"] = [[[float(f"{x:.6g}") for x in row] for row in line] for line in scene.ground.tolist()]
+    return broken | {
+        "count": len(scene.points),
         "points": many,
-        "period": motion.period,
+        "period": scene.period,
         "centre": [_short(x) for x in centre],
         "half": half,
         "spans": [_short(x) for x in high - low],
         "moving": moving,
         "still": {str(c): float(round(values[0, c], 9)) for c in placed if c not in moving},
-        "data": base64.b64encode(numbers.astype("<i2").tobytes()).decode(),
-        "drawn": motion.drawn,
+        "data": base64_of(numbers, "<i2"),
+        "drawn": scene.drawn,
     } | ({"rods": rods, "swing": swing} if rods else {}) | (
-        {"strokes": [[kind, list(chosen)] for kind, chosen in motion.model.strokes]} if motion.model.strokes else {}
+        {"strokes": [[kind, list(chosen)] for kind, chosen in scene.strokes]} if scene.strokes else {}
     )  # fmt: skip
 
 
-def _landscape(motion: Scene) -> dict[str, Any]:
-    """Of a hybrid orbit: the samples after which the motion jumps, and the ground, one polyline or one a sample."""
-    if not motion.course.jumps:
-        return {"jumps": [len(motion.points) - 1]} if motion.drifts else {}
-    count = len(motion.points)
-    jumps, lines = _jumps(motion, count), motion.course.grounds(np.arange(count) * (motion.period / count))
-    if lines is None:
-        return {"jumps": jumps}
-    if motion.course.walks or np.ptp(lines, axis=0).max() == 0:
-        lines = lines[:1]
-    return {"jumps": jumps, "ground": [[[float(f"{x:.6g}") for x in row] for row in line] for line in lines.tolist()]}
+def _jumps(cuts: Sequence[int]) -> list[int]:
+    """The samples after which a motion jumps."""
+    return sorted({cut - 1 for cut in cuts})
 
 
-def _jumps(motion: Scene, count: int) -> list[int]:
-    """The numbers of the samples, so many a period, after which the motion jumps."""
-    return sorted({min(int(np.ceil(at * count / motion.period - 1e-6)), count) - 1 for at, _ in motion.course.events})
-
-
-def histories(motion: Scene) -> dict[str, Any]:
+def histories(motion: Filmed) -> dict[str, Any]:
     """States at equal times, end included, as little-endian float32 in base64, component by component.
 
     As many samples as the page's curves through them need to be good to SMOOTH of the extent, at most 960. Of a
@@ -495,8 +476,9 @@ def histories(motion: Scene) -> dict[str, Any]:
         curved = (9 * (inner[1:-2] + inner[2:-1]) - inner[:-3] - inner[3:]) / 16
         if np.all(np.abs(curved - states[1::2]).max(axis=0) <= SMOOTH * sizes):
             break
-    data = base64.b64encode(states[::2].T.astype("<f4").tobytes()).decode()
+    data = base64_of(states[::2].T)
     if not motion.course.jumps:
         return {"count": count + 1, "data": data}
-    jumps = [*_jumps(motion, count)[:-1], *([] if motion.course.turned.any() else [count])]
+    cuts = cuts_of(motion.course, equal_times(motion.period, count))
+    jumps = [*_jumps(cuts)[:-1], *([] if motion.course.turned.any() else [count])]
     return {"count": count + 1, "data": data, "jumps": jumps}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -22,7 +21,7 @@ from orbitfinder.records.orbit import level, recorded_proof
 from orbitfinder.show.diagram import LOOKS
 from orbitfinder.site.gather import AtlasFile, OrbitFile, Verdict, evenly
 from orbitfinder.site.landscape import landscape
-from orbitfinder.site.motion import Scene, Simulator, framed, histories, packed
+from orbitfinder.site.motion import Filmed, Simulator, base64_of, framed, histories, packed
 from orbitfinder.site.text import (
     article,
     coordinate,
@@ -43,7 +42,7 @@ class Entry:
     """One orbit of the site: its file, its motion, the name of its page and how its parts are called."""
 
     file: OrbitFile
-    motion: Scene | None
+    motion: Filmed | None
     slug: str
     series: str = ""
     """name of the atlas it came from, empty for an orbit.json"""
@@ -60,7 +59,7 @@ class Entry:
     """its address on the page of its atlas"""
     energies: np.ndarray | None = None
     """kinetic and potential energy at equal times"""
-    neighbour: Scene | None = None
+    neighbour: Filmed | None = None
     landscape: Mapping[str, Any] | None = None
     """the potential that it moves in, of a point in a plane"""
 
@@ -125,7 +124,7 @@ def orbit_values(entry: Entry) -> dict[str, Any]:
     }
 
 
-def _aspect(motion: Scene | None) -> float:
+def _aspect(motion: Filmed | None) -> float:
     """Width over height of the moving picture: that of the motion, within limits."""
     if motion is None:
         return 1.25
@@ -156,7 +155,7 @@ def _facts(entry: Entry) -> list[tuple[str, str]]:
     return rows
 
 
-def shown(motion: Scene) -> list[int]:
+def shown(motion: Filmed) -> list[int]:
     """The coordinates that are plotted: of a linkage its angles; evenly chosen where there are many."""
     n = len(motion.angles)
     candidates = list(range(n))
@@ -224,7 +223,7 @@ def orbit_data(entry: Entry) -> dict[str, Any]:
 
 def _floats(table: np.ndarray) -> dict[str, Any]:
     """Rows of numbers as little-endian float32 in base64."""
-    return {"count": table.shape[1], "data": base64.b64encode(table.astype("<f4").tobytes()).decode()}
+    return {"count": table.shape[1], "data": base64_of(table)}
 
 
 # --------------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from orbitfinder.errors import InputError, OrbitfinderError, plural
 from orbitfinder.mechanics.model import Model
 from orbitfinder.site.gather import Gathered, evenly
 from orbitfinder.site.landscape import landscape
-from orbitfinder.site.motion import framed, packed, places, recorded
+from orbitfinder.site.motion import framed, packed, recorded
 from orbitfinder.site.text import coordinate, mechanism, number
 from orbitfinder.structures.manifold import Connection, Manifold
 from orbitfinder.structures.section import Section
@@ -105,9 +105,8 @@ def _packed(model: Model, path: np.ndarray, span: float) -> dict[str, Any] | Non
     """A motion that does not close, as a page's Motion that jumps back at its end."""
     if not np.isfinite(path).all():
         return None
-    points = places(model, path)[:-1]
-    motion = recorded(model, np.linspace(0.0, span, len(path)), path, points)
-    return packed(motion) | {"jumps": [0, len(points) - 1]}  # neither drawn to its start nor from it
+    ends = (1, len(path) - 1)  # neither drawn to its start nor from it
+    return packed(recorded(model, path[:-1], span, ends))
 
 
 def _orbits(section: Section, model: Model, found: Gathered) -> list[dict[str, Any]]:

@@ -20,7 +20,7 @@ from orbitfinder.records.reading import finite
 from orbitfinder.show import html
 from orbitfinder.show.diagram import diagram_of
 from orbitfinder.show.svg import diagram, plane_of
-from orbitfinder.site.motion import Scene, Simulator, framed, packed
+from orbitfinder.site.motion import Filmed, Simulator, framed, packed
 from orbitfinder.site.pages import before, pickable
 
 try:
@@ -131,7 +131,7 @@ def _shown(value: Orbit | Family, members: list[Orbit | Event]) -> dict[str, Any
     return finite(found)  # type: ignore[no-any-return]
 
 
-def _portraits(simulator: Simulator, system: Any, motions: list[Scene | None]) -> list[str]:
+def _portraits(simulator: Simulator, system: Any, motions: list[Filmed | None]) -> list[str]:
     """Phase portraits, all of the plane in which most moves and on the same axes; empty where there is no motion."""
     known = simulator.model(system)
     if known is None or not any(motions):
