@@ -30,6 +30,7 @@ from orbitfinder.records.certificate import Certificate
 from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.diagram import diagram_of
+from orbitfinder.show.facts import numbers, verdict_of
 from orbitfinder.show.scene import Scene, cuts_of
 from orbitfinder.show.svg import axis, curves, diagram, greek, moving_mechanism, moving_portrait, ranged, unit_circle
 from orbitfinder.structures.torus import Tori
@@ -168,22 +169,6 @@ def circle(orbit: Orbit) -> str:
     return unit_circle(orbit.floquet_multipliers, "Floquet multipliers and the unit circle")
 
 
-def numbers(orbit: Orbit) -> list[tuple[str, str]]:
-    """What an orbit's numbers are called, and they."""
-    certificate = orbit.certificate
-    verdict = "no certificate" if certificate is None else verdict_of(certificate)
-    if certificate is not None and orbit.record is not None:
-        verdict = f"as its file has it, not checked here: {verdict}"
-    sizes = np.abs(orbit.floquet_multipliers)
-    largest = f"{sizes.max():.6g}" if sizes.size else "none but the trivial ones"
-    energy = f"{orbit.energy:.12g} J" if np.isfinite(orbit.energy) else "none is conserved"
-    return [
-        ("period", f"{orbit.period:.12g} s"), ("energy", energy),
-        ("closure", f"{orbit.closure:.1e}"), ("stability", orbit.stability), ("symmetry", orbit.symmetry),
-        ("largest multiplier", largest), ("certificate", verdict),
-    ]  # fmt: skip
-
-
 def motions(orbit: Orbit, model: Model | None = None) -> list[str]:
     """Mechanism (where one is declared) and phase portrait of a period; `model` of a system that no file describes,
     nothing without it."""
@@ -264,12 +249,6 @@ def _period(orbit: Orbit, model: Model) -> tuple[np.ndarray, np.ndarray]:
     if model.hybrid is not None:
         return sampled(model, orbit.state, orbit.period)
     return np.linspace(0.0, orbit.period, SAMPLES), sample(build_flow(model), orbit.state, orbit.period, SAMPLES)
-
-
-def verdict_of(certificate: Certificate) -> str:
-    """passed, or the checks that failed."""
-    count = len(certificate.checks)
-    return f"passed, {plural(count, 'check')}" if certificate.passed else f"FAILED: {', '.join(certificate.failures)}"
 
 
 def certificate_html(certificate: Certificate) -> str:

@@ -19,6 +19,7 @@ from orbitfinder.errors import plural
 from orbitfinder.mechanics.scales import units
 from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import level
+from orbitfinder.show.facts import number, with_unit
 from orbitfinder.site.gather import AtlasFile, Gathered, Verdict, evenly, judged, recorded
 from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import Simulator, framed, packed
@@ -38,13 +39,11 @@ from orbitfinder.site.text import (
     ASSETS,
     article,
     mechanism,
-    number,
     plain_words,
     rendered,
     script_data,
     size,
     slug_maker,
-    with_unit,
 )
 from orbitfinder.site.writing import MARK, mark
 from orbitfinder.structures.section import Section

@@ -19,6 +19,7 @@ from orbitfinder.records.certificate import Check
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import level, recorded_proof
 from orbitfinder.show.diagram import LOOKS
+from orbitfinder.show.facts import facts, largest, number, with_unit
 from orbitfinder.site.gather import AtlasFile, OrbitFile, Verdict, evenly
 from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import Filmed, Simulator, base64_of, framed, histories, packed
@@ -26,14 +27,14 @@ from orbitfinder.site.text import (
     article,
     coordinate,
     mechanism,
-    number,
     plain_words,
     symmetry_words,
-    with_unit,
 )
 
 MOST_PORTRAITS = 6
 """Phase portraits on an orbit page; of more coordinates these many are chosen evenly."""
+FACTS = 7
+"""Facts of an orbit above its picture; the rest has places of its own on the page"""
 UNJUDGED = Verdict((), "this orbit has no page of its own")
 
 
@@ -94,8 +95,7 @@ class Entry:
     @property
     def largest(self) -> float:
         """Largest modulus of the Floquet multipliers, 1 where there are none."""
-        pairs = self.document["floquet_multipliers"]
-        return float(max((abs(complex(*pair)) for pair in pairs), default=1.0))
+        return largest(self.file.orbit)
 
 
 def orbit_values(entry: Entry) -> dict[str, Any]:
@@ -134,25 +134,10 @@ def _aspect(motion: Filmed | None) -> float:
 
 
 def _facts(entry: Entry) -> list[tuple[str, str]]:
-    """Names and values of an orbit's numbers."""
-    document = entry.document
-    unit, energy = entry.units, "none is conserved"
-    if document["energy"] is not None:
-        energy = with_unit(number(document["energy"], 12), unit["energy"]) + ("" if entry.conserved else " at t = 0")
-    rows = [
-        ("Period", with_unit(repr(float(document["period"])), unit["time"])),
-        ("Frequency", with_unit(number(1.0 / document["period"], 8), unit["time"] and "1/s")),
-        ("Energy" if entry.conserved else "Energy, not conserved", energy),
-        ("Action", with_unit(number(document["action"], 10), unit["action"] if document["energy"] is not None else "")),
-        ("Closure", number(document["closure"], 2)),
-        ("Largest multiplier", number(entry.largest, 6)),
-    ]
-    turns = list(document.get("winding") or ())
-    if any(turns):
-        names = entry.motion.names if entry.motion else tuple(f"q{k + 1}" for k in range(len(turns)))
-        names = tuple(name.replace("theta", "\N{GREEK SMALL LETTER THETA}") for name in names)
-        rows.append(("Turns", ", ".join(f"{name} {k}" for name, k in zip(names, turns, strict=False) if k)))
-    return rows
+    """Names and values of an orbit's numbers, its period with every digit."""
+    orbit, names = entry.file.orbit, entry.motion.names if entry.motion else ()
+    told = facts(orbit, entry.conserved, names) | {"period": with_unit(repr(orbit.period), entry.units["time"])}
+    return [(name.capitalize(), text) for name, text in [*told.items()][:FACTS] if text]
 
 
 def shown(motion: Filmed) -> list[int]:

@@ -8,10 +8,11 @@ import numpy as np
 
 from orbitfinder.errors import InputError, OrbitfinderError, plural
 from orbitfinder.mechanics.model import Model
+from orbitfinder.show.facts import number
 from orbitfinder.site.gather import Gathered, evenly
 from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import framed, packed, recorded
-from orbitfinder.site.text import coordinate, mechanism, number
+from orbitfinder.site.text import coordinate, mechanism
 from orbitfinder.structures.manifold import Connection, Manifold
 from orbitfinder.structures.section import Section
 from orbitfinder.structures.sections import Surface, check_plane, crossings, named_surface

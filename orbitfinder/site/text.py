@@ -6,7 +6,6 @@ Names and titles come from files that anyone may have written, so the templates 
 from __future__ import annotations
 
 import json
-import math
 import re
 import unicodedata
 from collections.abc import Callable, Mapping
@@ -16,6 +15,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from orbitfinder.mechanics.kind import NAMES, system_kind
 from orbitfinder.records.reading import finite
+from orbitfinder.show.facts import number
 
 ASSETS = "assets"
 
@@ -53,13 +53,6 @@ def slug_maker() -> Callable[[str], str]:
     return make
 
 
-def number(value: Any, digits: int = 6) -> str:
-    """A number for reading: plain where that is short, with a power of ten otherwise."""
-    if not isinstance(value, (int, float)) or not math.isfinite(value):
-        return "not computed"
-    return f"{value:.{digits}g}".replace("-", "\N{MINUS SIGN}")
-
-
 def size(count: int) -> str:
     """Bytes as kB or MB (powers of 1000)."""
     return f"{count / 1e6:.2f} MB" if count >= 1_000_000 else f"{max(1, round(count / 1e3))} kB"
@@ -68,11 +61,6 @@ def size(count: int) -> str:
 def mechanism(system: Mapping[str, Any]) -> str:
     """The kind of mechanism in two or three words, for captions and the filter."""
     return system_kind(system).words(system)
-
-
-def with_unit(text: str, unit: str) -> str:
-    """A number with its unit, where it has one."""
-    return f"{text} {unit}" if unit else text
 
 
 def plain_words(text: str) -> str:

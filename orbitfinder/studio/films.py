@@ -9,7 +9,7 @@ import numpy as np
 from orbitfinder.mechanics.kind import system_kind
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanisms.pose import movable
-from orbitfinder.show.scene import box
+from orbitfinder.show.scene import box, places
 from orbitfinder.site.motion import packed, recorded
 
 FRAMES = 40

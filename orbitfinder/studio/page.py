@@ -20,6 +20,7 @@ from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.orbits.guesses.returns import CloseReturn
 from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
+from orbitfinder.show.facts import told
 from orbitfinder.show.html import certificate_html
 from orbitfinder.studio import plots
 from orbitfinder.studio.beside import SearchPanel, SectionPanel
@@ -380,11 +381,7 @@ class Page(Desk):
         self.badge.set_text("Certified" if sure else "Rejected")
         self.badge.props(f"color={'good' if sure else 'bad'} icon={'verified' if sure else 'dangerous'}")
         self.badge.set_visibility(True)
-        level = f", E = {orbit.energy:.8g} J" if math.isfinite(orbit.energy) else ""
-        symmetry = "" if orbit.symmetry == "none" else f", {orbit.symmetry.replace('+', ' and ')}"
-        self.about.set_text(
-            f"T = {orbit.period:.10g} s{level}, {orbit.stability}{symmetry}, closes to {orbit.closure:.0e}"
-        )
+        self.about.set_text(f"{told(orbit, 10)}, closes to {orbit.closure:.0e}")
         self._show(found.film, keep=keep)
 
     def _certificate(self) -> None:

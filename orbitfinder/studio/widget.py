@@ -19,6 +19,7 @@ from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import finite
 from orbitfinder.show import html
 from orbitfinder.show.diagram import diagram_of
+from orbitfinder.show.facts import numbers
 from orbitfinder.show.svg import diagram, plane_of
 from orbitfinder.site.motion import Filmed, Simulator, framed, packed
 from orbitfinder.site.pages import before, pickable
@@ -147,7 +148,7 @@ def _portraits(simulator: Simulator, system: Any, motions: list[Filmed | None]) 
 def _texts(family: Family | None, one: Orbit | Event) -> dict[str, Any]:
     """The numbers of an orbit in words, its multipliers beside the unit circle, and what it is called on the slider."""
     if isinstance(one, Orbit):
-        rows, label = html.numbers(one), ""
+        rows, label = numbers(one), ""
         if family is not None:
             rows = rows[:2] + _parameter(family, one.value) + rows[2:-1]  # type: ignore[attr-defined]
         return {"rows": rows, "circle": html.circle(one), "label": label}
