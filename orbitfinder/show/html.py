@@ -30,7 +30,7 @@ from orbitfinder.records.certificate import Certificate
 from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.diagram import diagram_of
-from orbitfinder.show.facts import numbers, verdict_of
+from orbitfinder.show.facts import conserves, numbers, verdict_of
 from orbitfinder.show.scene import Scene, cuts_of
 from orbitfinder.show.svg import axis, curves, diagram, greek, moving_mechanism, moving_portrait, ranged, unit_circle
 from orbitfinder.structures.torus import Tori
@@ -296,14 +296,15 @@ def _members(points: Sequence[FamilyPoint], parameter: str) -> str:
 
 def atlas_html(atlas: Atlas) -> str:
     """How many orbits, the first of them in a table, the first three moving."""
-    rows = atlas.rows()
+    rows, energy = atlas.rows(), conserves(atlas)
     listed = [
-        (str(row.id), f"{row.energy:.8g}", f"{row.period:.10g}", row.symmetry, row.stability, f"{row.instability:.4g}")
+        (str(row.id), *([f"{row.energy:.8g}"] if energy else []), f"{row.period:.10g}", row.symmetry, row.stability,
+         f"{row.instability:.4g}")
         for row in rows[:ROWS]
-    ]
+    ]  # fmt: skip
     steady = [atlas.orbit(row.id) for row in [row for row in rows if row.instability < STEADY][:3]]
-    moving = "".join(picture for one in steady for picture in motions(one))
-    head = ("id", "energy (J)", "period (s)", "symmetry", "stability", "largest multiplier")
+    moving = "".join(picture for orbit in steady for picture in motions(orbit))
+    head = ("id", *(["energy (J)"] if energy else []), "period (s)", "symmetry", "stability", "largest multiplier")
     more = f"the first {ROWS} by energy and period" if len(rows) > ROWS else ""
     title = heading(f"Atlas {atlas.path.name}: {plural(len(rows), 'orbit')}", more)
     return f'<div>{title}{table(listed, head)}<div style="{ROW}">{moving}</div></div>'

@@ -27,6 +27,7 @@ from orbitfinder.orbits.course import Course, course_of
 from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.diagram import LOOKS, Diagram, frequencies
+from orbitfinder.show.facts import conserves, number
 from orbitfinder.show.paths import family_paths, has_path, path_views
 from orbitfinder.show.scene import Scene, tip
 from orbitfinder.show.style import (
@@ -558,8 +559,6 @@ def axis_name(family: Family) -> str:
 
 KINDS = {"elliptic": (COLOURS[2], "o"), "marginal": (COLOURS[4], "s"), "unstable": (COLOURS[1], "^")}
 """Colour and marker of each verdict."""
-MOST_PANELS = 6
-"""Energies that get a panel each; of more the orbits are drawn in the plane of energy and period"""
 
 
 def save_atlas_figures(atlas: Atlas, folder: str | Path, chosen: Filter | None = None) -> list[Path]:
@@ -568,40 +567,42 @@ def save_atlas_figures(atlas: Atlas, folder: str | Path, chosen: Filter | None =
     if not rows:
         raise InputError(f"{atlas.path}: no orbit to draw; widen the filter, or search longer")
     figures = {
-        "atlas_energy_period": energy_period(rows),
+        "atlas_energy_period": energy_period(rows, conserves(atlas)),
         "atlas_instability": instability(rows),
         "atlas_discovery": discovery_curves(atlas),
     }
     return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in figures.items()]
 
 
-def energy_period(rows: Sequence[Row]) -> Figure:
-    """Largest multiplier against period, one panel an energy; of many energies, energy against period.
+def energy_period(rows: Sequence[Row], conserved: bool = True) -> Figure:
+    """Largest multiplier against period, one panel an energy where one is conserved; of many energies (more than six),
+    energy against period.
 
     One mark an orbit, by stability.
     """
     energies = np.array([row.energy for row in rows])
-    shells = np.unique(np.round(energies, 9)) if np.isfinite(energies).all() else energies[:1]
-    panels = shells if shells.size <= MOST_PANELS else shells[:1]
-    title = f"{plural(len(rows), 'periodic orbit')}: {'period' if shells.size <= MOST_PANELS else 'energy, period'}"
+    shells = np.unique(np.round(energies, 9)) if conserved else energies[:1]
+    apart = shells.size > 6
+    panels = shells[:1] if apart else shells
+    title = f"{plural(len(rows), 'periodic orbit')}: {'energy, period' if apart else 'period'}"
     figure = new_figure(8.0, 2.2 + 2.6 * panels.size, f"{title} and stability")
     axes = np.atleast_1d(figure.subplots(panels.size, 1, sharex=True))
-    apart = shells.size > MOST_PANELS
     places = np.zeros(len(rows), int) if apart else np.abs(energies[:, None] - panels).argmin(axis=1)
     heights = energies if apart else np.array([row.instability for row in rows])
     periods, shown = np.array([row.period for row in rows]), dict[str, Any]()
     for kind, (colour, marker) in KINDS.items():
         verdict = np.array([row.stability == kind for row in rows])
         style = {"color": colour, "markersize": 4.5, "alpha": 0.75, "markeredgewidth": 0, "linestyle": "none"}
-        for k, one in enumerate(axes):
+        for k, panel in enumerate(axes):
             here = verdict & (places == k)
             if here.any():
-                shown[f"{kind} ({int(verdict.sum())})"] = one.plot(periods[here], heights[here], marker, **style)[0]
-    for one, shell in zip(axes, panels, strict=True):
+                shown[f"{kind} ({int(verdict.sum())})"] = panel.plot(periods[here], heights[here], marker, **style)[0]
+    for panel, shell in zip(axes, panels, strict=True):
         if not apart:
-            one.set_yscale("log")
-            one.set_title(f"{shell:g} J".replace("-", "\N{MINUS SIGN}"), loc="left", fontsize=10)
-        dress(one, "period (s)" if one is axes[-1] else "", "energy (J)" if apart else "largest |multiplier|")
+            panel.set_yscale("log")
+        if conserved and not apart:
+            panel.set_title(f"{number(float(shell))} J", loc="left", fontsize=10)
+        dress(panel, "period (s)" if panel is axes[-1] else "", "energy (J)" if apart else "largest |multiplier|")
     legend(figure, shown, "lower center", ncols=4)
     return figure
 
@@ -633,8 +634,8 @@ def discovery_curves(atlas: Atlas) -> Figure:
         if not len(seconds):
             continue
         colour = COLOURS[k % len(COLOURS)]
-        level = f"{energy:g}".replace("-", "\N{MINUS SIGN}")
-        name = f"{level} J, seed {seed}: {distinct[-1]} found, about {estimate[-1]:.0f} estimated"
+        level = f"{number(energy)} J, " if conserves(atlas) else ""
+        name = f"{level}seed {seed}: {distinct[-1]} found, about {estimate[-1]:.0f} estimated"
         axes.plot(seconds, distinct, color=colour, label=name)
         settled = np.arange(len(seconds)) >= min(50, len(seconds) // 4)  # earlier it is mostly noise
         axes.plot(seconds[settled], estimate[settled], color=colour, linestyle=":", linewidth=1.2)

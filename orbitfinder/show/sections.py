@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -52,7 +53,7 @@ def draw_section(
         check_plane(one, first)
     model = model or build_model(first.system)
     level = f", energy {first.energy:.8g}" if np.isfinite(first.energy) else ""
-    figure = new_figure(7.2, 6.2, first.name, f"section {first.plane}{level}")
+    figure = new_figure(7.2, 6.2, first.name, f"section {_plane(first)}{level}")
     axes = figure.subplots()
     across, up = (model.state_names.index(name) for name in first.axes)
     if section is not None:
@@ -73,6 +74,14 @@ def draw_section(
     dress(axes, _label(model, across), _label(model, up))
     legend(figure, axes, "lower center", ncols=3)
     return save_png(figure, Path(path))
+
+
+def _plane(record: Section | Manifold | Connection) -> str:
+    """The plane of a record in words, at 0 where its level is the round-off of the components of the states."""
+    told = re.fullmatch(r"(\w+ = )([-+.\de]+)(, .*)", record.plane)
+    sizes = np.abs(record.states[np.isfinite(record.states)])
+    off = told is not None and abs(float(told[2])) <= 1e-14 * sizes.max(initial=0.0)
+    return f"{told[1]}0{told[3]}" if told is not None and off else record.plane
 
 
 def _returns(axes: Any, section: Section) -> None:
