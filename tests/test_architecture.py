@@ -122,9 +122,7 @@ def test_the_core_is_closed():
         for needed in needs(module)
         if needed and floor(needed) >= CORE
     ]
-    named = re.compile(
-        r"\"(?:%s)\.[a-z_.]+:[a-z_]+\"" % "|".join(room for rooms in FLOORS[CORE:] for room in rooms if room)
-    )
+    named = re.compile(r"\"(?:%s)\.[a-z_.]+:[a-z_]+\"" % "|".join(room for rooms in FLOORS[CORE:] for room in rooms if room))
     assert not [
         module for module in MODULES
         if module and floor(module) < CORE and named.search(ast.unparse(MODULES[module]).replace("'", '"'))
