@@ -14,7 +14,6 @@ import pytest
 from click.testing import CliRunner
 from conftest import pendulum_period
 from jinja2 import UndefinedError
-from orbitfinder.show.facts import number
 
 from orbitfinder import systems
 from orbitfinder._runtime import locks
@@ -36,8 +35,9 @@ from orbitfinder.records.certificate import at_least, at_most
 from orbitfinder.records.family import Event, load_family
 from orbitfinder.records.orbit import orbit_to_document
 from orbitfinder.records.registry import load_orbit
+from orbitfinder.show.facts import number
 from orbitfinder.site import writing
-from orbitfinder.site.build import Settings, build_site
+from orbitfinder.site.build import SiteSettings, build_site
 from orbitfinder.site.gather import evenly, gather
 from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import Simulator, histories, packed, skeleton
@@ -189,7 +189,7 @@ def test_same_input_same_bytes(material):
 
 
 def test_former_page_is_replaced_and_nothing_else(site, tmp_path):
-    made, _ = build_site(gather([SHIPPED / "triple-1"]), Settings("first"))
+    made, _ = build_site(gather([SHIPPED / "triple-1"]), SiteSettings("first"))
     out = tmp_path / "site"
     write_site(made.files, out)
     more = made.files | {"orbits/old.html": b"", "more/old.html": b""}
@@ -577,7 +577,7 @@ def test_what_was_not_recomputed_is_the_files_word(tmp_path, why):
     system = {"kind": "python", "module": "mine", "function": "make", "arguments": {}}
     given = forged() | ({"system": system} if why == "foreign" else {})
     (tmp_path / "orbit.json").write_text(json.dumps(given))
-    made, _ = build_site(gather([tmp_path]), Settings(verify=why == "foreign"))
+    made, _ = build_site(gather([tmp_path]), SiteSettings(verify=why == "foreign"))
     page, index = (made.files[name].decode() for name in ("orbits/triple-1.html", "index.html"))
     assert "As the file has it; not checked here: " in page and ">not checked here</span>" in page
     assert ">certified<" not in page and "1 not checked here" in index and "certified" not in index
@@ -677,7 +677,7 @@ def test_few_atlas_orbits_get_pages(tmp_path):
     orbit = orbit_to_document(load_orbit(SHIPPED / "triple-1" / "orbit.json"))
     many = [orbit | {"energy": orbit["energy"] + k} for k in range(12)]
     (tmp_path / "big.json").write_text(json.dumps(many))
-    made, summary = build_site(gather([tmp_path / "big.json"]), Settings(atlas_pages=4))
+    made, summary = build_site(gather([tmp_path / "big.json"]), SiteSettings(atlas_pages=4))
     assert summary.orbits == 4 and sum(path.startswith("orbits/") for path in made.files) == 4
     text = made.files["data/atlases/big.js"].decode()
     assert text.count('"page":"../orbits/') == 4 and text.count('"energy":-') == 12
@@ -790,7 +790,7 @@ def test_energies_are_called_kept_only_where_they_are(tmp_path):
     """Neither a forced oscillator's energy nor the reciprocal pairs that it has not are given as facts."""
     for name in ("forced-duffing-upper", "henon-heiles-loop"):
         shutil.copytree(ROOT / "results" / "gallery" / name, tmp_path / name)
-    made, _ = build_site(gather([tmp_path]), Settings(verify=False))
+    made, _ = build_site(gather([tmp_path]), SiteSettings(verify=False))
     forced, free = (
         made.files[f"orbits/{name}.html"].decode() for name in ("forced-duffing-upper", "henon-heiles-loop")
     )
@@ -828,7 +828,7 @@ def test_families_and_orbits_are_joined(tmp_path):
     for name in ("triple-1", "triple-mode-2"):
         shutil.copytree(ROOT / "results" / "families" / name, tmp_path / "families" / name)
     shutil.copytree(SHIPPED / "triple-1", tmp_path / "orbits" / "triple-1")
-    made, _ = build_site(gather([tmp_path]), Settings(verify=False))
+    made, _ = build_site(gather([tmp_path]), SiteSettings(verify=False))
     branch, parent, orbit = (
         made.files[f"{place}.html"].decode()
         for place in ("families/triple-1", "families/triple-mode-2", "orbits/triple-1")

@@ -10,13 +10,14 @@ import numpy as np
 from orbitfinder.errors import OrbitfinderError
 from orbitfinder.families.members import response
 from orbitfinder.mechanics.kind import build_model
-from orbitfinder.records.family import Family
+from orbitfinder.records.family import Event, Family
 
 
 @dataclass(frozen=True)
-class Look:
+class Mark:
     """How a kind of event is drawn: Matplotlib's marker with its size (points), Plotly's symbol with its size (pixels),
-    the colour of figures (none of them a family's) and the number of the page's, and whether it is hollow."""
+    the colour of figures (none of them a family's) and the number of the page's, whether it is hollow, carries
+    its number and a line through the stability indices, and is so common that of many some are left out."""
 
     marker: str
     symbol: str
@@ -25,32 +26,42 @@ class Look:
     size: float = 5.5
     pixels: int = 10
     hollow: bool = False
+    numbered: bool = False
+    lined: bool = False
+    common: bool = False
+    verdict: bool = False
+    """where the stability changes; what happens there as well is named beside it"""
 
 
 LOOKS = {
-    "fold": Look("v", "triangle-down", "#7B3294", pixels=11),
-    "turn": Look("1", "triangle-left", "#C2A5CF", pixels=9),
-    "extremum": Look("2", "triangle-right", "#E7298A", pixels=9),
-    "branch_point": Look("o", "circle-open", series=2, pixels=12, hollow=True),
-    "period_doubling": Look("s", "square", "#B2182B", series=3, pixels=9),
-    "torus": Look("P", "cross", "#01665E", series=4),
-    "resonance": Look(".", "circle", "#8C8C8C", series=4, size=3.5, pixels=7),
-    "collision": Look("x", "x", "#8C510A", pixels=9),
+    "fold": Mark("v", "triangle-down", "#7B3294", pixels=11),
+    "turn": Mark("1", "triangle-left", "#C2A5CF", pixels=9),
+    "extremum": Mark("2", "triangle-right", "#E7298A", pixels=9),
+    "branch_point": Mark("o", "circle-open", series=2, pixels=12, hollow=True, numbered=True, lined=True),
+    "period_doubling": Mark("s", "square", "#B2182B", series=3, pixels=9, numbered=True, lined=True),
+    "torus": Mark("P", "cross", "#01665E", series=4),
+    "resonance": Mark(".", "circle", "#8C8C8C", series=4, size=3.5, pixels=7, common=True),
+    "collision": Mark("x", "x", "#8C510A", pixels=9, lined=True),
     # the verdict changes where something else happens as well
-    "stability_change": Look("D", "diamond", "#4D4D4D", series=5, size=9.0, hollow=True),
-    "grazing": Look("*", "star"),
-    "cycle_change": Look("X", "hourglass", series=3),
-    "holds": Look("X", "bowtie", series=3),
-    "cusp": Look("^", "triangle-up", series=3, pixels=11),
-    "isola_centre": Look("h", "hexagon", series=4),
-    "transcritical": Look("d", "diamond-tall", series=2, pixels=11),
-    "strong_resonance": Look("p", "pentagon", series=2),
-    "fold_doubling": Look("D", "diamond-wide", series=5, pixels=11),
-    "fold_torus": Look("<", "triangle-left", series=4),
-    "doubling_torus": Look(">", "triangle-right", series=4),
-    "degenerate_doubling": Look("H", "hexagon2", series=3),
+    "stability_change": Mark("D", "diamond", "#4D4D4D", series=5, size=9.0, hollow=True, verdict=True),
+    "grazing": Mark("*", "star"),
+    "cycle_change": Mark("X", "hourglass", series=3),
+    "holds": Mark("X", "bowtie", series=3),
+    "cusp": Mark("^", "triangle-up", series=3, pixels=11),
+    "isola_centre": Mark("h", "hexagon", series=4),
+    "transcritical": Mark("d", "diamond-tall", series=2, pixels=11),
+    "strong_resonance": Mark("p", "pentagon", series=2),
+    "fold_doubling": Mark("D", "diamond-wide", series=5, pixels=11),
+    "fold_torus": Mark("<", "triangle-left", series=4),
+    "doubling_torus": Mark(">", "triangle-right", series=4),
+    "degenerate_doubling": Mark("H", "hexagon2", series=3),
 }
 """Of every kind of event that families know"""
+
+
+def mark_of(event: Event) -> Mark:
+    """How an event is drawn; one of a kind that nobody knows as a star."""
+    return LOOKS.get(event.kind, Mark("*", "star"))
 
 
 @dataclass(frozen=True)
@@ -82,7 +93,7 @@ class Diagram:
         for number, k in enumerate(cuts):
             for event, place in zip(self.family.events, self.events, strict=True):
                 between = points[k - 1].arclength <= event.arclength <= points[k].arclength
-                if event.kind == "stability_change" and between:
+                if mark_of(event).verdict and between:
                     found[number] = (stable[k - 1], np.vstack([found[number][1], place]))
                     found[number + 1] = (stable[k], np.vstack([place, found[number + 1][1][1:]]))
         return found

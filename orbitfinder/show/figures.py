@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +23,8 @@ def section_figures(record: Section | Manifold | Connection, folder: Path, model
     if isinstance(record, Connection):
         return [draw_section(None, folder / "connection.png", connections=[record], model=model)]
     target = folder / f"manifold-{record.which}.png"
-    if record.kind == "curves":
-        return [draw_section(None, target, manifolds=[record], model=model)]
-    return [draw_manifolds([record], target, model=model)]
+    draws = {"curves": partial(draw_section, None, manifolds=[record])}
+    return [draws.get(record.kind, partial(draw_manifolds, [record]))(path=target, model=model)]
 
 
 def controller_figures(controller: Controller, folder: Path, model: Model) -> list[Path]:

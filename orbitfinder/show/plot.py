@@ -26,7 +26,7 @@ from orbitfinder.mechanics.scales import units as units_of
 from orbitfinder.orbits.course import Course, course_of
 from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import Orbit
-from orbitfinder.show.diagram import LOOKS, Diagram, frequencies
+from orbitfinder.show.diagram import Diagram, frequencies, mark_of
 from orbitfinder.show.facts import conserves, number
 from orbitfinder.show.paths import family_paths, has_path, path_views
 from orbitfinder.show.scene import Scene, tip
@@ -398,14 +398,10 @@ def frequency_energy(
         axes.set_xscale("log")
     dress(axes, *called)
     if len(families) == 1:
-        numbered = [k for k, one in enumerate(families[0].events) if one.kind in NUMBERED]
-        labels += [(str(k), *drawn[0].events[k]) for k in (numbered if len(numbered) <= MOST_NUMBERED else [])]
+        numbered = [k for k, event in enumerate(families[0].events) if mark_of(event).numbered]
+        labels += [(str(k), *drawn[0].events[k]) for k in (numbered if len(numbered) <= 24 else [])]
     place_labels(figure, axes, labels)
     return figure
-
-
-NUMBERED, MOST_NUMBERED = ("branch_point", "period_doubling"), 24
-"""Events that carry their number where there are not too many"""
 
 
 def two_parameters(families: Sequence[Family], title: str | None = None) -> Figure:
@@ -427,7 +423,7 @@ def two_parameters(families: Sequence[Family], title: str | None = None) -> Figu
         line = axes.plot(*drawn.points.T, color=COLOURS[k % len(COLOURS)], linewidth=1.8)[0]
         shown.setdefault(f"{test['kind']} {test['detail']}".replace("_", " ").strip(), line)
         for event, place in zip(one.events, drawn.events, strict=True):
-            style = {"marker": LOOKS[event.kind].marker, "markersize": 7.0, "linestyle": "none", "color": "black"}
+            style = {"marker": mark_of(event).marker, "markersize": 7.0, "linestyle": "none", "color": "black"}
             shown.setdefault(event.kind.replace("_", " "), axes.plot(*place, **style)[0])
             axes.annotate(event.words, place, fontsize=9, xytext=(7, 7), textcoords="offset points", parse_math=False)
     dress(axes, *names)
@@ -472,7 +468,7 @@ def _curves(figure: Figure, axes: Any, diagrams: Sequence[Diagram]) -> None:
             key = {"color": "0.3" if many else colour, "linestyle": style["linestyle"]}
             shown.setdefault("stable" if stable else "unstable", Line2D([], [], **key))
         for event, place in zip(drawn.family.events, drawn.events, strict=True):
-            look = LOOKS[event.kind]
+            look = mark_of(event)
             style = {"marker": look.marker, "markersize": look.size, "linestyle": "none", "color": look.colour}
             style["markerfacecolor"] = "white" if look.hollow else look.colour
             style["zorder"] = 4.0 - look.size / 10  # what has the same place as another event stays in sight
@@ -522,7 +518,7 @@ def multipliers_along(family: Family) -> Figure:
     for level in (-2.0, 2.0):
         lower.axhline(level, color="0.5", linewidth=0.7)
     for event in family.events:
-        if event.kind in ("branch_point", "period_doubling", "collision"):
+        if mark_of(event).lined:
             lower.axvline(event.parameter, color="0.75", linewidth=0.6)
     lower.set_yscale("asinh", linear_width=2.0)
     top = min(max(4.0, 1.2 * float(np.abs(indices).max())), INDEX_SHOWN)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from orbitfinder.problemfile.write import orbit_name, orbit_text
 from orbitfinder.records.certificate import Check
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import level, recorded_proof
-from orbitfinder.show.diagram import LOOKS
+from orbitfinder.show.diagram import LOOKS, mark_of
 from orbitfinder.show.facts import facts, largest, number, with_unit
 from orbitfinder.site.gather import AtlasFile, OrbitFile, Verdict, evenly
 from orbitfinder.site.landscape import landscape
@@ -39,7 +40,7 @@ UNJUDGED = Verdict((), "this orbit has no page of its own")
 
 
 @dataclass(frozen=True)
-class Entry:
+class SiteOrbit:
     """One orbit of the site: its file, its motion, the name of its page and how its parts are called."""
 
     file: OrbitFile
@@ -98,7 +99,7 @@ class Entry:
         return largest(self.file.orbit)
 
 
-def orbit_values(entry: Entry) -> dict[str, Any]:
+def orbit_values(entry: SiteOrbit) -> dict[str, Any]:
     """What the template of an orbit page is filled with."""
     document, motion, name = entry.document, entry.motion, orbit_name(entry.document)
     problem = orbit_text(document)
@@ -133,7 +134,7 @@ def _aspect(motion: Filmed | None) -> float:
     return float(np.clip(right / down, 0.95, 2.4))
 
 
-def _facts(entry: Entry) -> list[tuple[str, str]]:
+def _facts(entry: SiteOrbit) -> list[tuple[str, str]]:
     """Names and values of an orbit's numbers, its period with every digit."""
     orbit, names = entry.file.orbit, entry.motion.names if entry.motion else ()
     told = facts(orbit, entry.conserved, names) | {"period": with_unit(repr(orbit.period), entry.units["time"])}
@@ -170,12 +171,12 @@ def _check(check: Check) -> dict[str, Any]:
 SYMPLECTIC = "\N{GREEK CAPITAL LETTER PHI}\N{MODIFIER LETTER CAPITAL T}J\N{GREEK CAPITAL LETTER PHI} = J"
 
 
-def _recorded_proof(entry: Entry) -> Mapping[str, Any] | None:
+def _recorded_proof(entry: SiteOrbit) -> Mapping[str, Any] | None:
     """What `orbitfinder prove` recorded, where it proved something; of a rejected orbit nothing is proved."""
     return None if entry.verdict.certified is False else recorded_proof(entry.document)
 
 
-def orbit_data(entry: Entry) -> dict[str, Any]:
+def orbit_data(entry: SiteOrbit) -> dict[str, Any]:
     """What the orbit page's script works with."""
     document, motion = entry.document, entry.motion
     data: dict[str, Any] = {
@@ -215,21 +216,15 @@ def _floats(table: np.ndarray) -> dict[str, Any]:
 # Pages on which one orbit after the other is picked from a plot: families and atlases.
 
 
-MOST_POINTS = 60
-"""Points of a family that can be seen moving; all points are on the plot."""
-MOST_EVENTS = 60
-
-
-def pickable(family: Family) -> list[tuple[str, int]]:
-    """The points and events that can be picked, "point" or "event" and their numbers, in order along the family."""
-    points, events = family.points, family.events
-    found = [(points[k].arclength, "point", k) for k in spread(points, MOST_POINTS)]
-    rare = [k for k, event in enumerate(events) if event.kind != "resonance"]
-    common = [k for k, event in enumerate(events) if event.kind == "resonance"]
-    kept = [rare[k] for k in evenly(len(rare), MOST_EVENTS)]
-    kept += [common[k] for k in evenly(len(common), max(0, MOST_EVENTS - len(kept)))]
-    found += [(events[k].arclength, "event", k) for k in kept]
-    return [(kind, k) for _, kind, k in sorted(found, key=lambda one: one[0])]
+def pickable(family: Family) -> list[int]:
+    """The members (points, then events) that can be picked, in order along the family."""
+    members, first, most = family.members, len(family.points), 60  # points, and as many events
+    common = [mark_of(event).common for event in family.events]
+    kept: list[int] = []
+    for wanted in (False, True):
+        alike = [first + k for k, often in enumerate(common) if often is wanted]
+        kept += [alike[k] for k in evenly(len(alike), max(0, most - len(kept)))]
+    return sorted([*spread(family.points, most), *kept], key=lambda at: members[at].arclength)
 
 
 def before(family: Family, event: Event) -> FamilyPoint:
@@ -239,17 +234,16 @@ def before(family: Family, event: Event) -> FamilyPoint:
 
 def family_items(family: Family, simulator: Simulator, reach: Sequence[float]) -> list[dict[str, Any]]:
     """What can be picked, in order along the family; `reach` are the amplitudes of its members, where known."""
-    found, file = [], f"families/{family.name}/family.json"
-    for kind, k in pickable(family):
-        at = k if kind == "point" else len(family.points) + k
-        item = _item(family.members[at], family, simulator)
-        item |= ({"amplitude": reach[at]} if reach else {}) | {"key": f"{kind}={k}"}
-        if kind == "point":
-            found.append(item | {"command": f"orbitfinder verify {file}#{k}"})
-            continue
-        command = f"orbitfinder continue {file} --switch {k}" if family.events[k].kind in SWITCHABLE else ""
-        found.append(item | {"number": k, "command": command})
-    return found
+    items, file = [], f"families/{family.name}/family.json"
+    for at in pickable(family):
+        member, k = family.members[at], at - len(family.points)
+        item = _item(member, family, simulator) | ({"amplitude": reach[at]} if reach else {})
+        if isinstance(member, Event):
+            command = f"orbitfinder continue {file} --switch {k}" if member.kind in SWITCHABLE else ""
+            items.append(item | {"key": f"event={k}", "number": k, "command": command})
+        else:
+            items.append(item | {"key": f"point={at}", "command": f"orbitfinder verify {file}#{at}"})
+    return items
 
 
 def spread(points: Sequence[FamilyPoint], most: int) -> list[int]:
@@ -280,7 +274,7 @@ def _item(one: FamilyPoint | Event, family: Family, simulator: Simulator) -> dic
         "stability": at.stability,
         "symmetry": symmetry_words(one.symmetry),
         "multipliers": [[float(f"{x:.8g}") for x in (mu.real, mu.imag)] for mu in at.floquet_multipliers.tolist()],
-        "event": event.detail if event is not None and event.kind == "stability_change" and event.detail else words,
+        "event": event.detail if event is not None and mark_of(event).verdict and event.detail else words,
         "kind": "" if event is None else event.kind,
         "motion": packed(motion) if motion else None,
     }
@@ -315,7 +309,7 @@ def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
         "items": items,
         "looks": {
             kind: [look.symbol, look.series, look.pixels]
-            for kind, look in LOOKS.items() if any(item["kind"] == kind for item in items)
+            for kind, look in LOOKS.items() if kind in {*map(itemgetter("kind"), items)}
         },
     }  # fmt: skip
 
@@ -375,7 +369,7 @@ def _useful(family: Family) -> list[str]:
     return [*order, "below", "arclength", "action"]
 
 
-def atlas_data(name: str, entries: Sequence[Entry], linked: set[str], model: Model | None) -> dict[str, Any]:
+def atlas_data(name: str, entries: Sequence[SiteOrbit], linked: set[str], model: Model | None) -> dict[str, Any]:
     """What the atlas page's script works with; `linked` orbits have a page of their own, `model` is that of all."""
     items = []
     for entry in entries:
@@ -406,7 +400,7 @@ def atlas_data(name: str, entries: Sequence[Entry], linked: set[str], model: Mod
     }  # fmt: skip
 
 
-def atlas_values(entries: Sequence[Entry], atlas: AtlasFile) -> dict[str, Any]:
+def atlas_values(entries: Sequence[SiteOrbit], atlas: AtlasFile) -> dict[str, Any]:
     """What the template of an atlas page is filled with."""
     energies, periods = ([level(one.document[key]) for one in entries] for key in ("energy", "period"))
     kinds = sorted({one.mechanism for one in entries})
@@ -422,7 +416,7 @@ def atlas_values(entries: Sequence[Entry], atlas: AtlasFile) -> dict[str, Any]:
     return {"summary": summary} | choices(entries)
 
 
-def choices(entries: Sequence[Entry]) -> dict[str, Any]:
+def choices(entries: Sequence[SiteOrbit]) -> dict[str, Any]:
     """The distinct values that a page's filters offer."""
     return {
         "mechanisms": sorted({one.mechanism for one in entries}),

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter, defaultdict
+from itertools import chain
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -29,19 +32,20 @@ LEVEL = 1e-9
 
 def section_values(section: Section, data: dict[str, Any]) -> dict[str, Any]:
     """What the template of a section page is filled with."""
-    drawn = sum(len(one["x"]) for one in data["items"])
+    drawn = sum(len(item["x"]) for item in data["items"])
     level = f", energy {number(section.energy, 10)}" if np.isfinite(section.energy) else ""
-    motions = [one for one in data["items"] if one["kind"] != "orbit"]
-    regular = sum(one["kind"] == "regular" for one in motions)
-    told = f"{plural(len(motions), 'motion')}, {regular} of them regular"
-    if not np.isfinite(section.growth).any():
-        told = plural(len(motions), "motion")
+    counts = Counter(map(itemgetter("kind"), data["items"]))
+    told = plural(counts.total() - counts["orbit"], "motion")
+    if np.isfinite(section.growth).any():
+        told += f", {counts['regular']} of them regular"
     more = "" if drawn >= section.returns else f" The plot shows {drawn} of {section.returns} returns."
-    tori = sum(one["kind"] == "torus" for one in data["curves"])
-    laid = [one["name"] for one in data["curves"] if one["kind"] != "torus"]
-    laid += [f"{tori} invariant tori" if tori > 1 else "an invariant torus"] if tori else []
+    laid = defaultdict[str, list[str]](list)
+    for curve in data["curves"]:
+        laid[curve["kind"]].append(curve["name"])
+    tori = len(laid.pop("torus", ()))
+    words = [f"{tori} invariant tori" if tori > 1 else "an invariant torus"] if tori else []
     return {"summary": f"{mechanism(section.system)}: {section.plane}{level}", "told": f"{told}.{more}",
-            "laid": laid}  # fmt: skip
+            "laid": [*chain.from_iterable(laid.values()), *words]}  # fmt: skip
 
 
 def section_data(section: Section, found: Gathered) -> dict[str, Any]:

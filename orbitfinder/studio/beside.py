@@ -16,7 +16,7 @@ from orbitfinder.studio import plots
 from orbitfinder.studio.desk import Desk, button
 from orbitfinder.studio.session import SWINGS, Item
 from orbitfinder.studio.tasks import Cut
-from orbitfinder.studio.worker import StoppedError, Worker
+from orbitfinder.studio.worker import StoppedError, TaskProcess
 
 BUDGET = 60.0
 """s of a search, unless another time is asked for"""
@@ -70,7 +70,7 @@ class SearchPanel:
         self, page: Desk, load: Callable[[str, int], Awaitable[None]], listed: Callable[[], None]
     ) -> None:  # fmt: skip
         self._load, self._changed = load, listed
-        self._page, self._worker, self._listed = page, Worker(), ""
+        self._page, self._worker, self._listed = page, TaskProcess(), ""
         self._count = 0
         swing = page.session.opened.duration / SWINGS
         with ui.expansion("Search in the background").classes("panel later").props('dense id="background"'):

@@ -24,10 +24,10 @@ from orbitfinder.show.facts import told
 from orbitfinder.show.html import certificate_html
 from orbitfinder.studio import plots
 from orbitfinder.studio.beside import SearchPanel, SectionPanel
-from orbitfinder.studio.desk import ROOMY, Desk, Source, button
+from orbitfinder.studio.desk import ROOMY, Desk, Staged, button
 from orbitfinder.studio.films import draggable, pullable
 from orbitfinder.studio.session import Item, Session, leaving, parameters
-from orbitfinder.studio.tasks import Film, Found, Simulated, Step
+from orbitfinder.studio.tasks import Film, FilmedOrbit, FilmedStep, Simulated
 from orbitfinder.studio.worker import RefusedError, StoppedError
 
 ASSETS = Path(__file__).parent / "assets"
@@ -218,7 +218,7 @@ class Page(Desk):
     # ------------------------------------------------------------------ what happens on it
 
     def _heard(self, what: Any) -> None:
-        if isinstance(what, Step):
+        if isinstance(what, FilmedStep):
             self._grown(what)
         else:
             self.say(str(what))
@@ -226,7 +226,7 @@ class Page(Desk):
     async def _first(self) -> None:
         given = self.session.opened
         if given.orbit is not None:
-            found: Found = await self.quick.do("opened", given.orbit)
+            found: FilmedOrbit = await self.quick.do("opened", given.orbit)
             self.item = self.session.keep_opened(found.orbit)
             self._show_orbit(found)
         elif given.family is not None:
@@ -330,7 +330,7 @@ class Page(Desk):
         self.find.set_enabled(bool(self.returns))
         if stay and self.shown:
             return
-        self.source = Source(dict(self.session.model.system), list(self.state), found.energy)
+        self.source = Staged(dict(self.session.model.system), list(self.state), found.energy)
         self._show(found.film, found.view)
 
     def _show(self, film: Film | None, view: Mapping[str, Any] | None = None, keep: bool = False) -> None:
@@ -366,7 +366,7 @@ class Page(Desk):
     async def _found(self, wanted: tuple[str, Path]) -> bool:
         name, file = wanted
         self.say(f"{name}: searching")
-        found: Found = await self.searched("found", file, self.session.folder, said=self._heard)
+        found: FilmedOrbit = await self.searched("found", file, self.session.folder, said=self._heard)
         if found.file is not None:
             self.item = self.session.keep_orbit(found.orbit)
             self._list()
@@ -374,9 +374,9 @@ class Page(Desk):
         self.say(f"{name}: {'certified' if found.file else 'not an orbit'}")
         return found.file is not None
 
-    def _show_orbit(self, found: Found, keep: bool = False) -> None:
+    def _show_orbit(self, found: FilmedOrbit, keep: bool = False) -> None:
         orbit = self.orbit = found.orbit
-        self.source = replace(Source.of(orbit), orbit=orbit)
+        self.source = replace(Staged.of(orbit), orbit=orbit)
         sure = orbit.certificate is not None and orbit.certificate.passed
         self.badge.set_text("Certified" if sure else "Rejected")
         self.badge.props(f"color={'good' if sure else 'bad'} icon={'verified' if sure else 'dangerous'}")
@@ -444,7 +444,7 @@ class Page(Desk):
         self.growing, self.points, self.parameter, self.stale = name, [], parameter, True
         self.events.set_options({}, value=None)
 
-    def _grown(self, step: Step) -> None:
+    def _grown(self, step: FilmedStep) -> None:
         if step.family != self.growing:  # the next of several branches
             self._begin(step.family, self.parameter)
         for point, film in zip(step.batch.points, step.films, strict=True):
@@ -498,7 +498,7 @@ class Page(Desk):
         )
         self.badge.set_visibility(False)  # what it says is of another orbit
         self.about.set_text("")
-        self.source = Source.of(point)
+        self.source = Staged.of(point)
         self.plot.run_plot_method("restyle", {"x": [[point.value]], "y": [[1 / point.period]]}, [plots.HERE])
         key = point.state.tobytes()
         if self.films.get(key) is None:
@@ -541,7 +541,7 @@ class Page(Desk):
             self.session.model = with_parameters(self.session.model, {name: value})
             self._remount()
             return await self._simulate()
-        found: Found = await self.quick.do("turned", self.orbit, name, value)
+        found: FilmedOrbit = await self.quick.do("turned", self.orbit, name, value)
         self._show_orbit(found, keep=True)
         self.session.model = build_model(found.orbit.system)
         self._remount()
@@ -589,7 +589,7 @@ class Page(Desk):
     async def _load_member(self, name: str, number: int) -> None:
         """Show an orbit of an atlas by its id, to go on from."""
         atlas = self.session.items[name]
-        found: Found = await self.quick.do("opened", Path(f"{atlas.file}#{number}"))
+        found: FilmedOrbit = await self.quick.do("opened", Path(f"{atlas.file}#{number}"))
         self.item = self.session.keep_member(atlas, number, found.orbit)
         self._list()
         self._show_orbit(found)

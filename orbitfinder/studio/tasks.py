@@ -66,7 +66,7 @@ class Simulated:
 
 
 @dataclass(frozen=True)
-class Found:
+class FilmedOrbit:
     """An orbit with its film and, where it is certified, its file."""
 
     orbit: Orbit
@@ -75,7 +75,7 @@ class Found:
 
 
 @dataclass(frozen=True)
-class Step:
+class FilmedStep:
     """What a step along the family of a name adds, each orbit with its film."""
 
     family: str
@@ -165,17 +165,17 @@ class Tasks:
         found = search(self.model(system), energy, periods, atlas, budget=budget, workers=0, progress=report)
         return sum(at.made for _, at in found.tallies)
 
-    def found(self, file: Path, out: Path) -> Found:
+    def found(self, file: Path, out: Path) -> FilmedOrbit:
         """The orbit of a problem file, in OUT/NAME/orbit.json where it is certified: what `orbitfinder run` does."""
         orbit = solve(load_problem(file), progress=self._iterated)
         kept = orbit.certificate is not None and orbit.certificate.passed
         saved = save_orbit(orbit, out / orbit.name / "orbit.json") if kept else None
-        return Found(orbit, self._film(orbit), saved)
+        return FilmedOrbit(orbit, self._film(orbit), saved)
 
-    def opened(self, file: Path) -> Found:
+    def opened(self, file: Path) -> FilmedOrbit:
         """The orbit of an orbit.json, or of ATLAS#K."""
         orbit = load_orbit(file)
-        return Found(orbit, self._film(orbit), file)
+        return FilmedOrbit(orbit, self._film(orbit), file)
 
     def followed(self, file: Path, parameter: str, points: int, name: str, out: Path) -> Family:
         """The family through the orbit of a file: what `orbitfinder continue` does."""
@@ -202,7 +202,7 @@ class Tasks:
         """A point of a family as an Orbit of its own."""
         return whole(point, self.model(point.system))
 
-    def turned(self, orbit: Orbit, name: str, value: float) -> Found:
+    def turned(self, orbit: Orbit, name: str, value: float) -> FilmedOrbit:
         """The orbit at another value of a physical parameter, followed warm; its energy stays where it is conserved.
 
         Steps that Newton's method does not survive are halved. Raises `ConvergenceError` where the orbit ends.
@@ -220,7 +220,7 @@ class Tasks:
             turned = refiner.orbit(reached(known, value, refined, STEPS))
         except ConvergenceError as error:
             raise ConvergenceError(f"{name} = {value:.6g}: the orbit was lost on the way ({error})") from error
-        return Found(turned, self._film(turned), None)
+        return FilmedOrbit(turned, self._film(turned), None)
 
     def _warm(self, orbit: Orbit, model: Model, name: str) -> Refiner:
         """The Refiner of an orbit in a parameter; the last one stays warm, whatever that parameter's value is."""
@@ -247,7 +247,7 @@ class Tasks:
             if not system and (journal := read_journal(folder)) is not None:
                 system.update(journal.header["system"])
             films = tuple(self.shown(system_at(system, one.free), one) for one in batch.points)
-            self._say(Step(folder.name, batch, films))
+            self._say(FilmedStep(folder.name, batch, films))
 
         return report
 

@@ -97,7 +97,7 @@ def stage(value: Orbit | Family) -> Stage:
 
 def _members(family: Family) -> list[Orbit | Event]:
     """The points and events of a family that can be slid to, in order along it."""
-    return [family.points[k] if kind == "point" else family.events[k] for kind, k in pickable(family)]
+    return [family.members[at] for at in pickable(family)]
 
 
 def _shown(value: Orbit | Family, members: list[Orbit | Event]) -> dict[str, Any]:
@@ -123,8 +123,8 @@ def _shown(value: Orbit | Family, members: list[Orbit | Event]) -> dict[str, Any
     if family is not None:
         drawn = diagram_of(family)
         places = plane_of(drawn).place(drawn.places).round(1).tolist()
-        for item, (kind, k) in zip(items, pickable(family), strict=True):
-            item["place"] = places[k if kind == "point" else len(family.points) + k]
+        for item, at in zip(items, pickable(family), strict=True):
+            item["place"] = places[at]
         found |= {"title": f"Family {family.name}", "diagram": diagram(drawn)}
     frame = framed([item["motion"] for item in items if item["motion"]])
     if frame and family and any(motion.drawn == "mechanism" for motion in motions if motion):
