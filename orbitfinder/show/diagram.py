@@ -89,19 +89,19 @@ class Diagram:
         points = self.family.points
         stable = [point.stability != "unstable" for point in points]
         cuts = [k for k in range(1, len(points)) if stable[k] != stable[k - 1]]
-        found = [(stable[k], self.points[max(k - 1, 0) : end]) for k, end in pairwise([0, *cuts, len(points)])]
+        stretches = [(stable[k], self.points[max(k - 1, 0) : end]) for k, end in pairwise([0, *cuts, len(points)])]
         for number, k in enumerate(cuts):
             for event, place in zip(self.family.events, self.events, strict=True):
                 between = points[k - 1].arclength <= event.arclength <= points[k].arclength
                 if mark_of(event).verdict and between:
-                    found[number] = (stable[k - 1], np.vstack([found[number][1], place]))
-                    found[number + 1] = (stable[k], np.vstack([place, found[number + 1][1][1:]]))
-        return found
+                    stretches[number] = (stable[k - 1], np.vstack([stretches[number][1], place]))
+                    stretches[number + 1] = (stable[k], np.vstack([place, stretches[number + 1][1][1:]]))
+        return stretches
 
 
 def frequencies(family: Family) -> np.ndarray:
     """1 / period of its points and then of its events."""
-    return np.array([1 / one.period for one in family.members])
+    return np.array([1 / member.period for member in family.members])
 
 
 def diagram_of(family: Family) -> Diagram:
@@ -114,7 +114,7 @@ def diagram_of(family: Family) -> Diagram:
     except OrbitfinderError:
         moved, sizes = "", np.zeros(0)
     by_energy = family.by_energy and not moved
-    levels = np.nan_to_num([one.energy for one in family.members])
+    levels = np.nan_to_num([member.energy for member in family.members])
     along, across = (levels, "energy (J)") if by_energy else (family.places[:, 0], family.parameter)
     up = (sizes, f"amplitude of {moved}") if moved else (frequencies(family), "frequency (1/s)")
     return Diagram(family, (across, up[1]), np.column_stack([along, up[0]]))

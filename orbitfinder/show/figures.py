@@ -41,8 +41,8 @@ def controller_figures(controller: Controller, folder: Path, model: Model) -> li
         axes.legend(loc="best", frameon=False, fontsize=7)
     turn = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 200))
     plane.plot(turn.real, turn.imag, color="0.7", linewidth=0.8)
-    for mark, words, found in (("x", "without", controller.open_loop), ("o", "with", controller.multipliers)):
-        plane.plot(found.real, found.imag, mark, markersize=5, label=f"{words} control", fillstyle="none")
+    for mark, words, multipliers in (("x", "without", controller.open_loop), ("o", "with", controller.multipliers)):
+        plane.plot(multipliers.real, multipliers.imag, mark, markersize=5, label=f"{words} control", fillstyle="none")
     plane.set_aspect("equal", adjustable="datalim")
     dress(plane, "Re", "Im")
     plane.legend(loc="best", frameon=False, fontsize=7)

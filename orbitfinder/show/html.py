@@ -49,7 +49,7 @@ CELL = "text-align:left;padding:1px 10px 1px 0;font-variant-numeric:tabular-nums
 
 def html(value: Any) -> str | None:
     """HTML of one of ours; None for anything else, and for a drawing that fails (the plain text remains)."""
-    maker = next((one for kind, one in MAKERS.items() if isinstance(value, kind)), None)
+    maker = next((make for kind, make in MAKERS.items() if isinstance(value, kind)), None)
     if maker is None:
         return None
     try:
@@ -69,7 +69,7 @@ def model_html(model: Model) -> str:
     names = [axis(model, k, greek) for k in range(len(unit_names(model)))]
     numbered = zip(model.parameter_names, model.parameter_values, strict=True)
     parameters = [f"{name} = {value:.9g}" for name, value in numbered]
-    kept = ", ".join(one.name for one in model.invariants) or "nothing"
+    kept = ", ".join(invariant.name for invariant in model.invariants) or "nothing"
     rows = [
         ("coordinates" if model.rates is None else "states", ", ".join(names[:MOST])),
         ("parameters", ", ".join(parameters[:MOST]) + (", ..." if len(parameters) > MOST else "")),
@@ -97,7 +97,7 @@ def count_html(count: Count) -> str:
     rows = [
         [(what, str(number)) for what, number in side.items() if number] for side in (count.equations, count.unknowns)
     ]
-    beside = [(*one, *other) for one, other in zip_longest(*rows, fillvalue=("", ""))]
+    beside = [(*left, *other) for left, other in zip_longest(*rows, fillvalue=("", ""))]
     said = "as many equations as unknowns" if count.freedom == 0 else f"{count.freedom} more unknowns than equations"
     return f"<div>{heading('Count', said)}{table(beside, ('equations', '', 'unknowns', ''))}</div>"
 
@@ -118,22 +118,22 @@ def sweep_html(sweep: Sweep) -> str:
     """A row for each value."""
     rows = []
     for row in sweep.rows:
-        found = ("", "") if row.orbit is None else (f"{row.orbit.period:.10g}", row.orbit.stability)
+        solved = ("", "") if row.orbit is None else (f"{row.orbit.period:.10g}", row.orbit.stability)
         values = (f"{row.values[name]:.9g}" for name in sweep.parameters)
-        rows.append((*values, *found, "yes" if row.certified else "no", row.reason))
+        rows.append((*values, *solved, "yes" if row.certified else "no", row.reason))
     return _listed("Sweep", "row", rows, (*sweep.parameters, "period (s)", "stability", "certified", "why not"))
 
 
 def optima_html(optima: Optima) -> str:
     """Parameter, cost and period of each controlled orbit."""
-    found = zip(optima.points, optima.values, optima.costs, strict=True)
-    rows = [(f"{value:.9g}", f"{cost:.9g}", f"{one.period:.10g}", one.stability) for one, value, cost in found]
+    told = zip(optima.points, optima.values, optima.costs, strict=True)
+    rows = [(f"{value:.9g}", f"{cost:.9g}", f"{orbit.period:.10g}", orbit.stability) for orbit, value, cost in told]
     return _listed("Optima", "orbit", rows, (optima.parameter, "cost", "period (s)", "stability"), optima.end)
 
 
 def tori_html(tori: Tori) -> str:
     """Rotation, period and energy of each torus."""
-    rows = [(f"{one.rotation:.9g}", f"{one.period:.9g}", f"{one.energy:.9g}") for one in tori.tori]
+    rows = [(f"{torus.rotation:.9g}", f"{torus.period:.9g}", f"{torus.energy:.9g}") for torus in tori.tori]
     return _listed(f"Tori {tori.name}", "torus", rows, ("rotation (turns)", "period (s)", "energy (J)"), tori.end)
 
 
@@ -146,8 +146,10 @@ def _listed(what: str, noun: str, rows: Sequence[Sequence[str]], head: Sequence[
 
 def table(rows: Iterable[Sequence[str]], head: Sequence[str] = ()) -> str:
     """A table of texts, escaped."""
-    top = "".join(f'<th style="{CELL}">{escape(one)}</th>' for one in head)
-    body = "".join("<tr>" + "".join(f'<td style="{CELL}">{escape(one)}</td>' for one in row) + "</tr>" for row in rows)
+    top = "".join(f'<th style="{CELL}">{escape(name)}</th>' for name in head)
+    body = "".join(
+        "<tr>" + "".join(f'<td style="{CELL}">{escape(text)}</td>' for text in row) + "</tr>" for row in rows
+    )
     return f"<table>{f'<tr>{top}</tr>' if top else ''}{body}</table>"
 
 
@@ -239,7 +241,7 @@ def _smooth(seen: Course) -> np.ndarray:
 
 def range_of(portraits: Sequence[Portrait]) -> tuple[np.ndarray, np.ndarray]:
     """The axes that several portraits share."""
-    return ranged(np.vstack([one.places for one in portraits]))
+    return ranged(np.vstack([portrait.places for portrait in portraits]))
 
 
 def _period(orbit: Orbit, model: Model) -> tuple[np.ndarray, np.ndarray]:
@@ -254,10 +256,10 @@ def _period(orbit: Orbit, model: Model) -> tuple[np.ndarray, np.ndarray]:
 def certificate_html(certificate: Certificate) -> str:
     """Every check with its number, what is allowed and its note."""
     rows = []
-    for one in certificate.checks:
-        sense, yes = one.sense, "yes" if one.passed else "no"
-        numbers = (f"{one.value:.2e}", f"{sense} {one.tolerance:.2e}") if sense else (yes, "yes")
-        rows.append((one.name, *numbers, "passed" if one.passed else "FAILED", one.note))
+    for check in certificate.checks:
+        sense, yes = check.sense, "yes" if check.passed else "no"
+        numbers = (f"{check.value:.2e}", f"{sense} {check.tolerance:.2e}") if sense else (yes, "yes")
+        rows.append((check.name, *numbers, "passed" if check.passed else "FAILED", check.note))
     scale = f"closure tolerances scaled by {certificate.scale:.3g}"
     checks = table(rows, ("check", "value", "asked", "result", "note"))
     return f"<div>{heading(f'Certificate: {verdict_of(certificate)}', scale)}{checks}</div>"

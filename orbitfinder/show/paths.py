@@ -49,13 +49,13 @@ def path_views(orbit: Orbit, model: Model) -> Figure:
 
 def family_paths(family: Family, shown: Sequence[Motion], model: Model) -> Figure:
     """Orbits along a family from every side, coloured by the family's parameter, and the landmarks near them."""
-    figure, views = _views([one.states for one in shown], model, f"{family.name}: orbits along the family")
-    values = [one.point.value for one in shown]
+    figure, views = _views([motion.states for motion in shown], model, f"{family.name}: orbits along the family")
+    values = [motion.point.value for motion in shown]
     scale = ScalarMappable(Normalize(min(values), max(values)), colormaps["viridis"])
     for axes, (i, j) in views:
-        for one in shown:
-            colour = scale.to_rgba(one.point.value)
-            axes.plot(one.states[:, i], one.states[:, j], color=colour, linewidth=1.1)
+        for motion in shown:
+            colour = scale.to_rgba(motion.point.value)
+            axes.plot(motion.states[:, i], motion.states[:, j], color=colour, linewidth=1.1)
     unit = "" if model.landmarks or not family.unit else f" ({family.unit})"
     figure.colorbar(scale, ax=[axes for axes, _ in views], label=f"{family.parameter}{unit}", shrink=0.85)
     legend(figure, views[0][0], "lower right")

@@ -252,12 +252,12 @@ def swept_configuration(orbit: Orbit, model: Model) -> Figure:
 
 def _tips(course: Course, rounds: int) -> np.ndarray:
     """Positions (k x 2 x m) at the samples of some periods, broken by nan at events."""
-    found = []
+    rows = []
     for k in range(rounds):
-        for one in course.pieces:
-            found.append(positions(one.model, one.states) + (one.origin + k * course.stride)[:, None])
-            found.append(np.full((1, *found[-1].shape[1:]), np.nan))
-    return np.concatenate(found)
+        for piece in course.pieces:
+            rows.append(positions(piece.model, piece.states) + (piece.origin + k * course.stride)[:, None])
+            rows.append(np.full((1, *rows[-1].shape[1:]), np.nan))
+    return np.concatenate(rows)
 
 
 def draw_ground(axes: Any, course: Course) -> None:
@@ -323,10 +323,16 @@ def save_family_figures(family: Family, folder: str | Path, model: Model) -> lis
 
 def save_frequency_energy(families: Sequence[Family | Orbit], path: Path, level: float | None = None) -> Path:
     """Write one picture of families (see `frequency_energy`). Raises `InputError` for what is no family."""
-    for one in families:
-        if not isinstance(one, Family) or len(one.parameters) > 1 or not np.isfinite(one.values("energy")).all():
-            raise InputError(f"{one.name}: --together and --level take families of orbits with an energy; leave it out")
-    return save_png(frequency_energy([one for one in families if isinstance(one, Family)], level=level), path)
+    for family in families:
+        if (
+            not isinstance(family, Family)
+            or len(family.parameters) > 1
+            or not np.isfinite(family.values("energy")).all()
+        ):
+            raise InputError(
+                f"{family.name}: --together and --level take families of orbits with an energy; leave it out"
+            )
+    return save_png(frequency_energy([family for family in families if isinstance(family, Family)], level=level), path)
 
 
 def gallery(family: Family, shown: Sequence[Motion]) -> Figure:
@@ -337,10 +343,10 @@ def gallery(family: Family, shown: Sequence[Motion]) -> Figure:
     grid = np.atleast_1d(figure.subplots(rows, columns)).ravel()
     for axes, motion in zip(grid, shown, strict=False):
         _draw(axes, motion)
-        one = motion.point
-        where = f"{family.parameter} {one.value:.5g}" if family.parameter in one.free else f"{one.energy:.5g} J"
+        point = motion.point
+        where = f"{family.parameter} {point.value:.5g}" if family.parameter in point.free else f"{point.energy:.5g} J"
         where = where.replace("-", "\N{MINUS SIGN}")
-        axes.set_title(f"{where}, {one.period:.4g} s\n{one.stability}", fontsize=8)
+        axes.set_title(f"{where}, {point.period:.4g} s\n{point.stability}", fontsize=8)
         axes.set_aspect("equal", adjustable="datalim")
         axes.margins(0.06)
         axes.tick_params(labelsize=7)
@@ -386,7 +392,7 @@ def frequency_energy(
     called = axis_name(families[0]) if freed else distance, "frequency (1/s)"
     drawn = []
     for each in families:
-        levels = [away(one.energy) for one in each.members]
+        levels = [away(member.energy) for member in each.members]
         drawn.append(
             Diagram(each, called, np.column_stack([each.places[:, 0] if freed else levels, frequencies(each)]))
         )
@@ -410,19 +416,21 @@ def two_parameters(families: Sequence[Family], title: str | None = None) -> Figu
     Curves of the same two parameters are drawn together. Raises `InputError` for families in one parameter.
     """
     names = families[0].parameters
-    for one in families:
-        if len(one.parameters) < 2 or set(one.parameters) != set(names):
+    for family in families:
+        if len(family.parameters) < 2 or set(family.parameters) != set(names):
             raise InputError(
-                f"{one.name}: varies {', '.join(one.parameters)}; give curves in {' and '.join(names)} alone"
+                f"{family.name}: varies {', '.join(family.parameters)}; give curves in {' and '.join(names)} alone"
             )
-    figure = new_figure(8.0, 5.6, title or f"{', '.join(one.name for one in families)}: bifurcations in two parameters")
+    figure = new_figure(
+        8.0, 5.6, title or f"{', '.join(family.name for family in families)}: bifurcations in two parameters"
+    )
     axes, shown = figure.subplots(), dict[str, Any]()
-    for k, one in enumerate(families):
-        drawn = Diagram(one, names[:2], one.places if one.parameters == names else one.places[:, ::-1])  # type: ignore[arg-type]
-        test = one.curve["test"]
+    for k, curve in enumerate(families):
+        drawn = Diagram(curve, names[:2], curve.places if curve.parameters == names else curve.places[:, ::-1])  # type: ignore[arg-type]
+        test = curve.curve["test"]
         line = axes.plot(*drawn.points.T, color=COLOURS[k % len(COLOURS)], linewidth=1.8)[0]
         shown.setdefault(f"{test['kind']} {test['detail']}".replace("_", " ").strip(), line)
-        for event, place in zip(one.events, drawn.events, strict=True):
+        for event, place in zip(curve.events, drawn.events, strict=True):
             style = {"marker": mark_of(event).marker, "markersize": 7.0, "linestyle": "none", "color": "black"}
             shown.setdefault(event.kind.replace("_", " "), axes.plot(*place, **style)[0])
             axes.annotate(event.words, place, fontsize=9, xytext=(7, 7), textcoords="offset points", parse_math=False)
@@ -445,10 +453,14 @@ def response(families: Sequence[Family], model: Model, coordinate: str | None = 
     most = int(np.max([size.max(axis=0) for size in sizes], axis=0).argmax())
     which = most if coordinate is None else names.index(coordinate)
     first = families[0]
-    figure = new_figure(8.0, 5.6, f"{', '.join(one.name for one in families)}: response to {first.parameter}")
+    figure = new_figure(8.0, 5.6, f"{', '.join(family.name for family in families)}: response to {first.parameter}")
     axes, called = figure.subplots(), (axis_name(first), f"amplitude of {axis(model, which)}")
     paired = zip(families, sizes, strict=True)
-    _curves(figure, axes, [Diagram(one, called, np.column_stack([one.places, size[:, which]])) for one, size in paired])
+    _curves(
+        figure,
+        axes,
+        [Diagram(family, called, np.column_stack([family.places, size[:, which]])) for family, size in paired],
+    )
     dress(axes, *called)
     return figure
 
@@ -475,7 +487,7 @@ def _curves(figure: Figure, axes: Any, diagrams: Sequence[Diagram]) -> None:
             shown.setdefault(event.kind.replace("_", " "), axes.plot(*place, **style)[0])
     if many:
         names = [Line2D([], [], color=COLOURS[k % len(COLOURS)], linewidth=2.4) for k in range(len(diagrams))]
-        legend(figure, dict(zip((one.family.name for one in diagrams), names, strict=True)), "right upper")
+        legend(figure, dict(zip((each.family.name for each in diagrams), names, strict=True)), "right upper")
     legend(figure, shown, "lower center", ncols=4)
 
 

@@ -78,7 +78,7 @@ def place_labels(
     figure.draw_without_rendering()
     lines = [axes.transData.transform(np.asarray(line.get_xydata(), float)) for line in axes.lines]
     taken = np.concatenate([_dense(line[np.isfinite(line).all(axis=1)]) for line in lines] or [np.zeros((0, 2))])
-    frame, boxes = axes.get_window_extent(), [one.get_window_extent() for one in axes.texts if one.get_text()]
+    frame, boxes = axes.get_window_extent(), [name.get_window_extent() for name in axes.texts if name.get_text()]
     for name, x, y in labels:
         text = axes.annotate(name, (x, y), textcoords="offset points", xytext=(0, 0), **style)
         box = text.get_window_extent()

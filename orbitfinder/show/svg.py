@@ -97,8 +97,8 @@ def label(name: str) -> str:
 
 def greek(name: str) -> str:
     """The same in plain text."""
-    found = re.fullmatch(r"theta(\d*)", name)
-    return "\N{GREEK SMALL LETTER THETA}" + found.group(1).translate(LOWERED) if found else name
+    numbered = re.fullmatch(r"theta(\d*)", name)
+    return "\N{GREEK SMALL LETTER THETA}" + numbered.group(1).translate(LOWERED) if numbered else name
 
 
 LOWERED = {ord("0") + k: 0x2080 + k for k in range(10)}
@@ -117,12 +117,14 @@ def ticks(low: float, high: float, most: int) -> list[tuple[float, str]]:
     """Round numbers from low to high, at most `most` and where possible two, and how they are written."""
     span = nonzero(high - low)
     for power in (np.floor(np.log10(span)) + k for k in (-1, 0, 1)):
-        for step in (one * 10.0**power for one in (1, 2, 5)):
+        for step in (factor * 10.0**power for factor in (1, 2, 5)):
             first, last = np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9)
             if last - first + 1 <= most:
                 some = np.arange(first, last + 1) * step
-                said = [_rounded(float(one), step) for one in some]
-                return [(float(one), text.replace("-", "\N{MINUS SIGN}")) for one, text in zip(some, said, strict=True)]
+                said = [_rounded(float(value), step) for value in some]
+                return [
+                    (float(value), text.replace("-", "\N{MINUS SIGN}")) for value, text in zip(some, said, strict=True)
+                ]
     return [(float(low), f"{low:.4g}")]
 
 
@@ -216,8 +218,8 @@ LOOKS = {
 
 def _stroke(kind: str, frames: Sequence[np.ndarray], duration: float) -> str:
     """A line (j x 2 pixels a frame) that moves, or stands still where its frames are one."""
-    still = max(float(np.abs(one - frames[0]).max()) for one in frames) < 0.05
-    moves = "" if still else motion("points", [path(one) for one in frames], duration)
+    still = max(float(np.abs(frame - frames[0]).max()) for frame in frames) < 0.05
+    moves = "" if still else motion("points", [path(frame) for frame in frames], duration)
     return f'<polyline points="{path(frames[0])}" {LOOKS[kind]}>{moves}</polyline>'
 
 
@@ -238,7 +240,7 @@ def moving_portrait(
     beside = [j % len(places) for k in cuts for j in (k - 1, k)]
     kept = np.unique([*np.linspace(0, len(places) - 1, 240).round().astype(int), *beside])
     whole = np.split(kept, np.searchsorted(kept, cuts))
-    drawn = [(drawn_at[one], "") for one in whole if one.size]
+    drawn = [(drawn_at[part], "") for part in whole if part.size]
     drawn += [(drawn_at[[k - 1, k % len(places)]], ' stroke-opacity=".6" stroke-dasharray="3 3"') for k in cuts]
     lines = "".join(
         f'<polyline points="{path(line)}" fill="none" stroke="{BODY}" stroke-width="1.5"{dashed}/>'
@@ -250,7 +252,7 @@ def moving_portrait(
 
 def curves(lines: Sequence[tuple[str, np.ndarray]], across: str, up: str) -> str:
     """Named curves (k x 2 each) in colours of their own, each with its name at the right."""
-    axes = Axes(*ranged(np.vstack([one for _, one in lines])), (across, up), WIDTH, HEIGHT)
+    axes = Axes(*ranged(np.vstack([line for _, line in lines])), (across, up), WIDTH, HEIGHT)
     drawn, colours = [axes.frame], (*COLOURS[:6], "currentColor")
     for k, (name, points) in enumerate(lines):
         colour = colours[k % len(colours)]

@@ -54,12 +54,12 @@ def family_figure(tori: Tori, model: Model) -> Figure:
     figure = new_figure(8.0, 4.2, tori.name, f"{len(tori.tori)} tori; {tori.end.split(':')[0]}")
     curves, widths = figure.subplots(1, 2)
     across, up = model.planes[0]
-    for k, one in enumerate(tori.tori):
-        ring = at_angles(one.curve, ANGLES)
+    for k, torus in enumerate(tori.tori):
+        ring = at_angles(torus.curve, ANGLES)
         shade = 1.0 - 0.8 * (len(tori.tori) - 1 - k) / len(tori.tori)
         curves.plot(ring[:, across], ring[:, up], color=COLOURS[0], linewidth=0.8, alpha=shade)
     dress(curves, axis(model, across), axis(model, up))
-    widths.plot([torus_value(one, tori.parameter) for one in tori.tori], [one.strip for one in tori.tori], ".-",
+    widths.plot([torus_value(torus, tori.parameter) for torus in tori.tori], [torus.strip for torus in tori.tori], ".-",
                 color=COLOURS[0])  # fmt: skip
     widths.set_ylim(bottom=0.0)
     dress(widths, WORDS.get(tori.parameter, tori.parameter), "half-width of the strip of convergence")

@@ -122,7 +122,7 @@ class Site:
         self.settings = settings
         self.files: dict[str, bytes] = {}
         self.pages: list[HtmlFile] = []
-        for asset in sorted(files(__package__).joinpath(ASSETS).iterdir(), key=lambda one: one.name):
+        for asset in sorted(files(__package__).joinpath(ASSETS).iterdir(), key=lambda path: path.name):
             if asset.is_file():
                 self.files[f"assets/{asset.name}"] = asset.read_bytes()
 
@@ -154,48 +154,50 @@ class Site:
 
 
 def build_site(
-    found: Gathered, settings: SiteSettings | None = None, say: Progress | None = None
+    gathered: Gathered, settings: SiteSettings | None = None, say: Progress | None = None
 ) -> tuple[Site, SiteSummary]:
     """All pages of everything gathered, in memory."""
     settings, tell = settings or SiteSettings(), say or (lambda _: None)
-    site, simulator, slug = Site(settings), Simulator(found.model), slug_maker()
+    site, simulator, slug = Site(settings), Simulator(gathered.model), slug_maker()
     entries = []
-    for file in found.orbits:
+    for file in gathered.orbits:
         motion = simulator.orbit(file.document, file.dense)
         entries.append(SiteOrbit(file, motion, slug(file.document["name"])))
-        tell(f"orbit {len(entries)} of {len(found.orbits)} drawn")
+        tell(f"orbit {len(entries)} of {len(gathered.orbits)} drawn")
     links: list[Card] = []
     motions: dict[str, Any] = {}
     families = slug_maker()
-    named = [(family, families(family.name)) for family in found.families]
+    named = [(family, families(family.name)) for family in gathered.families]
     for k, (family, own) in enumerate(named, 1):
         tell(f"family {k} of {len(named)}, {family.name}: {plural(len(family.points), 'point')}")
         links.append(_add_family(site, family, own, simulator, motions, named))
     atlases = slug_maker()
-    for k, atlas in enumerate(found.atlases, 1):
-        tell(f"atlas {k} of {len(found.atlases)}, {atlas.name}: {atlas.counted('orbit')}")
+    for k, atlas in enumerate(gathered.atlases, 1):
+        tell(f"atlas {k} of {len(gathered.atlases)}, {atlas.name}: {atlas.counted('orbit')}")
         link, shown = _add_atlas(site, atlas, simulator, (atlases(atlas.name), slug), motions)
-        links.insert(found.atlases.index(atlas), link)
+        links.insert(gathered.atlases.index(atlas), link)
         entries += shown
     sections = slug_maker()
-    for k, section in enumerate(found.sections, 1):
-        tell(f"section {k} of {len(found.sections)}, {section.name}")
-        links.append(_add_section(site, section, sections(section.name), found, motions))
-    judge = partial(judged, model_of=found.model) if settings.verify else partial(recorded, why=NOT_ASKED)
+    for k, section in enumerate(gathered.sections, 1):
+        tell(f"section {k} of {len(gathered.sections)}, {section.name}")
+        links.append(_add_section(site, section, sections(section.name), gathered, motions))
+    judge = partial(judged, model_of=gathered.model) if settings.verify else partial(recorded, why=NOT_ASKED)
     entries = _judged([_complete(entry, simulator, links) for entry in entries], judge, tell)
     for k, entry in enumerate(entries):
         _add_orbit(site, entry, entries[k - 1 : k] + entries[k + 1 : k + 2], k > 0)
     _add_gallery(site, entries, links, motions)
-    return site, SiteSummary(len(entries), len(found.families), len(found.atlases), len(found.sections), site.finish())
+    return site, SiteSummary(
+        len(entries), len(gathered.families), len(gathered.atlases), len(gathered.sections), site.finish()
+    )
 
 
 def _judged(entries: Sequence[SiteOrbit], judge: Callable[..., Verdict], tell: Progress) -> list[SiteOrbit]:
     """The entries with their verdicts, those of equal records found once."""
-    found, known = list[SiteOrbit](), Kept[Verdict](max(1, len(entries)))
+    verdicts, known = list[SiteOrbit](), Kept[Verdict](max(1, len(entries)))
     for entry in entries:
-        found.append(replace(entry, verdict=known(entry.file.text, partial(judge, entry.file.orbit))))
-        tell(f"orbit {len(found)} of {len(entries)} judged")
-    return found
+        verdicts.append(replace(entry, verdict=known(entry.file.text, partial(judge, entry.file.orbit))))
+        tell(f"orbit {len(verdicts)} of {len(entries)} judged")
+    return verdicts
 
 
 def same(system: Mapping[str, Any]) -> str:
@@ -207,7 +209,7 @@ def _complete(entry: SiteOrbit, simulator: Simulator, links: Sequence[Card]) -> 
     """The entry with its energies, its neighbour, and the families and atlases that it belongs to."""
     document, motion, near = entry.document, entry.motion, list[tuple[str, str]]()
     here = (level(document["energy"]), float(document["period"]), float(document["action"]))
-    for link in (one for one in links if one.system == same(document["system"])):
+    for link in (other for other in links if other.system == same(document["system"])):
         point = _closest(here, link)
         close = " (the curve comes within 0.3 % of this orbit in energy, period and action)" if point else ""
         near.append((f"../{link.href}{point}", f"{link.kind} {link.title}{close}"))
@@ -223,7 +225,7 @@ def _complete(entry: SiteOrbit, simulator: Simulator, links: Sequence[Card]) -> 
 
 def _closest(here: tuple[float, float, float], link: Card) -> str:
     """The address of the point of a family whose curve passes an orbit, "" where it stays away."""
-    curve = np.array([one[1:] for one in link.curve])
+    curve = np.array([point[1:] for point in link.curve])
     if len(curve) < 2:
         return ""
     unit = nonzero(np.ptp(curve, axis=0))
@@ -277,9 +279,9 @@ def _add_family(
     return Card("Family", path, family.name, words, note, cover, same(family.system), curve)
 
 
-def _add_section(site: Site, section: Section, slug: str, found: Gathered, motions: dict[str, Any]) -> Card:
+def _add_section(site: Site, section: Section, slug: str, gathered: Gathered, motions: dict[str, Any]) -> Card:
     """The page of a Poincare section; returns its link."""
-    data, path, words = section_data(section, found), f"sections/{slug}.html", mechanism(section.system)
+    data, path, words = section_data(section, gathered), f"sections/{slug}.html", mechanism(section.system)
     values = section_values(section, data) | {"title": f"Section {section.name}"}
     site.add("section", path, values, ("section", data), f"A Poincare section of the {words}: {section.plane}.")
     return Card("Section", path, section.name, words, section.plane, _cover(f"section/{slug}", data, motions))
@@ -299,19 +301,19 @@ def _add_atlas(
     """The page of an atlas; returns its link and the orbits that get a card and a page of their own."""
     entries: list[SiteOrbit] = []
     path = f"atlases/{slugs[0]}.html"
-    titles = [str(one.document.get("title") or "") for _, one in atlas.orbits]
+    titles = [str(file.document.get("title") or "") for _, file in atlas.orbits]
     named = all(titles) and len(set(titles)) == len(titles)
-    for place, one in atlas.orbits:
+    for place, file in atlas.orbits:
         label = "" if named else f"{atlas.name}, orbit {place}"
-        slug = slugs[1](str(one.document["name"]) if named else f"{atlas.name}-{place}")
+        slug = slugs[1](str(file.document["name"]) if named else f"{atlas.name}-{place}")
         command = f"orbitfinder verify {atlas.file}#{place}"
         if not atlas.file.endswith(".json"):
             command = f"orbitfinder atlas show {atlas.file} {place}"
-        known = simulator.conserves(one.document["system"])
-        motion = simulator.orbit(one.document)
+        known = simulator.conserves(file.document["system"])
+        motion = simulator.orbit(file.document)
         entries.append(
             SiteOrbit(
-                one,
+                file,
                 motion,
                 slug,
                 atlas.name,
@@ -323,13 +325,13 @@ def _add_atlas(
             )
         )
     own = [entries[k] for k in evenly(len(entries), site.settings.atlas_pages)]
-    systems = {same(one.document["system"]) for one in entries}
+    systems = {same(entry.document["system"]) for entry in entries}
     model = simulator.known(entries[0].document["system"]) if len(systems) == 1 else None
-    data = atlas_data(atlas.name, entries, {one.slug for one in own}, model)
+    data = atlas_data(atlas.name, entries, {entry.slug for entry in own}, model)
     about = f"An atlas of {atlas.counted('periodic orbit')}, energy against period."
     values = atlas_values(entries, atlas) | {"title": f"Atlas {atlas.name}", "landscape": data["landscape"]}
     site.add("atlas", path, values, ("explorer", data), about)
-    words, note = ", ".join(sorted({one.mechanism for one in entries})), atlas.counted("distinct orbit")
+    words, note = ", ".join(sorted({entry.mechanism for entry in entries})), atlas.counted("distinct orbit")
     cover = _cover(f"atlas/{slugs[0]}", data, motions)
     return Card("Atlas", path, atlas.name, words, note, cover, systems.pop() if len(systems) == 1 else ""), own
 
@@ -347,5 +349,5 @@ def _counted(entries: Sequence[SiteOrbit]) -> str:
     """How many were certified, rejected and not checked when the page was made."""
     verdicts = [entry.verdict.certified for entry in entries]
     named = {True: "certified when this page was made", False: "rejected", None: "not checked here"}
-    counts = [(verdicts.count(one), words) for one, words in named.items()]
+    counts = [(verdicts.count(verdict), words) for verdict, words in named.items()]
     return ", ".join(f"{count} {words}" for count, words in counts if count)

@@ -111,22 +111,25 @@ class Simulator:
         if key not in self._known:
             try:
                 built = self._model_of(system)
-                self._known[key] = (built, vector_field(built, [one for one in free if one in built.parameter_names]))
+                self._known[key] = (
+                    built,
+                    vector_field(built, [name for name in free if name in built.parameter_names]),
+                )
             except OrbitfinderError:
                 self._known[key] = None
         return self._known[key]
 
     def known(self, system: Mapping[str, Any]) -> Model | None:
         """The Model of a description, None where no file describes it."""
-        found = self.model(system)
-        return found and found[0]
+        known = self.model(system)
+        return known and known[0]
 
     def orbit(self, document: Mapping[str, Any], dense: tuple[np.ndarray, np.ndarray] | None = None) -> Filmed | None:
         """The motion of an orbit document from its nodes, or from dense samples where its system is unknown."""
-        found, period = self.model(document["system"]), float(document["period"])
-        if found is None:
+        known, period = self.model(document["system"]), float(document["period"])
+        if known is None:
             return None if dense is None else _motion(_without_model(dense[1]), *dense, returns=True)
-        model, field = found
+        model, field = known
         if model.hybrid is not None:
             return _jumping(model, np.asarray(document["state"], float), period, dense)
         nodes = np.asarray(document.get("nodes") or [document["state"]], float)
@@ -147,10 +150,10 @@ class Simulator:
 
         It starts where small differences grow most: a difference is sent round twice and made small again.
         """
-        found, period = self.model(document["system"]), motion.period
-        if found is None or motion.course.jumps or not motion.loops or found[0].forced:
+        known, period = self.model(document["system"]), motion.period
+        if known is None or motion.course.jumps or not motion.loops or known[0].forced:
             return None
-        model, field = found
+        model, field = known
         state, sizes = motion.states[0], np.ptp(motion.states, axis=0)
         scales = np.maximum(sizes, 1e-3 * sizes.max())
         away = scales * np.cos(1.0 + np.arange(state.size))
@@ -167,27 +170,27 @@ class Simulator:
 
     def conserves(self, system: Mapping[str, Any]) -> bool:
         """Whether an energy is conserved, True where nothing is known of the system."""
-        found = self.model(system)
-        return found is None or found[0].conservative
+        known = self.model(system)
+        return known is None or known[0].conservative
 
-    def member(self, system: Mapping[str, Any], one: FamilyPoint | Event) -> Filmed | None:
+    def member(self, system: Mapping[str, Any], member: FamilyPoint | Event) -> Filmed | None:
         """The motion of a point or event of a family from its nodes (or its state), completed by its symmetry.
 
         `system` is the family's: its equations are built once, with what varies along it as their argument.
         """
-        found, period = self.model(system, tuple(one.free)), one.period
-        if found is None or len(one.state) != len(found[0].state_names):
+        known, period = self.model(system, tuple(member.free)), member.period
+        if known is None or len(member.state) != len(known[0].state_names):
             return None
-        model, field = found
-        free = {name: float(value) for name, value in one.free.items() if name in model.parameter_names}
+        model, field = known
+        free = {name: float(value) for name, value in member.free.items() if name in model.parameter_names}
         if model.hybrid is not None:
-            return _jumping(with_parameters(model, free), one.state, period, None)
-        symmetry = symmetries_of(model).get(one.symmetry)
+            return _jumping(with_parameters(model, free), member.state, period, None)
+        symmetry = symmetries_of(model).get(member.symmetry)
         if symmetry is None:
             return None
-        nodes, edges = one.state[None], np.array([0.0, symmetry.fraction])
-        if one.shooting_nodes.size:
-            nodes, edges = one.shooting_nodes, one.mesh[:: (one.mesh.size - 1) // len(one.shooting_nodes)]
+        nodes, edges = member.state[None], np.array([0.0, symmetry.fraction])
+        if member.shooting_nodes.size:
+            nodes, edges = member.shooting_nodes, member.mesh[:: (member.mesh.size - 1) // len(member.shooting_nodes)]
         path = _pieces(field, nodes, edges * period, np.array([*free.values()]))
         angles = np.array(model.angles or (True,) * model.degrees_of_freedom)
         if path is None or not symmetry.closes(path[1], angles) <= GAP:
@@ -315,9 +318,9 @@ class Skeleton:
         angles, turns = np.zeros((len(points), self.many)), np.zeros(3 * self.many)
         for point, parent, length in self.rods:
             down, right = (points[:, :, point] - points[:, :, parent]).T
-            found = np.unwrap(np.arctan2(right, down)) if length else np.zeros(len(points))
-            angles[:, point] = found
-            turns[2 * self.many + point] = 2 * np.pi * np.rint((found[-1] - found[0] + _turn(found)) / (2 * np.pi))
+            turned = np.unwrap(np.arctan2(right, down)) if length else np.zeros(len(points))
+            angles[:, point] = turned
+            turns[2 * self.many + point] = 2 * np.pi * np.rint((turned[-1] - turned[0] + _turn(turned)) / (2 * np.pi))
         return np.hstack([points.reshape(len(points), -1), angles]), turns
 
     def places(self, values: np.ndarray) -> np.ndarray:
@@ -347,9 +350,9 @@ def skeleton(points: np.ndarray, strokes: Strokes) -> Skeleton:
             continue
         apart = np.linalg.norm(points[:, :, :k] - points[:, :, k : k + 1], axis=1)
         same = np.flatnonzero(apart.max(axis=0) <= RIGID * size).tolist()
-        found = [*same, *(j for j in near[k] if np.ptp(apart[:, j]) <= RIGID * size)]
-        if found:
-            rods.append((k, int(found[0]), 0.0 if same else float(apart[:, found[0]].mean())))
+        parents = [*same, *(j for j in near[k] if np.ptp(apart[:, j]) <= RIGID * size)]
+        if parents:
+            rods.append((k, int(parents[0]), 0.0 if same else float(apart[:, parents[0]].mean())))
     return Skeleton(many, tuple(rods))
 
 
@@ -362,7 +365,7 @@ def _fewest(seen: Any, strokes: Strokes = (), drifts: bool = False) -> tuple[np.
     bones = skeleton(first, strokes)
     wanted = 0.9 * FIRST * (_between(first, bones, drifts)[1] / INTERPOLATION) ** 0.25  # the error is of fourth order
     least = COUNTS[0] if not drifts else FIRST
-    for count in (*(one for one in COUNTS[:-1] if one >= max(wanted, least)), COUNTS[-1]):
+    for count in (*(most for most in COUNTS[:-1] if most >= max(wanted, least)), COUNTS[-1]):
         coarse, error = _between(seen(2 * count), bones, drifts)
         if error <= INTERPOLATION:
             break
@@ -389,7 +392,7 @@ def framed(shown: Sequence[Mapping[str, Any]]) -> dict[str, list[float]] | None:
     """Centre and spans (down, right, m) of what several packed motions cover together."""
     if not shown:
         return None
-    centres, spans = (np.array([one[name] for one in shown]) for name in ("centre", "spans"))
+    centres, spans = (np.array([motion[name] for motion in shown]) for name in ("centre", "spans"))
     low, high = (centres - spans / 2).min(axis=0), (centres + spans / 2).max(axis=0)
     return {"centre": ((low + high) / 2).tolist(), "spans": (high - low).tolist()}
 

@@ -121,7 +121,7 @@ def orbit_values(entry: SiteOrbit) -> dict[str, Any]:
         + (f"orbitfinder continue {name}.json\n" if problem and entry.conserved else "")
         + (f"orbitfinder studio {name}.json\n" if problem else "")
         + (f"{entry.command}\n" if entry.command else ""),
-        "checks": [_check(one) for one in entry.verdict.checks],
+        "checks": [_check(check) for check in entry.verdict.checks],
     }
 
 
@@ -250,29 +250,29 @@ def spread(points: Sequence[FamilyPoint], most: int) -> list[int]:
     """At most `most` points, equally far apart along the curve of energy, frequency and arclength, ends among them."""
     if len(points) <= most:
         return list(range(len(points)))
-    table = np.array([[one.energy, 1.0 / one.period, one.arclength] for one in points])
+    table = np.array([[point.energy, 1.0 / point.period, point.arclength] for point in points])
     steps = np.linalg.norm(np.diff(table / nonzero(np.ptp(table, axis=0)), axis=0), axis=1)
     length = np.concatenate([[0.0], np.cumsum(steps)])
     wanted = np.linspace(0.0, length[-1], most)
-    return sorted({int(np.abs(length - one).argmin()) for one in wanted} | {0, len(points) - 1})
+    return sorted({int(np.abs(length - place).argmin()) for place in wanted} | {0, len(points) - 1})
 
 
-def _item(one: FamilyPoint | Event, family: Family, simulator: Simulator) -> dict[str, Any]:
+def _item(member: FamilyPoint | Event, family: Family, simulator: Simulator) -> dict[str, Any]:
     """A point or an event; what an event does not carry is that of the point before it."""
-    motion, event = simulator.member(family.system, one), one if isinstance(one, Event) else None
-    at, point = (one, True) if isinstance(one, FamilyPoint) else (before(family, one), False)
+    motion, event = simulator.member(family.system, member), member if isinstance(member, Event) else None
+    at, point = (member, True) if isinstance(member, FamilyPoint) else (before(family, member), False)
     words = "" if event is None else event.words
     return {
-        "energy": level(one.energy),
-        "period": one.period,
+        "energy": level(member.energy),
+        "period": member.period,
         "value": at.value if event is None else event.parameter,
-        "arclength": one.arclength,
+        "arclength": member.arclength,
         "action": at.action if point else None,
         "closure": at.closure if point else None,
         "defect": at.defect if point else None,
         "krein": list(at.krein),
         "stability": at.stability,
-        "symmetry": symmetry_words(one.symmetry),
+        "symmetry": symmetry_words(member.symmetry),
         "multipliers": [[float(f"{x:.8g}") for x in (mu.real, mu.imag)] for mu in at.floquet_multipliers.tolist()],
         "event": event.detail if event is not None and mark_of(event).verdict and event.detail else words,
         "kind": "" if event is None else event.kind,
@@ -402,9 +402,9 @@ def atlas_data(name: str, entries: Sequence[SiteOrbit], linked: set[str], model:
 
 def atlas_values(entries: Sequence[SiteOrbit], atlas: AtlasFile) -> dict[str, Any]:
     """What the template of an atlas page is filled with."""
-    energies, periods = ([level(one.document[key]) for one in entries] for key in ("energy", "period"))
-    kinds = sorted({one.mechanism for one in entries})
-    unstable = sum(one.document["stability"] == "unstable" for one in entries)
+    energies, periods = ([level(entry.document[key]) for entry in entries] for key in ("energy", "period"))
+    kinds = sorted({entry.mechanism for entry in entries})
+    unstable = sum(entry.document["stability"] == "unstable" for entry in entries)
     part = "" if atlas.total == len(entries) else f" Shown: {len(entries)}, evenly chosen in order of energy."
     summary = f"{atlas.counted('distinct orbit')} ({', '.join(kinds) or 'none yet'}).{part} {unstable} unstable."
     if entries:
@@ -419,7 +419,7 @@ def atlas_values(entries: Sequence[SiteOrbit], atlas: AtlasFile) -> dict[str, An
 def choices(entries: Sequence[SiteOrbit]) -> dict[str, Any]:
     """The distinct values that a page's filters offer."""
     return {
-        "mechanisms": sorted({one.mechanism for one in entries}),
-        "stabilities": sorted({one.document["stability"] for one in entries}),
-        "symmetries": sorted({one.document["symmetry"] for one in entries}),
+        "mechanisms": sorted({entry.mechanism for entry in entries}),
+        "stabilities": sorted({entry.document["stability"] for entry in entries}),
+        "symmetries": sorted({entry.document["symmetry"] for entry in entries}),
     }

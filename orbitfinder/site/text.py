@@ -43,12 +43,12 @@ def slug_maker() -> Callable[[str], str]:
 
     def make(name: str) -> str:
         base = re.sub(r"[^a-z0-9_-]+", "-", name.lower()).strip("-")[:60] or "unnamed"
-        found, count = base, 1
-        while found in taken:
+        slug, count = base, 1
+        while slug in taken:
             count += 1
-            found = f"{base}-{count}"
-        taken.add(found)
-        return found
+            slug = f"{base}-{count}"
+        taken.add(slug)
+        return slug
 
     return make
 
@@ -65,7 +65,9 @@ def mechanism(system: Mapping[str, Any]) -> str:
 
 def plain_words(text: str) -> str:
     """A text for searching: lower case, without accents."""
-    return "".join(one for one in unicodedata.normalize("NFKD", text.lower()) if not unicodedata.combining(one))
+    return "".join(
+        letter for letter in unicodedata.normalize("NFKD", text.lower()) if not unicodedata.combining(letter)
+    )
 
 
 def article(words: str) -> str:
@@ -75,9 +77,9 @@ def article(words: str) -> str:
 
 def coordinate(name: str) -> str:
     """A coordinate's name for an axis in Plotly's small HTML: theta3 with its subscript, others as they are."""
-    found = re.fullmatch(r"theta(\d*)", name)
-    if found:
-        return f"θ<sub>{found.group(1)}</sub>" if found.group(1) else "θ"
+    angle = re.fullmatch(r"theta(\d*)", name)
+    if angle:
+        return f"θ<sub>{angle.group(1)}</sub>" if angle.group(1) else "θ"
     plain = re.fullmatch(r"([A-Za-z]+)(\d+)", name)
     text = f"{plain.group(1)}<sub>{plain.group(2)}</sub>" if plain else name
     return text if plain else re.sub(r"[<>&]", "", text)

@@ -75,9 +75,9 @@ def _beside(out: Path) -> Iterator[Path]:
 
 def _swept(out: Path) -> None:
     """Remove what killed processes left beside the target: nobody else writes there now."""
-    for one in out.parent.glob(f".{out.name}.????????"):
-        if one.is_dir() and not one.is_symlink() and {inner.name for inner in one.iterdir()} <= {"new", "old"}:
-            _cleared(one, out)
+    for left in out.parent.glob(f".{out.name}.????????"):
+        if left.is_dir() and not left.is_symlink() and {inner.name for inner in left.iterdir()} <= {"new", "old"}:
+            _cleared(left, out)
 
 
 def _cleared(temporary: Path, out: Path) -> None:

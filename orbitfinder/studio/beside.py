@@ -49,12 +49,12 @@ class SectionPanel:
         page = self._page
         page.say("making the section")
         self._cut = await page.searched("cut", page.source.system, page.source.energy, page.source.orbit)
-        found = self._cut.section
-        level = "" if found.energy != found.energy else f" at E = {found.energy:.6g} J"
-        regular = f"{int(found.regular.sum())} of {plural(len(found.starts), 'motion')} regular"
-        self._about.set_text(f"{found.plane}{level}: {regular}. Click a point to start there.")
+        made = self._cut.section
+        level = "" if made.energy != made.energy else f" at E = {made.energy:.6g} J"
+        regular = f"{int(made.regular.sum())} of {plural(len(made.starts), 'motion')} regular"
+        self._about.set_text(f"{made.plane}{level}: {regular}. Click a point to start there.")
         self.recolour()
-        page.say(f"section: {plural(found.returns, 'crossing')}")
+        page.say(f"section: {plural(made.returns, 'crossing')}")
 
     async def _clicked(self, event: Any) -> None:
         at = plots.clicked(event.args)

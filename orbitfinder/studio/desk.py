@@ -41,7 +41,7 @@ class Staged:
     def of(cls, orbit: Orbit) -> Staged:
         """Where an orbit starts."""
         level = orbit.energy if math.isfinite(orbit.energy) else None
-        return cls(dict(orbit.system), [float(one) for one in orbit.state], level)
+        return cls(dict(orbit.system), [*map(float, orbit.state)], level)
 
 
 class Desk:
@@ -55,15 +55,15 @@ class Desk:
         self.session, self.taken = session, taken
         self.quick, self.long = TaskProcess(), TaskProcess()
         state = session.opened.state
-        self.source = Staged(dict(session.model.system), [float(one) for one in state], self.level(state))
+        self.source = Staged(dict(session.model.system), [*map(float, state)], self.level(state))
         self.dark = False
 
     def level(self, state: Sequence[float] | np.ndarray) -> float | None:
         """The energy (J) of a state of the system on the stage, None where there is none."""
         model = self.session.model
         known = model.constraint is None and model.conservative
-        found = energy(model, np.asarray(state)) if known else math.nan
-        return found if math.isfinite(found) else None
+        level = energy(model, np.asarray(state)) if known else math.nan
+        return level if math.isfinite(level) else None
 
     def safe(self, work: Callable[..., Awaitable[Any] | None]) -> Callable[..., Awaitable[None]]:
         """The same, of which what is refused is a sentence on the page."""
@@ -71,9 +71,9 @@ class Desk:
         @wraps(work)
         async def spoken(*arguments: Any) -> None:
             try:
-                found = work(*arguments)
-                if found is not None:
-                    await found
+                waiting = work(*arguments)
+                if waiting is not None:
+                    await waiting
             except StoppedError as error:
                 self.say(str(error).capitalize())
             except (OrbitfinderError, OSError) as error:

@@ -48,7 +48,7 @@ def view(model: Model, states: np.ndarray) -> dict[str, list[float]]:
 def draggable(model: Model) -> list[float]:
     """The lengths (m) of the links of a chain whose joints can be dragged; [] of anything else."""
     plain = system_kind(model.system).pendulum and model.constraint is None
-    return [float(one) for one in model.system["length"]] if plain else []
+    return [*map(float, model.system["length"])] if plain else []
 
 
 def pullable(model: Model, state: np.ndarray) -> list[int]:

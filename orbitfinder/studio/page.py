@@ -58,7 +58,7 @@ class Page(Desk):
     def __init__(self, session: Session, taken: set[str], assets: str) -> None:
         super().__init__(session, taken)
         self.assets = assets
-        self.state = [float(one) for one in session.opened.state]
+        self.state = [*map(float, session.opened.state)]
         self.returns: tuple[CloseReturn, ...] = ()
         self.picked: int | None = None
         self.orbit: Orbit | None = None
@@ -74,7 +74,7 @@ class Page(Desk):
         """The page; what it shows first is simulated once it is there."""
         files = [f"{self.assets}/site/core.js", f"{self.assets}/studio/stage.js"]
         ui.add_head_html(f'<link rel="stylesheet" href="{self.assets}/studio/studio.css">')
-        ui.add_head_html("".join(f'<script src="{one}"></script>' for one in files))
+        ui.add_head_html("".join(f'<script src="{file}"></script>' for file in files))
         ui.colors(primary="#005f99", good="#0a6847", bad="#9a3412")
         self.theme = ui.dark_mode()
         self._head()
@@ -226,9 +226,9 @@ class Page(Desk):
     async def _first(self) -> None:
         given = self.session.opened
         if given.orbit is not None:
-            found: FilmedOrbit = await self.quick.do("opened", given.orbit)
-            self.item = self.session.keep_opened(found.orbit)
-            self._show_orbit(found)
+            shown: FilmedOrbit = await self.quick.do("opened", given.orbit)
+            self.item = self.session.keep_opened(shown.orbit)
+            self._show_orbit(shown)
         elif given.family is not None:
             self._show_family(self.session.keep_opened())
         elif given.atlas is not None:
@@ -255,9 +255,9 @@ class Page(Desk):
         if "time" in what:
             self.grip = Grip(int(what["point"]), plots.finite(what["time"]))
         if self.grip is not None and "place" in what:
-            self.grip.place = [plots.finite(one) for one in what["place"]]
+            self.grip.place = [*map(plots.finite, what["place"])]
         if self.grip is not None and "velocity" in what:
-            self.grip.velocity = [plots.finite(one) for one in what["velocity"]]
+            self.grip.velocity = [*map(plots.finite, what["velocity"])]
         await self._latest("grip", self._pull)
 
     async def _pull(self) -> None:
@@ -292,7 +292,7 @@ class Page(Desk):
     def _state(self, given: Sequence[Any]) -> None:
         """The numbers of a page, which may be anything, as the state."""
         if len(given) == len(self.state):
-            self.state = [plots.finite(one) for one in given]
+            self.state = [*map(plots.finite, given)]
             for slider, value in zip(self.inputs, self.state, strict=False):
                 slider.set_value(value)
 
@@ -323,15 +323,15 @@ class Page(Desk):
 
     async def _simulate(self, stay: bool = False) -> None:
         duration = plots.finite(self.duration.value or 0.0)
-        found: Simulated = await self.quick.do("simulated", dict(self.session.model.system), self.state, duration)
-        self.session.energy, self.returns, self.picked = found.energy, found.returns, None
-        self.readout.set_text(_readout(found, duration))
+        run: Simulated = await self.quick.do("simulated", dict(self.session.model.system), self.state, duration)
+        self.session.energy, self.returns, self.picked = run.energy, run.returns, None
+        self.readout.set_text(_readout(run, duration))
         self.near.update_figure(plots.returns_figure(self.returns, self.picked, self.dark))
         self.find.set_enabled(bool(self.returns))
         if stay and self.shown:
             return
-        self.source = Staged(dict(self.session.model.system), list(self.state), found.energy)
-        self._show(found.film, found.view)
+        self.source = Staged(dict(self.session.model.system), list(self.state), run.energy)
+        self._show(run.film, run.view)
 
     def _show(self, film: Film | None, view: Mapping[str, Any] | None = None, keep: bool = False) -> None:
         if film is not None:
@@ -356,9 +356,9 @@ class Page(Desk):
 
     async def _found_near(self, number: int) -> bool:
         """Whether the orbit that a close return belongs to is certified."""
-        one, self.picked = self.returns[number], number
+        near, self.picked = self.returns[number], number
         self.near.update_figure(plots.returns_figure(self.returns, self.picked, self.dark))
-        return await self._found(self.session.problem(one.state, one.period, self.taken))
+        return await self._found(self.session.problem(near.state, near.period, self.taken))
 
     async def _find_own(self) -> None:
         await self._found(self.session.own_problem(self.taken))
@@ -366,23 +366,23 @@ class Page(Desk):
     async def _found(self, wanted: tuple[str, Path]) -> bool:
         name, file = wanted
         self.say(f"{name}: searching")
-        found: FilmedOrbit = await self.searched("found", file, self.session.folder, said=self._heard)
-        if found.file is not None:
-            self.item = self.session.keep_orbit(found.orbit)
+        shown: FilmedOrbit = await self.searched("found", file, self.session.folder, said=self._heard)
+        if shown.file is not None:
+            self.item = self.session.keep_orbit(shown.orbit)
             self._list()
-        self._show_orbit(found)
-        self.say(f"{name}: {'certified' if found.file else 'not an orbit'}")
-        return found.file is not None
+        self._show_orbit(shown)
+        self.say(f"{name}: {'certified' if shown.file else 'not an orbit'}")
+        return shown.file is not None
 
-    def _show_orbit(self, found: FilmedOrbit, keep: bool = False) -> None:
-        orbit = self.orbit = found.orbit
+    def _show_orbit(self, shown: FilmedOrbit, keep: bool = False) -> None:
+        orbit = self.orbit = shown.orbit
         self.source = replace(Staged.of(orbit), orbit=orbit)
         sure = orbit.certificate is not None and orbit.certificate.passed
         self.badge.set_text("Certified" if sure else "Rejected")
         self.badge.props(f"color={'good' if sure else 'bad'} icon={'verified' if sure else 'dangerous'}")
         self.badge.set_visibility(True)
         self.about.set_text(f"{told(orbit, 10)}, closes to {orbit.closure:.0e}")
-        self._show(found.film, keep=keep)
+        self._show(shown.film, keep=keep)
 
     def _certificate(self) -> None:
         if self.orbit is None or self.orbit.certificate is None:
@@ -465,8 +465,8 @@ class Page(Desk):
 
     def _figure(self, here: FamilyPoint | None = None) -> dict[str, Any]:
         family = self.item.family if self.item is not None else None
-        known = [one.family for one in self.session.items.values() if one.family is not None]
-        others = [one for one in known if one.name != self.growing and one.parameter == self.parameter]
+        known = [item.family for item in self.session.items.values() if item.family is not None]
+        others = [other for other in known if other.name != self.growing and other.parameter == self.parameter]
         events = family.events if family is not None and family.name == self.growing else ()
         unit = {"energy": "J", "period": "s"}.get(self.parameter, "")
         return plots.family_figure(self.points, events, here, others, self.parameter, unit, self.dark)
@@ -478,7 +478,7 @@ class Page(Desk):
         self.slide.props(f"max={max(1, len(self.points) - 1)}")
         near = 0.0 if self.orbit is None else self.orbit.period
         self.slide.set_value(min(range(len(self.points)), key=lambda k: abs(self.points[k].period - near)))
-        ui.run_javascript(f"stage.put({json.dumps([self.films.get(one.state.tobytes()) for one in self.points])})")
+        ui.run_javascript(f"stage.put({json.dumps([self.films.get(point.state.tobytes()) for point in self.points])})")
         choice = leaving(family)
         self.events.set_options(choice, value=next(iter(choice), None))
         self.plot.update_figure(self._figure())
@@ -541,9 +541,9 @@ class Page(Desk):
             self.session.model = with_parameters(self.session.model, {name: value})
             self._remount()
             return await self._simulate()
-        found: FilmedOrbit = await self.quick.do("turned", self.orbit, name, value)
-        self._show_orbit(found, keep=True)
-        self.session.model = build_model(found.orbit.system)
+        turned: FilmedOrbit = await self.quick.do("turned", self.orbit, name, value)
+        self._show_orbit(turned, keep=True)
+        self.session.model = build_model(turned.orbit.system)
         self._remount()
         self.say(f"{name} = {value:.6g}: the orbit follows")
 
@@ -589,10 +589,10 @@ class Page(Desk):
     async def _load_member(self, name: str, number: int) -> None:
         """Show an orbit of an atlas by its id, to go on from."""
         atlas = self.session.items[name]
-        found: FilmedOrbit = await self.quick.do("opened", Path(f"{atlas.file}#{number}"))
-        self.item = self.session.keep_member(atlas, number, found.orbit)
+        shown: FilmedOrbit = await self.quick.do("opened", Path(f"{atlas.file}#{number}"))
+        self.item = self.session.keep_member(atlas, number, shown.orbit)
         self._list()
-        self._show_orbit(found)
+        self._show_orbit(shown)
         self.say(f"orbit {number} of {name}")
 
     def _recoloured(self, dark: bool) -> None:
@@ -610,7 +610,7 @@ def _title(text: str) -> None:
 
 def _safe(text: str) -> str:
     """Text without what HTML and attributes read as their own."""
-    return "".join(one for one in text if one not in "<>&\"'")
+    return "".join(letter for letter in text if letter not in "<>&\"'")
 
 
 def _js(value: Any) -> str:
@@ -625,7 +625,7 @@ def _range(value: float, angle: bool) -> tuple[float, float]:
     return -reach, reach
 
 
-def _readout(found: Simulated, duration: float) -> str:
+def _readout(run: Simulated, duration: float) -> str:
     """What a simulation says."""
-    level = "" if found.energy is None else f"E = {found.energy:.6g} J, kept to {found.change:.0e} J, "
-    return f"{level}{plural(len(found.returns), 'close return')} in {duration:g} s"
+    level = "" if run.energy is None else f"E = {run.energy:.6g} J, kept to {run.change:.0e} J, "
+    return f"{level}{plural(len(run.returns), 'close return')} in {duration:g} s"

@@ -43,9 +43,9 @@ def returns_figure(returns: Sequence[CloseReturn], picked: int | None, dark: boo
     """Period against miss; the more promising, the larger the dot."""
     sizes = [22 if k == 0 else max(9, 18 - 2 * k) for k in range(len(returns))]
     colours = [MARK if k == picked else STABLE for k in range(len(returns))]
-    hover = [f"return {k + 1}: T = {one.period:.4g} s, miss {one.distance:.2g}" for k, one in enumerate(returns)]
+    hover = [f"return {k + 1}: T = {near.period:.4g} s, miss {near.distance:.2g}" for k, near in enumerate(returns)]
     data = [{
-        "x": [one.period for one in returns], "y": [max(one.distance, 1e-12) for one in returns], "mode": "markers",
+        "x": [near.period for near in returns], "y": [max(near.distance, 1e-12) for near in returns], "mode": "markers",
         "marker": {"size": sizes, "color": colours, "opacity": 0.9}, "hovertext": hover, "hoverinfo": "text",
     }]  # fmt: skip
     return _figure(data, "period T, s", "miss, of the extent", dark, log=True)
@@ -56,13 +56,13 @@ def family_figure(
     parameter: str, unit: str, dark: bool,
 ) -> dict[str, Any]:  # fmt: skip
     """The chosen family, coloured by stability, its events as diamonds, where one is on it, and the others in grey."""
-    calm = [UNSTABLE if one.stability == "unstable" else STABLE for one in points]
-    words = [f"{k}: {one.words}" for k, one in enumerate(events)]
+    calm = [UNSTABLE if point.stability == "unstable" else STABLE for point in points]
+    words = [f"{k}: {event.words}" for k, event in enumerate(events)]
     data: list[dict[str, Any]] = [
-        {"x": [one.value for one in points], "y": [1 / one.period for one in points], "mode": "lines+markers",
+        {"x": [point.value for point in points], "y": [1 / point.period for point in points], "mode": "lines+markers",
          "marker": {"size": 8, "color": calm}, "line": {"color": OTHER, "width": 1},
-         "hovertext": [f"T = {one.period:.5g} s, {one.stability}" for one in points], "hoverinfo": "text"},
-        {"x": [one.parameter for one in events], "y": [1 / one.period for one in events], "mode": "markers",
+         "hovertext": [f"T = {point.period:.5g} s, {point.stability}" for point in points], "hoverinfo": "text"},
+        {"x": [event.parameter for event in events], "y": [1 / event.period for event in events], "mode": "markers",
          "marker": {"size": 13, "color": MARK, "symbol": "diamond"}, "hovertext": words, "hoverinfo": "text"},
         {"x": [here.value] if here else [], "y": [1 / here.period] if here else [], "mode": "markers",
          "marker": {"size": 18, "color": "rgba(0,0,0,0)", "line": {"color": MARK, "width": 3}}, "hoverinfo": "skip"},
@@ -80,13 +80,13 @@ def section_figure(cut: Cut | None, dark: bool) -> dict[str, Any]:
     across, up = ("", "") if cut is None else map(coordinate, cut.section.axes)
     if cut is None:
         return _figure([{"x": [], "y": [], "mode": "markers"}], across, up, dark)
-    found, told = cut.section, bool(np.isfinite(cut.section.growth).any())
-    colours = [MOTIONS[k % len(MOTIONS)] if calm or not told else OTHER for k, calm in enumerate(found.regular)]
-    points = found.points
-    hover = [f"motion {k + 1}: start here" for k in found.seeds.tolist()]
+    made, told = cut.section, bool(np.isfinite(cut.section.growth).any())
+    colours = [MOTIONS[k % len(MOTIONS)] if calm or not told else OTHER for k, calm in enumerate(made.regular)]
+    points = made.points
+    hover = [f"motion {k + 1}: start here" for k in made.seeds.tolist()]
     data: list[dict[str, Any]] = [
         {"x": points[:, 0].tolist(), "y": points[:, 1].tolist(), "mode": "markers", "hovertext": hover,
-         "marker": {"size": 4, "color": [colours[k] for k in found.seeds.tolist()]}, "hoverinfo": "text"},
+         "marker": {"size": 4, "color": [colours[k] for k in made.seeds.tolist()]}, "hoverinfo": "text"},
         {"x": cut.crossings[:, 0].tolist(), "y": cut.crossings[:, 1].tolist(), "mode": "markers", "hoverinfo": "skip",
          "marker": {"size": 15, "color": "rgba(0,0,0,0)", "line": {"color": MARK, "width": 3}}},
     ]  # fmt: skip
@@ -96,8 +96,8 @@ def section_figure(cut: Cut | None, dark: bool) -> dict[str, Any]:
 def clicked(event: Mapping[str, Any]) -> tuple[int, int] | None:
     """The trace and the point that were clicked; None where a page sends something else."""
     try:
-        one = event["points"][0]
-        return int(one.get("curveNumber", 0)), int(one.get("pointIndex", one.get("pointNumber")))
+        point = event["points"][0]
+        return int(point.get("curveNumber", 0)), int(point.get("pointIndex", point.get("pointNumber")))
     except (KeyError, IndexError, TypeError, ValueError, AttributeError):
         return None
 

@@ -64,7 +64,7 @@ class OwnOrigin:
     """Lets in what a page of ours asks for, and what no page does: another site's page names that as its origin."""
 
     def __init__(self, app: Any, port: int) -> None:
-        self.app, self.origins = app, [None, *(f"http://{one}:{port}".encode() for one in (HOST, "localhost"))]
+        self.app, self.origins = app, [None, *(f"http://{host}:{port}".encode() for host in (HOST, "localhost"))]
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
         """Answer a request, or refuse it in a word."""

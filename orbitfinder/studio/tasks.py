@@ -101,8 +101,8 @@ class Tasks:
 
     def model(self, system: Mapping[str, Any]) -> Model:
         """The Model of a description, built once. Raises `InputError`."""
-        found = self._simulator.model(system)
-        return build_model(system) if found is None else found[0]
+        known = self._simulator.model(system)
+        return build_model(system) if known is None else known[0]
 
     def simulated(self, system: Mapping[str, Any], state: list[float], duration: float) -> Simulated:
         """The motion from a state (d) over a duration (s) and where it nearly closes."""
@@ -113,7 +113,7 @@ class Tasks:
         returns = list[CloseReturn]()
         if model.hybrid is None and np.ptp(run.states, axis=0).max() > 0:
             returns = close_returns(run.times, run.states, model.angles, RETURNS)
-            returns.sort(key=lambda one: one.distance * one.period**3)
+            returns.sort(key=lambda near: near.distance * near.period**3)
         shown = film(model, run.times, run.states)
         change = run.change if energy is not None else float("nan")
         return Simulated(shown, view(model, run.states), energy, change, tuple(returns))
@@ -122,15 +122,15 @@ class Tasks:
         """The state (d) that a motion has come to after a time (s)."""
         if duration <= 0:
             return list(state)
-        return [float(one) for one in simulate(self.model(system), np.asarray(state, float), duration, 2).states[-1]]
+        return simulate(self.model(system), np.asarray(state, float), duration, 2).states[-1].tolist()
 
     def pulled(
         self, system: Mapping[str, Any], state: list[float], point: int, place: list[float]
     ) -> tuple[list[float], Film]:
         """The state at rest, and its picture, when a point is pulled to a place (down, right, m)."""
         model = self.model(system)
-        found = pulled(model, np.asarray(state, float), point, np.asarray(place, float))
-        return [float(one) for one in found], pose(model, found)
+        pulled_to = pulled(model, np.asarray(state, float), point, np.asarray(place, float))
+        return [*map(float, pulled_to)], pose(model, pulled_to)
 
     def posed(self, system: Mapping[str, Any], state: list[float]) -> Film:
         """The picture of a state that stands still."""
@@ -138,18 +138,18 @@ class Tasks:
 
     def thrown(self, system: Mapping[str, Any], state: list[float], point: int, velocity: list[float]) -> list[float]:
         """The state when a point is let go of with a velocity (down, right, m/s)."""
-        found = thrown(self.model(system), np.asarray(state, float), point, np.asarray(velocity, float))
-        return [float(one) for one in found]
+        after = thrown(self.model(system), np.asarray(state, float), point, np.asarray(velocity, float))
+        return [*map(float, after)]
 
     def cut(self, system: Mapping[str, Any], energy: float | None, orbit: Orbit | None) -> Cut:
         """The Poincare section at an energy (J, None where none is conserved), and where an orbit crosses it."""
         model = self.model(system)
-        found = section(model, energy if model.conservative else None, seeds=SEEDS, returns=CROSSINGS)
+        made = section(model, energy if model.conservative else None, seeds=SEEDS, returns=CROSSINGS)
         points = np.zeros((0, 2))
         if orbit is not None:
             with contextlib.suppress(InputError):  # it does not cross this plane
-                points = crossings(model, found, orbit)
-        return Cut(found, points)
+                points = crossings(model, made, orbit)
+        return Cut(made, points)
 
     def searched(
         self, system: Mapping[str, Any], energy: float | None, periods: tuple[float, float], budget: float, atlas: Path
@@ -162,8 +162,8 @@ class Tasks:
                 last[0] = time.monotonic()
                 self._say(at)
 
-        found = search(self.model(system), energy, periods, atlas, budget=budget, workers=0, progress=report)
-        return sum(at.made for _, at in found.tallies)
+        searched = search(self.model(system), energy, periods, atlas, budget=budget, workers=0, progress=report)
+        return sum(at.made for _, at in searched.tallies)
 
     def found(self, file: Path, out: Path) -> FilmedOrbit:
         """The orbit of a problem file, in OUT/NAME/orbit.json where it is certified: what `orbitfinder run` does."""
@@ -189,8 +189,10 @@ class Tasks:
         leaving = branches(file, event, settings)
         self._say(f"{len(leaving)} found at event {event}")
         return [
-            follow_family(one, settings=settings, out=out, name=one.name, progress=self._stepped(out / one.name))
-            for one in leaving
+            follow_family(
+                branch, settings=settings, out=out, name=branch.name, progress=self._stepped(out / branch.name)
+            )
+            for branch in leaving
         ]
 
     def shown(self, system: Mapping[str, Any], member: FamilyPoint | Event) -> Film | None:
@@ -213,7 +215,7 @@ class Tasks:
 
         def refined(at: float) -> tuple[Any, int]:
             values, before = {name: at, "energy": orbit.energy}, known[-1][1]
-            pins = tuple(replace(one, value=values.get(one.name, one.value)) for one in refiner.problem.pin)
+            pins = tuple(replace(pin, value=values.get(pin.name, pin.value)) for pin in refiner.problem.pin)
             return refiner.refine(Guess(before.state, before.period), pins), 0
 
         try:
@@ -246,7 +248,7 @@ class Tasks:
         def report(batch: Batch) -> None:
             if not system and (journal := read_journal(folder)) is not None:
                 system.update(journal.header["system"])
-            films = tuple(self.shown(system_at(system, one.free), one) for one in batch.points)
+            films = tuple(self.shown(system_at(system, point.free), point) for point in batch.points)
             self._say(FilmedStep(folder.name, batch, films))
 
         return report
