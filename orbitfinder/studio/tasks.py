@@ -122,7 +122,8 @@ class Tasks:
         """The state (d) that a motion has come to after a time (s)."""
         if duration <= 0:
             return list(state)
-        return simulate(self.model(system), np.asarray(state, float), duration, 2).states[-1].tolist()
+        run = simulate(self.model(system), np.asarray(state, float), duration, 2)
+        return [*map(float, run.states[-1])]
 
     def pulled(
         self, system: Mapping[str, Any], state: list[float], point: int, place: list[float]
