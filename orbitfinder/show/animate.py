@@ -215,7 +215,6 @@ INKS = {
     "trace": ("#F0B48A", "#8A4B21"), "ink": ("#000000", "#F2F2F2"), "faint": ("#555555", "#AAAAAA"),
 }  # fmt: skip
 """What is drawn in which colour, on a light and on a dark page"""
-FILLED = {"ground": "ink", "slider": "pin"}
 
 
 def _colours(dark: bool) -> dict[str, str]:
@@ -307,7 +306,7 @@ def _strokes(pen: Any, clip: Clip, frame: int, view: _View, colours: Mapping[str
     for kind, line in outlines(clip.points[frame], clip.strokes, 0.88 * view.pixels / view.scale):
         where, brush = view.place(line), BRUSHES[kind]
         if brush.filled:
-            pen.polygon(where, fill=colours[FILLED[kind]])
+            pen.polygon(where, fill=colours[{"ground": "ink", "slider": "pin"}[kind]])
             continue
         pen.line(where, fill=colours["body"], width=round(4 * brush.thick * unit), joint="curve")
         for x, y in where if brush.pinned else []:

@@ -40,9 +40,7 @@ SAMPLES = 121
 EVENLY = 481
 """Points of a period of a hybrid orbit, whose samples are not at equal times."""
 MOST, LISTED = 12, 24
-"""Names of parameters, and rows of a table of orbits, that are shown"""
-ROWS = 12
-"""Orbits of an atlas in its table."""
+"""Names of parameters and orbits of an atlas, and rows of other tables, that are shown"""
 ROW = "display:flex;flex-wrap:wrap;gap:16px;align-items:center"
 CELL = "text-align:left;padding:1px 10px 1px 0;font-variant-numeric:tabular-nums"
 
@@ -302,12 +300,12 @@ def atlas_html(atlas: Atlas) -> str:
     listed = [
         (str(row.id), *([f"{row.energy:.8g}"] if energy else []), f"{row.period:.10g}", row.symmetry, row.stability,
          f"{row.instability:.4g}")
-        for row in rows[:ROWS]
+        for row in rows[:MOST]
     ]  # fmt: skip
     steady = [atlas.orbit(row.id) for row in [row for row in rows if row.instability < STEADY][:3]]
     moving = "".join(picture for orbit in steady for picture in motions(orbit))
     head = ("id", *(["energy (J)"] if energy else []), "period (s)", "symmetry", "stability", "largest multiplier")
-    more = f"the first {ROWS} by energy and period" if len(rows) > ROWS else ""
+    more = f"the first {MOST} by energy and period" if len(rows) > MOST else ""
     title = heading(f"Atlas {atlas.path.name}: {plural(len(rows), 'orbit')}", more)
     return f'<div>{title}{table(listed, head)}<div style="{ROW}">{moving}</div></div>'
 

@@ -48,9 +48,6 @@ from orbitfinder.show.style import (
 )
 from orbitfinder.show.svg import COLOURS, axis, label
 
-STILL = 1e-9
-"""Change relative to its size below which a component stands still."""
-MOST_PORTRAITS = 12
 MOST_IN_LEGEND = 12
 
 
@@ -182,7 +179,7 @@ def _components(figure: Figure, course: Course, model: Model) -> Figure:
     panels = _below(figure, course.times, columns, [axis(model, k) for k in chosen], course.period)
     for axes, column in zip(panels, columns, strict=True):
         middle, spread = np.nanmean(column), np.nanmax(np.abs(column - column[0]))
-        if 0 < spread < STILL * abs(middle):  # what stands still must not have its round-off magnified
+        if 0 < spread < 1e-9 * abs(middle):  # what stands still must not have its round-off magnified
             axes.set_ylim(*(middle + np.array([-0.5, 0.5]) * abs(middle)))
     mark_events(panels, course)
     return figure
@@ -190,7 +187,7 @@ def _components(figure: Figure, course: Course, model: Model) -> Figure:
 
 def _evenly(count: int) -> list[int]:
     """The numbers of so many panels, evenly chosen where there are too many."""
-    return [int(k) for k in np.unique(np.linspace(0, count - 1, min(count, MOST_PORTRAITS)).round())]
+    return [int(k) for k in np.unique(np.linspace(0, count - 1, min(count, 12)).round())]
 
 
 def phase_portraits(orbit: Orbit, model: Model) -> Figure:
@@ -533,7 +530,7 @@ def multipliers_along(family: Family) -> Figure:
         if mark_of(event).lined:
             lower.axvline(event.parameter, color="0.75", linewidth=0.6)
     lower.set_yscale("asinh", linear_width=2.0)
-    top = min(max(4.0, 1.2 * float(np.abs(indices).max())), INDEX_SHOWN)
+    top = min(max(4.0, 1.2 * float(np.abs(indices).max())), 2000.0)  # beyond it the multipliers above tell more
     lower.set_yticks([sign * size for size in (2.0, 10.0, 100.0, 1000.0) if size <= top for sign in (-1, 1)] + [0.0])
     lower.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     lower.set_ylim(-top, top)
@@ -543,15 +540,9 @@ def multipliers_along(family: Family) -> Figure:
     return figure
 
 
-INDEX_SHOWN = 2000.0
-"""The largest stability index drawn: beyond it the multipliers above tell more."""
-POLE = 4.0
-"""A stability index that is larger than this on both sides of a change of sign has jumped through infinity."""
-
-
 def unpoled(values: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A curve (values, line) broken by nan where it passes a pole."""
-    jumps = (np.sign(line[1:]) != np.sign(line[:-1])) & (np.minimum(np.abs(line[1:]), np.abs(line[:-1])) > POLE)
+    """A curve (values, line) broken by nan where it passes a pole: it is large on both sides of a change of sign."""
+    jumps = (np.sign(line[1:]) != np.sign(line[:-1])) & (np.minimum(np.abs(line[1:]), np.abs(line[:-1])) > 4.0)
     at = np.flatnonzero(jumps) + 1
     return np.insert(values, at, np.nan), np.insert(line, at, np.nan)
 

@@ -21,13 +21,10 @@ from orbitfinder.show.scene import BRUSHES, Scene, Strokes, extent, outlines, ti
 from orbitfinder.show.svg import COLOURS
 
 DASHES = ("-", "--", "-.", ":")
-RESOLUTION = 150
 LEAST_SIDE, SLIVER = 0.4, 0.08
 """The shorter side of a picture with ground (and of what is drawn wider than it is), and how narrow that is"""
 APART = 4.0
 """Pixels between two names, which move a little when the figure is laid out around them"""
-FAR = 25.0
-"""Pixels from its place beyond which a thin line leads to a name"""
 
 
 def new_figure(width: float, height: float, title: str, what: str = "") -> Figure:
@@ -92,7 +89,7 @@ def place_labels(
             best = min(best, (float(cost), (float(move[0]), float(move[1]))))
         move = np.array(best[1])
         text.set_position(tuple(move * 72.0 / figure.dpi))
-        if np.hypot(*move) - box.width / 2 > FAR:
+        if np.hypot(*move) - box.width / 2 > 25.0:  # so far away a thin line leads to it
             thin = {"arrowstyle": "-", "color": "0.5", "linewidth": 0.6, "shrinkA": 4, "shrinkB": 4, "patchA": text}
             axes.annotate("", (x, y), tuple(move * 72.0 / figure.dpi), textcoords="offset points", arrowprops=thin)
         boxes.append(box.translated(*move).padded(APART))
@@ -200,7 +197,7 @@ def save_both(figure: Any, stem: Path) -> list[Path]:
 
 def _saved(figure: Any, path: Path, **more: Any) -> Path:
     buffer = io.BytesIO()
-    figure.savefig(buffer, dpi=RESOLUTION, **more)
+    figure.savefig(buffer, dpi=150, **more)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, buffer.getvalue())
     return path

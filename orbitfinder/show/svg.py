@@ -22,10 +22,6 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 """M. Okabe, K. Ito, Color Universal Design (2008), without the yellow that vanishes on white."""
 SIZE = 220
 """Pixels on a side."""
-MARGIN = 14.0
-FRAMES = 60
-LARGEST = 150_000
-"""Bytes of motion in one picture; mechanisms of many joints get fewer frames."""
 BODY, TIP = COLOURS[0], COLOURS[1]
 WIDTH, HEIGHT = 380, 250
 """Pixels of a family's diagram"""
@@ -47,7 +43,7 @@ def fitted(points: np.ndarray, size: int = SIZE, around: np.ndarray | None = Non
     """Positions (..., 2) of x to the right and y up as pixels of a square, equal scales, centred as `around` is."""
     flat = (points if around is None else around).reshape(-1, 2)
     low, high = flat.min(axis=0), flat.max(axis=0)
-    scale = (size - 2 * MARGIN) / max(float((high - low).max()), 1e-12)
+    scale = (size - 2 * 14.0) / max(float((high - low).max()), 1e-12)
     return np.asarray(size / 2 + (points - (low + high) / 2) * scale * np.array([1.0, -1.0]))
 
 
@@ -98,10 +94,11 @@ def label(name: str) -> str:
 def greek(name: str) -> str:
     """The same in plain text."""
     numbered = re.fullmatch(r"theta(\d*)", name)
-    return "\N{GREEK SMALL LETTER THETA}" + numbered.group(1).translate(LOWERED) if numbered else name
-
-
-LOWERED = {ord("0") + k: 0x2080 + k for k in range(10)}
+    return (
+        "\N{GREEK SMALL LETTER THETA}" + numbered.group(1).translate({ord("0") + k: 0x2080 + k for k in range(10)})
+        if numbered
+        else name
+    )
 
 
 def axis(model: Model, i: int, written: Callable[[str], str] = label) -> str:
@@ -158,7 +155,7 @@ def path(points: np.ndarray) -> str:
 
 def frames_of(samples: np.ndarray, joints: int) -> np.ndarray:
     """Indices of the samples (first and last included) that are drawn, fewer for many joints."""
-    most = max(12, min(FRAMES, LARGEST // (12 * joints)))
+    most = max(12, min(60, 150_000 // (12 * joints)))  # bytes of motion in a picture, 12 a joint
     return np.unique(np.linspace(0, len(samples) - 1, most + 1).round().astype(int))
 
 

@@ -14,10 +14,7 @@ from orbitfinder.structures.ring import at_angles, coefficients, harmonics
 from orbitfinder.structures.tori import filled, torus_value
 from orbitfinder.structures.torus import Tori, Torus
 
-LINES = 48
-"""Arcs drawn of a torus"""
 ANGLES = np.linspace(0.0, 2 * np.pi, 400)
-WORDS = {"rotation": "rotation number (turns a return)", "energy": "energy (J)"}
 
 
 def save_torus_figures(tori: Tori, folder: str | Path, model: Model) -> list[Path]:
@@ -33,7 +30,7 @@ def torus_figure(torus: Torus, model: Model, name: str) -> Figure:
     words = f"torus, T = {torus.period:.6g} s, {torus.rotation:.6g} turns a return"
     figure = new_figure(11.0, 4.2, name, words)
     places, portrait, series = figure.subplots(1, 3)
-    paths = filled(torus, model, LINES)
+    paths = filled(torus, model, 48)
     ring = at_angles(torus.curve, ANGLES)
     half = torus.curve.shape[1] // 2
     planes = [(0, min(1, half - 1) if half > 1 else half), model.planes[0]]
@@ -62,5 +59,6 @@ def family_figure(tori: Tori, model: Model) -> Figure:
     widths.plot([torus_value(torus, tori.parameter) for torus in tori.tori], [torus.strip for torus in tori.tori], ".-",
                 color=COLOURS[0])  # fmt: skip
     widths.set_ylim(bottom=0.0)
-    dress(widths, WORDS.get(tori.parameter, tori.parameter), "half-width of the strip of convergence")
+    words = {"rotation": "rotation number (turns a return)", "energy": "energy (J)"}
+    dress(widths, words.get(tori.parameter, tori.parameter), "half-width of the strip of convergence")
     return figure

@@ -49,17 +49,11 @@ from orbitfinder.site.writing import MARK, mark
 from orbitfinder.structures.section import Section
 
 WEIGHT = "@@WEIGHT@@"
-NEAR = 0.003
-"""Distance of an orbit from a family's curve, in ranges of the family, of what is said to lie by it"""
-NOT_ASKED = "it was not asked for"
-PLOTS = ("plotly-basic.min.js", "plots.js")
 SCRIPTS = {
     "gallery": ("gallery.js",),
-    "orbit": (*PLOTS, "orbit.js"),
-    "family": (*PLOTS, "explorer.js"),
-    "atlas": (*PLOTS, "explorer.js"),
-    "section": (*PLOTS, "section.js"),
-}
+    **{kind: ("plotly-basic.min.js", "plots.js", f"{script}.js")
+       for kind, script in (("orbit", "orbit"), ("family", "explorer"), ("atlas", "explorer"), ("section", "section"))},
+}  # fmt: skip
 """What each kind of page loads besides core.js and its data"""
 Progress = Callable[[str], None]
 
@@ -181,7 +175,9 @@ def build_site(
     for k, section in enumerate(gathered.sections, 1):
         tell(f"section {k} of {len(gathered.sections)}, {section.name}")
         links.append(_add_section(site, section, sections(section.name), gathered, motions))
-    judge = partial(judged, model_of=gathered.model) if settings.verify else partial(recorded, why=NOT_ASKED)
+    judge = (
+        partial(judged, model_of=gathered.model) if settings.verify else partial(recorded, why="it was not asked for")
+    )
     entries = _judged([_complete(entry, simulator, links) for entry in entries], judge, tell)
     for k, entry in enumerate(entries):
         _add_orbit(site, entry, entries[k - 1 : k] + entries[k + 1 : k + 2], k > 0)
@@ -224,7 +220,7 @@ def _complete(entry: SiteOrbit, simulator: Simulator, links: Sequence[Card]) -> 
 
 
 def _closest(here: tuple[float, float, float], link: Card) -> str:
-    """The address of the point of a family whose curve passes an orbit, "" where it stays away."""
+    """The address of the point of a family whose curve passes an orbit, "" where it is 0.3 % away."""
     curve = np.array([point[1:] for point in link.curve])
     if len(curve) < 2:
         return ""
@@ -233,7 +229,7 @@ def _closest(here: tuple[float, float, float], link: Card) -> str:
     share = np.clip(((aim - begin) * steps).sum(axis=1) / nonzero((steps**2).sum(axis=1)), 0.0, 1.0)
     apart = np.abs(begin + share[:, None] * steps - aim).max(axis=1)
     k = int(apart.argmin())
-    return f"#{link.curve[k + int(share[k] > 0.5)][0]}" if apart[k] < NEAR else ""
+    return f"#{link.curve[k + int(share[k] > 0.5)][0]}" if apart[k] < 0.003 else ""
 
 
 def _add_orbit(site: Site, entry: SiteOrbit, beside: Sequence[SiteOrbit], before: bool) -> None:

@@ -35,7 +35,6 @@ from orbitfinder.structures.torus import Tori
 MOST_ITEMS = 500
 """Orbits of an atlas that are shown, evenly chosen in order of energy."""
 EMPTY = "holds no orbit; search into the atlas first, or give another file"
-NAMES = ("orbit.json", "family.json", "section.json")
 Laid = Manifold | Connection | Tori
 
 
@@ -143,7 +142,7 @@ def _below(folder: Path) -> list[Path]:
 
 def _holds_results(file: Path) -> bool:
     """Whether a file below a folder is meant: by its name, or as a single orbit or family under another name."""
-    if file.name in NAMES or file.suffix in DATABASES:
+    if file.name in ("orbit.json", "family.json", "section.json") or file.suffix in DATABASES:
         return True
     single = file.suffix == ".json" and not file.name.startswith("rejected")
     return single and kind_of(file) in ("orbit", "family")

@@ -31,20 +31,12 @@ COUNTS = (24, 32, 40, 48, 60, 72, 84, 96, 120, 144, 180, 216, 264, 324, 400, 480
 """Samples a period that are tried in turn."""
 FIRST = 48
 """Samples from whose error the number needed is estimated."""
-INTERPOLATION = 0.003
-"""Largest error of the page's interpolation, relative to the extent of the picture."""
-STEPS = (12, 24, 48, 96, 192, 384, 768, 1536, 3072)
 ENDS = 1e-7
 """Agreement of two step sizes that is enough for a picture."""
 GAP = 1e-2
 """Largest jump between pieces of a motion that is still shown, relative to its extent."""
-SMOOTH = 0.004
-LEVELS = 32767
-NOTHING = np.zeros(0)
-"""Values of the free parameters of a field that has none"""
 OFF, TURNS, TINY = 0.03, 3, 1e-5
 """How far from an orbit its neighbour starts, how many periods it is followed, and what is small, all relative."""
-ENERGIES = 121
 RIGID = 1e-6
 """Change of a distance, relative to the extent of the picture, of what is called rigid."""
 
@@ -95,7 +87,7 @@ class Filmed(Scene):
         """Kinetic and potential energy (2 x k) at equal times over a period, where a mechanical one is conserved."""
         if self.course.jumps or self.model.rates is not None or not self.model.conservative:
             return None
-        return np.asarray(energies(self.model, self.at(ENERGIES, endpoint=True)))
+        return np.asarray(energies(self.model, self.at(121, endpoint=True)))
 
 
 class Simulator:
@@ -202,7 +194,7 @@ class Simulator:
 
 
 def _path(
-    field: Any, state: np.ndarray, duration: float, start: float = 0.0, free: np.ndarray = NOTHING
+    field: Any, state: np.ndarray, duration: float, start: float = 0.0, free: np.ndarray | None = None
 ) -> np.ndarray | None:
     """States at equal times, at the values of the field's free parameters: steps are halved until the
     end moves by less than ENDS.
@@ -211,9 +203,9 @@ def _path(
     good enough shows where the pieces join. None when the motion cannot be integrated.
     """
     states = before = None
-    for steps in STEPS:
+    for steps in (12 * 2**k for k in range(9)):
         try:
-            states = march(field, state, duration, steps, free, start)
+            states = march(field, state, duration, steps, np.zeros(0) if free is None else free, start)
         except IntegrationError:
             states = before = None
             continue
@@ -224,7 +216,7 @@ def _path(
 
 
 def _pieces(
-    field: Any, nodes: np.ndarray, edges: np.ndarray, free: np.ndarray = NOTHING
+    field: Any, nodes: np.ndarray, edges: np.ndarray, free: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Times and states from the first of the `edges` (N + 1 times, s) to the last.
 
@@ -361,13 +353,13 @@ def _fewest(seen: Any, strokes: Strokes = (), drifts: bool = False) -> tuple[np.
 
     What drifts does not come back to where it was, so that nothing is interpolated from its end to its start.
     """
-    first = seen(2 * FIRST)
+    first, allowed = seen(2 * FIRST), 0.003  # of the extent
     bones = skeleton(first, strokes)
-    wanted = 0.9 * FIRST * (_between(first, bones, drifts)[1] / INTERPOLATION) ** 0.25  # the error is of fourth order
+    wanted = 0.9 * FIRST * (_between(first, bones, drifts)[1] / allowed) ** 0.25  # the error is of fourth order
     least = COUNTS[0] if not drifts else FIRST
     for count in (*(most for most in COUNTS[:-1] if most >= max(wanted, least)), COUNTS[-1]):
         coarse, error = _between(seen(2 * count), bones, drifts)
-        if error <= INTERPOLATION:
+        if error <= allowed:
             break
     return coarse, bones
 
@@ -430,9 +422,9 @@ def packed(scene: Scene) -> dict[str, Any]:
     middles = (values.min(axis=0) + values.max(axis=0)) / 2
     middles[: 2 * many] = np.repeat(centre, many)
     swing = max(1e-12, *(float(np.ptp(values[:, c])) / 2 for c in turning)) if turning else 1.0
-    moving = [c for c in placed if np.ptp(values[:, c]) > half / LEVELS] + turning
+    moving = [c for c in placed if np.ptp(values[:, c]) > half / 32767] + turning
     sizes = np.where(np.arange(3 * many) < 2 * many, half, swing)
-    numbers = np.rint((values - middles) / sizes * LEVELS).T[moving]
+    numbers = np.rint((values - middles) / sizes * 32767).T[moving]
     rods = [
         [point, parent, *(_short(x) for x in (length, middles[2 * many + point], turns[2 * many + point]))]
         for point, (parent, length) in about.items()
@@ -466,18 +458,19 @@ def _jumps(cuts: Sequence[int]) -> list[int]:
 def histories(motion: Filmed) -> dict[str, Any]:
     """States at equal times, end included, as little-endian float32 in base64, component by component.
 
-    As many samples as the page's curves through them need to be good to SMOOTH of the extent, at most 960. Of a
+    As many samples as the page's curves through them need to be good to 0.4 % of the extent, at most 960. Of a
     hybrid motion `jumps` are the samples after which it jumps; after the last, where nothing turns, to the first.
     """
     sizes = np.ptp(motion.states, axis=0)
     # a component that stands still must not have its round-off sampled
     sizes = np.maximum(sizes, 1e-3 * shared(sizes, np.asarray(motion.angles, bool)) + 1e-12)
+    smooth = 0.004
     for count in (960,) if motion.course.jumps else (240, 360, 480, 960):
         states = motion.at(2 * count + 1, endpoint=True)
         turned = states[-1] - states[0]  # whole turns of running orbits
         inner = np.vstack([states[-3] - turned, states[::2], states[2] + turned])
         curved = (9 * (inner[1:-2] + inner[2:-1]) - inner[:-3] - inner[3:]) / 16
-        if np.all(np.abs(curved - states[1::2]).max(axis=0) <= SMOOTH * sizes):
+        if np.all(np.abs(curved - states[1::2]).max(axis=0) <= smooth * sizes):
             break
     data = base64_of(states[::2].T)
     if not motion.course.jumps:

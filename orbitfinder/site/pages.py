@@ -32,11 +32,9 @@ from orbitfinder.site.text import (
     symmetry_words,
 )
 
-MOST_PORTRAITS = 6
-"""Phase portraits on an orbit page; of more coordinates these many are chosen evenly."""
+UNJUDGED = Verdict((), "this orbit has no page of its own")
 FACTS = 7
 """Facts of an orbit above its picture; the rest has places of its own on the page"""
-UNJUDGED = Verdict((), "this orbit has no page of its own")
 
 
 @dataclass(frozen=True)
@@ -147,7 +145,7 @@ def shown(motion: Filmed) -> list[int]:
     candidates = list(range(n))
     if n > 6 and any(motion.angles) and not all(motion.angles):
         candidates = [k for k in candidates if motion.angles[k]]
-    return [candidates[k] for k in evenly(len(candidates), MOST_PORTRAITS)]
+    return [candidates[k] for k in evenly(len(candidates), 6)]
 
 
 def _multipliers(document: Mapping[str, Any]) -> list[tuple[float, float, float, float]]:
@@ -164,11 +162,11 @@ def _check(check: Check) -> dict[str, Any]:
         "found": number(check.value, 3) if sense else "yes" if check.passed else "no",
         "asked": f"{sense} {number(check.tolerance, 3)}" if sense else "yes",
         "passed": check.passed,
-        "note": check.note.replace("Phi^T J Phi = J", SYMPLECTIC),
+        "note": check.note.replace(
+            "Phi^T J Phi = J",
+            "\N{GREEK CAPITAL LETTER PHI}\N{MODIFIER LETTER CAPITAL T}J\N{GREEK CAPITAL LETTER PHI} = J",
+        ),
     }
-
-
-SYMPLECTIC = "\N{GREEK CAPITAL LETTER PHI}\N{MODIFIER LETTER CAPITAL T}J\N{GREEK CAPITAL LETTER PHI} = J"
 
 
 def _recorded_proof(entry: SiteOrbit) -> Mapping[str, Any] | None:

@@ -18,13 +18,6 @@ from orbitfinder.studio.session import SWINGS, Item
 from orbitfinder.studio.tasks import Cut
 from orbitfinder.studio.worker import StoppedError, TaskProcess
 
-BUDGET = 60.0
-"""s of a search, unless another time is asked for"""
-SHORTEST, LONGEST = 0.3, 3.0
-"""Periods that are searched for, in swings"""
-MOST_LISTED = 300
-"""Orbits of an atlas in the list, the last ones"""
-
 
 class SectionPanel:
     """The section of the motion or orbit on the stage; a click on one of its points starts there."""
@@ -77,8 +70,8 @@ class SearchPanel:
             with ui.row().classes("items-center gap-3"):
                 self._low, self._high, self._budget = (
                     ui.number(label, value=round(value, 3), min=1e-6, max=1e6).props("dense").classes("w-28")
-                    for label, value in (("periods from, s", SHORTEST * swing), ("to, s", LONGEST * swing),
-                                         ("search for, s", BUDGET))
+                    for label, value in (("periods from, s", 0.3 * swing), ("to, s", 3.0 * swing),
+                                         ("search for, s", 60.0))
                 )  # fmt: skip
                 self._go = button("Search", page.safe(self._searched), "search")
                 self._stop = button("Cancel", self._worker.stop, "stop", "outline")
@@ -93,13 +86,13 @@ class SearchPanel:
         self._worker.close()
 
     def show(self, item: Item) -> None:
-        """List what an atlas holds."""
+        """List what an atlas holds, the last 300 orbits."""
         assert item.atlas is not None
         if item.name != self._listed:
             self._listed, self._count = item.name, 0
             self._list.clear()
         with self._list:
-            for row in item.atlas[max(self._count, len(item.atlas) - MOST_LISTED) :]:
+            for row in item.atlas[max(self._count, len(item.atlas) - 300) :]:
                 label = f"{row.id}: T = {row.period:.6g} s, {row.stability}{_named(row)}"
                 shown = self._page.safe(partial(self._load, item.name, row.id))
                 ui.button(label, on_click=shown).props("flat dense no-caps align=left").classes("text-left")

@@ -12,17 +12,14 @@ from orbitfinder.mechanisms.pose import movable
 from orbitfinder.show.scene import box, places
 from orbitfinder.site.motion import packed, recorded
 
-FRAMES = 40
-"""Samples of a simulated motion a second"""
-MOST_FRAMES = 2400
 ROOM = 1.15
 """How much larger than what is in it the stage is"""
 
 
 def film(model: Model, times: np.ndarray, states: np.ndarray) -> dict[str, Any]:
-    """A simulated motion (k times, k x d states) that begins anew at its end."""
+    """A simulated motion (k times, k x d states) that begins anew at its end; 40 samples a second."""
     duration = float(times[-1] - times[0])
-    count = int(np.clip(duration * FRAMES, 2, min(MOST_FRAMES, max(2, len(times) - 1))))
+    count = int(np.clip(duration * 40, 2, min(2400, max(2, len(times) - 1))))
     chosen = states[np.linspace(0, len(times) - 1, count).round().astype(int)]
     return packed(recorded(model, chosen, duration))
 

@@ -34,10 +34,6 @@ ASSETS = Path(__file__).parent / "assets"
 SITE = Path(site.__path__[0]) / "assets"
 POINTS = 40
 """Points each way along a family, unless another number is asked for"""
-TRIED = 4
-"""Close returns that are tried in turn"""
-REDRAWN = 0.25
-"""s between two pictures of a family that grows"""
 MOST_SLIDERS = 24
 
 
@@ -88,7 +84,7 @@ class Page(Desk):
                 self._returns()
                 self._family()
                 self._kept()
-        self.timer = ui.timer(REDRAWN, self._redraw)
+        self.timer = ui.timer(0.25, self._redraw)
         ui.on("held", self._held)
         ui.on("released", self._released)
         ui.on("gripped", self.safe(self._gripped))
@@ -346,7 +342,7 @@ class Page(Desk):
     async def _find_first(self) -> None:
         """Find the orbit of the most promising close return that has one."""
         said = "nothing comes back close enough; start it another way, or simulate for longer"
-        for number in range(min(TRIED, len(self.returns))):
+        for number in range(min(4, len(self.returns))):
             try:
                 if await self._found_near(number):
                     return

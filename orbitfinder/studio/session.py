@@ -40,8 +40,6 @@ DURATION = 20.0
 """s, where neither is known"""
 AGAIN = "again"
 """Folder that the command lines which repeat the work write to"""
-START = 1.0
-"""rad by which the last link of a chain is turned where no file says how it starts"""
 REFERENCE = re.compile(r'(?m)^(\s*(?:file|csv)\s*=\s*)"([^"\n]+)"')
 """Files that a problem file names: a robot's description, a trajectory"""
 
@@ -117,7 +115,7 @@ def _hanging(model: Model, name: str, state: np.ndarray | None) -> Opened:
     n, size = model.degrees_of_freedom, len(model.state_names)
     if state is None:
         state = np.zeros(size)
-        state[: n if model.rates is None else size] = np.linspace(0.5, 1.0, n) * START
+        state[: n if model.rates is None else size] = np.linspace(0.5, 1.0, n)  # rad, the last the most
     duration = DURATION
     if system_kind(model.system).pendulum and model.constraint is None:
         duration = SWINGS * 2 * np.pi / float(np.sqrt(normal_modes(model)[0].min()))

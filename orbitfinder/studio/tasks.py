@@ -40,11 +40,7 @@ from orbitfinder.studio.films import film, pose, view
 Say = Callable[[Any], None]
 Film = dict[str, Any]
 
-RETURNS = 12
-"""Close returns that are shown"""
 LEAST_SAMPLES, MOST_SAMPLES = 400, 3000
-STEPS = Pace(first=1.0, shortest=2.0**-5, longest=1.0, growth=1.0)
-"""Of a parameter, in shares of the way: halved until the orbit follows"""
 SEEDS, CROSSINGS = 24, 60
 """Motions of a section, and how often each crosses it"""
 SPEAK_EVERY = 0.25
@@ -112,7 +108,7 @@ class Tasks:
         energy = float(run.energy[0]) if np.isfinite(run.energy[0]) else None
         returns = list[CloseReturn]()
         if model.hybrid is None and np.ptp(run.states, axis=0).max() > 0:
-            returns = close_returns(run.times, run.states, model.angles, RETURNS)
+            returns = close_returns(run.times, run.states, model.angles, 12)
             returns.sort(key=lambda near: near.distance * near.period**3)
         shown = film(model, run.times, run.states)
         change = run.change if energy is not None else float("nan")
@@ -220,7 +216,9 @@ class Tasks:
             return refiner.refine(Guess(before.state, before.period), pins), 0
 
         try:
-            turned = refiner.orbit(reached(known, value, refined, STEPS))
+            turned = refiner.orbit(
+                reached(known, value, refined, Pace(first=1.0, shortest=2.0**-5, longest=1.0, growth=1.0))
+            )
         except ConvergenceError as error:
             raise ConvergenceError(f"{name} = {value:.6g}: the orbit was lost on the way ({error})") from error
         return FilmedOrbit(turned, self._film(turned), None)
