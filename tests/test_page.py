@@ -36,9 +36,10 @@ from orbitfinder.records.family import Event, load_family
 from orbitfinder.records.orbit import orbit_to_document
 from orbitfinder.records.registry import load_orbit
 from orbitfinder.show.facts import number
+from orbitfinder.show.scene import evenly
 from orbitfinder.site import writing
 from orbitfinder.site.build import SiteSettings, build_site
-from orbitfinder.site.gather import evenly, gather
+from orbitfinder.site.gather import gather
 from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import Simulator, histories, packed, skeleton
 from orbitfinder.site.pages import span, spread

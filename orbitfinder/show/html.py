@@ -31,13 +31,13 @@ from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.diagram import diagram_of
 from orbitfinder.show.facts import conserves, numbers, verdict_of
-from orbitfinder.show.scene import Scene, cuts_of
+from orbitfinder.show.scene import Scene, cuts_of, equal_times, evenly
 from orbitfinder.show.svg import axis, curves, diagram, greek, moving_mechanism, moving_portrait, ranged, unit_circle
 from orbitfinder.structures.torus import Tori
 
 SAMPLES = 121
 """Points of one period where an object carries no dense samples."""
-EVENLY = 481
+EVENLY = 480
 """Points of a period of a hybrid orbit, whose samples are not at equal times."""
 MOST, LISTED = 12, 24
 """Names of parameters and orbits of an atlas, and rows of other tables, that are shown"""
@@ -103,7 +103,7 @@ def count_html(count: Count) -> str:
 def simulation_html(run: Simulation) -> str:
     """What moved, each component over time."""
     names = [greek(name) for name in run.state_names[: max(1, len(run.state_names) // 2)]]
-    kept = np.unique(np.linspace(0, len(run.times) - 1, 400).round().astype(int))
+    kept = evenly(len(run.times), 400)
     lines = [(name, np.column_stack([run.times, run.states[:, k]])[kept]) for k, name in enumerate(names[:6])]
     rows = [("duration", f"{run.times[-1]:.6g} s"), ("samples", str(len(run.times)))]
     if np.isfinite(run.energy[0]):
@@ -190,7 +190,7 @@ def period_of(orbit: Orbit, model: Model | None = None) -> tuple[Model, Course] 
 
 def scene_of(model: Model, seen: Course) -> Scene:
     """What is drawn of a mechanism over a period."""
-    moments = evenly(seen)
+    moments = equal_times(seen.period, EVENLY)
     points = seen.positions(moments) if seen.jumps else positions(model, seen.samples)
     return Scene(points, strokes=model.strokes, ground=seen.grounds(moments[:1]), period=seen.period)
 
@@ -200,23 +200,18 @@ def mechanism(scene: Scene, around: np.ndarray | None = None) -> str:
     return moving_mechanism(scene, f"the mechanism over {scene.period:.4g} s", around)
 
 
-def evenly(seen: Course) -> np.ndarray:
-    """Equal times (s) over a period, the end left out."""
-    return np.linspace(0.0, seen.period, EVENLY)[:-1]
-
-
 class Portrait:
     """Two components of a period against each other: those given, or the coordinate that moves most and its rate."""
 
     def __init__(self, model: Model, seen: Course, plane: tuple[int, int] | None = None) -> None:
-        states = seen.states(evenly(seen)) if seen.jumps else _smooth(seen)
+        states = seen.states(equal_times(seen.period, EVENLY)) if seen.jumps else _smooth(seen)
         moved = np.ptp(states, axis=0)
         jumping = seen.jumps and model.rates is not None  # a clock among the states would turn most
         most = model.planes[0] if jumping else max(model.planes, key=lambda pair: moved[pair[0]])
         self.plane = across, up = plane or most
         self.period, self.places = seen.period, states[:, [across, up]]
         last = len(states) - bool(seen.turned[[across, up]].any())  # after a turn the first is somewhere else
-        self.cuts = [k for k in dict.fromkeys(cuts_of(seen, evenly(seen))) if 0 < k <= last]
+        self.cuts = [k for k in dict.fromkeys(cuts_of(seen, equal_times(seen.period, EVENLY))) if 0 < k <= last]
         self.names = axis(model, across, greek), axis(model, up, greek)
 
     @property
@@ -234,7 +229,7 @@ def _smooth(seen: Course) -> np.ndarray:
     (piece,) = seen.pieces
     if len(piece.times) >= EVENLY // 2:
         return piece.states
-    return between(piece.times, piece.states, piece.model.degrees_of_freedom, np.linspace(0.0, seen.period, EVENLY))
+    return between(piece.times, piece.states, piece.model.degrees_of_freedom, np.linspace(0.0, seen.period, EVENLY + 1))
 
 
 def range_of(portraits: Sequence[Portrait]) -> tuple[np.ndarray, np.ndarray]:

@@ -29,7 +29,7 @@ from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.diagram import Diagram, frequencies, mark_of
 from orbitfinder.show.facts import conserves, number
 from orbitfinder.show.paths import family_paths, has_path, path_views
-from orbitfinder.show.scene import Scene, tip
+from orbitfinder.show.scene import Scene, evenly, tip
 from orbitfinder.show.style import (
     LEAST_SIDE,
     arrows,
@@ -41,6 +41,7 @@ from orbitfinder.show.style import (
     new_figure,
     place_labels,
     plane,
+    save_all,
     save_png,
     sweep,
     trail,
@@ -93,8 +94,9 @@ def save_figures(orbit: Orbit | Family, folder: str | Path, model: Model | None 
 
 def _saved(figures: Mapping[str, Figure], folder: str | Path, system: Mapping[str, Any]) -> list[Path]:
     """Figures as PNG files; those of equations without units say none."""
-    shown = figures if units_of(system)["time"] else {name: bare(figure) for name, figure in figures.items()}
-    return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in shown.items()]
+    return save_all(
+        figures if units_of(system)["time"] else {name: bare(figure) for name, figure in figures.items()}, folder
+    )
 
 
 def heading(orbit: Orbit, what: str) -> tuple[str, str]:
@@ -174,7 +176,7 @@ def _below(
 
 def _components(figure: Figure, course: Course, model: Model) -> Figure:
     """Components of a state over one period below each other (at most 12, evenly chosen)."""
-    chosen = _evenly(model.degrees_of_freedom)
+    chosen = evenly(model.degrees_of_freedom, 12)
     columns = course.samples[:, chosen].T
     panels = _below(figure, course.times, columns, [axis(model, k) for k in chosen], course.period)
     for axes, column in zip(panels, columns, strict=True):
@@ -185,11 +187,6 @@ def _components(figure: Figure, course: Course, model: Model) -> Figure:
     return figure
 
 
-def _evenly(count: int) -> list[int]:
-    """The numbers of so many panels, evenly chosen where there are too many."""
-    return [int(k) for k in np.unique(np.linspace(0, count - 1, min(count, 12)).round())]
-
-
 def phase_portraits(orbit: Orbit, model: Model) -> Figure:
     """Velocity against coordinate, one panel each (at most 12, evenly chosen); see `Model.planes`.
 
@@ -197,7 +194,7 @@ def phase_portraits(orbit: Orbit, model: Model) -> Figure:
     """
     course = course_of(orbit, model)
     states = course.samples
-    chosen = [model.planes[k] for k in _evenly(len(model.planes))]
+    chosen = [model.planes[k] for k in evenly(len(model.planes), 12)]
     columns = min(len(chosen), 3 if len(chosen) != 4 else 2)
     rows = -(-len(chosen) // columns)
     figure = new_figure(max(3.2 * columns, 5.0), max(2.9 * rows, 3.6) + 0.5, *heading(orbit, "phase portraits"))
@@ -570,7 +567,7 @@ def save_atlas_figures(atlas: Atlas, folder: str | Path, chosen: Filter | None =
         "atlas_instability": instability(rows),
         "atlas_discovery": discovery_curves(atlas),
     }
-    return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in figures.items()]
+    return save_all(figures, folder)
 
 
 def energy_period(rows: Sequence[Row], conserved: bool = True) -> Figure:

@@ -93,6 +93,16 @@ def tip(points: np.ndarray) -> int:
     return int(moving[-1]) if moving.size else -1
 
 
+def evenly(count: int, most: int) -> list[int]:
+    """At most `most` of the indices below `count`, both ends among them."""
+    return [int(k) for k in np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))] if count else []
+
+
+def equal_times(period: float, count: int) -> np.ndarray:
+    """Times (s) over a period, the end left out."""
+    return np.linspace(0.0, period, count, endpoint=False)
+
+
 def box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest (down, right) of positions (k x 2 x m)."""
     return points.min(axis=(0, 2)), points.max(axis=(0, 2))

@@ -181,6 +181,11 @@ def line_style(index: int, count: int) -> dict[str, Any]:
     return {"color": COLOURS[index % len(COLOURS)], "linestyle": dash, "linewidth": 1.4}
 
 
+def save_all(figures: Mapping[str, Figure], folder: str | Path) -> list[Path]:
+    """Write figures as PNG files of their names; returns their paths."""
+    return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in figures.items()]
+
+
 def save_png(figure: Figure, path: Path) -> Path:
     """Write a figure whole or not at all."""
     return _saved(figure, path, format="png")

@@ -16,7 +16,7 @@ from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import unit_names
 from orbitfinder.show.diagram import Diagram
-from orbitfinder.show.scene import Scene, extent, outlines
+from orbitfinder.show.scene import Scene, evenly, extent, outlines
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """M. Okabe, K. Ito, Color Universal Design (2008), without the yellow that vanishes on white."""
@@ -156,7 +156,7 @@ def path(points: np.ndarray) -> str:
 def frames_of(samples: np.ndarray, joints: int) -> np.ndarray:
     """Indices of the samples (first and last included) that are drawn, fewer for many joints."""
     most = max(12, min(60, 150_000 // (12 * joints)))  # bytes of motion in a picture, 12 a joint
-    return np.unique(np.linspace(0, len(samples) - 1, most + 1).round().astype(int))
+    return np.array(evenly(len(samples), most + 1))
 
 
 def motion(attribute: str, values: Sequence[str], duration: float) -> str:

@@ -20,7 +20,8 @@ from orbitfinder.mechanics.scales import units
 from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import level
 from orbitfinder.show.facts import number, with_unit
-from orbitfinder.site.gather import AtlasFile, Gathered, Verdict, evenly, judged, recorded
+from orbitfinder.show.scene import evenly
+from orbitfinder.site.gather import AtlasFile, Gathered, Verdict, judged, recorded
 from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import Simulator, framed, packed
 from orbitfinder.site.pages import (

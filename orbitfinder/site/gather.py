@@ -28,6 +28,7 @@ from orbitfinder.records.orbit import (
     unconserved,
 )
 from orbitfinder.records.registry import DATABASES, answer, kind_of, load, load_orbit, member, taken
+from orbitfinder.show.scene import evenly
 from orbitfinder.structures.manifold import Connection, Manifold
 from orbitfinder.structures.section import Section
 from orbitfinder.structures.torus import Tori
@@ -86,11 +87,6 @@ class Gathered:
         """The Model of a system, its module imported from the trusted folder that has it. Raises `InputError`."""
         held = [folder for folder in self.trusted if (folder / f"{system.get('module')}.py").is_file()]
         return build_model(system, next(iter(held or self.trusted), None))
-
-
-def evenly(count: int, most: int) -> list[int]:
-    """At most `most` of the indices below `count`, both ends among them."""
-    return [int(k) for k in np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))] if count else []
 
 
 def gather(paths: Sequence[Path], chosen: Filter | None = None, trust: bool = False) -> Gathered:

@@ -25,7 +25,7 @@ from orbitfinder.mechanics.scales import shared
 from orbitfinder.orbits.course import Course, course, sampled
 from orbitfinder.records.family import Event, FamilyPoint
 from orbitfinder.records.orbit import Orbit, orbit_to_document
-from orbitfinder.show.scene import BRUSHES, Scene, Strokes, box, cuts_of, extent, places, positions_at
+from orbitfinder.show.scene import BRUSHES, Scene, Strokes, box, cuts_of, equal_times, extent, places, positions_at
 
 COUNTS = (24, 32, 40, 48, 60, 72, 84, 96, 120, 144, 180, 216, 264, 324, 400, 480, 640, 960)
 """Samples a period that are tried in turn."""
@@ -273,11 +273,6 @@ def _motion(model: Any, times: np.ndarray, states: np.ndarray, returns: bool = F
 def _filmed(model: Any, path: Course, points: np.ndarray, **more: Any) -> Filmed:
     drawn = "plane" if model.points is None else "mechanism"
     return Filmed(points, model, path, strokes=model.strokes, period=path.period, drawn=drawn, **more)
-
-
-def equal_times(period: float, count: int) -> np.ndarray:
-    """Times (s) over a period, the end left out."""
-    return np.linspace(0.0, period, count, endpoint=False)
 
 
 def _without_model(states: np.ndarray) -> Any:

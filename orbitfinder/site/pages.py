@@ -21,7 +21,8 @@ from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import level, recorded_proof
 from orbitfinder.show.diagram import LOOKS, mark_of
 from orbitfinder.show.facts import facts, largest, number, with_unit
-from orbitfinder.site.gather import AtlasFile, OrbitFile, Verdict, evenly
+from orbitfinder.show.scene import evenly
+from orbitfinder.site.gather import AtlasFile, OrbitFile, Verdict
 from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import Filmed, Simulator, base64_of, framed, histories, packed
 from orbitfinder.site.text import (
@@ -403,7 +404,7 @@ def atlas_values(entries: Sequence[SiteOrbit], atlas: AtlasFile) -> dict[str, An
     energies, periods = ([level(entry.document[key]) for entry in entries] for key in ("energy", "period"))
     kinds = sorted({entry.mechanism for entry in entries})
     unstable = sum(entry.document["stability"] == "unstable" for entry in entries)
-    part = "" if atlas.total == len(entries) else f" Shown: {len(entries)}, evenly chosen in order of energy."
+    part = "" if atlas.total == len(entries) else f" Shown: {len(entries)} chosen in order of energy."
     summary = f"{atlas.counted('distinct orbit')} ({', '.join(kinds) or 'none yet'}).{part} {unstable} unstable."
     if entries:
         unit = entries[0].units if len(kinds) == 1 else SI

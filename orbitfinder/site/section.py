@@ -12,7 +12,8 @@ import numpy as np
 from orbitfinder.errors import InputError, OrbitfinderError, plural
 from orbitfinder.mechanics.model import Model
 from orbitfinder.show.facts import number
-from orbitfinder.site.gather import Gathered, evenly
+from orbitfinder.show.scene import evenly
+from orbitfinder.site.gather import Gathered
 from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import framed, packed, recorded
 from orbitfinder.site.text import coordinate, mechanism
@@ -74,7 +75,7 @@ def _belongs(record: Any, section: Section) -> bool:
 
 
 def _motions(section: Section, model: Model | None) -> list[dict[str, Any]]:
-    """The motions of a section with their points (the first of each), evenly chosen where there are many."""
+    """The motions of a section with their points (the first of each) chosen where there are many."""
     chosen = evenly(len(section.starts), MOST_MOTIONS)
     most, regular, told = max(1, MOST_POINTS // len(chosen)), section.regular, np.isfinite(section.growth).any()
     ends = [section.times[section.seeds == k][:RETURNS] for k in chosen]

@@ -175,13 +175,16 @@ class Session:
     def problem(self, state: Any, period: float, taken: set[str]) -> tuple[str, Path]:
         """A problem file with a guess, at the energy that it has, and the name of the orbit that it asks for."""
         name = self.unused(taken)
-        invariants = ["energy"] if self.energy is not None else []
+        return name, self._written(name, self._guess(name, state, period, self.energy, self.energy is not None))
+
+    def _guess(self, name: str, state: Any, period: float, energy: float | None, pinned: bool) -> str:
+        """The text of a problem file that begins at a state; its energy (J) is `pinned` or only known."""
         document = {
             "name": name, "title": "", "source": "orbitfinder studio", "system": dict(self.model.system),
-            "state": [*map(float, state)], "period": float(period), "energy": self.energy,
-            "provenance": {"invariants": invariants},
+            "state": [*map(float, state)], "period": float(period), "energy": energy,
+            "provenance": {"invariants": ["energy"] if pinned else []},
         }  # fmt: skip
-        return name, self._written(name, orbit_text(document, expected=False))
+        return self._text(orbit_text(document, expected=False))
 
     def search(
         self, state: Any, periods: tuple[float, float], energy: float | None, taken: set[str]
@@ -194,12 +197,9 @@ class Session:
         asked = (repr(sorted(self.model.system.items())), periods, energy)
         if asked not in self.searches:
             name = self.unused(taken)
-            document: dict[str, Any] = {
-                "name": name, "source": "orbitfinder studio", "system": dict(self.model.system), "energy": energy,
-                "state": [*map(float, state)], "period": periods[0], "provenance": {"invariants": []},
-            }  # fmt: skip
             wanted = {"period": list(periods)} | ({} if energy is None else {"energy": energy})
-            text = self._text(orbit_text(document, expected=False)) + "\n".join(["", "[search]", *entries(wanted), ""])
+            guess = self._guess(name, state, periods[0], energy, pinned=False)
+            text = guess + "\n".join(["", "[search]", *entries(wanted), ""])
             self.out.mkdir(parents=True, exist_ok=True)
             write_atomically(self.out / f"{name}.toml", text.encode())
             self.searches[asked] = name
