@@ -145,9 +145,8 @@ def _listed(what: str, noun: str, rows: Sequence[Sequence[str]], head: Sequence[
 def table(rows: Iterable[Sequence[str]], head: Sequence[str] = ()) -> str:
     """A table of texts, escaped."""
     top = "".join(f'<th style="{CELL}">{escape(name)}</th>' for name in head)
-    body = "".join(
-        "<tr>" + "".join(f'<td style="{CELL}">{escape(text)}</td>' for text in row) + "</tr>" for row in rows
-    )
+    cells = ("".join(f'<td style="{CELL}">{escape(text)}</td>' for text in row) for row in rows)
+    body = "".join(f"<tr>{row}</tr>" for row in cells)
     return f"<table>{f'<tr>{top}</tr>' if top else ''}{body}</table>"
 
 

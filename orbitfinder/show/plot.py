@@ -94,9 +94,8 @@ def save_figures(orbit: Orbit | Family, folder: str | Path, model: Model | None 
 
 def _saved(figures: Mapping[str, Figure], folder: str | Path, system: Mapping[str, Any]) -> list[Path]:
     """Figures as PNG files; those of equations without units say none."""
-    return save_all(
-        figures if units_of(system)["time"] else {name: bare(figure) for name, figure in figures.items()}, folder
-    )
+    unitless = not units_of(system)["time"]
+    return save_all({name: bare(figure) if unitless else figure for name, figure in figures.items()}, folder)
 
 
 def heading(orbit: Orbit, what: str) -> tuple[str, str]:
@@ -317,16 +316,13 @@ def save_family_figures(family: Family, folder: str | Path, model: Model) -> lis
 
 def save_frequency_energy(families: Sequence[Family | Orbit], path: Path, level: float | None = None) -> Path:
     """Write one picture of families (see `frequency_energy`). Raises `InputError` for what is no family."""
+    drawn = list[Family]()
     for family in families:
-        if (
-            not isinstance(family, Family)
-            or len(family.parameters) > 1
-            or not np.isfinite(family.values("energy")).all()
-        ):
-            raise InputError(
-                f"{family.name}: --together and --level take families of orbits with an energy; leave it out"
-            )
-    return save_png(frequency_energy([family for family in families if isinstance(family, Family)], level=level), path)
+        if isinstance(family, Family) and len(family.parameters) < 2 and np.isfinite(family.values("energy")).all():
+            drawn.append(family)
+            continue
+        raise InputError(f"{family.name}: --together and --level take families of orbits with an energy; leave it out")
+    return save_png(frequency_energy(drawn, level=level), path)
 
 
 def gallery(family: Family, shown: Sequence[Motion]) -> Figure:
@@ -374,9 +370,8 @@ def frequency_energy(
     further orbits to show, name -> (energy, period). With a `level` (J) the axis is the logarithm of the distance
     from it, which opens what gathers at a saddle or at rest. The numbers of one family are those of `--switch`.
     """
-    names = ", ".join(family.name for family in families)
     freed = families[0].parameter if all(families[0].parameter in family.points[0].free for family in families) else ""
-    figure = new_figure(8.0, 5.6, title or f"{names}: frequency and {freed or 'energy'}")
+    figure = new_figure(8.0, 5.6, title or f"{_called(families)}: frequency and {freed or 'energy'}")
     axes = figure.subplots()
 
     def away(energy: float) -> float:
@@ -404,6 +399,10 @@ def frequency_energy(
     return figure
 
 
+def _called(families: Sequence[Family]) -> str:
+    return ", ".join(family.name for family in families)
+
+
 def two_parameters(families: Sequence[Family], title: str | None = None) -> Figure:
     """Curves of bifurcations in the plane of their two parameters, with a mark at each point of codimension two.
 
@@ -415,9 +414,7 @@ def two_parameters(families: Sequence[Family], title: str | None = None) -> Figu
             raise InputError(
                 f"{family.name}: varies {', '.join(family.parameters)}; give curves in {' and '.join(names)} alone"
             )
-    figure = new_figure(
-        8.0, 5.6, title or f"{', '.join(family.name for family in families)}: bifurcations in two parameters"
-    )
+    figure = new_figure(8.0, 5.6, title or f"{_called(families)}: bifurcations in two parameters")
     axes, shown = figure.subplots(), dict[str, Any]()
     for k, curve in enumerate(families):
         drawn = Diagram(curve, names[:2], curve.places if curve.parameters == names else curve.places[:, ::-1])  # type: ignore[arg-type]
@@ -447,14 +444,11 @@ def response(families: Sequence[Family], model: Model, coordinate: str | None = 
     most = int(np.max([size.max(axis=0) for size in sizes], axis=0).argmax())
     which = most if coordinate is None else names.index(coordinate)
     first = families[0]
-    figure = new_figure(8.0, 5.6, f"{', '.join(family.name for family in families)}: response to {first.parameter}")
+    figure = new_figure(8.0, 5.6, f"{_called(families)}: response to {first.parameter}")
     axes, called = figure.subplots(), (axis_name(first), f"amplitude of {axis(model, which)}")
     paired = zip(families, sizes, strict=True)
-    _curves(
-        figure,
-        axes,
-        [Diagram(family, called, np.column_stack([family.places, size[:, which]])) for family, size in paired],
-    )
+    drawn = [Diagram(family, called, np.column_stack([family.places, size[:, which]])) for family, size in paired]
+    _curves(figure, axes, drawn)
     dress(axes, *called)
     return figure
 

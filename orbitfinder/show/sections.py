@@ -109,9 +109,7 @@ def _curves(axes: Any, manifold: Manifold, model: Model, pair: tuple[int, int]) 
         points = wrapped(curve, model.angular)[:, list(pair)]
         jumps = np.abs(np.diff(points, axis=0)).max(axis=1) > np.pi
         points = np.insert(points, np.flatnonzero(jumps & model.angular.any()) + 1, np.nan, axis=0)
-        axes.plot(
-            points[:, 0], points[:, 1], color=colour, linewidth=0.9, label="" if k else f"{manifold.which} manifold"
-        )
+        axes.plot(*points.T, color=colour, linewidth=0.9, label="" if k else f"{manifold.which} manifold")
 
 
 def _limits(
@@ -167,14 +165,13 @@ def draw_manifolds(
     panel: Any = figure.add_subplot(projection="3d") if solid else figure.subplots()
     for manifold in manifolds:
         lines = [wrapped(curve, model.angular)[:, chosen] for curve in manifold.curves if len(curve) > 1]
+        which, colour = manifold.which, SIDES[manifold.which]
         if solid:
             for k, line in enumerate(lines):
-                panel.plot(
-                    *line.T, color=SIDES[manifold.which], linewidth=0.45, alpha=0.6, label="" if k else manifold.which
-                )
+                panel.plot(*line.T, color=colour, linewidth=0.45, alpha=0.6, label="" if k else which)
         else:
-            panel.add_collection(LineCollection(lines, colors=SIDES[manifold.which], linewidths=0.45, alpha=0.6))
-            panel.plot([], [], color=SIDES[manifold.which], label=manifold.which)
+            panel.add_collection(LineCollection(lines, colors=colour, linewidths=0.45, alpha=0.6))
+            panel.plot([], [], color=colour, label=which)
             panel.autoscale_view()
     for way in connections:
         panel.plot(*way.samples[:, chosen].T, color="black", linewidth=1.4, label=way.kind)

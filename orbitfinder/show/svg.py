@@ -118,10 +118,7 @@ def ticks(low: float, high: float, most: int) -> list[tuple[float, str]]:
             first, last = np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9)
             if last - first + 1 <= most:
                 some = np.arange(first, last + 1) * step
-                said = [_rounded(float(value), step) for value in some]
-                return [
-                    (float(value), text.replace("-", "\N{MINUS SIGN}")) for value, text in zip(some, said, strict=True)
-                ]
+                return [(x, _rounded(x, step).replace("-", "\N{MINUS SIGN}")) for x in map(float, some)]
     return [(float(low), f"{low:.4g}")]
 
 

@@ -176,16 +176,15 @@ def build_site(
     for k, section in enumerate(gathered.sections, 1):
         tell(f"section {k} of {len(gathered.sections)}, {section.name}")
         links.append(_add_section(site, section, sections(section.name), gathered, motions))
-    judge = (
-        partial(judged, model_of=gathered.model) if settings.verify else partial(recorded, why="it was not asked for")
-    )
+    judge = partial(judged, model_of=gathered.model)
+    if not settings.verify:
+        judge = partial(recorded, why="it was not asked for")
     entries = _judged([_complete(entry, simulator, links) for entry in entries], judge, tell)
     for k, entry in enumerate(entries):
         _add_orbit(site, entry, entries[k - 1 : k] + entries[k + 1 : k + 2], k > 0)
     _add_gallery(site, entries, links, motions)
-    return site, SiteSummary(
-        len(entries), len(gathered.families), len(gathered.atlases), len(gathered.sections), site.finish()
-    )
+    counts = [len(records) for records in (gathered.families, gathered.atlases, gathered.sections)]
+    return site, SiteSummary(len(entries), counts[0], counts[1], counts[2], site.finish())
 
 
 def _judged(entries: Sequence[SiteOrbit], judge: Callable[..., Verdict], tell: Progress) -> list[SiteOrbit]:
@@ -308,29 +307,20 @@ def _add_atlas(
             command = f"orbitfinder atlas show {atlas.file} {place}"
         known = simulator.conserves(file.document["system"])
         motion = simulator.orbit(file.document)
-        entries.append(
-            SiteOrbit(
-                file,
-                motion,
-                slug,
-                atlas.name,
-                label,
-                conserved=known,
-                command=command,
-                key=f"orbit={place}",
-                near=((f"../{path}#orbit={place}", f"Atlas {atlas.name}"),),
-            )
-        )
-    own = [entries[k] for k in evenly(len(entries), site.settings.atlas_pages)]
+        key = f"orbit={place}"
+        own = ((f"../{path}#{key}", f"Atlas {atlas.name}"),)
+        orbit = SiteOrbit(file, motion, slug, atlas.name, label, conserved=known, command=command, key=key, near=own)
+        entries.append(orbit)
+    shown = [entries[k] for k in evenly(len(entries), site.settings.atlas_pages)]
     systems = {same(entry.document["system"]) for entry in entries}
     model = simulator.known(entries[0].document["system"]) if len(systems) == 1 else None
-    data = atlas_data(atlas.name, entries, {entry.slug for entry in own}, model)
+    data = atlas_data(atlas.name, entries, {entry.slug for entry in shown}, model)
     about = f"An atlas of {atlas.counted('periodic orbit')}, energy against period."
     values = atlas_values(entries, atlas) | {"title": f"Atlas {atlas.name}", "landscape": data["landscape"]}
     site.add("atlas", path, values, ("explorer", data), about)
     words, note = ", ".join(sorted({entry.mechanism for entry in entries})), atlas.counted("distinct orbit")
     cover = _cover(f"atlas/{slugs[0]}", data, motions)
-    return Card("Atlas", path, atlas.name, words, note, cover, systems.pop() if len(systems) == 1 else ""), own
+    return Card("Atlas", path, atlas.name, words, note, cover, systems.pop() if len(systems) == 1 else ""), shown
 
 
 def _add_gallery(site: Site, entries: Sequence[SiteOrbit], links: Sequence[Card], motions: dict[str, Any]) -> None:

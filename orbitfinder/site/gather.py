@@ -190,9 +190,8 @@ def _listed(entries: Sequence[Any], file: Path) -> AtlasFile:
     if not entries:
         raise InputError(f"{file}: {EMPTY}")
     orbits = [_orbit(entry, f"{file}[{k}]") for k, entry in enumerate(entries)]
-    ordered = sorted(
-        enumerate(orbits), key=lambda entry: _order(entry[1].document["energy"], entry[1].document["period"])
-    )
+    places = [_order(file.document["energy"], file.document["period"]) for file in orbits]
+    ordered = [(k, orbits[k]) for k in sorted(range(len(orbits)), key=places.__getitem__)]
     return AtlasFile(file.stem, len(orbits), tuple(ordered[k] for k in evenly(len(orbits), MOST_ITEMS)), file.name)
 
 

@@ -102,11 +102,9 @@ class Simulator:
         key = repr((sorted(system.items()), free))
         if key not in self._known:
             try:
-                built = self._model_of(system)
-                self._known[key] = (
-                    built,
-                    vector_field(built, [name for name in free if name in built.parameter_names]),
-                )
+                model = self._model_of(system)
+                names = [name for name in free if name in model.parameter_names]
+                self._known[key] = model, vector_field(model, names)
             except OrbitfinderError:
                 self._known[key] = None
         return self._known[key]

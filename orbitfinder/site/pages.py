@@ -163,10 +163,7 @@ def _check(check: Check) -> dict[str, Any]:
         "found": number(check.value, 3) if sense else "yes" if check.passed else "no",
         "asked": f"{sense} {number(check.tolerance, 3)}" if sense else "yes",
         "passed": check.passed,
-        "note": check.note.replace(
-            "Phi^T J Phi = J",
-            "\N{GREEK CAPITAL LETTER PHI}\N{MODIFIER LETTER CAPITAL T}J\N{GREEK CAPITAL LETTER PHI} = J",
-        ),
+        "note": check.note.replace("Phi^T J Phi = J", "\u03a6\u1d40J\u03a6 = J"),
     }
 
 

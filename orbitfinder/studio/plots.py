@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.site.text import coordinate
 from orbitfinder.studio.tasks import Cut
 
+Trace = dict[str, Any]
 STABLE, UNSTABLE, MARK, OTHER = "#0072b2", "#d55e00", "#008060", "#8a94a0"
 MOTIONS = (STABLE, UNSTABLE, "#7a3e9d", "#8a6d00")
 DARK = {STABLE: "#56b4e9", UNSTABLE: "#f0a35e", MARK: "#3fc79a", MOTIONS[2]: "#cc99e0", MOTIONS[3]: "#d8bf4a"}
@@ -39,15 +40,13 @@ def _figure(data: list[dict[str, Any]], across: str, up: str, dark: bool, log: b
     return {"data": data, "layout": layout, "config": {"displayModeBar": False, "responsive": True}}
 
 
-def _dots(
-    x: Iterable[float], y: Iterable[float], said: Any = None, mode: str = "markers", **more: Any
-) -> dict[str, Any]:
+def _dots(x: Sequence[float], y: Sequence[float], said: Any = None, mode: str = "markers", **more: Any) -> Trace:
     """A trace of dots, or of what else `mode` says, with what is `said` where the pointer is."""
     told = {"hoverinfo": "skip"} if said is None else {"hovertext": said, "hoverinfo": "text"}
     return {"x": [*x], "y": [*y], "mode": mode} | told | more
 
 
-def _rings(x: Iterable[float], y: Iterable[float], size: int) -> dict[str, Any]:
+def _rings(x: Sequence[float], y: Sequence[float], size: int) -> Trace:
     marker = {"size": size, "color": "rgba(0,0,0,0)", "line": {"color": MARK, "width": 3}}
     return _dots(x, y, marker=marker)
 

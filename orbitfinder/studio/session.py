@@ -253,7 +253,7 @@ class Session:
         """A name that no tab and no file in the folder has; it joins those `taken`."""
         base, number = re.sub(r"[^A-Za-z0-9_-]+", "-", self.opened.name).strip("-") or "orbit", 1
         while (name := f"{base}-{number}") in taken or any(
-            (self.out / path).exists() for path in (name, f"{name}.toml")
+            (self.out / f"{name}{end}").exists() for end in ("", ".toml")
         ):
             number += 1
         taken.add(name)
@@ -340,9 +340,7 @@ def _label(item: Item) -> str:
 def leaving(family: Family) -> dict[int, str]:
     """The events of a family that branches leave at, in words."""
     return {
-        k: f"{k}: {event.kind.replace('_', ' ')} {event.detail} at {event.parameter:.6g} {family.unit}".replace(
-            "  ", " "
-        )
+        k: f"{k}: {event.words} at {event.parameter:.6g} {family.unit}"
         for k, event in enumerate(family.events)
         if event.kind in SWITCHABLE
     }

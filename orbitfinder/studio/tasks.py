@@ -186,10 +186,8 @@ class Tasks:
         leaving = branches(file, event, settings)
         self._say(f"{len(leaving)} found at event {event}")
         return [
-            follow_family(
-                branch, settings=settings, out=out, name=branch.name, progress=self._stepped(out / branch.name)
-            )
-            for branch in leaving
+            follow_family(new, settings=settings, out=out, name=new.name, progress=self._stepped(out / new.name))
+            for new in leaving
         ]
 
     def shown(self, system: Mapping[str, Any], member: FamilyPoint | Event) -> Film | None:
@@ -216,9 +214,8 @@ class Tasks:
             return refiner.refine(Guess(before.state, before.period), pins), 0
 
         try:
-            turned = refiner.orbit(
-                reached(known, value, refined, Pace(first=1.0, shortest=2.0**-5, longest=1.0, growth=1.0))
-            )
+            halved = Pace(first=1.0, shortest=2.0**-5, longest=1.0, growth=1.0)  # shares of the way
+            turned = refiner.orbit(reached(known, value, refined, halved))
         except ConvergenceError as error:
             raise ConvergenceError(f"{name} = {value:.6g}: the orbit was lost on the way ({error})") from error
         return FilmedOrbit(turned, self._film(turned), None)
