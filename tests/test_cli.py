@@ -20,7 +20,7 @@ from orbitfinder.problemfile.proposals import propose
 from orbitfinder.records.orbit import save_orbit
 from orbitfinder.records.reading import finite
 from orbitfinder.records.registry import load_orbit
-from orbitfinder.site.build import Settings
+from orbitfinder.site.build import SiteSettings
 
 ROOT = Path(__file__).parents[1]
 TRIPLE = ROOT / "problems" / "report" / "triple-1.toml"
@@ -410,7 +410,7 @@ def test_options_begin_with_the_defaults_of_what_they_are_passed_on_to():
     asked = {
         "torus": (of.follow_tori, of.TorusSettings), "continue": (of.FamilySettings,), "section": (of.section,),
         "manifold": (of.manifold,), "connect": (of.connect,), "sweep": (of.sweep,), "search": (of.search,),
-        "stabilise": (of.basin,), "guess": (propose,), "page": (Settings,),
+        "stabilise": (of.basin,), "guess": (propose,), "page": (SiteSettings,),
     }  # fmt: skip
     shown, known = {}, {}
     for name, functions in asked.items():

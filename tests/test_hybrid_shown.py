@@ -26,7 +26,7 @@ from orbitfinder.show import plot
 from orbitfinder.show.animate import AnimationSettings, draw_frames, orbit_clip
 from orbitfinder.show.html import motions as moving
 from orbitfinder.show.html import orbit_html
-from orbitfinder.site.build import Settings, build_site
+from orbitfinder.site.build import SiteSettings, build_site
 from orbitfinder.site.gather import gather
 from orbitfinder.site.motion import Simulator, histories, packed
 
@@ -218,7 +218,7 @@ def test_a_page_jumps_where_the_orbit_does(found, tmp_path):
     leaps = np.flatnonzero(np.abs(np.diff(states[0])) > 0.1)  # where the page breaks its lines, and nowhere else
     assert drawn["jumps"] == [*leaps, drawn["count"] - 1] and len(leaps) == 1  # and from the end to the beginning
     assert states[:, -1] == pytest.approx(orbit.samples[-1], abs=1e-6)
-    site, summary = build_site(gather([file]), Settings("gaits"))
+    site, summary = build_site(gather([file]), SiteSettings("gaits"))
     assert summary.orbits == 1 and b"certified" in site.files["index.html"]
 
 
@@ -228,7 +228,7 @@ def test_a_page_shows_first_order_states_and_a_table_that_moves(found, tmp_path)
     motion = Simulator().orbit(entry.document, entry.dense)
     data = packed(motion)
     assert len(data["ground"]) == data["count"] and data["jumps"] == [data["count"] - 1]
-    site, _ = build_site(gather([tmp_path / "orbit.json"]), Settings("balls"))
+    site, _ = build_site(gather([tmp_path / "orbit.json"]), SiteSettings("balls"))
     assert b"certified" in site.files["index.html"]
 
 

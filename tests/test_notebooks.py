@@ -19,6 +19,7 @@ from orbitfinder.families.point import FamilySettings
 from orbitfinder.orbits.guesses.modes import mode_problem
 from orbitfinder.show import svg
 from orbitfinder.show.html import html
+from orbitfinder.show.scene import Scene
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
@@ -77,7 +78,7 @@ def test_an_orbit_moves_and_says_its_numbers(triple):
 def test_the_motion_is_the_orbit(triple):
     """The animated polyline starts and ends at the drawn joints, to a tenth of a pixel, and scales are equal."""
     places = of.positions(of.chain(3), triple.samples)
-    picture = svg.moving_mechanism(places, triple.period, "label")
+    picture = svg.moving_mechanism(Scene(places, period=triple.period), "label")
     values = re.search(r'attributeName="points"[^>]*values="([^"]*)"', picture).group(1).split(";")
     frames = np.array([[pair.split(",") for pair in one.split()] for one in values], float)
     assert np.abs(frames[0] - frames[-1]).max() < 0.15
@@ -175,7 +176,7 @@ def test_other_things_and_failures_are_left_to_plain_text(triple, monkeypatch):
 def test_long_mechanisms_stay_small():
     """A hundred joints get fewer frames."""
     places = np.random.default_rng(0).normal(size=(401, 2, 101))
-    assert len(svg.moving_mechanism(places, 1.0, "many")) < 300_000
+    assert len(svg.moving_mechanism(Scene(places), "many")) < 300_000
 
 
 @pytest.fixture(scope="module")

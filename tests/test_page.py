@@ -27,6 +27,7 @@ from orbitfinder.loops.symmetry import REVERSAL, SYMMETRIES
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import positions, vector_field
 from orbitfinder.mechanisms.chain import chain
+from orbitfinder.orbits.course import course
 from orbitfinder.orbits.guesses.modes import mode_problem
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.problemfile.write import orbit_name, orbit_text, toml
@@ -34,13 +35,15 @@ from orbitfinder.records.certificate import at_least, at_most
 from orbitfinder.records.family import Event, load_family
 from orbitfinder.records.orbit import orbit_to_document
 from orbitfinder.records.registry import load_orbit
+from orbitfinder.show.facts import number
+from orbitfinder.show.scene import evenly
 from orbitfinder.site import writing
-from orbitfinder.site.build import Settings, build_site
-from orbitfinder.site.gather import evenly, gather
+from orbitfinder.site.build import SiteSettings, build_site
+from orbitfinder.site.gather import gather
 from orbitfinder.site.landscape import landscape
-from orbitfinder.site.motion import Simulator, histories, packed, recorded, skeleton
+from orbitfinder.site.motion import Simulator, histories, packed, skeleton
 from orbitfinder.site.pages import span, spread
-from orbitfinder.site.text import PAGES, coordinate, mechanism, number, script_data, size, slug_maker
+from orbitfinder.site.text import PAGES, coordinate, mechanism, script_data, size, slug_maker
 from orbitfinder.site.writing import MARK, check_target, mark, write_site
 
 ROOT = Path(__file__).parents[1]
@@ -187,7 +190,7 @@ def test_same_input_same_bytes(material):
 
 
 def test_former_page_is_replaced_and_nothing_else(site, tmp_path):
-    made, _ = build_site(gather([SHIPPED / "triple-1"]), Settings("first"))
+    made, _ = build_site(gather([SHIPPED / "triple-1"]), SiteSettings("first"))
     out = tmp_path / "site"
     write_site(made.files, out)
     more = made.files | {"orbits/old.html": b"", "more/old.html": b""}
@@ -575,7 +578,7 @@ def test_what_was_not_recomputed_is_the_files_word(tmp_path, why):
     system = {"kind": "python", "module": "mine", "function": "make", "arguments": {}}
     given = forged() | ({"system": system} if why == "foreign" else {})
     (tmp_path / "orbit.json").write_text(json.dumps(given))
-    made, _ = build_site(gather([tmp_path]), Settings(verify=why == "foreign"))
+    made, _ = build_site(gather([tmp_path]), SiteSettings(verify=why == "foreign"))
     page, index = (made.files[name].decode() for name in ("orbits/triple-1.html", "index.html"))
     assert "As the file has it; not checked here: " in page and ">not checked here</span>" in page
     assert ">certified<" not in page and "1 not checked here" in index and "certified" not in index
@@ -675,7 +678,7 @@ def test_few_atlas_orbits_get_pages(tmp_path):
     orbit = orbit_to_document(load_orbit(SHIPPED / "triple-1" / "orbit.json"))
     many = [orbit | {"energy": orbit["energy"] + k} for k in range(12)]
     (tmp_path / "big.json").write_text(json.dumps(many))
-    made, summary = build_site(gather([tmp_path / "big.json"]), Settings(atlas_pages=4))
+    made, summary = build_site(gather([tmp_path / "big.json"]), SiteSettings(atlas_pages=4))
     assert summary.orbits == 4 and sum(path.startswith("orbits/") for path in made.files) == 4
     text = made.files["data/atlases/big.js"].decode()
     assert text.count('"page":"../orbits/') == 4 and text.count('"energy":-') == 12
@@ -705,8 +708,8 @@ def test_points_are_picked_evenly_along_the_curve():
 def test_resampling_follows_the_rates():
     times = np.linspace(0, 2 * np.pi, 9)
     states = np.column_stack([np.sin(times), np.cos(times)])
-    seen = recorded(chain(1), times, states, np.zeros((9, 2, 1))).at(50)
     moments = np.linspace(0, 2 * np.pi, 50, endpoint=False)
+    seen = course(chain(1), times, states).states(moments)
     assert np.abs(seen[:, 0] - np.sin(moments)).max() < 2e-3
 
 
@@ -748,7 +751,7 @@ def test_a_turning_angle_goes_on_over_the_end_of_the_period():
 
 def test_relative_motions_start_again_instead_of_flying_back():
     found = Simulator().orbit(json.loads((ROOT / "results/gallery/pendulum-on-moving-cart/orbit.json").read_text()))
-    assert found.drifts and packed(found)["jumps"] == [len(found.points) - 1] and len(found.points) < 200
+    assert not found.loops and packed(found)["jumps"] == [len(found.points) - 1] and len(found.points) < 200
 
 
 def test_a_motion_at_constant_rates_is_drawn():
@@ -766,7 +769,7 @@ def test_the_neighbour_leaves_an_unstable_orbit_as_its_multiplier_says(name, gro
     simulator, about = Simulator(), document(name)
     motion = simulator.orbit(about)
     near = simulator.neighbour(about, motion)
-    assert near.period == pytest.approx(3 * motion.period) and near.drifts
+    assert near.period == pytest.approx(3 * motion.period) and not near.loops
     extent = np.ptp(motion.states, axis=0)
     away = [np.abs((near.at(4, endpoint=True)[k] - motion.states[0]) / extent).max() for k in range(4)]
     assert away[0] == pytest.approx(0.03, rel=1e-6)
@@ -788,7 +791,7 @@ def test_energies_are_called_kept_only_where_they_are(tmp_path):
     """Neither a forced oscillator's energy nor the reciprocal pairs that it has not are given as facts."""
     for name in ("forced-duffing-upper", "henon-heiles-loop"):
         shutil.copytree(ROOT / "results" / "gallery" / name, tmp_path / name)
-    made, _ = build_site(gather([tmp_path]), Settings(verify=False))
+    made, _ = build_site(gather([tmp_path]), SiteSettings(verify=False))
     forced, free = (
         made.files[f"orbits/{name}.html"].decode() for name in ("forced-duffing-upper", "henon-heiles-loop")
     )
@@ -826,7 +829,7 @@ def test_families_and_orbits_are_joined(tmp_path):
     for name in ("triple-1", "triple-mode-2"):
         shutil.copytree(ROOT / "results" / "families" / name, tmp_path / "families" / name)
     shutil.copytree(SHIPPED / "triple-1", tmp_path / "orbits" / "triple-1")
-    made, _ = build_site(gather([tmp_path]), Settings(verify=False))
+    made, _ = build_site(gather([tmp_path]), SiteSettings(verify=False))
     branch, parent, orbit = (
         made.files[f"{place}.html"].decode()
         for place in ("families/triple-1", "families/triple-mode-2", "orbits/triple-1")

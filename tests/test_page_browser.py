@@ -14,7 +14,7 @@ import orbitfinder as of
 from orbitfinder.orbits.certify import certify
 from orbitfinder.records.family import load_family
 from orbitfinder.records.registry import load_orbit
-from orbitfinder.site.build import Settings, build_site
+from orbitfinder.site.build import SiteSettings, build_site
 from orbitfinder.site.gather import gather
 from orbitfinder.site.writing import write_site
 from orbitfinder.structures.sections import section
@@ -378,7 +378,7 @@ def test_round_off_is_no_axis(browser, tmp_path):
         for name, size in (("quadruple-1", 0.8), ("quadruple-2", 0.8 + 1e-14))
     ]
     (tmp_path / "stable.json").write_text(json.dumps(orbits))
-    made, _ = build_site(gather([tmp_path / "stable.json"]), Settings(verify=False))
+    made, _ = build_site(gather([tmp_path / "stable.json"]), SiteSettings(verify=False))
     write_site(made.files, tmp_path / "site")
     go(browser, tmp_path / "site" / "atlases" / "stable.html")
     wait(browser, "return document.getElementById('plot').layout")
@@ -513,7 +513,7 @@ def potential(tmp_path_factory):
     orbit = load_orbit(SHIPPED.parent / "gallery" / "henon-heiles-loop" / "orbit.json")
     of.sections.save_section(section(orbit, seeds=4, returns=12), out / "section.json")
     of.save_orbit(orbit, out / "orbit.json")
-    made, _ = build_site(gather([out / "section.json", out / "orbit.json"]), Settings("HH", verify=False))
+    made, _ = build_site(gather([out / "section.json", out / "orbit.json"]), SiteSettings("HH", verify=False))
     write_site(made.files, out / "site")
     return out / "site"
 

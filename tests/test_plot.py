@@ -19,7 +19,7 @@ from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.guesses.modes import normal_mode
 from orbitfinder.records.family import load_family
 from orbitfinder.show import plot
-from orbitfinder.show.strokes import tip
+from orbitfinder.show.scene import tip
 from orbitfinder.show.style import arrows, bare, line_style, new_figure, place_labels
 from orbitfinder.show.svg import COLOURS
 
@@ -223,3 +223,13 @@ def test_the_path_of_the_tip_is_that_of_the_last_point_that_moves():
     walked = np.stack([pin_, arm], axis=-1).transpose(1, 0, 2)
     walked[3] = np.nan
     assert tip(walked) == 1 and tip(np.zeros((7, 2, 3))) == -1
+
+
+def test_what_has_no_energy_is_given_none() -> None:
+    """No panel and no curve of an atlas of a dissipative system says 0 J."""
+    with Atlas(RESULTS / "atlas" / "rossler.sqlite") as atlas:
+        figures = [plot.energy_period(atlas.rows(), conserved=False), plot.discovery_curves(atlas)]
+        shown = atlas._repr_html_()
+    said = [text.get_text() for figure in figures for text in figure.findobj(Text)]
+    assert not any(" J" in words for words in said) and any(words.startswith("seed 0: ") for words in said)
+    assert "energy" not in shown and "period (s)" in shown

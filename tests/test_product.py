@@ -30,7 +30,7 @@ from orbitfinder.records.orbit import digest, orbit_from_document, orbit_to_docu
 from orbitfinder.records.registry import VERBS, load_orbit, taken
 from orbitfinder.show import html
 from orbitfinder.site import gather, text
-from orbitfinder.site.build import Settings, build_site
+from orbitfinder.site.build import SiteSettings, build_site
 from orbitfinder.structures.manifold import End
 from orbitfinder.studio.session import opened
 
@@ -173,7 +173,7 @@ def test_a_verb_answers_or_says_what_the_record_is_for(kind, records):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_page_and_the_studio_have_something_to_show_or_say_what_they_take(kind, records):
     if kind in PAGES:
-        site, summary = build_site(gather.gather([records[kind]]), Settings(atlas_pages=1, verify=False))
+        site, summary = build_site(gather.gather([records[kind]]), SiteSettings(atlas_pages=1, verify=False))
         assert summary.orbits + summary.families + summary.atlases + summary.sections and len(site.pages) > 1
     else:
         with pytest.raises(InputError) as caught:
@@ -367,7 +367,7 @@ def test_a_page_imports_a_module_only_where_it_is_trusted(tmp_path):
     document["record"] = digest(document)
     (tmp_path / "orbit.json").write_text(json.dumps(document))
     for trust in (False, True):
-        site, _ = build_site(gather.gather([tmp_path / "orbit.json"], trust=trust), Settings(verify=True))
+        site, _ = build_site(gather.gather([tmp_path / "orbit.json"], trust=trust), SiteSettings(verify=True))
         page = next(one.html for one in site.pages if one.path.startswith("orbits/"))
         assert ("add --trust" in page) != trust and ("Recomputed from the numbers" in page) == trust
 

@@ -282,7 +282,7 @@ def test_systems_without_frequencies_say_so():
 
 def test_a_section_has_a_page_of_its_own(swing, tmp_path):
     """Points, motions that a click shows, the orbit among them; a record of another plane is refused."""
-    from orbitfinder.site.build import Settings, build_site
+    from orbitfinder.site.build import SiteSettings, build_site
     from orbitfinder.site.gather import gather
     from orbitfinder.site.section import section_data
 
@@ -293,7 +293,7 @@ def test_a_section_has_a_page_of_its_own(swing, tmp_path):
     assert [one["kind"] for one in data["items"][-1:]] == ["orbit"] and len(data["items"]) == 5
     np.testing.assert_allclose(data["items"][1]["x"], made.points[made.seeds == 1][:, 0], rtol=1e-5)
     assert all(one["motion"]["count"] == 480 for one in data["items"])
-    site, _ = build_site(found, Settings("sections", verify=False))
+    site, _ = build_site(found, SiteSettings("sections", verify=False))
     page = next(text.decode() for name, text in site.files.items() if name.startswith("sections/"))
     assert "4 motions" in page and "theta1 = 0, growing" in page and "assets/section.js" in page
     assert 'href="sections/' in site.files["index.html"].decode()

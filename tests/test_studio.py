@@ -32,7 +32,7 @@ from orbitfinder.studio.plots import clicked, section_figure
 from orbitfinder.studio.serve import MOST_TABS, free_port, redirect
 from orbitfinder.studio.session import Session, leaving, opened, parameters
 from orbitfinder.studio.tasks import Tasks
-from orbitfinder.studio.worker import RefusedError, StoppedError, Worker
+from orbitfinder.studio.worker import RefusedError, StoppedError, TaskProcess
 
 ROOT = Path(__file__).parents[1]
 
@@ -188,7 +188,7 @@ def test_whatever_a_page_sends_is_a_number_or_nothing():
 
 def test_a_process_is_stopped_at_once_and_the_next_task_has_another():
     async def tried():
-        worker = Worker()
+        worker = TaskProcess()
         await worker.start()
         first = worker.process
         slow = asyncio.create_task(worker.do("simulated", dict(chain(9).system), [2.0] * 9 + [0.0] * 9, 3000.0))
@@ -212,7 +212,7 @@ def test_a_process_is_stopped_at_once_and_the_next_task_has_another():
 
 def test_a_process_that_was_killed_while_it_waited_costs_nothing():
     async def tried():
-        worker = Worker()
+        worker = TaskProcess()
         await worker.start()
         first = worker.process
         os.kill(first, signal.SIGKILL)

@@ -139,7 +139,7 @@ def page(
       orbitfinder page triple.sqlite --stability elliptic -o site
     """
     with display(f"{out}: reading {plural(len(paths), 'path')}", SPEAK_EVERY) as shown:
-        from orbitfinder.site.build import Settings, build_site
+        from orbitfinder.site.build import SiteSettings, build_site
         from orbitfinder.site.gather import gather
         from orbitfinder.site.text import size
         from orbitfinder.site.writing import check_target, write_site
@@ -149,7 +149,9 @@ def page(
             shown.show(Progress(f"{out}: {line}"))
 
         check_target(out)
-        site, summary = build_site(gather(paths, chosen(options), trust), Settings(title, atlas_pages, verify), report)
+        site, summary = build_site(
+            gather(paths, chosen(options), trust), SiteSettings(title, atlas_pages, verify), report
+        )
         write_site(site.files, out)
     counts = {
         "orbit": summary.orbits,

@@ -26,7 +26,7 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.course import course_of
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import write_atomically
-from orbitfinder.show.strokes import Strokes, outlines, tip
+from orbitfinder.show.scene import BRUSHES, Scene, box, cuts_of, outlines, tip
 from orbitfinder.show.svg import COLOURS
 
 
@@ -58,26 +58,18 @@ VIDEO = AnimationSettings(pixels=1080, rate=60, supersampling=2)
 """What suits an .mp4, which is small at any size"""
 
 
-@dataclass(frozen=True)
-class Clip:
-    """Polylines to draw: `points` (frames x 2 x k, x down and y right, m) and how long a frame lasts."""
+@dataclass(frozen=True, repr=False)
+class Clip(Scene):
+    """A Scene to film: `points` (frames x 2 x k, x down and y right, m) and how long a frame lasts."""
 
     __repr__ = brief("title", "points", "rate")
 
-    points: np.ndarray
     rate: int
     title: str
     trace: int
     """frames of the tip's path drawn behind it"""
-    loops: bool
     closed: bool = False
     """True when the last point is a fixed joint too (a linkage)"""
-    ground: np.ndarray | None = None
-    """(frames x 2 x g) what the machine stands on or hits"""
-    cuts: tuple[int, ...] = ()
-    """frames before which the path of the last point is broken"""
-    strokes: Strokes = ()
-    """what is drawn through which points; () is one line through all"""
     slow: float = 1.0
     """how many times slower than real time"""
 
@@ -127,17 +119,16 @@ def orbit_clip(orbit: Orbit, model: Model | None = None, settings: AnimationSett
     lasts = settings.slow * orbit.period
     periods, frames = loop_frames(lasts, settings)
     if course.walks and settings.periods is None:
-        landed = sum(np.any(one.origin != other.origin) for one, other in pairwise([*course.pieces, course.pieces[0]]))
+        steps = pairwise([*course.pieces, course.pieces[0]])
+        landed = sum(np.any(piece.origin != after.origin) for piece, after in steps)
         periods = max(periods, -(-settings.steps // max(int(landed), 1)))
         frames = round(periods * lasts * settings.rate)
     moments = np.arange(frames) * (periods * orbit.period / frames)
     trace = min(frames, round(settings.trace * lasts * settings.rate))
     shown = portrait(model, course.states(moments)) if model.points is None else course.positions(moments)
-    title, ground = orbit.title or orbit.name, course.grounds(moments) if model.points is not None else None
-    ends = [moment + k * orbit.period for k in range(periods) for moment, _ in course.events]
-    cuts = tuple(int(k) for k in np.searchsorted(moments, ends))
-    return Clip(shown, settings.rate, title, trace, loops=not course.walks, ground=ground, cuts=cuts,
-                strokes=model.strokes, slow=settings.slow)  # fmt: skip
+    ground = course.grounds(moments) if model.points is not None else None
+    return Clip(shown, settings.rate, orbit.title or orbit.name, trace, loops=not course.walks, ground=ground,
+                cuts=cuts_of(course, moments), strokes=model.strokes, slow=settings.slow)  # fmt: skip
 
 
 def portrait(model: Model, states: np.ndarray) -> np.ndarray:
@@ -194,7 +185,7 @@ def _pictures(clip: Clip, settings: AnimationSettings) -> Iterator[Any]:
     first, end = None, tip(clip.points)
     for k in range(count):
         back = [(k - j) % count if clip.loops else max(0, k - j) for j in range(clip.trace, -1, -1)]
-        trails = [smooth(clip.points[one, :, end]) for one in _unbroken(back, clip.cuts)]
+        trails = [smooth(clip.points[frames, :, end]) for frames in _unbroken(back, clip.cuts)]
         picture = _draw(clip, k, trails, view, settings.dark)
         first = first or picture
         left = count - k
@@ -219,35 +210,27 @@ def _unbroken(frames: list[int], cuts: tuple[int, ...]) -> list[list[int]]:
     return parts
 
 
-LIGHT = {"paper": "#FFFFFF", "ink": "#000000", "faint": "#555555", "trace": "#F0B48A", "body": COLOURS[0],
-         "pin": COLOURS[1]}  # fmt: skip
-DARK = {"paper": "#14161A", "ink": "#F2F2F2", "faint": "#AAAAAA", "trace": "#8A4B21", "body": "#56B4E9",
-        "pin": "#F28E4B"}  # fmt: skip
-WIDER = 1.6
-"""How much wider the picture of what walks is"""
-SHADES = 10
-"""steps from the paper to each colour: what smooth edges need"""
-FULL, SMALLEST = 12, 8
-"""Size of the title, and of one that would not fit otherwise"""
+INKS = {
+    "paper": ("#FFFFFF", "#14161A"), "body": (COLOURS[0], "#56B4E9"), "pin": (COLOURS[1], "#F28E4B"),
+    "trace": ("#F0B48A", "#8A4B21"), "ink": ("#000000", "#F2F2F2"), "faint": ("#555555", "#AAAAAA"),
+}  # fmt: skip
+"""What is drawn in which colour, on a light and on a dark page"""
+
+
+def _colours(dark: bool) -> dict[str, str]:
+    return {name: pair[dark] for name, pair in INKS.items()}
 
 
 def _palette(dark: bool = False) -> Any:
     """A Pillow palette of the colours drawn, shaded towards the paper, so that it keeps its own."""
-    colours = {name: ImageColor.getrgb(colour) for name, colour in (DARK if dark else LIGHT).items()}
-    paper = colours["paper"]
-    entries = list(paper)
-    for name in ("body", "pin", "trace", "ink"):
-        for k in range(1, SHADES + 1):
-            entries += [
-                round(base + (part - base) * k / SHADES) for base, part in zip(paper, colours[name], strict=True)
-            ]
+    paper, *drawn, _ = (ImageColor.getrgb(colour) for colour in _colours(dark).values())
+    entries, shades = list(paper), 10  # steps from the paper to each colour: what smooth edges need
+    for colour in drawn:
+        for k in range(1, shades + 1):
+            entries += [round(base + (part - base) * k / shades) for base, part in zip(paper, colour, strict=True)]
     holder = Image.new("P", (1, 1))
     holder.putpalette(entries)
     return holder
-
-
-USUAL = 360
-"""Pixels of a picture whose lines are as thick as they say"""
 
 
 @dataclass(frozen=True)
@@ -265,14 +248,14 @@ class _View:
 
     @staticmethod
     def around(points: np.ndarray, settings: AnimationSettings, wide: bool = False) -> _View:
-        low, high = points.min(axis=(0, 2)), points.max(axis=(0, 2))
+        low, high = box(points)
         down, right = np.maximum(high - low, 1e-9)
         pixels, span = settings.pixels, max(float(down), float(right))
-        unit = pixels / USUAL
+        unit = pixels / AnimationSettings.pixels  # lines of the usual size are as thick as they say
         more = (settings.supersampling, pixels, round(26 * unit), unit)
         if not wide:
             return _View((low + high) / 2, 0.88 * pixels / span, pixels, *more)
-        pixels = round(WIDER * pixels)
+        pixels = round(1.6 * pixels)
         scale = 0.9 * min(pixels / right, settings.pixels / down)
         return _View((low + high) / 2, scale, pixels, more[0], round(scale * down + 0.12 * pixels), *more[2:])
 
@@ -284,7 +267,7 @@ class _View:
 
 
 def _draw(clip: Clip, frame: int, trails: list[np.ndarray], view: _View, dark: bool) -> Any:
-    size, colours = (view.pixels, view.height + view.header), DARK if dark else LIGHT
+    size, colours = (view.pixels, view.height + view.header), _colours(dark)
     image = Image.new("RGB", (size[0] * view.factor, size[1] * view.factor), colours["paper"])
     pen, unit = ImageDraw.Draw(image), view.unit * view.factor
     where = view.place(clip.points[frame])
@@ -310,8 +293,8 @@ def _headed(pen: Any, clip: Clip, frame: int, view: _View, colours: Mapping[str,
     """Title and time; a long title is written smaller, and cut where that does not suffice."""
     edge, room = round(8 * view.unit), view.pixels - round(70 * view.unit)
     title = clip.title if clip.slow == 1.0 else f"{clip.title}, {clip.slow:g} times slower"
-    fonts = [ImageFont.load_default(size * view.unit) for size in range(FULL, SMALLEST - 1, -1)]
-    font = next((one for one in fonts if pen.textlength(title, font=one) <= room), fonts[-1])
+    fonts = [ImageFont.load_default(size * view.unit) for size in (12, 11, 10, 9, 8)]
+    font = next((font for font in fonts if pen.textlength(title, font=font) <= room), fonts[-1])
     pen.text((edge, round(6 * view.unit)), _fitted(title, pen, font, room), fill=colours["ink"], font=font)
     time = f"{frame / clip.rate / clip.slow:.2f} s"
     pen.text((view.pixels - edge, round(6 * view.unit)), time, fill=colours["faint"], font=fonts[0], anchor="ra")
@@ -321,12 +304,12 @@ def _strokes(pen: Any, clip: Clip, frame: int, view: _View, colours: Mapping[str
     """Rods with pins at their ends, springs and discs as thin lines, sliders and the ground filled."""
     unit = view.unit * view.factor
     for kind, line in outlines(clip.points[frame], clip.strokes, 0.88 * view.pixels / view.scale):
-        where = view.place(line)
-        if kind in ("ground", "slider"):
-            pen.polygon(where, fill=colours["ink" if kind == "ground" else "pin"])
+        where, brush = view.place(line), BRUSHES[kind]
+        if brush.filled:
+            pen.polygon(where, fill=colours[{"ground": "ink", "slider": "pin"}[kind]])
             continue
-        pen.line(where, fill=colours["body"], width=round((4 if kind == "rod" else 2) * unit), joint="curve")
-        for x, y in where if kind == "rod" else []:
+        pen.line(where, fill=colours["body"], width=round(4 * brush.thick * unit), joint="curve")
+        for x, y in where if brush.pinned else []:
             _dot(pen, x, y, 3 * unit, colours["pin"])
 
 

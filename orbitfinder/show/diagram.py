@@ -10,10 +10,17 @@ import numpy as np
 from orbitfinder.errors import OrbitfinderError
 from orbitfinder.families.entries import LOOKS, kind_of
 from orbitfinder.families.members import response
+from orbitfinder.families.registry import Look
 from orbitfinder.mechanics.kind import build_model
-from orbitfinder.records.family import Family
+from orbitfinder.records.family import Event, Family
 
-__all__ = ["LOOKS", "Diagram", "diagram_of", "frequencies"]
+__all__ = ["LOOKS", "Diagram", "diagram_of", "frequencies", "mark_of"]
+
+
+def mark_of(event: Event) -> Look:
+    """How an event is drawn; one of a kind that nobody knows as a star."""
+    look: Look = LOOKS.get(event.kind, Look("*", "star"))
+    return look
 
 
 @dataclass(frozen=True)
@@ -41,19 +48,19 @@ class Diagram:
         points = self.family.points
         stable = [point.stability != "unstable" for point in points]
         cuts = [k for k in range(1, len(points)) if stable[k] != stable[k - 1]]
-        found = [(stable[k], self.points[max(k - 1, 0) : end]) for k, end in pairwise([0, *cuts, len(points)])]
+        stretches = [(stable[k], self.points[max(k - 1, 0) : end]) for k, end in pairwise([0, *cuts, len(points)])]
         for number, k in enumerate(cuts):
             for event, place in zip(self.family.events, self.events, strict=True):
                 between = points[k - 1].arclength <= event.arclength <= points[k].arclength
                 if between and kind_of(event.kind).verdict:
-                    found[number] = (stable[k - 1], np.vstack([found[number][1], place]))
-                    found[number + 1] = (stable[k], np.vstack([place, found[number + 1][1][1:]]))
-        return found
+                    stretches[number] = (stable[k - 1], np.vstack([stretches[number][1], place]))
+                    stretches[number + 1] = (stable[k], np.vstack([place, stretches[number + 1][1][1:]]))
+        return stretches
 
 
 def frequencies(family: Family) -> np.ndarray:
     """1 / period of its points and then of its events."""
-    return np.array([1 / one.period for one in family.members])
+    return np.array([1 / member.period for member in family.members])
 
 
 def diagram_of(family: Family) -> Diagram:
@@ -66,7 +73,7 @@ def diagram_of(family: Family) -> Diagram:
     except OrbitfinderError:
         moved, sizes = "", np.zeros(0)
     by_energy = family.by_energy and not moved
-    levels = np.nan_to_num([one.energy for one in family.members])
+    levels = np.nan_to_num([member.energy for member in family.members])
     along, across = (levels, "energy (J)") if by_energy else (family.places[:, 0], family.parameter)
     up = (sizes, f"amplitude of {moved}") if moved else (frequencies(family), "frequency (1/s)")
     return Diagram(family, (across, up[1]), np.column_stack([along, up[0]]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +23,8 @@ def section_figures(record: Section | Manifold | Connection, folder: Path, model
     if isinstance(record, Connection):
         return [draw_section(None, folder / "connection.png", connections=[record], model=model)]
     target = folder / f"manifold-{record.which}.png"
-    if record.kind == "curves":
-        return [draw_section(None, target, manifolds=[record], model=model)]
-    return [draw_manifolds([record], target, model=model)]
+    draws = {"curves": partial(draw_section, None, manifolds=[record])}
+    return [draws.get(record.kind, partial(draw_manifolds, [record]))(path=target, model=model)]
 
 
 def controller_figures(controller: Controller, folder: Path, model: Model) -> list[Path]:
@@ -41,8 +41,8 @@ def controller_figures(controller: Controller, folder: Path, model: Model) -> li
         axes.legend(loc="best", frameon=False, fontsize=7)
     turn = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 200))
     plane.plot(turn.real, turn.imag, color="0.7", linewidth=0.8)
-    for mark, words, found in (("x", "without", controller.open_loop), ("o", "with", controller.multipliers)):
-        plane.plot(found.real, found.imag, mark, markersize=5, label=f"{words} control", fillstyle="none")
+    for mark, words, multipliers in (("x", "without", controller.open_loop), ("o", "with", controller.multipliers)):
+        plane.plot(multipliers.real, multipliers.imag, mark, markersize=5, label=f"{words} control", fillstyle="none")
     plane.set_aspect("equal", adjustable="datalim")
     dress(plane, "Re", "Im")
     plane.legend(loc="best", frameon=False, fontsize=7)

@@ -22,13 +22,13 @@ def draw_frequencies(
 ) -> Path:
     """Draw a frequency map as PNG, its starts in two components (`axes`). Raises `InputError`."""
     names = tuple(axes) if axes is not None else tuple(model.state_names[k] for k in model.planes[0])
-    for one in names:
-        if one not in model.state_names:
+    for unknown in names:
+        if unknown not in model.state_names:
             known = ", ".join(model.state_names)
             raise InputError(
-                f"axes: unknown component {one!r}{closest(one, model.state_names)}; this system has {known}"
+                f"axes: unknown component {unknown!r}{closest(unknown, model.state_names)}; this system has {known}"
             )
-    across, up = (model.state_names.index(one) for one in names)
+    across, up = (model.state_names.index(component) for component in names)
     figure = new_figure(10.0, 4.6, name, f"frequencies over {0.5 * found.duration:.6g} s, twice")
     places, plane = figure.subplots(1, 2)
     with np.errstate(divide="ignore"):

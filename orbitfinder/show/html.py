@@ -30,24 +30,24 @@ from orbitfinder.records.certificate import Certificate
 from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.diagram import diagram_of
+from orbitfinder.show.facts import conserves, numbers, verdict_of
+from orbitfinder.show.scene import Scene, cuts_of, equal_times, evenly
 from orbitfinder.show.svg import axis, curves, diagram, greek, moving_mechanism, moving_portrait, ranged, unit_circle
 from orbitfinder.structures.torus import Tori
 
 SAMPLES = 121
 """Points of one period where an object carries no dense samples."""
-EVENLY = 481
+EVENLY = 480
 """Points of a period of a hybrid orbit, whose samples are not at equal times."""
 MOST, LISTED = 12, 24
-"""Names of parameters, and rows of a table of orbits, that are shown"""
-ROWS = 12
-"""Orbits of an atlas in its table."""
+"""Names of parameters and orbits of an atlas, and rows of other tables, that are shown"""
 ROW = "display:flex;flex-wrap:wrap;gap:16px;align-items:center"
 CELL = "text-align:left;padding:1px 10px 1px 0;font-variant-numeric:tabular-nums"
 
 
 def html(value: Any) -> str | None:
     """HTML of one of ours; None for anything else, and for a drawing that fails (the plain text remains)."""
-    maker = next((one for kind, one in MAKERS.items() if isinstance(value, kind)), None)
+    maker = next((make for kind, make in MAKERS.items() if isinstance(value, kind)), None)
     if maker is None:
         return None
     try:
@@ -67,7 +67,7 @@ def model_html(model: Model) -> str:
     names = [axis(model, k, greek) for k in range(len(unit_names(model)))]
     numbered = zip(model.parameter_names, model.parameter_values, strict=True)
     parameters = [f"{name} = {value:.9g}" for name, value in numbered]
-    kept = ", ".join(one.name for one in model.invariants) or "nothing"
+    kept = ", ".join(invariant.name for invariant in model.invariants) or "nothing"
     rows = [
         ("coordinates" if model.rates is None else "states", ", ".join(names[:MOST])),
         ("parameters", ", ".join(parameters[:MOST]) + (", ..." if len(parameters) > MOST else "")),
@@ -85,8 +85,8 @@ def problem_html(problem: Problem) -> str:
     pictures = []
     state = np.asarray(guess.state, float)
     if model.points is not None and model.constraint is None and state.size == len(model.state_names):
-        shape = positions(model, state[None])
-        pictures = [moving_mechanism(np.concatenate([shape, shape]), guess.period, "the guess", strokes=model.strokes)]
+        pose = positions(model, np.stack([state, state]))
+        pictures = [moving_mechanism(Scene(pose, strokes=model.strokes, period=guess.period), "the guess")]
     return plain_html(problem, [("count", str(problem.count()))], pictures)
 
 
@@ -95,7 +95,7 @@ def count_html(count: Count) -> str:
     rows = [
         [(what, str(number)) for what, number in side.items() if number] for side in (count.equations, count.unknowns)
     ]
-    beside = [(*one, *other) for one, other in zip_longest(*rows, fillvalue=("", ""))]
+    beside = [(*left, *other) for left, other in zip_longest(*rows, fillvalue=("", ""))]
     said = "as many equations as unknowns" if count.freedom == 0 else f"{count.freedom} more unknowns than equations"
     return f"<div>{heading('Count', said)}{table(beside, ('equations', '', 'unknowns', ''))}</div>"
 
@@ -103,7 +103,7 @@ def count_html(count: Count) -> str:
 def simulation_html(run: Simulation) -> str:
     """What moved, each component over time."""
     names = [greek(name) for name in run.state_names[: max(1, len(run.state_names) // 2)]]
-    kept = np.unique(np.linspace(0, len(run.times) - 1, 400).round().astype(int))
+    kept = evenly(len(run.times), 400)
     lines = [(name, np.column_stack([run.times, run.states[:, k]])[kept]) for k, name in enumerate(names[:6])]
     rows = [("duration", f"{run.times[-1]:.6g} s"), ("samples", str(len(run.times)))]
     if np.isfinite(run.energy[0]):
@@ -116,22 +116,22 @@ def sweep_html(sweep: Sweep) -> str:
     """A row for each value."""
     rows = []
     for row in sweep.rows:
-        found = ("", "") if row.orbit is None else (f"{row.orbit.period:.10g}", row.orbit.stability)
+        solved = ("", "") if row.orbit is None else (f"{row.orbit.period:.10g}", row.orbit.stability)
         values = (f"{row.values[name]:.9g}" for name in sweep.parameters)
-        rows.append((*values, *found, "yes" if row.certified else "no", row.reason))
+        rows.append((*values, *solved, "yes" if row.certified else "no", row.reason))
     return _listed("Sweep", "row", rows, (*sweep.parameters, "period (s)", "stability", "certified", "why not"))
 
 
 def optima_html(optima: Optima) -> str:
     """Parameter, cost and period of each controlled orbit."""
-    found = zip(optima.points, optima.values, optima.costs, strict=True)
-    rows = [(f"{value:.9g}", f"{cost:.9g}", f"{one.period:.10g}", one.stability) for one, value, cost in found]
+    told = zip(optima.points, optima.values, optima.costs, strict=True)
+    rows = [(f"{value:.9g}", f"{cost:.9g}", f"{orbit.period:.10g}", orbit.stability) for orbit, value, cost in told]
     return _listed("Optima", "orbit", rows, (optima.parameter, "cost", "period (s)", "stability"), optima.end)
 
 
 def tori_html(tori: Tori) -> str:
     """Rotation, period and energy of each torus."""
-    rows = [(f"{one.rotation:.9g}", f"{one.period:.9g}", f"{one.energy:.9g}") for one in tori.tori]
+    rows = [(f"{torus.rotation:.9g}", f"{torus.period:.9g}", f"{torus.energy:.9g}") for torus in tori.tori]
     return _listed(f"Tori {tori.name}", "torus", rows, ("rotation (turns)", "period (s)", "energy (J)"), tori.end)
 
 
@@ -144,8 +144,9 @@ def _listed(what: str, noun: str, rows: Sequence[Sequence[str]], head: Sequence[
 
 def table(rows: Iterable[Sequence[str]], head: Sequence[str] = ()) -> str:
     """A table of texts, escaped."""
-    top = "".join(f'<th style="{CELL}">{escape(one)}</th>' for one in head)
-    body = "".join("<tr>" + "".join(f'<td style="{CELL}">{escape(one)}</td>' for one in row) + "</tr>" for row in rows)
+    top = "".join(f'<th style="{CELL}">{escape(name)}</th>' for name in head)
+    cells = ("".join(f'<td style="{CELL}">{escape(text)}</td>' for text in row) for row in rows)
+    body = "".join(f"<tr>{row}</tr>" for row in cells)
     return f"<table>{f'<tr>{top}</tr>' if top else ''}{body}</table>"
 
 
@@ -167,30 +168,14 @@ def circle(orbit: Orbit) -> str:
     return unit_circle(orbit.floquet_multipliers, "Floquet multipliers and the unit circle")
 
 
-def numbers(orbit: Orbit) -> list[tuple[str, str]]:
-    """What an orbit's numbers are called, and they."""
-    certificate = orbit.certificate
-    verdict = "no certificate" if certificate is None else verdict_of(certificate)
-    if certificate is not None and orbit.record is not None:
-        verdict = f"as its file has it, not checked here: {verdict}"
-    sizes = np.abs(orbit.floquet_multipliers)
-    largest = f"{sizes.max():.6g}" if sizes.size else "none but the trivial ones"
-    energy = f"{orbit.energy:.12g} J" if np.isfinite(orbit.energy) else "none is conserved"
-    return [
-        ("period", f"{orbit.period:.12g} s"), ("energy", energy),
-        ("closure", f"{orbit.closure:.1e}"), ("stability", orbit.stability), ("symmetry", orbit.symmetry),
-        ("largest multiplier", largest), ("certificate", verdict),
-    ]  # fmt: skip
-
-
 def motions(orbit: Orbit, model: Model | None = None) -> list[str]:
     """Mechanism (where one is declared) and phase portrait of a period; `model` of a system that no file describes,
     nothing without it."""
-    found = period_of(orbit, model)
-    if found is None:
+    known = period_of(orbit, model)
+    if known is None:
         return []
-    model, seen = found
-    return [*([] if model.points is None else [mechanism(model, seen)]), Portrait(model, seen).svg()]
+    model, seen = known
+    return [*([] if model.points is None else [mechanism(scene_of(model, seen))]), Portrait(model, seen).svg()]
 
 
 def period_of(orbit: Orbit, model: Model | None = None) -> tuple[Model, Course] | None:
@@ -202,37 +187,30 @@ def period_of(orbit: Orbit, model: Model | None = None) -> tuple[Model, Course] 
         return None
 
 
-def mechanism(model: Model, seen: Course, around: np.ndarray | None = None) -> str:
+def scene_of(model: Model, seen: Course) -> Scene:
+    """What is drawn of a mechanism over a period."""
+    moments = equal_times(seen.period, EVENLY)
+    points = seen.positions(moments) if seen.jumps else positions(model, seen.samples)
+    return Scene(points, strokes=model.strokes, ground=seen.grounds(moments[:1]), period=seen.period)
+
+
+def mechanism(scene: Scene, around: np.ndarray | None = None) -> str:
     """The mechanism over a period, in the scale of the points `around` or its own."""
-    lines = seen.grounds(evenly(seen)[:1])
-    ground = None if lines is None else lines[0]
-    label = f"the mechanism over {seen.period:.4g} s"
-    return moving_mechanism(drawn_points(model, seen), seen.period, label, ground, model.strokes, around)
-
-
-def drawn_points(model: Model, seen: Course) -> np.ndarray:
-    """Positions (k x 2 x m) of what is drawn over a period."""
-    return seen.positions(evenly(seen)) if seen.jumps else positions(model, seen.samples)
-
-
-def evenly(seen: Course) -> np.ndarray:
-    """Equal times (s) over a period, the end left out."""
-    return np.linspace(0.0, seen.period, EVENLY)[:-1]
+    return moving_mechanism(scene, f"the mechanism over {scene.period:.4g} s", around)
 
 
 class Portrait:
     """Two components of a period against each other: those given, or the coordinate that moves most and its rate."""
 
     def __init__(self, model: Model, seen: Course, plane: tuple[int, int] | None = None) -> None:
-        states = seen.states(evenly(seen)) if seen.jumps else _smooth(seen)
+        states = seen.states(equal_times(seen.period, EVENLY)) if seen.jumps else _smooth(seen)
         moved = np.ptp(states, axis=0)
         jumping = seen.jumps and model.rates is not None  # a clock among the states would turn most
         most = model.planes[0] if jumping else max(model.planes, key=lambda pair: moved[pair[0]])
         self.plane = across, up = plane or most
         self.period, self.places = seen.period, states[:, [across, up]]
-        after = np.searchsorted(evenly(seen), [at for at, _ in seen.events])
         last = len(states) - bool(seen.turned[[across, up]].any())  # after a turn the first is somewhere else
-        self.cuts = [int(k) for k in dict.fromkeys(after) if 0 < k <= last]
+        self.cuts = [k for k in dict.fromkeys(cuts_of(seen, equal_times(seen.period, EVENLY))) if 0 < k <= last]
         self.names = axis(model, across, greek), axis(model, up, greek)
 
     @property
@@ -250,12 +228,12 @@ def _smooth(seen: Course) -> np.ndarray:
     (piece,) = seen.pieces
     if len(piece.times) >= EVENLY // 2:
         return piece.states
-    return between(piece.times, piece.states, piece.model.degrees_of_freedom, np.linspace(0.0, seen.period, EVENLY))
+    return between(piece.times, piece.states, piece.model.degrees_of_freedom, np.linspace(0.0, seen.period, EVENLY + 1))
 
 
 def range_of(portraits: Sequence[Portrait]) -> tuple[np.ndarray, np.ndarray]:
     """The axes that several portraits share."""
-    return ranged(np.vstack([one.places for one in portraits]))
+    return ranged(np.vstack([portrait.places for portrait in portraits]))
 
 
 def _period(orbit: Orbit, model: Model) -> tuple[np.ndarray, np.ndarray]:
@@ -267,19 +245,13 @@ def _period(orbit: Orbit, model: Model) -> tuple[np.ndarray, np.ndarray]:
     return np.linspace(0.0, orbit.period, SAMPLES), sample(build_flow(model), orbit.state, orbit.period, SAMPLES)
 
 
-def verdict_of(certificate: Certificate) -> str:
-    """passed, or the checks that failed."""
-    count = len(certificate.checks)
-    return f"passed, {plural(count, 'check')}" if certificate.passed else f"FAILED: {', '.join(certificate.failures)}"
-
-
 def certificate_html(certificate: Certificate) -> str:
     """Every check with its number, what is allowed and its note."""
     rows = []
-    for one in certificate.checks:
-        sense, yes = one.sense, "yes" if one.passed else "no"
-        numbers = (f"{one.value:.2e}", f"{sense} {one.tolerance:.2e}") if sense else (yes, "yes")
-        rows.append((one.name, *numbers, "passed" if one.passed else "FAILED", one.note))
+    for check in certificate.checks:
+        sense, yes = check.sense, "yes" if check.passed else "no"
+        numbers = (f"{check.value:.2e}", f"{sense} {check.tolerance:.2e}") if sense else (yes, "yes")
+        rows.append((check.name, *numbers, "passed" if check.passed else "FAILED", check.note))
     scale = f"closure tolerances scaled by {certificate.scale:.3g}"
     checks = table(rows, ("check", "value", "asked", "result", "note"))
     return f"<div>{heading(f'Certificate: {verdict_of(certificate)}', scale)}{checks}</div>"
@@ -304,29 +276,30 @@ def family_html(family: Family) -> str:
 def _members(points: Sequence[FamilyPoint], parameter: str) -> str:
     """The mechanism of some orbits of a family in one scale, their numbers below; nothing where none is declared."""
     known = [(point, period_of(point)) for point in points]
-    seen = [(point, *found) for point, found in known if found is not None and found[0].points is not None]
-    if not seen:
+    scenes = [(point, scene_of(*told)) for point, told in known if told is not None and told[0].points is not None]
+    if not scenes:
         return ""
-    around = np.concatenate([drawn_points(model, one) for _, model, one in seen])
+    around = np.concatenate([scene.points for _, scene in scenes])
     parts = []
-    for point, model, one in seen:
+    for point, scene in scenes:
         value = f"{parameter} = {point.value:.6g}" if parameter else f"E = {point.energy:.6g} J"
         below = f"{escape(value)}, T = {point.period:.5g} s<br>{escape(point.stability)}"
-        parts.append(f"<div>{mechanism(model, one, around)}<br>{below}</div>")
+        parts.append(f"<div>{mechanism(scene, around)}<br>{below}</div>")
     return "".join(parts)
 
 
 def atlas_html(atlas: Atlas) -> str:
     """How many orbits, the first of them in a table, the first three moving."""
-    rows = atlas.rows()
+    rows, energy = atlas.rows(), conserves(atlas)
     listed = [
-        (str(row.id), f"{row.energy:.8g}", f"{row.period:.10g}", row.symmetry, row.stability, f"{row.instability:.4g}")
-        for row in rows[:ROWS]
-    ]
+        (str(row.id), *([f"{row.energy:.8g}"] if energy else []), f"{row.period:.10g}", row.symmetry, row.stability,
+         f"{row.instability:.4g}")
+        for row in rows[:MOST]
+    ]  # fmt: skip
     steady = [atlas.orbit(row.id) for row in [row for row in rows if row.instability < STEADY][:3]]
-    moving = "".join(picture for one in steady for picture in motions(one))
-    head = ("id", "energy (J)", "period (s)", "symmetry", "stability", "largest multiplier")
-    more = f"the first {ROWS} by energy and period" if len(rows) > ROWS else ""
+    moving = "".join(picture for orbit in steady for picture in motions(orbit))
+    head = ("id", *(["energy (J)"] if energy else []), "period (s)", "symmetry", "stability", "largest multiplier")
+    more = f"the first {MOST} by energy and period" if len(rows) > MOST else ""
     title = heading(f"Atlas {atlas.path.name}: {plural(len(rows), 'orbit')}", more)
     return f'<div>{title}{table(listed, head)}<div style="{ROW}">{moving}</div></div>'
 

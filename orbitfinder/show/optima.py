@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from itertools import pairwise
 from pathlib import Path
 
@@ -35,11 +36,12 @@ def save_optima_figure(optima: Optima, folder: str | Path) -> Path:
         least = first == 0 or second == 0  # a turning point itself is the end of both
         axes.plot(values[[k, m]], costs[[k, m]], "-" if least else "--", color=COLOURS[0], linewidth=1.4)
     axes.plot(values, costs, ".", color=COLOURS[0], markersize=4)
+    places = defaultdict[str, list[tuple[float, float]]](list)
+    for change in optima.changes:
+        places[change.kind].append((change.value, change.cost))
     for kind, (mark, words) in MARKS.items():
-        own = [one for one in optima.changes if one.kind == kind]
-        if own:
-            axes.plot([one.value for one in own], [one.cost for one in own], mark, color=COLOURS[1], label=words,
-                      markersize=8)  # fmt: skip
+        if places[kind]:
+            axes.plot(*zip(*places[kind], strict=True), mark, color=COLOURS[1], label=words, markersize=8)
     if optima.changes:
         axes.legend(loc="best", frameon=False, fontsize=9)
     dress(axes, optima.parameter, "cost")

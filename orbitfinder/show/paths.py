@@ -19,13 +19,6 @@ from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.style import dress, landmark, legend, new_figure
 from orbitfinder.show.svg import COLOURS
 
-NEAR = 0.35
-"""Landmarks are shown within this share of a path's largest extent about it."""
-HIDDEN = 0.02
-"""Of landmarks nearer to each other than this in a view the first is shown."""
-FLAT = 1e-6
-"""A coordinate that moves less than this share of the largest extent has no view of its own."""
-
 
 def has_path(model: Model) -> bool:
     """Whether the coordinates are those of one thing in a plane or in space: it marks places, or draws no links."""
@@ -49,13 +42,13 @@ def path_views(orbit: Orbit, model: Model) -> Figure:
 
 def family_paths(family: Family, shown: Sequence[MemberMotion], model: Model) -> Figure:
     """Orbits along a family from every side, coloured by the family's parameter, and the landmarks near them."""
-    figure, views = _views([one.states for one in shown], model, f"{family.name}: orbits along the family")
-    values = [one.point.value for one in shown]
+    figure, views = _views([motion.states for motion in shown], model, f"{family.name}: orbits along the family")
+    values = [motion.point.value for motion in shown]
     scale = ScalarMappable(Normalize(min(values), max(values)), colormaps["viridis"])
     for axes, (i, j) in views:
-        for one in shown:
-            colour = scale.to_rgba(one.point.value)
-            axes.plot(one.states[:, i], one.states[:, j], color=colour, linewidth=1.1)
+        for motion in shown:
+            colour = scale.to_rgba(motion.point.value)
+            axes.plot(motion.states[:, i], motion.states[:, j], color=colour, linewidth=1.1)
     unit = "" if model.landmarks or not family.unit else f" ({family.unit})"
     figure.colorbar(scale, ax=[axes for axes, _ in views], label=f"{family.parameter}{unit}", shrink=0.85)
     legend(figure, views[0][0], "lower right")
@@ -70,17 +63,17 @@ def _views(
     places = np.vstack([states[:, :n] for states in motions])
     low, high = places.min(axis=0), places.max(axis=0)
     extent = float((high - low).max())
-    moving = [i for i in range(n) if high[i] - low[i] > FLAT * extent]
+    moving = [i for i in range(n) if high[i] - low[i] > 1e-6 * extent]
     pairs = [(i, j) for i, j in combinations(range(n), 2) if {i, j} <= set(moving)] or [(0, 1)]
     figure = new_figure(4.2 * len(pairs) + 0.8, 4.9, title, what)
     views = list(zip(np.atleast_1d(figure.subplots(1, len(pairs))), pairs, strict=True))
-    room = NEAR * extent
+    room = 0.35 * extent  # about the path, within which landmarks are shown
     for axes, (i, j) in views:
         seen: list[np.ndarray] = []
         for name, place in model.landmarks.items():
             there = np.array([place[i], place[j]])
             inside = all(low[k] - room <= place[k] <= high[k] + room for k in range(n))
-            if inside and all(np.abs(there - other).max() > HIDDEN * extent for other in seen):
+            if inside and all(np.abs(there - other).max() > 0.02 * extent for other in seen):
                 landmark(axes, name, *there)
                 seen.append(there)
         axes.set_aspect("equal", adjustable="datalim")

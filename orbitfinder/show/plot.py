@@ -26,9 +26,10 @@ from orbitfinder.mechanics.scales import units as units_of
 from orbitfinder.orbits.course import Course, course_of
 from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import Orbit
-from orbitfinder.show.diagram import LOOKS, Diagram, frequencies
+from orbitfinder.show.diagram import Diagram, frequencies, mark_of
+from orbitfinder.show.facts import conserves, number
 from orbitfinder.show.paths import family_paths, has_path, path_views
-from orbitfinder.show.strokes import tip
+from orbitfinder.show.scene import Scene, evenly, tip
 from orbitfinder.show.style import (
     LEAST_SIDE,
     arrows,
@@ -40,6 +41,7 @@ from orbitfinder.show.style import (
     new_figure,
     place_labels,
     plane,
+    save_all,
     save_png,
     sweep,
     trail,
@@ -47,13 +49,6 @@ from orbitfinder.show.style import (
 )
 from orbitfinder.show.svg import COLOURS, axis, label
 
-SNAPSHOTS = 48
-"""Configurations drawn over one period."""
-STILL = 1e-9
-"""Change relative to its size below which a component stands still."""
-WALKED, GROUNDS = 3, 8
-"""Periods drawn of what walks, places of a ground that moves."""
-MOST_PORTRAITS = 12
 MOST_IN_LEGEND = 12
 
 
@@ -99,8 +94,8 @@ def save_figures(orbit: Orbit | Family, folder: str | Path, model: Model | None 
 
 def _saved(figures: Mapping[str, Figure], folder: str | Path, system: Mapping[str, Any]) -> list[Path]:
     """Figures as PNG files; those of equations without units say none."""
-    shown = figures if units_of(system)["time"] else {name: bare(figure) for name, figure in figures.items()}
-    return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in shown.items()]
+    unitless = not units_of(system)["time"]
+    return save_all({name: bare(figure) if unitless else figure for name, figure in figures.items()}, folder)
 
 
 def heading(orbit: Orbit, what: str) -> tuple[str, str]:
@@ -180,20 +175,15 @@ def _below(
 
 def _components(figure: Figure, course: Course, model: Model) -> Figure:
     """Components of a state over one period below each other (at most 12, evenly chosen)."""
-    chosen = _evenly(model.degrees_of_freedom)
+    chosen = evenly(model.degrees_of_freedom, 12)
     columns = course.samples[:, chosen].T
     panels = _below(figure, course.times, columns, [axis(model, k) for k in chosen], course.period)
     for axes, column in zip(panels, columns, strict=True):
         middle, spread = np.nanmean(column), np.nanmax(np.abs(column - column[0]))
-        if 0 < spread < STILL * abs(middle):  # what stands still must not have its round-off magnified
+        if 0 < spread < 1e-9 * abs(middle):  # what stands still must not have its round-off magnified
             axes.set_ylim(*(middle + np.array([-0.5, 0.5]) * abs(middle)))
     mark_events(panels, course)
     return figure
-
-
-def _evenly(count: int) -> list[int]:
-    """The numbers of so many panels, evenly chosen where there are too many."""
-    return [int(k) for k in np.unique(np.linspace(0, count - 1, min(count, MOST_PORTRAITS)).round())]
 
 
 def phase_portraits(orbit: Orbit, model: Model) -> Figure:
@@ -203,7 +193,7 @@ def phase_portraits(orbit: Orbit, model: Model) -> Figure:
     """
     course = course_of(orbit, model)
     states = course.samples
-    chosen = [model.planes[k] for k in _evenly(len(model.planes))]
+    chosen = [model.planes[k] for k in evenly(len(model.planes), 12)]
     columns = min(len(chosen), 3 if len(chosen) != 4 else 2)
     rows = -(-len(chosen) // columns)
     figure = new_figure(max(3.2 * columns, 5.0), max(2.9 * rows, 3.6) + 0.5, *heading(orbit, "phase portraits"))
@@ -229,20 +219,20 @@ def swept_configuration(orbit: Orbit, model: Model) -> Figure:
 
     What walks is shown for three periods, on its ground.
     """
-    course = course_of(orbit, model)
+    course, snapshots = course_of(orbit, model), 48
     figure = new_figure(*((9.0, 5.0) if course.walks else (6.4, 6.4)), *heading(orbit, "swept configuration"))
-    axes, rounds = figure.subplots(), WALKED if course.walks else 1
+    axes, rounds = figure.subplots(), 3 if course.walks else 1
     if course.jumps:
-        moments = np.linspace(0.0, rounds * course.period, rounds * SNAPSHOTS // (2 if course.walks else 1) + 1)[:-1]
+        moments = np.linspace(0.0, rounds * course.period, rounds * snapshots // (2 if course.walks else 1) + 1)[:-1]
         joints, paths = course.positions(moments), _tips(course, rounds)
     else:
-        _, states = orbit.times, orbit.samples
-        joints, paths = positions(model, states[:: max(1, (len(states) - 1) // SNAPSHOTS)]), positions(model, states)
+        paths = positions(model, orbit.samples)
+        joints = paths[:: max(1, (len(paths) - 1) // snapshots)]
     sweep(axes, joints, strokes=model.strokes)
     end = tip(paths)
     trail(axes, paths[:, :, end], 1.4, label="path of the tip")
     still = not course.jumps or np.ptp(joints[:, :, 0], axis=0).max() == 0
-    configuration(axes, joints, model.strokes, 2.0, still, named=True)
+    configuration(axes, Scene(joints, strokes=model.strokes), 2.0, still, named=True)
     plane(axes)
     axes.margins(0.06)
     seen = np.concatenate([joints[:, 1].ravel(), paths[:, 1, end]])
@@ -255,17 +245,17 @@ def swept_configuration(orbit: Orbit, model: Model) -> Figure:
 
 def _tips(course: Course, rounds: int) -> np.ndarray:
     """Positions (k x 2 x m) at the samples of some periods, broken by nan at events."""
-    found = []
+    rows = []
     for k in range(rounds):
-        for one in course.pieces:
-            found.append(positions(one.model, one.states) + (one.origin + k * course.stride)[:, None])
-            found.append(np.full((1, *found[-1].shape[1:]), np.nan))
-    return np.concatenate(found)
+        for piece in course.pieces:
+            rows.append(positions(piece.model, piece.states) + (piece.origin + k * course.stride)[:, None])
+            rows.append(np.full((1, *rows[-1].shape[1:]), np.nan))
+    return np.concatenate(rows)
 
 
 def draw_ground(axes: Any, course: Course) -> None:
     """What the machine stands on or hits, without changing what is seen; where it moves, its places at equal times."""
-    moments = np.linspace(0.0, course.period, GROUNDS, endpoint=False)
+    moments = np.linspace(0.0, course.period, 8, endpoint=False)
     if (lines := course.grounds(moments)) is None:
         return
     moving = not course.walks and np.ptp(lines, axis=0).max() > 0
@@ -326,10 +316,13 @@ def save_family_figures(family: Family, folder: str | Path, model: Model) -> lis
 
 def save_frequency_energy(families: Sequence[Family | Orbit], path: Path, level: float | None = None) -> Path:
     """Write one picture of families (see `frequency_energy`). Raises `InputError` for what is no family."""
-    for one in families:
-        if not isinstance(one, Family) or len(one.parameters) > 1 or not np.isfinite(one.values("energy")).all():
-            raise InputError(f"{one.name}: --together and --level take families of orbits with an energy; leave it out")
-    return save_png(frequency_energy([one for one in families if isinstance(one, Family)], level=level), path)
+    drawn = list[Family]()
+    for family in families:
+        if isinstance(family, Family) and len(family.parameters) < 2 and np.isfinite(family.values("energy")).all():
+            drawn.append(family)
+            continue
+        raise InputError(f"{family.name}: --together and --level take families of orbits with an energy; leave it out")
+    return save_png(frequency_energy(drawn, level=level), path)
 
 
 def gallery(family: Family, shown: Sequence[MemberMotion]) -> Figure:
@@ -340,10 +333,10 @@ def gallery(family: Family, shown: Sequence[MemberMotion]) -> Figure:
     grid = np.atleast_1d(figure.subplots(rows, columns)).ravel()
     for axes, motion in zip(grid, shown, strict=False):
         _draw(axes, motion)
-        one = motion.point
-        where = f"{family.parameter} {one.value:.5g}" if family.parameter in one.free else f"{one.energy:.5g} J"
+        point = motion.point
+        where = f"{family.parameter} {point.value:.5g}" if family.parameter in point.free else f"{point.energy:.5g} J"
         where = where.replace("-", "\N{MINUS SIGN}")
-        axes.set_title(f"{where}, {one.period:.4g} s\n{one.stability}", fontsize=8)
+        axes.set_title(f"{where}, {point.period:.4g} s\n{point.stability}", fontsize=8)
         axes.set_aspect("equal", adjustable="datalim")
         axes.margins(0.06)
         axes.tick_params(labelsize=7)
@@ -362,7 +355,7 @@ def _draw(axes: Any, motion: MemberMotion) -> None:
         return
     sweep(axes, motion.joints[:: max(1, len(motion.joints) // 30)], width=0.8, strokes=motion.strokes)
     trail(axes, motion.joints[:, :, tip(motion.joints)], 1.1)
-    configuration(axes, motion.joints, motion.strokes, 1.6, still=True, named=False)
+    configuration(axes, Scene(motion.joints, strokes=motion.strokes), 1.6, still=True, named=False)
 
 
 def frequency_energy(
@@ -377,9 +370,8 @@ def frequency_energy(
     further orbits to show, name -> (energy, period). With a `level` (J) the axis is the logarithm of the distance
     from it, which opens what gathers at a saddle or at rest. The numbers of one family are those of `--switch`.
     """
-    names = ", ".join(family.name for family in families)
     freed = families[0].parameter if all(families[0].parameter in family.points[0].free for family in families) else ""
-    figure = new_figure(8.0, 5.6, title or f"{names}: frequency and {freed or 'energy'}")
+    figure = new_figure(8.0, 5.6, title or f"{_called(families)}: frequency and {freed or 'energy'}")
     axes = figure.subplots()
 
     def away(energy: float) -> float:
@@ -389,7 +381,7 @@ def frequency_energy(
     called = axis_name(families[0]) if freed else distance, "frequency (1/s)"
     drawn = []
     for each in families:
-        levels = [away(one.energy) for one in each.members]
+        levels = [away(member.energy) for member in each.members]
         drawn.append(
             Diagram(each, called, np.column_stack([each.places[:, 0] if freed else levels, frequencies(each)]))
         )
@@ -401,14 +393,14 @@ def frequency_energy(
         axes.set_xscale("log")
     dress(axes, *called)
     if len(families) == 1:
-        numbered = [k for k, one in enumerate(families[0].events) if LOOKS[one.kind].numbered]
-        labels += [(str(k), *drawn[0].events[k]) for k in (numbered if len(numbered) <= MOST_NUMBERED else [])]
+        numbered = [k for k, event in enumerate(families[0].events) if mark_of(event).numbered]
+        labels += [(str(k), *drawn[0].events[k]) for k in (numbered if len(numbered) <= 24 else [])]
     place_labels(figure, axes, labels)
     return figure
 
 
-MOST_NUMBERED = 24
-"""Events carry their number where there are not more"""
+def _called(families: Sequence[Family]) -> str:
+    return ", ".join(family.name for family in families)
 
 
 def two_parameters(families: Sequence[Family], title: str | None = None) -> Figure:
@@ -417,20 +409,20 @@ def two_parameters(families: Sequence[Family], title: str | None = None) -> Figu
     Curves of the same two parameters are drawn together. Raises `InputError` for families in one parameter.
     """
     names = families[0].parameters
-    for one in families:
-        if len(one.parameters) < 2 or set(one.parameters) != set(names):
+    for family in families:
+        if len(family.parameters) < 2 or set(family.parameters) != set(names):
             raise InputError(
-                f"{one.name}: varies {', '.join(one.parameters)}; give curves in {' and '.join(names)} alone"
+                f"{family.name}: varies {', '.join(family.parameters)}; give curves in {' and '.join(names)} alone"
             )
-    figure = new_figure(8.0, 5.6, title or f"{', '.join(one.name for one in families)}: bifurcations in two parameters")
+    figure = new_figure(8.0, 5.6, title or f"{_called(families)}: bifurcations in two parameters")
     axes, shown = figure.subplots(), dict[str, Any]()
-    for k, one in enumerate(families):
-        drawn = Diagram(one, names[:2], one.places if one.parameters == names else one.places[:, ::-1])  # type: ignore[arg-type]
-        test = one.curve["test"]
+    for k, curve in enumerate(families):
+        drawn = Diagram(curve, names[:2], curve.places if curve.parameters == names else curve.places[:, ::-1])  # type: ignore[arg-type]
+        test = curve.curve["test"]
         line = axes.plot(*drawn.points.T, color=COLOURS[k % len(COLOURS)], linewidth=1.8)[0]
         shown.setdefault(f"{test['kind']} {test['detail']}".replace("_", " ").strip(), line)
-        for event, place in zip(one.events, drawn.events, strict=True):
-            style = {"marker": LOOKS[event.kind].marker, "markersize": 7.0, "linestyle": "none", "color": "black"}
+        for event, place in zip(curve.events, drawn.events, strict=True):
+            style = {"marker": mark_of(event).marker, "markersize": 7.0, "linestyle": "none", "color": "black"}
             shown.setdefault(event.kind.replace("_", " "), axes.plot(*place, **style)[0])
             axes.annotate(event.words, place, fontsize=9, xytext=(7, 7), textcoords="offset points", parse_math=False)
     dress(axes, *names)
@@ -452,10 +444,11 @@ def response(families: Sequence[Family], model: Model, coordinate: str | None = 
     most = int(np.max([size.max(axis=0) for size in sizes], axis=0).argmax())
     which = most if coordinate is None else names.index(coordinate)
     first = families[0]
-    figure = new_figure(8.0, 5.6, f"{', '.join(one.name for one in families)}: response to {first.parameter}")
+    figure = new_figure(8.0, 5.6, f"{_called(families)}: response to {first.parameter}")
     axes, called = figure.subplots(), (axis_name(first), f"amplitude of {axis(model, which)}")
     paired = zip(families, sizes, strict=True)
-    _curves(figure, axes, [Diagram(one, called, np.column_stack([one.places, size[:, which]])) for one, size in paired])
+    drawn = [Diagram(family, called, np.column_stack([family.places, size[:, which]])) for family, size in paired]
+    _curves(figure, axes, drawn)
     dress(axes, *called)
     return figure
 
@@ -475,14 +468,14 @@ def _curves(figure: Figure, axes: Any, diagrams: Sequence[Diagram]) -> None:
             key = {"color": "0.3" if many else colour, "linestyle": style["linestyle"]}
             shown.setdefault("stable" if stable else "unstable", Line2D([], [], **key))
         for event, place in zip(drawn.family.events, drawn.events, strict=True):
-            look = LOOKS[event.kind]
+            look = mark_of(event)
             style = {"marker": look.marker, "markersize": look.size, "linestyle": "none", "color": look.colour}
             style["markerfacecolor"] = "white" if look.hollow else look.colour
             style["zorder"] = 4.0 - look.size / 10  # what has the same place as another event stays in sight
             shown.setdefault(event.kind.replace("_", " "), axes.plot(*place, **style)[0])
     if many:
         names = [Line2D([], [], color=COLOURS[k % len(COLOURS)], linewidth=2.4) for k in range(len(diagrams))]
-        legend(figure, dict(zip((one.family.name for one in diagrams), names, strict=True)), "right upper")
+        legend(figure, dict(zip((each.family.name for each in diagrams), names, strict=True)), "right upper")
     legend(figure, shown, "lower center", ncols=4)
 
 
@@ -525,10 +518,10 @@ def multipliers_along(family: Family) -> Figure:
     for level in (-2.0, 2.0):
         lower.axhline(level, color="0.5", linewidth=0.7)
     for event in family.events:
-        if LOOKS[event.kind].across:
+        if mark_of(event).across:
             lower.axvline(event.parameter, color="0.75", linewidth=0.6)
     lower.set_yscale("asinh", linear_width=2.0)
-    top = min(max(4.0, 1.2 * float(np.abs(indices).max())), INDEX_SHOWN)
+    top = min(max(4.0, 1.2 * float(np.abs(indices).max())), 2000.0)  # beyond it the multipliers above tell more
     lower.set_yticks([sign * size for size in (2.0, 10.0, 100.0, 1000.0) if size <= top for sign in (-1, 1)] + [0.0])
     lower.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     lower.set_ylim(-top, top)
@@ -538,15 +531,9 @@ def multipliers_along(family: Family) -> Figure:
     return figure
 
 
-INDEX_SHOWN = 2000.0
-"""The largest stability index drawn: beyond it the multipliers above tell more."""
-POLE = 4.0
-"""A stability index that is larger than this on both sides of a change of sign has jumped through infinity."""
-
-
 def unpoled(values: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A curve (values, line) broken by nan where it passes a pole."""
-    jumps = (np.sign(line[1:]) != np.sign(line[:-1])) & (np.minimum(np.abs(line[1:]), np.abs(line[:-1])) > POLE)
+    """A curve (values, line) broken by nan where it passes a pole: it is large on both sides of a change of sign."""
+    jumps = (np.sign(line[1:]) != np.sign(line[:-1])) & (np.minimum(np.abs(line[1:]), np.abs(line[:-1])) > 4.0)
     at = np.flatnonzero(jumps) + 1
     return np.insert(values, at, np.nan), np.insert(line, at, np.nan)
 
@@ -562,8 +549,6 @@ def axis_name(family: Family) -> str:
 
 KINDS = {"elliptic": (COLOURS[2], "o"), "marginal": (COLOURS[4], "s"), "unstable": (COLOURS[1], "^")}
 """Colour and marker of each verdict."""
-MOST_PANELS = 6
-"""Energies that get a panel each; of more the orbits are drawn in the plane of energy and period"""
 
 
 def save_atlas_figures(atlas: Atlas, folder: str | Path, chosen: Filter | None = None) -> list[Path]:
@@ -572,40 +557,42 @@ def save_atlas_figures(atlas: Atlas, folder: str | Path, chosen: Filter | None =
     if not rows:
         raise InputError(f"{atlas.path}: no orbit to draw; widen the filter, or search longer")
     figures = {
-        "atlas_energy_period": energy_period(rows),
+        "atlas_energy_period": energy_period(rows, conserves(atlas)),
         "atlas_instability": instability(rows),
         "atlas_discovery": discovery_curves(atlas),
     }
-    return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in figures.items()]
+    return save_all(figures, folder)
 
 
-def energy_period(rows: Sequence[AtlasRow]) -> Figure:
-    """Largest multiplier against period, one panel an energy; of many energies, energy against period.
+def energy_period(rows: Sequence[AtlasRow], conserved: bool = True) -> Figure:
+    """Largest multiplier against period, one panel an energy where one is conserved; of many energies (more than six),
+    energy against period.
 
     One mark an orbit, by stability.
     """
     energies = np.array([row.energy for row in rows])
-    shells = np.unique(np.round(energies, 9)) if np.isfinite(energies).all() else energies[:1]
-    panels = shells if shells.size <= MOST_PANELS else shells[:1]
-    title = f"{plural(len(rows), 'periodic orbit')}: {'period' if shells.size <= MOST_PANELS else 'energy, period'}"
+    shells = np.unique(np.round(energies, 9)) if conserved else energies[:1]
+    apart = shells.size > 6
+    panels = shells[:1] if apart else shells
+    title = f"{plural(len(rows), 'periodic orbit')}: {'energy, period' if apart else 'period'}"
     figure = new_figure(8.0, 2.2 + 2.6 * panels.size, f"{title} and stability")
     axes = np.atleast_1d(figure.subplots(panels.size, 1, sharex=True))
-    apart = shells.size > MOST_PANELS
     places = np.zeros(len(rows), int) if apart else np.abs(energies[:, None] - panels).argmin(axis=1)
     heights = energies if apart else np.array([row.instability for row in rows])
     periods, shown = np.array([row.period for row in rows]), dict[str, Any]()
     for kind, (colour, marker) in KINDS.items():
         verdict = np.array([row.stability == kind for row in rows])
         style = {"color": colour, "markersize": 4.5, "alpha": 0.75, "markeredgewidth": 0, "linestyle": "none"}
-        for k, one in enumerate(axes):
+        for k, panel in enumerate(axes):
             here = verdict & (places == k)
             if here.any():
-                shown[f"{kind} ({int(verdict.sum())})"] = one.plot(periods[here], heights[here], marker, **style)[0]
-    for one, shell in zip(axes, panels, strict=True):
+                shown[f"{kind} ({int(verdict.sum())})"] = panel.plot(periods[here], heights[here], marker, **style)[0]
+    for panel, shell in zip(axes, panels, strict=True):
         if not apart:
-            one.set_yscale("log")
-            one.set_title(f"{shell:g} J".replace("-", "\N{MINUS SIGN}"), loc="left", fontsize=10)
-        dress(one, "period (s)" if one is axes[-1] else "", "energy (J)" if apart else "largest |multiplier|")
+            panel.set_yscale("log")
+        if conserved and not apart:
+            panel.set_title(f"{number(float(shell))} J", loc="left", fontsize=10)
+        dress(panel, "period (s)" if panel is axes[-1] else "", "energy (J)" if apart else "largest |multiplier|")
     legend(figure, shown, "lower center", ncols=4)
     return figure
 
@@ -637,8 +624,8 @@ def discovery_curves(atlas: Atlas) -> Figure:
         if not len(seconds):
             continue
         colour = COLOURS[k % len(COLOURS)]
-        level = f"{energy:g}".replace("-", "\N{MINUS SIGN}")
-        name = f"{level} J, seed {seed}: {distinct[-1]} found, about {estimate[-1]:.0f} estimated"
+        level = f"{number(energy)} J, " if conserves(atlas) else ""
+        name = f"{level}seed {seed}: {distinct[-1]} found, about {estimate[-1]:.0f} estimated"
         axes.plot(seconds, distinct, color=colour, label=name)
         settled = np.arange(len(seconds)) >= min(50, len(seconds) // 4)  # earlier it is mostly noise
         axes.plot(seconds[settled], estimate[settled], color=colour, linestyle=":", linewidth=1.2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -44,27 +45,27 @@ def draw_section(
     Regular motions are coloured, each with a colour of its own, chaotic ones grey. Without a section the plane is that
     of the first manifold or connection. Raises `InputError` where they lie on different planes.
     """
-    given: list[Any] = [one for one in (section, *manifolds, *connections) if one is not None]
+    given: list[Any] = [record for record in (section, *manifolds, *connections) if record is not None]
     if not given:
         raise InputError("section: nothing to draw; give a section, a manifold or a connection")
     first = given[0]
-    for one in given[1:]:
-        check_plane(one, first)
+    for record in given[1:]:
+        check_plane(record, first)
     model = model or build_model(first.system)
     level = f", energy {first.energy:.8g}" if np.isfinite(first.energy) else ""
-    figure = new_figure(7.2, 6.2, first.name, f"section {first.plane}{level}")
+    figure = new_figure(7.2, 6.2, first.name, f"section {_plane(first)}{level}")
     axes = figure.subplots()
     across, up = (model.state_names.index(name) for name in first.axes)
     if section is not None:
         _returns(axes, section)
-    for one in manifolds:
-        _curves(axes, one, model, (across, up))
-    for one in connections:
-        axes.plot(*one.states[:, [across, up]].T, "x", color="black", markersize=4, markeredgewidth=0.8)
-        axes.plot(one.state[across], one.state[up], "D", color="black", markersize=5, label=f"{one.kind} point")
+    for manifold in manifolds:
+        _curves(axes, manifold, model, (across, up))
+    for way in connections:
+        axes.plot(*way.states[:, [across, up]].T, "x", color="black", markersize=4, markeredgewidth=0.8)
+        axes.plot(way.state[across], way.state[up], "D", color="black", markersize=5, label=f"{way.kind} point")
     for k, torus in enumerate(tori):
-        found = named_surface(model, first.plane, first.axes)
-        points = found.chart(crossed(torus, found))
+        surface = named_surface(model, first.plane, first.axes)
+        points = surface.chart(crossed(torus, surface))
         axes.plot(*points.T, ".", color="black", markersize=1.4, label="" if k else "torus")
     for orbit in orbits:
         axes.plot(*crossings(model, first, orbit).T, "o", color="white", markeredgecolor="black", markersize=6.5,
@@ -73,6 +74,14 @@ def draw_section(
     dress(axes, _label(model, across), _label(model, up))
     legend(figure, axes, "lower center", ncols=3)
     return save_png(figure, Path(path))
+
+
+def _plane(record: Section | Manifold | Connection) -> str:
+    """The plane of a record in words, at 0 where its level is the round-off of the components of the states."""
+    told = re.fullmatch(r"(\w+ = )([-+.\de]+)(, .*)", record.plane)
+    sizes = np.abs(record.states[np.isfinite(record.states)])
+    off = told is not None and abs(float(told[2])) <= 1e-14 * sizes.max(initial=0.0)
+    return f"{told[1]}0{told[3]}" if told is not None and off else record.plane
 
 
 def _returns(axes: Any, section: Section) -> None:
@@ -91,16 +100,16 @@ def _returns(axes: Any, section: Section) -> None:
     axes.plot([], [], "o", color=MOTIONS[0], markersize=3, label="regular (colours: motions)")
 
 
-def _curves(axes: Any, one: Manifold, model: Model, pair: tuple[int, int]) -> None:
+def _curves(axes: Any, manifold: Manifold, model: Model, pair: tuple[int, int]) -> None:
     """The curves of a manifold on the section."""
-    colour = SIDES[one.which]
-    if one.kind != "curves":
-        raise InputError(f"manifolds: {one.name} is a tube, not curves on a section; grow it without tube")
-    for k, curve in enumerate(one.curves):
+    colour = SIDES[manifold.which]
+    if manifold.kind != "curves":
+        raise InputError(f"manifolds: {manifold.name} is a tube, not curves on a section; grow it without tube")
+    for k, curve in enumerate(manifold.curves):
         points = wrapped(curve, model.angular)[:, list(pair)]
         jumps = np.abs(np.diff(points, axis=0)).max(axis=1) > np.pi
         points = np.insert(points, np.flatnonzero(jumps & model.angular.any()) + 1, np.nan, axis=0)
-        axes.plot(points[:, 0], points[:, 1], color=colour, linewidth=0.9, label="" if k else f"{one.which} manifold")
+        axes.plot(*points.T, color=colour, linewidth=0.9, label="" if k else f"{manifold.which} manifold")
 
 
 def _limits(
@@ -108,12 +117,12 @@ def _limits(
     connections: Sequence[Connection],
 ) -> None:  # fmt: skip
     """What is drawn, but for what is far out."""
-    ends = [one.reach(names) for one in manifolds]
-    points = [one.state[None, [one.state_names.index(name) for name in names]] for one in connections]
+    ends = [manifold.reach(names) for manifold in manifolds]
+    points = [way.state[None, [way.state_names.index(name) for name in names]] for way in connections]
     if section is not None:
         ends.append(reach(section.points, np.ones(section.returns)))
-    ends += [(one.min(axis=0), one.max(axis=0)) for one in points]
-    low, high = np.min([one[0] for one in ends], axis=0), np.max([one[1] for one in ends], axis=0)
+    ends += [(place.min(axis=0), place.max(axis=0)) for place in points]
+    low, high = np.min([end[0] for end in ends], axis=0), np.max([end[1] for end in ends], axis=0)
     turns = [name in model.state_names[: model.degrees_of_freedom] and model.angular[model.state_names.index(name)]
              for name in names]  # fmt: skip
     low, high = np.where(turns, np.maximum(low, -np.pi), low), np.where(turns, np.minimum(high, np.pi), high)
@@ -149,19 +158,20 @@ def draw_manifolds(
     if len(names) not in (2, 3) or not set(names) <= set(model.state_names):
         known = ", ".join(model.state_names)
         raise InputError(f"axes: need two or three components, got {', '.join(names)}; this system has {known}")
-    chosen = [model.state_names.index(one) for one in names]
+    chosen = [model.state_names.index(name) for name in names]
     first, solid = manifolds[0], len(chosen) == 3
     multiplier = f"multiplier {first.multiplier:.6g}, displaced by {first.displacement:.2g}"
     figure = new_figure(7.6, 6.6, f"{first.name}: manifolds", multiplier)
     panel: Any = figure.add_subplot(projection="3d") if solid else figure.subplots()
-    for one in manifolds:
-        lines = [wrapped(curve, model.angular)[:, chosen] for curve in one.curves if len(curve) > 1]
+    for manifold in manifolds:
+        lines = [wrapped(curve, model.angular)[:, chosen] for curve in manifold.curves if len(curve) > 1]
+        which, colour = manifold.which, SIDES[manifold.which]
         if solid:
             for k, line in enumerate(lines):
-                panel.plot(*line.T, color=SIDES[one.which], linewidth=0.45, alpha=0.6, label="" if k else one.which)
+                panel.plot(*line.T, color=colour, linewidth=0.45, alpha=0.6, label="" if k else which)
         else:
-            panel.add_collection(LineCollection(lines, colors=SIDES[one.which], linewidths=0.45, alpha=0.6))
-            panel.plot([], [], color=SIDES[one.which], label=one.which)
+            panel.add_collection(LineCollection(lines, colors=colour, linewidths=0.45, alpha=0.6))
+            panel.plot([], [], color=colour, label=which)
             panel.autoscale_view()
     for way in connections:
         panel.plot(*way.samples[:, chosen].T, color="black", linewidth=1.4, label=way.kind)

@@ -17,17 +17,14 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from orbitfinder.records.reading import write_atomically
-from orbitfinder.show.strokes import Strokes, extent, outlines, tip
+from orbitfinder.show.scene import BRUSHES, Scene, Strokes, extent, outlines, tip
 from orbitfinder.show.svg import COLOURS
 
 DASHES = ("-", "--", "-.", ":")
-RESOLUTION = 150
 LEAST_SIDE, SLIVER = 0.4, 0.08
 """The shorter side of a picture with ground (and of what is drawn wider than it is), and how narrow that is"""
 APART = 4.0
 """Pixels between two names, which move a little when the figure is laid out around them"""
-FAR = 25.0
-"""Pixels from its place beyond which a thin line leads to a name"""
 
 
 def new_figure(width: float, height: float, title: str, what: str = "") -> Figure:
@@ -78,7 +75,7 @@ def place_labels(
     figure.draw_without_rendering()
     lines = [axes.transData.transform(np.asarray(line.get_xydata(), float)) for line in axes.lines]
     taken = np.concatenate([_dense(line[np.isfinite(line).all(axis=1)]) for line in lines] or [np.zeros((0, 2))])
-    frame, boxes = axes.get_window_extent(), [one.get_window_extent() for one in axes.texts if one.get_text()]
+    frame, boxes = axes.get_window_extent(), [name.get_window_extent() for name in axes.texts if name.get_text()]
     for name, x, y in labels:
         text = axes.annotate(name, (x, y), textcoords="offset points", xytext=(0, 0), **style)
         box = text.get_window_extent()
@@ -92,7 +89,7 @@ def place_labels(
             best = min(best, (float(cost), (float(move[0]), float(move[1]))))
         move = np.array(best[1])
         text.set_position(tuple(move * 72.0 / figure.dpi))
-        if np.hypot(*move) - box.width / 2 > FAR:
+        if np.hypot(*move) - box.width / 2 > 25.0:  # so far away a thin line leads to it
             thin = {"arrowstyle": "-", "color": "0.5", "linewidth": 0.6, "shrinkA": 4, "shrinkB": 4, "patchA": text}
             axes.annotate("", (x, y), tuple(move * 72.0 / figure.dpi), textcoords="offset points", arrowprops=thin)
         boxes.append(box.translated(*move).padded(APART))
@@ -123,31 +120,31 @@ def sweep(
     axes: Any, joints: np.ndarray, faint: float = 0.10, more: float = 0.45, width: float = 1.0, strokes: Strokes = ()
 ) -> None:
     """Configurations of a mechanism (k x 2 x m; x down, y right), early ones faint; of one with strokes only rods."""
-    rods = [one for one in strokes if one[0] == "rod"]
+    rods = [(kind, chosen) for kind, chosen in strokes if BRUSHES[kind].pinned]
     for k, points in enumerate(joints):
         for _, (down, right) in outlines(points, rods, 1.0):
             axes.plot(right, -down, color=COLOURS[0], alpha=faint + more * k / len(joints), linewidth=width)
 
 
-def configuration(axes: Any, joints: np.ndarray, strokes: Strokes, width: float, still: bool, named: bool) -> None:
-    """The first of the configurations (k x 2 x m) in black, springs thin, the ground filled; pivots that stand `still`
-    as squares, and what each is in a legend where they are `named`."""
-    down, right = joints[0]
-    if not strokes:
+def configuration(axes: Any, scene: Scene, width: float, still: bool, named: bool) -> None:
+    """The first configuration of a scene in black, springs thin, the ground filled; pivots that stand `still` as
+    squares, and what each is in a legend where they are `named`."""
+    down, right = scene.points[0]
+    if not scene.strokes:
         marked = {"marker": "o" if named and right.size <= 12 else None, "markersize": 4.5}
         axes.plot(right, -down, color="black", linewidth=width, label="t = 0" if named else None, **marked)
-        ends = [0, -1] if 0 <= tip(joints) < right.size - 1 else [0]  # of a linkage the last joint is a pivot too
+        ends = [0, -1] if 0 <= tip(scene.points) < right.size - 1 else [0]  # of a linkage the last one is a pivot too
         style: dict[str, Any] = {"color": "black", "markersize": 8 if named else 4, "linestyle": "none"}
         if still and (right.size > 1 or not named):  # a lone one is no pivot
             style["label"] = "fixed joint" if named else None
             axes.plot(right[ends], -down[ends], "s" if right.size > 1 else "o", **style)
         return
     label = "t = 0" if named else None
-    for kind, (down, right) in outlines(joints[0], strokes, extent(joints)):
-        draw, thin = (axes.fill, 0.5) if kind in ("ground", "slider") else (axes.plot, 1.0 if kind == "rod" else 0.5)
-        draw(right, -down, color="0.4" if kind == "spring" else "black", linewidth=thin * width,
-             label=label if kind == "rod" else None)  # fmt: skip
-        label = None if kind == "rod" else label
+    for kind, (down, right) in outlines(scene.points[0], scene.strokes, extent(scene.points)):
+        brush = BRUSHES[kind]
+        draw, colour = axes.fill if brush.filled else axes.plot, "black" if brush.filled or brush.rigid else "0.4"
+        draw(right, -down, color=colour, linewidth=brush.thick * width, label=label if brush.pinned else None)
+        label = None if brush.pinned else label
 
 
 def trail(axes: Any, path: np.ndarray, width: float, **more: Any) -> None:
@@ -184,6 +181,11 @@ def line_style(index: int, count: int) -> dict[str, Any]:
     return {"color": COLOURS[index % len(COLOURS)], "linestyle": dash, "linewidth": 1.4}
 
 
+def save_all(figures: Mapping[str, Figure], folder: str | Path) -> list[Path]:
+    """Write figures as PNG files of their names; returns their paths."""
+    return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in figures.items()]
+
+
 def save_png(figure: Figure, path: Path) -> Path:
     """Write a figure whole or not at all."""
     return _saved(figure, path, format="png")
@@ -200,7 +202,7 @@ def save_both(figure: Any, stem: Path) -> list[Path]:
 
 def _saved(figure: Any, path: Path, **more: Any) -> Path:
     buffer = io.BytesIO()
-    figure.savefig(buffer, dpi=RESOLUTION, **more)
+    figure.savefig(buffer, dpi=150, **more)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, buffer.getvalue())
     return path

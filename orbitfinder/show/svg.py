@@ -16,16 +16,12 @@ from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import unit_names
 from orbitfinder.show.diagram import Diagram
-from orbitfinder.show.strokes import Strokes, extent, outlines
+from orbitfinder.show.scene import Scene, evenly, extent, outlines
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """M. Okabe, K. Ito, Color Universal Design (2008), without the yellow that vanishes on white."""
 SIZE = 220
 """Pixels on a side."""
-MARGIN = 14.0
-FRAMES = 60
-LARGEST = 150_000
-"""Bytes of motion in one picture; mechanisms of many joints get fewer frames."""
 BODY, TIP = COLOURS[0], COLOURS[1]
 WIDTH, HEIGHT = 380, 250
 """Pixels of a family's diagram"""
@@ -47,7 +43,7 @@ def fitted(points: np.ndarray, size: int = SIZE, around: np.ndarray | None = Non
     """Positions (..., 2) of x to the right and y up as pixels of a square, equal scales, centred as `around` is."""
     flat = (points if around is None else around).reshape(-1, 2)
     low, high = flat.min(axis=0), flat.max(axis=0)
-    scale = (size - 2 * MARGIN) / max(float((high - low).max()), 1e-12)
+    scale = (size - 2 * 14.0) / max(float((high - low).max()), 1e-12)
     return np.asarray(size / 2 + (points - (low + high) / 2) * scale * np.array([1.0, -1.0]))
 
 
@@ -97,11 +93,12 @@ def label(name: str) -> str:
 
 def greek(name: str) -> str:
     """The same in plain text."""
-    found = re.fullmatch(r"theta(\d*)", name)
-    return "\N{GREEK SMALL LETTER THETA}" + found.group(1).translate(LOWERED) if found else name
-
-
-LOWERED = {ord("0") + k: 0x2080 + k for k in range(10)}
+    numbered = re.fullmatch(r"theta(\d*)", name)
+    return (
+        "\N{GREEK SMALL LETTER THETA}" + numbered.group(1).translate({ord("0") + k: 0x2080 + k for k in range(10)})
+        if numbered
+        else name
+    )
 
 
 def axis(model: Model, i: int, written: Callable[[str], str] = label) -> str:
@@ -117,12 +114,11 @@ def ticks(low: float, high: float, most: int) -> list[tuple[float, str]]:
     """Round numbers from low to high, at most `most` and where possible two, and how they are written."""
     span = nonzero(high - low)
     for power in (np.floor(np.log10(span)) + k for k in (-1, 0, 1)):
-        for step in (one * 10.0**power for one in (1, 2, 5)):
+        for step in (factor * 10.0**power for factor in (1, 2, 5)):
             first, last = np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9)
             if last - first + 1 <= most:
                 some = np.arange(first, last + 1) * step
-                said = [_rounded(float(one), step) for one in some]
-                return [(float(one), text.replace("-", "\N{MINUS SIGN}")) for one, text in zip(some, said, strict=True)]
+                return [(x, _rounded(x, step).replace("-", "\N{MINUS SIGN}")) for x in map(float, some)]
     return [(float(low), f"{low:.4g}")]
 
 
@@ -156,8 +152,8 @@ def path(points: np.ndarray) -> str:
 
 def frames_of(samples: np.ndarray, joints: int) -> np.ndarray:
     """Indices of the samples (first and last included) that are drawn, fewer for many joints."""
-    most = max(12, min(FRAMES, LARGEST // (12 * joints)))
-    return np.unique(np.linspace(0, len(samples) - 1, most + 1).round().astype(int))
+    most = max(12, min(60, 150_000 // (12 * joints)))  # bytes of motion in a picture, 12 a joint
+    return np.array(evenly(len(samples), most + 1))
 
 
 def motion(attribute: str, values: Sequence[str], duration: float) -> str:
@@ -174,33 +170,26 @@ def dot(places: np.ndarray, duration: float) -> str:
     return f'<circle cx="{places[0][0]:.1f}" cy="{places[0][1]:.1f}" r="4" fill="{TIP}">{"".join(moves)}</circle>'
 
 
-def moving_mechanism(
-    positions: np.ndarray,
-    duration: float,
-    label: str,
-    ground: np.ndarray | None = None,
-    strokes: Strokes = (),
-    around: np.ndarray | None = None,
-) -> str:
-    """A mechanism through one period: `positions` (k x 2 x m; x down, y right), the path of its end behind it, and what
-    it stands on (2 x g). `strokes` say what is drawn through which points; the scale is that of the points `around`
-    (k x 2 x j), where several pictures share it."""
-    box = _upright(positions if around is None else around)
-    places = fitted(_upright(positions), around=box)
-    floor = np.zeros((0, 2)) if ground is None else fitted(_upright(ground), around=box)
-    size = extent(positions if around is None else around)
-    shown = frames_of(positions, sum(line.shape[1] for _, line in outlines(positions[0], strokes, size)))
-    moving = zip(*(outlines(positions[k], strokes, size) for k in shown), strict=True)
+def moving_mechanism(scene: Scene, label: str, around: np.ndarray | None = None) -> str:
+    """A mechanism through one period, the path of its end behind it, on its ground; the scale is that of the points
+    `around` (k x 2 x j), where several pictures share it."""
+    positions, duration = scene.points, scene.period
+    around = positions if around is None else around
+    window, size = _upright(around), extent(around)
+    places = fitted(_upright(positions), around=window)
+    below = "" if scene.ground is None else path(fitted(_upright(scene.ground[0]), around=window))
+    shown = frames_of(positions, sum(line.shape[1] for _, line in outlines(positions[0], scene.strokes, size)))
+    moving = zip(*(outlines(positions[k], scene.strokes, size) for k in shown), strict=True)
     lines = [
-        _stroke(frames[0][0], [fitted(_upright(line), around=box) for _, line in frames], duration) for frames in moving
+        _stroke(frames[0][0], [fitted(_upright(line), around=window) for _, line in frames], duration)
+        for frames in moving
     ]
-    tip = places[:: max(1, len(places) // 200), -1]
+    trace = path(places[:: max(1, len(places) // 200), -1])
     fixed = np.ptp(places, axis=0).max(axis=1) < 0.5
     joints = "".join(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="currentColor"/>' for x, y in places[0][fixed])
-    below = f'<polyline points="{path(floor)}" fill="none" stroke="currentColor" stroke-opacity=".6"/>'
+    floor = f'<polyline points="{below}" fill="none" stroke="currentColor" stroke-opacity=".6"/>' if below else ""
     return picture(
-        f"{below if len(floor) else ''}"
-        f'<polyline points="{path(tip)}" fill="none" stroke="{TIP}" stroke-opacity=".45"/>'
+        f'{floor}<polyline points="{trace}" fill="none" stroke="{TIP}" stroke-opacity=".45"/>'
         f"{''.join(lines)}{joints}{'' if fixed[-1] else dot(places[shown, -1], duration)}",
         label,
     )
@@ -223,8 +212,8 @@ LOOKS = {
 
 def _stroke(kind: str, frames: Sequence[np.ndarray], duration: float) -> str:
     """A line (j x 2 pixels a frame) that moves, or stands still where its frames are one."""
-    still = max(float(np.abs(one - frames[0]).max()) for one in frames) < 0.05
-    moves = "" if still else motion("points", [path(one) for one in frames], duration)
+    still = max(float(np.abs(frame - frames[0]).max()) for frame in frames) < 0.05
+    moves = "" if still else motion("points", [path(frame) for frame in frames], duration)
     return f'<polyline points="{path(frames[0])}" {LOOKS[kind]}>{moves}</polyline>'
 
 
@@ -245,7 +234,7 @@ def moving_portrait(
     beside = [j % len(places) for k in cuts for j in (k - 1, k)]
     kept = np.unique([*np.linspace(0, len(places) - 1, 240).round().astype(int), *beside])
     whole = np.split(kept, np.searchsorted(kept, cuts))
-    drawn = [(drawn_at[one], "") for one in whole if one.size]
+    drawn = [(drawn_at[part], "") for part in whole if part.size]
     drawn += [(drawn_at[[k - 1, k % len(places)]], ' stroke-opacity=".6" stroke-dasharray="3 3"') for k in cuts]
     lines = "".join(
         f'<polyline points="{path(line)}" fill="none" stroke="{BODY}" stroke-width="1.5"{dashed}/>'
@@ -257,7 +246,7 @@ def moving_portrait(
 
 def curves(lines: Sequence[tuple[str, np.ndarray]], across: str, up: str) -> str:
     """Named curves (k x 2 each) in colours of their own, each with its name at the right."""
-    axes = Axes(*ranged(np.vstack([one for _, one in lines])), (across, up), WIDTH, HEIGHT)
+    axes = Axes(*ranged(np.vstack([line for _, line in lines])), (across, up), WIDTH, HEIGHT)
     drawn, colours = [axes.frame], (*COLOURS[:6], "currentColor")
     for k, (name, points) in enumerate(lines):
         colour = colours[k % len(colours)]

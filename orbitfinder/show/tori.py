@@ -8,16 +8,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from orbitfinder.mechanics.model import Model
-from orbitfinder.show.style import dress, new_figure, save_png
+from orbitfinder.show.style import dress, new_figure, save_all
 from orbitfinder.show.svg import COLOURS, axis
 from orbitfinder.structures.ring import at_angles, coefficients, harmonics
 from orbitfinder.structures.tori import filled, torus_value
 from orbitfinder.structures.torus import Tori, Torus
 
-LINES = 48
-"""Arcs drawn of a torus"""
 ANGLES = np.linspace(0.0, 2 * np.pi, 400)
-WORDS = {"rotation": "rotation number (turns a return)", "energy": "energy (J)"}
 
 
 def save_torus_figures(tori: Tori, folder: str | Path, model: Model) -> list[Path]:
@@ -25,7 +22,7 @@ def save_torus_figures(tori: Tori, folder: str | Path, model: Model) -> list[Pat
     figures = {"torus": torus_figure(tori.tori[-1], model, tori.name)}
     if len(tori.tori) > 1:
         figures["tori"] = family_figure(tori, model)
-    return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in figures.items()]
+    return save_all(figures, folder)
 
 
 def torus_figure(torus: Torus, model: Model, name: str) -> Figure:
@@ -33,7 +30,7 @@ def torus_figure(torus: Torus, model: Model, name: str) -> Figure:
     words = f"torus, T = {torus.period:.6g} s, {torus.rotation:.6g} turns a return"
     figure = new_figure(11.0, 4.2, name, words)
     places, portrait, series = figure.subplots(1, 3)
-    paths = filled(torus, model, LINES)
+    paths = filled(torus, model, 48)
     ring = at_angles(torus.curve, ANGLES)
     half = torus.curve.shape[1] // 2
     planes = [(0, min(1, half - 1) if half > 1 else half), model.planes[0]]
@@ -54,13 +51,14 @@ def family_figure(tori: Tori, model: Model) -> Figure:
     figure = new_figure(8.0, 4.2, tori.name, f"{len(tori.tori)} tori; {tori.end.split(':')[0]}")
     curves, widths = figure.subplots(1, 2)
     across, up = model.planes[0]
-    for k, one in enumerate(tori.tori):
-        ring = at_angles(one.curve, ANGLES)
+    for k, torus in enumerate(tori.tori):
+        ring = at_angles(torus.curve, ANGLES)
         shade = 1.0 - 0.8 * (len(tori.tori) - 1 - k) / len(tori.tori)
         curves.plot(ring[:, across], ring[:, up], color=COLOURS[0], linewidth=0.8, alpha=shade)
     dress(curves, axis(model, across), axis(model, up))
-    widths.plot([torus_value(one, tori.parameter) for one in tori.tori], [one.strip for one in tori.tori], ".-",
+    widths.plot([torus_value(torus, tori.parameter) for torus in tori.tori], [torus.strip for torus in tori.tori], ".-",
                 color=COLOURS[0])  # fmt: skip
     widths.set_ylim(bottom=0.0)
-    dress(widths, WORDS.get(tori.parameter, tori.parameter), "half-width of the strip of convergence")
+    words = {"rotation": "rotation number (turns a return)", "energy": "energy (J)"}
+    dress(widths, words.get(tori.parameter, tori.parameter), "half-width of the strip of convergence")
     return figure

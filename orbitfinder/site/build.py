@@ -19,11 +19,13 @@ from orbitfinder.errors import plural
 from orbitfinder.mechanics.scales import units
 from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import level
-from orbitfinder.site.gather import AtlasFile, Gathered, Verdict, evenly, judged, recorded
+from orbitfinder.show.facts import number, with_unit
+from orbitfinder.show.scene import evenly
+from orbitfinder.site.gather import AtlasFile, Gathered, Verdict, judged, recorded
 from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import Simulator, framed, packed
 from orbitfinder.site.pages import (
-    Entry,
+    SiteOrbit,
     atlas_data,
     atlas_values,
     choices,
@@ -38,35 +40,27 @@ from orbitfinder.site.text import (
     ASSETS,
     article,
     mechanism,
-    number,
     plain_words,
     rendered,
     script_data,
     size,
     slug_maker,
-    with_unit,
 )
 from orbitfinder.site.writing import MARK, mark
 from orbitfinder.structures.section import Section
 
 WEIGHT = "@@WEIGHT@@"
-NEAR = 0.003
-"""Distance of an orbit from a family's curve, in ranges of the family, of what is said to lie by it"""
-NOT_ASKED = "it was not asked for"
-PLOTS = ("plotly-basic.min.js", "plots.js")
 SCRIPTS = {
     "gallery": ("gallery.js",),
-    "orbit": (*PLOTS, "orbit.js"),
-    "family": (*PLOTS, "explorer.js"),
-    "atlas": (*PLOTS, "explorer.js"),
-    "section": (*PLOTS, "section.js"),
-}
+    **{kind: ("plotly-basic.min.js", "plots.js", f"{script}.js")
+       for kind, script in (("orbit", "orbit"), ("family", "explorer"), ("atlas", "explorer"), ("section", "section"))},
+}  # fmt: skip
 """What each kind of page loads besides core.js and its data"""
 Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Settings:
+class SiteSettings:
     """What a site is called, and how many orbits of each atlas get a card and a page of their own."""
 
     title: str = "Periodic orbits"
@@ -76,7 +70,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Summary:
+class SiteSummary:
     """What was written."""
 
     orbits: int
@@ -87,7 +81,7 @@ class Summary:
 
 
 @dataclass(frozen=True)
-class Page:
+class HtmlFile:
     """One HTML file: where it is and which other files it loads."""
 
     path: str
@@ -96,7 +90,7 @@ class Page:
 
 
 @dataclass(frozen=True)
-class Link:
+class Card:
     """A family or an atlas as the gallery shows it; `motion` is the key of the one that stands for it."""
 
     kind: str
@@ -119,11 +113,11 @@ class Link:
 class Site:
     """The files of a site by their path, collected before anything is written."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: SiteSettings) -> None:
         self.settings = settings
         self.files: dict[str, bytes] = {}
-        self.pages: list[Page] = []
-        for asset in sorted(files(__package__).joinpath(ASSETS).iterdir(), key=lambda one: one.name):
+        self.pages: list[HtmlFile] = []
+        for asset in sorted(files(__package__).joinpath(ASSETS).iterdir(), key=lambda path: path.name):
             if asset.is_file():
                 self.files[f"assets/{asset.name}"] = asset.read_bytes()
 
@@ -138,7 +132,7 @@ class Site:
             kind, **values, path=path, site=self.settings.title, about=about, root="../" * path.count("/"),
             loads=loads, version=__version__, weight=WEIGHT,
         )  # fmt: skip
-        self.pages.append(Page(path, whole, ("assets/page.css", "assets/theme.js", *loads)))
+        self.pages.append(HtmlFile(path, whole, ("assets/page.css", "assets/theme.js", *loads)))
 
     def finish(self) -> int:
         """Turn the pages into files, each with what it and the whole site weigh; returns the latter in bytes."""
@@ -154,47 +148,52 @@ class Site:
         return sum(map(len, self.files.values()))
 
 
-def build_site(found: Gathered, settings: Settings | None = None, say: Progress | None = None) -> tuple[Site, Summary]:
+def build_site(
+    gathered: Gathered, settings: SiteSettings | None = None, say: Progress | None = None
+) -> tuple[Site, SiteSummary]:
     """All pages of everything gathered, in memory."""
-    settings, tell = settings or Settings(), say or (lambda _: None)
-    site, simulator, slug = Site(settings), Simulator(found.model), slug_maker()
+    settings, tell = settings or SiteSettings(), say or (lambda _: None)
+    site, simulator, slug = Site(settings), Simulator(gathered.model), slug_maker()
     entries = []
-    for file in found.orbits:
+    for file in gathered.orbits:
         motion = simulator.orbit(file.document, file.dense)
-        entries.append(Entry(file, motion, slug(file.document["name"])))
-        tell(f"orbit {len(entries)} of {len(found.orbits)} drawn")
-    links: list[Link] = []
+        entries.append(SiteOrbit(file, motion, slug(file.document["name"])))
+        tell(f"orbit {len(entries)} of {len(gathered.orbits)} drawn")
+    links: list[Card] = []
     motions: dict[str, Any] = {}
     families = slug_maker()
-    named = [(family, families(family.name)) for family in found.families]
+    named = [(family, families(family.name)) for family in gathered.families]
     for k, (family, own) in enumerate(named, 1):
         tell(f"family {k} of {len(named)}, {family.name}: {plural(len(family.points), 'point')}")
         links.append(_add_family(site, family, own, simulator, motions, named))
     atlases = slug_maker()
-    for k, atlas in enumerate(found.atlases, 1):
-        tell(f"atlas {k} of {len(found.atlases)}, {atlas.name}: {atlas.counted('orbit')}")
+    for k, atlas in enumerate(gathered.atlases, 1):
+        tell(f"atlas {k} of {len(gathered.atlases)}, {atlas.name}: {atlas.counted('orbit')}")
         link, shown = _add_atlas(site, atlas, simulator, (atlases(atlas.name), slug), motions)
-        links.insert(found.atlases.index(atlas), link)
+        links.insert(gathered.atlases.index(atlas), link)
         entries += shown
     sections = slug_maker()
-    for k, section in enumerate(found.sections, 1):
-        tell(f"section {k} of {len(found.sections)}, {section.name}")
-        links.append(_add_section(site, section, sections(section.name), found, motions))
-    judge = partial(judged, model_of=found.model) if settings.verify else partial(recorded, why=NOT_ASKED)
+    for k, section in enumerate(gathered.sections, 1):
+        tell(f"section {k} of {len(gathered.sections)}, {section.name}")
+        links.append(_add_section(site, section, sections(section.name), gathered, motions))
+    judge = partial(judged, model_of=gathered.model)
+    if not settings.verify:
+        judge = partial(recorded, why="it was not asked for")
     entries = _judged([_complete(entry, simulator, links) for entry in entries], judge, tell)
     for k, entry in enumerate(entries):
         _add_orbit(site, entry, entries[k - 1 : k] + entries[k + 1 : k + 2], k > 0)
     _add_gallery(site, entries, links, motions)
-    return site, Summary(len(entries), len(found.families), len(found.atlases), len(found.sections), site.finish())
+    counts = [len(records) for records in (gathered.families, gathered.atlases, gathered.sections)]
+    return site, SiteSummary(len(entries), counts[0], counts[1], counts[2], site.finish())
 
 
-def _judged(entries: Sequence[Entry], judge: Callable[..., Verdict], tell: Progress) -> list[Entry]:
+def _judged(entries: Sequence[SiteOrbit], judge: Callable[..., Verdict], tell: Progress) -> list[SiteOrbit]:
     """The entries with their verdicts, those of equal records found once."""
-    found, known = list[Entry](), Kept[Verdict](max(1, len(entries)))
+    verdicts, known = list[SiteOrbit](), Kept[Verdict](max(1, len(entries)))
     for entry in entries:
-        found.append(replace(entry, verdict=known(entry.file.text, partial(judge, entry.file.orbit))))
-        tell(f"orbit {len(found)} of {len(entries)} judged")
-    return found
+        verdicts.append(replace(entry, verdict=known(entry.file.text, partial(judge, entry.file.orbit))))
+        tell(f"orbit {len(verdicts)} of {len(entries)} judged")
+    return verdicts
 
 
 def same(system: Mapping[str, Any]) -> str:
@@ -202,29 +201,27 @@ def same(system: Mapping[str, Any]) -> str:
     return json.dumps(system, sort_keys=True, default=str)
 
 
-def _complete(entry: Entry, simulator: Simulator, links: Sequence[Link]) -> Entry:
+def _complete(entry: SiteOrbit, simulator: Simulator, links: Sequence[Card]) -> SiteOrbit:
     """The entry with its energies, its neighbour, and the families and atlases that it belongs to."""
     document, motion, near = entry.document, entry.motion, list[tuple[str, str]]()
     here = (level(document["energy"]), float(document["period"]), float(document["action"]))
-    for link in (one for one in links if one.system == same(document["system"])):
-        found = _closest(here, link) if link.kind == "Family" else ""
-        close = " (the curve comes within 0.3 % of this orbit in energy, period and action)" if found else ""
-        near.append((f"../{link.href}{found}", f"{link.kind} {link.title}{close}"))
-    if entry.series:
-        near = [one for one in near if one[1] != f"Atlas {entry.series}"]
-        own = next((link for link in links if link.kind == "Atlas" and link.title == entry.series), None)
-        near += [(f"../{own.href}#{entry.key}", f"Atlas {entry.series}")] if own else []
+    for link in (other for other in links if other.system == same(document["system"])):
+        point = _closest(here, link)
+        close = " (the curve comes within 0.3 % of this orbit in energy, period and action)" if point else ""
+        near.append((f"../{link.href}{point}", f"{link.kind} {link.title}{close}"))
+    own = {words for _, words in entry.near}
+    near = [(address, words) for address, words in near if words not in own]
     return replace(
-        entry, near=tuple(near), conserved=simulator.conserves(document["system"]),
+        entry, near=(*near, *entry.near), conserved=simulator.conserves(document["system"]),
         energies=motion.energies if motion else None,
         neighbour=simulator.neighbour(document, motion) if motion else None,
         landscape=landscape(simulator.known(document["system"]), framed([packed(motion)])) if motion else None,
     )  # fmt: skip
 
 
-def _closest(here: tuple[float, float, float], link: Link) -> str:
-    """The address of the point of a family whose curve passes an orbit, "" where it stays away."""
-    curve = np.array([one[1:] for one in link.curve])
+def _closest(here: tuple[float, float, float], link: Card) -> str:
+    """The address of the point of a family whose curve passes an orbit, "" where it is 0.3 % away."""
+    curve = np.array([point[1:] for point in link.curve])
     if len(curve) < 2:
         return ""
     unit = nonzero(np.ptp(curve, axis=0))
@@ -232,10 +229,10 @@ def _closest(here: tuple[float, float, float], link: Link) -> str:
     share = np.clip(((aim - begin) * steps).sum(axis=1) / nonzero((steps**2).sum(axis=1)), 0.0, 1.0)
     apart = np.abs(begin + share[:, None] * steps - aim).max(axis=1)
     k = int(apart.argmin())
-    return f"#{link.curve[k + int(share[k] > 0.5)][0]}" if apart[k] < NEAR else ""
+    return f"#{link.curve[k + int(share[k] > 0.5)][0]}" if apart[k] < 0.003 else ""
 
 
-def _add_orbit(site: Site, entry: Entry, beside: Sequence[Entry], before: bool) -> None:
+def _add_orbit(site: Site, entry: SiteOrbit, beside: Sequence[SiteOrbit], before: bool) -> None:
     period = with_unit(number(entry.document["period"], 10), entry.units["time"])
     about = f"A periodic orbit of {article(entry.mechanism)}: period {period}."
     around = {"previous": beside[0] if before else None, "next": beside[-1] if len(beside) > before else None}
@@ -250,11 +247,10 @@ def _relatives(family: Family, named: Sequence[tuple[Family, str]]) -> dict[str,
     def words(event: Any) -> str:
         return f"{str(event.get('kind_of_event', 'event')).replace('_', ' ')} {event.get('event')}"
 
-    parents = [(f"{slug}.html#event={source.get('event')}", f"{one.name}, {words(source)}") for one, slug in named
-               if source.get("kind") == "branch" and one.name == source.get("family")]  # fmt: skip
-    children = [(f"{slug}.html", f"{one.name}, from {words(one.source)}", one.source.get("event"))
-                for one, slug in named
-                if one.source.get("kind") == "branch" and one.source.get("family") == family.name]  # fmt: skip
+    parents = [(f"{slug}.html#event={source.get('event')}", f"{other.name}, {words(source)}") for other, slug in named
+               if other.name == source.get("family")]  # fmt: skip
+    children = [(f"{slug}.html", f"{other.name}, from {words(other.source)}", other.source.get("event"))
+                for other, slug in named if other.source.get("family") == family.name]  # fmt: skip
     origin = (
         f"Started from {source.get('kind', 'a problem')} {source.get('name') or source.get('family') or ''}".strip()
     )
@@ -264,7 +260,7 @@ def _relatives(family: Family, named: Sequence[tuple[Family, str]]) -> dict[str,
 def _add_family(
     site: Site, family: Family, slug: str, simulator: Simulator, motions: dict[str, Any],
     named: Sequence[tuple[Family, str]],
-) -> Link:  # fmt: skip
+) -> Card:  # fmt: skip
     data, path, words = family_data(family, simulator), f"families/{slug}.html", mechanism(family.system)
     values = family_values(family, data["items"]) | {"title": f"Family {family.name}", "moved": data["moved"]}
     values |= _relatives(family, named) | {name: data[name] for name in ("conserved", "landscape")}
@@ -276,15 +272,15 @@ def _add_family(
     curve = tuple((item["key"], item["energy"], item["period"], item["action"]) for item in data["items"]
                   if item["action"] is not None)  # fmt: skip
     cover = _cover(f"family/{slug}", data, motions)
-    return Link("Family", path, family.name, words, note, cover, same(family.system), curve)
+    return Card("Family", path, family.name, words, note, cover, same(family.system), curve)
 
 
-def _add_section(site: Site, section: Section, slug: str, found: Gathered, motions: dict[str, Any]) -> Link:
+def _add_section(site: Site, section: Section, slug: str, gathered: Gathered, motions: dict[str, Any]) -> Card:
     """The page of a Poincare section; returns its link."""
-    data, path, words = section_data(section, found), f"sections/{slug}.html", mechanism(section.system)
+    data, path, words = section_data(section, gathered), f"sections/{slug}.html", mechanism(section.system)
     values = section_values(section, data) | {"title": f"Section {section.name}"}
     site.add("section", path, values, ("section", data), f"A Poincare section of the {words}: {section.plane}.")
-    return Link("Section", path, section.name, words, section.plane, _cover(f"section/{slug}", data, motions))
+    return Card("Section", path, section.name, words, section.plane, _cover(f"section/{slug}", data, motions))
 
 
 def _cover(key: str, data: Mapping[str, Any], motions: dict[str, Any]) -> str:
@@ -297,35 +293,37 @@ def _cover(key: str, data: Mapping[str, Any], motions: dict[str, Any]) -> str:
 
 def _add_atlas(
     site: Site, atlas: AtlasFile, simulator: Simulator, slugs: tuple[str, Callable[[str], str]], motions: dict[str, Any]
-) -> tuple[Link, list[Entry]]:
+) -> tuple[Card, list[SiteOrbit]]:
     """The page of an atlas; returns its link and the orbits that get a card and a page of their own."""
-    entries: list[Entry] = []
-    titles = [str(one.document.get("title") or "") for _, one in atlas.orbits]
+    entries: list[SiteOrbit] = []
+    path = f"atlases/{slugs[0]}.html"
+    titles = [str(file.document.get("title") or "") for _, file in atlas.orbits]
     named = all(titles) and len(set(titles)) == len(titles)
-    for place, one in atlas.orbits:
+    for place, file in atlas.orbits:
         label = "" if named else f"{atlas.name}, orbit {place}"
-        slug = slugs[1](str(one.document["name"]) if named else f"{atlas.name}-{place}")
+        slug = slugs[1](str(file.document["name"]) if named else f"{atlas.name}-{place}")
         command = f"orbitfinder verify {atlas.file}#{place}"
         if not atlas.file.endswith(".json"):
             command = f"orbitfinder atlas show {atlas.file} {place}"
-        known = simulator.conserves(one.document["system"])
-        motion = simulator.orbit(one.document)
-        entries.append(
-            Entry(one, motion, slug, atlas.name, label, conserved=known, command=command, key=f"orbit={place}")
-        )
-    own = [entries[k] for k in evenly(len(entries), site.settings.atlas_pages)]
-    systems = {same(one.document["system"]) for one in entries}
+        known = simulator.conserves(file.document["system"])
+        motion = simulator.orbit(file.document)
+        key = f"orbit={place}"
+        own = ((f"../{path}#{key}", f"Atlas {atlas.name}"),)
+        orbit = SiteOrbit(file, motion, slug, atlas.name, label, conserved=known, command=command, key=key, near=own)
+        entries.append(orbit)
+    shown = [entries[k] for k in evenly(len(entries), site.settings.atlas_pages)]
+    systems = {same(entry.document["system"]) for entry in entries}
     model = simulator.known(entries[0].document["system"]) if len(systems) == 1 else None
-    data, path = atlas_data(atlas.name, entries, {one.slug for one in own}, model), f"atlases/{slugs[0]}.html"
+    data = atlas_data(atlas.name, entries, {entry.slug for entry in shown}, model)
     about = f"An atlas of {atlas.counted('periodic orbit')}, energy against period."
     values = atlas_values(entries, atlas) | {"title": f"Atlas {atlas.name}", "landscape": data["landscape"]}
     site.add("atlas", path, values, ("explorer", data), about)
-    words, note = ", ".join(sorted({one.mechanism for one in entries})), atlas.counted("distinct orbit")
+    words, note = ", ".join(sorted({entry.mechanism for entry in entries})), atlas.counted("distinct orbit")
     cover = _cover(f"atlas/{slugs[0]}", data, motions)
-    return Link("Atlas", path, atlas.name, words, note, cover, systems.pop() if len(systems) == 1 else ""), own
+    return Card("Atlas", path, atlas.name, words, note, cover, systems.pop() if len(systems) == 1 else ""), shown
 
 
-def _add_gallery(site: Site, entries: Sequence[Entry], links: Sequence[Link], motions: dict[str, Any]) -> None:
+def _add_gallery(site: Site, entries: Sequence[SiteOrbit], links: Sequence[Card], motions: dict[str, Any]) -> None:
     motions = motions | {entry.slug: packed(entry.motion) for entry in entries if entry.motion}
     counts = plural(len(entries), "orbit") if entries else "No single orbits"
     summary = counts + (f", {_counted(entries)}." if entries else ".")
@@ -334,9 +332,9 @@ def _add_gallery(site: Site, entries: Sequence[Entry], links: Sequence[Link], mo
     site.add("gallery", "index.html", values, ("gallery", motions), about)
 
 
-def _counted(entries: Sequence[Entry]) -> str:
+def _counted(entries: Sequence[SiteOrbit]) -> str:
     """How many were certified, rejected and not checked when the page was made."""
     verdicts = [entry.verdict.certified for entry in entries]
     named = {True: "certified when this page was made", False: "rejected", None: "not checked here"}
-    counts = [(verdicts.count(one), words) for one, words in named.items()]
+    counts = [(verdicts.count(verdict), words) for verdict, words in named.items()]
     return ", ".join(f"{count} {words}" for count, words in counts if count)

@@ -28,6 +28,7 @@ from orbitfinder.records.orbit import (
     unconserved,
 )
 from orbitfinder.records.registry import DATABASES, answer, kind_of, load, load_orbit, member, taken
+from orbitfinder.show.scene import evenly
 from orbitfinder.structures.manifold import Connection, Manifold
 from orbitfinder.structures.section import Section
 from orbitfinder.structures.torus import Tori
@@ -35,7 +36,6 @@ from orbitfinder.structures.torus import Tori
 MOST_ITEMS = 500
 """Orbits of an atlas that are shown, evenly chosen in order of energy."""
 EMPTY = "holds no orbit; search into the atlas first, or give another file"
-NAMES = ("orbit.json", "family.json", "section.json")
 Laid = Manifold | Connection | Tori
 
 
@@ -89,11 +89,6 @@ class Gathered:
         return build_model(system, next(iter(held or self.trusted), None))
 
 
-def evenly(count: int, most: int) -> list[int]:
-    """At most `most` of the indices below `count`, both ends among them."""
-    return [int(k) for k in np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))] if count else []
-
-
 def gather(paths: Sequence[Path], chosen: Filter | None = None, trust: bool = False) -> Gathered:
     """Read orbit.json, family.json, atlas exports and atlas databases, FILE#K for one orbit, or folders of files.
 
@@ -102,32 +97,32 @@ def gather(paths: Sequence[Path], chosen: Filter | None = None, trust: bool = Fa
     modules that systems were made with are imported from beside their files.
     Raises `InputError`.
     """
-    found, seen = Gathered(), set()
+    gathered, seen = Gathered(), set()
     for path in paths:
         files = _below(path) if path.is_dir() else [path]
         for file in files:
             if (place := file.resolve()) not in seen:
                 seen.add(place)
-                found.trusted += [place.parent] if trust else []
-                if (joined := taken("page", file)) in vars(found):
-                    vars(found)[joined].append(load(file))
+                gathered.trusted += [place.parent] if trust else []
+                if (joined := taken("page", file)) in vars(gathered):
+                    vars(gathered)[joined].append(load(file))
                 else:
-                    answer("page", file)(found, file, chosen or Filter())
-    for one in found.laid:
-        if all(dict(one.system) != dict(section.system) for section in found.sections):
-            raise InputError(f"{one.name}: is drawn in the page of a section of its system, and none is given; give "
+                    answer("page", file)(gathered, file, chosen or Filter())
+    for record in gathered.laid:
+        if all(dict(record.system) != dict(section.system) for section in gathered.sections):
+            raise InputError(f"{record.name}: is drawn in the page of a section of its system, and none is given; give "
                              "the section.json that `orbitfinder section` made too")  # fmt: skip
-    found.orbits = _distinct(found.orbits)
-    return found
+    gathered.orbits = _distinct(gathered.orbits)
+    return gathered
 
 
 def _distinct(orbits: Sequence[OrbitFile]) -> list[OrbitFile]:
     """The orbits without copies of the same record; of copies the one that carries a proof is kept."""
     kept: dict[object, OrbitFile] = {}
-    for one in orbits:
-        key = (one.document["name"], one.document.get("record") or id(one))
-        if key not in kept or ("proof" in one.document and "proof" not in kept[key].document):
-            kept[key] = one
+    for file in orbits:
+        key = (file.document["name"], file.document.get("record") or id(file))
+        if key not in kept or ("proof" in file.document and "proof" not in kept[key].document):
+            kept[key] = file
     return list(kept.values())
 
 
@@ -143,33 +138,33 @@ def _below(folder: Path) -> list[Path]:
 
 def _holds_results(file: Path) -> bool:
     """Whether a file below a folder is meant: by its name, or as a single orbit or family under another name."""
-    if file.name in NAMES or file.suffix in DATABASES:
+    if file.name in ("orbit.json", "family.json", "section.json") or file.suffix in DATABASES:
         return True
     single = file.suffix == ".json" and not file.name.startswith("rejected")
     return single and kind_of(file) in ("orbit", "family")
 
 
-def add_orbit(found: Gathered, file: Path, _: Filter) -> None:
+def add_orbit(gathered: Gathered, file: Path, _: Filter) -> None:
     """An orbit.json, or FILE#K."""
     orbit = load_orbit(file)
     if member(file)[1] is None:
         document = read_document(file)
     else:
-        orbit = whole(orbit, found.model(orbit.system))
+        orbit = whole(orbit, gathered.model(orbit.system))
         document = orbit_to_document(orbit)
-    found.orbits.append(_checked(orbit, document, str(file)))
+    gathered.orbits.append(_checked(orbit, document, str(file)))
 
 
-def add_export(found: Gathered, file: Path, chosen: Filter) -> None:
+def add_export(gathered: Gathered, file: Path, chosen: Filter) -> None:
     """The JSON export of an atlas."""
     if chosen != Filter():
         raise InputError(f"{file}: an export, of which nothing is chosen again; give the database (*.sqlite)")
-    found.atlases.append(_listed(load(file), file))
+    gathered.atlases.append(_listed(load(file), file))
 
 
-def add_optima(found: Gathered, file: Path, _: Filter) -> None:
+def add_optima(gathered: Gathered, file: Path, _: Filter) -> None:
     """Optima, as orbits beside each other."""
-    found.atlases.append(_listed([orbit_to_document(one) for one in load(file)], file))
+    gathered.atlases.append(_listed([orbit_to_document(orbit) for orbit in load(file)], file))
 
 
 def _orbit(document: Any, where: str) -> OrbitFile:
@@ -195,7 +190,8 @@ def _listed(entries: Sequence[Any], file: Path) -> AtlasFile:
     if not entries:
         raise InputError(f"{file}: {EMPTY}")
     orbits = [_orbit(entry, f"{file}[{k}]") for k, entry in enumerate(entries)]
-    ordered = sorted(enumerate(orbits), key=lambda one: _order(one[1].document["energy"], one[1].document["period"]))
+    places = [_order(file.document["energy"], file.document["period"]) for file in orbits]
+    ordered = [(k, orbits[k]) for k in sorted(range(len(orbits)), key=places.__getitem__)]
     return AtlasFile(file.stem, len(orbits), tuple(ordered[k] for k in evenly(len(orbits), MOST_ITEMS)), file.name)
 
 
@@ -204,7 +200,7 @@ def _order(energy: float | None, period: float) -> tuple[float, float]:
     return float(f"{level(energy):.9g}"), float(period)
 
 
-def add_atlas(found: Gathered, file: Path, wanted: Filter) -> None:
+def add_atlas(gathered: Gathered, file: Path, wanted: Filter) -> None:
     """The orbits of a database that are wanted. Raises `InputError`."""
     if not file.is_file():
         raise InputError(f"{file}: no such file; check the path")
@@ -216,7 +212,7 @@ def add_atlas(found: Gathered, file: Path, wanted: Filter) -> None:
             raise InputError(f"{file}: {none}")
         chosen = [rows[k].id for k in evenly(len(rows), MOST_ITEMS)]
         orbits = tuple((number, _orbit(atlas.document(number), f"{file}: orbit {number}")) for number in chosen)
-    found.atlases.append(AtlasFile(file.stem, len(rows), orbits, file.name, held))
+    gathered.atlases.append(AtlasFile(file.stem, len(rows), orbits, file.name, held))
 
 
 @dataclass(frozen=True)

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from orbitfinder.mechanics.model import Model, energies, positions
+from orbitfinder.site.motion import base64_of
 
 CELLS, REACH = 60, 1.5
 """Cells of the grid each way, and how far it goes from the middle of the picture, in its larger side"""
 MANY, FOCUS = 76, 3.0
 """Cells of a grid for motions of many sizes, and the sinh to which their places are stretched: fine in the middle"""
-SHARES = (0.01, 0.03, 0.07, 0.14, 0.25, 0.4)
-"""What share of the grid lies below each of the lines that are drawn beside that of the motion's energy"""
 
 
 def landscape(
@@ -42,8 +40,8 @@ def landscape(
     values = np.where(np.isfinite(values), values, known.max())
     return {
         "down": [float(f"{x:.7g}") for x in down], "right": [float(f"{x:.7g}") for x in right],
-        "levels": np.quantile(known, SHARES).tolist(),
-        "data": base64.b64encode(values.astype("<f4").tobytes()).decode(),
+        "levels": np.quantile(known, (0.01, 0.03, 0.07, 0.14, 0.25, 0.4)).tolist(),
+        "data": base64_of(values),
     }  # fmt: skip
 
 

@@ -20,63 +20,44 @@ from orbitfinder.errors import IntegrationError, OrbitfinderError
 from orbitfinder.integrate.rk8 import march
 from orbitfinder.loops.symmetry import NONE, named, symmetries_of
 from orbitfinder.mechanics.kind import build_model, with_parameters
-from orbitfinder.mechanics.model import Model, altered, energies, positions, vector_field
+from orbitfinder.mechanics.model import Model, altered, energies, vector_field
 from orbitfinder.mechanics.scales import shared
-from orbitfinder.orbits.course import Course, Piece, course, sampled
+from orbitfinder.orbits.course import Course, course, sampled
 from orbitfinder.records.family import Event, FamilyPoint
 from orbitfinder.records.orbit import Orbit, orbit_to_document
-from orbitfinder.show.strokes import Strokes, extent
+from orbitfinder.show.scene import BRUSHES, Scene, Strokes, box, cuts_of, equal_times, extent, places, positions_at
 
 COUNTS = (24, 32, 40, 48, 60, 72, 84, 96, 120, 144, 180, 216, 264, 324, 400, 480, 640, 960)
 """Samples a period that are tried in turn."""
 FIRST = 48
 """Samples from whose error the number needed is estimated."""
-INTERPOLATION = 0.003
-"""Largest error of the page's interpolation, relative to the extent of the picture."""
-STEPS = (12, 24, 48, 96, 192, 384, 768, 1536, 3072)
 ENDS = 1e-7
 """Agreement of two step sizes that is enough for a picture."""
 GAP = 1e-2
 """Largest jump between pieces of a motion that is still shown, relative to its extent."""
-JUMPING = 240
-"""Samples of a hybrid period, between whose events the page interpolates."""
-SMOOTH = 0.004
-LEVELS = 32767
-NOTHING = np.zeros(0)
-"""Values of the free parameters of a field that has none"""
 OFF, TURNS, TINY = 0.03, 3, 1e-5
 """How far from an orbit its neighbour starts, how many periods it is followed, and what is small, all relative."""
-ENERGIES = 121
 RIGID = 1e-6
 """Change of a distance, relative to the extent of the picture, of what is called rigid."""
 
 
 @dataclass(frozen=True)
-class Scene:
+class Filmed(Scene):
     """One period of what a model does, by its `course`, with the names and kinds of its n coordinates, n = d / 2 or d.
 
-    `points` (m x 2 x j, x down and y right, m) are at m equal times, the end left out; `drawn` says
-    what they are: "mechanism", or "plane" where the system declares no points.
+    What does not loop does not come back to where it was: it starts again after a period.
     """
 
     model: Any
     """the Model, or the names and kinds alone of one that no file describes"""
     course: Course
-    points: np.ndarray
     skeleton: Skeleton | None = None
     """what of the points turns rigidly; nothing where the motion jumps"""
-    drifts: bool = False
-    """whether the picture does not come back to where it was: it starts again after a period"""
-
-    @property
-    def period(self) -> float:
-        """s"""
-        return self.course.period
 
     @property
     def states(self) -> np.ndarray:
         """Its samples (k x d), the end among them."""
-        return np.vstack([one.states for one in self.course.pieces])
+        return np.vstack([piece.states for piece in self.course.pieces])
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -87,11 +68,6 @@ class Scene:
     def angles(self) -> tuple[bool, ...]:
         """Which coordinates are angles."""
         return tuple(self.model.angles) or (True,) * self.model.degrees_of_freedom
-
-    @property
-    def drawn(self) -> str:
-        """What the points are."""
-        return "plane" if self.model.points is None else "mechanism"
 
     @property
     def partners(self) -> list[int]:
@@ -111,7 +87,7 @@ class Scene:
         """Kinetic and potential energy (2 x k) at equal times over a period, where a mechanical one is conserved."""
         if self.course.jumps or self.model.rates is not None or not self.model.conservative:
             return None
-        return np.asarray(energies(self.model, self.at(ENERGIES, endpoint=True)))
+        return np.asarray(energies(self.model, self.at(121, endpoint=True)))
 
 
 class Simulator:
@@ -126,23 +102,24 @@ class Simulator:
         key = repr((sorted(system.items()), free))
         if key not in self._known:
             try:
-                built = self._model_of(system)
-                self._known[key] = (built, vector_field(built, [one for one in free if one in built.parameter_names]))
+                model = self._model_of(system)
+                names = [name for name in free if name in model.parameter_names]
+                self._known[key] = model, vector_field(model, names)
             except OrbitfinderError:
                 self._known[key] = None
         return self._known[key]
 
     def known(self, system: Mapping[str, Any]) -> Model | None:
         """The Model of a description, None where no file describes it."""
-        found = self.model(system)
-        return found and found[0]
+        known = self.model(system)
+        return known and known[0]
 
-    def orbit(self, document: Mapping[str, Any], dense: tuple[np.ndarray, np.ndarray] | None = None) -> Scene | None:
+    def orbit(self, document: Mapping[str, Any], dense: tuple[np.ndarray, np.ndarray] | None = None) -> Filmed | None:
         """The motion of an orbit document from its nodes, or from dense samples where its system is unknown."""
-        found, period = self.model(document["system"]), float(document["period"])
-        if found is None:
+        known, period = self.model(document["system"]), float(document["period"])
+        if known is None:
             return None if dense is None else _motion(_without_model(dense[1]), *dense, returns=True)
-        model, field = found
+        model, field = known
         if model.hybrid is not None:
             return _jumping(model, np.asarray(document["state"], float), period, dense)
         nodes = np.asarray(document.get("nodes") or [document["state"]], float)
@@ -153,20 +130,20 @@ class Simulator:
             return None
         return _motion(model, *path)
 
-    def of(self, orbit: Orbit) -> Scene | None:
+    def of(self, orbit: Orbit) -> Filmed | None:
         """The motion of an orbit in memory."""
         dense = (orbit.times, orbit.samples) if len(orbit.samples) > 1 else None
         return self.orbit(orbit_to_document(orbit), dense)
 
-    def neighbour(self, document: Mapping[str, Any], motion: Scene) -> Scene | None:
+    def neighbour(self, document: Mapping[str, Any], motion: Filmed) -> Filmed | None:
         """What starts OFF (of the extent of the motion) from an orbit and is left alone for TURNS periods.
 
         It starts where small differences grow most: a difference is sent round twice and made small again.
         """
-        found, period = self.model(document["system"]), motion.period
-        if found is None or motion.course.jumps or motion.drifts or found[0].forced:
+        known, period = self.model(document["system"]), motion.period
+        if known is None or motion.course.jumps or not motion.loops or known[0].forced:
             return None
-        model, field = found
+        model, field = known
         state, sizes = motion.states[0], np.ptp(motion.states, axis=0)
         scales = np.maximum(sizes, 1e-3 * sizes.max())
         away = scales * np.cos(1.0 + np.arange(state.size))
@@ -179,31 +156,31 @@ class Simulator:
         path = _path(field, state + away * (OFF / size_of(away / scales)), TURNS * period)
         if path is None or np.abs(path[:, state.size // 2 :]).max() > 1e3 * np.abs(motion.states).max():
             return None
-        return replace(_motion(model, np.linspace(0.0, TURNS * period, len(path)), path), drifts=True)
+        return replace(_motion(model, np.linspace(0.0, TURNS * period, len(path)), path), loops=False)
 
     def conserves(self, system: Mapping[str, Any]) -> bool:
         """Whether an energy is conserved, True where nothing is known of the system."""
-        found = self.model(system)
-        return found is None or found[0].conservative
+        known = self.model(system)
+        return known is None or known[0].conservative
 
-    def member(self, system: Mapping[str, Any], one: FamilyPoint | Event) -> Scene | None:
+    def member(self, system: Mapping[str, Any], member: FamilyPoint | Event) -> Filmed | None:
         """The motion of a point or event of a family from its nodes (or its state), completed by its symmetry.
 
         `system` is the family's: its equations are built once, with what varies along it as their argument.
         """
-        found, period = self.model(system, tuple(one.free)), one.period
-        if found is None or len(one.state) != len(found[0].state_names):
+        known, period = self.model(system, tuple(member.free)), member.period
+        if known is None or len(member.state) != len(known[0].state_names):
             return None
-        model, field = found
-        free = {name: float(value) for name, value in one.free.items() if name in model.parameter_names}
+        model, field = known
+        free = {name: float(value) for name, value in member.free.items() if name in model.parameter_names}
         if model.hybrid is not None:
-            return _jumping(with_parameters(model, free), one.state, period, None)
-        symmetry = symmetries_of(model).get(one.symmetry)
+            return _jumping(with_parameters(model, free), member.state, period, None)
+        symmetry = symmetries_of(model).get(member.symmetry)
         if symmetry is None:
             return None
-        nodes, edges = one.state[None], np.array([0.0, symmetry.fraction])
-        if one.shooting_nodes.size:
-            nodes, edges = one.shooting_nodes, one.mesh[:: (one.mesh.size - 1) // len(one.shooting_nodes)]
+        nodes, edges = member.state[None], np.array([0.0, symmetry.fraction])
+        if member.shooting_nodes.size:
+            nodes, edges = member.shooting_nodes, member.mesh[:: (member.mesh.size - 1) // len(member.shooting_nodes)]
         path = _pieces(field, nodes, edges * period, np.array([*free.values()]))
         angles = np.array(model.angles or (True,) * model.degrees_of_freedom)
         if path is None or not symmetry.closes(path[1], angles) <= GAP:
@@ -215,7 +192,7 @@ class Simulator:
 
 
 def _path(
-    field: Any, state: np.ndarray, duration: float, start: float = 0.0, free: np.ndarray = NOTHING
+    field: Any, state: np.ndarray, duration: float, start: float = 0.0, free: np.ndarray | None = None
 ) -> np.ndarray | None:
     """States at equal times, at the values of the field's free parameters: steps are halved until the
     end moves by less than ENDS.
@@ -224,9 +201,9 @@ def _path(
     good enough shows where the pieces join. None when the motion cannot be integrated.
     """
     states = before = None
-    for steps in STEPS:
+    for steps in (12 * 2**k for k in range(9)):
         try:
-            states = march(field, state, duration, steps, free, start)
+            states = march(field, state, duration, steps, np.zeros(0) if free is None else free, start)
         except IntegrationError:
             states = before = None
             continue
@@ -237,7 +214,7 @@ def _path(
 
 
 def _pieces(
-    field: Any, nodes: np.ndarray, edges: np.ndarray, free: np.ndarray = NOTHING
+    field: Any, nodes: np.ndarray, edges: np.ndarray, free: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Times and states from the first of the `edges` (N + 1 times, s) to the last.
 
@@ -265,28 +242,35 @@ def _closes(states: np.ndarray, model: Model) -> bool:
 
 def _jumping(
     model: Model, state: np.ndarray, period: float, dense: tuple[np.ndarray, np.ndarray] | None
-) -> Scene | None:
+) -> Filmed | None:
     """The motion of a hybrid orbit from its samples or its state, by pieces; None where it goes another way."""
     try:
         path = course(model, *(dense or sampled(model, state, period)))
     except OrbitfinderError:
         return None
-    return Scene(model, path, _seen(model, path, JUMPING))
+    moments = equal_times(path.period, 240)  # between the events among them the page interpolates
+    ground = path.grounds(moments)
+    if ground is not None and (path.walks or np.ptp(ground, axis=0).max() == 0):
+        ground = ground[:1]
+    return _filmed(model, path, positions_at(model, path, moments), ground=ground, cuts=cuts_of(path, moments))
 
 
-def _motion(model: Any, times: np.ndarray, states: np.ndarray, returns: bool = False) -> Scene:
+def _motion(model: Any, times: np.ndarray, states: np.ndarray, returns: bool = False) -> Filmed:
     """A smooth motion that `returns`, or that is asked whether it does, at as few times as a page needs."""
     path = course(model, times, states)
     gap = 0.0 if returns else np.abs(places(model, states[-1:]) - places(model, states[:1])).max()
-    drifts = bool(gap > GAP * extent(_seen(model, path, FIRST)))
-    points, bones = _fewest(lambda count: _seen(model, path, count), model.strokes, drifts)
-    return Scene(model, path, points, bones, drifts)
+
+    def seen(count: int) -> np.ndarray:
+        return positions_at(model, path, equal_times(path.period, count))
+
+    drifts = bool(gap > GAP * extent(seen(FIRST)))
+    points, bones = _fewest(seen, model.strokes, drifts)
+    return _filmed(model, path, points, skeleton=bones, loops=not drifts)
 
 
-def _seen(model: Any, path: Course, count: int) -> np.ndarray:
-    """What is drawn at equal times over a period, the end left out."""
-    moments = np.linspace(0.0, path.period, count, endpoint=False)
-    return places(model, path.states(moments)) if model.points is None else path.positions(moments)
+def _filmed(model: Any, path: Course, points: np.ndarray, **more: Any) -> Filmed:
+    drawn = "plane" if model.points is None else "mechanism"
+    return Filmed(points, model, path, strokes=model.strokes, period=path.period, drawn=drawn, **more)
 
 
 def _without_model(states: np.ndarray) -> Any:
@@ -297,20 +281,10 @@ def _without_model(states: np.ndarray) -> Any:
                            hybrid=None, rates=None, conservative=False)  # fmt: skip
 
 
-def recorded(model: Model, times: np.ndarray, states: np.ndarray, points: np.ndarray) -> Scene:
-    """What was simulated, as it is: nothing returns or jumps, and no more than these points of it is drawn."""
-    duration, still = max(float(times[-1] - times[0]), 1e-9), np.zeros(2)
-    path = Course((Piece(times, states, model, still),), duration, still, np.zeros(states.shape[1]))
-    return Scene(model, path, points)
-
-
-def places(model: Any, states: np.ndarray) -> np.ndarray:
-    """What of states (k x d) is drawn (k x 2 x j; down, right): the points of a mechanism, or one in the plane of the
-    first two coordinates, or of one and its rate."""
-    if model.points is not None:
-        return positions(model, states)
-    second = states[:, 1 % states.shape[1]]
-    return np.stack([-second, states[:, 0]], axis=1)[:, :, None]
+def recorded(model: Model, states: np.ndarray, duration: float, cuts: tuple[int, ...] = ()) -> Scene:
+    """What was simulated (k x d states at equal times over a duration, s), as it is: nothing returns."""
+    drawn = "plane" if model.points is None else "mechanism"
+    return Scene(places(model, states), strokes=model.strokes, period=max(duration, 1e-9), drawn=drawn, cuts=cuts)
 
 
 @dataclass(frozen=True)
@@ -329,9 +303,9 @@ class Skeleton:
         angles, turns = np.zeros((len(points), self.many)), np.zeros(3 * self.many)
         for point, parent, length in self.rods:
             down, right = (points[:, :, point] - points[:, :, parent]).T
-            found = np.unwrap(np.arctan2(right, down)) if length else np.zeros(len(points))
-            angles[:, point] = found
-            turns[2 * self.many + point] = 2 * np.pi * np.rint((found[-1] - found[0] + _turn(found)) / (2 * np.pi))
+            turned = np.unwrap(np.arctan2(right, down)) if length else np.zeros(len(points))
+            angles[:, point] = turned
+            turns[2 * self.many + point] = 2 * np.pi * np.rint((turned[-1] - turned[0] + _turn(turned)) / (2 * np.pi))
         return np.hstack([points.reshape(len(points), -1), angles]), turns
 
     def places(self, values: np.ndarray) -> np.ndarray:
@@ -353,7 +327,7 @@ def skeleton(points: np.ndarray, strokes: Strokes) -> Skeleton:
     many, size = points.shape[2], extent(points)
     near: dict[int, list[int]] = {k: [k - 1] if k and not strokes else [] for k in range(many)}
     for kind, line in strokes:
-        for first, second in pairwise(line if kind in ("rod", "disc") else ()):
+        for first, second in pairwise(line if BRUSHES[kind].rigid else ()):
             near[max(first, second)].append(min(first, second))
     rods = []
     for k in range(1, many):
@@ -361,9 +335,9 @@ def skeleton(points: np.ndarray, strokes: Strokes) -> Skeleton:
             continue
         apart = np.linalg.norm(points[:, :, :k] - points[:, :, k : k + 1], axis=1)
         same = np.flatnonzero(apart.max(axis=0) <= RIGID * size).tolist()
-        found = [*same, *(j for j in near[k] if np.ptp(apart[:, j]) <= RIGID * size)]
-        if found:
-            rods.append((k, int(found[0]), 0.0 if same else float(apart[:, found[0]].mean())))
+        parents = [*same, *(j for j in near[k] if np.ptp(apart[:, j]) <= RIGID * size)]
+        if parents:
+            rods.append((k, int(parents[0]), 0.0 if same else float(apart[:, parents[0]].mean())))
     return Skeleton(many, tuple(rods))
 
 
@@ -372,13 +346,13 @@ def _fewest(seen: Any, strokes: Strokes = (), drifts: bool = False) -> tuple[np.
 
     What drifts does not come back to where it was, so that nothing is interpolated from its end to its start.
     """
-    first = seen(2 * FIRST)
+    first, allowed = seen(2 * FIRST), 0.003  # of the extent
     bones = skeleton(first, strokes)
-    wanted = 0.9 * FIRST * (_between(first, bones, drifts)[1] / INTERPOLATION) ** 0.25  # the error is of fourth order
+    wanted = 0.9 * FIRST * (_between(first, bones, drifts)[1] / allowed) ** 0.25  # the error is of fourth order
     least = COUNTS[0] if not drifts else FIRST
-    for count in (*(one for one in COUNTS[:-1] if one >= max(wanted, least)), COUNTS[-1]):
+    for count in (*(most for most in COUNTS[:-1] if most >= max(wanted, least)), COUNTS[-1]):
         coarse, error = _between(seen(2 * count), bones, drifts)
-        if error <= INTERPOLATION:
+        if error <= allowed:
             break
     return coarse, bones
 
@@ -403,34 +377,37 @@ def framed(shown: Sequence[Mapping[str, Any]]) -> dict[str, list[float]] | None:
     """Centre and spans (down, right, m) of what several packed motions cover together."""
     if not shown:
         return None
-    centres, spans = (np.array([one[name] for one in shown]) for name in ("centre", "spans"))
+    centres, spans = (np.array([motion[name] for motion in shown]) for name in ("centre", "spans"))
     low, high = (centres - spans / 2).min(axis=0), (centres + spans / 2).max(axis=0)
     return {"centre": ((low + high) / 2).tolist(), "spans": (high - low).tolist()}
 
 
-def _box(motion: Scene) -> tuple[np.ndarray, np.ndarray]:
+def _window(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest x and y of what is drawn: points, and discs about some of them."""
-    seen = [motion.points]
-    for kind, line in motion.model.strokes:
-        if kind == "disc":
-            centre, rim = motion.points[:, :, [line[0]]], motion.points[:, :, [line[1]]]
-            radius = np.linalg.norm(rim - centre, axis=1, keepdims=True)
-            seen += [centre - radius, centre + radius]
-    whole = np.concatenate(seen, axis=2)
-    return whole.min(axis=(0, 2)), whole.max(axis=(0, 2))
+    seen = [scene.points]
+    for centre, rim in (line for kind, line in scene.strokes if BRUSHES[kind].centred):
+        middle = scene.points[:, :, [centre]]
+        radius = np.linalg.norm(scene.points[:, :, [rim]] - middle, axis=1, keepdims=True)
+        seen += [middle - radius, middle + radius]
+    return box(np.concatenate(seen, axis=2))
 
 
-def packed(motion: Scene) -> dict[str, Any]:
+def base64_of(numbers: np.ndarray, kind: str = "<f4") -> str:
+    """Numbers for the page: little-endian, 32 bits each unless another `kind` is asked for, in base64."""
+    return base64.b64encode(numbers.astype(kind).tobytes()).decode()
+
+
+def packed(scene: Scene) -> dict[str, Any]:
     """Channels for the page: int16 little-endian in base64, channel by channel; still channels as numbers.
 
     Of m points channel c is x of point c for c < m, y of point c - m below 2 m, and the angle of point c - 2 m about
     its parent from there; a position is centre + half * int / 32767, an angle middle + swing * int / 32767.
     """
-    many = motion.points.shape[2]
-    bones = motion.skeleton or Skeleton(many)
-    values, turns = bones.channels(motion.points)
-    turns *= not motion.drifts
-    low, high = _box(motion)
+    many = scene.points.shape[2]
+    bones = (scene.skeleton if isinstance(scene, Filmed) else None) or Skeleton(many)
+    values, turns = bones.channels(scene.points)
+    turns *= scene.loops
+    low, high = _window(scene)
     centre, half = (low + high) / 2, max(float((high - low).max()) / 2, 1e-12)
     about = {point: (parent, length) for point, parent, length in bones.rods}
     placed = [c for c in range(2 * many) if c % many not in about]
@@ -438,65 +415,59 @@ def packed(motion: Scene) -> dict[str, Any]:
     middles = (values.min(axis=0) + values.max(axis=0)) / 2
     middles[: 2 * many] = np.repeat(centre, many)
     swing = max(1e-12, *(float(np.ptp(values[:, c])) / 2 for c in turning)) if turning else 1.0
-    moving = [c for c in placed if np.ptp(values[:, c]) > half / LEVELS] + turning
+    moving = [c for c in placed if np.ptp(values[:, c]) > half / 32767] + turning
     sizes = np.where(np.arange(3 * many) < 2 * many, half, swing)
-    numbers = np.rint((values - middles) / sizes * LEVELS).T[moving]
+    numbers = np.rint((values - middles) / sizes * 32767).T[moving]
     rods = [
         [point, parent, *(_short(x) for x in (length, middles[2 * many + point], turns[2 * many + point]))]
         for point, (parent, length) in about.items()
     ]
-    return _landscape(motion) | {
-        "count": len(motion.points),
+    broken: dict[str, Any] = {"jumps": _jumps(scene.cuts)} if scene.cuts else {}
+    if not scene.loops:
+        broken = {"jumps": [len(scene.points) - 1]}
+    if scene.ground is not None:
+        broken["ground"] = [[[float(f"{x:.6g}") for x in row] for row in line] for line in scene.ground.tolist()]
+    return broken | {
+        "count": len(scene.points),
         "points": many,
-        "period": motion.period,
+        "period": scene.period,
         "centre": [_short(x) for x in centre],
         "half": half,
         "spans": [_short(x) for x in high - low],
         "moving": moving,
         "still": {str(c): float(round(values[0, c], 9)) for c in placed if c not in moving},
-        "data": base64.b64encode(numbers.astype("<i2").tobytes()).decode(),
-        "drawn": motion.drawn,
+        "data": base64_of(numbers, "<i2"),
+        "drawn": scene.drawn,
     } | ({"rods": rods, "swing": swing} if rods else {}) | (
-        {"strokes": [[kind, list(chosen)] for kind, chosen in motion.model.strokes]} if motion.model.strokes else {}
+        {"strokes": [[kind, list(chosen)] for kind, chosen in scene.strokes]} if scene.strokes else {}
     )  # fmt: skip
 
 
-def _landscape(motion: Scene) -> dict[str, Any]:
-    """Of a hybrid orbit: the samples after which the motion jumps, and the ground, one polyline or one a sample."""
-    if not motion.course.jumps:
-        return {"jumps": [len(motion.points) - 1]} if motion.drifts else {}
-    count = len(motion.points)
-    jumps, lines = _jumps(motion, count), motion.course.grounds(np.arange(count) * (motion.period / count))
-    if lines is None:
-        return {"jumps": jumps}
-    if motion.course.walks or np.ptp(lines, axis=0).max() == 0:
-        lines = lines[:1]
-    return {"jumps": jumps, "ground": [[[float(f"{x:.6g}") for x in row] for row in line] for line in lines.tolist()]}
+def _jumps(cuts: Sequence[int]) -> list[int]:
+    """The samples after which a motion jumps."""
+    return sorted({cut - 1 for cut in cuts})
 
 
-def _jumps(motion: Scene, count: int) -> list[int]:
-    """The numbers of the samples, so many a period, after which the motion jumps."""
-    return sorted({min(int(np.ceil(at * count / motion.period - 1e-6)), count) - 1 for at, _ in motion.course.events})
-
-
-def histories(motion: Scene) -> dict[str, Any]:
+def histories(motion: Filmed) -> dict[str, Any]:
     """States at equal times, end included, as little-endian float32 in base64, component by component.
 
-    As many samples as the page's curves through them need to be good to SMOOTH of the extent, at most 960. Of a
+    As many samples as the page's curves through them need to be good to 0.4 % of the extent, at most 960. Of a
     hybrid motion `jumps` are the samples after which it jumps; after the last, where nothing turns, to the first.
     """
     sizes = np.ptp(motion.states, axis=0)
     # a component that stands still must not have its round-off sampled
     sizes = np.maximum(sizes, 1e-3 * shared(sizes, np.asarray(motion.angles, bool)) + 1e-12)
+    smooth = 0.004
     for count in (960,) if motion.course.jumps else (240, 360, 480, 960):
         states = motion.at(2 * count + 1, endpoint=True)
         turned = states[-1] - states[0]  # whole turns of running orbits
         inner = np.vstack([states[-3] - turned, states[::2], states[2] + turned])
         curved = (9 * (inner[1:-2] + inner[2:-1]) - inner[:-3] - inner[3:]) / 16
-        if np.all(np.abs(curved - states[1::2]).max(axis=0) <= SMOOTH * sizes):
+        if np.all(np.abs(curved - states[1::2]).max(axis=0) <= smooth * sizes):
             break
-    data = base64.b64encode(states[::2].T.astype("<f4").tobytes()).decode()
+    data = base64_of(states[::2].T)
     if not motion.course.jumps:
         return {"count": count + 1, "data": data}
-    jumps = [*_jumps(motion, count)[:-1], *([] if motion.course.turned.any() else [count])]
+    cuts = cuts_of(motion.course, equal_times(motion.period, count))
+    jumps = [*_jumps(cuts)[:-1], *([] if motion.course.turned.any() else [count])]
     return {"count": count + 1, "data": data, "jumps": jumps}

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -19,31 +19,31 @@ from orbitfinder.problemfile.write import orbit_name, orbit_text
 from orbitfinder.records.certificate import Check
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import level, recorded_proof
-from orbitfinder.show.diagram import LOOKS
-from orbitfinder.site.gather import AtlasFile, OrbitFile, Verdict, evenly
+from orbitfinder.show.diagram import LOOKS, mark_of
+from orbitfinder.show.facts import facts, largest, number, with_unit
+from orbitfinder.show.scene import evenly
+from orbitfinder.site.gather import AtlasFile, OrbitFile, Verdict
 from orbitfinder.site.landscape import landscape
-from orbitfinder.site.motion import Scene, Simulator, framed, histories, packed
+from orbitfinder.site.motion import Filmed, Simulator, base64_of, framed, histories, packed
 from orbitfinder.site.text import (
     article,
     coordinate,
     mechanism,
-    number,
     plain_words,
     symmetry_words,
-    with_unit,
 )
 
-MOST_PORTRAITS = 6
-"""Phase portraits on an orbit page; of more coordinates these many are chosen evenly."""
 UNJUDGED = Verdict((), "this orbit has no page of its own")
+FACTS = 7
+"""Facts of an orbit above its picture; the rest has places of its own on the page"""
 
 
 @dataclass(frozen=True)
-class Entry:
+class SiteOrbit:
     """One orbit of the site: its file, its motion, the name of its page and how its parts are called."""
 
     file: OrbitFile
-    motion: Scene | None
+    motion: Filmed | None
     slug: str
     series: str = ""
     """name of the atlas it came from, empty for an orbit.json"""
@@ -60,7 +60,7 @@ class Entry:
     """its address on the page of its atlas"""
     energies: np.ndarray | None = None
     """kinetic and potential energy at equal times"""
-    neighbour: Scene | None = None
+    neighbour: Filmed | None = None
     landscape: Mapping[str, Any] | None = None
     """the potential that it moves in, of a point in a plane"""
 
@@ -95,11 +95,10 @@ class Entry:
     @property
     def largest(self) -> float:
         """Largest modulus of the Floquet multipliers, 1 where there are none."""
-        pairs = self.document["floquet_multipliers"]
-        return float(max((abs(complex(*pair)) for pair in pairs), default=1.0))
+        return largest(self.file.orbit)
 
 
-def orbit_values(entry: Entry) -> dict[str, Any]:
+def orbit_values(entry: SiteOrbit) -> dict[str, Any]:
     """What the template of an orbit page is filled with."""
     document, motion, name = entry.document, entry.motion, orbit_name(entry.document)
     problem = orbit_text(document)
@@ -121,11 +120,11 @@ def orbit_values(entry: Entry) -> dict[str, Any]:
         + (f"orbitfinder continue {name}.json\n" if problem and entry.conserved else "")
         + (f"orbitfinder studio {name}.json\n" if problem else "")
         + (f"{entry.command}\n" if entry.command else ""),
-        "checks": [_check(one) for one in entry.verdict.checks],
+        "checks": [_check(check) for check in entry.verdict.checks],
     }
 
 
-def _aspect(motion: Scene | None) -> float:
+def _aspect(motion: Filmed | None) -> float:
     """Width over height of the moving picture: that of the motion, within limits."""
     if motion is None:
         return 1.25
@@ -134,35 +133,20 @@ def _aspect(motion: Scene | None) -> float:
     return float(np.clip(right / down, 0.95, 2.4))
 
 
-def _facts(entry: Entry) -> list[tuple[str, str]]:
-    """Names and values of an orbit's numbers."""
-    document = entry.document
-    unit, energy = entry.units, "none is conserved"
-    if document["energy"] is not None:
-        energy = with_unit(number(document["energy"], 12), unit["energy"]) + ("" if entry.conserved else " at t = 0")
-    rows = [
-        ("Period", with_unit(repr(float(document["period"])), unit["time"])),
-        ("Frequency", with_unit(number(1.0 / document["period"], 8), unit["time"] and "1/s")),
-        ("Energy" if entry.conserved else "Energy, not conserved", energy),
-        ("Action", with_unit(number(document["action"], 10), unit["action"] if document["energy"] is not None else "")),
-        ("Closure", number(document["closure"], 2)),
-        ("Largest multiplier", number(entry.largest, 6)),
-    ]
-    turns = list(document.get("winding") or ())
-    if any(turns):
-        names = entry.motion.names if entry.motion else tuple(f"q{k + 1}" for k in range(len(turns)))
-        names = tuple(name.replace("theta", "\N{GREEK SMALL LETTER THETA}") for name in names)
-        rows.append(("Turns", ", ".join(f"{name} {k}" for name, k in zip(names, turns, strict=False) if k)))
-    return rows
+def _facts(entry: SiteOrbit) -> list[tuple[str, str]]:
+    """Names and values of an orbit's numbers, its period with every digit."""
+    orbit, names = entry.file.orbit, entry.motion.names if entry.motion else ()
+    told = facts(orbit, entry.conserved, names) | {"period": with_unit(repr(orbit.period), entry.units["time"])}
+    return [(name.capitalize(), text) for name, text in [*told.items()][:FACTS] if text]
 
 
-def shown(motion: Scene) -> list[int]:
+def shown(motion: Filmed) -> list[int]:
     """The coordinates that are plotted: of a linkage its angles; evenly chosen where there are many."""
     n = len(motion.angles)
     candidates = list(range(n))
     if n > 6 and any(motion.angles) and not all(motion.angles):
         candidates = [k for k in candidates if motion.angles[k]]
-    return [candidates[k] for k in evenly(len(candidates), MOST_PORTRAITS)]
+    return [candidates[k] for k in evenly(len(candidates), 6)]
 
 
 def _multipliers(document: Mapping[str, Any]) -> list[tuple[float, float, float, float]]:
@@ -179,19 +163,16 @@ def _check(check: Check) -> dict[str, Any]:
         "found": number(check.value, 3) if sense else "yes" if check.passed else "no",
         "asked": f"{sense} {number(check.tolerance, 3)}" if sense else "yes",
         "passed": check.passed,
-        "note": check.note.replace("Phi^T J Phi = J", SYMPLECTIC),
+        "note": check.note.replace("Phi^T J Phi = J", "\u03a6\u1d40J\u03a6 = J"),
     }
 
 
-SYMPLECTIC = "\N{GREEK CAPITAL LETTER PHI}\N{MODIFIER LETTER CAPITAL T}J\N{GREEK CAPITAL LETTER PHI} = J"
-
-
-def _recorded_proof(entry: Entry) -> Mapping[str, Any] | None:
+def _recorded_proof(entry: SiteOrbit) -> Mapping[str, Any] | None:
     """What `orbitfinder prove` recorded, where it proved something; of a rejected orbit nothing is proved."""
     return None if entry.verdict.certified is False else recorded_proof(entry.document)
 
 
-def orbit_data(entry: Entry) -> dict[str, Any]:
+def orbit_data(entry: SiteOrbit) -> dict[str, Any]:
     """What the orbit page's script works with."""
     document, motion = entry.document, entry.motion
     data: dict[str, Any] = {
@@ -224,27 +205,22 @@ def orbit_data(entry: Entry) -> dict[str, Any]:
 
 def _floats(table: np.ndarray) -> dict[str, Any]:
     """Rows of numbers as little-endian float32 in base64."""
-    return {"count": table.shape[1], "data": base64.b64encode(table.astype("<f4").tobytes()).decode()}
+    return {"count": table.shape[1], "data": base64_of(table)}
 
 
 # --------------------------------------------------------------------------------------------------
 # Pages on which one orbit after the other is picked from a plot: families and atlases.
 
 
-MOST_POINTS = 60
-"""Points of a family that can be seen moving; all points are on the plot."""
-MOST_EVENTS = 60
-
-
-def pickable(family: Family) -> list[tuple[str, int]]:
-    """The points and events that can be picked, "point" or "event" and their numbers, in order along the family."""
-    points, events = family.points, family.events
-    found = [(points[k].arclength, "point", k) for k in spread(points, MOST_POINTS)]
-    rare, common = ([k for k, event in enumerate(events) if LOOKS[event.kind].many is many] for many in (False, True))
-    kept = [rare[k] for k in evenly(len(rare), MOST_EVENTS)]
-    kept += [common[k] for k in evenly(len(common), max(0, MOST_EVENTS - len(kept)))]
-    found += [(events[k].arclength, "event", k) for k in kept]
-    return [(kind, k) for _, kind, k in sorted(found, key=lambda one: one[0])]
+def pickable(family: Family) -> list[int]:
+    """The members (points, then events) that can be picked, in order along the family."""
+    members, first, most = family.members, len(family.points), 60  # points, and as many events
+    common = [mark_of(event).many for event in family.events]
+    kept: list[int] = []
+    for wanted in (False, True):
+        alike = [first + k for k, often in enumerate(common) if often is wanted]
+        kept += [alike[k] for k in evenly(len(alike), max(0, most - len(kept)))]
+    return sorted([*spread(family.points, most), *kept], key=lambda at: members[at].arclength)
 
 
 def before(family: Family, event: Event) -> FamilyPoint:
@@ -254,46 +230,45 @@ def before(family: Family, event: Event) -> FamilyPoint:
 
 def family_items(family: Family, simulator: Simulator, reach: Sequence[float]) -> list[dict[str, Any]]:
     """What can be picked, in order along the family; `reach` are the amplitudes of its members, where known."""
-    found, file = [], f"families/{family.name}/family.json"
-    for kind, k in pickable(family):
-        at = k if kind == "point" else len(family.points) + k
-        item = _item(family.members[at], family, simulator)
-        item |= ({"amplitude": reach[at]} if reach else {}) | {"key": f"{kind}={k}"}
-        if kind == "point":
-            found.append(item | {"command": f"orbitfinder verify {file}#{k}"})
-            continue
-        command = f"orbitfinder continue {file} --switch {k}" if family.events[k].kind in SWITCHABLE else ""
-        found.append(item | {"number": k, "command": command})
-    return found
+    items, file = [], f"families/{family.name}/family.json"
+    for at in pickable(family):
+        member, k = family.members[at], at - len(family.points)
+        item = _item(member, family, simulator) | ({"amplitude": reach[at]} if reach else {})
+        if isinstance(member, Event):
+            command = f"orbitfinder continue {file} --switch {k}" if member.kind in SWITCHABLE else ""
+            items.append(item | {"key": f"event={k}", "number": k, "command": command})
+        else:
+            items.append(item | {"key": f"point={at}", "command": f"orbitfinder verify {file}#{at}"})
+    return items
 
 
 def spread(points: Sequence[FamilyPoint], most: int) -> list[int]:
     """At most `most` points, equally far apart along the curve of energy, frequency and arclength, ends among them."""
     if len(points) <= most:
         return list(range(len(points)))
-    table = np.array([[one.energy, 1.0 / one.period, one.arclength] for one in points])
+    table = np.array([[point.energy, 1.0 / point.period, point.arclength] for point in points])
     steps = np.linalg.norm(np.diff(table / nonzero(np.ptp(table, axis=0)), axis=0), axis=1)
     length = np.concatenate([[0.0], np.cumsum(steps)])
     wanted = np.linspace(0.0, length[-1], most)
-    return sorted({int(np.abs(length - one).argmin()) for one in wanted} | {0, len(points) - 1})
+    return sorted({int(np.abs(length - place).argmin()) for place in wanted} | {0, len(points) - 1})
 
 
-def _item(one: FamilyPoint | Event, family: Family, simulator: Simulator) -> dict[str, Any]:
+def _item(member: FamilyPoint | Event, family: Family, simulator: Simulator) -> dict[str, Any]:
     """A point or an event; what an event does not carry is that of the point before it."""
-    motion, event = simulator.member(family.system, one), one if isinstance(one, Event) else None
-    at, point = (one, True) if isinstance(one, FamilyPoint) else (before(family, one), False)
+    motion, event = simulator.member(family.system, member), member if isinstance(member, Event) else None
+    at, point = (member, True) if isinstance(member, FamilyPoint) else (before(family, member), False)
     words = "" if event is None else event.words
     return {
-        "energy": level(one.energy),
-        "period": one.period,
+        "energy": level(member.energy),
+        "period": member.period,
         "value": at.value if event is None else event.parameter,
-        "arclength": one.arclength,
+        "arclength": member.arclength,
         "action": at.action if point else None,
         "closure": at.closure if point else None,
         "defect": at.defect if point else None,
         "krein": list(at.krein),
         "stability": at.stability,
-        "symmetry": symmetry_words(one.symmetry),
+        "symmetry": symmetry_words(member.symmetry),
         "multipliers": [[float(f"{x:.8g}") for x in (mu.real, mu.imag)] for mu in at.floquet_multipliers.tolist()],
         "event": event.detail if event is not None and kind_of(event.kind).verdict and event.detail else words,
         "kind": "" if event is None else event.kind,
@@ -330,7 +305,7 @@ def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
         "items": items,
         "looks": {
             kind: [look.symbol, look.series, look.pixels, look.line]
-            for kind, look in {item["kind"]: LOOKS[item["kind"]] for item in items if item["kind"]}.items()
+            for kind, look in LOOKS.items() if kind in {*map(itemgetter("kind"), items)}
         },
     }  # fmt: skip
 
@@ -390,7 +365,7 @@ def _useful(family: Family) -> list[str]:
     return [*order, "below", "arclength", "action"]
 
 
-def atlas_data(name: str, entries: Sequence[Entry], linked: set[str], model: Model | None) -> dict[str, Any]:
+def atlas_data(name: str, entries: Sequence[SiteOrbit], linked: set[str], model: Model | None) -> dict[str, Any]:
     """What the atlas page's script works with; `linked` orbits have a page of their own, `model` is that of all."""
     items = []
     for entry in entries:
@@ -421,12 +396,12 @@ def atlas_data(name: str, entries: Sequence[Entry], linked: set[str], model: Mod
     }  # fmt: skip
 
 
-def atlas_values(entries: Sequence[Entry], atlas: AtlasFile) -> dict[str, Any]:
+def atlas_values(entries: Sequence[SiteOrbit], atlas: AtlasFile) -> dict[str, Any]:
     """What the template of an atlas page is filled with."""
-    energies, periods = ([level(one.document[key]) for one in entries] for key in ("energy", "period"))
-    kinds = sorted({one.mechanism for one in entries})
-    unstable = sum(one.document["stability"] == "unstable" for one in entries)
-    part = "" if atlas.total == len(entries) else f" Shown: {len(entries)}, evenly chosen in order of energy."
+    energies, periods = ([level(entry.document[key]) for entry in entries] for key in ("energy", "period"))
+    kinds = sorted({entry.mechanism for entry in entries})
+    unstable = sum(entry.document["stability"] == "unstable" for entry in entries)
+    part = "" if atlas.total == len(entries) else f" Shown: {len(entries)} chosen in order of energy."
     summary = f"{atlas.counted('distinct orbit')} ({', '.join(kinds) or 'none yet'}).{part} {unstable} unstable."
     if entries:
         unit = entries[0].units if len(kinds) == 1 else SI
@@ -437,10 +412,10 @@ def atlas_values(entries: Sequence[Entry], atlas: AtlasFile) -> dict[str, Any]:
     return {"summary": summary} | choices(entries)
 
 
-def choices(entries: Sequence[Entry]) -> dict[str, Any]:
+def choices(entries: Sequence[SiteOrbit]) -> dict[str, Any]:
     """The distinct values that a page's filters offer."""
     return {
-        "mechanisms": sorted({one.mechanism for one in entries}),
-        "stabilities": sorted({one.document["stability"] for one in entries}),
-        "symmetries": sorted({one.document["symmetry"] for one in entries}),
+        "mechanisms": sorted({entry.mechanism for entry in entries}),
+        "stabilities": sorted({entry.document["stability"] for entry in entries}),
+        "symmetries": sorted({entry.document["symmetry"] for entry in entries}),
     }

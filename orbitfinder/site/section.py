@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections import Counter, defaultdict
+from itertools import chain
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
 from orbitfinder.errors import InputError, OrbitfinderError, plural
 from orbitfinder.mechanics.model import Model
-from orbitfinder.site.gather import Gathered, evenly
+from orbitfinder.show.facts import number
+from orbitfinder.show.scene import evenly
+from orbitfinder.site.gather import Gathered
 from orbitfinder.site.landscape import landscape
-from orbitfinder.site.motion import framed, packed, places, recorded
-from orbitfinder.site.text import coordinate, mechanism, number
+from orbitfinder.site.motion import framed, packed, recorded
+from orbitfinder.site.text import coordinate, mechanism
 from orbitfinder.structures.manifold import Connection, Manifold
 from orbitfinder.structures.section import Section
 from orbitfinder.structures.sections import Surface, check_plane, crossings, named_surface
@@ -28,61 +33,62 @@ LEVEL = 1e-9
 
 def section_values(section: Section, data: dict[str, Any]) -> dict[str, Any]:
     """What the template of a section page is filled with."""
-    drawn = sum(len(one["x"]) for one in data["items"])
+    drawn = sum(len(item["x"]) for item in data["items"])
     level = f", energy {number(section.energy, 10)}" if np.isfinite(section.energy) else ""
-    motions = [one for one in data["items"] if one["kind"] != "orbit"]
-    regular = sum(one["kind"] == "regular" for one in motions)
-    told = f"{plural(len(motions), 'motion')}, {regular} of them regular"
-    if not np.isfinite(section.growth).any():
-        told = plural(len(motions), "motion")
+    counts = Counter(map(itemgetter("kind"), data["items"]))
+    told = plural(counts.total() - counts["orbit"], "motion")
+    if np.isfinite(section.growth).any():
+        told += f", {counts['regular']} of them regular"
     more = "" if drawn >= section.returns else f" The plot shows {drawn} of {section.returns} returns."
-    tori = sum(one["kind"] == "torus" for one in data["curves"])
-    laid = [one["name"] for one in data["curves"] if one["kind"] != "torus"]
-    laid += [f"{tori} invariant tori" if tori > 1 else "an invariant torus"] if tori else []
+    laid = defaultdict[str, list[str]](list)
+    for curve in data["curves"]:
+        laid[curve["kind"]].append(curve["name"])
+    tori = len(laid.pop("torus", ()))
+    words = [f"{tori} invariant tori" if tori > 1 else "an invariant torus"] if tori else []
     return {"summary": f"{mechanism(section.system)}: {section.plane}{level}", "told": f"{told}.{more}",
-            "laid": laid}  # fmt: skip
+            "laid": [*chain.from_iterable(laid.values()), *words]}  # fmt: skip
 
 
-def section_data(section: Section, found: Gathered) -> dict[str, Any]:
+def section_data(section: Section, gathered: Gathered) -> dict[str, Any]:
     """What the script of a section page works with: `items` to pick (motions and orbits), `curves` beside them."""
     try:
-        model: Model | None = found.model(section.system)
+        model: Model | None = gathered.model(section.system)
     except OrbitfinderError:
         model = None
     items, curves = _motions(section, model), list[dict[str, Any]]()
     if model is not None:
         surface = named_surface(model, section.plane, section.axes)
-        items += _orbits(section, model, found)
-        curves = [one for laid in found.laid for one in _laid(laid, section, surface) if _belongs(laid, section)]
-    frame = framed([one["motion"] for one in items if one["motion"]])
-    return {"name": section.name, "axes": [coordinate(one) for one in section.axes], "items": items, "curves": curves,
+        items += _orbits(section, model, gathered)
+        curves = [curve for laid in gathered.laid for curve in _laid(laid, section, surface) if _belongs(laid, section)]
+    frame = framed([item["motion"] for item in items if item["motion"]])
+    return {"name": section.name, "axes": [coordinate(name) for name in section.axes], "items": items, "curves": curves,
             "told": bool(np.isfinite(section.growth).any()), "landscape": landscape(model, frame),
             "energy": section.energy if np.isfinite(section.energy) else None}  # fmt: skip
 
 
-def _belongs(one: Any, section: Section) -> bool:
+def _belongs(record: Any, section: Section) -> bool:
     """Whether a record is of a section's system, and of its energy where it has one itself."""
-    energy = getattr(one, "energy", float("nan"))
+    energy = getattr(record, "energy", float("nan"))
     level = energy == energy and section.energy == section.energy
     near = not level or abs(energy - section.energy) <= LEVEL * abs(energy)
-    return dict(one.system) == dict(section.system) and near
+    return dict(record.system) == dict(section.system) and near
 
 
 def _motions(section: Section, model: Model | None) -> list[dict[str, Any]]:
-    """The motions of a section with their points (the first of each), evenly chosen where there are many."""
+    """The motions of a section with their points (the first of each) chosen where there are many."""
     chosen = evenly(len(section.starts), MOST_MOTIONS)
     most, regular, told = max(1, MOST_POINTS // len(chosen)), section.regular, np.isfinite(section.growth).any()
     ends = [section.times[section.seeds == k][:RETURNS] for k in chosen]
-    span = float(np.median([one[-1] for one in ends if len(one)]))
+    span = float(np.median([times[-1] for times in ends if len(times)]))
     moving = _paths(section, model, section.starts[list(chosen)], span)
-    found = []
+    items = []
     for k, motion in zip(chosen, moving, strict=True):
         points = section.points[section.seeds == k]
         kind = "motion" if not told else "regular" if regular[k] else "chaotic"
         facts = [["Motion", f"{k + 1} of {len(section.starts)}"], ["Kind", kind], ["Returns", str(len(points))],
                  ["Neighbours part by", number(float(section.growth[k]), 3) if told else ""]]  # fmt: skip
-        found.append(_item(kind, f"motion={k + 1}", f"motion {k + 1}", points[:most], motion, facts))
-    return found
+        items.append(_item(kind, f"motion={k + 1}", f"motion {k + 1}", points[:most], motion, facts))
+    return items
 
 
 def _item(kind: str, key: str, name: str, points: np.ndarray, motion: Any, facts: list[list[str]]) -> dict[str, Any]:
@@ -105,15 +111,14 @@ def _packed(model: Model, path: np.ndarray, span: float) -> dict[str, Any] | Non
     """A motion that does not close, as a page's Motion that jumps back at its end."""
     if not np.isfinite(path).all():
         return None
-    points = places(model, path)[:-1]
-    motion = recorded(model, np.linspace(0.0, span, len(path)), path, points)
-    return packed(motion) | {"jumps": [0, len(points) - 1]}  # neither drawn to its start nor from it
+    ends = (1, len(path) - 1)  # neither drawn to its start nor from it
+    return packed(recorded(model, path[:-1], span, ends))
 
 
-def _orbits(section: Section, model: Model, found: Gathered) -> list[dict[str, Any]]:
+def _orbits(section: Section, model: Model, gathered: Gathered) -> list[dict[str, Any]]:
     """The orbits of the section's system and energy, as items: their crossings and their motion."""
     items = []
-    for orbit in (file.orbit for file in found.orbits):
+    for orbit in (file.orbit for file in gathered.orbits):
         if not _belongs(orbit, section):
             continue
         try:
@@ -126,18 +131,18 @@ def _orbits(section: Section, model: Model, found: Gathered) -> list[dict[str, A
     return items
 
 
-def _laid(one: Manifold | Connection | Any, section: Section, surface: Surface) -> list[dict[str, Any]]:
+def _laid(record: Manifold | Connection | Any, section: Section, surface: Surface) -> list[dict[str, Any]]:
     """Manifolds, connections and tori as curves and points; `InputError` for those of another plane."""
-    if hasattr(one, "tori"):
-        level = [torus for torus in one.tori if _same_level(torus, section)]
+    if hasattr(record, "tori"):
+        level = [torus for torus in record.tori if _same_level(torus, section)]
         return [_curve("torus", f"torus {number(torus.rotation, 6)}", surface.chart(crossed(torus, surface)))
                 for torus in level]  # fmt: skip
-    check_plane(one, section)
-    if isinstance(one, Connection):
-        return [_curve("connection", f"{one.kind} {one.name}", surface.chart(one.states))]
+    check_plane(record, section)
+    if isinstance(record, Connection):
+        return [_curve("connection", f"{record.kind} {record.name}", surface.chart(record.states))]
     gap = np.full((1, 2), np.nan)
-    pieces = np.vstack([np.vstack([surface.chart(curve), gap]) for curve in one.curves])
-    return [_curve(one.which, f"{one.name}, {one.which} manifold", pieces)]
+    pieces = np.vstack([np.vstack([surface.chart(curve), gap]) for curve in record.curves])
+    return [_curve(record.which, f"{record.name}, {record.which} manifold", pieces)]
 
 
 def _same_level(torus: Torus, section: Section) -> bool:
@@ -152,4 +157,4 @@ def _curve(kind: str, name: str, points: np.ndarray) -> dict[str, Any]:
 
 def _short(values: np.ndarray) -> list[float | None]:
     """Numbers for a plot, None for nan."""
-    return [float(f"{one:.6g}") if np.isfinite(one) else None for one in values.tolist()]
+    return [float(f"{value:.6g}") if np.isfinite(value) else None for value in values.tolist()]

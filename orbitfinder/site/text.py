@@ -6,7 +6,6 @@ Names and titles come from files that anyone may have written, so the templates 
 from __future__ import annotations
 
 import json
-import math
 import re
 import unicodedata
 from collections.abc import Callable, Mapping
@@ -16,6 +15,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from orbitfinder.mechanics.kind import NAMES, system_kind
 from orbitfinder.records.reading import finite
+from orbitfinder.show.facts import number
 
 ASSETS = "assets"
 
@@ -43,21 +43,14 @@ def slug_maker() -> Callable[[str], str]:
 
     def make(name: str) -> str:
         base = re.sub(r"[^a-z0-9_-]+", "-", name.lower()).strip("-")[:60] or "unnamed"
-        found, count = base, 1
-        while found in taken:
+        slug, count = base, 1
+        while slug in taken:
             count += 1
-            found = f"{base}-{count}"
-        taken.add(found)
-        return found
+            slug = f"{base}-{count}"
+        taken.add(slug)
+        return slug
 
     return make
-
-
-def number(value: Any, digits: int = 6) -> str:
-    """A number for reading: plain where that is short, with a power of ten otherwise."""
-    if not isinstance(value, (int, float)) or not math.isfinite(value):
-        return "not computed"
-    return f"{value:.{digits}g}".replace("-", "\N{MINUS SIGN}")
 
 
 def size(count: int) -> str:
@@ -70,14 +63,11 @@ def mechanism(system: Mapping[str, Any]) -> str:
     return system_kind(system).words(system)
 
 
-def with_unit(text: str, unit: str) -> str:
-    """A number with its unit, where it has one."""
-    return f"{text} {unit}" if unit else text
-
-
 def plain_words(text: str) -> str:
     """A text for searching: lower case, without accents."""
-    return "".join(one for one in unicodedata.normalize("NFKD", text.lower()) if not unicodedata.combining(one))
+    return "".join(
+        letter for letter in unicodedata.normalize("NFKD", text.lower()) if not unicodedata.combining(letter)
+    )
 
 
 def article(words: str) -> str:
@@ -87,9 +77,9 @@ def article(words: str) -> str:
 
 def coordinate(name: str) -> str:
     """A coordinate's name for an axis in Plotly's small HTML: theta3 with its subscript, others as they are."""
-    found = re.fullmatch(r"theta(\d*)", name)
-    if found:
-        return f"θ<sub>{found.group(1)}</sub>" if found.group(1) else "θ"
+    angle = re.fullmatch(r"theta(\d*)", name)
+    if angle:
+        return f"θ<sub>{angle.group(1)}</sub>" if angle.group(1) else "θ"
     plain = re.fullmatch(r"([A-Za-z]+)(\d+)", name)
     text = f"{plain.group(1)}<sub>{plain.group(2)}</sub>" if plain else name
     return text if plain else re.sub(r"[<>&]", "", text)

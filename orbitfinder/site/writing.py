@@ -16,8 +16,6 @@ from orbitfinder.errors import InputError
 
 MARK = "orbitfinder-page.json"
 """A file of this name says that a folder was written here, and which files in it."""
-PATIENCE = 60.0
-"""s to wait for another process that writes the same site"""
 FIRST_EDITION = re.compile(r"index\.html|(assets|atlases|data|families|orbits)/.*\.(html|js|css|svg|txt)")
 """What a site of the first edition, which kept no list, had written."""
 
@@ -50,7 +48,7 @@ def write_site(files: Mapping[str, bytes], out: Path) -> None:
     except OSError as error:
         raise InputError(f"out: cannot write beside {out} ({error}); choose another folder") from error
     try:
-        with locks.held(out.parent / f".{out.name}.lock", PATIENCE) as alone:
+        with locks.held(out.parent / f".{out.name}.lock", 60.0) as alone:
             if not alone:
                 raise InputError(f"out: another process is writing {out}; wait for it, or name another folder")
             _swept(out)
@@ -75,9 +73,9 @@ def _beside(out: Path) -> Iterator[Path]:
 
 def _swept(out: Path) -> None:
     """Remove what killed processes left beside the target: nobody else writes there now."""
-    for one in out.parent.glob(f".{out.name}.????????"):
-        if one.is_dir() and not one.is_symlink() and {inner.name for inner in one.iterdir()} <= {"new", "old"}:
-            _cleared(one, out)
+    for left in out.parent.glob(f".{out.name}.????????"):
+        if left.is_dir() and not left.is_symlink() and {inner.name for inner in left.iterdir()} <= {"new", "old"}:
+            _cleared(left, out)
 
 
 def _cleared(temporary: Path, out: Path) -> None:

@@ -16,14 +16,7 @@ from orbitfinder.studio import plots
 from orbitfinder.studio.desk import Desk, button
 from orbitfinder.studio.session import SWINGS, Item
 from orbitfinder.studio.tasks import Cut
-from orbitfinder.studio.worker import StoppedError, Worker
-
-BUDGET = 60.0
-"""s of a search, unless another time is asked for"""
-SHORTEST, LONGEST = 0.3, 3.0
-"""Periods that are searched for, in swings"""
-MOST_LISTED = 300
-"""Orbits of an atlas in the list, the last ones"""
+from orbitfinder.studio.worker import StoppedError, TaskProcess
 
 
 class SectionPanel:
@@ -49,12 +42,12 @@ class SectionPanel:
         page = self._page
         page.say("making the section")
         self._cut = await page.searched("cut", page.source.system, page.source.energy, page.source.orbit)
-        found = self._cut.section
-        level = "" if found.energy != found.energy else f" at E = {found.energy:.6g} J"
-        regular = f"{int(found.regular.sum())} of {plural(len(found.starts), 'motion')} regular"
-        self._about.set_text(f"{found.plane}{level}: {regular}. Click a point to start there.")
+        made = self._cut.section
+        level = "" if made.energy != made.energy else f" at E = {made.energy:.6g} J"
+        regular = f"{int(made.regular.sum())} of {plural(len(made.starts), 'motion')} regular"
+        self._about.set_text(f"{made.plane}{level}: {regular}. Click a point to start there.")
         self.recolour()
-        page.say(f"section: {plural(found.returns, 'crossing')}")
+        page.say(f"section: {plural(made.returns, 'crossing')}")
 
     async def _clicked(self, event: Any) -> None:
         at = plots.clicked(event.args)
@@ -70,15 +63,15 @@ class SearchPanel:
         self, page: Desk, load: Callable[[str, int], Awaitable[None]], listed: Callable[[], None]
     ) -> None:  # fmt: skip
         self._load, self._changed = load, listed
-        self._page, self._worker, self._listed = page, Worker(), ""
+        self._page, self._worker, self._listed = page, TaskProcess(), ""
         self._count = 0
         swing = page.session.opened.duration / SWINGS
         with ui.expansion("Search in the background").classes("panel later").props('dense id="background"'):
             with ui.row().classes("items-center gap-3"):
                 self._low, self._high, self._budget = (
                     ui.number(label, value=round(value, 3), min=1e-6, max=1e6).props("dense").classes("w-28")
-                    for label, value in (("periods from, s", SHORTEST * swing), ("to, s", LONGEST * swing),
-                                         ("search for, s", BUDGET))
+                    for label, value in (("periods from, s", 0.3 * swing), ("to, s", 3.0 * swing),
+                                         ("search for, s", 60.0))
                 )  # fmt: skip
                 self._go = button("Search", page.safe(self._searched), "search")
                 self._stop = button("Cancel", self._worker.stop, "stop", "outline")
@@ -93,13 +86,13 @@ class SearchPanel:
         self._worker.close()
 
     def show(self, item: Item) -> None:
-        """List what an atlas holds."""
+        """List what an atlas holds, the last 300 orbits."""
         assert item.atlas is not None
         if item.name != self._listed:
             self._listed, self._count = item.name, 0
             self._list.clear()
         with self._list:
-            for row in item.atlas[max(self._count, len(item.atlas) - MOST_LISTED) :]:
+            for row in item.atlas[max(self._count, len(item.atlas) - 300) :]:
                 label = f"{row.id}: T = {row.period:.6g} s, {row.stability}{_named(row)}"
                 shown = self._page.safe(partial(self._load, item.name, row.id))
                 ui.button(label, on_click=shown).props("flat dense no-caps align=left").classes("text-left")

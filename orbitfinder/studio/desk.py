@@ -16,7 +16,7 @@ from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.mechanics.model import energy
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.studio.session import Session
-from orbitfinder.studio.worker import StoppedError, Worker
+from orbitfinder.studio.worker import StoppedError, TaskProcess
 
 
 def button(label: str, then: Callable[..., Any] | None, name: str, look: str = "") -> Any:
@@ -29,7 +29,7 @@ ROOMY = 'padding="4px 16px"'
 
 
 @dataclass(frozen=True)
-class Source:
+class Staged:
     """What is on the stage: a system, its state at t = 0, its energy (J, None without one), the orbit if it is one."""
 
     system: dict[str, Any]
@@ -38,10 +38,10 @@ class Source:
     orbit: Orbit | None = None
 
     @classmethod
-    def of(cls, orbit: Orbit) -> Source:
+    def of(cls, orbit: Orbit) -> Staged:
         """Where an orbit starts."""
         level = orbit.energy if math.isfinite(orbit.energy) else None
-        return cls(dict(orbit.system), [float(one) for one in orbit.state], level)
+        return cls(dict(orbit.system), [*map(float, orbit.state)], level)
 
 
 class Desk:
@@ -53,17 +53,17 @@ class Desk:
 
     def __init__(self, session: Session, taken: set[str]) -> None:
         self.session, self.taken = session, taken
-        self.quick, self.long = Worker(), Worker()
+        self.quick, self.long = TaskProcess(), TaskProcess()
         state = session.opened.state
-        self.source = Source(dict(session.model.system), [float(one) for one in state], self.level(state))
+        self.source = Staged(dict(session.model.system), [*map(float, state)], self.level(state))
         self.dark = False
 
     def level(self, state: Sequence[float] | np.ndarray) -> float | None:
         """The energy (J) of a state of the system on the stage, None where there is none."""
         model = self.session.model
         known = model.constraint is None and model.conservative
-        found = energy(model, np.asarray(state)) if known else math.nan
-        return found if math.isfinite(found) else None
+        level = energy(model, np.asarray(state)) if known else math.nan
+        return level if math.isfinite(level) else None
 
     def safe(self, work: Callable[..., Awaitable[Any] | None]) -> Callable[..., Awaitable[None]]:
         """The same, of which what is refused is a sentence on the page."""
@@ -71,9 +71,9 @@ class Desk:
         @wraps(work)
         async def spoken(*arguments: Any) -> None:
             try:
-                found = work(*arguments)
-                if found is not None:
-                    await found
+                waiting = work(*arguments)
+                if waiting is not None:
+                    await waiting
             except StoppedError as error:
                 self.say(str(error).capitalize())
             except (OrbitfinderError, OSError) as error:

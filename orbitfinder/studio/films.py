@@ -9,21 +9,19 @@ import numpy as np
 from orbitfinder.mechanics.kind import system_kind
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanisms.pose import movable
-from orbitfinder.site.motion import packed, places, recorded
+from orbitfinder.show.scene import box, places
+from orbitfinder.site.motion import packed, recorded
 
-FRAMES = 40
-"""Samples of a simulated motion a second"""
-MOST_FRAMES = 2400
 ROOM = 1.15
 """How much larger than what is in it the stage is"""
 
 
 def film(model: Model, times: np.ndarray, states: np.ndarray) -> dict[str, Any]:
-    """A simulated motion (k times, k x d states) that begins anew at its end."""
+    """A simulated motion (k times, k x d states) that begins anew at its end; 40 samples a second."""
     duration = float(times[-1] - times[0])
-    count = int(np.clip(duration * FRAMES, 2, min(MOST_FRAMES, max(2, len(times) - 1))))
+    count = int(np.clip(duration * 40, 2, min(2400, max(2, len(times) - 1))))
     chosen = states[np.linspace(0, len(times) - 1, count).round().astype(int)]
-    return packed(recorded(model, times, states, places(model, chosen)))
+    return packed(recorded(model, chosen, duration))
 
 
 def pose(model: Model, state: np.ndarray) -> dict[str, Any]:
@@ -39,8 +37,7 @@ def view(model: Model, states: np.ndarray) -> dict[str, list[float]]:
     if system_kind(model.system).pendulum:
         reach = 2.0 * float(np.sum(model.system["length"]))
         return {"centre": [0.0, 0.0], "spans": [ROOM * reach, ROOM * reach]}
-    points = places(model, states)
-    low, high = points.min(axis=(0, 2)), points.max(axis=(0, 2))
+    low, high = box(places(model, states))
     size = np.maximum(high - low, 0.3 * max(float((high - low).max()), 1e-9))
     return {"centre": ((low + high) / 2).tolist(), "spans": (ROOM * size).tolist()}
 
@@ -48,7 +45,7 @@ def view(model: Model, states: np.ndarray) -> dict[str, list[float]]:
 def draggable(model: Model) -> list[float]:
     """The lengths (m) of the links of a chain whose joints can be dragged; [] of anything else."""
     plain = system_kind(model.system).pendulum and model.constraint is None
-    return [float(one) for one in model.system["length"]] if plain else []
+    return [*map(float, model.system["length"])] if plain else []
 
 
 def pullable(model: Model, state: np.ndarray) -> list[int]:

@@ -20,23 +20,20 @@ from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.orbits.guesses.returns import CloseReturn
 from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
+from orbitfinder.show.facts import told
 from orbitfinder.show.html import certificate_html
 from orbitfinder.studio import plots
 from orbitfinder.studio.beside import SearchPanel, SectionPanel
-from orbitfinder.studio.desk import ROOMY, Desk, Source, button
+from orbitfinder.studio.desk import ROOMY, Desk, Staged, button
 from orbitfinder.studio.films import draggable, pullable
 from orbitfinder.studio.session import Item, Session, leaving, parameters
-from orbitfinder.studio.tasks import Film, Found, Simulated, Step
+from orbitfinder.studio.tasks import Film, FilmedOrbit, FilmedStep, Simulated
 from orbitfinder.studio.worker import RefusedError, StoppedError
 
 ASSETS = Path(__file__).parent / "assets"
 SITE = Path(site.__path__[0]) / "assets"
 POINTS = 40
 """Points each way along a family, unless another number is asked for"""
-TRIED = 4
-"""Close returns that are tried in turn"""
-REDRAWN = 0.25
-"""s between two pictures of a family that grows"""
 MOST_SLIDERS = 24
 
 
@@ -57,7 +54,7 @@ class Page(Desk):
     def __init__(self, session: Session, taken: set[str], assets: str) -> None:
         super().__init__(session, taken)
         self.assets = assets
-        self.state = [float(one) for one in session.opened.state]
+        self.state = [*map(float, session.opened.state)]
         self.returns: tuple[CloseReturn, ...] = ()
         self.picked: int | None = None
         self.orbit: Orbit | None = None
@@ -73,7 +70,7 @@ class Page(Desk):
         """The page; what it shows first is simulated once it is there."""
         files = [f"{self.assets}/site/core.js", f"{self.assets}/studio/stage.js"]
         ui.add_head_html(f'<link rel="stylesheet" href="{self.assets}/studio/studio.css">')
-        ui.add_head_html("".join(f'<script src="{one}"></script>' for one in files))
+        ui.add_head_html("".join(f'<script src="{file}"></script>' for file in files))
         ui.colors(primary="#005f99", good="#0a6847", bad="#9a3412")
         self.theme = ui.dark_mode()
         self._head()
@@ -87,7 +84,7 @@ class Page(Desk):
                 self._returns()
                 self._family()
                 self._kept()
-        self.timer = ui.timer(REDRAWN, self._redraw)
+        self.timer = ui.timer(0.25, self._redraw)
         ui.on("held", self._held)
         ui.on("released", self._released)
         ui.on("gripped", self.safe(self._gripped))
@@ -217,7 +214,7 @@ class Page(Desk):
     # ------------------------------------------------------------------ what happens on it
 
     def _heard(self, what: Any) -> None:
-        if isinstance(what, Step):
+        if isinstance(what, FilmedStep):
             self._grown(what)
         else:
             self.say(str(what))
@@ -225,9 +222,9 @@ class Page(Desk):
     async def _first(self) -> None:
         given = self.session.opened
         if given.orbit is not None:
-            found: Found = await self.quick.do("opened", given.orbit)
-            self.item = self.session.keep_opened(found.orbit)
-            self._show_orbit(found)
+            shown: FilmedOrbit = await self.quick.do("opened", given.orbit)
+            self.item = self.session.keep_opened(shown.orbit)
+            self._show_orbit(shown)
         elif given.family is not None:
             self._show_family(self.session.keep_opened())
         elif given.atlas is not None:
@@ -254,9 +251,9 @@ class Page(Desk):
         if "time" in what:
             self.grip = Grip(int(what["point"]), plots.finite(what["time"]))
         if self.grip is not None and "place" in what:
-            self.grip.place = [plots.finite(one) for one in what["place"]]
+            self.grip.place = [*map(plots.finite, what["place"])]
         if self.grip is not None and "velocity" in what:
-            self.grip.velocity = [plots.finite(one) for one in what["velocity"]]
+            self.grip.velocity = [*map(plots.finite, what["velocity"])]
         await self._latest("grip", self._pull)
 
     async def _pull(self) -> None:
@@ -291,7 +288,7 @@ class Page(Desk):
     def _state(self, given: Sequence[Any]) -> None:
         """The numbers of a page, which may be anything, as the state."""
         if len(given) == len(self.state):
-            self.state = [plots.finite(one) for one in given]
+            self.state = [*map(plots.finite, given)]
             for slider, value in zip(self.inputs, self.state, strict=False):
                 slider.set_value(value)
 
@@ -322,15 +319,15 @@ class Page(Desk):
 
     async def _simulate(self, stay: bool = False) -> None:
         duration = plots.finite(self.duration.value or 0.0)
-        found: Simulated = await self.quick.do("simulated", dict(self.session.model.system), self.state, duration)
-        self.session.energy, self.returns, self.picked = found.energy, found.returns, None
-        self.readout.set_text(_readout(found, duration))
+        run: Simulated = await self.quick.do("simulated", dict(self.session.model.system), self.state, duration)
+        self.session.energy, self.returns, self.picked = run.energy, run.returns, None
+        self.readout.set_text(_readout(run, duration))
         self.near.update_figure(plots.returns_figure(self.returns, self.picked, self.dark))
         self.find.set_enabled(bool(self.returns))
         if stay and self.shown:
             return
-        self.source = Source(dict(self.session.model.system), list(self.state), found.energy)
-        self._show(found.film, found.view)
+        self.source = Staged(dict(self.session.model.system), list(self.state), run.energy)
+        self._show(run.film, run.view)
 
     def _show(self, film: Film | None, view: Mapping[str, Any] | None = None, keep: bool = False) -> None:
         if film is not None:
@@ -345,7 +342,7 @@ class Page(Desk):
     async def _find_first(self) -> None:
         """Find the orbit of the most promising close return that has one."""
         said = "nothing comes back close enough; start it another way, or simulate for longer"
-        for number in range(min(TRIED, len(self.returns))):
+        for number in range(min(4, len(self.returns))):
             try:
                 if await self._found_near(number):
                     return
@@ -355,9 +352,9 @@ class Page(Desk):
 
     async def _found_near(self, number: int) -> bool:
         """Whether the orbit that a close return belongs to is certified."""
-        one, self.picked = self.returns[number], number
+        near, self.picked = self.returns[number], number
         self.near.update_figure(plots.returns_figure(self.returns, self.picked, self.dark))
-        return await self._found(self.session.problem(one.state, one.period, self.taken))
+        return await self._found(self.session.problem(near.state, near.period, self.taken))
 
     async def _find_own(self) -> None:
         await self._found(self.session.own_problem(self.taken))
@@ -365,27 +362,23 @@ class Page(Desk):
     async def _found(self, wanted: tuple[str, Path]) -> bool:
         name, file = wanted
         self.say(f"{name}: searching")
-        found: Found = await self.searched("found", file, self.session.folder, said=self._heard)
-        if found.file is not None:
-            self.item = self.session.keep_orbit(found.orbit)
+        shown: FilmedOrbit = await self.searched("found", file, self.session.folder, said=self._heard)
+        if shown.file is not None:
+            self.item = self.session.keep_orbit(shown.orbit)
             self._list()
-        self._show_orbit(found)
-        self.say(f"{name}: {'certified' if found.file else 'not an orbit'}")
-        return found.file is not None
+        self._show_orbit(shown)
+        self.say(f"{name}: {'certified' if shown.file else 'not an orbit'}")
+        return shown.file is not None
 
-    def _show_orbit(self, found: Found, keep: bool = False) -> None:
-        orbit = self.orbit = found.orbit
-        self.source = replace(Source.of(orbit), orbit=orbit)
+    def _show_orbit(self, shown: FilmedOrbit, keep: bool = False) -> None:
+        orbit = self.orbit = shown.orbit
+        self.source = replace(Staged.of(orbit), orbit=orbit)
         sure = orbit.certificate is not None and orbit.certificate.passed
         self.badge.set_text("Certified" if sure else "Rejected")
         self.badge.props(f"color={'good' if sure else 'bad'} icon={'verified' if sure else 'dangerous'}")
         self.badge.set_visibility(True)
-        level = f", E = {orbit.energy:.8g} J" if math.isfinite(orbit.energy) else ""
-        symmetry = "" if orbit.symmetry == "none" else f", {orbit.symmetry.replace('+', ' and ')}"
-        self.about.set_text(
-            f"T = {orbit.period:.10g} s{level}, {orbit.stability}{symmetry}, closes to {orbit.closure:.0e}"
-        )
-        self._show(found.film, keep=keep)
+        self.about.set_text(f"{told(orbit, 10)}, closes to {orbit.closure:.0e}")
+        self._show(shown.film, keep=keep)
 
     def _certificate(self) -> None:
         if self.orbit is None or self.orbit.certificate is None:
@@ -447,7 +440,7 @@ class Page(Desk):
         self.growing, self.points, self.parameter, self.stale = name, [], parameter, True
         self.events.set_options({}, value=None)
 
-    def _grown(self, step: Step) -> None:
+    def _grown(self, step: FilmedStep) -> None:
         if step.family != self.growing:  # the next of several branches
             self._begin(step.family, self.parameter)
         for point, film in zip(step.batch.points, step.films, strict=True):
@@ -468,8 +461,8 @@ class Page(Desk):
 
     def _figure(self, here: FamilyPoint | None = None) -> dict[str, Any]:
         family = self.item.family if self.item is not None else None
-        known = [one.family for one in self.session.items.values() if one.family is not None]
-        others = [one for one in known if one.name != self.growing and one.parameter == self.parameter]
+        known = [item.family for item in self.session.items.values() if item.family is not None]
+        others = [other for other in known if other.name != self.growing and other.parameter == self.parameter]
         events = family.events if family is not None and family.name == self.growing else ()
         unit = {"energy": "J", "period": "s"}.get(self.parameter, "")
         return plots.family_figure(self.points, events, here, others, self.parameter, unit, self.dark)
@@ -481,7 +474,7 @@ class Page(Desk):
         self.slide.props(f"max={max(1, len(self.points) - 1)}")
         near = 0.0 if self.orbit is None else self.orbit.period
         self.slide.set_value(min(range(len(self.points)), key=lambda k: abs(self.points[k].period - near)))
-        ui.run_javascript(f"stage.put({json.dumps([self.films.get(one.state.tobytes()) for one in self.points])})")
+        ui.run_javascript(f"stage.put({json.dumps([self.films.get(point.state.tobytes()) for point in self.points])})")
         choice = leaving(family)
         self.events.set_options(choice, value=next(iter(choice), None))
         self.plot.update_figure(self._figure())
@@ -501,7 +494,7 @@ class Page(Desk):
         )
         self.badge.set_visibility(False)  # what it says is of another orbit
         self.about.set_text("")
-        self.source = Source.of(point)
+        self.source = Staged.of(point)
         self.plot.run_plot_method("restyle", {"x": [[point.value]], "y": [[1 / point.period]]}, [plots.HERE])
         key = point.state.tobytes()
         if self.films.get(key) is None:
@@ -544,9 +537,9 @@ class Page(Desk):
             self.session.model = with_parameters(self.session.model, {name: value})
             self._remount()
             return await self._simulate()
-        found: Found = await self.quick.do("turned", self.orbit, name, value)
-        self._show_orbit(found, keep=True)
-        self.session.model = build_model(found.orbit.system)
+        turned: FilmedOrbit = await self.quick.do("turned", self.orbit, name, value)
+        self._show_orbit(turned, keep=True)
+        self.session.model = build_model(turned.orbit.system)
         self._remount()
         self.say(f"{name} = {value:.6g}: the orbit follows")
 
@@ -592,10 +585,10 @@ class Page(Desk):
     async def _load_member(self, name: str, number: int) -> None:
         """Show an orbit of an atlas by its id, to go on from."""
         atlas = self.session.items[name]
-        found: Found = await self.quick.do("opened", Path(f"{atlas.file}#{number}"))
-        self.item = self.session.keep_member(atlas, number, found.orbit)
+        shown: FilmedOrbit = await self.quick.do("opened", Path(f"{atlas.file}#{number}"))
+        self.item = self.session.keep_member(atlas, number, shown.orbit)
         self._list()
-        self._show_orbit(found)
+        self._show_orbit(shown)
         self.say(f"orbit {number} of {name}")
 
     def _recoloured(self, dark: bool) -> None:
@@ -613,7 +606,7 @@ def _title(text: str) -> None:
 
 def _safe(text: str) -> str:
     """Text without what HTML and attributes read as their own."""
-    return "".join(one for one in text if one not in "<>&\"'")
+    return "".join(letter for letter in text if letter not in "<>&\"'")
 
 
 def _js(value: Any) -> str:
@@ -628,7 +621,7 @@ def _range(value: float, angle: bool) -> tuple[float, float]:
     return -reach, reach
 
 
-def _readout(found: Simulated, duration: float) -> str:
+def _readout(run: Simulated, duration: float) -> str:
     """What a simulation says."""
-    level = "" if found.energy is None else f"E = {found.energy:.6g} J, kept to {found.change:.0e} J, "
-    return f"{level}{plural(len(found.returns), 'close return')} in {duration:g} s"
+    level = "" if run.energy is None else f"E = {run.energy:.6g} J, kept to {run.change:.0e} J, "
+    return f"{level}{plural(len(run.returns), 'close return')} in {duration:g} s"

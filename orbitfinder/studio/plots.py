@@ -14,6 +14,7 @@ from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.site.text import coordinate
 from orbitfinder.studio.tasks import Cut
 
+Trace = dict[str, Any]
 STABLE, UNSTABLE, MARK, OTHER = "#0072b2", "#d55e00", "#008060", "#8a94a0"
 MOTIONS = (STABLE, UNSTABLE, "#7a3e9d", "#8a6d00")
 DARK = {STABLE: "#56b4e9", UNSTABLE: "#f0a35e", MARK: "#3fc79a", MOTIONS[2]: "#cc99e0", MOTIONS[3]: "#d8bf4a"}
@@ -39,15 +40,25 @@ def _figure(data: list[dict[str, Any]], across: str, up: str, dark: bool, log: b
     return {"data": data, "layout": layout, "config": {"displayModeBar": False, "responsive": True}}
 
 
+def _dots(x: Sequence[float], y: Sequence[float], said: Any = None, mode: str = "markers", **more: Any) -> Trace:
+    """A trace of dots, or of what else `mode` says, with what is `said` where the pointer is."""
+    told = {"hoverinfo": "skip"} if said is None else {"hovertext": said, "hoverinfo": "text"}
+    return {"x": [*x], "y": [*y], "mode": mode} | told | more
+
+
+def _rings(x: Sequence[float], y: Sequence[float], size: int) -> Trace:
+    marker = {"size": size, "color": "rgba(0,0,0,0)", "line": {"color": MARK, "width": 3}}
+    return _dots(x, y, marker=marker)
+
+
 def returns_figure(returns: Sequence[CloseReturn], picked: int | None, dark: bool) -> dict[str, Any]:
     """Period against miss; the more promising, the larger the dot."""
     sizes = [22 if k == 0 else max(9, 18 - 2 * k) for k in range(len(returns))]
     colours = [MARK if k == picked else STABLE for k in range(len(returns))]
-    hover = [f"return {k + 1}: T = {one.period:.4g} s, miss {one.distance:.2g}" for k, one in enumerate(returns)]
-    data = [{
-        "x": [one.period for one in returns], "y": [max(one.distance, 1e-12) for one in returns], "mode": "markers",
-        "marker": {"size": sizes, "color": colours, "opacity": 0.9}, "hovertext": hover, "hoverinfo": "text",
-    }]  # fmt: skip
+    hover = [f"return {k + 1}: T = {near.period:.4g} s, miss {near.distance:.2g}" for k, near in enumerate(returns)]
+    marker = {"size": sizes, "color": colours, "opacity": 0.9}
+    misses = [max(near.distance, 1e-12) for near in returns]
+    data = [_dots([near.period for near in returns], misses, hover, marker=marker)]
     return _figure(data, "period T, s", "miss, of the extent", dark, log=True)
 
 
@@ -56,22 +67,19 @@ def family_figure(
     parameter: str, unit: str, dark: bool,
 ) -> dict[str, Any]:  # fmt: skip
     """The chosen family, coloured by stability, its events as diamonds, where one is on it, and the others in grey."""
-    calm = [UNSTABLE if one.stability == "unstable" else STABLE for one in points]
-    words = [f"{k}: {one.words}" for k, one in enumerate(events)]
-    data: list[dict[str, Any]] = [
-        {"x": [one.value for one in points], "y": [1 / one.period for one in points], "mode": "lines+markers",
-         "marker": {"size": 8, "color": calm}, "line": {"color": OTHER, "width": 1},
-         "hovertext": [f"T = {one.period:.5g} s, {one.stability}" for one in points], "hoverinfo": "text"},
-        {"x": [one.parameter for one in events], "y": [1 / one.period for one in events], "mode": "markers",
-         "marker": {"size": 13, "color": MARK, "symbol": "diamond"}, "hovertext": words, "hoverinfo": "text"},
-        {"x": [here.value] if here else [], "y": [1 / here.period] if here else [], "mode": "markers",
-         "marker": {"size": 18, "color": "rgba(0,0,0,0)", "line": {"color": MARK, "width": 3}}, "hoverinfo": "skip"},
+    calm = [UNSTABLE if point.stability == "unstable" else STABLE for point in points]
+    told = [f"T = {point.period:.5g} s, {point.stability}" for point in points]
+    words = [f"{k}: {event.words}" for k, event in enumerate(events)]
+    dashed = {"color": OTHER, "width": 1.5, "dash": "dot"}
+    data = [
+        _dots([point.value for point in points], [1 / point.period for point in points], told, "lines+markers",
+              marker={"size": 8, "color": calm}, line={"color": OTHER, "width": 1}),
+        _dots([event.parameter for event in events], [1 / event.period for event in events], words,
+              marker={"size": 13, "color": MARK, "symbol": "diamond"}),
+        _rings([here.value] if here else [], [1 / here.period] if here else [], 18),
+        *(_dots(other.values("value").tolist(), (1 / other.values("period")).tolist(), other.name, "lines", line=dashed)
+          for other in others),
     ]  # fmt: skip
-    for other in others:
-        data.append({
-            "x": other.values("value").tolist(), "y": (1 / other.values("period")).tolist(), "mode": "lines",
-            "line": {"color": OTHER, "width": 1.5, "dash": "dot"}, "hovertext": other.name, "hoverinfo": "text",
-        })  # fmt: skip
     return _figure(data, f"{parameter}{f', {unit}' if unit else ''}", "frequency 1/T, 1/s", dark)
 
 
@@ -80,24 +88,20 @@ def section_figure(cut: Cut | None, dark: bool) -> dict[str, Any]:
     across, up = ("", "") if cut is None else map(coordinate, cut.section.axes)
     if cut is None:
         return _figure([{"x": [], "y": [], "mode": "markers"}], across, up, dark)
-    found, told = cut.section, bool(np.isfinite(cut.section.growth).any())
-    colours = [MOTIONS[k % len(MOTIONS)] if calm or not told else OTHER for k, calm in enumerate(found.regular)]
-    points = found.points
-    hover = [f"motion {k + 1}: start here" for k in found.seeds.tolist()]
-    data: list[dict[str, Any]] = [
-        {"x": points[:, 0].tolist(), "y": points[:, 1].tolist(), "mode": "markers", "hovertext": hover,
-         "marker": {"size": 4, "color": [colours[k] for k in found.seeds.tolist()]}, "hoverinfo": "text"},
-        {"x": cut.crossings[:, 0].tolist(), "y": cut.crossings[:, 1].tolist(), "mode": "markers", "hoverinfo": "skip",
-         "marker": {"size": 15, "color": "rgba(0,0,0,0)", "line": {"color": MARK, "width": 3}}},
-    ]  # fmt: skip
+    made, told = cut.section, bool(np.isfinite(cut.section.growth).any())
+    colours = [MOTIONS[k % len(MOTIONS)] if calm or not told else OTHER for k, calm in enumerate(made.regular)]
+    hover = [f"motion {k + 1}: start here" for k in made.seeds.tolist()]
+    marker = {"size": 4, "color": [colours[k] for k in made.seeds.tolist()]}
+    (x, y), (across_ring, up_ring) = made.points.T.tolist(), cut.crossings.T.tolist()
+    data = [_dots(x, y, hover, marker=marker), _rings(across_ring, up_ring, 15)]
     return _figure(data, across, up, dark)
 
 
 def clicked(event: Mapping[str, Any]) -> tuple[int, int] | None:
     """The trace and the point that were clicked; None where a page sends something else."""
     try:
-        one = event["points"][0]
-        return int(one.get("curveNumber", 0)), int(one.get("pointIndex", one.get("pointNumber")))
+        point = event["points"][0]
+        return int(point.get("curveNumber", 0)), int(point.get("pointIndex", point.get("pointNumber")))
     except (KeyError, IndexError, TypeError, ValueError, AttributeError):
         return None
 

@@ -21,13 +21,8 @@ HOST = "127.0.0.1"
 PORT = 8642
 TRIED = 20
 """Ports after the usual one that are tried where none is asked for"""
-PATIENCE = 120.0
-"""s in which the server begins to listen, however busy the computer is"""
-RECONNECT = 60.0
-"""s that a tab may be away"""
 MOST_TABS = 8
 """Open at once; each has up to three processes of some 80 MB"""
-MOST_CONNECTIONS = 400
 
 
 def free_port(wanted: int | None = None) -> int:
@@ -49,7 +44,7 @@ def free_port(wanted: int | None = None) -> int:
 
 def _listens(port: int) -> bool:
     """Whether the server answers, after waiting for it."""
-    until = time.monotonic() + PATIENCE
+    until = time.monotonic() + 120.0  # s, however busy the computer is
     while time.monotonic() < until:
         try:
             socket.create_connection((HOST, port), 1.0).close()
@@ -64,7 +59,7 @@ class OwnOrigin:
     """Lets in what a page of ours asks for, and what no page does: another site's page names that as its origin."""
 
     def __init__(self, app: Any, port: int) -> None:
-        self.app, self.origins = app, [None, *(f"http://{one}:{port}".encode() for one in (HOST, "localhost"))]
+        self.app, self.origins = app, [None, *(f"http://{host}:{port}".encode() for host in (HOST, "localhost"))]
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
         """Answer a request, or refuse it in a word."""
@@ -138,6 +133,6 @@ def serve(file: Path | None, out: Path, port: int | None, browser: bool, announc
 
         app.on_startup(lambda: threading.Thread(target=ready, daemon=True).start())
         ui.run(
-            host=HOST, port=chosen, show=False, reload=False, show_welcome_message=False, reconnect_timeout=RECONNECT,
-            title="orbitfinder studio", favicon=SITE / "icon.svg", language="en-US", limit_concurrency=MOST_CONNECTIONS,
+            host=HOST, port=chosen, show=False, reload=False, show_welcome_message=False, reconnect_timeout=60.0,
+            title="orbitfinder studio", favicon=SITE / "icon.svg", language="en-US", limit_concurrency=400,
         )  # fmt: skip

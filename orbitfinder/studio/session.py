@@ -40,8 +40,6 @@ DURATION = 20.0
 """s, where neither is known"""
 AGAIN = "again"
 """Folder that the command lines which repeat the work write to"""
-START = 1.0
-"""rad by which the last link of a chain is turned where no file says how it starts"""
 REFERENCE = re.compile(r'(?m)^(\s*(?:file|csv)\s*=\s*)"([^"\n]+)"')
 """Files that a problem file names: a robot's description, a trajectory"""
 
@@ -117,7 +115,7 @@ def _hanging(model: Model, name: str, state: np.ndarray | None) -> Opened:
     n, size = model.degrees_of_freedom, len(model.state_names)
     if state is None:
         state = np.zeros(size)
-        state[: n if model.rates is None else size] = np.linspace(0.5, 1.0, n) * START
+        state[: n if model.rates is None else size] = np.linspace(0.5, 1.0, n)  # rad, the last the most
     duration = DURATION
     if system_kind(model.system).pendulum and model.constraint is None:
         duration = SWINGS * 2 * np.pi / float(np.sqrt(normal_modes(model)[0].min()))
@@ -177,13 +175,16 @@ class Session:
     def problem(self, state: Any, period: float, taken: set[str]) -> tuple[str, Path]:
         """A problem file with a guess, at the energy that it has, and the name of the orbit that it asks for."""
         name = self.unused(taken)
-        invariants = ["energy"] if self.energy is not None else []
+        return name, self._written(name, self._guess(name, state, period, self.energy, self.energy is not None))
+
+    def _guess(self, name: str, state: Any, period: float, energy: float | None, pinned: bool) -> str:
+        """The text of a problem file that begins at a state; its energy (J) is `pinned` or only known."""
         document = {
             "name": name, "title": "", "source": "orbitfinder studio", "system": dict(self.model.system),
-            "state": [float(one) for one in state], "period": float(period), "energy": self.energy,
-            "provenance": {"invariants": invariants},
+            "state": [*map(float, state)], "period": float(period), "energy": energy,
+            "provenance": {"invariants": ["energy"] if pinned else []},
         }  # fmt: skip
-        return name, self._written(name, orbit_text(document, expected=False))
+        return self._text(orbit_text(document, expected=False))
 
     def search(
         self, state: Any, periods: tuple[float, float], energy: float | None, taken: set[str]
@@ -196,12 +197,9 @@ class Session:
         asked = (repr(sorted(self.model.system.items())), periods, energy)
         if asked not in self.searches:
             name = self.unused(taken)
-            document: dict[str, Any] = {
-                "name": name, "source": "orbitfinder studio", "system": dict(self.model.system), "energy": energy,
-                "state": [float(one) for one in state], "period": periods[0], "provenance": {"invariants": []},
-            }  # fmt: skip
             wanted = {"period": list(periods)} | ({} if energy is None else {"energy": energy})
-            text = self._text(orbit_text(document, expected=False)) + "\n".join(["", "[search]", *entries(wanted), ""])
+            guess = self._guess(name, state, periods[0], energy, pinned=False)
+            text = guess + "\n".join(["", "[search]", *entries(wanted), ""])
             self.out.mkdir(parents=True, exist_ok=True)
             write_atomically(self.out / f"{name}.toml", text.encode())
             self.searches[asked] = name
@@ -237,8 +235,8 @@ class Session:
         """The problem file that was opened, under a name of its own."""
         assert self.opened.guess is not None
         name, text = self.unused(taken), self.opened.guess[1]
-        found, count = re.subn(r"(?m)^name\s*=.*$", f'name = "{name}"', text, count=1)
-        return name, self._written(name, found if count else f'name = "{name}"\n{text}')
+        named, count = re.subn(r"(?m)^name\s*=.*$", f'name = "{name}"', text, count=1)
+        return name, self._written(name, named if count else f'name = "{name}"\n{text}')
 
     def _written(self, name: str, text: str | None) -> Path:
         file = self.folder / f"{name}.toml"
@@ -254,7 +252,9 @@ class Session:
     def unused(self, taken: set[str]) -> str:
         """A name that no tab and no file in the folder has; it joins those `taken`."""
         base, number = re.sub(r"[^A-Za-z0-9_-]+", "-", self.opened.name).strip("-") or "orbit", 1
-        while (name := f"{base}-{number}") in taken or any((self.out / one).exists() for one in (name, f"{name}.toml")):
+        while (name := f"{base}-{number}") in taken or any(
+            (self.out / f"{name}{end}").exists() for end in ("", ".toml")
+        ):
             number += 1
         taken.add(name)
         return name
@@ -279,7 +279,7 @@ class Session:
         switch = () if event is None else ("--switch", str(event), "--branch", str(branch))
         head = ("continue", self.items[parent].place, "--parameter", family.parameter, *switch)
         command = (*head, "--points", str(points), "--name", name, "--out", AGAIN)
-        files = tuple(f"{name}/{one}" for one in (JOURNAL, "family.npz", "family.json"))
+        files = tuple(f"{name}/{path}" for path in (JOURNAL, "family.npz", "family.json"))
         return self._kept(Item(name, self.folder / file, f"{AGAIN}/{file}", command, files, parent, family=family))
 
     def rescued(self, name: str) -> Family | None:
@@ -298,7 +298,7 @@ class Session:
     def save(self) -> list[Path]:
         """Copy everything found that is not saved yet into `out`; the files. Raises `InputError`, `OSError`."""
         written = []
-        for item in [one for one in self.items.values() if not one.saved]:
+        for item in [kept for kept in self.items.values() if not kept.saved]:
             target = self.out / item.name
             if target.exists() and item.name not in self.own:
                 raise InputError(f"{target}: exists already and is left alone; start the studio with another --out")
@@ -312,7 +312,7 @@ class Session:
 
     def commands(self) -> list[str]:
         """The command lines that find everything again, in a folder of their own."""
-        return [shlex.join(("orbitfinder", *one.command)) for one in self.items.values() if one.command]
+        return [shlex.join(("orbitfinder", *item.command)) for item in self.items.values() if item.command]
 
     def tree(self) -> list[dict[str, Any]]:
         """Orbits, the families through them, the families that leave these: nodes for a tree."""
@@ -320,9 +320,9 @@ class Session:
 
     def _below(self, parent: str | None) -> list[dict[str, Any]]:
         return [
-            {"id": one.name, "label": _label(one), "children": self._below(one.name)}
-            for one in self.items.values()
-            if one.parent == parent
+            {"id": item.name, "label": _label(item), "children": self._below(item.name)}
+            for item in self.items.values()
+            if item.parent == parent
         ]
 
 
@@ -340,16 +340,16 @@ def _label(item: Item) -> str:
 def leaving(family: Family) -> dict[int, str]:
     """The events of a family that branches leave at, in words."""
     return {
-        k: f"{k}: {one.kind.replace('_', ' ')} {one.detail} at {one.parameter:.6g} {family.unit}".replace("  ", " ")
-        for k, one in enumerate(family.events)
-        if one.kind in SWITCHABLE
+        k: f"{k}: {event.words} at {event.parameter:.6g} {family.unit}"
+        for k, event in enumerate(family.events)
+        if event.kind in SWITCHABLE
     }
 
 
 def parameters(model: Model) -> Mapping[str, tuple[float, float, float]]:
     """Of each physical parameter: its value, and how far a slider goes down and up."""
-    found = {}
+    ranges = {}
     for name, value in zip(model.parameter_names, map(float, model.parameter_values), strict=True):
         low, high = model.limits.get(name, (0.5 * value, 1.5 * value) if value else (-1.0, 1.0))
-        found[name] = value, min(low, high), max(low, high)
-    return found
+        ranges[name] = value, min(low, high), max(low, high)
+    return ranges

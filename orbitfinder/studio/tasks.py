@@ -40,11 +40,7 @@ from orbitfinder.studio.films import film, pose, view
 Say = Callable[[Any], None]
 Film = dict[str, Any]
 
-RETURNS = 12
-"""Close returns that are shown"""
 LEAST_SAMPLES, MOST_SAMPLES = 400, 3000
-STEPS = Pace(first=1.0, shortest=2.0**-5, longest=1.0, growth=1.0)
-"""Of a parameter, in shares of the way: halved until the orbit follows"""
 SEEDS, CROSSINGS = 24, 60
 """Motions of a section, and how often each crosses it"""
 SPEAK_EVERY = 0.25
@@ -66,7 +62,7 @@ class Simulated:
 
 
 @dataclass(frozen=True)
-class Found:
+class FilmedOrbit:
     """An orbit with its film and, where it is certified, its file."""
 
     orbit: Orbit
@@ -75,7 +71,7 @@ class Found:
 
 
 @dataclass(frozen=True)
-class Step:
+class FilmedStep:
     """What a step along the family of a name adds, each orbit with its film."""
 
     family: str
@@ -101,8 +97,8 @@ class Tasks:
 
     def model(self, system: Mapping[str, Any]) -> Model:
         """The Model of a description, built once. Raises `InputError`."""
-        found = self._simulator.model(system)
-        return build_model(system) if found is None else found[0]
+        known = self._simulator.model(system)
+        return build_model(system) if known is None else known[0]
 
     def simulated(self, system: Mapping[str, Any], state: list[float], duration: float) -> Simulated:
         """The motion from a state (d) over a duration (s) and where it nearly closes."""
@@ -112,8 +108,8 @@ class Tasks:
         energy = float(run.energy[0]) if np.isfinite(run.energy[0]) else None
         returns = list[CloseReturn]()
         if model.hybrid is None and np.ptp(run.states, axis=0).max() > 0:
-            returns = close_returns(run.times, run.states, model.angles, RETURNS)
-            returns.sort(key=lambda one: one.distance * one.period**3)
+            returns = close_returns(run.times, run.states, model.angles, 12)
+            returns.sort(key=lambda near: near.distance * near.period**3)
         shown = film(model, run.times, run.states)
         change = run.change if energy is not None else float("nan")
         return Simulated(shown, view(model, run.states), energy, change, tuple(returns))
@@ -122,15 +118,16 @@ class Tasks:
         """The state (d) that a motion has come to after a time (s)."""
         if duration <= 0:
             return list(state)
-        return [float(one) for one in simulate(self.model(system), np.asarray(state, float), duration, 2).states[-1]]
+        run = simulate(self.model(system), np.asarray(state, float), duration, 2)
+        return [*map(float, run.states[-1])]
 
     def pulled(
         self, system: Mapping[str, Any], state: list[float], point: int, place: list[float]
     ) -> tuple[list[float], Film]:
         """The state at rest, and its picture, when a point is pulled to a place (down, right, m)."""
         model = self.model(system)
-        found = pulled(model, np.asarray(state, float), point, np.asarray(place, float))
-        return [float(one) for one in found], pose(model, found)
+        pulled_to = pulled(model, np.asarray(state, float), point, np.asarray(place, float))
+        return [*map(float, pulled_to)], pose(model, pulled_to)
 
     def posed(self, system: Mapping[str, Any], state: list[float]) -> Film:
         """The picture of a state that stands still."""
@@ -138,18 +135,18 @@ class Tasks:
 
     def thrown(self, system: Mapping[str, Any], state: list[float], point: int, velocity: list[float]) -> list[float]:
         """The state when a point is let go of with a velocity (down, right, m/s)."""
-        found = thrown(self.model(system), np.asarray(state, float), point, np.asarray(velocity, float))
-        return [float(one) for one in found]
+        after = thrown(self.model(system), np.asarray(state, float), point, np.asarray(velocity, float))
+        return [*map(float, after)]
 
     def cut(self, system: Mapping[str, Any], energy: float | None, orbit: Orbit | None) -> Cut:
         """The Poincare section at an energy (J, None where none is conserved), and where an orbit crosses it."""
         model = self.model(system)
-        found = section(model, energy if model.conservative else None, seeds=SEEDS, returns=CROSSINGS)
+        made = section(model, energy if model.conservative else None, seeds=SEEDS, returns=CROSSINGS)
         points = np.zeros((0, 2))
         if orbit is not None:
             with contextlib.suppress(InputError):  # it does not cross this plane
-                points = crossings(model, found, orbit)
-        return Cut(found, points)
+                points = crossings(model, made, orbit)
+        return Cut(made, points)
 
     def searched(
         self, system: Mapping[str, Any], energy: float | None, periods: tuple[float, float], budget: float, atlas: Path
@@ -162,20 +159,20 @@ class Tasks:
                 last[0] = time.monotonic()
                 self._say(at)
 
-        found = search(self.model(system), energy, periods, atlas, budget=budget, workers=0, progress=report)
-        return sum(at.made for _, at in found.tallies)
+        searched = search(self.model(system), energy, periods, atlas, budget=budget, workers=0, progress=report)
+        return sum(at.made for _, at in searched.tallies)
 
-    def found(self, file: Path, out: Path) -> Found:
+    def found(self, file: Path, out: Path) -> FilmedOrbit:
         """The orbit of a problem file, in OUT/NAME/orbit.json where it is certified: what `orbitfinder run` does."""
         orbit = solve(load_problem(file), progress=self._iterated)
         kept = orbit.certificate is not None and orbit.certificate.passed
         saved = save_orbit(orbit, out / orbit.name / "orbit.json") if kept else None
-        return Found(orbit, self._film(orbit), saved)
+        return FilmedOrbit(orbit, self._film(orbit), saved)
 
-    def opened(self, file: Path) -> Found:
+    def opened(self, file: Path) -> FilmedOrbit:
         """The orbit of an orbit.json, or of ATLAS#K."""
         orbit = load_orbit(file)
-        return Found(orbit, self._film(orbit), file)
+        return FilmedOrbit(orbit, self._film(orbit), file)
 
     def followed(self, file: Path, parameter: str, points: int, name: str, out: Path) -> Family:
         """The family through the orbit of a file: what `orbitfinder continue` does."""
@@ -189,8 +186,8 @@ class Tasks:
         leaving = branches(file, event, settings)
         self._say(f"{len(leaving)} found at event {event}")
         return [
-            follow_family(one, settings=settings, out=out, name=one.name, progress=self._stepped(out / one.name))
-            for one in leaving
+            follow_family(new, settings=settings, out=out, name=new.name, progress=self._stepped(out / new.name))
+            for new in leaving
         ]
 
     def shown(self, system: Mapping[str, Any], member: FamilyPoint | Event) -> Film | None:
@@ -202,7 +199,7 @@ class Tasks:
         """A point of a family as an Orbit of its own."""
         return whole(point, self.model(point.system))
 
-    def turned(self, orbit: Orbit, name: str, value: float) -> Found:
+    def turned(self, orbit: Orbit, name: str, value: float) -> FilmedOrbit:
         """The orbit at another value of a physical parameter, followed warm; its energy stays where it is conserved.
 
         Steps that Newton's method does not survive are halved. Raises `ConvergenceError` where the orbit ends.
@@ -213,14 +210,15 @@ class Tasks:
 
         def refined(at: float) -> tuple[Any, int]:
             values, before = {name: at, "energy": orbit.energy}, known[-1][1]
-            pins = tuple(replace(one, value=values.get(one.name, one.value)) for one in refiner.problem.pin)
+            pins = tuple(replace(pin, value=values.get(pin.name, pin.value)) for pin in refiner.problem.pin)
             return refiner.refine(Guess(before.state, before.period), pins), 0
 
         try:
-            turned = refiner.orbit(reached(known, value, refined, STEPS))
+            halved = Pace(first=1.0, shortest=2.0**-5, longest=1.0, growth=1.0)  # shares of the way
+            turned = refiner.orbit(reached(known, value, refined, halved))
         except ConvergenceError as error:
             raise ConvergenceError(f"{name} = {value:.6g}: the orbit was lost on the way ({error})") from error
-        return Found(turned, self._film(turned), None)
+        return FilmedOrbit(turned, self._film(turned), None)
 
     def _warm(self, orbit: Orbit, model: Model, name: str) -> Refiner:
         """The Refiner of an orbit in a parameter; the last one stays warm, whatever that parameter's value is."""
@@ -246,8 +244,8 @@ class Tasks:
         def report(batch: Batch) -> None:
             if not system and (journal := read_journal(folder)) is not None:
                 system.update(journal.header["system"])
-            films = tuple(self.shown(system_at(system, one.free), one) for one in batch.points)
-            self._say(Step(folder.name, batch, films))
+            films = tuple(self.shown(system_at(system, point.free), point) for point in batch.points)
+            self._say(FilmedStep(folder.name, batch, films))
 
         return report
 

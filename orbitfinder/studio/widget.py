@@ -19,8 +19,9 @@ from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import finite
 from orbitfinder.show import html
 from orbitfinder.show.diagram import diagram_of
+from orbitfinder.show.facts import numbers
 from orbitfinder.show.svg import diagram, plane_of
-from orbitfinder.site.motion import Scene, Simulator, framed, packed
+from orbitfinder.site.motion import Filmed, Simulator, framed, packed
 from orbitfinder.site.pages import before, pickable
 
 try:
@@ -96,21 +97,22 @@ def stage(value: Orbit | Family) -> Stage:
 
 def _members(family: Family) -> list[Orbit | Event]:
     """The points and events of a family that can be slid to, in order along it."""
-    return [family.points[k] if kind == "point" else family.events[k] for kind, k in pickable(family)]
+    return [family.members[at] for at in pickable(family)]
 
 
 def _shown(value: Orbit | Family, members: list[Orbit | Event]) -> dict[str, Any]:
     """What the script works with: the items with their motions, pictures and texts, and what they share."""
     simulator, family = Simulator(), value if isinstance(value, Family) else None
     motions = [
-        simulator.member(value.system, one) if isinstance(one, FamilyPoint | Event) else simulator.of(one)
-        for one in members
+        simulator.member(value.system, member) if isinstance(member, FamilyPoint | Event) else simulator.of(member)
+        for member in members
     ]
     items = [
-        _texts(family, one) | {"period": one.period, "motion": packed(motion) if motion else None, "portrait": portrait}
-        for one, motion, portrait in zip(members, motions, _portraits(simulator, value.system, motions), strict=True)
+        _texts(family, member)
+        | {"period": member.period, "motion": packed(motion) if motion else None, "portrait": portrait}
+        for member, motion, portrait in zip(members, motions, _portraits(simulator, value.system, motions), strict=True)
     ]
-    found: dict[str, Any] = {
+    shown: dict[str, Any] = {
         "items": items,
         "title": "",
         "below": "",
@@ -118,44 +120,44 @@ def _shown(value: Orbit | Family, members: list[Orbit | Event]) -> dict[str, Any
         "time": units(value.system)["time"],
     }
     if isinstance(value, Orbit):
-        found |= {"title": value.title or value.name, "below": value.source}
+        shown |= {"title": value.title or value.name, "below": value.source}
     if family is not None:
         drawn = diagram_of(family)
         places = plane_of(drawn).place(drawn.places).round(1).tolist()
-        for item, (kind, k) in zip(items, pickable(family), strict=True):
-            item["place"] = places[k if kind == "point" else len(family.points) + k]
-        found |= {"title": f"Family {family.name}", "diagram": diagram(drawn)}
+        for item, at in zip(items, pickable(family), strict=True):
+            item["place"] = places[at]
+        shown |= {"title": f"Family {family.name}", "diagram": diagram(drawn)}
     frame = framed([item["motion"] for item in items if item["motion"]])
     if frame and family and any(motion.drawn == "mechanism" for motion in motions if motion):
-        found["frame"] = frame | {"unit": units(value.system)["length"]}
-    return finite(found)  # type: ignore[no-any-return]
+        shown["frame"] = frame | {"unit": units(value.system)["length"]}
+    return finite(shown)  # type: ignore[no-any-return]
 
 
-def _portraits(simulator: Simulator, system: Any, motions: list[Scene | None]) -> list[str]:
+def _portraits(simulator: Simulator, system: Any, motions: list[Filmed | None]) -> list[str]:
     """Phase portraits, all of the plane in which most moves and on the same axes; empty where there is no motion."""
     known = simulator.model(system)
     if known is None or not any(motions):
         return [""] * len(motions)
     model = known[0]
-    seen = [one and one.course for one in motions]
-    plane = max((html.Portrait(model, one) for one in seen if one), key=lambda one: one.extent).plane
-    drawn = [one and html.Portrait(model, one, plane) for one in seen]
-    around = html.range_of([one for one in drawn if one])
-    return [one.svg(around) if one else "" for one in drawn]
+    seen = [motion and motion.course for motion in motions]
+    plane = max((html.Portrait(model, course) for course in seen if course), key=lambda course: course.extent).plane
+    drawn = [course and html.Portrait(model, course, plane) for course in seen]
+    around = html.range_of([portrait for portrait in drawn if portrait])
+    return [portrait.svg(around) if portrait else "" for portrait in drawn]
 
 
-def _texts(family: Family | None, one: Orbit | Event) -> dict[str, Any]:
+def _texts(family: Family | None, member: Orbit | Event) -> dict[str, Any]:
     """The numbers of an orbit in words, its multipliers beside the unit circle, and what it is called on the slider."""
-    if isinstance(one, Orbit):
-        rows, label = html.numbers(one), ""
+    if isinstance(member, Orbit):
+        rows, label = numbers(member), ""
         if family is not None:
-            rows = rows[:2] + _parameter(family, one.value) + rows[2:-1]  # type: ignore[attr-defined]
-        return {"rows": rows, "circle": html.circle(one), "label": label}
+            rows = rows[:2] + _parameter(family, member.value) + rows[2:-1]  # type: ignore[attr-defined]
+        return {"rows": rows, "circle": html.circle(member), "label": label}
     assert family is not None
-    point = before(family, one)
-    rows = [("event", one.words), ("period", f"{one.period:.12g} s"), ("energy", f"{one.energy:.12g} J"),
-            *_parameter(family, one.parameter), ("stability before", point.stability)]  # fmt: skip
-    return {"rows": rows, "circle": html.circle(point), "label": one.words}
+    point = before(family, member)
+    rows = [("event", member.words), ("period", f"{member.period:.12g} s"), ("energy", f"{member.energy:.12g} J"),
+            *_parameter(family, member.parameter), ("stability before", point.stability)]  # fmt: skip
+    return {"rows": rows, "circle": html.circle(point), "label": member.words}
 
 
 def _parameter(family: Family, value: float) -> list[tuple[str, str]]:

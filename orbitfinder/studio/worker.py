@@ -37,7 +37,7 @@ def work(pipe: Any) -> None:
         pipe.send(answer)
 
 
-class Worker:
+class TaskProcess:
     """One process and the thread that listens to it."""
 
     def __init__(self) -> None:
@@ -74,13 +74,13 @@ class Worker:
                 if answer is None:
                     self._gone(hand)
                     raise StoppedError("stopped; nothing that is saved is lost")
-                kind, what = answer
-                if kind == "refused":
-                    raise RefusedError(what)
-                if kind == "done":
-                    return what
-                if said is not None:
-                    said(what)
+                match answer:
+                    case "refused", what:
+                        raise RefusedError(what)
+                    case "done", what:
+                        return what
+                    case _, what if said is not None:
+                        said(what)
 
     def stop(self) -> None:
         """End the task under way at once."""

@@ -1,0 +1,82 @@
+"""The facts of an orbit as every display says them: names, numbers, units."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from orbitfinder.atlas.store import Atlas
+from orbitfinder.errors import OrbitfinderError, plural
+from orbitfinder.mechanics.scales import units
+from orbitfinder.records.certificate import Certificate
+from orbitfinder.records.orbit import Orbit
+
+
+def number(value: Any, digits: int = 6) -> str:
+    """A number for reading: plain where that is short, with a power of ten otherwise."""
+    if not isinstance(value, (int, float)) or not math.isfinite(value):
+        return "not computed"
+    return f"{value:.{digits}g}".replace("-", "\N{MINUS SIGN}")
+
+
+def with_unit(text: str, unit: str) -> str:
+    """A number with its unit, where it has one."""
+    return f"{text} {unit}" if unit else text
+
+
+def largest(orbit: Orbit) -> float:
+    """Largest modulus of the Floquet multipliers, 1 where there are none."""
+    return max(map(abs, orbit.floquet_multipliers.tolist()), default=1.0)
+
+
+def conserves(atlas: Atlas) -> bool:
+    """Whether an energy is conserved, True where nothing is known of the system."""
+    try:
+        return atlas.model.conservative
+    except OrbitfinderError:
+        return True
+
+
+def verdict_of(certificate: Certificate) -> str:
+    """passed, or the checks that failed."""
+    count = len(certificate.checks)
+    return f"passed, {plural(count, 'check')}" if certificate.passed else f"FAILED: {', '.join(certificate.failures)}"
+
+
+def facts(orbit: Orbit, conserved: bool = True, names: Sequence[str] = ()) -> dict[str, str]:
+    """What an orbit's numbers are called, and they, in its units; of what dissipates the energy at t = 0. `names` are
+    those of its coordinates."""
+    unit, certificate, level = units(orbit.system), orbit.certificate, math.isfinite(orbit.energy)
+    energy = with_unit(number(orbit.energy, 12), unit["energy"]) + ("" if conserved else " at t = 0")
+    verdict = "no certificate" if certificate is None else verdict_of(certificate)
+    if certificate is not None and orbit.record is not None:
+        verdict = f"as its file has it, not checked here: {verdict}"
+    called = names or [f"q{k + 1}" for k in range(len(orbit.winding))]
+    turns = [f"{name} {k}" for name, k in zip(called, orbit.winding, strict=False) if k]
+    return {
+        "period": with_unit(number(orbit.period, 12), unit["time"]),
+        "frequency": with_unit(number(1.0 / orbit.period, 8), unit["time"] and "1/s"),
+        "energy" if conserved else "energy, not conserved": energy if level else "none is conserved",
+        "action": with_unit(number(orbit.action, 10), unit["action"] if level else ""),
+        "closure": number(orbit.closure, 2),
+        "largest multiplier": number(largest(orbit)) if orbit.floquet_multipliers.size else "none but the trivial ones",
+        "turns": ", ".join(turns).replace("theta", "\N{GREEK SMALL LETTER THETA}"),
+        "stability": orbit.stability,
+        "symmetry": orbit.symmetry,
+        "certificate": verdict,
+    }
+
+
+def numbers(orbit: Orbit) -> list[tuple[str, str]]:
+    """The facts that stand beside an orbit's pictures."""
+    known = facts(orbit)
+    beside = ("period", "energy", "closure", "stability", "symmetry", "largest multiplier", "certificate")
+    return [(name, known[name]) for name in beside]
+
+
+def told(orbit: Orbit, digits: int) -> str:
+    """Period, energy where there is one, verdict and symmetry in one line."""
+    level = f", E = {orbit.energy:.{digits - 2}g} J" if math.isfinite(orbit.energy) else ""
+    symmetry = "" if orbit.symmetry == "none" else f", {orbit.symmetry.replace('+', ' and ')}"
+    return f"T = {orbit.period:.{digits}g} s{level}, {orbit.stability}{symmetry}"
