@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +13,7 @@ from orbitfinder.cli.jobs import check_writable, one_line, orbit_and_model
 from orbitfinder.cli.options import FILES, FINITE, SYSTEM_TRUST, Decorator, finish, option, orbit_files, text, usual
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.certificate import Certificate, Check, certificate_to_document
+from orbitfinder.records.codec import entries_of
 from orbitfinder.records.registry import answer, held, kind_of, load, load_orbit, member
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def _family(file: Path, family: Family, found: list[tuple[str, Check]]) -> dict[
         text(f"  {check.name:<18}{where:<42}{check.value:>9.1e} of {check.tolerance:<8.1e}  {verdict}")
     what = f"{plural(len(family.events), 'event')} and {plural(len(family.ends), 'end')}"
     text(f"{file} ({family.name}): {what} {'verified' if not wrong else f'REJECTED by {len(wrong)}'}")
-    checks = [{"where": where} | dataclasses.asdict(check) for where, check in found]
+    checks = [{"where": where} | entries_of(check) for where, check in found]
     return {"file": str(file), "name": family.name, "passed": not wrong, "checks": checks}
 
 

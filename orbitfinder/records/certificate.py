@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -17,24 +18,26 @@ AT_MOST, AT_LEAST, EQUAL = "\N{LESS-THAN OR EQUAL TO}", "\N{GREATER-THAN OR EQUA
 class Check:
     """One question asked of an orbit: the number found, the number allowed, the answer."""
 
+    _sparse = ("asked",)
+
     name: str
     value: Unknown
     tolerance: float
     passed: bool
     note: str = ""
+    asked: str = ""
+    """`AT_LEAST` where no finite number shows it"""
 
     @property
     def sense(self) -> str:
-        """`AT_MOST`, `AT_LEAST` or `EQUAL`."""
-        return sense_of(self.value, self.tolerance, self.passed)
+        """`AT_MOST`, `AT_LEAST` or `EQUAL`: mostly from number and answer alone, with which it cannot disagree."""
+        if self.asked or not self.tolerance:
+            return self.asked or EQUAL
+        return AT_LEAST if (self.value > self.tolerance if self.passed else self.value < self.tolerance) else AT_MOST
 
-
-def sense_of(value: Any, tolerance: Any, passed: bool) -> str:
-    """What was asked of a number, from it and the answer alone: files do not say it, and it cannot disagree."""
-    if not tolerance:
-        return EQUAL
-    known = value is not None and (value > tolerance if passed else value < tolerance)
-    return AT_LEAST if known else AT_MOST
+    def _check(self) -> None:
+        if self.asked not in ("", AT_LEAST):
+            raise ValueError(f"asked: expected {AT_LEAST!r} or nothing, got {self.asked[:60]!a}")
 
 
 def at_most(name: str, value: Any, tolerance: float, note: str = "", also: bool = True) -> Check:
@@ -44,7 +47,8 @@ def at_most(name: str, value: Any, tolerance: float, note: str = "", also: bool 
 
 def at_least(name: str, value: Any, tolerance: float, note: str = "") -> Check:
     """The check that a number is no smaller than what is wanted."""
-    return Check(name, float(value), float(tolerance), bool(value >= tolerance), note)
+    asked = "" if math.isfinite(value) else AT_LEAST
+    return Check(name, float(value), float(tolerance), bool(value >= tolerance), note, asked)
 
 
 def equal(name: str, value: float, wanted: float, note: str = "") -> Check:
