@@ -1,6 +1,6 @@
 """Who watches that a command stops when it is told to: by a signal, or by its limit of time.
 
-CasADi's symbolic work, a factorisation of many digits or somebody's library may be in one long call, in which Python
+CasADi's symbolic work, a factorisation of many digits or somebody's library may be in a long call, in which Python
 looks neither at signals nor at deadlines. A thread does: it raises `LimitError` in the main thread at the deadline,
 and where that thread has not ended the work a second later, or a second after Ctrl-C, it ends the process.
 """
@@ -66,7 +66,7 @@ def _watch(ours: socket.socket, out: list[TextIO]) -> None:
                 return
             now, past = time.monotonic(), limit.running[-1] if limit.running else None
             busy = now if interrupt.busy else busy
-            mine = [one for one in numbers if one in interrupt.SIGNALS and interrupt.ours(one)]
+            mine = [number for number in numbers if number in interrupt.SIGNALS and interrupt.ours(number)]
             signals, told = signals + mine, now if mine and not signals else told
             if past and now > past.end and not past.heard and hasattr(signal, "pthread_kill"):
                 signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGALRM)

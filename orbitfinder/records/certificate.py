@@ -1,4 +1,4 @@
-"""What was asked of a record, number by number, and the verdict: the one place where checks are judged."""
+"""What was asked of a record, number by number, and the verdict: checks are judged here alone."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ AT_MOST, AT_LEAST, EQUAL = "\N{LESS-THAN OR EQUAL TO}", "\N{GREATER-THAN OR EQUA
 
 @dataclass(frozen=True)
 class Check:
-    """One question asked of an orbit: the number found, the number allowed, the answer."""
+    """A question asked of an orbit: its number, the number allowed, the answer."""
 
     _sparse = ("asked",)
 
@@ -56,10 +56,10 @@ def equal(name: str, value: float, wanted: float, note: str = "") -> Check:
     return Check(name, float(value), float(wanted), bool(value == wanted), note)
 
 
-def same(name: str, recorded: str, found: str) -> Check:
-    """The check that a record's word is the one found."""
-    note = "as recorded" if recorded == found else f"recorded {recorded[:60]}, found {found[:60]}"
-    return equal(name, recorded != found, 0.0, note)
+def same(name: str, recorded: str, computed: str) -> Check:
+    """The check that a record's word is what was computed."""
+    note = "as recorded" if recorded == computed else f"recorded {recorded[:60]}, found {computed[:60]}"
+    return equal(name, recorded != computed, 0.0, note)
 
 
 def refused(name: str, why: object, value: float = float("inf"), tolerance: float = 0.0) -> Check:
@@ -69,7 +69,7 @@ def refused(name: str, why: object, value: float = float("inf"), tolerance: floa
 
 @dataclass(frozen=True)
 class Certificate(Shown):
-    """Every check of one orbit; `passed` only when all of them did, `failures` names the others.
+    """Every check of an orbit; `passed` only when all of them did, `failures` names the others.
 
     Args:
         checks: name, number, what is allowed and a note of each.
@@ -79,7 +79,7 @@ class Certificate(Shown):
 
     Examples:
         >>> certificate = of.certify(orbit)
-        >>> [one.name for one in certificate.checks][:3]
+        >>> [check.name for check in certificate.checks][:3]
         ['closure', 'distance', 'second_closure']
     """
 
@@ -108,8 +108,8 @@ def certificate_to_document(certificate: Certificate | None) -> dict[str, Any]:
 
 def certificate_of(entry: Any, where: str) -> Certificate | None:
     """The certificate of an entry, None where nothing was checked. Raises `ValueError`."""
-    found: Certificate = typed(Certificate, entry or {"checks": []}, where)
-    return found if found.checks else None
+    certificate: Certificate = typed(Certificate, entry or {"checks": []}, where)
+    return certificate if certificate.checks else None
 
 
 Certified = Annotated[Certificate | None, Filed(certificate_to_document, certificate_of)]
