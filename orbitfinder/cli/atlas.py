@@ -21,6 +21,7 @@ from orbitfinder.cli.options import (
     out_option,
     print_json,
     text,
+    trusted,
     usual,
     wants_json,
 )
@@ -98,7 +99,7 @@ def list_orbits(book: Path, order: str, **options: Any) -> None:
             f"{row.stability:<11}{row.instability:>12.4g}{closure}"
         )
     text(plural(len(rows), "orbit"))
-    finish("atlas-list", {"orbits": [vars(row) for row in rows]})
+    finish("atlas-list", {"orbits": rows})
 
 
 @atlas.command()
@@ -114,7 +115,7 @@ def show(book: Path, number: int, trust: bool) -> None:
     """
     from orbitfinder.atlas.store import named_state, proved
 
-    with of.Atlas(book, trusted=book.parent if trust else None) as opened:
+    with of.Atlas(book, trusted=trusted(book, trust)) as opened:
         document = opened.document(number)
         names = None if wants_json() else opened.model.state_names
         row = opened.row(number)
@@ -178,7 +179,7 @@ def export(book: Path, kind: str, out: Path | None, trust: bool, **options: Any)
 
     if out is None and kind == "parquet":
         raise InputError("--out: missing; a Parquet file is not text, name it with -o FILE.parquet")
-    with of.Atlas(book, trusted=book.parent if trust else None) as opened:
+    with of.Atlas(book, trusted=trusted(book, trust)) as opened:
         data = exported(opened, kind, chosen(options))
     if out is None:
         click.echo(data, nl=False)
@@ -225,9 +226,9 @@ def merge(books: tuple[Path, ...], out: Path, union: bool, trust: bool) -> None:
     Example:
       orbitfinder atlas merge triple-*.sqlite --atlas triple.sqlite
     """
-    merged = of.merge_atlases(list(books), out, union=union, trusted=books[0].parent if trust else None)
+    merged = of.merge_atlases(list(books), out, union=union, trusted=trusted(books[0], trust))
     text(f"{out}: {plural(merged.orbits, 'distinct certified orbit')} of {plural(merged.starts, 'start')}")
-    for one in merged.searches:
-        lost = f", {one.missing} between them are missing (the same search makes them)" if one.missing else ""
-        text(f"  {one.energy:g} J, seed {one.seed}: {plural(one.starts, 'start')}{lost}")
+    for search in merged.searches:
+        lost = f", {search.missing} between them are missing (the same search makes them)" if search.missing else ""
+        text(f"  {search.energy:g} J, seed {search.seed}: {plural(search.starts, 'start')}{lost}")
     finish("atlas-merge", merged.document())

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a command has come: one line, and rows of cells for the table on a terminal."""
+    """How far a command has come: a line, and rows of cells for the table on a terminal."""
 
     line: str
     rows: Sequence[Sequence[str]] = ()
@@ -48,9 +48,9 @@ def note(line: str) -> None:
 
 @contextlib.contextmanager
 def display(begins: str, every: float = 0.0, refresh: float = 0.0) -> Iterator[Display]:
-    """A Display on the terminal behind descriptor 2, live when it is one; it says at once what begins.
+    """A Display on the terminal behind descriptor 2, live when it is there; it says at once what begins.
 
-    Of what is shown there is no more than one line every so many seconds, or one frame of the live table.
+    Of what is shown there is no more than a line every so many seconds, or a frame of the live table.
     """
     with streams.aside() as stream:
         if not stream.isatty() or os.environ.get("TERM") == "dumb":
@@ -82,7 +82,7 @@ def _said(write: Callable[[str], object], line: str) -> None:
 
 
 def paced(show: Callable[[Progress], object], every: float) -> Callable[[Progress], None]:
-    """Call `show` no more often than every so many seconds, for the first time after one."""
+    """Call `show` no more often than every so many seconds, for the first time after a second."""
     last = [time.monotonic() - every + min(every, 1.0)]
 
     def call(progress: Progress) -> None:

@@ -11,7 +11,7 @@ import sys
 import tempfile
 import textwrap
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -23,7 +23,7 @@ from orbitfinder._runtime import __version__
 from orbitfinder.cli.options import finish, json_option, text
 
 WIDTH, INDENT = 80, 31
-"""Columns of the report, and where what was found begins"""
+"""Columns of the report, and where details begin"""
 OK, NOTE, MISSING, BROKEN = "ok", "note", "missing", "BROKEN"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "firefox")
 AGAIN = "pip install --force-reinstall orbitfinder"
@@ -36,12 +36,12 @@ EXTRAS = {
     "notebook": "orbit.widget(), the notebooks", "docs": "building the documentation",
     "browser": "tests of pages in a browser", "test": "the tests",
 }  # fmt: skip
-"""What each optional extra is for; one that a release does not declare is not asked about."""
+"""What each optional extra is for; what a release does not declare is not asked about."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing looked at: `status` ok, note, missing (optional) or BROKEN (essential), and what to do."""
+    """One thing seen at: `status` ok, note, missing (optional) or BROKEN (essential), and what to do."""
 
     name: str
     status: str
@@ -50,7 +50,7 @@ class Finding:
 
 
 def finding(name: str, fine: object, detail: str, remedy: str, otherwise: str = MISSING) -> Finding:
-    """What was found fine, or `otherwise`, with what to do about it."""
+    """What is fine, or `otherwise`, with what to do about it."""
     return Finding(name, OK, detail) if fine else Finding(name, otherwise, detail, remedy)
 
 
@@ -97,7 +97,7 @@ def _plugin(name: str, kind: str) -> tuple[object, str]:
 
 
 def _main_job() -> Finding:
-    """One pendulum swing found and certified, its period compared with the elliptic integral."""
+    """A pendulum swing solved and certified, its period compared with the elliptic integral."""
     try:
         from scipy.special import ellipk
 
@@ -115,15 +115,15 @@ def tools() -> Iterator[Finding]:
     """Programs and folders outside Python: compiler, cache, browser, AUTO."""
     from orbitfinder.integrate.compiled import available, mode
 
-    found, reason = available()
+    compiler, reason = available()
     said = f"{reason or 'runs'} (mode {mode()})"
     remedy = "install gcc or clang for compiled equations; without one everything runs interpreted"
-    yield finding("C compiler", found, said, remedy)
+    yield finding("C compiler", compiler, said, remedy)
     yield _cache()
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     remedy = "any browser opens the pages; headless Chromium is needed for their tests only"
     yield finding("browser", browser, browser or "none on the path", remedy)
-    auto = next((one for one in (os.environ.get("AUTO_DIR"), "/usr/lib/auto-07p") if one and Path(one).is_dir()), None)
+    auto = next(filter(os.path.isdir, (os.environ.get("AUTO_DIR", ""), "/usr/lib/auto-07p")), None)
     remedy = "only to run what export --to auto writes; set AUTO_DIR"
     yield finding("AUTO-07p", auto, auto or "not found", remedy)
 
@@ -161,16 +161,16 @@ def declared_extras() -> dict[str, list[str]]:
     """Extra -> distributions, as the installed metadata declares them."""
     from importlib import metadata
 
-    found: dict[str, list[str]] = {}
+    declared: dict[str, list[str]] = {}
     try:
         requirements = metadata.requires("orbitfinder") or []
     except metadata.PackageNotFoundError:  # run from a source tree that was never installed
-        return found
+        return declared
     for line in requirements:
         match = re.match(r"([A-Za-z0-9._-]+).*extra == ['\"]([^'\"]+)['\"]", line)
         if match:
-            found.setdefault(match.group(2), []).append(match.group(1))
-    return found
+            declared.setdefault(match.group(2), []).append(match.group(1))
+    return declared
 
 
 def _installed(distribution: str) -> bool:
@@ -192,18 +192,18 @@ def defects() -> Iterator[Finding]:
     except Exception as error:
         yield Finding("casadi defects", NOTE, f"not tried: {type(error).__name__}: {error}")
         return
-    for one in trials:
-        if one.present is False:
-            yield Finding(one.name, OK, f"CasADi: defect absent ({one.reference})")
+    for trial in trials:
+        if trial.present is False:
+            yield Finding(trial.name, OK, f"CasADi: defect absent ({trial.reference})")
             continue
-        yield Finding(one.name, NOTE, f"CasADi: {one.seen} ({one.reference})", f"no action: here {one.instead}")
+        yield Finding(trial.name, NOTE, f"CasADi: {trial.seen} ({trial.reference})", f"no action: here {trial.instead}")
 
 
-def report(one: Finding) -> list[str]:
-    """A finding in lines of at most 80 columns: what was found, below it what to do."""
-    said = [line for what in (one.detail, one.remedy) for line in textwrap.wrap(
+def report(seen: Finding) -> list[str]:
+    """A finding in lines of at most 80 columns: its detail, below it what to do."""
+    said = [line for what in (seen.detail, seen.remedy) for line in textwrap.wrap(
         what, WIDTH - INDENT, break_long_words=False, break_on_hyphens=False)]  # fmt: skip
-    head = f"  {one.status:<8}{one.name}"
+    head = f"  {seen.status:<8}{seen.name}"
     return [f"{head if not k else '':<{INDENT}}{line}" for k, line in enumerate(said)]
 
 
@@ -226,7 +226,7 @@ def doctor() -> None:
     for line in (line for finding in findings for line in report(finding)):
         text(line)
     text("Usable." if usable else "Not usable: see what is marked BROKEN.")
-    finish("doctor", {"version": __version__, "usable": usable, "findings": [asdict(one) for one in findings]}, usable)
+    finish("doctor", {"version": __version__, "usable": usable, "findings": findings}, usable)
 
 
 SHELLS = ("bash", "zsh", "fish")

@@ -68,9 +68,9 @@ class Commands(click.Group):
     def add_command(self, cmd: click.Command, name: str | None = None) -> None:
         """A command whose errors name its options, with the option --limit, which starts with what `LIMITS` says."""
         cmd.help = fitted(cmd.help or "")
-        for one in cmd.commands.values() if isinstance(cmd, click.Group) else [cmd]:
-            options_named(one)
-            one.help = fitted(one.help or "")
+        for single in cmd.commands.values() if isinstance(cmd, click.Group) else [cmd]:
+            options_named(single)
+            single.help = fitted(single.help or "")
         if not isinstance(cmd, click.Group):
             parts = {"run": "each search", "sweep": "the sweep"}
             cmd.params.append(limit_option(LIMITS.get(cmd.name or ""), parts.get(cmd.name or "", "")))

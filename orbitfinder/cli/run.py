@@ -48,7 +48,7 @@ def run(files: tuple[Path, ...], out: Path, jobs: int, figures: bool, limit: flo
         text(f"{sum(outcome.passed for outcome in outcomes)} of {plural(len(outcomes), 'orbit')} certified")
     if passed:
         next_step("continue", outcomes[0].written[0])
-    finish("run", {"passed": passed, "results": [outcome.document() for outcome in outcomes]}, passed)
+    finish("run", {"passed": passed, "results": outcomes}, passed)
 
 
 def _print_outcome(outcome: Outcome, width: int) -> None:
@@ -135,7 +135,7 @@ def reproduce(out: Path, fresh: bool) -> None:
             out, fresh, lambda what, done, of: shown.say(f"[{done}/{of}] {what} ({time.monotonic() - began:.0f} s)")
         )
     orbits = numbers["orbits"]
-    certified = sum(one["certified"] for one in orbits.values())
+    certified = sum(orbit["certified"] for orbit in orbits.values())
     text(f"{out / 'README.md'}: {certified} of {plural(len(orbits), 'orbit')} certified")
     passed = certified == len(orbits)
     finish("reproduce", {"passed": passed, "page": str(out / "README.md"), "orbits": orbits}, passed)

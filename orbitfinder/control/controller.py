@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
-from orbitfinder.records.certificate import Certified
+from orbitfinder.records.certificate import Certified, certified
 from orbitfinder.records.codec import Codec, Complexes
 
 
@@ -112,7 +112,7 @@ class Controller(Shown):
     @property
     def stabilised(self) -> bool:
         """True where the certificate holds: the nonlinear closed loop's multipliers are inside the unit circle."""
-        return self.certificate is not None and self.certificate.passed
+        return certified(self)
 
     def _check(self) -> None:
         rows, d = self.states.shape if self.states.ndim == 2 else (0, 0)

@@ -11,6 +11,7 @@ import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import plural
+from orbitfinder.records.certificate import certified
 from orbitfinder.records.codec import Codec
 from orbitfinder.records.orbit import Orbit, Orbits
 
@@ -74,7 +75,7 @@ class Optima(Shown):
     @property
     def counts(self) -> str:
         """How many points there are, certified, and what happens along them, in words."""
-        sure = sum(point.certificate is not None and point.certificate.passed for point in self.points)
+        sure = sum(map(certified, self.points))
         lowest = sum(count == 0 for count in self.descents)
         return (
             f"{plural(len(self.points), 'point')}, {sure} of them certified, {lowest} of them local least ones; "

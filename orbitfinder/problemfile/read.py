@@ -1,4 +1,4 @@
-"""From a problem file (TOML, or trusted Python) to a Problem; every mistake is one sentence.
+"""From a problem file (TOML, or trusted Python) to a Problem; every mistake is a sentence.
 
 The tables and keys are in `schema.py`; this module reads the file, says what is wrong with it,
 and builds the Model, the Guess and the Problem.
@@ -160,7 +160,9 @@ def _located(source: Path) -> Iterator[None]:
         yield
     except InputError as error:
         tables: dict[str, tuple[type[Table], ...]] = {"system": tuple(systems().values()), "find": (FindTable,)}
-        within = (f"{name}." for name, kinds in tables.items() if any(error.field in one.model_fields for one in kinds))
+        within = (
+            f"{name}." for name, kinds in tables.items() if any(error.field in kind.model_fields for kind in kinds)
+        )
         raise type(error)(f"{source}: {next(within, '')}{error}") from error
 
 
@@ -224,7 +226,7 @@ def _control(table: ControlTable | None) -> Control | None:
     if table is None:
         return None
     given = {name: getattr(table, name) for name in ControlTable.model_fields if name != "task"}
-    return Control(**given, tasks=tuple(Task(**one.model_dump(exclude_none=True)) for one in table.task))
+    return Control(**given, tasks=tuple(Task(**task.model_dump(exclude_none=True)) for task in table.task))
 
 
 def _expected(table: ProblemTable, model: Model) -> dict[str, tuple[float, float]]:
@@ -322,12 +324,12 @@ def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
         return Guess(state, given.period or forced or first_return(model, state, given.duration))
     if given.duration is None:
         return Guess(state, float(given.period or 0.0))
-    found = recurrences(model, state, given.duration, 1)
-    if not found:
+    passes = recurrences(model, state, given.duration, 1)
+    if not passes:
         raise InputError(
             f"guess.duration: the motion never came back near itself in {given.duration:g} s; simulate longer"
         )
-    return found[0].guess
+    return passes[0].guess
 
 
 def _rest(model: Model, named: list[float] | str | None) -> np.ndarray | None:

@@ -97,9 +97,9 @@ def table_of(kind: str, build: Callable[..., Any]) -> type[Table]:
     text, own = inspect.getdoc(build) or "", OWN.get(kind, {})
     said = dict(re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", text, re.MULTILINE))
     fields: dict[str, Any] = {"kind": (Literal[kind], Field(description="which system this is"))}
-    for name, one in inspect.signature(build).parameters.items():
-        known = TYPES.get(getattr(one.annotation, "__name__", one.annotation), Any)
-        default = ... if one.default is one.empty else None if one.default == () else one.default
+    for name, given in inspect.signature(build).parameters.items():
+        known = TYPES.get(getattr(given.annotation, "__name__", given.annotation), Any)
+        default = ... if given.default is given.empty else None if given.default == () else given.default
         if (taken := own.get(name, (known, default))) is not None:
             about = " ".join(said.get(name, "").split()).rstrip(".")
             fields[name] = (taken[0], Field(taken[1], description=about))
@@ -284,7 +284,7 @@ def check_name(name: str) -> str:
 def _known_symmetry(name: str, info: ValidationInfo) -> str:
     """A usual symmetry; of a system made by Python, whose Model may declare others, any: the Problem will tell."""
     if name not in USUAL_SYMMETRIES and not (info.context or {}).get("declares"):
-        known = ", ".join(f"'{one}'" for one in USUAL_SYMMETRIES[:-1])
+        known = ", ".join(f"'{symmetry}'" for symmetry in USUAL_SYMMETRIES[:-1])
         raise PydanticCustomError("literal_error", f"Input should be {known} or '{USUAL_SYMMETRIES[-1]}'")
     return name
 
@@ -360,11 +360,11 @@ class GuessTable(Table):
     def _one_form(self) -> GuessTable:
         given = [name for name in ("state", "mode", "csv", "angles") if getattr(self, name) is not None]
         if len(given) != 1:
-            found = " and ".join(given) or "none of them"
+            forms = " and ".join(given) or "none of them"
             raise PydanticCustomError(
                 "guess",
                 "give exactly one of state (with period), mode (with amplitude), angles or csv, not {f}",
-                {"f": found},
+                {"f": forms},
             )
         if self.duration is not None and (self.state is None or self.period is not None):
             raise PydanticCustomError("guess", "duration goes with state and takes the place of period")
@@ -600,5 +600,5 @@ def _nested(name: str, annotation: Any, document: Mapping[str, Any]) -> type[Bas
         system = document.get("system")
         return systems().get(str(system.get("kind"))) if isinstance(system, Mapping) else None
     candidates = [annotation, *getattr(annotation, "__args__", ())]
-    tables = [one for one in candidates if isinstance(one, type) and issubclass(one, BaseModel)]
+    tables = [candidate for candidate in candidates if isinstance(candidate, type) and issubclass(candidate, BaseModel)]
     return tables[0] if tables else None

@@ -101,6 +101,11 @@ class Certificate(Shown):
         return tuple(check.name for check in self.checks if not check.passed)
 
 
+def certified(record: Any) -> bool:
+    """Whether a record has a certificate, and it passed."""
+    return record.certificate is not None and bool(record.certificate.passed)
+
+
 def certificate_to_document(certificate: Certificate | None) -> dict[str, Any]:
     """The `certificate` entry of a file."""
     return {"passed": False, "scale": 1.0, "checks": []} if certificate is None else entries_of(certificate)
