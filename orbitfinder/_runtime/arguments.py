@@ -25,8 +25,6 @@ R = TypeVar("R")
 
 SEQUENCE = re.compile(r"(?:Sequence|tuple)\[(.+?)(?:, \.\.\.)?\]")
 MAPPING = re.compile(r"Mapping\[str, (.+)\]")
-SHOWN = 60
-"""characters of a value in a message"""
 
 
 def _real(value: Any) -> bool:
@@ -135,7 +133,7 @@ def shown(value: Any) -> str:
     """A value in a message: itself where it is short and plain, else its type."""
     plain = isinstance(value, str | Real | list | tuple | dict) or value is None
     text = repr(value) if plain else ""
-    return text if 0 < len(text) <= SHOWN else f"{type(value).__name__} {text[:SHOWN]}".strip()
+    return text if 0 < len(text) <= 60 else f"{type(value).__name__} {text[:60]}".strip()
 
 
 def check(name: str, annotation: str, value: Any) -> None:

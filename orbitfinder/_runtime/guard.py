@@ -24,8 +24,6 @@ from orbitfinder._runtime import interrupt, keeping, limit, streams
 
 GRACE, PATIENCE = 1.0, 30.0
 """s that the main thread gets to end its work, and, where it is at something that must not end half-done, at most"""
-LOOK_EVERY = 0.2
-"""s between two looks at the deadline"""
 
 
 @contextlib.contextmanager
@@ -61,7 +59,7 @@ def _watch(ours: socket.socket, out: list[TextIO]) -> None:
     signals, told, busy = list[int](), 0.0, 0.0
     with ours:
         while True:
-            numbers = ours.recv(64) if (ready := bool(select.select([ours], [], [], LOOK_EVERY)[0])) else b""
+            numbers = ours.recv(64) if (ready := bool(select.select([ours], [], [], 0.2)[0])) else b""
             if ready and not numbers:
                 return
             now, past = time.monotonic(), limit.running[-1] if limit.running else None

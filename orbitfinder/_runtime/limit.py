@@ -21,9 +21,6 @@ from dataclasses import dataclass
 
 from orbitfinder.errors import InputError, LimitError
 
-AGAIN = 0.25
-"""Seconds between two alarms once the deadline is past: CasADi takes the first for a failed evaluation and tries on."""
-
 
 @dataclass
 class Deadline:
@@ -110,7 +107,8 @@ def alarm() -> Iterator[None]:
     before = signal.signal(signal.SIGALRM, lambda *_: check()) if ringing else None
     try:
         if ringing:
-            signal.setitimer(signal.ITIMER_REAL, max(left(), 1e-3), AGAIN)
+            again = 0.25  # s later: CasADi takes the first alarm for a failed evaluation and tries on
+            signal.setitimer(signal.ITIMER_REAL, max(left(), 1e-3), again)
         yield
     finally:
         if ringing:

@@ -29,7 +29,6 @@ else:
 
 
 FLAGS = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
-LOCK = ".lock"
 PATIENCE = 0.02
 """s between two looks at a lock that another process holds"""
 
@@ -73,7 +72,7 @@ def held(path: Path, timeout: float = 0.0) -> Iterator[bool]:
 def alone_in(folder: Path) -> Iterator[None]:
     """A folder (made if need be) to this process alone; `InputError` when another process has it."""
     folder.mkdir(parents=True, exist_ok=True)
-    with held(folder / LOCK) as alone:
+    with held(folder / ".lock") as alone:
         if not alone:
             raise InputError(
                 f"{folder}: another process is writing there; wait for it to end, or choose another folder"

@@ -63,12 +63,8 @@ class Shown:
                 whole = [
                     attribute for attribute in known if name in attribute.split("_")
                 ]  # floquet_multipliers for multipliers
-                said += closest(name, whole or known) or f"; it has {', '.join(known[:MOST])}"
+                said += closest(name, whole or known) or f"; it has {', '.join(known[:16])}"
             raise AttributeError(said, name=name, obj=None)
-
-
-MOST = 16
-"""Attributes that a message lists"""
 
 
 _names: dict[Callable[[Any], str], tuple[str, ...]] = {}

@@ -29,12 +29,8 @@ from orbitfinder._runtime import PROCESSORS, guard, interrupt, limit
 
 NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables that BLAS libraries read when they are loaded"""
-SAFE_PATH = "PYTHONSAFEPATH"
-"""Environment variable that keeps the current folder off a child's path"""
 LAST_WORDS = 5.0
 """Seconds that processes get to end by themselves"""
-LOOK_EVERY = 1.0
-"""Seconds between two looks at whether the parent lives"""
 
 
 @dataclass(eq=False)
@@ -87,7 +83,7 @@ def hired(work: Callable[..., None], *arguments: Any) -> Hand:
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_begin, args=(theirs, work, *arguments), daemon=True)
-    with children_see(dict.fromkeys((*NAMES, PROCESSORS, SAFE_PATH), "1")):
+    with children_see(dict.fromkeys((*NAMES, PROCESSORS, "PYTHONSAFEPATH"), "1")):  # nor the current folder on its path
         resource_tracker.ensure_running()  # its start lets Ctrl-C through again, so it comes before that is held back
         try:
             with interrupt.held_back():
@@ -157,7 +153,7 @@ def _end_with_parent() -> None:
     """CasADi lets other threads run while it computes, so this thread sees the parent go at once."""
     parent = multiprocessing.parent_process()
     assert parent is not None
-    while os.getppid() == parent.pid and not wait([parent.sentinel], LOOK_EVERY):
+    while os.getppid() == parent.pid and not wait([parent.sentinel], timeout=1.0):
         pass
     with contextlib.suppress(OSError):
         os.kill(os.getpid(), signal.SIGTERM)  # finish a file that is being written

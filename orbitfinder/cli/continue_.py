@@ -13,7 +13,7 @@ import click
 import orbitfinder as of
 from orbitfinder._runtime import interrupt
 from orbitfinder._runtime.keeping import kept
-from orbitfinder.cli.console import Display, Progress, display
+from orbitfinder.cli.console import Display, Report, display
 from orbitfinder.cli.jobs import folder_of, model_of, named_orbits, whole_family
 from orbitfinder.cli.options import FILES, FINITE, NUMBERS, finish, next_step, numbers, option, picked, text, usual
 from orbitfinder.errors import InputError, plural
@@ -305,7 +305,7 @@ def _reporter(shown: Display, name: str, parameter: str, most: int, until: float
                 ("step", f"{point.step:.2g}"), ("elapsed", f"{elapsed:.1f} s"), ("events", str(len(events))),
             ]  # fmt: skip
             last = [f"{ordered.index(late):>3}  {event_words(late, parameter)}" for late in events[-LAST_EVENTS:]]
-            shown.show(Progress(name, rows, last))
+            shown.show(Report(name, rows, last))
         elif seen[0] % 10 < len(batch.points):
             shown.say(
                 f"{plural(seen[0], 'point')}, {parameter} {point.value:.6g}, period {point.period:.6g} s, "

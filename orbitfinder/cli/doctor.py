@@ -25,10 +25,6 @@ from orbitfinder.cli.options import finish, json_option, text
 WIDTH, INDENT = 80, 31
 """Columns of the report, and where details begin"""
 OK, NOTE, MISSING, BROKEN = "ok", "note", "missing", "BROKEN"
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "firefox")
-AGAIN = "pip install --force-reinstall orbitfinder"
-WHEEL = "install the casadi wheel from the package index; system packages often lack plugins"
-PLUGINS = {"cvodes": "integrator", "idas": "integrator", "ipopt": "nlpsol"}
 EXTRAS = {
     "mp4": "animate -o FILE.mp4", "proof": "prove and refine", "cluster": "search --scheduler (Dask)",
     "parquet": "atlas export --to parquet", "robot": "URDF and MJCF files, SymPy's systems",
@@ -67,9 +63,11 @@ def essential() -> Iterator[Finding]:
         "casadi", "numpy", "scipy", "matplotlib", "pillow", "click", "pydantic", "rich", "threadpoolctl",
         "platformdirs", "jinja2", "lazy_loader",
     ):  # fmt: skip
-        yield _asked(name, partial(_package, name), "cannot be imported: ", AGAIN)
-    for name, kind in PLUGINS.items():
-        yield _asked(f"casadi {name}", partial(_plugin, name, kind), "cannot be asked for: ", WHEEL)
+        again = "pip install --force-reinstall orbitfinder"
+        yield _asked(name, partial(_package, name), "cannot be imported: ", again)
+    for name, kind in {"cvodes": "integrator", "idas": "integrator", "ipopt": "nlpsol"}.items():
+        wheel = "install the casadi wheel from the package index; system packages often lack plugins"
+        yield _asked(f"casadi {name}", partial(_plugin, name, kind), "cannot be asked for: ", wheel)
     yield _main_job()
 
 
@@ -120,7 +118,8 @@ def tools() -> Iterator[Finding]:
     remedy = "install gcc or clang for compiled equations; without one everything runs interpreted"
     yield finding("C compiler", compiler, said, remedy)
     yield _cache()
-    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    browsers = ("chromium", "chromium-browser", "google-chrome", "chrome", "firefox")
+    browser = next(filter(None, map(shutil.which, browsers)), None)
     remedy = "any browser opens the pages; headless Chromium is needed for their tests only"
     yield finding("browser", browser, browser or "none on the path", remedy)
     auto = next(filter(os.path.isdir, (os.environ.get("AUTO_DIR", ""), "/usr/lib/auto-07p")), None)
@@ -229,11 +228,8 @@ def doctor() -> None:
     finish("doctor", {"version": __version__, "usable": usable, "findings": findings}, usable)
 
 
-SHELLS = ("bash", "zsh", "fish")
-
-
 @click.command()
-@click.argument("shell", type=click.Choice(SHELLS))
+@click.argument("shell", type=click.Choice(("bash", "zsh", "fish")))
 @click.pass_context
 def completion(context: click.Context, shell: str) -> None:
     """Print the completion script for a SHELL; the shell reads it when it starts.

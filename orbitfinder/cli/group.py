@@ -43,10 +43,10 @@ from orbitfinder.cli.torus import torus
 from orbitfinder.cli.verify import prove, refine, verify
 from orbitfinder.errors import InputError, OrbitfinderError
 
-DAY = 86_400.0
-LIMITS = {"run": 600.0, "simulate": 600.0, "guess": 600.0, "verify": 3600.0, "sweep": 3600.0, "refine": 3600.0,
-          "stabilise": 3600.0, "torus": 3600.0, "section": 3600.0, "manifold": 3600.0, "connect": 3600.0, "prove": DAY,
-          "continue": DAY}  # fmt: skip
+LIMITS = {
+    **dict.fromkeys(("run", "simulate", "guess"), 600.0), **dict.fromkeys(("prove", "continue"), 86_400.0),
+    **dict.fromkeys(("verify", "sweep", "refine", "stabilise", "torus", "section", "manifold", "connect"), 3600.0),
+}  # fmt: skip
 """s after which a command stops unless --limit says otherwise: the slowest search that we ship, 100 links, takes 46,
 the longest proof an hour. `search` has its budget; the others go on for as long as they are let."""
 

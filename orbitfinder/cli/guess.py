@@ -13,9 +13,6 @@ from orbitfinder.errors import InputError, plural
 if TYPE_CHECKING:
     from orbitfinder.problemfile.proposals import Proposal, Proposals
 
-SHOWN = 8
-"""State components or shape entries that are printed; the rest is in --json."""
-
 
 @click.command()
 @click.argument("file", type=FILES)
@@ -88,8 +85,9 @@ def _line(proposal: Proposal) -> str:
 def _shape(proposal: Proposal) -> str:
     label = "shape" if "shape" in proposal.details else "state"
     numbers = proposal.details.get("shape", proposal.state)
-    more = f", ... ({len(numbers)} in all)" if len(numbers) > SHOWN else ""
-    return f"{label} [{', '.join(f'{x:.6g}' for x in numbers[:SHOWN])}{more}]"
+    most = 8  # are printed; the rest is in --json
+    more = f", ... ({len(numbers)} in all)" if len(numbers) > most else ""
+    return f"{label} [{', '.join(f'{x:.6g}' for x in numbers[:most])}{more}]"
 
 
 @click.command()

@@ -20,7 +20,7 @@ import click
 
 from orbitfinder._runtime import interrupt, processes, streams
 from orbitfinder._runtime.limit import limited
-from orbitfinder.cli.console import Display, Progress
+from orbitfinder.cli.console import Display, Report
 from orbitfinder.cli.options import trusted
 from orbitfinder.errors import InputError, OrbitfinderError, plural
 from orbitfinder.records.certificate import Certificate, certified
@@ -35,12 +35,8 @@ if TYPE_CHECKING:
     from orbitfinder.problemfile.read import ProblemFile
 
 
-LARGEST_STATE = 1e100
-"""rad or rad/s; beyond it energies overflow."""
-
-
 @dataclass(frozen=True)
-class Job:
+class ProblemJob:
     """What to run and where its results go; without what was read, it travels to a worker."""
 
     file: Path
@@ -82,9 +78,11 @@ class Outcome:
         return self.status == "certified"
 
 
-def prepare(files: Sequence[Path], out: Path, figures: bool, trust: bool, limit: float | None = None) -> list[Job]:
+def prepare(
+    files: Sequence[Path], out: Path, figures: bool, trust: bool, limit: float | None = None
+) -> list[ProblemJob]:
     """Jobs for problem files, everything that can be checked before computing checked."""
-    jobs: dict[str, Job] = {}
+    jobs: dict[str, ProblemJob] = {}
     for file in files:
         began = time.monotonic()
         with limited(limit):
@@ -94,7 +92,7 @@ def prepare(files: Sequence[Path], out: Path, figures: bool, trust: bool, limit:
         name = loaded.wanted.name
         if name in jobs:
             raise InputError(f"name: {name!r} is used by both {jobs[name].file} and {file}; rename one of them")
-        jobs[name] = Job(file, name, out, figures, trust, limit, time.monotonic() - began, loaded)
+        jobs[name] = ProblemJob(file, name, out, figures, trust, limit, time.monotonic() - began, loaded)
     check_writable(out)
     for name in jobs:
         if (out / name).exists():
@@ -138,7 +136,7 @@ def _gone_if_empty(folder: Path) -> None:
         folder.rmdir()
 
 
-def run_job(job: Job, shown: Display | None = None) -> Outcome:
+def run_job(job: ProblemJob, shown: Display | None = None) -> Outcome:
     """Find, certify and write one orbit. Raises `InputError` only; the rest is an Outcome."""
     from orbitfinder.atlas.choose import solve
     from orbitfinder.problemfile.read import load_problem_file
@@ -162,17 +160,17 @@ def run_job(job: Job, shown: Display | None = None) -> Outcome:
         ) from error
 
 
-def progress(name: str, iteration: Iteration) -> Progress:
+def progress(name: str, iteration: Iteration) -> Report:
     """One step of a search."""
     at, defect, period = iteration, f"{iteration.defect:.2e}", f"{iteration.period:.9g}"
     line = f"{name}: {at.stage} {at.iteration}, defect {defect}, period {period} s, {at.elapsed:.1f} s elapsed"
-    return Progress(line, [
+    return Report(line, [
         ("problem", "stage", "iteration", "defect", "period (s)", "elapsed (s)"),
         (name, at.stage, str(at.iteration), defect, period, f"{at.elapsed:.1f}"),
     ])  # fmt: skip
 
 
-def _written(job: Job, orbit: Orbit, model: Model, began: float) -> Outcome:
+def _written(job: ProblemJob, orbit: Orbit, model: Model, began: float) -> Outcome:
     """Write the result under the name it deserves; figures only of certified orbits."""
     from orbitfinder.mechanics.kind import with_parameters
     from orbitfinder.orbits.reduction import reduction
@@ -277,8 +275,8 @@ def check_consistent(orbit: Orbit, model: Model) -> None:
     if orbit.state.shape != (size,) or len(orbit.winding) != n:
         sizes = f"{plural(orbit.state.size, 'number')} in state and {len(orbit.winding)} in winding"
         raise InputError(f"state: {sizes} for a system of {counted(model)}; {again}")
-    if np.abs(orbit.state).max() > LARGEST_STATE:
-        raise InputError(f"state: {orbit.state.tolist()} is beyond {LARGEST_STATE:g}; {again}")
+    if np.abs(orbit.state).max() > 1e100:  # rad or rad/s; beyond it energies overflow
+        raise InputError(f"state: {orbit.state.tolist()} is beyond 1e+100; {again}")
 
 
 def one_line(text: object) -> str:
@@ -286,14 +284,14 @@ def one_line(text: object) -> str:
     return "".join(letter if letter.isprintable() else " " for letter in " ".join(str(text).split()))
 
 
-def run_jobs(jobs: Sequence[Job], workers: int, shown: Display) -> Iterator[Outcome]:
+def run_jobs(jobs: Sequence[ProblemJob], workers: int, shown: Display) -> Iterator[Outcome]:
     """Outcomes in the order in which they come, from this process or from spawned ones."""
     if workers == 1 or len(jobs) == 1:
         for job in jobs:
             yield run_job(job, shown)
         return
     hands, todo = list[processes.Hand](), list(jobs)
-    doing: dict[processes.Hand, Job] = {}
+    doing: dict[processes.Hand, ProblemJob] = {}
     try:
         while todo or doing:
             while todo and len(doing) < workers:
@@ -335,7 +333,7 @@ def _serve(pipe: Connection) -> None:
             pipe.send(_work(pipe.recv()))
 
 
-def _work(job: Job) -> Outcome | InputError:
+def _work(job: ProblemJob) -> Outcome | InputError:
     """`run_job` in a worker; once told to stop it takes no further job, whatever became of the exception."""
     try:
         return run_job(job)

@@ -64,7 +64,6 @@ class Numbers(click.types.StringParamType):
 FINITE, NUMBERS = Finite(), Numbers()
 JSON_KEY = "orbitfinder.json"
 """Where the context keeps whether --json was given: an error is then printed as JSON too"""
-COMPILE_VARIABLE = "ORBITFINDER_COMPILE"
 TRUST = "Execute Python problem files; only for files you have read."
 SYSTEM_TRUST = "Import the Python module that a system was made with; only if you have read it."
 
@@ -106,8 +105,6 @@ def wants_json() -> bool:
     return bool(click.get_current_context().meta.get(JSON_KEY))
 
 
-BAD = r"\b(not (?:proved|certified|enclosed)|NOT PROVED|REJECTED|FAILED|rejected|(?<=: )failed)\b"
-GOOD = r"\b(certified|proved)\b"
 LEAST_WIDTH, LEAST_NOTE = 40, 20
 GLUE = "\0"
 """Stands for a space at which no line is broken"""
@@ -151,8 +148,11 @@ def folded(line: str, width: int) -> list[str]:
 
 def coloured(line: str) -> str:
     """The verdict in a line in green or red."""
-    bad = re.sub(BAD, lambda word: click.style(word[0], fg="red", bold=True), line)
-    return bad if bad != line else re.sub(GOOD, lambda word: click.style(word[0], fg="green"), line)
+    wrong = r"\b(not (?:proved|certified|enclosed)|NOT PROVED|REJECTED|FAILED|rejected|(?<=: )failed)\b"
+    bad = re.sub(wrong, lambda word: click.style(word[0], fg="red", bold=True), line)
+    return (
+        bad if bad != line else re.sub(r"\b(certified|proved)\b", lambda word: click.style(word[0], fg="green"), line)
+    )
 
 
 def finish(kind: str, document: dict[str, Any], passed: bool = True) -> None:
@@ -205,7 +205,7 @@ def _remember_compile(context: click.Context, _: click.Parameter, value: str | N
     """Put the mode where worker processes find it too, for as long as the command runs."""
     if value is None:
         return
-    context.with_resource(children_see({COMPILE_VARIABLE: value}))
+    context.with_resource(children_see({"ORBITFINDER_COMPILE": value}))
     if value == "on":
         with limited(context.params.get("limit")):
             from orbitfinder.integrate.compiled import available

@@ -11,7 +11,7 @@ import click
 
 import orbitfinder as of
 from orbitfinder._runtime import interrupt
-from orbitfinder.cli.console import Progress, display
+from orbitfinder.cli.console import Report, display
 from orbitfinder.cli.options import FILES, finish, next_step, option, text, trusted, usual
 from orbitfinder.errors import InputError, plural
 
@@ -22,17 +22,16 @@ if TYPE_CHECKING:
 
 SPEAK_EVERY = 5.0
 """Seconds between two lines of progress where there is no terminal."""
-REFRESH_EVERY = 0.25
 REASONS_SHOWN = 8
 MISSING = "search: missing; add a [search] table with period = [shortest, longest]"
-UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
 
 
 def seconds(text: str) -> float:
     """A duration such as 60s, 10m, 1.5h or a plain number of seconds."""
     match = re.fullmatch(r"\s*([0-9.]+(?:[eE][-+]?[0-9]+)?)\s*(s|m|min|h)?\s*", text)
+    units = {None: 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
     try:
-        return float(match[1]) * UNITS[match[2] or ""] if match else math.nan
+        return float(match[1]) * units[match[2]] if match else math.nan
     except ValueError:
         return math.nan
 
@@ -68,7 +67,7 @@ def search(file: Path, book: Path, budget: float | None, starts: int | None, tru
       orbitfinder search problems/search/triple.toml --starts 2000 --shard 3/8 --atlas triple-3.sqlite
     """
     lasts, folder = "" if budget is None else f" {budget:g} s,", trusted(file, trust)
-    with display(f"{file}: searching,{lasts} seed {how['seed']}, into {book}", SPEAK_EVERY, REFRESH_EVERY) as shown:
+    with display(f"{file}: searching,{lasts} seed {how['seed']}, into {book}", SPEAK_EVERY, refresh=0.25) as shown:
         from orbitfinder.problemfile.read import load_problem_file, read_toml
 
         if file.suffix != ".py" and "search" not in read_toml(file):  # before the modes of a long chain are computed
@@ -126,7 +125,7 @@ def sections(loaded: ProblemFile) -> dict[str, Any]:
     return {key: value for key, value in loaded.document.get("search", {}).items() if key in ("section", "cycles")}
 
 
-def progress(energy: float, tally: Statistics, conserved: bool = True) -> Progress:
+def progress(energy: float, tally: Statistics, conserved: bool = True) -> Report:
     """How far a search has come."""
     made, failed, left = tally.made, sum(tally.failures.values()), tally.left
     rate, remaining = f"{tally.done / max(tally.elapsed, 1e-9):.1f}", "" if left is None else f"{left:.0f} s"
@@ -141,7 +140,7 @@ def progress(energy: float, tally: Statistics, conserved: bool = True) -> Progre
         ("starts a second", rate), ("time left", remaining),
         *((f"failed: {reason}", str(count)) for reason, count in tally.failures.most_common(REASONS_SHOWN)),
     ]  # fmt: skip
-    return Progress(line, rows)
+    return Report(line, rows)
 
 
 def print_summary(summary: Summary) -> None:

@@ -140,7 +140,7 @@ def drawn(files: tuple[Path, ...], trust: bool) -> dict[str, list[Any]]:
     for file in files:
         kind = held(file)[0]
         record, _ = orbit_and_model(file, trust, True, load if kind in WITH else load_orbit)
-        records[WITH[kind]] += record.tori if kind == "tori" else [record]
+        records[WITH[kind]] += record.tori if isinstance(record, of.Tori) else [record]
     return records
 
 

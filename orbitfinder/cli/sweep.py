@@ -19,8 +19,6 @@ from orbitfinder.errors import InputError
 if TYPE_CHECKING:
     from orbitfinder.orbits.sweep import Row, Sweep
 
-MOST_VALUES = 1_000_000
-
 
 @click.command()
 @click.argument("file", type=FILES, metavar="FILE")
@@ -92,8 +90,8 @@ def parameter(given: str) -> tuple[str, list[float]]:
     try:
         if numbers.count(":") == 2:
             first, last, count = numbers.split(":")
-            if not 1 <= int(count) <= MOST_VALUES:
-                raise ValueError(f"{count} values, give 1 to {MOST_VALUES}")
+            if not 1 <= int(count) <= (most := 1_000_000):
+                raise ValueError(f"{count} values, give 1 to {most}")
             return name.strip(), [float(x) for x in np.linspace(float(first), float(last), int(count))]
         if not equals:
             raise ValueError("no =")

@@ -195,10 +195,6 @@ def prove(
     finish("proof", {"passed": passed, "results": results}, passed)
 
 
-BRANCH = "branch-proof.json"
-"""The record of a proved part of a family, beside its family.json"""
-
-
 def _prove_branch(
     files: tuple[Path, ...], low: float | None, high: float | None, record: bool, trust: bool, given: dict[str, Any]
 ) -> None:
@@ -222,7 +218,7 @@ def _prove_branch(
     branch = prove_branch(family, low, high, model, say, given.get("symmetry"))
     interrupt.check()
     if branch.proved and record:
-        write_json(file.parent / BRANCH, branch_document(branch))
+        write_json(file.parent / "branch-proof.json", branch_document(branch))
     _print_branch(f"{file} ({family.name})", branch)
     missed = [passage for passage in branch.passages if not passage.proved]
     finish("proof", {"passed": branch.proved and not missed} | branch_document(branch), branch.proved and not missed)

@@ -17,13 +17,6 @@ from orbitfinder.orbits.guesses.modes import linkage_equilibrium, normal_mode, n
 from orbitfinder.orbits.guesses.returns import close_returns, recurrences
 from orbitfinder.problemfile.read import ProblemFile
 
-AMPLITUDE = 0.1
-"""Largest angle (rad) or coordinate (m) of the modes that are proposed."""
-PERIODS = 12.0
-"""Close returns are looked for over this many periods of the guess."""
-MOST_COORDINATES = 60
-"""Modes of larger systems are not listed singly."""
-
 
 @dataclass(frozen=True)
 class Proposal:
@@ -71,10 +64,9 @@ class Proposals:
         raise InputError(f"pick: there is no {pick!r}; use one of {', '.join(known)}")
 
 
-def propose(
-    loaded: ProblemFile, duration: float | None = None, count: int = 8, amplitude: float = AMPLITUDE
-) -> Proposals:
-    """Every kind of starting point that a problem file allows. Raises `InputError` for wrong options."""
+def propose(loaded: ProblemFile, duration: float | None = None, count: int = 8, amplitude: float = 0.1) -> Proposals:
+    """Every kind of starting point that a problem file allows: close returns in `duration` (s, or 12 periods of the
+    guess), modes with an `amplitude` of their largest coordinate (rad or m). Raises `InputError` for wrong options."""
     guesses: list[Proposal] = []
     notes: list[str] = []
     kinds: dict[str, Callable[[], list[Proposal]]] = {
@@ -106,7 +98,7 @@ def own(loaded: ProblemFile) -> list[Proposal]:
 def modes(loaded: ProblemFile, amplitude: float) -> list[Proposal]:
     """The linear normal modes of the equilibrium at 0, or of a linkage's lowest, slowest first."""
     model = loaded.model
-    if model.degrees_of_freedom > MOST_COORDINATES:
+    if model.degrees_of_freedom > 60:
         raise InputError(f"{model.degrees_of_freedom} coordinates; give mode and amplitude in [guess]")
     if model.constraint is not None and loops_of(model.system).minimal is None:
         raise InputError("redundant coordinates; give a state and a period")
@@ -158,7 +150,7 @@ def _recorded(loaded: ProblemFile, guess: Guess) -> bool:
 
 def _span(loaded: ProblemFile, guess: Guess | None) -> float:
     asked = loaded.document.get("simulate", {}).get("duration")
-    return float(asked) if asked else (PERIODS * guess.period if guess is not None else loaded.duration)
+    return float(asked) if asked else (12.0 * guess.period if guess is not None else loaded.duration)
 
 
 def motion(loaded: ProblemFile, guess: Guess) -> tuple[np.ndarray, np.ndarray]:

@@ -42,12 +42,7 @@ from orbitfinder.problemfile.schema import (
 from orbitfinder.records.orbit import SHIFT
 from orbitfinder.records.reading import bounded, file_bytes
 
-LARGEST_TOML = 5_000_000
-MOST_FAULTS = 5
-"""Bytes; a larger problem file is refused before it is read (2,000 links with a number each take 0.1 MB)."""
 MANUAL = "docs/problem-file.md"
-DEFAULT_DURATION = 10.0
-"""Seconds that `simulate` covers when nothing else is asked for."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +62,7 @@ class ProblemFile:
     problem: Problem | None
     document: Mapping[str, Any] = field(default_factory=dict)
     search: tuple[float, float] | None = None
-    duration: float = DEFAULT_DURATION
+    duration: float = 10.0
     start: np.ndarray | None = None
     starts: int = 200
     seed: int = 0
@@ -120,7 +115,7 @@ def load_problem_file(path: str | Path, trust: bool = False) -> ProblemFile:
 
 def read_toml(source: Path) -> dict[str, Any]:
     """The TOML document at a path, or `InputError`."""
-    data = file_bytes(source, "problem file", LARGEST_TOML)
+    data = file_bytes(source, "problem file", limit=5_000_000)  # 2,000 links with a number each take 0.1 MB
     try:
         document = tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
@@ -149,8 +144,8 @@ def parse(document: Mapping[str, Any], where: str) -> ProblemTable:
         faults = error.errors(include_url=False)
         faults.sort(key=lambda fault: fault["type"] == "extra_forbidden")
         said = list(dict.fromkeys(sentence(fault, document) for fault in faults))
-        more = f" ({len(said) - MOST_FAULTS} more after this)" if len(said) > MOST_FAULTS else ""
-        raise InputError(f"{where}: {'; also '.join(said[:MOST_FAULTS])}{more}") from None
+        more = f" ({len(said) - 5} more after this)" if len(said) > 5 else ""
+        raise InputError(f"{where}: {'; also '.join(said[:5])}{more}") from None
 
 
 @contextmanager
@@ -184,7 +179,7 @@ def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust
         problem=problem,
         document=document,
         search=(table.search.period[0], table.search.period[1]) if table.search else None,
-        duration=table.simulate.duration or DEFAULT_DURATION,
+        duration=table.simulate.duration or ProblemFile.duration,
         start=_start(table, model, problem),
         starts=table.find.starts,
         seed=table.find.seed,

@@ -28,13 +28,6 @@ from orbitfinder.errors import closest, shortened
 from orbitfinder.mechanics.kind import kinds
 from orbitfinder.mechanisms.robot import robot
 
-MOST_LINKS = 2000
-"""Chains longer than this are refused: their state-transition matrices alone fill the memory."""
-MOST_BARS = 40
-"""Bars of a linkage; its state-transition matrix has 6 rows per bar."""
-LARGEST_NUMBER = 1e300
-SIZE = f"must be finite and below {LARGEST_NUMBER:g}"
-
 
 def _numbers(expected: str) -> Callable[[Any], Any]:
     """A validator: a number or a list of numbers, finite."""
@@ -43,8 +36,8 @@ def _numbers(expected: str) -> Callable[[Any], Any]:
         items = value if isinstance(value, list) else [value]
         if not items or any(isinstance(item, bool) or not isinstance(item, (int, float)) for item in items):
             raise PydanticCustomError("numbers", "must be a number or a list {expected}", {"expected": expected})
-        if any(not abs(item) < LARGEST_NUMBER for item in items):
-            raise PydanticCustomError("finite_number", SIZE)
+        if any(not abs(item) < 1e300 for item in items):
+            raise PydanticCustomError("finite_number", "must be finite and below 1e+300")
         return value
 
     return check
@@ -247,9 +240,9 @@ OWN: dict[str, dict[str, tuple[Any, ...] | None]] = {
                         "as a native DAE"),
     },
     "robot": {"file": (Line, ...)},
-    "chain": {"links": (Annotated[int, Field(ge=1, le=MOST_LINKS)], ...)},
+    "chain": {"links": (Annotated[int, Field(ge=1, le=2000)], ...)},  # the matrices of longer ones fill the memory
     "linkage": {
-        "length": (Annotated[list[Positive], Field(min_length=2, max_length=MOST_BARS)], ...),
+        "length": (Annotated[list[Positive], Field(min_length=2, max_length=40)], ...),
         "ground": (Annotated[list[float], Field(min_length=2, max_length=2)], ...),
         "baumgarte": (Annotated[list[Positive], Field(min_length=2, max_length=2)] | None, None),
         "independent": (list[int] | None, None, "bars whose angles are the coordinates, n - 2 of them: the linkage in "
@@ -267,7 +260,6 @@ def systems() -> dict[str, type[Table]]:
     return made | {"robot": table_of("robot", robot), "python": PythonSystem}
 
 
-MOST_SEGMENTS = 1000
 USUAL_SYMMETRIES = ("none", "brake", "reflection", "reversal", "brake+reflection")
 """Those that need no declaration by the system"""
 
@@ -401,7 +393,7 @@ class FindTable(Table):
         "each leaves room for one pin more, such as its momentum, momentum_phi",
     )
     segments: int | None = Field(
-        None, ge=1, le=MOST_SEGMENTS, description="shooting segments, at least 1; chosen automatically when left out"
+        None, ge=1, le=1000, description="shooting segments, at least 1; chosen automatically when left out"
     )
     tolerance: float = Field(
         1e-12,

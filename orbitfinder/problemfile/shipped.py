@@ -28,8 +28,6 @@ KINDS = {
     "chains": "twenty to a hundred links",
 }
 """Folder -> what is in it, in the order in which they are listed"""
-COMMANDS = {"families": "continue", "search": "search"}
-"""Folder -> the command that its files are for, where that is not `run`"""
 FORMS = (".toml", ".py")
 """Endings of problem files; other files lie beside those that name them"""
 
@@ -53,7 +51,7 @@ class Shipped:
     @property
     def command(self) -> str:
         """The command that it is for."""
-        return COMMANDS.get(self.kind, "run")
+        return {"families": "continue", "search": "search"}.get(self.kind, "run")
 
     def files(self) -> Iterator[Path]:
         """The file itself, then those beside it that it names, such as the description of a robot."""

@@ -73,7 +73,7 @@ Dense = Annotated[np.ndarray, Filed(np.asarray, lambda entry, where: entry, dens
 """Numbers in the .npz beside the file"""
 
 
-class Entry(NamedTuple):
+class FileEntry(NamedTuple):
     """An entry of a record's file: the field or property that it is of, and what that is annotated with."""
 
     name: str
@@ -83,7 +83,7 @@ class Entry(NamedTuple):
 
 
 @lru_cache
-def layout(kind: Any) -> tuple[Entry, ...]:
+def layout(kind: Any) -> tuple[FileEntry, ...]:
     """The entries of a class of records in their order."""
     known, order, called = hints(kind), getattr(kind, "_entries", (...,)), getattr(kind, "_called", {})
     fields = {called.get(part.name, part.name): part.name for part in dataclasses.fields(kind)}
@@ -92,7 +92,7 @@ def layout(kind: Any) -> tuple[Entry, ...]:
     for name in (name for part in order for name in (rest if part is ... else [part])):
         field = fields.get(name, name)
         filed = getattr(known.get(field), "__metadata__", (None,))[0]
-        entries.append(Entry(name, field, filed, name in getattr(kind, "_sparse", ())))
+        entries.append(FileEntry(name, field, filed, name in getattr(kind, "_sparse", ())))
     return tuple(entries)
 
 
@@ -118,25 +118,21 @@ def plain(value: Any) -> Any:
     return entries_of(value) if dataclasses.is_dataclass(value) else plain_numbers(value)
 
 
-MOST = 24
-"""Numbers of an array, and of a list of numbers or of records that can be certified, that an outline shows"""
-
-
-def outline(value: Any, whole: bool = True) -> Any:
-    """What a record holds, in plain numbers: its entries, those of records within it that their one line names, large
-    arrays and long lists by their sizes; what is empty is left out."""
+def outline(value: Any, whole: bool = True, most: int = 24) -> Any:
+    """What a record holds, in plain numbers: its entries, those of records within it that their one line names; of
+    arrays, and of lists of numbers or of what can be certified, `most` entries and how many more; nothing empty."""
     if dataclasses.is_dataclass(value):
         names = chosen(value) if not whole and chosen(value) else [entry.field for entry in layout(value.__class__)]
         value = {name: getattr(value, name, None) for name in (["counts", *names, "proof"] if whole else names)}
     if isinstance(value, Mapping):
         table = {str(name): outline(entry, False) for name, entry in value.items()}
         return {name: entry for name, entry in table.items() if entry == entry and entry not in (None, "", [], {})}
-    if isinstance(value, np.ndarray) and value.size > MOST:
+    if isinstance(value, np.ndarray) and value.size > most:
         return " x ".join(map(str, value.shape))
     if isinstance(value, (list, tuple)):
-        long = len(value) > MOST and (hasattr(value[0], "certificate") or not dataclasses.is_dataclass(value[0]))
-        known = [outline(entry, False) for entry in value[: MOST if long else None]]
-        return [*known, f"and {len(value) - MOST} more"] if long else known
+        long = len(value) > most and (hasattr(value[0], "certificate") or not dataclasses.is_dataclass(value[0]))
+        known = [outline(entry, False) for entry in value[: most if long else None]]
+        return [*known, f"and {len(value) - most} more"] if long else known
     return plain(value)
 
 

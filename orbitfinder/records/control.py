@@ -13,12 +13,11 @@ from orbitfinder.records.reading import typed
 DEGREES = {"zero-order": 0, "linear": 1, "cubic": 3}
 """Of the splines that controls may be"""
 SHAPES = (*DEGREES, "fourier")
-LARGEST = 1e100
 MOST = {"intervals": 2000, "harmonics": 200, "arcs": 1000, "points": 1000}
 
 
 @dataclass(frozen=True)
-class _Entry:
+class _ControlEntry:
     """What `orbits.control` writes, entry by entry."""
 
     names: tuple[str, ...]
@@ -47,7 +46,7 @@ class _Entry:
 
 def check_control(value: Any, size: int) -> None:
     """`ValueError` about what is wrong in the entry of an orbit whose state has `size` numbers."""
-    control = typed(_Entry, value, "control")
+    control = typed(_ControlEntry, value, "control")
     for name, most in MOST.items():
         least = int(name in ("intervals", "points"))
         if not least <= getattr(control, name) <= most:
@@ -58,14 +57,14 @@ def check_control(value: Any, size: int) -> None:
               "normals": (len(control.normals), size) if len(control.normals) else (0,)}  # fmt: skip
     for name, shape in wanted.items():
         given = getattr(control, name)
-        if given.shape != shape or np.abs(given).max(initial=0.0) > LARGEST:
-            raise ValueError(f"control.{name}: {given.shape} numbers where {shape} belong, up to {LARGEST:g}")
+        if given.shape != shape or np.abs(given).max(initial=0.0) > 1e100:
+            raise ValueError(f"control.{name}: {given.shape} numbers where {shape} belong, up to 1e+100")
     shares = list(control.shares.values())
     if len(shares) != max(control.arcs - 1, 0) or not all(0 < share < 1 for share in (*shares, sum(shares) or 0.5)):
         raise ValueError(f"control.shares: {shares[:9]}, no shares of {control.arcs} arcs")
 
 
-def _whole(control: _Entry) -> int:
+def _whole(control: _ControlEntry) -> int:
     """Coefficients of a control over the period."""
     if control.shape == "fourier":
         return 1 + 2 * control.harmonics

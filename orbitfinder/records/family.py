@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
@@ -37,8 +37,6 @@ FORMAT, VERSION = "orbitfinder/family", 1
 JOURNAL = "family.jsonl"
 DENSE = {"nodes": "shooting_nodes", "mesh": "mesh", "tangent": "tangent"}
 """What goes into family.npz instead of family.json, and what it is called here."""
-CALLED = {"shooting_nodes": "nodes"}
-"""What fields of points and events are called in files"""
 CLOSURE = 1e-11
 """Largest independent closure of an accepted point, relative to the motion, times what errors grow by."""
 UNKNOWN = 1e10
@@ -46,8 +44,6 @@ UNKNOWN = 1e10
 METHODS = ("product", "periodic QR")
 """How multipliers were computed: as eigenvalues of the state-transition matrices' product, or factor by factor."""
 AGAIN = "continue the family again"
-ALIKE = 1e-6
-"""Change of the energies of a family, relative to them, below which they are no axis"""
 
 
 def _check_place(member: Any) -> None:
@@ -83,7 +79,7 @@ class FamilyPoint(Orbit):
         "mesh", "tangent", "step", "role", "wall_time", "defect", "multiplier_errors", "multiplier_method", "certified",
         "watch",
     )  # fmt: skip
-    _called = CALLED
+    _called: ClassVar[Mapping[str, str]] = {"shooting_nodes": "nodes"}
     _sparse = ("shift", "multiplier_errors", "multiplier_method", "watch")
 
     index: int
@@ -138,7 +134,7 @@ class Event(Shown):
     """
 
     __repr__ = brief("kind", "detail", "parameter", "period", "index")
-    _called = CALLED
+    _called = FamilyPoint._called
     _sparse = ("check", "watch")
 
     kind: str
@@ -290,7 +286,7 @@ class Family(Shown):
     def by_energy(self) -> bool:
         """Whether the energy is an axis to draw it over: it changes, or nothing but it and the period does."""
         energies = self.values("energy")
-        alike = np.ptp(energies) <= ALIKE * np.abs(energies).max()
+        alike = np.ptp(energies) <= 1e-6 * np.abs(energies).max()
         return bool(self.unit) or (bool(np.isfinite(energies).all()) and not alike)
 
     @property

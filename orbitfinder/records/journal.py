@@ -24,7 +24,6 @@ from orbitfinder.records.reading import content_digest, file_lines, json_bytes, 
 FORMAT, VERSION = "orbitfinder/journal", 1
 SEAL = "digest"
 """The key of a line's digest: the first digits of the SHA-256 of the rest of its content"""
-SEAL_DIGITS = 16
 AGAIN = "restore a copy, or delete the file to start again"
 Line = TypeVar("Line")
 
@@ -124,7 +123,7 @@ def sealed_line(entries: Mapping[str, Any]) -> bytes:
 
 def seal(entries: Mapping[str, Any]) -> str:
     """The digest of a line's entries."""
-    return content_digest(entries)[:SEAL_DIGITS]
+    return content_digest(entries)[:16]
 
 
 def read_lines(path: Path, what: str) -> tuple[list[dict[str, Any]], bool] | None:

@@ -34,10 +34,6 @@ SHIFT = "shift_"
 """In front of a coordinate's name: how far a relative orbit shifts in it, among expected numbers."""
 
 
-VERDICTS = ("linearly stable", "asymptotically stable", "unstable", "open")
-"""What a proof decides of an orbit's stability"""
-
-
 @dataclass(frozen=True)
 class _Expectation:
     value: float
@@ -225,7 +221,8 @@ def recorded_proof(document: Mapping[str, Any]) -> Mapping[str, Any] | None:
     It is a claim until `orbitfinder verify --proof` does it again.
     """
     proof = document.get("proof")
-    if not isinstance(proof, Mapping) or proof.get("proved") is not True or proof.get("stability") not in VERDICTS:
+    verdicts = ("linearly stable", "asymptotically stable", "unstable", "open")
+    if not isinstance(proof, Mapping) or proof.get("proved") is not True or proof.get("stability") not in verdicts:
         return None
     try:
         level, period = proof["energy"], float(document["period"])

@@ -34,8 +34,6 @@ from orbitfinder.errors import InputError, shortened
 
 LARGEST_FILE = 100_000_000
 """Bytes; a larger file (of a journal: a larger line) is refused before it is read."""
-LARGEST_EXPANDED = 400_000_000
-"""Bytes that the compressed arrays of a file, or a compressed document, may become."""
 MOST_VALUES = 10_000_000
 """Entries of a JSON document."""
 DEEPEST = 64
@@ -43,8 +41,6 @@ DEEPEST = 64
 LARGEST_INTEGER = 2**63 - 1
 BUSY = 2.0 if sys.platform == "win32" else 0.0
 """s to wait for others to close the file that is to be replaced"""
-MOST_MEMBERS = 100
-"""Arrays in an npz file."""
 
 
 def _regular(path: Path, what: str) -> BinaryIO:
@@ -171,12 +167,12 @@ def arrays(path: Path, names: Sequence[str], remedy: str, endless: Sequence[str]
     """
     data, members = file_bytes(path, "npz file"), dict[str, np.ndarray]()
     try:
-        if data.count(b"PK\x01\x02") > MOST_MEMBERS:
-            raise ValueError(f"more than {MOST_MEMBERS} arrays")
+        if data.count(b"PK\x01\x02") > 100:
+            raise ValueError("more than 100 arrays")
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             for name in names:
                 members[name] = _array(
-                    archive, name, LARGEST_EXPANDED - sum(member.nbytes for member in members.values())
+                    archive, name, 4 * LARGEST_FILE - sum(member.nbytes for member in members.values())
                 )
                 if np.isnan(members[name]).any() or not (name in endless or np.isfinite(members[name]).all()):
                     raise ValueError(f"{name} holds a number that is not finite")

@@ -112,7 +112,7 @@ def load_manifold(path: str | Path) -> Manifold:
 
 
 @dataclass(frozen=True)
-class End:
+class ConnectionEnd:
     """One end of a connection: an orbit and where on its local manifold the motion begins or ends.
 
     `orbit` is its name, `state` (d) and `period` the orbit itself, `point` (d) its crossing of the section,
@@ -157,8 +157,8 @@ class Connection(Shown):
     chosen: int
     angle: float
     error: Endless
-    origin: End
-    goal: End
+    origin: ConnectionEnd
+    goal: ConnectionEnd
     certificate: Certified = None
     times: Dense = field(default_factory=lambda: np.zeros(0))
     samples: Dense = field(default_factory=lambda: np.zeros((0, 0)))
