@@ -173,17 +173,11 @@ def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust
         problem = _problem(name, model, guess, table)
         problem.check_count()
     return ProblemFile(
-        path=source,
-        name=name,
-        model=model,
-        problem=problem,
-        document=document,
+        source, name, model, problem, document,
         search=(table.search.period[0], table.search.period[1]) if table.search else None,
-        duration=table.simulate.duration or ProblemFile.duration,
-        start=_start(table, model, problem),
-        starts=table.find.starts,
-        seed=table.find.seed,
-    )
+        duration=table.simulate.duration or ProblemFile.duration, start=_start(table, model, problem),
+        starts=table.find.starts, seed=table.find.seed,
+    )  # fmt: skip
 
 
 def robot_of(system: Mapping[str, Any], folder: Path) -> Model:
@@ -193,35 +187,21 @@ def robot_of(system: Mapping[str, Any], folder: Path) -> Model:
 
 
 def _problem(name: str, model: Model, guess: Guess, table: ProblemTable) -> Problem:
-    find = table.find
+    find: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in table.find}
+    find["pin"], find["bounds"] = pin(**(find["pin"] or {})), {key: (*ends,) for key, ends in find["bounds"].items()}
     return Problem(
-        model=model,
-        guess=guess,
-        pin=pin(**(find.pin or {})),
-        symmetry=find.symmetry,
-        winding=None if find.winding is None else tuple(find.winding),
-        relative=tuple(find.relative),
-        segments=find.segments,
-        tolerance=find.tolerance,
-        free=tuple(find.free),
-        objective=find.objective,
-        coordinate=find.coordinate,
-        bounds={key: (float(low), float(high)) for key, (low, high) in find.bounds.items()},
-        expected=_expected(table, model),
-        control=_control(table.control),
-        watch=table.watch,
-        name=name,
-        title=table.title,
-        source=table.source,
-    )
+        model, guess, **{key: value for key, value in find.items() if key not in ("starts", "seed")},
+        expected=_expected(table, model), control=_control(table.control), watch=table.watch, name=name,
+        title=table.title, source=table.source,
+    )  # fmt: skip
 
 
 def _control(table: ControlTable | None) -> Control | None:
     """How controls are chosen."""
     if table is None:
         return None
-    given = {name: getattr(table, name) for name in ControlTable.model_fields if name != "task"}
-    return Control(**given, tasks=tuple(Task(**task.model_dump(exclude_none=True)) for task in table.task))
+    tasks = tuple(Task(**task.model_dump(exclude_none=True)) for task in table.task)
+    return Control(**{key: value for key, value in table if key != "task"}, tasks=tasks)
 
 
 def _expected(table: ProblemTable, model: Model) -> dict[str, tuple[float, float]]:
