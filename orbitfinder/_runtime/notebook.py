@@ -50,19 +50,14 @@ class Shown:
         def __getattr__(self, name: str) -> Any:
             kind = type(self)
             fields = [field for field in getattr(kind, "__dataclass_fields__", ()) if not field.startswith("_")]
-            known = [
-                *fields,
-                *(attribute for attribute in dir(kind) if not attribute.startswith("_") and attribute not in fields),
-            ]
+            known = [*fields, *(word for word in dir(kind) if not word.startswith("_") and word not in fields)]
             if name in known:  # Python comes here when a property fails, and has forgotten why
                 raise AttributeError(f"{kind.__name__}: {name} could not be computed")
             said = f"{kind.__name__!r} object has no attribute {name!r}"
             if not name.startswith("_"):
                 from orbitfinder.errors import closest  # noqa: PLC0415 - NumPy; importing must cost nothing
 
-                whole = [
-                    attribute for attribute in known if name in attribute.split("_")
-                ]  # floquet_multipliers for multipliers
+                whole = [word for word in known if name in word.split("_")]  # floquet_multipliers for multipliers
                 said += closest(name, whole or known) or f"; it has {', '.join(known[:16])}"
             raise AttributeError(said, name=name, obj=None)
 

@@ -149,10 +149,9 @@ def folded(line: str, width: int) -> list[str]:
 def coloured(line: str) -> str:
     """The verdict in a line in green or red."""
     wrong = r"\b(not (?:proved|certified|enclosed)|NOT PROVED|REJECTED|FAILED|rejected|(?<=: )failed)\b"
-    bad = re.sub(wrong, lambda word: click.style(word[0], fg="red", bold=True), line)
-    return (
-        bad if bad != line else re.sub(r"\b(certified|proved)\b", lambda word: click.style(word[0], fg="green"), line)
-    )
+    if re.search(wrong, line):
+        return re.sub(wrong, lambda word: click.style(word[0], fg="red", bold=True), line)
+    return re.sub(r"\b(certified|proved)\b", lambda word: click.style(word[0], fg="green"), line)
 
 
 def finish(kind: str, document: dict[str, Any], passed: bool = True) -> None:

@@ -80,9 +80,7 @@ def _print_design(made: of.Controller) -> None:
         text(f"  {name:<12} authority {verdict}{'  (acts)' if name in made.actuators else ''}")
     spectra = {"without control": made.open_loop, "with control": made.multipliers}
     for name, multipliers in spectra.items():
-        text(
-            f"  multipliers {name}: " + ", ".join(f"{abs(multiplier):.6g}" for multiplier in multipliers) + " (moduli)"
-        )
+        text(f"  multipliers {name}: {', '.join(f'{size:.6g}' for size in map(abs, multipliers))} (moduli)")
     failed = made.certificate.failures if made.certificate else ["unchecked"]
     verdict = "stabilised" if made.stabilised else f"NOT stabilised ({', '.join(failed)})"
     text(f"{made.name}: {verdict} by {', '.join(made.actuators)}")

@@ -253,9 +253,8 @@ def verify_branch(file: Path, trust: bool = False) -> dict[str, Any]:
     known = {(kind, round(level, 9)) for level, kind, *_ in index_levels(root, 100)}
     for passage in recorded.passages:
         if (passage.kind, round(passage.level, 9)) not in known:
-            wrong.append(
-                f"event: recorded {passage.kind} at nu + 1/nu = {passage.level:.6g}, where there is none of this kind"
-            )
+            place = f"nu + 1/nu = {passage.level:.6g}"
+            wrong.append(f"event: recorded {passage.kind} at {place}, where there is none of this kind")
     if wrong:
         return {"passed": False, "message": f"proof REJECTED: {'; '.join(wrong)}"}
     borne = [passage for passage in again.passages if passage.proved]

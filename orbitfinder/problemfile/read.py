@@ -155,9 +155,8 @@ def _located(source: Path) -> Iterator[None]:
         yield
     except InputError as error:
         tables: dict[str, tuple[type[Table], ...]] = {"system": tuple(systems().values()), "find": (FindTable,)}
-        within = (
-            f"{name}." for name, kinds in tables.items() if any(error.field in kind.model_fields for kind in kinds)
-        )
+        known = {name: {field for table in several for field in table.model_fields} for name, several in tables.items()}
+        within = (f"{name}." for name, fields in known.items() if error.field in fields)
         raise type(error)(f"{source}: {next(within, '')}{error}") from error
 
 

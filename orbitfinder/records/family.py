@@ -569,7 +569,7 @@ def _pieces(dense: Mapping[str, np.ndarray], name: str, count: int) -> list[np.n
     if not dense:
         return [np.zeros(0)] * count
     flat, sizes = dense[name], dense[f"{name}_sizes"]
-    counts = sizes.dtype.kind == "i" and sizes.shape == (count,) and bool(np.all(sizes >= 0))
+    counts = np.issubdtype(sizes.dtype, np.integer) and sizes.shape == (count,) and bool(np.all(sizes >= 0))
     if flat.ndim != 1 or not counts or sizes.sum() != flat.size:
         raise ValueError(f"family.npz: {name}: does not fit the {count} entries of family.json")
     return np.split(flat, np.cumsum(sizes)[:-1]) if count else []

@@ -194,7 +194,7 @@ def _array(archive: zipfile.ZipFile, name: str, room: int) -> np.ndarray:
             raise ValueError(f"{name} is no array of numbers of its size")
         content = stream.read()
     array = np.frombuffer(content, dtype).reshape(shape, order="F" if fortran else "C")
-    return array.astype(float if dtype.kind == "f" else int)
+    return array.astype(float if np.issubdtype(dtype, np.floating) else int)
 
 
 def inflated(data: bytes, where: str, remedy: str) -> bytes:
