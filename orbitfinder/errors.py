@@ -9,7 +9,7 @@ import numpy as np
 
 
 class OrbitfinderError(Exception):
-    """Base class; its message is one sentence that a person can act on."""
+    """Base class; its message is a sentence that a person can act on."""
 
 
 class InputError(OrbitfinderError, ValueError):
@@ -67,9 +67,9 @@ def shortened(value: object, limit: int = 60) -> str:
 
 
 def closest(name: str, known: Iterable[str]) -> str:
-    """ ", did you mean 'x'?" when a known name is near a misspelt one, else an empty string."""
-    found = difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.5)
-    return f", did you mean {found[0]!r}?" if found else ""
+    """ ", did you mean 'x'?" when a known name is near a misspelt name, else an empty string."""
+    near = difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.5)
+    return f", did you mean {near[0]!r}?" if near else ""
 
 
 def plural(count: int, noun: str) -> str:

@@ -303,7 +303,7 @@ def test_the_limit_counts_the_building_of_the_model(tmp_path, monkeypatch):
     """What reading takes of it the search has not."""
     from orbitfinder.cli import jobs
 
-    job = jobs.Job(SPRING, "a", tmp_path, False, False, limit=5.0, spent=4.999)
+    job = jobs.ProblemJob(SPRING, "a", tmp_path, False, False, limit=5.0, spent=4.999)
     began, outcome = time.monotonic(), jobs.run_job(job)
     assert outcome.status == "failed" and outcome.message == "stopped after 5 s (limit)"
     assert time.monotonic() - began < 5.0

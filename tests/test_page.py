@@ -31,7 +31,13 @@ from orbitfinder.orbits.course import course
 from orbitfinder.orbits.guesses.modes import mode_problem
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.problemfile.write import orbit_name, orbit_text, toml
-from orbitfinder.records.certificate import at_least, at_most
+from orbitfinder.records.certificate import (
+    Certificate,
+    at_least,
+    at_most,
+    certificate_of,
+    certificate_to_document,
+)
 from orbitfinder.records.family import Event, load_family
 from orbitfinder.records.orbit import orbit_to_document
 from orbitfinder.records.registry import load_orbit
@@ -812,7 +818,11 @@ def test_a_certificate_says_which_way_its_numbers_must_be():
         assert at_least("minimal_period", value, 1e-6).sense == "\u2265"
         assert at_most("closure", value, 1e-6).sense == "\u2264"
     assert at_least("holds: above", 0.0, -1e-9).sense == "\u2265" and at_most("record", 1.0, 0.0).sense == ""
-    assert at_most("closure", float("nan"), 1e-6).sense == "\u2264"
+    for value in (float("nan"), float("-inf")):  # a file says null for both, and says beside it what was asked
+        apart = Certificate((at_least("apart", value, 1e-6), at_most("closure", value, 1e-6)))
+        again = certificate_of(json.loads(json.dumps(certificate_to_document(apart))), "")
+        for made in (apart, again):
+            assert [check.sense for check in made.checks] == ["\u2265", "\u2264"]
 
 
 def test_the_page_says_at_least_and_at_most(site):

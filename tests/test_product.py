@@ -31,7 +31,7 @@ from orbitfinder.records.registry import VERBS, load_orbit, taken
 from orbitfinder.show import html
 from orbitfinder.site import gather, text
 from orbitfinder.site.build import SiteSettings, build_site
-from orbitfinder.structures.manifold import End
+from orbitfinder.structures.manifold import ConnectionEnd
 from orbitfinder.studio.session import opened
 
 ROOT = Path(__file__).parents[1]
@@ -68,7 +68,9 @@ PAGES = {"orbit", "forced", "first-order", "hybrid", "mechanism", "control", "pr
 
 def connection(orbit):
     """A connection by its entries; whether it is one is not asked here."""
-    end = End(orbit.name, orbit.state, orbit.period, 2.0, orbit.state, orbit.state, 1e-6, np.ones(orbit.state.size))
+    end = ConnectionEnd(
+        orbit.name, orbit.state, orbit.period, 2.0, orbit.state, orbit.state, 1e-6, np.ones(orbit.state.size)
+    )
     return of.sections.Connection(
         "c", orbit.system, ("x", "y", "xdot", "ydot"), "x=0", 0, ("y", "ydot"), orbit.energy, orbit.samples[:3],
         np.ones(2), 1, 0.1, 1e-9, end, end, None, orbit.times, orbit.samples,

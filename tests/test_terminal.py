@@ -91,7 +91,7 @@ def test_the_panel_shows_progress_and_the_last_events() -> None:
     from rich.console import Console
 
     stream = io.StringIO()
-    shown = console.Progress("triple-mode-2", [("points", "41"), ("energy", "-41 J")], ["  3  fold at energy -40 J"])
+    shown = console.Report("triple-mode-2", [("points", "41"), ("energy", "-41 J")], ["  3  fold at energy -40 J"])
     Console(file=stream, width=80).print(console._panel(shown))
     for part in ("triple-mode-2", "points", "-41 J", "  3  fold at energy -40 J"):
         assert part in stream.getvalue()

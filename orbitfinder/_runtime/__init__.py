@@ -2,4 +2,4 @@
 
 __version__ = "0.2.0"
 PROCESSORS = "ORBITFINDER_PROCESSORS"
-"""Environment variable: how many processors one process may keep busy; processes of ours get one"""
+"""Environment variable: how many processors a process may keep busy; of ours 1 each"""

@@ -1,4 +1,4 @@
-"""What a caller gave against what the annotation asks for: one sentence, not an AttributeError ten calls further down.
+"""What a caller gave against what the annotation asks for: a sentence, not an AttributeError ten calls further down.
 
 The annotation is the rule, so that nothing is declared twice. The public functions are wrapped where
 `orbitfinder/__init__.py` loads them, the frozen dataclasses that users fill in ask `check_fields`; what the house calls
@@ -25,8 +25,6 @@ R = TypeVar("R")
 
 SEQUENCE = re.compile(r"(?:Sequence|tuple)\[(.+?)(?:, \.\.\.)?\]")
 MAPPING = re.compile(r"Mapping\[str, (.+)\]")
-SHOWN = 60
-"""characters of a value in a message"""
 
 
 def _real(value: Any) -> bool:
@@ -92,11 +90,11 @@ MADE_BY = {
     "IntegratorSettings": "IntegratorSettings(relative_tolerance=...) makes them",
     "DaeSettings": "DaeSettings(relative_tolerance=...) makes them",
 }
-"""By class: where one comes from; the remedy in its message. Other names are aliases, and not looked into."""
+"""By class: where it comes from; the remedy in its message. Other names are aliases, and not looked into."""
 
 
 def fits(annotation: str, value: Any) -> bool:
-    """Whether a value is what one of the alternatives of an annotation asks for; an unknown one takes everything."""
+    """Whether a value is what any alternative of an annotation asks for; an unknown alternative takes everything."""
     return any(_fits(part, value) for part in _alternatives(annotation))
 
 
@@ -105,12 +103,12 @@ def _fits(part: str, value: Any) -> bool:
         return KINDS[part][0](value)
     if part.startswith("Callable["):
         return callable(value)
-    if found := MAPPING.fullmatch(part):
+    if match := MAPPING.fullmatch(part):
         keyed = isinstance(value, Mapping) and all(isinstance(key, str) for key in value)
-        return keyed and all(fits(found[1], one) for one in value.values())
-    if found := SEQUENCE.fullmatch(part):
+        return keyed and all(fits(match[1], entry) for entry in value.values())
+    if match := SEQUENCE.fullmatch(part):
         listed = isinstance(value, Iterable) and not isinstance(value, str | bytes | Mapping)
-        return listed and all(fits(found[1], one) for one in value)
+        return listed and all(fits(match[1], entry) for entry in value)
     return part not in MADE_BY or _is_a(part)(value)
 
 
@@ -124,10 +122,10 @@ def _expected(part: str) -> str:
         return KINDS[part][1]
     if part.startswith("Callable["):
         return "a function"
-    if found := MAPPING.fullmatch(part):
-        return f"names with {_expected(found[1])} each, {{name: ...}}"
-    if found := SEQUENCE.fullmatch(part):
-        return f"a list, each {_expected(found[1])}"
+    if match := MAPPING.fullmatch(part):
+        return f"names with {_expected(match[1])} each, {{name: ...}}"
+    if match := SEQUENCE.fullmatch(part):
+        return f"a list, each {_expected(match[1])}"
     return f"{'an' if re.match(r'[AEIO]|U(?!ni|se|til)', part) else 'a'} {part}"
 
 
@@ -135,11 +133,11 @@ def shown(value: Any) -> str:
     """A value in a message: itself where it is short and plain, else its type."""
     plain = isinstance(value, str | Real | list | tuple | dict) or value is None
     text = repr(value) if plain else ""
-    return text if 0 < len(text) <= SHOWN else f"{type(value).__name__} {text[:SHOWN]}".strip()
+    return text if 0 < len(text) <= 60 else f"{type(value).__name__} {text[:60]}".strip()
 
 
 def check(name: str, annotation: str, value: Any) -> None:
-    """`InputError` naming the argument, what it should be, what was given and where one comes from."""
+    """`InputError` naming the argument, what it should be, what was given and where it comes from."""
     if fits(annotation, value):
         return
     parts = [part for part in _alternatives(annotation) if part != "None"]
@@ -175,13 +173,13 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _plain(signature: inspect.Signature) -> list[inspect.Parameter]:
-    return [one.replace(annotation=inspect.Parameter.empty) for one in signature.parameters.values()]
+    return [parameter.replace(annotation=inspect.Parameter.empty) for parameter in signature.parameters.values()]
 
 
 def _check_argument(parameter: inspect.Parameter, value: Any) -> None:
     annotation = str(parameter.annotation)
     if parameter.kind is inspect.Parameter.VAR_KEYWORD:
-        for name, one in value.items():
-            check(name, annotation, one)
+        for name, entry in value.items():
+            check(name, annotation, entry)
     else:
         check(parameter.name, annotation, value)

@@ -23,7 +23,7 @@ class Same:
 
 
 class Kept(Generic[Value]):
-    """The results of the last `most` keys that were used; the one unused for longest leaves first."""
+    """The results of the last `most` keys that were used; that unused for longest leaves first."""
 
     def __init__(self, most: int) -> None:
         self.most, self._found, self._lock = most, dict[Hashable, Value](), Lock()
@@ -35,10 +35,10 @@ class Kept(Generic[Value]):
         """What is kept under a key, made now where there is nothing."""
         with self._lock:
             if key in self._found:
-                self._found[key] = found = self._found.pop(key)  # the latest used is the last to go
-                return found
-        self[key] = found = make()
-        return found
+                self._found[key] = kept = self._found.pop(key)  # the latest used is the last to go
+                return kept
+        self[key] = kept = make()
+        return kept
 
     def __setitem__(self, key: Hashable, value: Value) -> None:
         with self._lock:

@@ -1,6 +1,6 @@
 """Who watches that a command stops when it is told to: by a signal, or by its limit of time.
 
-CasADi's symbolic work, a factorisation of many digits or somebody's library may be in one long call, in which Python
+CasADi's symbolic work, a factorisation of many digits or somebody's library may be in a long call, in which Python
 looks neither at signals nor at deadlines. A thread does: it raises `LimitError` in the main thread at the deadline,
 and where that thread has not ended the work a second later, or a second after Ctrl-C, it ends the process.
 """
@@ -24,8 +24,6 @@ from orbitfinder._runtime import interrupt, keeping, limit, streams
 
 GRACE, PATIENCE = 1.0, 30.0
 """s that the main thread gets to end its work, and, where it is at something that must not end half-done, at most"""
-LOOK_EVERY = 0.2
-"""s between two looks at the deadline"""
 
 
 @contextlib.contextmanager
@@ -61,12 +59,12 @@ def _watch(ours: socket.socket, out: list[TextIO]) -> None:
     signals, told, busy = list[int](), 0.0, 0.0
     with ours:
         while True:
-            numbers = ours.recv(64) if (ready := bool(select.select([ours], [], [], LOOK_EVERY)[0])) else b""
+            numbers = ours.recv(64) if (ready := bool(select.select([ours], [], [], 0.2)[0])) else b""
             if ready and not numbers:
                 return
             now, past = time.monotonic(), limit.running[-1] if limit.running else None
             busy = now if interrupt.busy else busy
-            mine = [one for one in numbers if one in interrupt.SIGNALS and interrupt.ours(one)]
+            mine = [number for number in numbers if number in interrupt.SIGNALS and interrupt.ours(number)]
             signals, told = signals + mine, now if mine and not signals else told
             if past and now > past.end and not past.heard and hasattr(signal, "pthread_kill"):
                 signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGALRM)

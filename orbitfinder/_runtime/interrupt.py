@@ -78,7 +78,7 @@ def ours(number: int) -> bool:
 
 
 def check() -> None:
-    """Raise KeyboardInterrupt again if one was swallowed."""
+    """Raise KeyboardInterrupt again if it was swallowed."""
     if seen:
         raise KeyboardInterrupt
 
@@ -87,7 +87,7 @@ def check() -> None:
 def held_back() -> Iterator[None]:
     """Ctrl-C and SIGTERM wait for the end of the block; processes started in it never see a Ctrl-C.
 
-    The mask is for those processes, which inherit it; in this one it is not enough, because
+    The mask is for those processes, which inherit it; in this process it is not enough, because
     other threads may take the signal.
     """
     if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):

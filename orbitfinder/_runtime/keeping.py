@@ -15,8 +15,6 @@ from typing import Any
 from orbitfinder._runtime import interrupt
 from orbitfinder.errors import LimitError
 
-SHARE = 0.05
-"""Of the time that passes, at most, goes into writing what comes"""
 STOPPED = "stopped"
 """Why it ends; and the end of its file's name where a file of an earlier run, which stays, has the name itself"""
 
@@ -37,7 +35,7 @@ class Keeper:
                 self.write(made, self.target)
                 self.sentence = f"what is finished is kept in {self.target}"
             self.part = lambda: None
-        self.next = time.monotonic() + (time.monotonic() - began) / SHARE
+        self.next = time.monotonic() + (time.monotonic() - began) / 0.05  # the share of time that writing may take
 
 
 under_way: list[Keeper] = []

@@ -1,4 +1,4 @@
-"""A time limit for whatever runs inside a block: one deadline, which integrators and solvers look at.
+"""A time limit for whatever runs inside a block: a deadline, which integrators and solvers look at.
 
     with limited(60.0):
         find_orbit(problem)          # `LimitError` after a minute
@@ -20,9 +20,6 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 
 from orbitfinder.errors import InputError, LimitError
-
-AGAIN = 0.25
-"""Seconds between two alarms once the deadline is past: CasADi takes the first for a failed evaluation and tries on."""
 
 
 @dataclass
@@ -64,7 +61,7 @@ def limited(seconds: float | None, spent: float = 0.0) -> Iterator[None]:
 
     Examples:
         >>> with of.limited(60.0):
-        ...     found = of.find_orbit(problem)
+        ...     orbit = of.find_orbit(problem)
     """
     if seconds is not None and not (seconds > 0 and not math.isnan(seconds)):
         raise InputError(f"limit: must be a positive number of seconds, got {seconds}")
@@ -78,7 +75,7 @@ def limited(seconds: float | None, spent: float = 0.0) -> Iterator[None]:
     try:
         yield
     finally:
-        running[:] = [one for one in running if one is not made]
+        running[:] = [deadline for deadline in running if deadline is not made]
         _deadline.reset(token)
 
 
@@ -104,13 +101,14 @@ def check() -> None:
 
 @contextlib.contextmanager
 def alarm() -> Iterator[None]:
-    """A block of one long call of CasADi, which the deadline ends; `LimitError` whatever CasADi makes of that."""
+    """A block of a single call of CasADi, which the deadline ends; `LimitError` whatever CasADi makes of that."""
     check()
     ringing = math.isfinite(left()) and _can_ring()
     before = signal.signal(signal.SIGALRM, lambda *_: check()) if ringing else None
     try:
         if ringing:
-            signal.setitimer(signal.ITIMER_REAL, max(left(), 1e-3), AGAIN)
+            again = 0.25  # s later: CasADi takes the first alarm for a failed evaluation and tries on
+            signal.setitimer(signal.ITIMER_REAL, max(left(), 1e-3), again)
         yield
     finally:
         if ringing:
@@ -120,6 +118,6 @@ def alarm() -> Iterator[None]:
 
 
 def _can_ring() -> bool:
-    """Only in the main thread, where there are alarms, and where nobody else has set one."""
+    """Only in the main thread, where there are alarms, and where nobody else has set any."""
     here = threading.current_thread() is threading.main_thread()
     return here and hasattr(signal, "setitimer") and signal.getitimer(signal.ITIMER_REAL)[0] == 0.0

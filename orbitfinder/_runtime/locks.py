@@ -1,4 +1,4 @@
-"""Locks between processes: a file that one holds at a time and that the kernel lets go of when its holder dies."""
+"""Locks between processes: a file that a process holds alone and that the kernel lets go of when it dies."""
 
 from __future__ import annotations
 
@@ -29,7 +29,6 @@ else:
 
 
 FLAGS = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
-LOCK = ".lock"
 PATIENCE = 0.02
 """s between two looks at a lock that another process holds"""
 
@@ -53,7 +52,7 @@ def held(path: Path, timeout: float = 0.0) -> Iterator[bool]:
             ours = True  # locking is not supported here
         if not ours and time.monotonic() > until:
             break
-        if ours and (sys.platform == "win32" or _is(path, handle)):  # and not one that its last holder has removed
+        if ours and (sys.platform == "win32" or _is(path, handle)):  # and not a file that its last holder has removed
             break
         os.close(handle)
         time.sleep(0.0 if ours else PATIENCE)
@@ -71,9 +70,9 @@ def held(path: Path, timeout: float = 0.0) -> Iterator[bool]:
 
 @contextlib.contextmanager
 def alone_in(folder: Path) -> Iterator[None]:
-    """A folder (made if need be) to this process alone; `InputError` when another one has it."""
+    """A folder (made if need be) to this process alone; `InputError` when another process has it."""
     folder.mkdir(parents=True, exist_ok=True)
-    with held(folder / LOCK) as alone:
+    with held(folder / ".lock") as alone:
         if not alone:
             raise InputError(
                 f"{folder}: another process is writing there; wait for it to end, or choose another folder"

@@ -1,4 +1,4 @@
-"""How values are shown: one line in a terminal, and in a notebook orbits, certificates, families and atlases drawn.
+"""How values are shown: a line in a terminal, and in a notebook orbits, certificates, families and atlases drawn.
 
 Those classes live on lower floors than the pictures. So `orbitfinder/__init__.py` says here which module draws, the
 classes are `Shown` and ask `html`, and the module is loaded when something is shown for the first time.
@@ -33,11 +33,11 @@ def html(value: Any) -> str | None:
 
 
 LONGEST = 60
-"""characters of one attribute in a line"""
+"""characters of an attribute in a line"""
 
 
 class Shown:
-    """A value that users see: HTML in a notebook, and a misspelt attribute answered with the one that was meant."""
+    """A value that users see: HTML in a notebook, and a misspelt attribute answered with what was meant."""
 
     __slots__ = ()
 
@@ -49,21 +49,17 @@ class Shown:
 
         def __getattr__(self, name: str) -> Any:
             kind = type(self)
-            fields = [one for one in getattr(kind, "__dataclass_fields__", ()) if not one.startswith("_")]
-            known = [*fields, *(one for one in dir(kind) if not one.startswith("_") and one not in fields)]
+            fields = [field for field in getattr(kind, "__dataclass_fields__", ()) if not field.startswith("_")]
+            known = [*fields, *(word for word in dir(kind) if not word.startswith("_") and word not in fields)]
             if name in known:  # Python comes here when a property fails, and has forgotten why
                 raise AttributeError(f"{kind.__name__}: {name} could not be computed")
             said = f"{kind.__name__!r} object has no attribute {name!r}"
             if not name.startswith("_"):
                 from orbitfinder.errors import closest  # noqa: PLC0415 - NumPy; importing must cost nothing
 
-                whole = [one for one in known if name in one.split("_")]  # floquet_multipliers for multipliers
-                said += closest(name, whole or known) or f"; it has {', '.join(known[:MOST])}"
+                whole = [word for word in known if name in word.split("_")]  # floquet_multipliers for multipliers
+                said += closest(name, whole or known) or f"; it has {', '.join(known[:16])}"
             raise AttributeError(said, name=name, obj=None)
-
-
-MOST = 16
-"""Attributes that a message lists"""
 
 
 _names: dict[Callable[[Any], str], tuple[str, ...]] = {}
@@ -71,22 +67,22 @@ _names: dict[Callable[[Any], str], tuple[str, ...]] = {}
 
 
 def chosen(value: Any) -> tuple[str, ...]:
-    """The attributes that the one line of a value shows."""
+    """The attributes that the line of a value shows."""
     return _names.get(getattr(type(value), "__repr__"), ())  # noqa: B009 - of the class, not bound
 
 
 def facts(value: Any) -> list[tuple[str, str]]:
-    """What the one line of a value names, and the texts."""
-    found = [(name.replace("_", " "), _short(getattr(value, name, None)).strip("'")) for name in chosen(value)]
-    return [(name, text) for name, text in found if text not in ("", "nan")]
+    """What the line of a value names, and the texts."""
+    texts = [(name.replace("_", " "), _short(getattr(value, name, None)).strip("'")) for name in chosen(value)]
+    return [(name, text) for name, text in texts if text not in ("", "nan")]
 
 
 def brief(*names: str) -> Callable[[Any], str]:
-    """A `__repr__` of one line: the class and these of its attributes, long ones by their size."""
+    """A `__repr__` of a line: the class and these of its attributes, long ones by their size."""
 
     def text(self: Any) -> str:
-        found = {name: _short(getattr(self, name, None)) for name in names}
-        said = ", ".join(f"{name}={value}" for name, value in found.items() if value not in ("", "nan"))
+        texts = {name: _short(getattr(self, name, None)) for name in names}
+        said = ", ".join(f"{name}={value}" for name, value in texts.items() if value not in ("", "nan"))
         return f"{type(self).__name__}({said})"
 
     _names[text] = names

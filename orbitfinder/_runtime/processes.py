@@ -29,12 +29,8 @@ from orbitfinder._runtime import PROCESSORS, guard, interrupt, limit
 
 NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables that BLAS libraries read when they are loaded"""
-SAFE_PATH = "PYTHONSAFEPATH"
-"""Environment variable that keeps the current folder off a child's path"""
 LAST_WORDS = 5.0
 """Seconds that processes get to end by themselves"""
-LOOK_EVERY = 1.0
-"""Seconds between two looks at whether the parent lives"""
 
 
 @dataclass(eq=False)
@@ -45,7 +41,7 @@ class Hand:
     pipe: Connection
 
     def tell(self, message: Any) -> None:
-        """Send a message; that the process has died is found when its answer is read."""
+        """Send a message; that the process has died is seen when its answer is read."""
         with contextlib.suppress(OSError):
             self.pipe.send(message)
 
@@ -58,10 +54,10 @@ class Hand:
 
 
 def ready(hands: Iterable[Hand]) -> list[Hand]:
-    """Those that have answered or died, after waiting for one of them."""
+    """Those that have answered or died, after waiting for any of them."""
     asked = list(hands)
-    found = wait([hand.pipe for hand in asked])
-    return [hand for hand in asked if hand.pipe in found]
+    pipes = wait([hand.pipe for hand in asked])
+    return [hand for hand in asked if hand.pipe in pipes]
 
 
 @contextlib.contextmanager
@@ -82,12 +78,12 @@ def children_see(variables: Mapping[str, str]) -> Iterator[None]:
 def hired(work: Callable[..., None], *arguments: Any) -> Hand:
     """A spawned process that does `work(pipe, *arguments)`.
 
-    The process leaves Ctrl-C to us, has its BLAS on one thread, and ends within seconds of us however we end.
+    The process leaves Ctrl-C to us, has its BLAS on a single thread, and ends within seconds of us however we end.
     """
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_begin, args=(theirs, work, *arguments), daemon=True)
-    with children_see(dict.fromkeys((*NAMES, PROCESSORS, SAFE_PATH), "1")):
+    with children_see(dict.fromkeys((*NAMES, PROCESSORS, "PYTHONSAFEPATH"), "1")):  # nor the current folder on its path
         resource_tracker.ensure_running()  # its start lets Ctrl-C through again, so it comes before that is held back
         try:
             with interrupt.held_back():
@@ -117,7 +113,7 @@ def dismissed(hands: Iterable[Hand]) -> None:
 def alone(module: str, function: str, argument: Any, seconds: float, memory: int) -> Any:
     """function(argument), both JSON, in a process and a folder of its own; None where that takes more (s, bytes).
 
-    The process runs no line of the caller's script, as a spawned one does: what calls this needs no main guard.
+    The process runs no line of the caller's script, as a spawned process does: what calls this needs no main guard.
     """
     with tempfile.TemporaryDirectory() as folder:
         asked, answer = Path(folder, "asked.json"), Path(folder, "answer.json")
@@ -141,8 +137,8 @@ def answered(module: str, function: str, argument: Any, memory: int) -> None:
         import resource  # noqa: PLC0415
 
         resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
-    found = json.dumps(work(argument))
-    Path("written.json").write_text(found, encoding="utf-8")
+    text = json.dumps(work(argument))
+    Path("written.json").write_text(text, encoding="utf-8")
     Path("written.json").rename("answer.json")  # whole or not at all
 
 
@@ -154,10 +150,10 @@ def _begin(pipe: Connection, work: Callable[..., None], *arguments: Any) -> None
 
 
 def _end_with_parent() -> None:
-    """CasADi lets other threads run while it computes, so this one sees the parent go at once."""
+    """CasADi lets other threads run while it computes, so this thread sees the parent go at once."""
     parent = multiprocessing.parent_process()
     assert parent is not None
-    while os.getppid() == parent.pid and not wait([parent.sentinel], LOOK_EVERY):
+    while os.getppid() == parent.pid and not wait([parent.sentinel], timeout=1.0):
         pass
     with contextlib.suppress(OSError):
         os.kill(os.getpid(), signal.SIGTERM)  # finish a file that is being written

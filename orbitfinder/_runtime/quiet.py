@@ -30,7 +30,7 @@ class Captured:
 
 
 class _Stream(io.TextIOBase):
-    """Keeps what its own thread prints in one place, and what others print for the stream that it stands in for."""
+    """Keeps what its own thread prints together, and what others print for the stream that it stands in for."""
 
     def __init__(self, kept: list[str]) -> None:
         self._kept, self._thread, self.foreign = kept, threading.get_ident(), list[str]()
@@ -55,7 +55,7 @@ def _flush() -> None:
 def captured() -> Iterator[Captured]:
     """Send everything printed inside the block to the yielded object instead of the terminal.
 
-    Nested blocks are free: the outermost one holds the text. The descriptors belong to the process, so threads take
+    Nested blocks are free: the outermost holds the text. The descriptors belong to the process, so threads take
     turns; what others print meanwhile through sys.stdout and sys.stderr appears after the block.
     """
     with _one_at_a_time:

@@ -9,7 +9,7 @@ from typing import Any, TextIO
 
 
 def opened() -> None:
-    """Descriptors 0, 1 and 2 lead somewhere, or the next file to be opened would be taken for one of them."""
+    """Descriptors 0, 1 and 2 lead somewhere, or the next file to be opened would be taken for these."""
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
@@ -39,7 +39,7 @@ def _text(raw: io.FileIO, encoding: str, errors: str, line_buffering: bool) -> T
 def sound() -> None:
     """Give this process, at its start, streams that can be written to.
 
-    A reader of standard output that went away (`| head -1`) wants no more, which changes nothing of what was found; of
+    A reader of standard output that went away (`| head -1`) wants no more, which changes no result; of
     standard error nothing can be said anyway.
     """
     opened()

@@ -21,6 +21,7 @@ from orbitfinder.cli.options import (
     out_option,
     print_json,
     text,
+    trusted,
     usual,
     wants_json,
 )
@@ -28,8 +29,6 @@ from orbitfinder.cli.search import print_summary
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.reading import write_atomically
 
-WIDE = 103
-"""Columns of a terminal from which on the whole table of an atlas fits"""
 BOOK = click.argument("book", type=FILES, metavar="FILE.sqlite")
 TRUST = "Import the Python function of the system, from beside the atlas or installed, for the names of its state."
 
@@ -87,7 +86,7 @@ def list_orbits(book: Path, order: str, **options: Any) -> None:
     """
     with of.Atlas(book) as opened:
         rows = opened.rows(chosen(options), order)
-    wide = not on_terminal() or shutil.get_terminal_size().columns > WIDE
+    wide = not on_terminal() or shutil.get_terminal_size().columns > 103  # from there on the whole table fits
     action, closure = (f" {'action (J s)':>13}", f" {'closure':>9}") if wide else ("", "")
     head = f"{'id':>6} {'energy (J)':>12} {'period (s)':>14}{action}  {'symmetry':<18}{'stability':<11}"
     text(f"{head}{'largest |mu|':>12}{closure}")
@@ -98,7 +97,7 @@ def list_orbits(book: Path, order: str, **options: Any) -> None:
             f"{row.stability:<11}{row.instability:>12.4g}{closure}"
         )
     text(plural(len(rows), "orbit"))
-    finish("atlas-list", {"orbits": [vars(row) for row in rows]})
+    finish("atlas-list", {"orbits": rows})
 
 
 @atlas.command()
@@ -114,7 +113,7 @@ def show(book: Path, number: int, trust: bool) -> None:
     """
     from orbitfinder.atlas.store import named_state, proved
 
-    with of.Atlas(book, trusted=book.parent if trust else None) as opened:
+    with of.Atlas(book, trusted=trusted(book, trust)) as opened:
         document = opened.document(number)
         names = None if wants_json() else opened.model.state_names
         row = opened.row(number)
@@ -161,10 +160,10 @@ def report(book: Path) -> None:
 
 @atlas.command()
 @BOOK
-@option("to kind", "What to write.", "json", ("json", "csv", "parquet"))
+@option("to form", "What to write.", "json", ("json", "csv", "parquet"))
 @filters
 @usual("File to write; standard output when left out.", trust=TRUST, json=False)
-def export(book: Path, kind: str, out: Path | None, trust: bool, **options: Any) -> None:
+def export(book: Path, form: str, out: Path | None, trust: bool, **options: Any) -> None:
     """Write orbits as a JSON list of orbit documents, or as a table in CSV or Parquet.
 
     Parquet needs the extra `parquet` (pyarrow) and -o.
@@ -176,10 +175,10 @@ def export(book: Path, kind: str, out: Path | None, trust: bool, **options: Any)
     """
     from orbitfinder.atlas.export import exported
 
-    if out is None and kind == "parquet":
+    if out is None and form == "parquet":
         raise InputError("--out: missing; a Parquet file is not text, name it with -o FILE.parquet")
-    with of.Atlas(book, trusted=book.parent if trust else None) as opened:
-        data = exported(opened, kind, chosen(options))
+    with of.Atlas(book, trusted=trusted(book, trust)) as opened:
+        data = exported(opened, form, chosen(options))
     if out is None:
         click.echo(data, nl=False)
         return
@@ -225,9 +224,9 @@ def merge(books: tuple[Path, ...], out: Path, union: bool, trust: bool) -> None:
     Example:
       orbitfinder atlas merge triple-*.sqlite --atlas triple.sqlite
     """
-    merged = of.merge_atlases(list(books), out, union=union, trusted=books[0].parent if trust else None)
+    merged = of.merge_atlases(list(books), out, union=union, trusted=trusted(books[0], trust))
     text(f"{out}: {plural(merged.orbits, 'distinct certified orbit')} of {plural(merged.starts, 'start')}")
-    for one in merged.searches:
-        lost = f", {one.missing} between them are missing (the same search makes them)" if one.missing else ""
-        text(f"  {one.energy:g} J, seed {one.seed}: {plural(one.starts, 'start')}{lost}")
+    for search in merged.searches:
+        lost = f", {search.missing} between them are missing (the same search makes them)" if search.missing else ""
+        text(f"  {search.energy:g} J, seed {search.seed}: {plural(search.starts, 'start')}{lost}")
     finish("atlas-merge", merged.document())

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Progress:
-    """How far a command has come: one line, and rows of cells for the table on a terminal."""
+class Report:
+    """How far a command has come: a line, and rows of cells for the table on a terminal."""
 
     line: str
     rows: Sequence[Sequence[str]] = ()
@@ -35,7 +35,7 @@ class Progress:
 class Display:
     """Where a command reports to: `show(progress)` in place of what was shown before, `say(line)` to stay."""
 
-    show: Callable[[Progress], None]
+    show: Callable[[Report], None]
     say: Callable[[str], None]
     live: bool = False
 
@@ -48,9 +48,9 @@ def note(line: str) -> None:
 
 @contextlib.contextmanager
 def display(begins: str, every: float = 0.0, refresh: float = 0.0) -> Iterator[Display]:
-    """A Display on the terminal behind descriptor 2, live when it is one; it says at once what begins.
+    """A Display on the terminal behind descriptor 2, live when it is there; it says at once what begins.
 
-    Of what is shown there is no more than one line every so many seconds, or one frame of the live table.
+    Of what is shown there is no more than a line every so many seconds, or a frame of the live table.
     """
     with streams.aside() as stream:
         if not stream.isatty() or os.environ.get("TERM") == "dumb":
@@ -63,10 +63,10 @@ def display(begins: str, every: float = 0.0, refresh: float = 0.0) -> Iterator[D
 
         console = Console(file=stream, markup=False, highlight=False)
         quiet: Any = {"auto_refresh": False, "redirect_stdout": False, "redirect_stderr": False}
-        with Live(_panel(Progress(begins)), console=console, transient=True, **quiet) as live:
+        with Live(_panel(Report(begins)), console=console, transient=True, **quiet) as live:
             live.refresh()
 
-            def show(progress: Progress) -> None:
+            def show(progress: Report) -> None:
                 live.update(_panel(progress), refresh=True)
 
             def say(line: str) -> None:
@@ -81,11 +81,11 @@ def _said(write: Callable[[str], object], line: str) -> None:
     write(line)
 
 
-def paced(show: Callable[[Progress], object], every: float) -> Callable[[Progress], None]:
-    """Call `show` no more often than every so many seconds, for the first time after one."""
+def paced(show: Callable[[Report], object], every: float) -> Callable[[Report], None]:
+    """Call `show` no more often than every so many seconds, for the first time after a second."""
     last = [time.monotonic() - every + min(every, 1.0)]
 
-    def call(progress: Progress) -> None:
+    def call(progress: Report) -> None:
         if time.monotonic() - last[0] >= every:
             last[0] = time.monotonic()
             show(progress)
@@ -93,7 +93,7 @@ def paced(show: Callable[[Progress], object], every: float) -> Callable[[Progres
     return call
 
 
-def _panel(progress: Progress) -> RenderableType:
+def _panel(progress: Report) -> RenderableType:
     """The rows of a progress as a table, or its line where it has none, and below it what happened last."""
     from rich.console import Group
     from rich.panel import Panel

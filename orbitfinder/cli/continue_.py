@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,10 +13,11 @@ import click
 import orbitfinder as of
 from orbitfinder._runtime import interrupt
 from orbitfinder._runtime.keeping import kept
-from orbitfinder.cli.console import Display, Progress, display
+from orbitfinder.cli.console import Display, Report, display
 from orbitfinder.cli.jobs import folder_of, model_of, named_orbits, whole_family
-from orbitfinder.cli.options import FILES, FINITE, NUMBERS, finish, next_step, numbers, option, text, usual
+from orbitfinder.cli.options import FILES, FINITE, NUMBERS, finish, next_step, numbers, option, picked, text, usual
 from orbitfinder.errors import InputError, plural
+from orbitfinder.records.certificate import certified
 from orbitfinder.records.family import UNITS, Batch, Event, number_of
 from orbitfinder.records.registry import member
 
@@ -100,7 +102,7 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
                 model=model, progress=_reporter(shown, name, parameter, points, chosen["until"]),
                 stop=_stops(chosen["stop"]),
             )  # fmt: skip
-            places = [k for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
+            places = [k for k, event in enumerate(family.events) if event.kind in SWITCHABLE]
             _listed(family, places, shown)
     if family is None:
         _optima(origin, parameter, at, points, out, chosen)
@@ -128,9 +130,9 @@ NAMED = ("name", "give another --name")
 
 
 def reached(family: of.Family, values: Sequence[float]) -> list[int]:
-    """The numbers of the points at which the parameter has one of the values that were asked for."""
-    near = 1e-9 * max((abs(one.value) for one in family.points), default=0.0)
-    return [k for k, one in enumerate(family.points) if any(abs(one.value - value) <= near for value in values)]
+    """The numbers of the points at which the parameter has any of the values that were asked for."""
+    near = 1e-9 * max((abs(point.value) for point in family.points), default=0.0)
+    return [k for k, point in enumerate(family.points) if any(abs(point.value - value) <= near for value in values)]
 
 
 MOST_LISTED, LAST_EVENTS = 20, 6
@@ -153,7 +155,7 @@ def _asked_where(file: Path, chosen: Mapping[str, Any], shown: Display) -> None:
     from orbitfinder.families.entries import SWITCHABLE
 
     family = of.load_family(file)
-    places = [k for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
+    places = [k for k, event in enumerate(family.events) if event.kind in SWITCHABLE]
     _listed(family, places, shown, len(places))
     raise InputError(f"--switch: missing; give the event to leave {family.name} at: {counted(places) or 'none'}")
 
@@ -186,41 +188,38 @@ def _optima(
             cost = float((orbit.control or {})["cost"])
             shown.say(f"{parameter} {value:.9g}, cost {cost:.9g}, period {orbit.period:.9g} s, {orbit.stability}")
 
-        found = of.follow_optima(
+        optima = of.follow_optima(
             problem, parameter, values, until=chosen["until"], points=points, progress=report, name=folder.name, out=out
         )
-        written = [of.save_optima(found, target)]
-    written += [of.save_optima_figure(found, folder)] if chosen["figures"] else []
-    text(f"{written[0]}: {found.counts}")
-    for one in found.changes:
-        text(f"  {one.kind} at {parameter} {one.value:.12g}, cost {one.cost:.9g}: {one.detail}")
-    text(f"  ended: {found.end}")
-    document = {
-        "name": folder.name, "parameter": parameter, "values": found.values.tolist(), "costs": found.costs.tolist(),
-        "descents": list(found.descents), "changes": list(map(vars, found.changes)), "end": found.end,
-        "written": written,
-    }  # fmt: skip
-    finish("continue", document, all(one.certificate is not None and one.certificate.passed for one in found.points))
+        written = [of.save_optima(optima, target)]
+    written += [of.save_optima_figure(optima, folder)] if chosen["figures"] else []
+    text(f"{written[0]}: {optima.counts}")
+    for change in optima.changes:
+        text(f"  {change.kind} at {parameter} {change.value:.12g}, cost {change.cost:.9g}: {change.detail}")
+    text(f"  ended: {optima.end}")
+    (told,) = picked([optima], "values costs descents changes end")
+    document = {"name": folder.name, "parameter": parameter, **told, "written": written}
+    finish("continue", document, all(map(certified, optima.points)))
 
 
 def summary(family: of.Family) -> dict[str, Any]:
     """What `--json` says of a family; its points are in family.json."""
     events = [
-        {"kind": one.kind, "detail": one.detail, family.parameter: one.parameter, "period": one.period,
-         "certified": one.certified} | {name: number_of(one, name) for name in family.parameters[1:]}
-        for one in family.events
+        {"kind": event.kind, "detail": event.detail, family.parameter: event.parameter, "period": event.period,
+         "certified": event.certified} | {name: number_of(event, name) for name in family.parameters[1:]}
+        for event in family.events
     ]  # fmt: skip
     return {
         "name": family.name, "parameter": family.parameter, "parameters": list(family.parameters),
         "points": len(family.points),
-        "certified": sum(one.certified for one in family.points), "events": events,
+        "certified": sum(point.certified for point in family.points), "events": events,
         "ends": [{k: v for k, v in vars(end).items() if v is not None and k != "joined"} for end in family.ends],
     }  # fmt: skip
 
 
 def _stops(given: Sequence[str]) -> dict[str, float]:
     """Values of watched numbers by name; `InputError` for what is not NAME=VALUE."""
-    pairs = [one.partition("=") for one in given]
+    pairs = [word.partition("=") for word in given]
     for name, mark, value in pairs:
         if not mark or len(numbers(value, "--stop")) != 1:
             raise InputError(f"--stop: {name + mark + value!r} is not NAME=VALUE; give one number, such as peak=2.0")
@@ -284,7 +283,7 @@ def model_in(origin: Origin, model: of.Model | None, family: of.Family) -> of.Mo
 
 
 def _reporter(shown: Display, name: str, parameter: str, most: int, until: float | None) -> Callable[[Batch], None]:
-    """A live panel with the last events, or, without a terminal, one line an event and one every ten points."""
+    """A live panel with the last events, or, without a terminal, a line an event and a line every ten points."""
     began, seen, events = time.monotonic(), [0], list[Event]()
 
     def report(batch: Batch) -> None:
@@ -298,15 +297,15 @@ def _reporter(shown: Display, name: str, parameter: str, most: int, until: float
         point, elapsed = batch.points[-1], time.monotonic() - began
         value = with_unit(point.value, parameter)
         if shown.live:
-            ordered = sorted(events, key=lambda one: one.arclength)  # as they are numbered in family.json
+            ordered = sorted(events, key=attrgetter("arclength"))  # as they are numbered in family.json
             rows = [
                 ("points", f"{seen[0]}, at most {most} each way"),
                 (parameter, value + (f" on the way to {with_unit(until, parameter)}" if until is not None else "")),
                 ("period", f"{point.period:.9g} s"), ("stability", point.stability),
                 ("step", f"{point.step:.2g}"), ("elapsed", f"{elapsed:.1f} s"), ("events", str(len(events))),
             ]  # fmt: skip
-            last = [f"{ordered.index(one):>3}  {event_words(one, parameter)}" for one in events[-LAST_EVENTS:]]
-            shown.show(Progress(name, rows, last))
+            last = [f"{ordered.index(late):>3}  {event_words(late, parameter)}" for late in events[-LAST_EVENTS:]]
+            shown.show(Report(name, rows, last))
         elif seen[0] % 10 < len(batch.points):
             shown.say(
                 f"{plural(seen[0], 'point')}, {parameter} {point.value:.6g}, period {point.period:.6g} s, "

@@ -11,7 +11,7 @@ import sys
 import tempfile
 import textwrap
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -24,12 +24,8 @@ from orbitfinder._runtime.quiet import captured
 from orbitfinder.cli.options import finish, json_option, text
 
 WIDTH, INDENT = 80, 31
-"""Columns of the report, and where what was found begins"""
+"""Columns of the report, and where details begin"""
 OK, NOTE, MISSING, BROKEN = "ok", "note", "missing", "BROKEN"
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "firefox")
-AGAIN = "pip install --force-reinstall orbitfinder"
-WHEEL = "install the casadi wheel from the package index; system packages often lack plugins"
-PLUGINS = {"cvodes": "integrator", "idas": "integrator", "ipopt": "nlpsol"}
 EXTRAS = {
     "mp4": "animate -o FILE.mp4", "proof": "prove and refine", "cluster": "search --scheduler (Dask)",
     "parquet": "atlas export --to parquet", "robot": "URDF and MJCF files, SymPy's systems",
@@ -37,12 +33,12 @@ EXTRAS = {
     "notebook": "orbit.widget(), the notebooks", "docs": "building the documentation",
     "browser": "tests of pages in a browser", "test": "the tests",
 }  # fmt: skip
-"""What each optional extra is for; one that a release does not declare is not asked about."""
+"""What each optional extra is for; what a release does not declare is not asked about."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing looked at: `status` ok, note, missing (optional) or BROKEN (essential), and what to do."""
+    """One thing seen at: `status` ok, note, missing (optional) or BROKEN (essential), and what to do."""
 
     name: str
     status: str
@@ -51,7 +47,7 @@ class Finding:
 
 
 def finding(name: str, fine: object, detail: str, remedy: str, otherwise: str = MISSING) -> Finding:
-    """What was found fine, or `otherwise`, with what to do about it."""
+    """What is fine, or `otherwise`, with what to do about it."""
     return Finding(name, OK, detail) if fine else Finding(name, otherwise, detail, remedy)
 
 
@@ -68,9 +64,11 @@ def essential() -> Iterator[Finding]:
         "casadi", "numpy", "scipy", "matplotlib", "pillow", "click", "pydantic", "rich", "threadpoolctl",
         "platformdirs", "jinja2", "lazy_loader",
     ):  # fmt: skip
-        yield _asked(name, partial(_package, name), "cannot be imported: ", AGAIN)
-    for name, kind in PLUGINS.items():
-        yield _asked(f"casadi {name}", partial(_plugin, name, kind), "cannot be asked for: ", WHEEL)
+        again = "pip install --force-reinstall orbitfinder"
+        yield _asked(name, partial(_package, name), "cannot be imported: ", again)
+    for name, kind in {"cvodes": "integrator", "idas": "integrator", "ipopt": "nlpsol"}.items():
+        wheel = "install the casadi wheel from the package index; system packages often lack plugins"
+        yield _asked(f"casadi {name}", partial(_plugin, name, kind), "cannot be asked for: ", wheel)
     yield _main_job()
 
 
@@ -98,7 +96,7 @@ def _plugin(name: str, kind: str) -> tuple[object, str]:
 
 
 def _main_job() -> Finding:
-    """One pendulum swing found and certified, its period compared with the elliptic integral."""
+    """A pendulum swing solved and certified, its period compared with the elliptic integral."""
     try:
         from scipy.special import ellipk
 
@@ -116,15 +114,16 @@ def tools() -> Iterator[Finding]:
     """Programs and folders outside Python: compiler, cache, browser, AUTO."""
     from orbitfinder.integrate.compiled import available, mode
 
-    found, reason = available()
+    compiler, reason = available()
     said = f"{reason or 'runs'} (mode {mode()})"
     remedy = "install gcc or clang for compiled equations; without one everything runs interpreted"
-    yield finding("C compiler", found, said, remedy)
+    yield finding("C compiler", compiler, said, remedy)
     yield _cache()
-    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    browsers = ("chromium", "chromium-browser", "google-chrome", "chrome", "firefox")
+    browser = next(filter(None, map(shutil.which, browsers)), None)
     remedy = "any browser opens the pages; headless Chromium is needed for their tests only"
     yield finding("browser", browser, browser or "none on the path", remedy)
-    auto = next((one for one in (os.environ.get("AUTO_DIR"), "/usr/lib/auto-07p") if one and Path(one).is_dir()), None)
+    auto = next(filter(os.path.isdir, (os.environ.get("AUTO_DIR", ""), "/usr/lib/auto-07p")), None)
     remedy = "only to run what export --to auto writes; set AUTO_DIR"
     yield finding("AUTO-07p", auto, auto or "not found", remedy)
 
@@ -162,16 +161,16 @@ def declared_extras() -> dict[str, list[str]]:
     """Extra -> distributions, as the installed metadata declares them."""
     from importlib import metadata
 
-    found: dict[str, list[str]] = {}
+    declared: dict[str, list[str]] = {}
     try:
         requirements = metadata.requires("orbitfinder") or []
     except metadata.PackageNotFoundError:  # run from a source tree that was never installed
-        return found
+        return declared
     for line in requirements:
         match = re.match(r"([A-Za-z0-9._-]+).*extra == ['\"]([^'\"]+)['\"]", line)
         if match:
-            found.setdefault(match.group(2), []).append(match.group(1))
-    return found
+            declared.setdefault(match.group(2), []).append(match.group(1))
+    return declared
 
 
 def _installed(distribution: str) -> bool:
@@ -206,11 +205,11 @@ def _defect(name: str, reference: str, trial: Callable[[], tuple[bool, str]], in
     return Finding(name, NOTE, f"CasADi: {seen} ({reference})", f"no action: here {instead}")
 
 
-def report(one: Finding) -> list[str]:
-    """A finding in lines of at most 80 columns: what was found, below it what to do."""
-    said = [line for what in (one.detail, one.remedy) for line in textwrap.wrap(
+def report(seen: Finding) -> list[str]:
+    """A finding in lines of at most 80 columns: its detail, below it what to do."""
+    said = [line for what in (seen.detail, seen.remedy) for line in textwrap.wrap(
         what, WIDTH - INDENT, break_long_words=False, break_on_hyphens=False)]  # fmt: skip
-    head = f"  {one.status:<8}{one.name}"
+    head = f"  {seen.status:<8}{seen.name}"
     return [f"{head if not k else '':<{INDENT}}{line}" for k, line in enumerate(said)]
 
 
@@ -233,14 +232,11 @@ def doctor() -> None:
     for line in (line for finding in findings for line in report(finding)):
         text(line)
     text("Usable." if usable else "Not usable: see what is marked BROKEN.")
-    finish("doctor", {"version": __version__, "usable": usable, "findings": [asdict(one) for one in findings]}, usable)
-
-
-SHELLS = ("bash", "zsh", "fish")
+    finish("doctor", {"version": __version__, "usable": usable, "findings": findings}, usable)
 
 
 @click.command()
-@click.argument("shell", type=click.Choice(SHELLS))
+@click.argument("shell", type=click.Choice(("bash", "zsh", "fish")))
 @click.pass_context
 def completion(context: click.Context, shell: str) -> None:
     """Print the completion script for a SHELL; the shell reads it when it starts.

@@ -9,7 +9,7 @@ import click
 
 from orbitfinder._runtime import interrupt
 from orbitfinder.cli.atlas import chosen, filters
-from orbitfinder.cli.console import Progress, display
+from orbitfinder.cli.console import Report, display
 from orbitfinder.cli.jobs import check_writable, named_orbits
 from orbitfinder.cli.options import FILES, FINITE, SYSTEM_TRUST, option, orbit_files, out_option, text, usual
 from orbitfinder.errors import InputError, plural
@@ -146,7 +146,7 @@ def page(
 
         def report(line: str) -> None:
             interrupt.check()
-            shown.show(Progress(f"{out}: {line}"))
+            shown.show(Report(f"{out}: {line}"))
 
         check_target(out)
         site, summary = build_site(

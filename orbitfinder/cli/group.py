@@ -43,10 +43,10 @@ from orbitfinder.cli.torus import torus
 from orbitfinder.cli.verify import prove, refine, verify
 from orbitfinder.errors import InputError, OrbitfinderError
 
-DAY = 86_400.0
-LIMITS = {"run": 600.0, "simulate": 600.0, "guess": 600.0, "verify": 3600.0, "sweep": 3600.0, "refine": 3600.0,
-          "stabilise": 3600.0, "torus": 3600.0, "section": 3600.0, "manifold": 3600.0, "connect": 3600.0, "prove": DAY,
-          "continue": DAY}  # fmt: skip
+LIMITS = {
+    **dict.fromkeys(("run", "simulate", "guess"), 600.0), **dict.fromkeys(("prove", "continue"), 86_400.0),
+    **dict.fromkeys(("verify", "sweep", "refine", "stabilise", "torus", "section", "manifold", "connect"), 3600.0),
+}  # fmt: skip
 """s after which a command stops unless --limit says otherwise: the slowest search that we ship, 100 links, takes 46,
 the longest proof an hour. `search` has its budget; the others go on for as long as they are let."""
 
@@ -68,9 +68,9 @@ class Commands(click.Group):
     def add_command(self, cmd: click.Command, name: str | None = None) -> None:
         """A command whose errors name its options, with the option --limit, which starts with what `LIMITS` says."""
         cmd.help = fitted(cmd.help or "")
-        for one in cmd.commands.values() if isinstance(cmd, click.Group) else [cmd]:
-            options_named(one)
-            one.help = fitted(one.help or "")
+        for single in cmd.commands.values() if isinstance(cmd, click.Group) else [cmd]:
+            options_named(single)
+            single.help = fitted(single.help or "")
         if not isinstance(cmd, click.Group):
             parts = {"run": "each search", "sweep": "the sweep"}
             cmd.params.append(limit_option(LIMITS.get(cmd.name or ""), parts.get(cmd.name or "", "")))

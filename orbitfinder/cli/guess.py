@@ -13,9 +13,6 @@ from orbitfinder.errors import InputError, plural
 if TYPE_CHECKING:
     from orbitfinder.problemfile.proposals import Proposal, Proposals
 
-SHOWN = 8
-"""State components or shape entries that are printed; the rest is in --json."""
-
 
 @click.command()
 @click.argument("file", type=FILES)
@@ -59,36 +56,38 @@ def guess(
         text(f"{written}: written; next: orbitfinder run {written}")
     finish("guesses", {
         "name": proposals.name, "states": list(proposals.state_names),
-        "guesses": [one.document() for one in proposals.found], "notes": list(proposals.notes),
+        "guesses": [proposal.document() for proposal in proposals.guesses], "notes": list(proposals.notes),
         "written": str(written) if written else None,
     })  # fmt: skip
 
 
 def _print(proposals: Proposals) -> None:
-    text(f"{proposals.name}: {plural(len(proposals.found), 'starting point')}")
-    for one in proposals.found:
-        text(_line(one))
-        text(f"    {_shape(one)}")
+    text(f"{proposals.name}: {plural(len(proposals.guesses), 'starting point')}")
+    for proposal in proposals.guesses:
+        text(_line(proposal))
+        text(f"    {_shape(proposal)}")
     for note in proposals.notes:
         text(f"  none: {note}")
 
 
-def _line(one: Proposal) -> str:
-    level = "" if one.energy is None else f"  energy {one.energy:.9g} J"
-    miss = "" if one.miss is None else f"  misses itself by {one.miss:.2e}"
-    frequency = one.details.get("frequency")
+def _line(proposal: Proposal) -> str:
+    level = "" if proposal.energy is None else f"  energy {proposal.energy:.9g} J"
+    miss = "" if proposal.miss is None else f"  misses itself by {proposal.miss:.2e}"
+    frequency = proposal.details.get("frequency")
     return (
-        f"  {one.name:<10} period {one.period:.9g} s{level}{miss}"
+        f"  {proposal.name:<10} period {proposal.period:.9g} s{level}{miss}"
         + (f"  {frequency:.6g} Hz" if frequency else "")
-        + (f"  from t = {one.details['time']:.4g} s" if "time" in one.details else "")
-        + (f"  {plural(one.details['samples'], 'sample')}" if "samples" in one.details else "")
+        + (f"  from t = {proposal.details['time']:.4g} s" if "time" in proposal.details else "")
+        + (f"  {plural(proposal.details['samples'], 'sample')}" if "samples" in proposal.details else "")
     )
 
 
-def _shape(one: Proposal) -> str:
-    label, numbers = ("shape", one.details["shape"]) if "shape" in one.details else ("state", list(one.state))
-    more = f", ... ({len(numbers)} in all)" if len(numbers) > SHOWN else ""
-    return f"{label} [{', '.join(f'{x:.6g}' for x in numbers[:SHOWN])}{more}]"
+def _shape(proposal: Proposal) -> str:
+    label = "shape" if "shape" in proposal.details else "state"
+    numbers = proposal.details.get("shape", proposal.state)
+    most = 8  # are printed; the rest is in --json
+    more = f", ... ({len(numbers)} in all)" if len(numbers) > most else ""
+    return f"{label} [{', '.join(f'{x:.6g}' for x in numbers[:most])}{more}]"
 
 
 @click.command()

@@ -11,7 +11,7 @@ import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,9 +20,10 @@ import click
 
 from orbitfinder._runtime import interrupt, processes, streams
 from orbitfinder._runtime.limit import limited
-from orbitfinder.cli.console import Display, Progress
+from orbitfinder.cli.console import Display, Report
+from orbitfinder.cli.options import trusted
 from orbitfinder.errors import InputError, OrbitfinderError, plural
-from orbitfinder.records.certificate import Certificate
+from orbitfinder.records.certificate import Certificate, certified
 from orbitfinder.records.orbit import Orbit, save_orbit
 from orbitfinder.records.registry import kind_of, load, load_orbit, member, taken
 
@@ -34,12 +35,8 @@ if TYPE_CHECKING:
     from orbitfinder.problemfile.read import ProblemFile
 
 
-LARGEST_STATE = 1e100
-"""rad or rad/s; beyond it energies overflow."""
-
-
 @dataclass(frozen=True)
-class Job:
+class ProblemJob:
     """What to run and where its results go; without what was read, it travels to a worker."""
 
     file: Path
@@ -56,7 +53,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How one problem ended: `status` is certified, rejected (by the checks named in `failures`) or failed."""
+    """How a problem ended: `status` is certified, rejected (by the checks named in `failures`) or failed."""
 
     name: str
     file: str
@@ -80,14 +77,12 @@ class Outcome:
         """True for a certified orbit."""
         return self.status == "certified"
 
-    def document(self) -> dict[str, Any]:
-        """The entry of this outcome in the output of `--json`."""
-        return asdict(self)
 
-
-def prepare(files: Sequence[Path], out: Path, figures: bool, trust: bool, limit: float | None = None) -> list[Job]:
+def prepare(
+    files: Sequence[Path], out: Path, figures: bool, trust: bool, limit: float | None = None
+) -> list[ProblemJob]:
     """Jobs for problem files, everything that can be checked before computing checked."""
-    jobs: dict[str, Job] = {}
+    jobs: dict[str, ProblemJob] = {}
     for file in files:
         began = time.monotonic()
         with limited(limit):
@@ -97,7 +92,7 @@ def prepare(files: Sequence[Path], out: Path, figures: bool, trust: bool, limit:
         name = loaded.wanted.name
         if name in jobs:
             raise InputError(f"name: {name!r} is used by both {jobs[name].file} and {file}; rename one of them")
-        jobs[name] = Job(file, name, out, figures, trust, limit, time.monotonic() - began, loaded)
+        jobs[name] = ProblemJob(file, name, out, figures, trust, limit, time.monotonic() - began, loaded)
     check_writable(out)
     for name in jobs:
         if (out / name).exists():
@@ -108,7 +103,7 @@ def prepare(files: Sequence[Path], out: Path, figures: bool, trust: bool, limit:
 def check_writable(folder: Path, option: str = "--out") -> None:
     """`InputError` when files cannot be created in a folder, made if need be; what a command leaves empty goes."""
     context = click.get_current_context(silent=True)
-    for made in reversed([one for one in (folder, *folder.parents) if context and not one.exists()]):
+    for made in reversed([parent for parent in (folder, *folder.parents) if context and not parent.exists()]):
         context.call_on_close(partial(_gone_if_empty, made))  # type: ignore[union-attr]
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -133,7 +128,7 @@ def model_of(record: Any, file: Path, trust: bool) -> Model:
     """The Model of the system of a record that was read from a file; with `trust` modules beside it may make it."""
     from orbitfinder.mechanics.kind import build_model
 
-    return build_model(record.system, file.parent.resolve() if trust else None)
+    return build_model(record.system, trusted(file, trust))
 
 
 def _gone_if_empty(folder: Path) -> None:
@@ -141,7 +136,7 @@ def _gone_if_empty(folder: Path) -> None:
         folder.rmdir()
 
 
-def run_job(job: Job, shown: Display | None = None) -> Outcome:
+def run_job(job: ProblemJob, shown: Display | None = None) -> Outcome:
     """Find, certify and write one orbit. Raises `InputError` only; the rest is an Outcome."""
     from orbitfinder.atlas.choose import solve
     from orbitfinder.problemfile.read import load_problem_file
@@ -165,23 +160,23 @@ def run_job(job: Job, shown: Display | None = None) -> Outcome:
         ) from error
 
 
-def progress(name: str, iteration: Iteration) -> Progress:
+def progress(name: str, iteration: Iteration) -> Report:
     """One step of a search."""
     at, defect, period = iteration, f"{iteration.defect:.2e}", f"{iteration.period:.9g}"
     line = f"{name}: {at.stage} {at.iteration}, defect {defect}, period {period} s, {at.elapsed:.1f} s elapsed"
-    return Progress(line, [
+    return Report(line, [
         ("problem", "stage", "iteration", "defect", "period (s)", "elapsed (s)"),
         (name, at.stage, str(at.iteration), defect, period, f"{at.elapsed:.1f}"),
     ])  # fmt: skip
 
 
-def _written(job: Job, orbit: Orbit, model: Model, began: float) -> Outcome:
+def _written(job: ProblemJob, orbit: Orbit, model: Model, began: float) -> Outcome:
     """Write the result under the name it deserves; figures only of certified orbits."""
     from orbitfinder.mechanics.kind import with_parameters
     from orbitfinder.orbits.reduction import reduction
 
     certificate, folder = orbit.certificate, job.out / job.name
-    passed = certificate is not None and certificate.passed
+    passed = certified(orbit)
     written = [save_orbit(orbit, folder / ("orbit.json" if passed else "rejected.json"))]
     if passed:
         for stale in ("rejected.json", "rejected.npz"):
@@ -226,15 +221,14 @@ def orbit_and_model(
 ) -> tuple[Any, Model]:
     """The orbit of FILE or FILE#K, whose entries belong together, and its system's model; the way in of every command.
 
-    `pictured`: with samples, also where one orbit of a file has none of its own. `read=load`: whatever record it is.
+    `pictured`: with samples, also where an orbit of a file has none of its own. `read=load`: whatever record it is.
     `InputError` names the file.
     """
     from orbitfinder.families.members import whole
-    from orbitfinder.mechanics.kind import build_model
 
     try:
         record = read(file)
-        model = build_model(record.system, file.parent.resolve() if trust else None)
+        model = model_of(record, file, trust)
         if isinstance(record, Orbit):
             check_consistent(record, model)
             record = whole(record, model) if pictured and not file.exists() else record
@@ -253,12 +247,12 @@ def named_orbits(
 ) -> list[tuple[Path, Any, Model]]:
     """What a command works on: all read, and named as files may be, before anything is written.
 
-    Orbits, or what a `verb` takes. `InputError` for anything else, and for two of one name that go to one folder, which
-    is `out` or that of their file.
+    Orbits, or what a `verb` takes. `InputError` for anything else, and for two of a name that go to the same folder,
+    which is `out` or that of their file.
     """
     from orbitfinder.problemfile.read import checked_name
 
-    found, seen = list[tuple[Path, Any, "Model"]](), dict[tuple[Path, str], Path]()
+    records, seen = list[tuple[Path, Any, "Model"]](), dict[tuple[Path, str], Path]()
     for file in files:
         if verb:
             taken(verb, file)
@@ -266,8 +260,8 @@ def named_orbits(
         checked_name(record.name, f"{file}: name")
         if (other := seen.setdefault((out or file.parent, record.name), file)) != file:
             raise InputError(f"--out: {other} and {file} are both named {record.name!r}; give them one at a time")
-        found.append((file, record, model))
-    return found
+        records.append((file, record, model))
+    return records
 
 
 def check_consistent(orbit: Orbit, model: Model) -> None:
@@ -279,10 +273,10 @@ def check_consistent(orbit: Orbit, model: Model) -> None:
     size, n = len(model.state_names), model.degrees_of_freedom
     again = "the file was edited or damaged, run the problem again"
     if orbit.state.shape != (size,) or len(orbit.winding) != n:
-        found = f"{plural(orbit.state.size, 'number')} in state and {len(orbit.winding)} in winding"
-        raise InputError(f"state: {found} for a system of {counted(model)}; {again}")
-    if np.abs(orbit.state).max() > LARGEST_STATE:
-        raise InputError(f"state: {orbit.state.tolist()} is beyond {LARGEST_STATE:g}; {again}")
+        sizes = f"{plural(orbit.state.size, 'number')} in state and {len(orbit.winding)} in winding"
+        raise InputError(f"state: {sizes} for a system of {counted(model)}; {again}")
+    if np.abs(orbit.state).max() > 1e100:  # rad or rad/s; beyond it energies overflow
+        raise InputError(f"state: {orbit.state.tolist()} is beyond 1e+100; {again}")
 
 
 def one_line(text: object) -> str:
@@ -290,18 +284,18 @@ def one_line(text: object) -> str:
     return "".join(letter if letter.isprintable() else " " for letter in " ".join(str(text).split()))
 
 
-def run_jobs(jobs: Sequence[Job], workers: int, shown: Display) -> Iterator[Outcome]:
+def run_jobs(jobs: Sequence[ProblemJob], workers: int, shown: Display) -> Iterator[Outcome]:
     """Outcomes in the order in which they come, from this process or from spawned ones."""
     if workers == 1 or len(jobs) == 1:
         for job in jobs:
             yield run_job(job, shown)
         return
     hands, todo = list[processes.Hand](), list(jobs)
-    doing: dict[processes.Hand, Job] = {}
+    doing: dict[processes.Hand, ProblemJob] = {}
     try:
         while todo or doing:
             while todo and len(doing) < workers:
-                hand = next((one for one in hands if one not in doing), None) or processes.hired(_serve)
+                hand = next((free for free in hands if free not in doing), None) or processes.hired(_serve)
                 hands += [] if hand in hands else [hand]
                 doing[hand] = todo.pop(0)
                 hand.tell(replace(doing[hand], loaded=None, spent=0.0))
@@ -339,7 +333,7 @@ def _serve(pipe: Connection) -> None:
             pipe.send(_work(pipe.recv()))
 
 
-def _work(job: Job) -> Outcome | InputError:
+def _work(job: ProblemJob) -> Outcome | InputError:
     """`run_job` in a worker; once told to stop it takes no further job, whatever became of the exception."""
     try:
         return run_job(job)

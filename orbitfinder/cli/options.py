@@ -11,7 +11,7 @@ import shutil
 import sys
 import textwrap
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from click.core import ParameterSource
 from orbitfinder._runtime.limit import limited
 from orbitfinder._runtime.processes import children_see
 from orbitfinder.errors import InputError, OrbitfinderError
+from orbitfinder.records.codec import plain
 from orbitfinder.records.reading import finite
 
 FILES = click.Path(path_type=Path)
@@ -40,16 +41,16 @@ class Finite(click.types.FloatParamType):
 
 
 def numbers(text: str, where: str) -> tuple[float, ...]:
-    """Values of a comma-separated list; `InputError` names the one that is no number."""
-    found = []
+    """Values of a comma-separated list; `InputError` names what is no number."""
+    values = []
     for word in filter(None, (part.strip() for part in text.split(","))):
         try:
-            found.append(float(word))
+            values.append(float(word))
         except ValueError as error:
             raise InputError(f"{where}: {word!r} is not a number; give values separated by commas") from error
-        if not math.isfinite(found[-1]):
+        if not math.isfinite(values[-1]):
             raise InputError(f"{where}: {word!r} is not finite; give finite values")
-    return tuple(found)
+    return tuple(values)
 
 
 class Numbers(click.types.StringParamType):
@@ -63,7 +64,6 @@ class Numbers(click.types.StringParamType):
 FINITE, NUMBERS = Finite(), Numbers()
 JSON_KEY = "orbitfinder.json"
 """Where the context keeps whether --json was given: an error is then printed as JSON too"""
-COMPILE_VARIABLE = "ORBITFINDER_COMPILE"
 TRUST = "Execute Python problem files; only for files you have read."
 SYSTEM_TRUST = "Import the Python module that a system was made with; only if you have read it."
 
@@ -84,7 +84,7 @@ def options_named(command: click.Command) -> None:
             source, field = click.get_current_context().get_parameter_source(error.field), error.field
             if source is not ParameterSource.COMMANDLINE:
                 raise
-            option = next(max(one.opts, key=len) for one in command.params if one.name == field)
+            option = next(max(param.opts, key=len) for param in command.params if param.name == field)
             raise type(error)(option + str(error).removeprefix(field)) from error
 
     command.callback = answered
@@ -105,8 +105,6 @@ def wants_json() -> bool:
     return bool(click.get_current_context().meta.get(JSON_KEY))
 
 
-BAD = r"\b(not (?:proved|certified|enclosed)|NOT PROVED|REJECTED|FAILED|rejected|(?<=: )failed)\b"
-GOOD = r"\b(certified|proved)\b"
 LEAST_WIDTH, LEAST_NOTE = 40, 20
 GLUE = "\0"
 """Stands for a space at which no line is broken"""
@@ -139,7 +137,7 @@ def folded(line: str, width: int) -> list[str]:
 
     The parts hang below the last column of a row, where it has some.
     """
-    columns = [found.end() for found in re.finditer(r"\S {2,}(?=\S)", line)]
+    columns = [gap.end() for gap in re.finditer(r"\S {2,}(?=\S)", line)]
     margin = len(line) - len(line.lstrip()) + 2
     hang = columns[-1] if columns and columns[-1] <= width - LEAST_NOTE else margin
     more: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False, "subsequent_indent": " " * hang}
@@ -150,25 +148,29 @@ def folded(line: str, width: int) -> list[str]:
 
 def coloured(line: str) -> str:
     """The verdict in a line in green or red."""
-    bad = re.sub(BAD, lambda found: click.style(found[0], fg="red", bold=True), line)
-    return bad if bad != line else re.sub(GOOD, lambda found: click.style(found[0], fg="green"), line)
+    wrong = r"\b(not (?:proved|certified|enclosed)|NOT PROVED|REJECTED|FAILED|rejected|(?<=: )failed)\b"
+    if re.search(wrong, line):
+        return re.sub(wrong, lambda word: click.style(word[0], fg="red", bold=True), line)
+    return re.sub(r"\b(certified|proved)\b", lambda word: click.style(word[0], fg="green"), line)
 
 
-def finish(kind: str, document: Mapping[str, Any], passed: bool = True) -> None:
-    """The end of a command: its document where --json was given, exit code 1 for what did not pass.
+def finish(kind: str, document: dict[str, Any], passed: bool = True) -> None:
+    """The end of a command: its document, records and arrays in plain numbers, where --json was given; exit code 1 for
+    what did not pass.
 
-    `OrbitfinderError` where one of the files that it says were written is not there, or is two results' at once.
+    `OrbitfinderError` where a file that it says was written is not there, or is two results' at once.
     """
-    entries = [document, *(one for one in document.get("results", ()) if isinstance(one, dict))]
+    document = plain(document)
+    entries = [document, *(result for result in document.get("results", ()) if isinstance(result, dict))]
     written = Counter(
-        str(file) for one in entries if isinstance(one.get("written"), list | tuple) for file in one["written"]
+        str(file) for entry in entries if isinstance(entry.get("written"), list | tuple) for file in entry["written"]
     )
     for file, count in written.items():
         if count > 1 or not Path(file).exists():
             what = f"{count} results were written there, each over the one before" if count > 1 else "was not written"
             raise OrbitfinderError(f"{file}: {what}; please report this, with the command")
     if wants_json():
-        print_json({"format": f"orbitfinder/{kind}"} | dict(document))
+        print_json({"format": f"orbitfinder/{kind}"} | document)
     if not passed:
         click.get_current_context().exit(NOT_CERTIFIED)
 
@@ -176,6 +178,16 @@ def finish(kind: str, document: Mapping[str, Any], passed: bool = True) -> None:
 def print_json(document: Any) -> None:
     """One JSON document on standard output, null for what JSON has no number for."""
     click.echo(json.dumps(finite(document), indent=1, allow_nan=False, default=os.fspath))
+
+
+def picked(records: Iterable[Any], names: str) -> list[dict[str, Any]]:
+    """What `--json` says of some records: each one's attributes of these names."""
+    return [{name: getattr(record, name) for name in names.split()} for record in records]
+
+
+def trusted(file: Path, trust: bool) -> Path | None:
+    """The folder of a file, with --trust, whose modules may make its system."""
+    return file.parent.resolve() if trust else None
 
 
 def out_option(what: str, **more: Any) -> Decorator:
@@ -192,13 +204,13 @@ def _remember_compile(context: click.Context, _: click.Parameter, value: str | N
     """Put the mode where worker processes find it too, for as long as the command runs."""
     if value is None:
         return
-    context.with_resource(children_see({COMPILE_VARIABLE: value}))
+    context.with_resource(children_see({"ORBITFINDER_COMPILE": value}))
     if value == "on":
         with limited(context.params.get("limit")):
             from orbitfinder.integrate.compiled import available
 
-            found, reason = available()
-        if not found:
+            works, reason = available()
+        if not works:
             click.echo(f"--compile on: {reason}; running interpreted", err=True)
 
 
@@ -209,13 +221,13 @@ compile_option: Decorator = click.option(
 
 
 def option(name: str, what: str, default: Any = None, kind: Any = None, **more: Any) -> Decorator:
-    """An option, its help and default, which is shown where there is one.
+    """An option, its help and default, which is shown where there is any.
 
     `kind` is a type, bool for a switch, a range of whole numbers (least,) or (least, most), or words to choose from.
     """
     if isinstance(kind, tuple | list):
         kind = click.Choice(list(kind)) if isinstance(kind[0], str) else click.IntRange(*kind)
-    names = [f"--{one}" for one in name.split()[:1]] + name.split()[1:]
+    names = [f"--{word}" for word in name.split()[:1]] + name.split()[1:]
     more |= {"is_flag": True} if kind is bool else {"type": kind}
     more |= {} if default is None else {"default": default, "show_default": default != ""}
     return click.option(*names, help=what, **more)

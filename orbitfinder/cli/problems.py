@@ -40,18 +40,18 @@ def list_(kind: str | None) -> None:
 
     if kind is not None and kind not in KINDS:
         raise InputError(f"KIND: {kind!r} is unknown{closest(kind, KINDS) or '; there are ' + ', '.join(KINDS)}")
-    found = [one for one in shipped() if kind in (None, one.kind)]
-    for name, group in groupby(found, lambda one: one.kind):
+    files = [file for file in shipped() if kind in (None, file.kind)]
+    for name, group in groupby(files, lambda file: file.kind):
         rows = list(group)
         text(f"{name}: {KINDS[name]}")
-        for one in rows:
-            text(f"  {one.name:<{max(len(other.name) for other in rows)}}  {one.title}")
-    text(f"{plural(len(found), 'problem file')}; orbitfinder problems copy NAME, KIND or all")
-    finish("problems", {"problems": [_document(one) for one in found]})
+        for row in rows:
+            text(f"  {row.name:<{max(len(other.name) for other in rows)}}  {row.title}")
+    text(f"{plural(len(files), 'problem file')}; orbitfinder problems copy NAME, KIND or all")
+    finish("problems", {"problems": [_document(file) for file in files]})
 
 
-def _document(one: Shipped) -> dict[str, Any]:
-    return {"name": one.name, "kind": one.kind, "title": one.title, "command": one.command}
+def _document(file: Shipped) -> dict[str, Any]:
+    return {"name": file.name, "kind": file.kind, "title": file.title, "command": file.command}
 
 
 @problems.command()
@@ -68,10 +68,10 @@ def show(name: str) -> None:
 
     if name in (*KINDS, "all"):
         raise InputError(f"NAME: {name!r} is more than one file; see `orbitfinder problems list`")
-    (one,) = chosen([name])
-    content = one.path.read_text(encoding="utf-8")
+    (file,) = chosen([name])
+    content = file.path.read_text(encoding="utf-8")
     text(content.rstrip())
-    finish("problem", _document(one) | {"text": content})
+    finish("problem", _document(file) | {"text": content})
 
 
 @problems.command()
@@ -89,11 +89,11 @@ def copy(names: tuple[str, ...], out: Path, force: bool) -> None:
     from orbitfinder.problemfile.shipped import chosen
     from orbitfinder.problemfile.shipped import copy as write
 
-    found = chosen(names)
-    written = write(found, out, force)
+    files = chosen(names)
+    written = write(files, out, force)
     for path in written if len(written) <= 20 else ():
         text(f"{path}: written")
     if len(written) > 20:
         text(f"{plural(len(written), 'problem file')} written to {out}")
-    next_step(found[0].command, written[0], *(["--trust"] if written[0].suffix == ".py" else []))
+    next_step(files[0].command, written[0], *(["--trust"] if written[0].suffix == ".py" else []))
     finish("copies", {"written": written})

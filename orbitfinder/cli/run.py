@@ -14,9 +14,6 @@ from orbitfinder.cli.options import FILES, finish, next_step, option, text, usua
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.reading import write_atomically
 
-SHOWN_EVENTS = 20
-"""Events of a simulation that are printed"""
-
 
 @click.command()
 @click.argument("files", nargs=-1, required=True, type=FILES, metavar="FILE...")
@@ -48,7 +45,7 @@ def run(files: tuple[Path, ...], out: Path, jobs: int, figures: bool, limit: flo
         text(f"{sum(outcome.passed for outcome in outcomes)} of {plural(len(outcomes), 'orbit')} certified")
     if passed:
         next_step("continue", outcomes[0].written[0])
-    finish("run", {"passed": passed, "results": [outcome.document() for outcome in outcomes]}, passed)
+    finish("run", {"passed": passed, "results": outcomes}, passed)
 
 
 def _print_outcome(outcome: Outcome, width: int) -> None:
@@ -100,10 +97,10 @@ def simulate(file: Path, duration: float | None, out: Path | None, trust: bool) 
         text(f"  {'energy':<22}{document['energy']:.12g} J")
         text(f"  {f'energy {kind}':<22}{document[f'energy_{kind}']:.2e} J{more}")
         text(f"  {'relative to exchanged':<22}{document[f'relative_energy_{kind}']:.2e}")
-    for moment, event in result.events[:SHOWN_EVENTS]:
+    for moment, event in result.events[:20]:
         text(f"  {event:<22}at {moment:.12g} s")
-    if len(result.events) > SHOWN_EVENTS:
-        text(f"  {'':<22}and {plural(len(result.events) - SHOWN_EVENTS, 'more event')}")
+    if more_events := result.events[20:]:
+        text(f"  {'':<22}and {plural(len(more_events), 'more event')}")
     text(f"  {'end state':<22}" + ", ".join(f"{name} = {x:.9g}" for name, x in document["end"].items()))
     if out is not None:
         written = out / loaded.name / "simulation.csv"
@@ -135,7 +132,7 @@ def reproduce(out: Path, fresh: bool) -> None:
             out, fresh, lambda what, done, of: shown.say(f"[{done}/{of}] {what} ({time.monotonic() - began:.0f} s)")
         )
     orbits = numbers["orbits"]
-    certified = sum(one["certified"] for one in orbits.values())
+    certified = sum(orbit["certified"] for orbit in orbits.values())
     text(f"{out / 'README.md'}: {certified} of {plural(len(orbits), 'orbit')} certified")
     passed = certified == len(orbits)
     finish("reproduce", {"passed": passed, "page": str(out / "README.md"), "orbits": orbits}, passed)

@@ -11,8 +11,8 @@ import click
 
 import orbitfinder as of
 from orbitfinder._runtime import interrupt
-from orbitfinder.cli.console import Progress, display
-from orbitfinder.cli.options import FILES, finish, next_step, option, text, usual
+from orbitfinder.cli.console import Report, display
+from orbitfinder.cli.options import FILES, finish, next_step, option, text, trusted, usual
 from orbitfinder.errors import InputError, plural
 
 if TYPE_CHECKING:
@@ -22,17 +22,16 @@ if TYPE_CHECKING:
 
 SPEAK_EVERY = 5.0
 """Seconds between two lines of progress where there is no terminal."""
-REFRESH_EVERY = 0.25
 REASONS_SHOWN = 8
 MISSING = "search: missing; add a [search] table with period = [shortest, longest]"
-UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
 
 
 def seconds(text: str) -> float:
     """A duration such as 60s, 10m, 1.5h or a plain number of seconds."""
-    found = re.fullmatch(r"\s*([0-9.]+(?:[eE][-+]?[0-9]+)?)\s*(s|m|min|h)?\s*", text)
+    match = re.fullmatch(r"\s*([0-9.]+(?:[eE][-+]?[0-9]+)?)\s*(s|m|min|h)?\s*", text)
+    units = {None: 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
     try:
-        return float(found[1]) * UNITS[found[2] or ""] if found else math.nan
+        return float(match[1]) * units[match[2]] if match else math.nan
     except ValueError:
         return math.nan
 
@@ -67,8 +66,8 @@ def search(file: Path, book: Path, budget: float | None, starts: int | None, tru
       orbitfinder search problems/search/triple.toml --starts 2000 --workers 4 --atlas triple.sqlite
       orbitfinder search problems/search/triple.toml --starts 2000 --shard 3/8 --atlas triple-3.sqlite
     """
-    lasts, folder = "" if budget is None else f" {budget:g} s,", file.parent.resolve() if trust else None
-    with display(f"{file}: searching,{lasts} seed {how['seed']}, into {book}", SPEAK_EVERY, REFRESH_EVERY) as shown:
+    lasts, folder = "" if budget is None else f" {budget:g} s,", trusted(file, trust)
+    with display(f"{file}: searching,{lasts} seed {how['seed']}, into {book}", SPEAK_EVERY, refresh=0.25) as shown:
         from orbitfinder.problemfile.read import load_problem_file, read_toml
 
         if file.suffix != ".py" and "search" not in read_toml(file):  # before the modes of a long chain are computed
@@ -80,26 +79,26 @@ def search(file: Path, book: Path, budget: float | None, starts: int | None, tru
             interrupt.check()
             shown.show(progress(energy, tally, bool(loaded.model.invariants)))
 
-        found = of.search(loaded.model, energies, periods, book, starts=starts, budget=budget, folder=folder,
+        result = of.search(loaded.model, energies, periods, book, starts=starts, budget=budget, folder=folder,
                           progress=report, **how, **sections(loaded))  # fmt: skip
-    for energy, tally in found.tallies:
+    for energy, tally in result.tallies:
         text(
             f"{level(energy, bool(loaded.model.invariants))}: {plural(tally.done, 'start')} in {tally.elapsed:.1f} s, "
             f"{plural(tally.new, 'new orbit')}, "
             f"{plural(tally.duplicates, 'time')} a known one, {sum(tally.failures.values())} failed"
         )
-    print_summary(found.summary)
-    text(f"{found.atlas}: {plural(found.summary.orbits, 'distinct certified orbit')}")
-    next_step("atlas list", found.atlas)
+    print_summary(result.summary)
+    text(f"{result.atlas}: {plural(result.summary.orbits, 'distinct certified orbit')}")
+    next_step("atlas list", result.atlas)
     runs = [
         {
             "energy": energy, "starts": tally.done, "first_start": tally.begun_at, "hits": tally.hits,
             "new": tally.new, "duplicates": tally.duplicates, "failures": dict(tally.failures),
             "seconds": tally.elapsed,
         }
-        for energy, tally in found.tallies
+        for energy, tally in result.tallies
     ]  # fmt: skip
-    finish("search", {"atlas": str(found.atlas), "runs": runs, "summary": found.summary.document()})
+    finish("search", {"atlas": str(result.atlas), "runs": runs, "summary": result.summary.document()})
 
 
 def level(energy: float, conserved: bool) -> str:
@@ -118,15 +117,15 @@ def wanted(loaded: ProblemFile) -> tuple[list[float] | None, tuple[float, float]
         return None, loaded.search
     if energy is None:
         raise InputError(f"{loaded.path}: search.energy: missing; give the energy in J, or find.pin.energy")
-    return [float(one) for one in (energy if isinstance(energy, list) else [energy])], loaded.search
+    return [float(value) for value in (energy if isinstance(energy, list) else [energy])], loaded.search
 
 
 def sections(loaded: ProblemFile) -> dict[str, Any]:
     """Where a problem file starts the search of a hybrid system."""
-    return {key: one for key, one in loaded.document.get("search", {}).items() if key in ("section", "cycles")}
+    return {key: value for key, value in loaded.document.get("search", {}).items() if key in ("section", "cycles")}
 
 
-def progress(energy: float, tally: SearchStatistics, conserved: bool = True) -> Progress:
+def progress(energy: float, tally: SearchStatistics, conserved: bool = True) -> Report:
     """How far a search has come."""
     made, failed, left = tally.made, sum(tally.failures.values()), tally.left
     rate, remaining = f"{tally.done / max(tally.elapsed, 1e-9):.1f}", "" if left is None else f"{left:.0f} s"
@@ -141,15 +140,15 @@ def progress(energy: float, tally: SearchStatistics, conserved: bool = True) -> 
         ("starts a second", rate), ("time left", remaining),
         *((f"failed: {reason}", str(count)) for reason, count in tally.failures.most_common(REASONS_SHOWN)),
     ]  # fmt: skip
-    return Progress(line, rows)
+    return Report(line, rows)
 
 
 def print_summary(summary: Summary) -> None:
     """Yield by strategy, failures by reason, and how many orbits may remain."""
     text(f"  {'strategy':<16}{'starts':>8}{'hits':>8}{'new':>8}{'cpu s':>9}{'new/cpu s':>11}")
-    for one in summary.yields:
-        rate = one.new / one.seconds if one.seconds else 0.0
-        text(f"  {one.strategy:<16}{one.starts:>8}{one.hits:>8}{one.new:>8}{one.seconds:>9.1f}{rate:>11.2f}")
+    for row in summary.yields:
+        rate = row.new / row.seconds if row.seconds else 0.0
+        text(f"  {row.strategy:<16}{row.starts:>8}{row.hits:>8}{row.new:>8}{row.seconds:>9.1f}{rate:>11.2f}")
     failures = list(summary.failures.items())
     for reason, count in failures[:REASONS_SHOWN]:
         text(f"  failed {count:>6}: {reason}")

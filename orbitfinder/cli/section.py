@@ -1,4 +1,4 @@
-"""The commands `section`, `manifold` and `connect`: what lies around orbits, and what leads from one to another."""
+"""The commands `section`, `manifold` and `connect`: what lies around orbits, and what leads from orbit to orbit."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from orbitfinder._runtime import interrupt
 from orbitfinder._runtime.keeping import kept
 from orbitfinder.cli.continue_ import origin_of
 from orbitfinder.cli.jobs import folder_of, named_orbits, orbit_and_model
-from orbitfinder.cli.options import FILES, FINITE, NUMBERS, finish, option, text, usual
+from orbitfinder.cli.options import FILES, FINITE, NUMBERS, finish, option, picked, text, usual
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.registry import held, load, load_orbit
 
@@ -67,40 +67,38 @@ def section(
       orbitfinder section problems/examples/double-mode-2.toml --energy -14 --plane theta1=0
       orbitfinder section orbits/lyapunov/orbit.json --plane y=0 --range x=0.5:0.9 --range xdot=-0.3:0.3
     """
-    from orbitfinder.families.branches import Branch
     from orbitfinder.mechanics.kind import build_model
     from orbitfinder.show.sections import draw_section
     from orbitfinder.structures.section import save_section
 
+    origin: Any
     origin, model = origin_of(file, trust)
-    if isinstance(origin, Branch):  # pragma: no cover - origin_of asks for --switch before
-        raise InputError(f"{file}: a family; give one point of it, {file}#0")
     together = drawn(others, trust)
     folder = folder_of(out, origin.name)
     with kept(folder / "section.json", save_section):
-        found = of.section(
+        made = of.section(
             origin, energy, **chosen_plane(**shown), seeds=seeds, returns=returns, ranges=limits(ranges), model=model,
             out=out,
         )  # fmt: skip
         interrupt.check()
-        written = [save_section(found, folder / "section.json")]
-    if isinstance(origin, of.Orbit) and _level(found.energy, origin):
+        written = [save_section(made, folder / "section.json")]
+    if isinstance(origin, of.Orbit) and _level(made.energy, origin):
         together["orbits"].insert(0, origin)
-    together["tori"] = [one for one in together["tori"] if _level(found.energy, one)]
+    together["tori"] = [torus for torus in together["tori"] if _level(made.energy, torus)]
     model = model or getattr(origin, "model", None)
-    written.append(draw_section(found, folder / "section.png", **together, model=model))
-    regular, motions = int(found.regular.sum()), len(found.starts)
-    level = f" at energy {found.energy:.10g}" if found.energy == found.energy else ""
-    counts = f"{plural(found.returns, 'return')} of {plural(motions, 'motion')}"
-    text(f"{written[0]}: {counts} to {found.plane}{level}, {regular} regular")
-    more = {} if frequencies is None else mapped(found, model or build_model(found.system), frequencies, written)
+    written.append(draw_section(made, folder / "section.png", **together, model=model))
+    regular, motions = int(made.regular.sum()), len(made.starts)
+    level = f" at energy {made.energy:.10g}" if made.energy == made.energy else ""
+    counts = f"{plural(made.returns, 'return')} of {plural(motions, 'motion')}"
+    text(f"{written[0]}: {counts} to {made.plane}{level}, {regular} regular")
+    more = {} if frequencies is None else mapped(made, model or build_model(made.system), frequencies, written)
     finish("section", {
-        "name": found.name, "plane": found.plane, "energy": found.energy, "returns": found.returns, "motions": motions,
+        "name": made.name, "plane": made.plane, "energy": made.energy, "returns": made.returns, "motions": motions,
         "regular": regular, "written": written, **more,
     })  # fmt: skip
 
 
-def mapped(found: Section, model: of.Model, duration: float, written: list[Path]) -> dict[str, Any]:
+def mapped(crossed: Section, model: of.Model, duration: float, written: list[Path]) -> dict[str, Any]:
     """The frequencies of a section's motions beside it: frequencies.csv and .png."""
     import numpy as np
 
@@ -108,15 +106,15 @@ def mapped(found: Section, model: of.Model, duration: float, written: list[Path]
     from orbitfinder.show.frequencies import draw_frequencies
     from orbitfinder.structures.frequencies import frequency_table
 
-    made, folder = of.frequency_map(model, found.starts, duration), written[0].parent
+    made, folder = of.frequency_map(model, crossed.starts, duration), written[0].parent
     table = folder / "frequencies.csv"
     write_atomically(table, frequency_table(made, model).encode())
-    picture = draw_frequencies(made, model, folder / "frequencies.png", axes=found.axes, name=found.name)
+    picture = draw_frequencies(made, model, folder / "frequencies.png", axes=crossed.axes, name=crossed.name)
     written += [table, picture]
     diffusion = made.diffusion
-    text(f"{table}: frequencies of {plural(len(found.starts), 'motion')}, diffusion from "
+    text(f"{table}: frequencies of {plural(len(crossed.starts), 'motion')}, diffusion from "
          f"{np.nanmin(diffusion):.2g} to {np.nanmax(diffusion):.2g}")  # fmt: skip
-    return {"frequencies": made.frequencies.tolist(), "diffusion": diffusion.tolist()}
+    return {"frequencies": made.frequencies, "diffusion": diffusion}
 
 
 def _level(energy: float, orbit: of.Orbit | of.Torus) -> bool:
@@ -126,24 +124,24 @@ def _level(energy: float, orbit: of.Orbit | of.Torus) -> bool:
 
 def limits(given: tuple[str, ...]) -> dict[str, tuple[float, ...]]:
     """The ranges of NAME=LOW:HIGH. Raises `InputError`."""
-    found = {}
-    for one in given:
-        name, _, words = one.partition("=")
+    ranges = {}
+    for text_ in given:
+        name, _, words = text_.partition("=")
         try:
-            found[name.strip()] = tuple(float(word) for word in words.split(":"))
+            ranges[name.strip()] = tuple(float(word) for word in words.split(":"))
         except ValueError as error:
-            raise InputError(f"--range: {one[:60]!r} names no range; give NAME=LOW:HIGH") from error
-    return found
+            raise InputError(f"--range: {text_[:60]!r} names no range; give NAME=LOW:HIGH") from error
+    return ranges
 
 
 def drawn(files: tuple[Path, ...], trust: bool) -> dict[str, list[Any]]:
     """Orbits, manifolds, connections and tori of files, by what each says that it is."""
-    found: dict[str, list[Any]] = {name: [] for name in WITH.values()}
+    records: dict[str, list[Any]] = {name: [] for name in WITH.values()}
     for file in files:
         kind = held(file)[0]
         record, _ = orbit_and_model(file, trust, True, load if kind in WITH else load_orbit)
-        found[WITH[kind]] += record.tori if kind == "tori" else [record]
-    return found
+        records[WITH[kind]] += record.tori if isinstance(record, of.Tori) else [record]
+    return records
 
 
 @click.command()
@@ -176,19 +174,19 @@ def manifold(
     seen = chosen_plane(plane, axes, direction)
     if chosen["tube"] is not None:  # looked at from anywhere
         view, seen["axes"] = seen["axes"], None
-    for one in ("unstable", "stable") if which == "both" else (which,):
-        made.append(found := of.manifold(orbit, one, **seen, **chosen, model=model))
+    for branch in ("unstable", "stable") if which == "both" else (which,):
+        made.append(grown := of.manifold(orbit, branch, **seen, **chosen, model=model))
         interrupt.check()
-        written.append(save_manifold(found, folder / f"manifold-{one}.json"))
-        error = f"{found.error:.2g} off the manifold (order {found.order:.2f})"
-        text(f"{written[-1]}: multiplier {found.multiplier:.10g}, displaced by {found.displacement:.2g} of the orbit's "
-             f"extents, {error}, {plural(len(found.states), 'point')}")  # fmt: skip
+        written.append(save_manifold(grown, folder / f"manifold-{branch}.json"))
+        error = f"{grown.error:.2g} off the manifold (order {grown.order:.2f})"
+        text(f"{written[-1]}: multiplier {grown.multiplier:.10g}, displaced by {grown.displacement:.2g} of the orbit's "
+             f"extents, {error}, {plural(len(grown.states), 'point')}")  # fmt: skip
     if chosen["tube"] is None:
         picture = draw_section(None, folder / "manifolds.png", orbits=[orbit], manifolds=made, model=model)
     else:
         picture = draw_manifolds(made, folder / "manifolds.png", axes=view, orbits=[orbit], model=model)
-    entries = [{"which": one.which, "multiplier": one.multiplier, "displacement": one.displacement, "error": one.error,
-                "order": one.order, "points": len(one.states)} for one in made]  # fmt: skip
+    entries = [row | {"points": len(grown.states)} for row, grown in zip(
+        picked(made, "which multiplier displacement error order"), made, strict=True)]  # fmt: skip
     finish("manifolds", {"name": orbit.name, "manifolds": entries, "written": [*written, picture]})
 
 
@@ -233,25 +231,25 @@ def connect(
     folder = folder_of(out, label)
     written = list[Path]()
 
-    def report(one: Connection) -> None:
+    def report(met: Connection) -> None:
         interrupt.check()
-        written.append(save_connection(one, folder / f"connection-{len(written) + 1}.json"))
-        place = ", ".join(f"{name} = {one.state[one.state_names.index(name)]:.12g}" for name in one.axes)
-        level = "" if start is None else f" of energy {one.energy:.12g}"
-        text(f"{written[-1]}: {one.kind}{level} at {place}, error {one.error:.2g}, angle {one.angle:.3g} rad")
+        written.append(save_connection(met, folder / f"connection-{len(written) + 1}.json"))
+        place = ", ".join(f"{name} = {met.state[met.state_names.index(name)]:.12g}" for name in met.axes)
+        level = "" if start is None else f" of energy {met.energy:.12g}"
+        text(f"{written[-1]}: {met.kind}{level} at {place}, error {met.error:.2g}, angle {met.angle:.3g} rad")
 
     if start is None:
         plane = chosen_plane(**shown)
-        found = of.connect(orbit, goal, **plane, returns=returns, most=most, near=near or None, model=model)
-        for one in found:
-            report(one)
+        connections = of.connect(orbit, goal, **plane, returns=returns, most=most, near=near or None, model=model)
+        for connection in connections:
+            report(connection)
     else:
-        found = follow_connection(start, orbit, at, goal, model=model, progress=report, name=label, out=out)
-    if found:
-        orbits = [orbit, *([goal] if goal is not None else [])]
-        written.append(draw_section(None, folder / "connections.png", orbits=orbits, connections=found, model=model))
+        connections = follow_connection(start, orbit, at, goal, model=model, progress=report, name=label, out=out)
+    if connections:
+        ends = [orbit] if goal is None else [orbit, goal]
+        picture = folder / "connections.png"
+        written.append(draw_section(None, picture, orbits=ends, connections=connections, model=model))
     elif start is None:
         text(f"no connection of {orbit.name} within {plural(returns, 'return')}; grow more, or look at another plane")
-    entries = [{"kind": one.kind, "state": one.state.tolist(), "error": one.error, "angle": one.angle} for one in found]
-    reached = bool(found) if start is None else len(found) == len(at)
-    finish("connections", {"connections": entries, "written": written}, reached)
+    document = {"connections": picked(connections, "kind state error angle"), "written": written}
+    finish("connections", document, bool(connections) if start is None else len(connections) == len(at))

@@ -29,29 +29,29 @@ def show(files: tuple[Path, ...]) -> None:
     """
     results = []
     for file in files:
-        kind, found = shown(file)
-        _followed(found)
-        results.append({"file": str(file), "kind": kind, **found})
+        kind, facts = shown(file)
+        _followed(facts)
+        results.append({"file": str(file), "kind": kind, **facts})
         text(f"{file}: {kinds()[kind].words}")
-        for line in _lines(found):
+        for line in _lines(facts):
             text(line)
         text(f"  for {', '.join(answers_of(held(file)[1]))}")
     finish("show", {"results": results})
 
 
-def _followed(found: Mapping[str, Any]) -> None:
+def _followed(facts: Mapping[str, Any]) -> None:
     """Say of the events of a family with which options `continue FILE` follows each."""
     from orbitfinder.families.entries import FOLLOWED, SWITCHABLE
 
-    for k, event in enumerate(found.get("events", ())):
+    for k, event in enumerate(facts.get("events", ())):
         ways = {f"--switch {k}": SWITCHABLE, f"--curve {k} --parameters A,B": FOLLOWED}
         event["follow"] = [way for way, kinds in ways.items() if event["kind"] in kinds]
 
 
-def _lines(found: Mapping[str, Any], margin: str = "  ") -> Iterator[str]:
+def _lines(facts: Mapping[str, Any], margin: str = "  ") -> Iterator[str]:
     """A line for each entry, those of lists of tables below it."""
-    for name, value in found.items():
-        rows = value if isinstance(value, list) and any(isinstance(one, Mapping) for one in value) else ()
+    for name, value in facts.items():
+        rows = value if isinstance(value, list) and any(isinstance(entry, Mapping) for entry in value) else ()
         yield f"{margin}{name.replace('_', ' '):<20}{'' if rows else _words(value)}".rstrip()
         for k, row in enumerate(rows):
             yield f"{margin}{k:>6}  {_words(row)}"
@@ -60,7 +60,7 @@ def _lines(found: Mapping[str, Any], margin: str = "  ") -> Iterator[str]:
 def _words(value: Any) -> str:
     """A value in a line."""
     if isinstance(value, Mapping):
-        return ", ".join(f"{name.replace('_', ' ')} {_words(one)}" for name, one in value.items() if one != [])
+        return ", ".join(f"{name.replace('_', ' ')} {_words(entry)}" for name, entry in value.items() if entry != [])
     if value and isinstance(value, list) and isinstance(value[0], Mapping):
         return f"{len(value)} of {', '.join(value[0])}"
     if isinstance(value, list):

@@ -52,7 +52,7 @@ def stabilise(
 
     orbit, model = orbit_and_model(file, trust, pictured=True)
     folder = folder_of(out, orbit.name, f"{file}: name")
-    chosen = [*(f"torque{one:g}" for one in motors), *named] or None
+    chosen = [*(f"torque{joint:g}" for joint in motors), *named] or None
     made = of.stabilise(orbit, chosen, R=effort, limits=saturation, clock=clock or None, model=model)
     own = None if system_kind(orbit.system).described else model
     _print_design(made)
@@ -68,19 +68,19 @@ def stabilise(
         written += of.export_controller(made, folder, own)
         if animate:
             written.append(_animated(made, own, trial, folder / "recovery.gif"))
-    for one in written:
-        text(str(one))
+    for path in written:
+        text(str(path))
     document = {name: entry for name, entry in entries_of(made).items() if name not in ("states", "inputs", "gains")}
     finish("stabilise", document | {"written": written}, made.stabilised)
 
 
 def _print_design(made: of.Controller) -> None:
-    for name, power in sorted(made.authority.items(), key=lambda one: -one[1]):
+    for name, power in sorted(made.authority.items(), key=lambda entry: -entry[1]):
         verdict = f"{power:.3g}" if power > 0 else "none: it cannot hold this orbit"
         text(f"  {name:<12} authority {verdict}{'  (acts)' if name in made.actuators else ''}")
     spectra = {"without control": made.open_loop, "with control": made.multipliers}
-    for name, found in spectra.items():
-        text(f"  multipliers {name}: " + ", ".join(f"{abs(one):.6g}" for one in found) + " (moduli)")
+    for name, multipliers in spectra.items():
+        text(f"  multipliers {name}: {', '.join(f'{size:.6g}' for size in map(abs, multipliers))} (moduli)")
     failed = made.certificate.failures if made.certificate else ["unchecked"]
     verdict = "stabilised" if made.stabilised else f"NOT stabilised ({', '.join(failed)})"
     text(f"{made.name}: {verdict} by {', '.join(made.actuators)}")

@@ -13,13 +13,11 @@ from orbitfinder._runtime.keeping import kept
 from orbitfinder._runtime.limit import limited
 from orbitfinder.cli.console import display
 from orbitfinder.cli.jobs import folder_of
-from orbitfinder.cli.options import FILES, finish, option, text, usual
+from orbitfinder.cli.options import FILES, finish, option, text, trusted, usual
 from orbitfinder.errors import InputError
 
 if TYPE_CHECKING:
     from orbitfinder.orbits.sweep import Row, Sweep
-
-MOST_VALUES = 1_000_000
 
 
 @click.command()
@@ -45,7 +43,7 @@ def sweep(
       orbitfinder sweep problems/gallery/spring-pendulum-swing.toml --parameter stiffness=26:34:100
       orbitfinder sweep problems/examples/double-mode-2.toml --parameter energy=-19,-18.5,-18 --no-orbits
     """
-    values = dict(parameter(one) for one in given)
+    values = dict(parameter(word) for word in given)
     if len(values) < len(given):
         raise InputError("--parameter: the same name twice; give each once")
     with limited(limit):
@@ -53,12 +51,12 @@ def sweep(
         from orbitfinder.problemfile.read import load_problem_file
         from orbitfinder.records.reading import finite, write_atomically, write_json
 
-        def save(found: Sweep, path: Path) -> list[Path]:
+        def save(swept: Sweep, path: Path) -> list[Path]:
             """The table and, in the folder that goes with it, the orbits; all of the files."""
             home = path.parent if path.stem == "sweep" else path.with_suffix("")
-            files = [of.save_orbit(one, home / one.name / "orbit.json") for one in found.orbits if orbits]
-            write_atomically(path.with_suffix(".csv"), as_csv(list(found.records[0]), found.records))
-            return [path.with_suffix(".csv"), write_json(path, finite(found.records)), *files]
+            files = [of.save_orbit(orbit, home / orbit.name / "orbit.json") for orbit in swept.orbits if orbits]
+            write_atomically(path.with_suffix(".csv"), as_csv(list(swept.records[0]), swept.records))
+            return [path.with_suffix(".csv"), write_json(path, finite(swept.records)), *files]
 
         problem = load_problem_file(file, trust).wanted
         folder = folder_of(out, problem.name)
@@ -68,15 +66,15 @@ def sweep(
                 place = ", ".join(f"{name} = {value:.6g}" for name, value in row.values.items())
                 shown.say(f"{done} of {total}: {place}, {said(row)}")
 
-            found = of.sweep(problem, values, workers=workers, limit=None, progress=report, out=out,
-                             folder=file.parent.resolve() if trust else None)  # fmt: skip
-    written = save(found, folder / "sweep.json")
-    for row in found.rows:
+            made = of.sweep(problem, values, workers=workers, limit=None, progress=report, out=out,
+                             folder=trusted(file, trust))  # fmt: skip
+    written = save(made, folder / "sweep.json")
+    for row in made.rows:
         if not row.certified:
             text(", ".join(f"{name} = {value:.9g}" for name, value in row.values.items()) + f": {row.reason}")
-    text(f"{written[0]}: {found.certified} of {len(found.rows)} certified, {found.seconds:.1f} s")
-    document = {"name": problem.name, "rows": found.records, "written": written}
-    finish("sweep", document, found.certified == len(found.rows))
+    text(f"{written[0]}: {made.certified} of {len(made.rows)} certified, {made.seconds:.1f} s")
+    document = {"name": problem.name, "rows": made.records, "written": written}
+    finish("sweep", document, made.certified == len(made.rows))
 
 
 def said(row: Row) -> str:
@@ -92,8 +90,8 @@ def parameter(given: str) -> tuple[str, list[float]]:
     try:
         if numbers.count(":") == 2:
             first, last, count = numbers.split(":")
-            if not 1 <= int(count) <= MOST_VALUES:
-                raise ValueError(f"{count} values, give 1 to {MOST_VALUES}")
+            if not 1 <= int(count) <= (most := 1_000_000):
+                raise ValueError(f"{count} values, give 1 to {most}")
             return name.strip(), [float(x) for x in np.linspace(float(first), float(last), int(count))]
         if not equals:
             raise ValueError("no =")

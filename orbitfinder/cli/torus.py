@@ -1,4 +1,4 @@
-"""The command `torus`: invariant tori around an elliptic orbit, one or a family."""
+"""The command `torus`: invariant tori around an elliptic orbit, single or a family."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import orbitfinder as of
 from orbitfinder._runtime.keeping import kept
 from orbitfinder.cli.console import display
 from orbitfinder.cli.jobs import folder_of, orbit_and_model
-from orbitfinder.cli.options import FILES, FINITE, finish, option, text, usual
+from orbitfinder.cli.options import FILES, FINITE, finish, option, picked, text, usual
 from orbitfinder.errors import InputError
-from orbitfinder.records.certificate import certificate_to_document
+from orbitfinder.records.certificate import certificate_to_document, certified
 from orbitfinder.records.registry import held, load, load_orbit
 
 
@@ -29,7 +29,7 @@ from orbitfinder.records.registry import held, load, load_orbit
 @usual("Folder for DIR/<name>/tori.json and figures.", "tori", figures="Draw the tori.", compiled=True)
 def torus(
     file: Path, until: float | None, name: str | None, points: int, most_states: int, out: Path, figures: bool,
-    trust: bool, **chosen: Any,
+    trust: bool, **how: Any,
 ) -> None:  # fmt: skip
     """Follow the invariant tori (quasi-periodic motions) around the elliptic orbit of an ORBIT.json.
 
@@ -50,27 +50,26 @@ def torus(
     folder = folder_of(out, name or label)
     with display(f"{folder.name}: tori from {file}") as shown, kept(folder / "tori.json", of.save_tori):
 
-        def report(one: of.Torus) -> None:
-            shown.say(f"rotation {one.rotation:.9g}, energy {one.energy:.9g}, {len(one.curve)} states")
+        def report(torus: of.Torus) -> None:
+            shown.say(f"rotation {torus.rotation:.9g}, energy {torus.energy:.9g}, {len(torus.curve)} states")
 
-        found = of.follow_tori(
+        family = of.follow_tori(
             origin, until=until, model=model, progress=report, name=folder.name, out=out,
-            settings=of.TorusSettings(points=points, most_states=most_states), **chosen,
+            settings=of.TorusSettings(points=points, most_states=most_states), **how,
         )  # fmt: skip
-        written = [of.save_tori(found, folder / "tori.json")]
-    written += save_torus_figures(found, folder, model) if figures else []
-    reached = until is None or abs(torus_value(found.tori[-1], found.parameter) - until) <= 1e-9 * max(1.0, abs(until))
-    for one in found.tori[-1:]:
-        text(f"T = {one.period:.12g} s, {one.rotation:.12g} turns a return, energy {one.energy:.12g}")
-        text("angular frequencies {:.12g} and {:.12g} rad/s".format(*one.frequencies))
-    failed = [k for k, one in enumerate(found.tori) if one.certificate is None or not one.certificate.passed]
-    text(f"{written[0]}: {len(found.tori)} tori, {len(found.tori) - len(failed)} certified; {found.end}")
+        written = [of.save_tori(family, folder / "tori.json")]
+    written += save_torus_figures(family, folder, model) if figures else []
+    last, sure = family.tori[-1], sum(map(certified, family.tori))
+    arrived = until is None or abs(torus_value(last, family.parameter) - until) <= 1e-9 * max(1.0, abs(until))
+    text(f"T = {last.period:.12g} s, {last.rotation:.12g} turns a return, energy {last.energy:.12g}")
+    text("angular frequencies {:.12g} and {:.12g} rad/s".format(*last.frequencies))
+    text(f"{written[0]}: {len(family.tori)} tori, {sure} certified; {family.end}")
     rows = [
-        {"period": one.period, "rotation": one.rotation, "energy": one.energy, "strip": one.strip, **one.free,
-         "certificate": certificate_to_document(one.certificate)}
-        for one in found.tori
-    ]  # fmt: skip
-    finish("torus", {"name": folder.name, "tori": rows, "end": found.end, "written": written}, reached and not failed)
+        {**row, **torus.free, "certificate": certificate_to_document(torus.certificate)}
+        for row, torus in zip(picked(family.tori, "period rotation energy strip"), family.tori, strict=True)
+    ]
+    document = {"name": folder.name, "tori": rows, "end": family.end, "written": written}
+    finish("torus", document, arrived and sure == len(family.tori))
 
 
 def _origin(file: Path, trust: bool) -> tuple[of.Orbit | of.Torus, of.Model, str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,10 +9,22 @@ import click
 
 from orbitfinder._runtime import interrupt
 from orbitfinder.cli.console import note
-from orbitfinder.cli.jobs import check_writable, one_line, orbit_and_model
-from orbitfinder.cli.options import FILES, FINITE, SYSTEM_TRUST, Decorator, finish, option, orbit_files, text, usual
+from orbitfinder.cli.jobs import check_writable, model_of, one_line, orbit_and_model
+from orbitfinder.cli.options import (
+    FILES,
+    FINITE,
+    SYSTEM_TRUST,
+    Decorator,
+    finish,
+    option,
+    orbit_files,
+    text,
+    trusted,
+    usual,
+)
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.certificate import Certificate, Check, certificate_to_document
+from orbitfinder.records.codec import entries_of
 from orbitfinder.records.registry import answer, held, kind_of, load, load_orbit, member
 
 if TYPE_CHECKING:
@@ -44,7 +55,7 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
       orbitfinder verify --proof families/triple-mode-2/branch-proof.json
     """
     results = []
-    for file in (one for given in files for one in _each(given)):
+    for file in (part for given in files for part in _each(given)):
         if proof and held(file)[0] == "branch-proof":
             results.append({"file": str(file)} | verify_branch(file, trust))
             text(f"{file}: {results[-1]['message']}")
@@ -59,7 +70,7 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
 
 
 def _each(file: Path) -> list[Path]:
-    """FILE, or FILE#K of each of the tori or optima that are verified one by one."""
+    """FILE, or FILE#K of each of the tori or optima that are verified singly."""
     kind = held(file)[1]
     if kind.parts is None or not kind.apart or member(file)[1] is not None:
         return [file]
@@ -69,44 +80,43 @@ def _each(file: Path) -> list[Path]:
 def verified(file: Path, trust: bool) -> dict[str, Any]:
     """What of FILE or FILE#K was checked again, from the file alone."""
     from orbitfinder.families.verified import point_checks
-    from orbitfinder.mechanics.kind import build_model
     from orbitfinder.records.family import Family, FamilyPoint, load_family
 
     answers = answer("verify", file)
     record, model = orbit_and_model(file, trust, read=load)
     try:
-        found = answers(record, model)
+        certificate = answers(record, model)
         if isinstance(record, Family):
-            return _family(file, record, list(found))
+            return _family(file, record, list(certificate))
     except InputError as error:
         raise InputError(f"{file}: {error}") from error
     if isinstance(record, FamilyPoint):
         family = load_family(member(file)[0])
-        found = point_checks(family, record.index, found, build_model(family.system, file.parent if trust else None))
-    _print_certificate(f"{file} ({record.name})", found)
-    return {"file": str(file), "name": record.name} | certificate_to_document(found)
+        certificate = point_checks(family, record.index, certificate, model_of(family, file, trust))
+    _print_certificate(f"{file} ({record.name})", certificate)
+    return {"file": str(file), "name": record.name} | certificate_to_document(certificate)
 
 
-def _family(file: Path, family: Family, found: list[tuple[str, Check]]) -> dict[str, Any]:
+def _family(file: Path, family: Family, placed: list[tuple[str, Check]]) -> dict[str, Any]:
     """The checks of all events and ends of a family, made again."""
-    wrong = [f"{where}: {check.name}" for where, check in found if not check.passed]
-    for where, check in found:
+    wrong = [f"{where}: {check.name}" for where, check in placed if not check.passed]
+    for where, check in placed:
         verdict = "passed" if check.passed else f"FAILED  {one_line(check.note)}"
         text(f"  {check.name:<18}{where:<42}{check.value:>9.1e} of {check.tolerance:<8.1e}  {verdict}")
     what = f"{plural(len(family.events), 'event')} and {plural(len(family.ends), 'end')}"
     text(f"{file} ({family.name}): {what} {'verified' if not wrong else f'REJECTED by {len(wrong)}'}")
-    checks = [{"where": where} | dataclasses.asdict(check) for where, check in found]
+    checks = [{"where": where} | entries_of(check) for where, check in placed]
     return {"file": str(file), "name": family.name, "passed": not wrong, "checks": checks}
 
 
 def _print_certificate(heading: str, certificate: Certificate) -> None:
-    """Every check with what was found and what was asked, yes or no in words, and the verdict last."""
+    """Every check with its number and what was asked, yes or no in words, and the verdict last."""
     text(f"  {'check':<22}{'found':>10}  {'asked':<11}  result  note")
     for check in certificate.checks:
         sense, answer = check.sense, "yes" if check.passed else "no"
-        found, wanted = (f"{check.value:.2e}", f"{sense} {check.tolerance:.2e}") if sense else (answer, "yes")
+        number, wanted = (f"{check.value:.2e}", f"{sense} {check.tolerance:.2e}") if sense else (answer, "yes")
         result, note = "passed" if check.passed else "FAILED", one_line(check.note)
-        text(f"  {check.name:<22}{found:>10}  {wanted:<11}  {result}  {note}".rstrip())
+        text(f"  {check.name:<22}{number:>10}  {wanted:<11}  {result}  {note}".rstrip())
     verdict = "certified" if certificate.passed else f"REJECTED by {', '.join(certificate.failures)}"
     text(f"{one_line(heading)}: {verdict}")
 
@@ -165,7 +175,7 @@ def prove(
         orbit = load_orbit(file)
         if record:
             check_writable(file.parent, "--record")
-        model = provable_model(orbit, file.parent if trust else None)
+        model = provable_model(orbit, trusted(file, trust))
         book, number = member(file)
         held = record and number is not None and kind_of(book) == "atlas"
         if held:  # where it cannot be written to, that is said before the proof
@@ -183,10 +193,6 @@ def prove(
         _print_proof(f"{file} ({orbit.name})", proof)
     passed = all(result["proved"] for result in results)
     finish("proof", {"passed": passed, "results": results}, passed)
-
-
-BRANCH = "branch-proof.json"
-"""The record of a proved part of a family, beside its family.json"""
 
 
 def _prove_branch(
@@ -207,26 +213,26 @@ def _prove_branch(
     family = load_family(file)
     if record:
         check_writable(file.parent, "--record")
-    model = provable_model(family.points[0], file.parent if trust else None)
+    model = provable_model(family.points[0], trusted(file, trust))
     say = lambda line: note(f"{family.name}: {line}")  # noqa: E731
-    found = prove_branch(family, low, high, model, say, given.get("symmetry"))
+    branch = prove_branch(family, low, high, model, say, given.get("symmetry"))
     interrupt.check()
-    if found.proved and record:
-        write_json(file.parent / BRANCH, branch_document(found))
-    _print_branch(f"{file} ({family.name})", found)
-    missed = [one for one in found.passages if not one.proved]
-    finish("proof", {"passed": found.proved and not missed} | branch_document(found), found.proved and not missed)
+    if branch.proved and record:
+        write_json(file.parent / "branch-proof.json", branch_document(branch))
+    _print_branch(f"{file} ({family.name})", branch)
+    missed = [passage for passage in branch.passages if not passage.proved]
+    finish("proof", {"passed": branch.proved and not missed} | branch_document(branch), branch.proved and not missed)
 
 
-def _print_branch(heading: str, found: Branch) -> None:
-    if not found.proved:
-        text(f"{heading}: not proved: {found.reason}")
+def _print_branch(heading: str, branch: Branch) -> None:
+    if not branch.proved:
+        text(f"{heading}: not proved: {branch.reason}")
         return
-    text(f"{heading}: proved in {found.wall_time:.1f} s")
-    one = f"{found.formulation.symmetry.name} orbit" if found.formulation.symmetry.maps else "orbit"
-    text(f"  {'branch':<12}exactly one {one} for each energy from {found.low!r} to {found.high!r} J in the boxes of "
-         f"{plural(len(found.pieces), 'piece')}, without a gap")  # fmt: skip
-    for event in found.passages:
+    text(f"{heading}: proved in {branch.wall_time:.1f} s")
+    what = f"{branch.formulation.symmetry.name} orbit" if branch.formulation.symmetry.maps else "orbit"
+    text(f"  {'branch':<12}exactly one {what} for each energy from {branch.low!r} to {branch.high!r} J in the boxes of "
+         f"{plural(len(branch.pieces), 'piece')}, without a gap")  # fmt: skip
+    for event in branch.passages:
         verdict = "proved" if event.proved else "NOT PROVED, no change of sign"
         more = f"; {event.kept} orbits branch off" if event.kept else ""
         said = f"{event.kind.replace('_', ' ')}, nu + 1/nu = {event.level:.6g}"
@@ -234,25 +240,26 @@ def _print_branch(heading: str, found: Branch) -> None:
 
 
 def verify_branch(file: Path, trust: bool = False) -> dict[str, Any]:
-    """Replay a recorded proof of a branch: `passed`, and `message`, one sentence."""
+    """Replay a recorded proof of a branch: `passed`, and `message`, a sentence."""
     from orbitfinder.families.passages import index_levels
     from orbitfinder.proof.branch import branch_model, contradictions, read_branch, replayed
 
     recorded = read_branch(file)
-    found = replayed(recorded, branch_model(recorded, file.parent if trust else None), note)
-    if not found.proved:
-        return {"passed": False, "message": f"proof REJECTED: {found.reason}"}
-    wrong = contradictions(recorded, found)
-    root = max(1, len(found.formulation.symmetry.maps))
+    again = replayed(recorded, branch_model(recorded, trusted(file, trust)), note)
+    if not again.proved:
+        return {"passed": False, "message": f"proof REJECTED: {again.reason}"}
+    wrong = contradictions(recorded, again)
+    root = max(1, len(again.formulation.symmetry.maps))
     known = {(kind, round(level, 9)) for level, kind, *_ in index_levels(root, 100)}
-    for one in recorded.passages:
-        if (one.kind, round(one.level, 9)) not in known:
-            wrong.append(f"event: recorded {one.kind} at nu + 1/nu = {one.level:.6g}, where there is none of this kind")
+    for passage in recorded.passages:
+        if (passage.kind, round(passage.level, 9)) not in known:
+            place = f"nu + 1/nu = {passage.level:.6g}"
+            wrong.append(f"event: recorded {passage.kind} at {place}, where there is none of this kind")
     if wrong:
         return {"passed": False, "message": f"proof REJECTED: {'; '.join(wrong)}"}
-    borne = [one for one in found.passages if one.proved]
-    what = f"{plural(len(found.pieces), 'piece')}, {plural(len(borne), 'event')}"
-    return {"passed": True, "message": f"proof replayed in {found.wall_time:.1f} s: proved, {what}"}
+    borne = [passage for passage in again.passages if passage.proved]
+    what = f"{plural(len(again.pieces), 'piece')}, {plural(len(borne), 'event')}"
+    return {"passed": True, "message": f"proof replayed in {again.wall_time:.1f} s: proved, {what}"}
 
 
 def _print_proof(heading: str, proof: Proof) -> None:
@@ -261,10 +268,10 @@ def _print_proof(heading: str, proof: Proof) -> None:
         return
     assert proof.stability is not None
     text(f"{heading}: proved in {proof.wall_time:.1f} s")
-    one = "orbit" if proof.symmetry == "none" else f"{proof.symmetry} orbit"
+    what = "orbit" if proof.symmetry == "none" else f"{proof.symmetry} orbit"
     level = "" if proof.energy is None else " of this energy"
     rows = (
-        ("box", f"exactly one {one}{level} within {proof.radius:.2g} of the nodes"),
+        ("box", f"exactly one {what}{level} within {proof.radius:.2g} of the nodes"),
         ("period", f"{proof.period.str(20)} s, minimal"),
         ("distance", f"record within {proof.distance:.1g} of the orbit, period within {proof.period_distance:.1g} s"),
         ("contraction", f"{proof.contraction:.2g} ({plural(proof.segments, 'segment')}, {plural(proof.steps, 'step')}, "
@@ -278,12 +285,12 @@ def _print_proof(heading: str, proof: Proof) -> None:
 
 
 def verify_proof(file: Path, trust: bool = False) -> dict[str, Any]:
-    """Replay the proof recorded in a file: `passed`, and `message`, one sentence."""
+    """Replay the proof recorded in a file: `passed`, and `message`, a sentence."""
     from orbitfinder.proof.record import read_entry, replay
     from orbitfinder.proof.theorem import provable_model
 
     orbit = load_orbit(file)
-    proof, wrong = replay(orbit, read_entry(orbit, file), provable_model(orbit, file.parent if trust else None))
+    proof, wrong = replay(orbit, read_entry(orbit, file), provable_model(orbit, trusted(file, trust)))
     if wrong:
         return {"passed": False, "message": f"proof REJECTED: {'; '.join(wrong)}"}
     assert proof.stability is not None
@@ -316,30 +323,30 @@ def refine(
     from orbitfinder.proof.theorem import refine as refined
 
     settings, orbit = settings_for(digits, order, bits), load_orbit(file)
-    model = provable_model(orbit, file.parent if trust else None)
-    found = refined(orbit, settings, digits, model, symmetry, enclose, note)
-    document = refined_document(found)
-    proved = "enclosed" if found.enclosed else f"not enclosed ({found.reason})"
-    text(f"{file}: {plural(found.digits, 'digit')}, {proved}, {found.wall_time:.1f} s")
+    model = provable_model(orbit, trusted(file, trust))
+    digitized = refined(orbit, settings, digits, model, symmetry, enclose, note)
+    document = refined_document(digitized)
+    proved = "enclosed" if digitized.enclosed else f"not enclosed ({digitized.reason})"
+    text(f"{file}: {plural(digitized.digits, 'digit')}, {proved}, {digitized.wall_time:.1f} s")
     wide = max(map(len, ("period", *model.state_names))) + 2
-    for name, one in zip(("period", *model.state_names), (document["period"], *document["state"]), strict=True):
-        within = f" +/- {one['radius']:.1e}" if found.enclosed and float(one["value"]) else ""
-        text(f"  {name:<{wide}}{one['value']}{within}{' s' if name == 'period' else ''}")
-    finish("refined", document, found.enclosed or not enclose)
+    for name, ball in zip(("period", *model.state_names), (document["period"], *document["state"]), strict=True):
+        within = f" +/- {ball['radius']:.1e}" if digitized.enclosed and float(ball["value"]) else ""
+        text(f"  {name:<{wide}}{ball['value']}{within}{' s' if name == 'period' else ''}")
+    finish("refined", document, digitized.enclosed or not enclose)
 
 
-def refined_document(found: RefinedOrbit) -> dict[str, Any]:
+def refined_document(orbit: RefinedOrbit) -> dict[str, Any]:
     """The JSON form of a refined orbit."""
     from orbitfinder.proof.balls import precision
     from orbitfinder.proof.record import enclosure
 
-    with precision(found.settings.bits):
-        places = found.digits + 4
+    with precision(orbit.settings.bits):
+        places = orbit.digits + 4
         return {
-            "digits": found.digits, "enclosed": found.enclosed,
-            "reason": found.reason, "symmetry": found.symmetry,
-            "energy": None if found.energy is None else enclosure(found.energy, places),
-            "period": enclosure(found.period, places), "state": [enclosure(x, places) for x in found.state],
-            "phase": float(found.phase), "order": found.settings.order, "bits": found.settings.bits,
-            "wall_time": round(found.wall_time, 1),
+            "digits": orbit.digits, "enclosed": orbit.enclosed,
+            "reason": orbit.reason, "symmetry": orbit.symmetry,
+            "energy": None if orbit.energy is None else enclosure(orbit.energy, places),
+            "period": enclosure(orbit.period, places), "state": [enclosure(x, places) for x in orbit.state],
+            "phase": float(orbit.phase), "order": orbit.settings.order, "bits": orbit.settings.bits,
+            "wall_time": round(orbit.wall_time, 1),
         }  # fmt: skip

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
-from orbitfinder.records.certificate import Certified
+from orbitfinder.records.certificate import Certified, certified
 from orbitfinder.records.codec import Codec, Complexes
 
 
 @dataclass(frozen=True)
 class Returned:
-    """What became of `count` disturbed motions of one `size`, in extents of the orbit.
+    """What became of `count` disturbed motions of a `size`, in extents of the orbit.
 
     `peak` and `rms` are the greatest magnitude and the root mean square, over all motions that returned, of each
     control's difference from what the orbit itself takes, in its own unit.
@@ -112,7 +112,7 @@ class Controller(Shown):
     @property
     def stabilised(self) -> bool:
         """True where the certificate holds: the nonlinear closed loop's multipliers are inside the unit circle."""
-        return self.certificate is not None and self.certificate.passed
+        return certified(self)
 
     def _check(self) -> None:
         rows, d = self.states.shape if self.states.ndim == 2 else (0, 0)
@@ -120,9 +120,9 @@ class Controller(Shown):
         wanted = {"states": (rows, d), "inputs": (rows, m), "gains": (rows, m * d), "units": (d,), "angles": (d,),
                   "control_units": (m,), "weight_state": (d, d), "weight_control": (m, m)}  # fmt: skip
         for name, shape in wanted.items():
-            found = getattr(self, name).shape
-            if rows < 4 or not m or found != shape:
-                raise ValueError(f"{name}: shape {found} where {shape} belongs to {m} controls and {d} states")
+            given = getattr(self, name).shape
+            if rows < 4 or not m or given != shape:
+                raise ValueError(f"{name}: shape {given} where {shape} belongs to {m} controls and {d} states")
         if not (self.period > 0 and np.all(self.units > 0)):
             raise ValueError("period and units: must be positive")
         if unknown := sorted(set(self.limits) - set(self.actuators)):

@@ -11,6 +11,7 @@ import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import plural
+from orbitfinder.records.certificate import certified
 from orbitfinder.records.codec import Codec
 from orbitfinder.records.orbit import Orbit, Orbits
 
@@ -69,13 +70,13 @@ class Optima(Shown):
     @property
     def costs(self) -> np.ndarray:
         """The cost of each point."""
-        return np.array([float(one.control["cost"]) if one.control else np.nan for one in self.points])
+        return np.array([float(point.control["cost"]) if point.control else np.nan for point in self.points])
 
     @property
     def counts(self) -> str:
         """How many points there are, certified, and what happens along them, in words."""
-        sure = sum(one.certificate is not None and one.certificate.passed for one in self.points)
-        lowest = sum(one == 0 for one in self.descents)
+        sure = sum(map(certified, self.points))
+        lowest = sum(count == 0 for count in self.descents)
         return (
             f"{plural(len(self.points), 'point')}, {sure} of them certified, {lowest} of them local least ones; "
             f"{plural(len(self.changes), 'change')}"

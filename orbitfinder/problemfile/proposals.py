@@ -17,13 +17,6 @@ from orbitfinder.orbits.guesses.modes import linkage_equilibrium, normal_mode, n
 from orbitfinder.orbits.guesses.returns import close_returns, recurrences
 from orbitfinder.problemfile.read import ProblemFile
 
-AMPLITUDE = 0.1
-"""Largest angle (rad) or coordinate (m) of the modes that are proposed."""
-PERIODS = 12.0
-"""Close returns are looked for over this many periods of the guess."""
-MOST_COORDINATES = 60
-"""Modes of larger systems are not listed one by one."""
-
 
 @dataclass(frozen=True)
 class Proposal:
@@ -55,27 +48,26 @@ class Proposals:
 
     name: str
     state_names: Sequence[str]
-    found: Sequence[Proposal]
+    guesses: Sequence[Proposal]
     notes: Sequence[str]
 
     def named(self, pick: str | None) -> Proposal:
         """The proposal of that name; the closest return, else the slowest mode, where none is given."""
-        if not self.found:
+        if not self.guesses:
             raise InputError("guess: nothing to propose; " + "; ".join(self.notes))
         order = {"return": 0, "mode": 1, "own": 2}
         if pick is None:
-            return min(self.found, key=lambda one: order[one.name.split("-")[0]])
-        for one in self.found:
-            if one.name == pick:
-                return one
-        raise InputError(f"pick: there is no {pick!r}; use one of {', '.join(one.name for one in self.found)}")
+            return min(self.guesses, key=lambda proposal: order[proposal.name.split("-")[0]])
+        known = {proposal.name: proposal for proposal in self.guesses}
+        if pick in known:
+            return known[pick]
+        raise InputError(f"pick: there is no {pick!r}; use one of {', '.join(known)}")
 
 
-def propose(
-    loaded: ProblemFile, duration: float | None = None, count: int = 8, amplitude: float = AMPLITUDE
-) -> Proposals:
-    """Every kind of starting point that a problem file allows. Raises `InputError` for wrong options."""
-    found: list[Proposal] = []
+def propose(loaded: ProblemFile, duration: float | None = None, count: int = 8, amplitude: float = 0.1) -> Proposals:
+    """Every kind of starting point that a problem file allows: close returns in `duration` (s, or 12 periods of the
+    guess), modes with an `amplitude` of their largest coordinate (rad or m). Raises `InputError` for wrong options."""
+    guesses: list[Proposal] = []
     notes: list[str] = []
     kinds: dict[str, Callable[[], list[Proposal]]] = {
         "own guess": lambda: own(loaded),
@@ -84,10 +76,10 @@ def propose(
     }
     for kind, make in kinds.items():
         try:
-            found += make()
+            guesses += make()
         except OrbitfinderError as error:
             notes.append(f"{kind}: {error}")
-    return Proposals(loaded.name, loaded.model.state_names, tuple(found), tuple(notes))
+    return Proposals(loaded.name, loaded.model.state_names, tuple(guesses), tuple(notes))
 
 
 def own(loaded: ProblemFile) -> list[Proposal]:
@@ -104,24 +96,24 @@ def own(loaded: ProblemFile) -> list[Proposal]:
 
 
 def modes(loaded: ProblemFile, amplitude: float) -> list[Proposal]:
-    """The linear normal modes of the equilibrium at 0, or of a linkage's lowest one, slowest first."""
+    """The linear normal modes of the equilibrium at 0, or of a linkage's lowest, slowest first."""
     model = loaded.model
-    if model.degrees_of_freedom > MOST_COORDINATES:
+    if model.degrees_of_freedom > 60:
         raise InputError(f"{model.degrees_of_freedom} coordinates; give mode and amplitude in [guess]")
     if model.constraint is not None and loops_of(model.system).minimal is None:
         raise InputError("redundant coordinates; give a state and a period")
     place = None if model.constraint is None else linkage_equilibrium(model)
-    (squared, shapes), found = normal_modes(model, place), []
+    (squared, shapes), proposals = normal_modes(model, place), []
     for k, (rate, shape) in enumerate(zip(squared, shapes.T, strict=True), start=1):
         if rate > 0:
             made = normal_mode(model, k, amplitude, place)
             given = {"mode": k, "amplitude": amplitude}
             largest = shape[np.abs(shape).argmax()]
             details = {"frequency": float(np.sqrt(rate) / (2 * np.pi)), "shape": (shape / largest).tolist()}
-            found.append(_proposal(loaded, f"mode-{k}", made, None, given, details))
-    if not found:
+            proposals.append(_proposal(loaded, f"mode-{k}", made, None, given, details))
+    if not proposals:
         raise InputError("the equilibrium at 0 is not a stable one; give a state and a period")
-    return found
+    return proposals
 
 
 def returns(loaded: ProblemFile, duration: float | None, count: int) -> list[Proposal]:
@@ -130,35 +122,35 @@ def returns(loaded: ProblemFile, duration: float | None, count: int) -> list[Pro
     if guess is not None and _recorded(loaded, guess) and duration is None:
         assert guess.times is not None and guess.states is not None
         span = float(guess.times[-1])
-        found = close_returns(guess.times, guess.states, loaded.model.angles, count)
+        passes = close_returns(guess.times, guess.states, loaded.model.angles, count)
         source = "trajectory"
     else:
         if loaded.start is None:
             raise InputError("nothing to simulate from; give simulate.state or a [guess]")
         span = duration if duration is not None else _span(loaded, guess)
-        found = recurrences(loaded.model, loaded.start, span, count)
+        passes = recurrences(loaded.model, loaded.start, span, count)
         source = "simulation"
-    if not found:
+    if not passes:
         raise InputError(f"the motion never came back near itself in {span:g} s; simulate longer (duration)")
     return [
         _proposal(
-            loaded, f"return-{k}", one.guess, one.distance,
-            {"state": [float(x) for x in one.state], "period": float(one.period)},
-            {"time": one.time, "span": span, "source": source},
+            loaded, f"return-{k}", near.guess, near.distance,
+            {"state": [float(x) for x in near.state], "period": float(near.period)},
+            {"time": near.time, "span": span, "source": source},
         )
-        for k, one in enumerate(found, start=1)
+        for k, near in enumerate(passes, start=1)
     ]  # fmt: skip
 
 
 def _recorded(loaded: ProblemFile, guess: Guess) -> bool:
-    """True when the guess is somebody's trajectory, not one that was simulated for it."""
+    """True when the guess is somebody's trajectory, not simulated for it."""
     table = loaded.document.get("guess", {})
     return guess.times is not None and ("csv" in table or not table)
 
 
 def _span(loaded: ProblemFile, guess: Guess | None) -> float:
     asked = loaded.document.get("simulate", {}).get("duration")
-    return float(asked) if asked else (PERIODS * guess.period if guess is not None else loaded.duration)
+    return float(asked) if asked else (12.0 * guess.period if guess is not None else loaded.duration)
 
 
 def motion(loaded: ProblemFile, guess: Guess) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""From a problem file (TOML, or trusted Python) to a Problem; every mistake is one sentence.
+"""From a problem file (TOML, or trusted Python) to a Problem; every mistake is a sentence.
 
 The tables and keys are in `schema.py`; this module reads the file, says what is wrong with it,
 and builds the Model, the Guess and the Problem.
@@ -42,12 +42,7 @@ from orbitfinder.problemfile.schema import (
 from orbitfinder.records.orbit import SHIFT
 from orbitfinder.records.reading import bounded, file_bytes
 
-LARGEST_TOML = 5_000_000
-MOST_FAULTS = 5
-"""Bytes; a larger problem file is refused before it is read (2,000 links with a number each take 0.1 MB)."""
 MANUAL = "docs/problem-file.md"
-DEFAULT_DURATION = 10.0
-"""Seconds that `simulate` covers when nothing else is asked for."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +62,7 @@ class ProblemFile:
     problem: Problem | None
     document: Mapping[str, Any] = field(default_factory=dict)
     search: tuple[float, float] | None = None
-    duration: float = DEFAULT_DURATION
+    duration: float = 10.0
     start: np.ndarray | None = None
     starts: int = 200
     seed: int = 0
@@ -120,7 +115,7 @@ def load_problem_file(path: str | Path, trust: bool = False) -> ProblemFile:
 
 def read_toml(source: Path) -> dict[str, Any]:
     """The TOML document at a path, or `InputError`."""
-    data = file_bytes(source, "problem file", LARGEST_TOML)
+    data = file_bytes(source, "problem file", limit=5_000_000)  # 2,000 links with a number each take 0.1 MB
     try:
         document = tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
@@ -149,8 +144,8 @@ def parse(document: Mapping[str, Any], where: str) -> ProblemTable:
         faults = error.errors(include_url=False)
         faults.sort(key=lambda fault: fault["type"] == "extra_forbidden")
         said = list(dict.fromkeys(sentence(fault, document) for fault in faults))
-        more = f" ({len(said) - MOST_FAULTS} more after this)" if len(said) > MOST_FAULTS else ""
-        raise InputError(f"{where}: {'; also '.join(said[:MOST_FAULTS])}{more}") from None
+        more = f" ({len(said) - 5} more after this)" if len(said) > 5 else ""
+        raise InputError(f"{where}: {'; also '.join(said[:5])}{more}") from None
 
 
 @contextmanager
@@ -160,7 +155,8 @@ def _located(source: Path) -> Iterator[None]:
         yield
     except InputError as error:
         tables: dict[str, tuple[type[Table], ...]] = {"system": tuple(systems().values()), "find": (FindTable,)}
-        within = (f"{name}." for name, kinds in tables.items() if any(error.field in one.model_fields for one in kinds))
+        known = {name: {field for table in several for field in table.model_fields} for name, several in tables.items()}
+        within = (f"{name}." for name, fields in known.items() if error.field in fields)
         raise type(error)(f"{source}: {next(within, '')}{error}") from error
 
 
@@ -176,17 +172,11 @@ def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust
         problem = _problem(name, model, guess, table)
         problem.check_count()
     return ProblemFile(
-        path=source,
-        name=name,
-        model=model,
-        problem=problem,
-        document=document,
+        source, name, model, problem, document,
         search=(table.search.period[0], table.search.period[1]) if table.search else None,
-        duration=table.simulate.duration or DEFAULT_DURATION,
-        start=_start(table, model, problem),
-        starts=table.find.starts,
-        seed=table.find.seed,
-    )
+        duration=table.simulate.duration or ProblemFile.duration, start=_start(table, model, problem),
+        starts=table.find.starts, seed=table.find.seed,
+    )  # fmt: skip
 
 
 def robot_of(system: Mapping[str, Any], folder: Path) -> Model:
@@ -196,35 +186,21 @@ def robot_of(system: Mapping[str, Any], folder: Path) -> Model:
 
 
 def _problem(name: str, model: Model, guess: Guess, table: ProblemTable) -> Problem:
-    find = table.find
+    find: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in table.find}
+    find["pin"], find["bounds"] = pin(**(find["pin"] or {})), {key: (*ends,) for key, ends in find["bounds"].items()}
     return Problem(
-        model=model,
-        guess=guess,
-        pin=pin(**(find.pin or {})),
-        symmetry=find.symmetry,
-        winding=None if find.winding is None else tuple(find.winding),
-        relative=tuple(find.relative),
-        segments=find.segments,
-        tolerance=find.tolerance,
-        free=tuple(find.free),
-        objective=find.objective,
-        coordinate=find.coordinate,
-        bounds={key: (float(low), float(high)) for key, (low, high) in find.bounds.items()},
-        expected=_expected(table, model),
-        control=_control(table.control),
-        watch=table.watch,
-        name=name,
-        title=table.title,
-        source=table.source,
-    )
+        model, guess, **{key: value for key, value in find.items() if key not in ("starts", "seed")},
+        expected=_expected(table, model), control=_control(table.control), watch=table.watch, name=name,
+        title=table.title, source=table.source,
+    )  # fmt: skip
 
 
 def _control(table: ControlTable | None) -> Control | None:
     """How controls are chosen."""
     if table is None:
         return None
-    given = {name: getattr(table, name) for name in ControlTable.model_fields if name != "task"}
-    return Control(**given, tasks=tuple(Task(**one.model_dump(exclude_none=True)) for one in table.task))
+    tasks = tuple(Task(**task.model_dump(exclude_none=True)) for task in table.task)
+    return Control(**{key: value for key, value in table if key != "task"}, tasks=tasks)
 
 
 def _expected(table: ProblemTable, model: Model) -> dict[str, tuple[float, float]]:
@@ -322,12 +298,12 @@ def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
         return Guess(state, given.period or forced or first_return(model, state, given.duration))
     if given.duration is None:
         return Guess(state, float(given.period or 0.0))
-    found = recurrences(model, state, given.duration, 1)
-    if not found:
+    passes = recurrences(model, state, given.duration, 1)
+    if not passes:
         raise InputError(
             f"guess.duration: the motion never came back near itself in {given.duration:g} s; simulate longer"
         )
-    return found[0].guess
+    return passes[0].guess
 
 
 def _rest(model: Model, named: list[float] | str | None) -> np.ndarray | None:

@@ -28,13 +28,6 @@ from orbitfinder.errors import closest, shortened
 from orbitfinder.mechanics.kind import kinds
 from orbitfinder.mechanisms.robot import robot
 
-MOST_LINKS = 2000
-"""Chains longer than this are refused: their state-transition matrices alone fill the memory."""
-MOST_BARS = 40
-"""Bars of a linkage; its state-transition matrix has 6 rows per bar."""
-LARGEST_NUMBER = 1e300
-SIZE = f"must be finite and below {LARGEST_NUMBER:g}"
-
 
 def _numbers(expected: str) -> Callable[[Any], Any]:
     """A validator: a number or a list of numbers, finite."""
@@ -43,8 +36,8 @@ def _numbers(expected: str) -> Callable[[Any], Any]:
         items = value if isinstance(value, list) else [value]
         if not items or any(isinstance(item, bool) or not isinstance(item, (int, float)) for item in items):
             raise PydanticCustomError("numbers", "must be a number or a list {expected}", {"expected": expected})
-        if any(not abs(item) < LARGEST_NUMBER for item in items):
-            raise PydanticCustomError("finite_number", SIZE)
+        if any(not abs(item) < 1e300 for item in items):
+            raise PydanticCustomError("finite_number", "must be finite and below 1e+300")
         return value
 
     return check
@@ -79,6 +72,11 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
+def key(about: str, default: Any = None, **limits: Any) -> Any:
+    """A key that may be left out: what it is, its default, and limits of its value."""
+    return Field(default, description=about, **limits)
+
+
 TYPES: dict[str, Any] = {
     "int": int, "float": float, "bool": bool, "str": str, "Numbers": PerLink, "Numbers | None": PerLink | None,
     "Sequence[int]": list[int] | None, "Limits | None": Limits | None,
@@ -97,9 +95,9 @@ def table_of(kind: str, build: Callable[..., Any]) -> type[Table]:
     text, own = inspect.getdoc(build) or "", OWN.get(kind, {})
     said = dict(re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", text, re.MULTILINE))
     fields: dict[str, Any] = {"kind": (Literal[kind], Field(description="which system this is"))}
-    for name, one in inspect.signature(build).parameters.items():
-        known = TYPES.get(getattr(one.annotation, "__name__", one.annotation), Any)
-        default = ... if one.default is one.empty else None if one.default == () else one.default
+    for name, given in inspect.signature(build).parameters.items():
+        known = TYPES.get(getattr(given.annotation, "__name__", given.annotation), Any)
+        default = ... if given.default is given.empty else None if given.default == () else given.default
         if (taken := own.get(name, (known, default))) is not None:
             about = " ".join(said.get(name, "").split()).rstrip(".")
             fields[name] = (taken[0], Field(taken[1], description=about))
@@ -117,12 +115,12 @@ class BodyTable(Table):
     """A body of a mechanism. Numbers may be text that uses a shared parameter, such as "-length / 2"."""
 
     mass: Entry = Field(description="mass in kg, positive")
-    inertia: Entry | Entries = Field(
-        0.0, description="about the centre of mass in kg m^2: a number in the plane, xx yy zz (xy xz yz) in space"
+    inertia: Entry | Entries = key(
+        "about the centre of mass in kg m^2: a number in the plane, xx yy zz (xy xz yz) in space", 0.0
     )
-    com: Entries | None = Field(None, description="centre of mass in the body's axes in m, its origin when left out")
-    shape: list[list[float]] | None = Field(None, description="points of a line that pictures draw, in m")
-    disc: Positive | None = Field(None, description="radius in m of a disc that pictures draw about the centre of mass")
+    com: Entries | None = key("centre of mass in the body's axes in m, its origin when left out")
+    shape: list[list[float]] | None = key("points of a line that pictures draw, in m")
+    disc: Positive | None = key("radius in m of a disc that pictures draw about the centre of mass")
 
 
 class JointTable(Table):
@@ -133,29 +131,23 @@ class JointTable(Table):
         "in space revolute, prismatic, cylindrical, universal, spherical, fixed, free; rod, a bar without mass, in both"
     )
     between: list[str] = Field(min_length=2, max_length=2, description="the two bodies; one may be 'ground'")
-    at: list[Entries] | None = Field(None, description=TWO_POINTS)
-    axis: list[float] | Entry | None = Field(
-        None, description="of a turn (space) or a slide, in the first body's axes; in the plane also an angle in rad"
+    at: list[Entries] | None = key(TWO_POINTS)
+    axis: list[float] | Entry | None = key(
+        "of a turn (space) or a slide, in the first body's axes; in the plane also an angle in rad"
     )
-    axes: list[list[float]] | str | None = Field(
-        None, description="of a universal joint (two) or a spherical one (three), directions or letters; 'xyz' usually"
+    axes: list[list[float]] | str | None = key(
+        "of a universal joint (two) or a spherical one (three), directions or letters; 'xyz' usually"
     )
-    turned: Entry | Entries | None = Field(
-        None, description="the second body's axes in the first's where the joint is at 0: an angle, or roll pitch yaw"
+    turned: Entry | Entries | None = key(
+        "the second body's axes in the first's where the joint is at 0: an angle, or roll pitch yaw"
     )
-    length: Entry | None = Field(None, description="of a rod, in m")
-    rotor: Entry | None = Field(None, description="inertia that turns (kg m^2) or slides (kg) with it in its drive")
-    range: list[float] | None = Field(
-        None,
-        min_length=2,
-        max_length=2,
-        description="from and to where it can go; nothing acts there, orbits beyond are hinted at",
+    length: Entry | None = key("of a rod, in m")
+    rotor: Entry | None = key("inertia that turns (kg m^2) or slides (kg) with it in its drive")
+    range: list[float] | None = key(
+        "from and to where it can go; nothing acts there, orbits beyond are hinted at", min_length=2, max_length=2
     )
-    mimics: list[float | str] | None = Field(
-        None,
-        min_length=3,
-        max_length=3,
-        description="[joint, ratio, offset]: it is that joint times the ratio, plus the offset",
+    mimics: list[float | str] | None = key(
+        "[joint, ratio, offset]: it is that joint times the ratio, plus the offset", min_length=3, max_length=3
     )
 
 
@@ -163,20 +155,20 @@ class SpringTable(Table):
     """A spring between two points, or in a joint."""
 
     stiffness: Entry = Field(description="in N/m, in a joint that turns N m/rad")
-    between: list[str] | None = Field(None, description="the two bodies; one may be 'ground'")
-    at: list[Entries] | None = Field(None, description=TWO_POINTS)
-    length: Entry = Field(0.0, description="length at which it pulls nothing, in m")
-    joint: str | None = Field(None, description="instead of between: the coordinate it acts in")
-    rest: Entry = Field(0.0, description="value of that coordinate at which it pulls nothing, in rad or m")
+    between: list[str] | None = key("the two bodies; one may be 'ground'")
+    at: list[Entries] | None = key(TWO_POINTS)
+    length: Entry = key("length at which it pulls nothing, in m", 0.0)
+    joint: str | None = key("instead of between: the coordinate it acts in")
+    rest: Entry = key("value of that coordinate at which it pulls nothing, in rad or m", 0.0)
 
 
 class DamperTable(Table):
     """A damper between two points, or in a joint."""
 
     damping: Entry = Field(description="in N s/m, in a joint that turns N m s/rad")
-    between: list[str] | None = Field(None, description="the two bodies; one may be 'ground'")
-    at: list[Entries] | None = Field(None, description=TWO_POINTS)
-    joint: str | None = Field(None, description="instead of between: the coordinate it acts in")
+    between: list[str] | None = key("the two bodies; one may be 'ground'")
+    at: list[Entries] | None = key(TWO_POINTS)
+    joint: str | None = key("instead of between: the coordinate it acts in")
 
 
 class MotorTable(Table):
@@ -185,11 +177,11 @@ class MotorTable(Table):
     """
 
     joint: str = Field(description="the coordinate it acts in")
-    torque: float = Field(0.0, description="steady torque in N m, or force in N")
-    amplitude: Entry = Field(0.0, description="amplitude of what varies, in N m or N")
-    phase: Entry = Field(0.0, description="in rad")
-    limit: Positive | Pair | None = Field(
-        None, description="how far a motor that is a control (without torque and amplitude) may go, in N m or N"
+    torque: float = key("steady torque in N m, or force in N", 0.0)
+    amplitude: Entry = key("amplitude of what varies, in N m or N", 0.0)
+    phase: Entry = key("in rad", 0.0)
+    limit: Positive | Pair | None = key(
+        "how far a motor that is a control (without torque and amplitude) may go, in N m or N"
     )
 
 
@@ -197,41 +189,37 @@ class MotionTable(Table):
     """A prescribed motion of a joint, offset + turns frequency t + amplitude cos(frequency t + phase)."""
 
     joint: str = Field(description="the coordinate that is moved, and is none any more")
-    offset: Entry = Field(0.0, description="in rad or m")
-    amplitude: Entry = Field(0.0, description="in rad or m")
-    phase: Entry = Field(0.0, description="in rad")
-    turns: float = Field(0.0, description="whole turns in a period of the forcing")
+    offset: Entry = key("in rad or m", 0.0)
+    amplitude: Entry = key("in rad or m", 0.0)
+    phase: Entry = key("in rad", 0.0)
+    turns: float = key("whole turns in a period of the forcing", 0.0)
 
 
 class PythonSystem(Table):
     """A system made by a Python function: a built-in one, or with `--trust` any installed or neighbouring module's."""
 
     kind: Literal["python"] = Field(description="which system this is")
-    module: Line = Field(
+    module: Line = key(
+        "the function's module: orbitfinder.systems is always allowed; any other is imported from beside the file or "
+        "from what is installed, and only with `--trust`",
         "orbitfinder.systems",
-        description="the function's module: orbitfinder.systems is always allowed; any other is imported from beside "
-        "the file or from what is installed, and only with `--trust`",
     )
     function: Line = Field(description="name of the function, such as henon_heiles; it returns a Model")
-    arguments: dict[str, float | int | bool | str | list[float]] = Field(
-        {}, description="its arguments by name: numbers (SI units), text or lists of numbers"
+    arguments: dict[str, float | int | bool | str | list[float]] = key(
+        "its arguments by name: numbers (SI units), text or lists of numbers", {}
     )
-    cycle: list[Line] | None = Field(
-        None,
-        description="hybrid systems: the events of one period in their order, such as ['strike', 'strike'] for two "
-        "steps; the system's own when left out",
+    cycle: list[Line] | None = key(
+        "hybrid systems: the events of one period in their order, such as ['strike', 'strike'] for two steps; the "
+        "system's own when left out",
     )
-    scales: dict[str, Positive] | None = Field(
-        None, description="sizes to measure in, where the motion does not show them: `length` of all coordinates that "
-        "are no angles, coordinates or physical parameters by name, such as `{ length = 2e-6 }`",
-    )  # fmt: skip
-    controls: list[Line] | None = Field(
-        None, description="physical parameters that may vary in time; the system's own when left out"
+    scales: dict[str, Positive] | None = key(
+        "sizes to measure in, where the motion does not show them: `length` of all coordinates that are no angles, "
+        "coordinates or physical parameters by name, such as `{ length = 2e-6 }`",
     )
-    limits: Limits | None = Field(
-        None, description="how far controls may go: the greatest magnitude, or [lowest, highest], by name, such as "
-        "{ torque1 = 5.0 }",
-    )  # fmt: skip
+    controls: list[Line] | None = key("physical parameters that may vary in time; the system's own when left out")
+    limits: Limits | None = key(
+        "how far controls may go: the greatest magnitude, or [lowest, highest], by name, such as { torque1 = 5.0 }"
+    )
 
 
 OWN: dict[str, dict[str, tuple[Any, ...] | None]] = {
@@ -247,9 +235,9 @@ OWN: dict[str, dict[str, tuple[Any, ...] | None]] = {
                         "as a native DAE"),
     },
     "robot": {"file": (Line, ...)},
-    "chain": {"links": (Annotated[int, Field(ge=1, le=MOST_LINKS)], ...)},
+    "chain": {"links": (Annotated[int, Field(ge=1, le=2000)], ...)},  # the matrices of longer ones fill the memory
     "linkage": {
-        "length": (Annotated[list[Positive], Field(min_length=2, max_length=MOST_BARS)], ...),
+        "length": (Annotated[list[Positive], Field(min_length=2, max_length=40)], ...),
         "ground": (Annotated[list[float], Field(min_length=2, max_length=2)], ...),
         "baumgarte": (Annotated[list[Positive], Field(min_length=2, max_length=2)] | None, None),
         "independent": (list[int] | None, None, "bars whose angles are the coordinates, n - 2 of them: the linkage in "
@@ -267,7 +255,6 @@ def systems() -> dict[str, type[Table]]:
     return made | {"robot": table_of("robot", robot), "python": PythonSystem}
 
 
-MOST_SEGMENTS = 1000
 USUAL_SYMMETRIES = ("none", "brake", "reflection", "reversal", "brake+reflection")
 """Those that need no declaration by the system"""
 
@@ -284,7 +271,7 @@ def check_name(name: str) -> str:
 def _known_symmetry(name: str, info: ValidationInfo) -> str:
     """A usual symmetry; of a system made by Python, whose Model may declare others, any: the Problem will tell."""
     if name not in USUAL_SYMMETRIES and not (info.context or {}).get("declares"):
-        known = ", ".join(f"'{one}'" for one in USUAL_SYMMETRIES[:-1])
+        known = ", ".join(f"'{symmetry}'" for symmetry in USUAL_SYMMETRIES[:-1])
         raise PydanticCustomError("literal_error", f"Input should be {known} or '{USUAL_SYMMETRIES[-1]}'")
     return name
 
@@ -311,60 +298,50 @@ def _system_of_its_kind(value: Any) -> Any:
 class GuessTable(Table):
     """Where the search starts: `state` and `period`, `state` and `duration`, `mode` and `amplitude`, or `csv`."""
 
-    state: list[float] | None = Field(
-        None, description="state at t = 0: the n angles in rad, then the n rates in rad/s"
+    state: list[float] | None = key("state at t = 0: the n angles in rad, then the n rates in rad/s")
+    period: Positive | None = key("period in s, positive; goes with state")
+    duration: Positive | None = key(
+        "instead of period: simulate from state this long in s and start from the closest return"
     )
-    period: Positive | None = Field(None, description="period in s, positive; goes with state")
-    duration: Positive | None = Field(
-        None, description="instead of period: simulate from state this long in s and start from the closest return"
+    mode: Mode | None = key(
+        "number of a linear normal mode of the equilibrium at 0, the slowest is 1, or a list of them"
     )
-    mode: Mode | None = Field(
-        None,
-        description="number of a linear normal mode of the equilibrium at 0, the slowest is 1, or a list of them",
+    amplitude: Amplitude | None = key(
+        "largest angle (or coordinate) of the mode in rad (or m), positive; goes with mode; for a list of modes a "
+        "list, entries may be negative",
     )
-    amplitude: Amplitude | None = Field(
-        None,
-        description="largest angle (or coordinate) of the mode in rad (or m), positive; goes with mode; "
-        "for a list of modes a list, entries may be negative",
+    free: dict[str, float] = key(
+        "where freed physical parameters start, such as { length3 = 1.2 }; the system's own when left out", {}
     )
-    free: dict[str, float] = Field(
-        {},
-        description="where freed physical parameters start, such as { length3 = 1.2 }; the system's own when left out",
-    )
-    csv: str | None = Field(
-        None,
-        description="trajectory over one period, a CSV file in the problem file's folder "
-        "with columns t (s), angles (rad), rates (rad/s); a header line is allowed",
+    csv: str | None = key(
+        "trajectory over one period, a CSV file in the problem file's folder with columns t (s), angles (rad), rates "
+        "(rad/s); a header line is allowed",
     )
 
-    angles: dict[str, float] | None = Field(
-        None,
-        description="linkages: some link angles at t = 0 in rad, such as { theta1 = 0.6 }, as many as degrees of "
-        "freedom; the rest follows by assembly; mechanisms: coordinates in rad or m; period is the first return when "
-        "left out",
+    angles: dict[str, float] | None = key(
+        "linkages: some link angles at t = 0 in rad, such as { theta1 = 0.6 }, as many as degrees of freedom; the rest"
+        " follows by assembly; mechanisms: coordinates in rad or m; period is the first return when left out",
     )
-    branch: Literal[1, -1] | None = Field(
-        None, description="linkages: which of the two assemblies, the sign of sin(theta_j - theta_i) of the other bars"
+    branch: Literal[1, -1] | None = key(
+        "linkages: which of the two assemblies, the sign of sin(theta_j - theta_i) of the other bars"
     )
-    rates: dict[str, float] | None = Field(
-        None,
-        description="linkages, mechanisms: some rates at t = 0, such as { theta1dot = 2.0 }; at rest when left out",
+    rates: dict[str, float] | None = key(
+        "linkages, mechanisms: some rates at t = 0, such as { theta1dot = 2.0 }; at rest when left out"
     )
-    equilibrium: list[float] | str | None = Field(
-        None,
-        description="coordinates near the equilibrium of the mode, or the name of a landmark such as L1; when left out "
-        "the one at 0, of a linkage (link angles) the lowest",
+    equilibrium: list[float] | str | None = key(
+        "coordinates near the equilibrium of the mode, or the name of a landmark such as L1; when left out the one at "
+        "0, of a linkage (link angles) the lowest",
     )
 
     @model_validator(mode="after")
     def _one_form(self) -> GuessTable:
         given = [name for name in ("state", "mode", "csv", "angles") if getattr(self, name) is not None]
         if len(given) != 1:
-            found = " and ".join(given) or "none of them"
+            forms = " and ".join(given) or "none of them"
             raise PydanticCustomError(
                 "guess",
                 "give exactly one of state (with period), mode (with amplitude), angles or csv, not {f}",
-                {"f": found},
+                {"f": forms},
             )
         if self.duration is not None and (self.state is None or self.period is not None):
             raise PydanticCustomError("guess", "duration goes with state and takes the place of period")
@@ -380,59 +357,54 @@ class GuessTable(Table):
 class FindTable(Table):
     """Which orbit is meant, and how closely it must close."""
 
-    pin: dict[str, float] | None = Field(
-        None,
-        description="the number that selects one orbit of its family: energy in J (potential zero at the fixed "
-        "joint), period in s, or a state component at t = 0 such as theta1, and beside it values of physical "
-        "parameters; when left out, the orbit nearest to the guess",
+    pin: dict[str, float] | None = key(
+        "the number that selects one orbit of its family: energy in J (potential zero at the fixed joint), period in "
+        "s, or a state component at t = 0 such as theta1, and beside it values of physical parameters; when left out, "
+        "the orbit nearest to the guess",
     )
-    symmetry: Annotated[str, AfterValidator(_known_symmetry)] = Field(
+    symmetry: Annotated[str, AfterValidator(_known_symmetry)] = key(
+        "symmetry imposed on the orbit: none, brake, reflection, reversal (q(-t) = -q(t), running orbits included), "
+        "brake+reflection, or one that a Python system declares or has (mirror of restricted_three_body); of a hybrid "
+        "system one that takes half of the events of its cycle to the other half",
         "none",
-        description="symmetry imposed on the orbit: none, brake, reflection, reversal (q(-t) = -q(t), running orbits "
-        "included), brake+reflection, or one that a Python system declares or has (mirror of restricted_three_body); "
-        "of a hybrid system one that takes half of the events of its cycle to the other half",
     )
-    winding: list[int] | None = Field(
-        None, description="whole turns of each coordinate in one period, one whole number per coordinate"
-    )
-    relative: list[str] = Field(
+    winding: list[int] | None = key("whole turns of each coordinate in one period, one whole number per coordinate")
+    relative: list[str] = key(
+        'cyclic coordinates along which the orbit comes back shifted by what is found, such as ["phi"]; each leaves '
+        "room for one pin more, such as its momentum, momentum_phi",
         [],
-        description='cyclic coordinates along which the orbit comes back shifted by what is found, such as ["phi"]; '
-        "each leaves room for one pin more, such as its momentum, momentum_phi",
     )
-    segments: int | None = Field(
-        None, ge=1, le=MOST_SEGMENTS, description="shooting segments, at least 1; chosen automatically when left out"
-    )
-    tolerance: float = Field(
+    segments: int | None = key("shooting segments, at least 1; chosen automatically when left out", ge=1, le=1000)
+    tolerance: float = key(
+        "closure that the certificate asks for, in extents of the motion, times what errors grow by; larger than 1e-12"
+        " buys nothing",
         1e-12,
         gt=0,
         le=1e-6,
-        description="closure that the certificate asks for, in extents of the motion, times what errors grow by; "
-        "larger than 1e-12 buys nothing",
     )
-    free: list[str] = Field([], description='physical parameters that the solver may change, such as ["length3"]')
-    objective: Literal["nearest", "min_instability", "max_amplitude", "min_peak_rate"] = Field(
+    free: list[str] = key('physical parameters that the solver may change, such as ["length3"]', [])
+    objective: Literal["nearest", "min_instability", "max_amplitude", "min_peak_rate"] = key(
+        "what chooses among the orbits that the pins leave: nearest to the guess, min_instability (smallest spectral "
+        "radius of the monodromy), max_amplitude (largest value of a coordinate) or min_peak_rate (smallest peak of "
+        "its rate); the last two not of hybrid systems",
         "nearest",
-        description="what chooses among the orbits that the pins leave: nearest to the guess, min_instability "
-        "(smallest spectral radius of the monodromy), max_amplitude (largest value of a coordinate) or min_peak_rate "
-        "(smallest peak of its rate); the last two not of hybrid systems",
     )
-    coordinate: str | None = Field(
-        None,
-        description="the coordinate of max_amplitude or min_peak_rate, such as theta2; the one that moves most when "
-        "left out",
+    coordinate: str | None = key(
+        "the coordinate of max_amplitude or min_peak_rate, such as theta2; the one that moves most when left out"
     )
-    bounds: dict[str, Range] = Field(
+    bounds: dict[str, Range] = key(
+        "ranges [smallest, largest] of the period (s), the energy (J), freed parameters or state components at t = 0, "
+        "such as { period = [1.5, 3.0], length3 = [0.5, 2.0] }",
         {},
-        description="ranges [smallest, largest] of the period (s), the energy (J), freed parameters or state "
-        "components at t = 0, such as { period = [1.5, 3.0], length3 = [0.5, 2.0] }",
     )
-    starts: int = Field(
-        200, ge=1, le=100_000,
-        description="searches for min_instability at a pinned energy with nothing free, where the orbits stand alone "
-        "and the least unstable of those found in bounds.period is taken",
-    )  # fmt: skip
-    seed: int = Field(0, ge=0, description="seed of those searches; the same seed gives the same orbit")
+    starts: int = key(
+        "searches for min_instability at a pinned energy with nothing free, where the orbits stand alone and the least"
+        " unstable of those found in bounds.period is taken",
+        200,
+        ge=1,
+        le=100_000,
+    )
+    seed: int = key("seed of those searches; the same seed gives the same orbit", 0, ge=0)
 
 
 class SearchTable(Table):
@@ -441,23 +413,21 @@ class SearchTable(Table):
     period: Annotated[list[Positive], Field(min_length=2, max_length=2), AfterValidator(_increasing)] = Field(
         description="smallest and largest minimal period wanted, in s"
     )
-    energy: Energies | None = Field(
-        None, description="energy of the orbits wanted in J, one number or a list; find.pin.energy when left out"
+    energy: Energies | None = key(
+        "energy of the orbits wanted in J, one number or a list; find.pin.energy when left out"
     )
     section: dict[str, Range] = Field(
         {}, description="hybrid systems: ranges of the state right after the event that ends the cycle, by component, "
         "such as `{ v = [-1.5, 0.0], phase = [0.0, 6.2832] }`; others follow from the event"
     )  # fmt: skip
-    cycles: int = Field(3, ge=1, le=64, description="hybrid systems: how many cycles an orbit goes through at most")
+    cycles: int = key("hybrid systems: how many cycles an orbit goes through at most", 3, ge=1, le=64)
 
 
 class SimulateTable(Table):
     """What `orbitfinder simulate` does."""
 
-    duration: Positive | None = Field(None, description="time to simulate in s, 10 s when left out")
-    state: list[float] | None = Field(
-        None, description="state at t = 0: angles in rad, then rates in rad/s; the guess when left out"
-    )
+    duration: Positive | None = key("time to simulate in s, 10 s when left out")
+    state: list[float] | None = key("state at t = 0: angles in rad, then rates in rad/s; the guess when left out")
 
 
 class ExpectedNumber(Table):
@@ -470,14 +440,14 @@ class ExpectedNumber(Table):
 class ExpectedTable(Table):
     """Numbers that the orbit must reproduce; the certificate fails when it does not."""
 
-    period: ExpectedNumber | None = Field(None, description="minimal period in s, as { value, tolerance }")
-    energy: ExpectedNumber | None = Field(None, description="total energy in J, as { value, tolerance }")
-    action: ExpectedNumber | None = Field(None, description="integral of p dq in J s, as { value, tolerance }")
-    parameters: dict[str, ExpectedNumber] = Field(
-        {}, description="freed physical parameters by name, as { length3 = { value, tolerance } }"
+    period: ExpectedNumber | None = key("minimal period in s, as { value, tolerance }")
+    energy: ExpectedNumber | None = key("total energy in J, as { value, tolerance }")
+    action: ExpectedNumber | None = key("integral of p dq in J s, as { value, tolerance }")
+    parameters: dict[str, ExpectedNumber] = key(
+        "freed physical parameters by name, as { length3 = { value, tolerance } }", {}
     )
-    shift: dict[str, ExpectedNumber] = Field(
-        {}, description="shifts of a relative orbit in a period by name, as { phi = { value, tolerance } }"
+    shift: dict[str, ExpectedNumber] = key(
+        "shifts of a relative orbit in a period by name, as { phi = { value, tolerance } }", {}
     )
 
 
@@ -487,12 +457,12 @@ class TaskTable(Table):
     expression: Line = Field(
         description="text of states, controls, physical parameters and the period, such as 'cos(theta1) - 0.5'"
     )
-    at: float | Literal["always", "mean"] = Field(
-        "always", description="a phase of the period, 0 to below 1; always; or mean, the average over the period"
+    at: float | Literal["always", "mean"] = key(
+        "a phase of the period, 0 to below 1; always; or mean, the average over the period", "always"
     )
-    equals: float | None = Field(None, description="the value asked for; not with lowest and highest")
-    lowest: float | None = Field(None, description="the least value allowed")
-    highest: float | None = Field(None, description="the largest value allowed")
+    equals: float | None = key("the value asked for; not with lowest and highest")
+    lowest: float | None = key("the least value allowed")
+    highest: float | None = key("the largest value allowed")
 
 
 class ControlTable(Table):
@@ -502,44 +472,41 @@ class ControlTable(Table):
         description="what is integrated over the period: text of states, controls and parameters by name, with "
         "+ - * / **, sin, cos, tan, sqrt, exp, log, tanh, atan2 and pi, such as 'torque1**2'"
     )
-    average: bool = Field(False, description="whether the mean is meant instead of the integral")
-    final: str = Field("", description="a cost that is no integral: of the state at t = 0, parameters and the period")
-    shape: Literal["zero-order", "linear", "cubic", "fourier"] = Field(
-        "linear", description="held in each interval, linear or cubic (spline) between them, or a Fourier series"
+    average: bool = key("whether the mean is meant instead of the integral", False)
+    final: str = key("a cost that is no integral: of the state at t = 0, parameters and the period", "")
+    shape: Literal["zero-order", "linear", "cubic", "fourier"] = key(
+        "held in each interval, linear or cubic (spline) between them, or a Fourier series", "linear"
     )
-    intervals: int = Field(20, description="intervals of the period, of a hybrid system of each arc")
-    harmonics: int = Field(5, description="of a Fourier series, beside its constant")
-    method: Literal["shooting", "collocation"] = Field("shooting", description="how intervals are integrated")
-    guess: dict[str, float | list[float]] = Field(
-        {}, description="where coefficients start, by control, one number or all of them; 0 when left out"
+    intervals: int = key("intervals of the period, of a hybrid system of each arc", 20)
+    harmonics: int = key("of a Fourier series, beside its constant", 5)
+    method: Literal["shooting", "collocation"] = key("how intervals are integrated", "shooting")
+    guess: dict[str, float | list[float]] = key(
+        "where coefficients start, by control, one number or all of them; 0 when left out", {}
     )
-    numbers: dict[str, float] = Field(
-        {}, description="named numbers that cost and tasks may mention, such as { weight = 0.1 }"
-    )
-    task: list[TaskTable] = Field([], description="what the motion must do, each as [[control.task]]")
+    numbers: dict[str, float] = key("named numbers that cost and tasks may mention, such as { weight = 0.1 }", {})
+    task: list[TaskTable] = key("what the motion must do, each as [[control.task]]", [])
 
 
 class ProblemTable(Table):
     """The whole file."""
 
-    name: Name | None = Field(
-        None,
-        description="name of the orbit and of its output folder: letters, digits, -, _ and . "
-        "(not starting with a dot); the file's own name when left out",
+    name: Name | None = key(
+        "name of the orbit and of its output folder: letters, digits, -, _ and . (not starting with a dot); the file's"
+        " own name when left out",
     )
-    title: Line = Field("", description="one line for figures and pages")
-    source: Line = Field("", description="where the problem or its numbers come from")
+    title: Line = key("one line for figures and pages", "")
+    source: Line = key("where the problem or its numbers come from", "")
     system: Annotated[Any, BeforeValidator(_system_of_its_kind)] = Field(description="the mechanical system")
-    guess: GuessTable | None = Field(None, description="where the search starts")
-    find: FindTable = Field(FindTable(), description="which orbit is meant")
-    control: ControlTable | None = Field(None, description="how controls vary in time; the motion of least cost")
+    guess: GuessTable | None = key("where the search starts")
+    find: FindTable = key("which orbit is meant", FindTable())
+    control: ControlTable | None = key("how controls vary in time; the motion of least cost")
     watch: dict[str, Line] = Field(
         {}, description="numbers of each orbit of a family by name: text of states, parameters, the period and max(), "
         "min() and mean() over the motion, such as peak = 'max(theta1)'; `continue --stop peak=1.5` ends there",
     )  # fmt: skip
-    search: SearchTable | None = Field(None, description="what `orbitfinder search` looks for")
-    simulate: SimulateTable = Field(SimulateTable(), description="what `orbitfinder simulate` does")
-    expected: ExpectedTable = Field(ExpectedTable(), description="numbers that the orbit must reproduce")
+    search: SearchTable | None = key("what `orbitfinder search` looks for")
+    simulate: SimulateTable = key("what `orbitfinder simulate` does", SimulateTable())
+    expected: ExpectedTable = key("numbers that the orbit must reproduce", ExpectedTable())
 
     @model_validator(mode="after")
     def _something_to_do(self) -> ProblemTable:
@@ -600,5 +567,5 @@ def _nested(name: str, annotation: Any, document: Mapping[str, Any]) -> type[Bas
         system = document.get("system")
         return systems().get(str(system.get("kind"))) if isinstance(system, Mapping) else None
     candidates = [annotation, *getattr(annotation, "__args__", ())]
-    tables = [one for one in candidates if isinstance(one, type) and issubclass(one, BaseModel)]
+    tables = [candidate for candidate in candidates if isinstance(candidate, type) and issubclass(candidate, BaseModel)]
     return tables[0] if tables else None

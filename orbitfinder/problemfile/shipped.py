@@ -28,10 +28,8 @@ KINDS = {
     "chains": "twenty to a hundred links",
 }
 """Folder -> what is in it, in the order in which they are listed"""
-COMMANDS = {"families": "continue", "search": "search"}
-"""Folder -> the command that its files are for, where that is not `run`"""
 FORMS = (".toml", ".py")
-"""Endings of problem files; other files lie beside one that names them"""
+"""Endings of problem files; other files lie beside those that name them"""
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,7 @@ class Shipped:
     @property
     def command(self) -> str:
         """The command that it is for."""
-        return COMMANDS.get(self.kind, "run")
+        return {"families": "continue", "search": "search"}.get(self.kind, "run")
 
     def files(self) -> Iterator[Path]:
         """The file itself, then those beside it that it names, such as the description of a robot."""
@@ -75,10 +73,10 @@ def _strings(value: Any) -> Iterator[str]:
 def folder() -> Path:
     """Where they lie: in the installed package, or beside it in a clone."""
     inside = Path(str(resources.files("orbitfinder"))) / "problems"
-    found = inside if inside.is_dir() else inside.parents[1] / "problems"
-    if not (found / "report").is_dir():
+    place = inside if inside.is_dir() else inside.parents[1] / "problems"
+    if not (place / "report").is_dir():
         raise InputError(f"{inside}: the problem files are missing from this installation; install orbitfinder again")
-    return found
+    return place
 
 
 def shipped() -> list[Shipped]:
@@ -94,22 +92,22 @@ def shipped() -> list[Shipped]:
 def chosen(words: Sequence[str]) -> list[Shipped]:
     """Those of the names, kinds or `all`, each once. Raises `InputError` for a word that is none or means two."""
     every = shipped()
-    return list(dict.fromkeys(one for word in words for one in _meant(word, every)))
+    return list(dict.fromkeys(problem for word in words for problem in _meant(word, every)))
 
 
 def _meant(word: str, every: Sequence[Shipped]) -> list[Shipped]:
     plain = word.removesuffix(".toml").removesuffix(".py").removeprefix("problems/").strip("/")
     if plain == "all" or plain in KINDS:
-        return [one for one in every if plain in ("all", one.kind)]
-    found = [one for one in every if plain in (one.name, f"{one.kind}/{one.name}")]
-    if len(found) > 1:
-        both = " and ".join(f"{one.kind}/{one.name}" for one in found)
+        return [problem for problem in every if plain in ("all", problem.kind)]
+    meant = [problem for problem in every if plain in (problem.name, f"{problem.kind}/{problem.name}")]
+    if len(meant) > 1:
+        both = " and ".join(f"{problem.kind}/{problem.name}" for problem in meant)
         raise InputError(f"NAME: {word!r} means {both}; say which")
-    if not found:
-        names = [*KINDS, *(one.name for one in every), *(f"{one.kind}/{one.name}" for one in every)]
+    if not meant:
+        names = [*KINDS, *(problem.name for problem in every), *(f"{problem.kind}/{problem.name}" for problem in every)]
         hint = closest(plain, names) or "; see `orbitfinder problems list`"
         raise InputError(f"NAME: no problem file {word!r} is shipped{hint}")
-    return found
+    return meant
 
 
 def copy(problems: Sequence[Shipped], out: Path, force: bool = False) -> list[Path]:
@@ -117,7 +115,7 @@ def copy(problems: Sequence[Shipped], out: Path, force: bool = False) -> list[Pa
 
     A file that is there already and differs is left alone, with all the others, unless `force`.
     """
-    pairs = {out / one.kind / file.name: file for one in problems for file in one.files()}
+    pairs = {out / problem.kind / file.name: file for problem in problems for file in problem.files()}
     differing = [to for to, file in pairs.items() if to.exists() and _differs(to, file)]
     if differing and not force:
         more = f" and {len(differing) - 1} more" if len(differing) > 1 else ""

@@ -52,7 +52,7 @@ def write_template(name: str) -> Path:
 
 
 def write_new(text: str, path: Path, where: str, remedy: str = "choose") -> Path:
-    """Write a new problem file; never over an existing one."""
+    """Write a new problem file; never over an existing file."""
     try:
         with path.open("x", encoding="utf-8") as stream:
             stream.write(text)
@@ -69,17 +69,17 @@ def candidate_text(loaded: ProblemFile, proposals: Proposals, chosen: Proposal, 
     if not isinstance(system, Mapping):
         raise InputError(f"{loaded.path}: has no [system] table to copy; write its state and period into problem()")
     lines = [*entries({"name": name, "source": f"orbitfinder guess, {chosen.name}"}), "", "[system]", *entries(system)]
-    for one in (chosen, *(other for other in proposals.found if other is not chosen)):
-        mark = "" if one is chosen else "# "
-        lines += ["", *(f"{mark}{line}" for line in (f"[guess]  # {said(one)}", *entries(one.table)))]
+    for proposal in (chosen, *(other for other in proposals.guesses if other is not chosen)):
+        mark = "" if proposal is chosen else "# "
+        lines += ["", *(f"{mark}{line}" for line in (f"[guess]  # {said(proposal)}", *entries(proposal.table)))]
     return "\n".join([*lines, ""])
 
 
-def said(one: Proposal) -> str:
+def said(proposal: Proposal) -> str:
     """A proposal in a few words."""
-    missing = "" if one.miss is None else f", misses itself by {one.miss:.2g} of its extent"
-    level = "" if one.energy is None else f", energy {one.energy:.6g} J"
-    return f"{one.name}: period {one.period:.6g} s{level}{missing}"
+    missing = "" if proposal.miss is None else f", misses itself by {proposal.miss:.2g} of its extent"
+    level = "" if proposal.energy is None else f", energy {proposal.energy:.6g} J"
+    return f"{proposal.name}: period {proposal.period:.6g} s{level}{missing}"
 
 
 def orbit_name(document: Mapping[str, Any]) -> str:
@@ -91,7 +91,7 @@ def orbit_name(document: Mapping[str, Any]) -> str:
 def orbit_text(document: Mapping[str, Any], expected: bool = True) -> str | None:
     """A problem file whose guess is the orbit of a document; None where no file can describe the system.
 
-    The pin is the recorded one; of an orbit without one, the energy where one is conserved. Its period is
+    The pin is as recorded; of an orbit without any, the energy where it is conserved. Its period is
     `expected` again, unless the document has a guess only.
     """
     system, period = document["system"], float(document["period"])
@@ -128,7 +128,7 @@ def _find(document: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _line(text: Any) -> str:
-    """Text as the problem file takes it: one line without control characters, at most 300."""
+    """Text as the problem file takes it: a line without control characters, at most 300."""
     return "".join(letter if letter.isprintable() else " " for letter in str(text))[:300]
 
 

@@ -1,7 +1,8 @@
-"""What was asked of a record, number by number, and the verdict: the one place where checks are judged."""
+"""What was asked of a record, number by number, and the verdict: checks are judged here alone."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -15,26 +16,28 @@ AT_MOST, AT_LEAST, EQUAL = "\N{LESS-THAN OR EQUAL TO}", "\N{GREATER-THAN OR EQUA
 
 @dataclass(frozen=True)
 class Check:
-    """One question asked of an orbit: the number found, the number allowed, the answer."""
+    """A question asked of an orbit: its number, the number allowed, the answer."""
+
+    _sparse = ("asked",)
 
     name: str
     value: Unknown
     tolerance: float
     passed: bool
     note: str = ""
+    asked: str = ""
+    """`AT_LEAST` where no finite number shows it"""
 
     @property
     def sense(self) -> str:
-        """`AT_MOST`, `AT_LEAST` or `EQUAL`."""
-        return sense_of(self.value, self.tolerance, self.passed)
+        """`AT_MOST`, `AT_LEAST` or `EQUAL`: mostly from number and answer alone, with which it cannot disagree."""
+        if self.asked or not self.tolerance:
+            return self.asked or EQUAL
+        return AT_LEAST if (self.value > self.tolerance if self.passed else self.value < self.tolerance) else AT_MOST
 
-
-def sense_of(value: Any, tolerance: Any, passed: bool) -> str:
-    """What was asked of a number, from it and the answer alone: files do not say it, and it cannot disagree."""
-    if not tolerance:
-        return EQUAL
-    known = value is not None and (value > tolerance if passed else value < tolerance)
-    return AT_LEAST if known else AT_MOST
+    def _check(self) -> None:
+        if self.asked not in ("", AT_LEAST):
+            raise ValueError(f"asked: expected {AT_LEAST!r} or nothing, got {self.asked[:60]!a}")
 
 
 def at_most(name: str, value: Any, tolerance: float, note: str = "", also: bool = True) -> Check:
@@ -44,7 +47,8 @@ def at_most(name: str, value: Any, tolerance: float, note: str = "", also: bool 
 
 def at_least(name: str, value: Any, tolerance: float, note: str = "") -> Check:
     """The check that a number is no smaller than what is wanted."""
-    return Check(name, float(value), float(tolerance), bool(value >= tolerance), note)
+    asked = "" if math.isfinite(value) else AT_LEAST
+    return Check(name, float(value), float(tolerance), bool(value >= tolerance), note, asked)
 
 
 def equal(name: str, value: float, wanted: float, note: str = "") -> Check:
@@ -52,10 +56,10 @@ def equal(name: str, value: float, wanted: float, note: str = "") -> Check:
     return Check(name, float(value), float(wanted), bool(value == wanted), note)
 
 
-def same(name: str, recorded: str, found: str) -> Check:
-    """The check that a record's word is the one found."""
-    note = "as recorded" if recorded == found else f"recorded {recorded[:60]}, found {found[:60]}"
-    return equal(name, recorded != found, 0.0, note)
+def same(name: str, recorded: str, computed: str) -> Check:
+    """The check that a record's word is what was computed."""
+    note = "as recorded" if recorded == computed else f"recorded {recorded[:60]}, found {computed[:60]}"
+    return equal(name, recorded != computed, 0.0, note)
 
 
 def refused(name: str, why: object, value: float = float("inf"), tolerance: float = 0.0) -> Check:
@@ -65,7 +69,7 @@ def refused(name: str, why: object, value: float = float("inf"), tolerance: floa
 
 @dataclass(frozen=True)
 class Certificate(Shown):
-    """Every check of one orbit; `passed` only when all of them did, `failures` names the others.
+    """Every check of an orbit; `passed` only when all of them did, `failures` names the others.
 
     Args:
         checks: name, number, what is allowed and a note of each.
@@ -75,7 +79,7 @@ class Certificate(Shown):
 
     Examples:
         >>> certificate = of.certify(orbit)
-        >>> [one.name for one in certificate.checks][:3]
+        >>> [check.name for check in certificate.checks][:3]
         ['closure', 'distance', 'second_closure']
     """
 
@@ -97,6 +101,11 @@ class Certificate(Shown):
         return tuple(check.name for check in self.checks if not check.passed)
 
 
+def certified(record: Any) -> bool:
+    """Whether a record has a certificate, and it passed."""
+    return record.certificate is not None and bool(record.certificate.passed)
+
+
 def certificate_to_document(certificate: Certificate | None) -> dict[str, Any]:
     """The `certificate` entry of a file."""
     return {"passed": False, "scale": 1.0, "checks": []} if certificate is None else entries_of(certificate)
@@ -104,8 +113,8 @@ def certificate_to_document(certificate: Certificate | None) -> dict[str, Any]:
 
 def certificate_of(entry: Any, where: str) -> Certificate | None:
     """The certificate of an entry, None where nothing was checked. Raises `ValueError`."""
-    found: Certificate = typed(Certificate, entry or {"checks": []}, where)
-    return found if found.checks else None
+    certificate: Certificate = typed(Certificate, entry or {"checks": []}, where)
+    return certificate if certificate.checks else None
 
 
 Certified = Annotated[Certificate | None, Filed(certificate_to_document, certificate_of)]

@@ -73,7 +73,7 @@ Dense = Annotated[np.ndarray, Filed(np.asarray, lambda entry, where: entry, dens
 """Numbers in the .npz beside the file"""
 
 
-class Entry(NamedTuple):
+class FileEntry(NamedTuple):
     """An entry of a record's file: the field or property that it is of, and what that is annotated with."""
 
     name: str
@@ -83,28 +83,28 @@ class Entry(NamedTuple):
 
 
 @lru_cache
-def layout(kind: Any) -> tuple[Entry, ...]:
+def layout(kind: Any) -> tuple[FileEntry, ...]:
     """The entries of a class of records in their order."""
     known, order, called = hints(kind), getattr(kind, "_entries", (...,)), getattr(kind, "_called", {})
-    fields = {called.get(one.name, one.name): one.name for one in dataclasses.fields(kind)}
+    fields = {called.get(part.name, part.name): part.name for part in dataclasses.fields(kind)}
     rest = [name for name in fields if name not in order]
-    found = []
+    entries = []
     for name in (name for part in order for name in (rest if part is ... else [part])):
         field = fields.get(name, name)
         filed = getattr(known.get(field), "__metadata__", (None,))[0]
-        found.append(Entry(name, field, filed, name in getattr(kind, "_sparse", ())))
-    return tuple(found)
+        entries.append(FileEntry(name, field, filed, name in getattr(kind, "_sparse", ())))
+    return tuple(entries)
 
 
 def entries_of(record: Any, kind: Any = None) -> dict[str, Any]:
-    """A record in plain numbers, without what is dense; as one of a `kind` that its own class derives from."""
-    found = {}
+    """A record in plain numbers, without what is dense; as of a `kind` that its own class derives from."""
+    entries = {}
     for name, field, filed, sparse in layout(kind or record.__class__):
         value = getattr(record, field)
         left_out = sparse and (value is None or (hasattr(value, "__len__") and len(value) == 0))
         if not left_out and not (filed is not None and filed.dense):
-            found[name] = plain(value if filed is None else filed.write(value))
-    return found
+            entries[name] = plain(value if filed is None else filed.write(value))
+    return entries
 
 
 def plain(value: Any) -> Any:
@@ -118,25 +118,21 @@ def plain(value: Any) -> Any:
     return entries_of(value) if dataclasses.is_dataclass(value) else plain_numbers(value)
 
 
-MOST = 24
-"""Numbers of an array, and of a list of numbers or of records that can be certified, that an outline shows"""
-
-
-def outline(value: Any, whole: bool = True) -> Any:
-    """What a record holds, in plain numbers: its entries, those of records within it that their one line names, large
-    arrays and long lists by their sizes; what is empty is left out."""
+def outline(value: Any, whole: bool = True, most: int = 24) -> Any:
+    """What a record holds, in plain numbers: its entries, those of records within it that their one line names; of
+    arrays, and of lists of numbers or of what can be certified, `most` entries and how many more; nothing empty."""
     if dataclasses.is_dataclass(value):
-        names = chosen(value) if not whole and chosen(value) else [one.field for one in layout(value.__class__)]
+        names = chosen(value) if not whole and chosen(value) else [entry.field for entry in layout(value.__class__)]
         value = {name: getattr(value, name, None) for name in (["counts", *names, "proof"] if whole else names)}
     if isinstance(value, Mapping):
         table = {str(name): outline(entry, False) for name, entry in value.items()}
         return {name: entry for name, entry in table.items() if entry == entry and entry not in (None, "", [], {})}
-    if isinstance(value, np.ndarray) and value.size > MOST:
+    if isinstance(value, np.ndarray) and value.size > most:
         return " x ".join(map(str, value.shape))
     if isinstance(value, (list, tuple)):
-        long = len(value) > MOST and (hasattr(value[0], "certificate") or not dataclasses.is_dataclass(value[0]))
-        known = [outline(entry, False) for entry in value[: MOST if long else None]]
-        return [*known, f"and {len(value) - MOST} more"] if long else known
+        long = len(value) > most and (hasattr(value[0], "certificate") or not dataclasses.is_dataclass(value[0]))
+        known = [outline(entry, False) for entry in value[: most if long else None]]
+        return [*known, f"and {len(value) - most} more"] if long else known
     return plain(value)
 
 
@@ -195,8 +191,8 @@ class Codec(Generic[Record]):
         """The record of a file. Raises `InputError`: for another format or version, and for anything damaged."""
         source = Path(path)
         give = f"give a {self.name}.json, which {self.maker} writes"
-        found, beside = json_file(source, f"{self.name}.json", self.again), source.with_suffix(".npz")
-        document = check_format(found, self.format, self.version, str(source), give, self.again)
+        content, beside = json_file(source, f"{self.name}.json", self.again), source.with_suffix(".npz")
+        document = check_format(content, self.format, self.version, str(source), give, self.again)
         dense = self._dense()
         entries = {name: entry for name, entry in document.items() if name not in dense}
         if dense and (beside.exists() or not self.alone):
@@ -210,4 +206,4 @@ class Codec(Generic[Record]):
 
     def _dense(self) -> dict[str, Filed]:
         """What is in the .npz."""
-        return {one.name: one.filed for one in layout(self.kind) if one.filed is not None and one.filed.dense}
+        return {entry.name: entry.filed for entry in layout(self.kind) if entry.filed is not None and entry.filed.dense}

@@ -2,7 +2,7 @@
 being killed, and family.json + family.npz made from it.
 
 `family.jsonl` is a journal (see `records.journal`) of steps, each with everything that it added; a run resumes from the
-last one. family.json carries the digest of its own entries (`record`) and of the arrays beside it (`dense`). Files of
+last. family.json carries the digest of its own entries (`record`) and of the arrays beside it (`dense`). Files of
 0.1.0 have no digests and are read without.
 """
 
@@ -12,8 +12,9 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
@@ -36,17 +37,13 @@ FORMAT, VERSION = "orbitfinder/family", 1
 JOURNAL = "family.jsonl"
 DENSE = {"nodes": "shooting_nodes", "mesh": "mesh", "tangent": "tangent"}
 """What goes into family.npz instead of family.json, and what it is called here."""
-CALLED = {"shooting_nodes": "nodes"}
-"""What fields of points and events are called in files"""
 CLOSURE = 1e-11
 """Largest independent closure of an accepted point, relative to the motion, times what errors grow by."""
 UNKNOWN = 1e10
 """Where errors grow more than this in a period, its closure and multipliers say nothing"""
 METHODS = ("product", "periodic QR")
-"""How multipliers were found: as eigenvalues of the state-transition matrices' product, or factor by factor."""
+"""How multipliers were computed: as eigenvalues of the state-transition matrices' product, or factor by factor."""
 AGAIN = "continue the family again"
-ALIKE = 1e-6
-"""Change of the energies of a family, relative to them, below which they are no axis"""
 
 
 def _check_place(member: Any) -> None:
@@ -67,7 +64,7 @@ class FamilyPoint(Orbit):
     what its allowed value 1e-11 is multiplied by: the largest multiplier, or what errors grow by until the
     end of the part that is integrated. Where that is more than
     1e-8, one turn says little, and the orbit is checked piece by piece as well: `defect` is the largest
-    gap, as relative, between where the same integrator leaves one of the shooting nodes and the next
+    gap, as relative, between where the same integrator leaves a shooting node and the next
     node, of which 1e-11 times the growth over a piece is allowed; elsewhere it is the closure itself.
     `symmetry` is that of the formulation, which the orbit has at least. `indices` are the stability indices in
     the order that follows each curve along the family, of the map whose power `root` is the monodromy.
@@ -82,7 +79,7 @@ class FamilyPoint(Orbit):
         "mesh", "tangent", "step", "role", "wall_time", "defect", "multiplier_errors", "multiplier_method", "certified",
         "watch",
     )  # fmt: skip
-    _called = CALLED
+    _called: ClassVar[Mapping[str, str]] = {"shooting_nodes": "nodes"}
     _sparse = ("shift", "multiplier_errors", "multiplier_method", "watch")
 
     index: int
@@ -103,7 +100,7 @@ class FamilyPoint(Orbit):
     multiplier_errors: np.ndarray = field(default_factory=lambda: np.zeros(0))
     """estimated relative error of each multiplier, by errors of the state-transition matrices; none in older files"""
     multiplier_method: str = ""
-    """one of `METHODS`"""
+    """of `METHODS`"""
     certified: bool = False
     """whether it has every check of a certificate and not only those of its closure"""
     watch: Mapping[str, float] = field(default_factory=dict)
@@ -137,7 +134,7 @@ class Event(Shown):
     """
 
     __repr__ = brief("kind", "detail", "parameter", "period", "index")
-    _called = CALLED
+    _called = FamilyPoint._called
     _sparse = ("check", "watch")
 
     kind: str
@@ -170,7 +167,7 @@ class Event(Shown):
 
 @dataclass(frozen=True)
 class End:
-    """Why a family stopped in one direction: a short name and the sentence.
+    """Why a family stopped in a direction: a short name and the sentence.
 
     Of what was solved for there, a Hopf point or a join, the family's parameter, the period and the error bar of the
     parameter; `joined` is the orbit of the family that is joined: state, period, symmetry, winding, free.
@@ -219,7 +216,7 @@ Events = Annotated[tuple[Event, ...], _members(Event)]
 
 @dataclass(frozen=True)
 class Batch:
-    """Everything one step adds; written to the journal as one line, so that it is kept or lost as a whole."""
+    """Everything a step adds; written to the journal as a line, so that it is kept or lost as a whole."""
 
     __repr__ = brief("direction", "points", "events", "end")
 
@@ -234,7 +231,7 @@ class Batch:
 class Family(Shown):
     """Orbits joined by arclength, ordered along the curve, with events and the reason of each end.
 
-    `values(name)` is one number of every point (a watched one too), `places` what varies at every point and then at
+    `values(name)` is a number of every point (a watched number too), `places` what varies at every point and then at
     every event, `counts` how many are closed and certified. A curve of bifurcations has two `parameters`, of which the
     first is its `parameter`.
 
@@ -273,7 +270,7 @@ class Family(Shown):
         if not self.points:
             raise ValueError("points: none")
         members: tuple[FamilyPoint | Event, ...] = (*self.points, *self.events)
-        if len({one.state.size for one in members}) > 1:
+        if len({member.state.size for member in members}) > 1:
             raise ValueError("state: not of one size in all points and events")
 
     def values(self, name: str) -> np.ndarray:
@@ -289,12 +286,12 @@ class Family(Shown):
     def by_energy(self) -> bool:
         """Whether the energy is an axis to draw it over: it changes, or nothing but it and the period does."""
         energies = self.values("energy")
-        alike = np.ptp(energies) <= ALIKE * np.abs(energies).max()
+        alike = np.ptp(energies) <= 1e-6 * np.abs(energies).max()
         return bool(self.unit) or (bool(np.isfinite(energies).all()) and not alike)
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """What varies along it: one parameter, or the two of a curve of bifurcations."""
+        """What varies along it: a parameter, or the two of a curve of bifurcations."""
         test = self.curve.get("test")
         return tuple(map(str, test["parameters"])) if isinstance(test, Mapping) else (self.parameter,)
 
@@ -306,14 +303,14 @@ class Family(Shown):
     @property
     def places(self) -> np.ndarray:
         """The values (k x 1 or k x 2) of what varies at every point and then at every event."""
-        rows = [[number_of(one, name) for name in self.parameters] for one in self.members]
+        rows = [[number_of(member, name) for name in self.parameters] for member in self.members]
         return np.array(rows, float).reshape(-1, len(self.parameters))
 
     @property
     def counts(self) -> str:
         """How many orbits are closed and how many of them certified, in words."""
-        known = [one for one in self.points if one.scale <= UNKNOWN]
-        sure = [sum(one.certified for one in some) for some in (known, self.events)]
+        known = [point for point in self.points if point.scale <= UNKNOWN]
+        sure = [sum(member.certified for member in some) for some in (known, self.events)]
         left = len(self.points) - len(known)
         return (
             f"{plural(len(known), 'closed orbit')}{f' (and {left} too unstable to say)' * bool(left)}, "
@@ -327,19 +324,19 @@ class Family(Shown):
         return display.stage(self)
 
 
-def value_of(one: FamilyPoint | Event, name: str) -> Any:
+def value_of(member: FamilyPoint | Event, name: str) -> Any:
     """A watched number, or any other entry, of a point or event."""
-    return one.watch[name] if name in one.watch else getattr(one, name)
+    return member.watch[name] if name in member.watch else getattr(member, name)
 
 
-def number_of(one: FamilyPoint | Event, name: str) -> float:
+def number_of(member: FamilyPoint | Event, name: str) -> float:
     """A watched number or the value of a freed parameter, or else the energy or the period, of a point or event; of
     another its value."""
-    if name in one.free:
-        return float(one.free[name])
-    if name in (*one.watch, "energy", "period"):
-        return float(value_of(one, name))
-    return one.value if isinstance(one, FamilyPoint) else one.parameter
+    if name in member.free:
+        return float(member.free[name])
+    if name in (*member.watch, "energy", "period"):
+        return float(value_of(member, name))
+    return member.value if isinstance(member, FamilyPoint) else member.parameter
 
 
 @dataclass(frozen=True)
@@ -354,27 +351,27 @@ class Journal:
     @cached_property
     def origin(self) -> FamilyPoint:
         """The point that the family begins with."""
-        found: FamilyPoint = restored(FamilyPoint, self.header["origin"])
-        return found
+        point: FamilyPoint = restored(FamilyPoint, self.header["origin"])
+        return point
 
     def steps(self, direction: int) -> list[tuple[FamilyPoint, Standing | None]]:
-        """The steps already taken in one direction, and what the next one begins with."""
+        """The steps already taken in a direction, and what the next one begins with."""
         batches = [batch for batch in self.batches if batch.direction == direction]
-        return [(point, one.standing) for one in batches for point in one.points if point.role == "step"]
+        return [(point, batch.standing) for batch in batches for point in batch.points if point.role == "step"]
 
     def end(self, direction: int) -> End | None:
-        """The last reason for ending in one direction."""
+        """The last reason for ending in a direction."""
         ends = [batch.end for batch in self.batches if batch.direction == direction and batch.end is not None]
         return ends[-1] if ends else None
 
 
 def restored(kind: type[FamilyPoint] | type[Event], document: Mapping[str, Any], where: str = "") -> Any:
     """A FamilyPoint or an Event out of what `plain` made of it; `ValueError` names the entry that is wrong."""
-    entries = {one.field: document[one.name] for one in layout(kind) if one.name in document}  # type: ignore[arg-type]
-    found = typed(kind, entries | (_untold(entries) if kind is FamilyPoint else {}), where)
-    if isinstance(found, Event) and found.kind == "fold" and found.detail not in ("energy", *found.free):
-        found = replace(found, kind="turn")  # as older files call it too
-    return found
+    entries = {entry.field: document[entry.name] for entry in layout(kind) if entry.name in document}  # type: ignore[arg-type]
+    member = typed(kind, entries | (_untold(entries) if kind is FamilyPoint else {}), where)
+    if isinstance(member, Event) and member.kind == "fold" and member.detail not in ("energy", *member.free):
+        member = replace(member, kind="turn")  # as older files call it too
+    return member
 
 
 def _untold(entries: Mapping[str, Any]) -> dict[str, Any]:
@@ -393,7 +390,7 @@ def situated(point: FamilyPoint, index: int, name: str, system: Mapping[str, Any
 
 
 def _turns(curve: Mapping[str, Any], size: int) -> tuple[int, ...]:
-    """Whole turns of each coordinate of a state (d) in one period: d of them in a first-order system, else half.
+    """Whole turns of each coordinate of a state (d) in a period: d of them in a first-order system, else half.
 
     Older files say them by the boundary's constants only.
     """
@@ -423,7 +420,7 @@ class _Header:
 
 
 def append(folder: Path, batch: Batch) -> None:
-    """One batch as one line, on the disk when this returns."""
+    """A batch as a line, on the disk when this returns."""
     append_line(folder / JOURNAL, plain(batch))
 
 
@@ -432,8 +429,8 @@ def read_journal(folder: Path) -> Journal | None:
 
     Raises `InputError` about any other line that is not as it was written.
     """
-    found = read_lines(folder / JOURNAL, JOURNAL)
-    return None if found is None else _journal(folder / JOURNAL, *found)
+    lines = read_lines(folder / JOURNAL, JOURNAL)
+    return None if lines is None else _journal(folder / JOURNAL, *lines)
 
 
 def _journal(path: Path, entries: Sequence[Mapping[str, Any]], sealed: bool) -> Journal | None:
@@ -455,15 +452,15 @@ def _journal(path: Path, entries: Sequence[Mapping[str, Any]], sealed: bool) -> 
 
 
 def assemble(journal: Journal) -> Family:
-    """The family in order along the curve, points numbered from one end to the other."""
+    """The family in order along the curve, points numbered from end to end."""
     points = [journal.origin, *(point for batch in journal.batches for point in batch.points)]
-    points.sort(key=lambda point: point.arclength)
+    points.sort(key=attrgetter("arclength"))
     header = journal.header
     about = header["name"], header["system"], header["curve"]
     numbered = tuple(situated(point, k, *about) for k, point in enumerate(points))
     places = np.array([point.arclength for point in numbered])
-    events = sorted((event for batch in journal.batches for event in batch.events), key=lambda one: one.arclength)
-    indexed = tuple(replace(one, index=int(np.searchsorted(places, one.arclength)) - 1) for one in events)
+    events = sorted((event for batch in journal.batches for event in batch.events), key=attrgetter("arclength"))
+    indexed = tuple(replace(event, index=int(np.searchsorted(places, event.arclength)) - 1) for event in events)
     ends = tuple(end for end in (journal.end(-1), journal.end(1)) if end is not None)
     more = header["curve"], header.get("source", {})
     return Family(header["name"], header["system"], header["parameter"], numbered, indexed, ends, *more)
@@ -487,7 +484,7 @@ def save_family(family: Family, folder: Path) -> Path:
     dense: dict[str, np.ndarray] = {}
     for kind, members in (("point", family.points), ("event", family.events)):
         for name, here in DENSE.items():
-            pieces = [np.asarray(getattr(one, here), float).ravel() for one in members]
+            pieces = [np.asarray(getattr(member, here), float).ravel() for member in members]
             dense[f"{kind}_{name}"] = np.concatenate(pieces) if pieces else np.zeros(0)
             dense[f"{kind}_{name}_sizes"] = np.array([piece.size for piece in pieces], int)
     write_npz(folder / "family.npz", dense)
@@ -498,10 +495,10 @@ def save_family(family: Family, folder: Path) -> Path:
 
 def _dense_digest(dense: Mapping[str, np.ndarray]) -> str:
     """SHA-256 of the numbers of family.npz."""
-    found = hashlib.sha256()
+    sha = hashlib.sha256()
     for name in _dense_names():
-        found.update(f"{name} {dense[name].size} ".encode() + np.ascontiguousarray(dense[name], "<f8").tobytes())
-    return found.hexdigest()
+        sha.update(f"{name} {dense[name].size} ".encode() + np.ascontiguousarray(dense[name], "<f8").tobytes())
+    return sha.hexdigest()
 
 
 def _dense_names() -> list[str]:
@@ -526,8 +523,8 @@ def load_family(path: str | Path) -> Family:
         'short'
     """
     source = Path(path)
-    found = json_file(source, "family.json", AGAIN)
-    document = check_format(found, FORMAT, VERSION, str(source), "give a family.json", AGAIN)
+    content = json_file(source, "family.json", AGAIN)
+    document = check_format(content, FORMAT, VERSION, str(source), "give a family.json", AGAIN)
     record = document.pop("record", None)
     if (record is not None or "dense" in document) and record != content_digest(document):
         raise InputError(f"{source}: record: its digest is another, so the file was edited or damaged; {AGAIN}")
@@ -541,7 +538,7 @@ def load_family(path: str | Path) -> Family:
         raise InputError(f"{source}: {error}; {AGAIN}") from error
     about = family.name, family.system, family.curve
     try:
-        return replace(family, points=tuple(situated(one, k, *about) for k, one in enumerate(family.points)))
+        return replace(family, points=tuple(situated(point, k, *about) for k, point in enumerate(family.points)))
     except (TypeError, ValueError, IndexError, OverflowError) as error:
         raise InputError(f"{source}: curve or system: {error}; {AGAIN}") from error
 
@@ -572,7 +569,7 @@ def _pieces(dense: Mapping[str, np.ndarray], name: str, count: int) -> list[np.n
     if not dense:
         return [np.zeros(0)] * count
     flat, sizes = dense[name], dense[f"{name}_sizes"]
-    counts = sizes.dtype.kind == "i" and sizes.shape == (count,) and bool(np.all(sizes >= 0))
+    counts = np.issubdtype(sizes.dtype, np.integer) and sizes.shape == (count,) and bool(np.all(sizes >= 0))
     if flat.ndim != 1 or not counts or sizes.sum() != flat.size:
         raise ValueError(f"family.npz: {name}: does not fit the {count} entries of family.json")
     return np.split(flat, np.cumsum(sizes)[:-1]) if count else []

@@ -1,4 +1,4 @@
-"""Journals of what takes long: a header line and then one line a step, flushed to the disk before the next begins.
+"""Journals of what takes long: a header line and then a line a step, flushed to the disk before the next begins.
 
 Every line is a JSON object that ends with a digest of itself. A last line that was cut short by a kill is dropped, so
 that a step is there completely or not at all; any other line that is not what was written is an error.
@@ -24,7 +24,6 @@ from orbitfinder.records.reading import content_digest, file_lines, json_bytes, 
 FORMAT, VERSION = "orbitfinder/journal", 1
 SEAL = "digest"
 """The key of a line's digest: the first digits of the SHA-256 of the rest of its content"""
-SEAL_DIGITS = 16
 AGAIN = "restore a copy, or delete the file to start again"
 Line = TypeVar("Line")
 
@@ -48,7 +47,7 @@ def checkpoints(
 ) -> Iterator[Checkpoints[Line]]:
     """Those of a request (plain numbers) at a path, whose folder nobody else has meanwhile; nothing without a path.
 
-    The journal of another request is begun anew. Raises `InputError` for one that cannot be read.
+    The journal of another request is begun anew. Raises `InputError` where it cannot be read.
     """
     if path is None:
         yield Checkpoints(None, [])
@@ -79,9 +78,9 @@ def header_of(request: Mapping[str, Any]) -> dict[str, Any]:
 def fill(arrays: Iterable[np.ndarray], matrix: np.ndarray) -> None:
     """Write the columns of a matrix back into the arrays that it was stacked from, in the rows that both have."""
     begin = 0
-    for one in arrays:
-        width = one[:1].size
-        one[: len(matrix)] = matrix[: len(one), begin : begin + width].reshape(-1, *one.shape[1:])
+    for array in arrays:
+        width = array[:1].size
+        array[: len(matrix)] = matrix[: len(array), begin : begin + width].reshape(-1, *array.shape[1:])
         begin += width
 
 
@@ -99,7 +98,7 @@ def unpacked(text: str, columns: int) -> np.ndarray:
 
 
 def begin_journal(path: Path, header: Mapping[str, Any], lines: Iterable[Mapping[str, Any]] = ()) -> None:
-    """A journal of a header and of lines that are known, replacing an older one whole or not at all."""
+    """A journal of a header and of lines that are known, replacing an older journal whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, b"".join(map(sealed_line, (header, *lines))))
     handle = os.open(path.parent, os.O_RDONLY)
@@ -124,27 +123,27 @@ def sealed_line(entries: Mapping[str, Any]) -> bytes:
 
 def seal(entries: Mapping[str, Any]) -> str:
     """The digest of a line's entries."""
-    return content_digest(entries)[:SEAL_DIGITS]
+    return content_digest(entries)[:16]
 
 
 def read_lines(path: Path, what: str) -> tuple[list[dict[str, Any]], bool] | None:
-    """The lines of a journal, header first, and whether all have digests; a damaged last one is cut off the file.
+    """The lines of a journal, header first, and whether all have digests; a damaged last line is cut off the file.
 
     None where there is no file. Raises `InputError` about any other line that is not as it was written.
     """
     if not path.exists():
         return None
-    found = list(_lines(path, what))
-    if found and isinstance(found[-1], InputError):
-        logging.getLogger(__name__).warning("%s: the last line was cut short and is computed again", found.pop())
-        _cut(path, len(found))
+    lines = list(_lines(path, what))
+    if lines and isinstance(lines[-1], InputError):
+        logging.getLogger(__name__).warning("%s: the last line was cut short and is computed again", lines.pop())
+        _cut(path, len(lines))
     entries = []
-    for one in found:
-        if isinstance(one, InputError):
-            raise one
-        entries.append(one)
-    sealed = all(SEAL in one for one in entries)
-    return [{key: value for key, value in one.items() if key != SEAL} for one in entries], sealed
+    for line in lines:
+        if isinstance(line, InputError):
+            raise line
+        entries.append(line)
+    sealed = all(SEAL in entry for entry in entries)
+    return [{key: value for key, value in entry.items() if key != SEAL} for entry in entries], sealed
 
 
 def _lines(path: Path, what: str) -> Iterator[dict[str, Any] | InputError]:
@@ -163,7 +162,7 @@ def _lines(path: Path, what: str) -> Iterator[dict[str, Any] | InputError]:
 
 
 def _check(entries: Any, line: bytes, sealed: bool) -> None:
-    """`ValueError` unless a line is complete and has its digest; one after no `sealed` line may be without."""
+    """`ValueError` unless a line is complete and has its digest; after no `sealed` line it may be without."""
     if not isinstance(entries, dict) or not line.endswith(b"\n"):
         raise ValueError("incomplete")
     if not sealed and SEAL not in entries:

@@ -34,10 +34,6 @@ SHIFT = "shift_"
 """In front of a coordinate's name: how far a relative orbit shifts in it, among expected numbers."""
 
 
-VERDICTS = ("linearly stable", "asymptotically stable", "unstable", "open")
-"""What a proof decides of an orbit's stability"""
-
-
 @dataclass(frozen=True)
 class _Expectation:
     value: float
@@ -49,7 +45,7 @@ Expected = Annotated[
     Filed(
         lambda told: {name: _Expectation(*pair) for name, pair in told.items()},
         lambda entry, where: {
-            name: (one.value, one.tolerance) for name, one in typed(dict[str, _Expectation], entry, where).items()
+            name: (told.value, told.tolerance) for name, told in typed(dict[str, _Expectation], entry, where).items()
         },
     ),
 ]
@@ -70,7 +66,7 @@ class Orbit(Shown):
         action: integral of momentum.dq over the loop, J s; of first-order systems the integral of |x'|^2.
         closure: the largest gap round the loop by the independent integrator.
         symmetry: what the orbit has, as in `Problem`.
-        winding: whole turns of each coordinate in one period (n).
+        winding: whole turns of each coordinate in a period (n).
         floquet_multipliers: the non-trivial ones (complex).
         pair_defect: max |mu_i mu_j - 1| over reciprocal pairs, their error bar.
         stability: elliptic | marginal | unstable, or of dissipative systems asymptotically stable.
@@ -81,10 +77,10 @@ class Orbit(Shown):
         tolerance: the closure that the certificate asks for.
         expected: what the problem expected of it.
         certificate: its checks; None before.
-        provenance: how it was found.
-        title: one line for people.
+        provenance: how it came about.
+        title: a line for people.
         source: where the numbers come from.
-        proof: the record of its proof, if there is one.
+        proof: the record of its proof, if there is any.
         record: the file that it was read from.
         shift: of a relative orbit, how far its cyclic coordinates go in a period.
         control: of a controlled motion, how its controls vary and what they cost.
@@ -201,16 +197,16 @@ def system_at(system: Mapping[str, Any], values: Mapping[str, float]) -> Mapping
         return {**system, "arguments": {**system.get("arguments", {}), **physical}}
     if "bodies" in system:
         return {**system, "values": {**system.get("values", {}), **physical}}
-    found = dict(system)
+    changed = dict(system)
     for name, value in physical.items():
         entry = name.rstrip("0123456789")
-        if entry == name and name in found:
-            found[name] = value
-        elif entry in found:
-            column = list(found[entry])
+        if entry == name and name in changed:
+            changed[name] = value
+        elif entry in changed:
+            column = list(changed[entry])
             column[int(name[len(entry) :]) - 1] = value
-            found[entry] = column
-    return found
+            changed[entry] = column
+    return changed
 
 
 def digest(document: Mapping[str, Any]) -> str:
@@ -220,12 +216,13 @@ def digest(document: Mapping[str, Any]) -> str:
 
 
 def recorded_proof(document: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """The proof that an orbit document says it has; None without one, and where it is of another orbit's numbers.
+    """The proof that an orbit document says it has; None without any, and where it is of another orbit's numbers.
 
     It is a claim until `orbitfinder verify --proof` does it again.
     """
     proof = document.get("proof")
-    if not isinstance(proof, Mapping) or proof.get("proved") is not True or proof.get("stability") not in VERDICTS:
+    verdicts = ("linearly stable", "asymptotically stable", "unstable", "open")
+    if not isinstance(proof, Mapping) or proof.get("proved") is not True or proof.get("stability") not in verdicts:
         return None
     try:
         level, period = proof["energy"], float(document["period"])
@@ -275,8 +272,8 @@ def dense_samples(path: Path, size: int) -> tuple[np.ndarray, np.ndarray]:
     """
     if not path.exists():
         return np.zeros(0), np.zeros((0, size))
-    found = arrays(path, ("times", "samples"), AGAIN)
-    times, samples = found["times"].astype(float), found["samples"].astype(float)
+    dense = arrays(path, ("times", "samples"), AGAIN)
+    times, samples = dense["times"].astype(float), dense["samples"].astype(float)
     fits = times.ndim == 1 and samples.shape == (times.size, size) and times.size != 1
     if not fits or np.any(np.diff(times) < 0) or np.any(times[2:] <= times[:-2]):
         raise InputError(f"{path}: damaged (its times and states do not fit together or the orbit); {AGAIN}")
@@ -289,7 +286,7 @@ def read_document(source: Path) -> dict[str, Any]:
 
 
 def check_document(document: Any, where: str) -> dict[str, Any]:
-    """The same document, if it is one of an orbit, or `InputError`; what is in it `orbit_from_document` reads."""
+    """The same document, if it is that of an orbit, or `InputError`; what is in it `orbit_from_document` reads."""
     several = isinstance(document, (list, dict)) and document and (isinstance(document, list) or "points" in document)
     give = f"give an orbit.json{f', or one orbit of the file: {where}#0' if several else ''}"
     return check_format(document, FORMAT, VERSION, where, give, AGAIN)
@@ -314,8 +311,8 @@ def orbit_from_document(document: Any, where: str = "orbit document") -> Orbit:
 
 def _orbits(entries: Any, where: str) -> tuple[Orbit, ...]:
     several = typed(tuple[Any, ...], entries, where)
-    return tuple(orbit_from_document(one, f"{where}[{k}]") for k, one in enumerate(several))
+    return tuple(orbit_from_document(document, f"{where}[{k}]") for k, document in enumerate(several))
 
 
-Orbits = Annotated[tuple[Orbit, ...], Filed(lambda orbits: [orbit_to_document(one) for one in orbits], _orbits)]
+Orbits = Annotated[tuple[Orbit, ...], Filed(lambda orbits: list(map(orbit_to_document, orbits)), _orbits)]
 """Orbits, each with its own format and digest"""

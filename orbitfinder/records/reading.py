@@ -1,7 +1,7 @@
-"""Files that others made, read within bounds: the one way from a path to bytes, JSON, arrays and typed records;
+"""Files that others made, read within bounds: the way from a path to bytes, JSON, arrays and typed records;
 and ours, written whole or not at all.
 
-Whatever a file holds, what comes back is what was asked for, or an `InputError` of one sentence; nothing is
+Whatever a file holds, what comes back is what was asked for, or an `InputError` of a sentence; nothing is
 expanded, nested or counted beyond the bounds below, and only regular files are opened (no pipes, no devices).
 """
 
@@ -34,8 +34,6 @@ from orbitfinder.errors import InputError, shortened
 
 LARGEST_FILE = 100_000_000
 """Bytes; a larger file (of a journal: a larger line) is refused before it is read."""
-LARGEST_EXPANDED = 400_000_000
-"""Bytes that the compressed arrays of one file, or a compressed document, may become."""
 MOST_VALUES = 10_000_000
 """Entries of a JSON document."""
 DEEPEST = 64
@@ -43,12 +41,10 @@ DEEPEST = 64
 LARGEST_INTEGER = 2**63 - 1
 BUSY = 2.0 if sys.platform == "win32" else 0.0
 """s to wait for others to close the file that is to be replaced"""
-MOST_MEMBERS = 100
-"""Arrays in one npz file."""
 
 
 def _regular(path: Path, what: str) -> BinaryIO:
-    """The open file at a path, if it is a regular one."""
+    """The open file at a path, if it is a regular file."""
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     mode = os.fstat(handle).st_mode
     if stat.S_ISREG(mode):
@@ -92,7 +88,7 @@ def file_head(path: Path, size: int) -> bytes:
 
 
 def file_lines(path: Path, what: str = "file") -> Iterator[bytes]:
-    """The lines of a regular file with their ends; one that is too long comes without its end."""
+    """The lines of a regular file with their ends; a line that is too long comes without its end."""
     with _opened(path, what) as stream:
         while line := stream.readline(LARGEST_FILE):
             yield line
@@ -132,15 +128,15 @@ def bounded(document: Any, where: str, remedy: str, finite: bool = True) -> Any:
         if not level:
             return document
         try:
-            level = [inner for name, one in level for inner in _inside(name, one, finite)]
+            level = [inner for name, part in level for inner in _inside(name, part, finite)]
         except ValueError as error:
             raise InputError(f"{where}: {error}; {remedy}") from error
     raise InputError(f"{where}: nested too deeply; {remedy}")
 
 
-def _inside(name: str, one: Any, finite: bool) -> Iterator[tuple[str, Any]]:
+def _inside(name: str, part: Any, finite: bool) -> Iterator[tuple[str, Any]]:
     """The lists and tables in a list or table, named; `ValueError` about the first bad number or text in it."""
-    entries = one.items() if isinstance(one, Mapping) else enumerate(one) if isinstance(one, list) else ()
+    entries = part.items() if isinstance(part, Mapping) else enumerate(part) if isinstance(part, list) else ()
     for key, value in entries:
         if isinstance(value, (Mapping, list)):
             yield _place(name, key), value
@@ -169,18 +165,20 @@ def arrays(path: Path, names: Sequence[str], remedy: str, endless: Sequence[str]
 
     Their sizes are read before anything is expanded. `InputError`.
     """
-    data, found = file_bytes(path, "npz file"), dict[str, np.ndarray]()
+    data, members = file_bytes(path, "npz file"), dict[str, np.ndarray]()
     try:
-        if data.count(b"PK\x01\x02") > MOST_MEMBERS:
-            raise ValueError(f"more than {MOST_MEMBERS} arrays")
+        if data.count(b"PK\x01\x02") > 100:
+            raise ValueError("more than 100 arrays")
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             for name in names:
-                found[name] = _array(archive, name, LARGEST_EXPANDED - sum(one.nbytes for one in found.values()))
-                if np.isnan(found[name]).any() or not (name in endless or np.isfinite(found[name]).all()):
+                members[name] = _array(
+                    archive, name, 4 * LARGEST_FILE - sum(member.nbytes for member in members.values())
+                )
+                if np.isnan(members[name]).any() or not (name in endless or np.isfinite(members[name]).all()):
                     raise ValueError(f"{name} holds a number that is not finite")
     except Exception as error:  # zipfile, zlib, struct, tokenize: what they raise has no common base
         raise InputError(f"{path}: damaged ({shortened(error, 120)}); {remedy}") from error
-    return found
+    return members
 
 
 def _array(archive: zipfile.ZipFile, name: str, room: int) -> np.ndarray:
@@ -196,19 +194,19 @@ def _array(archive: zipfile.ZipFile, name: str, room: int) -> np.ndarray:
             raise ValueError(f"{name} is no array of numbers of its size")
         content = stream.read()
     array = np.frombuffer(content, dtype).reshape(shape, order="F" if fortran else "C")
-    return array.astype(float if dtype.kind == "f" else int)
+    return array.astype(float if np.issubdtype(dtype, np.floating) else int)
 
 
 def inflated(data: bytes, where: str, remedy: str) -> bytes:
     """What zlib compressed, if it is no larger than a file may be. `InputError`."""
     try:
         packed = zlib.decompressobj()
-        found = packed.decompress(data, LARGEST_FILE)
+        content = packed.decompress(data, LARGEST_FILE)
         if not packed.eof:
-            raise ValueError("truncated" if len(found) < LARGEST_FILE else f"expands beyond {LARGEST_FILE} bytes")
+            raise ValueError("truncated" if len(content) < LARGEST_FILE else f"expands beyond {LARGEST_FILE} bytes")
     except (zlib.error, ValueError, TypeError) as error:
         raise InputError(f"{where}: damaged ({error}); {remedy}") from error
-    return found
+    return content
 
 
 def content_digest(document: Any) -> str:
@@ -245,7 +243,7 @@ def typed(kind: Any, value: Any, where: str) -> Any:
     """A JSON value as the type that an annotation names, dataclasses included; `ValueError` names the entry.
 
     float: finite; complex: [re, im]; np.ndarray: numbers in at most two dimensions; entries that a dataclass
-    does not know are left out, those with a default may be missing. `_check` of a dataclass, if it has one, raises
+    does not know are left out, those with a default may be missing. `_check` of a dataclass, if it has any, raises
     `ValueError` about its field unless what was read belongs together.
     """
     reader, of = _reader(kind)
@@ -263,12 +261,12 @@ def _reader(kind: Any) -> tuple[Callable[[Any, Any, str], Any], Any]:
 def _record(kind: Any, value: Any, where: str) -> Any:
     entries, known, told = _table((str, Any), value, where), hints(kind), {}
     called = getattr(kind, "_called", {})
-    for one in dataclasses.fields(kind):
-        name = one.name if one.name in entries else called.get(one.name, one.name)
+    for field in dataclasses.fields(kind):
+        name = field.name if field.name in entries else called.get(field.name, field.name)
         place = f"{where}.{name}".lstrip(".")
         if name in entries:
-            told[one.name] = typed(known[one.name], entries[name], place)
-        elif one.default is one.default_factory is dataclasses.MISSING:
+            told[field.name] = typed(known[field.name], entries[name], place)
+        elif field.default is field.default_factory is dataclasses.MISSING:
             raise ValueError(f"{place}: missing")
     made = kind(**told)
     if check := getattr(made, "_check", None):
@@ -306,12 +304,12 @@ def _number(_: Any, value: Any, where: str) -> float:
 
 def _numbers(_: Any, value: Any, where: str) -> np.ndarray:
     try:
-        found = np.asarray(value)
+        numbers = np.asarray(value)
     except ValueError as error:
         raise _wrong(where, "numbers in rows of one length", value) from error
-    if isinstance(value, str) or (found.size and found.dtype.kind not in "fiu") or not 1 <= found.ndim <= 2:
+    if isinstance(value, str) or (numbers.size and numbers.dtype.kind not in "fiu") or not 1 <= numbers.ndim <= 2:
         raise _wrong(where, "a list of numbers", value)
-    return found.astype(float)
+    return numbers.astype(float)
 
 
 def _complex(_: Any, value: Any, where: str) -> complex:
@@ -400,7 +398,7 @@ def _replace(temporary: str, path: Path) -> None:
 
 
 def json_bytes(document: Any, compact: bool = False) -> bytes:
-    """A document as one line, or over as many lines as it has entries; floats round-trip exactly."""
+    """A document as a line, or over as many lines as it has entries; floats round-trip exactly."""
     form: dict[str, Any] = {"separators": (",", ":")} if compact else {"indent": 1}
     return (json.dumps(document, allow_nan=False, **form) + "\n").encode()
 
@@ -420,4 +418,4 @@ def write_npz(path: Path, members: Mapping[str, np.ndarray]) -> None:
 
 def finite(value: Any) -> Any:
     """The same document with null for every NaN and infinity, which JSON does not have."""
-    return walked(value, lambda one: None if isinstance(one, float) and not math.isfinite(one) else one)
+    return walked(value, lambda leaf: None if isinstance(leaf, float) and not math.isfinite(leaf) else leaf)

@@ -47,7 +47,7 @@ from orbitfinder.records.journal import checkpoints
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import typed
 from orbitfinder.structures.crossings import FINE
-from orbitfinder.structures.manifold import Connection, End
+from orbitfinder.structures.manifold import Connection, ConnectionEnd
 from orbitfinder.structures.manifolds import Local, ManifoldSettings, Part, grown, local_manifold, surface_of
 from orbitfinder.structures.sections import Surface, levels_at, solved_component, surface
 
@@ -363,8 +363,8 @@ def described(chain: ReturnChain, name: str) -> Connection:
     cut, linear = chain.origin.surface, _linear(chain)
     names = cut.model.state_names
     ends = [
-        End(end.orbit.name, end.orbit.state, end.orbit.period, end.multiplier, end.point, end.direction, place,
-            end.extents)
+        ConnectionEnd(end.orbit.name, end.orbit.state, end.orbit.period, end.multiplier, end.point, end.direction,
+                      place, end.extents)
         for end, place in zip((chain.origin, chain.goal), chain.places, strict=True)
     ]  # fmt: skip
     units = extents_of(cut.model, chain.states, chain.origin.orbit.period)
@@ -451,7 +451,7 @@ def _certificate(connection: Connection, model: Model) -> tuple[Certificate, flo
     return Certificate(tuple(checks)), error
 
 
-def _growth(end: End) -> float:
+def _growth(end: ConnectionEnd) -> float:
     """How many times errors grow in a period of an orbit."""
     return max(abs(end.multiplier), 1 / abs(end.multiplier))
 
@@ -490,7 +490,7 @@ def _chain(connection: Connection, model: Model) -> ReturnChain:
     return ReturnChain(ends[0], ends[1], connection.states, places, connection.chosen)
 
 
-def _no_orbit(end: End) -> Orbit:
+def _no_orbit(end: ConnectionEnd) -> Orbit:
     """What a local manifold asks of its orbit."""
     nothing = np.zeros(0)
     return Orbit(
@@ -499,7 +499,7 @@ def _no_orbit(end: End) -> Orbit:
     )  # fmt: skip
 
 
-def _off(independent: _Independent, end: End, state: np.ndarray, sense: int) -> np.ndarray:
+def _off(independent: _Independent, end: ConnectionEnd, state: np.ndarray, sense: int) -> np.ndarray:
     """How far (d) a start is off the local manifold, but for the flow: by a motion of a period from nearer by."""
     model, turns = independent.model, 1 if end.multiplier > 0 else 2
     growth = _growth(end) ** turns

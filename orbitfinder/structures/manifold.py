@@ -37,7 +37,7 @@ def reach(points: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarr
 class Manifold(Shown):
     """A stable or unstable manifold of an orbit: curves on a section, or motions along it (a tube).
 
-    `states` (k x d) are the points of all curves one after another; `pieces` (k) numbers the curves, which are broken
+    `states` (k x d) are the points of all curves in turn; `pieces` (k) numbers the curves, which are broken
     where that changes; `places` (k) are where each began: its displacement along the eigendirection, in extents of
     the orbit; `images` (k) how many returns it took, `times` (k, s) how long. `point` (d) is the orbit's own on the
     section, `direction` (d) the eigendirection there, `displacement` the largest of the places and `error` how far
@@ -112,7 +112,7 @@ def load_manifold(path: str | Path) -> Manifold:
 
 
 @dataclass(frozen=True)
-class End:
+class ConnectionEnd:
     """One end of a connection: an orbit and where on its local manifold the motion begins or ends.
 
     `orbit` is its name, `state` (d) and `period` the orbit itself, `point` (d) its crossing of the section,
@@ -134,7 +134,7 @@ class End:
 
 @dataclass(frozen=True)
 class Connection(Shown):
-    """A motion from one orbit to another (heteroclinic) or back to the same (homoclinic).
+    """A motion from an orbit to another (heteroclinic) or back to the same (homoclinic).
 
     `states` (m + 1 x d) are its crossings of the section, the first on the unstable manifold of `origin`, the last on
     the stable one of `goal`, `durations` (m, s) the times between; it is looked at at crossing number `chosen`:
@@ -157,8 +157,8 @@ class Connection(Shown):
     chosen: int
     angle: float
     error: Endless
-    origin: End
-    goal: End
+    origin: ConnectionEnd
+    goal: ConnectionEnd
     certificate: Certified = None
     times: Dense = field(default_factory=lambda: np.zeros(0))
     samples: Dense = field(default_factory=lambda: np.zeros((0, 0)))

@@ -13,7 +13,7 @@ from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.records.codec import Codec, Dense, Filed, Unknown
 
 PARTED = 50.0
-"""Growth of a small distance in one return, at most, where it grows as the number of returns"""
+"""Growth of a small distance in a return, at most, where it grows as the number of returns"""
 LARGEST = float(np.finfo(float).max)
 """Stands in files, whose numbers are finite, for a growth that is not known"""
 Growth = Annotated[

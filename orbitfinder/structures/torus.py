@@ -24,15 +24,15 @@ class Torus(Shown):
         curve: states at equal angles (N x d, N odd).
         period: T in s.
         rotation: turns a return.
-        energy: J, nan without one.
+        energy: J, nan without any.
         tail: size of the highest harmonics relative to the curve's.
         strip: width of the strip of complex angles in which the series converges (0: the torus breaks down).
-        free: physical parameters that were found with it.
+        free: physical parameters that were solved for with it.
         certificate: its checks.
 
     Examples:
-        >>> one = tori.tori[-1]
-        >>> one.curve.shape[1], round(one.rotation, 9)
+        >>> torus = tori.tori[-1]
+        >>> torus.curve.shape[1], round(torus.rotation, 9)
         (4, 0.197056417)
     """
 
@@ -63,7 +63,7 @@ class Torus(Shown):
 
 @dataclass(frozen=True)
 class Tori(Shown):
-    """A family of tori of one system.
+    """A family of tori of a system.
 
     Args:
         name: a word for files.
