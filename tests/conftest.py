@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import shutil
 import sqlite3
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -135,14 +136,32 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
             pytest.skip(f"needs the extra {extra}: pip install -e '.[{extra}]'")
 
 
+@cache
+def quick_compiler() -> str:
+    """A $CC that does not optimise, "" where none is needed or known: most of a compilation, and no bit of a result.
+
+    test_compiled.py compares the bits, and compiles as users do.
+    """
+    known = os.name == "posix" and "CC" not in os.environ and next(filter(shutil.which, ("cc", "gcc", "clang")), None)
+    return f"sh -c 'exec {known} \"$@\" -O0' {known}" if known else ""
+
+
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory):
-    """Compiled functions go to a folder of this run, which its processes share, not to the user's cache."""
+    """Compiled functions go to a folder of this run, which its processes share, not to the user's cache.
+
+    So does the bytecode of commands where none may be written beside the sources: each would compile the package anew.
+    """
     base = tmp_path_factory.getbasetemp()
     folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "cache"
     folder.mkdir(mode=0o700, exist_ok=True)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ORBITFINDER_CACHE", str(folder))
+        if quick_compiler():
+            patch.setenv("CC", quick_compiler())
+        if os.environ.get("PYTHONDONTWRITEBYTECODE"):
+            patch.delenv("PYTHONDONTWRITEBYTECODE")
+            patch.setenv("PYTHONPYCACHEPREFIX", str(folder.with_name("bytecode")))
         yield
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import platformdirs
 import pytest
 from click.testing import CliRunner
+from conftest import quick_compiler
 from platformdirs.macos import MacOS
 from platformdirs.unix import Unix
 
@@ -46,9 +47,11 @@ pytestmark = pytest.mark.skipif(not available()[0], reason="no C compiler: " + a
 
 @pytest.fixture(autouse=True)
 def fresh(tmp_path, monkeypatch):
-    """An empty cache, mode auto and no memory of earlier tests."""
+    """An empty cache, mode auto, the compiler that users have and no memory of earlier tests."""
     monkeypatch.setenv("ORBITFINDER_CACHE", str(tmp_path / "cache"))
     monkeypatch.delenv("ORBITFINDER_COMPILE", raising=False)
+    if quick_compiler():
+        monkeypatch.delenv("CC")
     forget(monkeypatch)
     monkeypatch.setattr(rooms, "_chosen", [])
     return tmp_path / "cache" / "compiled"
@@ -103,6 +106,20 @@ def test_a_whole_march_compiles(fresh):
     end = fast(np.concatenate([[0.0], state]), steps).full()[1:, -1]
     assert fast is not whole
     np.testing.assert_allclose(end, march(field, state, 1.7, 400, np.zeros(0))[-1], rtol=1e-13, atol=1e-14)
+
+
+@pytest.mark.skipif(not quick_compiler(), reason="needs a compiler of the usual names")
+def test_optimising_changes_no_bit(monkeypatch):
+    """The other tests compile without: their numbers are those of users."""
+    field, state, ends = build_flow(chain(3)).field, np.array([0.3, -0.2, 0.4, 0.1, 0.5, -0.6]), []
+    for compiler in (None, quick_compiler()):
+        if compiler:
+            monkeypatch.setenv("CC", compiler)
+        forget(monkeypatch)
+        whole = compiled(marcher(field, 400))
+        ends.append(whole(np.concatenate([[0.0], state]), np.full((1, 400), 1.7 / 400)).full())
+        assert statistics().made == 1 and compiler == os.environ.get("CC")
+    assert np.isfinite(ends[0]).all() and ends[0].tobytes() == ends[1].tobytes()
 
 
 def test_names_and_sparsity_are_kept():

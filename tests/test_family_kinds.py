@@ -30,8 +30,8 @@ from orbitfinder.problemfile.read import load_problem
 from orbitfinder.systems import henon_heiles, pendulum_on_cart
 
 FAMILIES = Path(__file__).parents[1] / "problems" / "families"
-QUIET = FamilySettings(events=False)
-ONWARD = FamilySettings(events=False, directions="forward")
+QUIET = FamilySettings(events=False, certify=False)
+ONWARD = FamilySettings(events=False, certify=False, directions="forward")
 
 
 # ---- the double pendulum by other means: NumPy equations written from the textbook, SciPy, own Newton ----
@@ -268,7 +268,7 @@ def test_families_of_orbits_with_momentum(name, tmp_path):
 
 def test_closed_family_returns_to_its_start(tmp_path):
     """Beyond its 7:1 resonance the slow mode of the quadruple pendulum is a closed curve, and is named so."""
-    walk = FamilySettings(certify=False, directions="forward")
+    walk = FamilySettings(certify=False, directions="forward", events=False)
     family = follow_family(mode_problem(chain(4), 1, 0.3), points=200, out=tmp_path, settings=walk)
     (end,) = family.ends
     assert end.kind == "returned" and "back at its start" in end.reason

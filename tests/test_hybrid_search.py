@@ -50,12 +50,12 @@ def rows(book):
 def test_a_search_resumed_and_in_shards_is_one_search(tmp_path):
     """What two runs and what two shards find is what one run finds, each certified and closed by the closed form."""
     whole, parts = tmp_path / "whole.sqlite", [tmp_path / f"{k}.sqlite" for k in (1, 2)]
-    searched(whole, "--starts", "3")
-    said = searched(whole, "--starts", "6")
-    assert "any energy: 3 starts" in said
-    assert "any energy: 0 starts" in searched(whole, "--starts", "6")
+    searched(whole, "--starts", "2")
+    said = searched(whole, "--starts", "4")
+    assert "any energy: 2 starts" in said
+    assert "any energy: 0 starts" in searched(whole, "--starts", "4")
     for k, part in enumerate(parts):
-        searched(part, "--starts", "6", "--shard", f"{k + 1}/2")
+        searched(part, "--starts", "4", "--shard", f"{k + 1}/2")
     merged = of.merge_atlases(parts, tmp_path / "merged.sqlite")
     found = rows(whole)
     assert merged.orbits == len(found) >= 2 and np.array_equal(rows(tmp_path / "merged.sqlite"), found)

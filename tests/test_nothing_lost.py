@@ -3,6 +3,7 @@
 Stopped from within: a real signal, or the deadline moved to now, at a chosen look of the computation at its limit.
 """
 
+import contextlib
 import json
 import os
 import signal
@@ -181,43 +182,51 @@ def test_the_file_of_an_earlier_run_is_not_written_over_by_less(tmp_path, monkey
     assert file.read_bytes() == before
 
 
+TORI = ("torus", LOOP, "--no-figures", "--points", 5, "-o")
+OPTIMA = ("continue", OSCILLATOR, "--parameter", "damping", "--until", 0.24, "--no-figures", "-o")
+
+
+@pytest.fixture(scope="module")
+def calm(tmp_path_factory):
+    """What the two commands write that nobody stops."""
+    folder = tmp_path_factory.mktemp("calm")
+    assert ran(*TORI, folder).exit_code == ran(*OPTIMA, folder).exit_code == 0
+    return folder
+
+
 @pytest.mark.parametrize("how", STOPS)
-def test_stopped_tori_go_on(tmp_path, monkeypatch, how):
+def test_stopped_tori_go_on(calm, tmp_path, monkeypatch, how):
     """From where the signal came or the time was over: the same command ends with the file of an undisturbed run."""
-    words = ("torus", LOOP, "--no-figures", "--points", 5, "-o")
-    assert ran(*words, tmp_path / "calm").exit_code == 0
     with monkeypatch.context() as patch:
         stopped_at(patch, driver, "advanced", 3, how)
-        assert ran(*words, tmp_path / "stopped", "--limit", 3600).exit_code == CODES[how]
+        assert ran(*TORI, tmp_path, "--limit", 3600).exit_code == CODES[how]
     solves = []
     monkeypatch.setattr(driver, "solved", lambda *given: (solves.append(1), solved(*given))[1])
-    assert ran(*words, tmp_path / "stopped").exit_code == 0 and len(solves) == 2
-    calm, stopped = (tmp_path / one / "henon-heiles-loop-tori" / "tori.json" for one in ("calm", "stopped"))
-    assert calm.read_bytes() == stopped.read_bytes()
+    assert ran(*TORI, tmp_path).exit_code == 0 and len(solves) == 2
+    whole, stopped = (folder / "henon-heiles-loop-tori" / "tori.json" for folder in (calm, tmp_path))
+    assert whole.read_bytes() == stopped.read_bytes()
 
 
 @pytest.mark.parametrize("how", STOPS)
-def test_stopped_optima_go_on(tmp_path, monkeypatch, how):
+def test_stopped_optima_go_on(calm, tmp_path, monkeypatch, how):
     """The third, of which the certificate was not finished, is the first that is solved again."""
     from orbitfinder.control import optima
 
-    words = ("continue", OSCILLATOR, "--parameter", "damping", "--until", 0.24, "--no-figures", "-o")
-    assert ran(*words, tmp_path / "calm").exit_code == 0
     with monkeypatch.context() as patch:
         stopped_at(patch, optima, "certified", 3, how)
-        assert ran(*words, tmp_path / "stopped", "--limit", 3600).exit_code == CODES[how]
+        assert ran(*OPTIMA, tmp_path, "--limit", 3600).exit_code == CODES[how]
     found, whole = [], optima.certified
     monkeypatch.setattr(optima, "certified", lambda *given: (found.append(given[0].name[-1]), whole(*given))[1])
     monkeypatch.setattr(optima, "optimum", None)
-    assert ran(*words, tmp_path / "stopped").exit_code == 0
-    calm, stopped = (
+    assert ran(*OPTIMA, tmp_path).exit_code == 0
+    whole, stopped = (
         [
-            {**one, "provenance": None}
-            for one in json.loads((tmp_path / of / OSCILLATOR.stem / "optima.json").read_text())["points"]
+            {**point, "provenance": None}
+            for point in json.loads((folder / OSCILLATOR.stem / "optima.json").read_text())["points"]
         ]
-        for of in ("calm", "stopped")
+        for folder in (calm, tmp_path)
     )
-    assert found == [str(k) for k in range(2, len(calm))] and calm == stopped
+    assert found == [str(k) for k in range(2, len(whole))] and whole == stopped
 
 
 def test_nothing_finished_is_said(tmp_path, monkeypatch):
@@ -250,11 +259,14 @@ def test_what_comes_is_written_within_a_share_of_the_time(tmp_path, monkeypatch)
 # --- what does not return to Python
 
 HANG = """
-import hashlib, sys
+import ctypes, sys
 import orbitfinder.problemfile.read as read
 def hang(*_):
     sys.stderr.write("hangs\\n")
-    hashlib.pbkdf2_hmac("sha256", b"", b"", 10**9)
+    libc, mutex = ctypes.CDLL(None), ctypes.create_string_buffer(256)
+    libc.pthread_mutex_init(mutex, None)
+    while True:  # the second time waits for the first, which no signal ends
+        libc.pthread_mutex_lock(mutex)
 read.load_problem_file = hang
 from orbitfinder.__main__ import main
 main()
@@ -263,15 +275,19 @@ BOUND = 4.0
 """s: a second's grace, and what a machine at work may need"""
 
 
+@contextlib.contextmanager
 def hanging(*words):
-    """A command that builds its model in one long call of C, in which Python answers no signal; once it is there."""
-    running = subprocess.Popen(
+    """A command that builds its model in one endless call of C, in which Python answers no signal; once it is there."""
+    with subprocess.Popen(
         [sys.executable, "-c", HANG, *map(str, words)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    while "hangs" not in running.stderr.readline():
-        assert running.poll() is None
-    return running
+    ) as running:  # fmt: skip
+        try:
+            while "hangs" not in running.stderr.readline():
+                assert running.poll() is None
+            yield running
+        finally:
+            running.kill()
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs POSIX signals")

@@ -14,6 +14,7 @@ from orbitfinder.atlas.store import Atlas
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.families.members import whole
+from orbitfinder.guesses.modes import mode_problem
 from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import energy
@@ -75,11 +76,13 @@ def test_a_family_is_followed_from_one_of_its_points():
 
 def test_a_family_is_drawn_as_continue_draws_it(tmp_path):
     """The same figures, by the command and in Python; other verbs say that they want one orbit."""
-    said = run("plot", QUICK[1], ORBIT, "-o", tmp_path).split()
-    drawn = {Path(one).name for one in said if Path(one).parent.name == "triple-mode-1"}
+    of.follow_family(mode_problem(of.chain(2), 2), points=3, out=tmp_path / "families")
+    file = tmp_path / "families" / "mode-2" / "family.json"
+    said = run("plot", file, ORBIT, "-o", tmp_path).split()
+    drawn = {Path(one).name for one in said if Path(one).parent.name == "mode-2"}
     assert drawn == {"frequency_energy.png", "multipliers_plane.png", "multipliers.png", "gallery.png"}
-    assert {path.name for path in of.save_figures(load_family(QUICK[1]), tmp_path)} == drawn
-    assert (tmp_path / "gallery.png").read_bytes() == (tmp_path / "triple-mode-1" / "gallery.png").read_bytes()
+    assert {path.name for path in of.save_figures(load_family(file), tmp_path)} == drawn
+    assert (tmp_path / "gallery.png").read_bytes() == (tmp_path / "mode-2" / "gallery.png").read_bytes()
     assert f"one orbit of the file: {QUICK[1]}#0" in run("animate", QUICK[1], code=2)
 
 
@@ -268,7 +271,9 @@ def test_every_verb_takes_one_orbit_of_a_file(path, tmp_path):
 
 
 def test_a_point_moves(tmp_path):
-    assert (tmp_path / "point.gif").name in run("animate", f"{QUICK[0]}#40", "-o", tmp_path / "point.gif")
+    assert (tmp_path / "point.gif").name in run(
+        "animate", f"{QUICK[0]}#40", "-o", tmp_path / "point.gif", "--size", 160, "--fps", 10
+    )
 
 
 @pytest.mark.needs("proof")

@@ -148,9 +148,21 @@ def test_the_family_goes_through_the_motion_that_costs_nothing() -> None:
     assert certified(found) and min(found.costs) > 0.1 and found.end == "stiffness reached 11"
 
 
-def test_a_limit_becomes_active_and_then_leaves_no_way_on() -> None:
+Calm = tuple[of.Optima, list[bytes], int]
+
+
+@pytest.fixture(scope="module")
+def calm(tmp_path_factory: pytest.TempPathFactory) -> Calm:
+    """A family of optima that nobody disturbs, the lines of its journal, and how much was solved for it."""
+    with pytest.MonkeyPatch.context() as patch:
+        solves, folder = counted(patch), tmp_path_factory.mktemp("calm")
+        found = of.follow_optima(pick(4.0, 8, 7.0), "limit force", until=2.0, points=25, out=folder)
+        return found, (folder / "pick" / "optima.jsonl").read_bytes().splitlines(keepends=True), len(solves)
+
+
+def test_a_limit_becomes_active_and_then_leaves_no_way_on(calm: Calm) -> None:
     """Limits are met one after the other, named; the smallest limit is that of bang-bang, below which none can."""
-    found = of.follow_optima(pick(4.0, 8, 7.0), "limit force", until=2.0, points=25)
+    found, *_ = calm
     assert certified(found) and set(found.descents) == {0}
     first = found.changes[0]
     free = of.follow_optima(pick(4.0, 8), "stiffness", [4.0])
@@ -178,6 +190,11 @@ def alike(one: of.Optima, other: of.Optima) -> bool:
 
 @pytest.fixture
 def solved(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What is solved from now on, in this test."""
+    return counted(monkeypatch)
+
+
+def counted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """What is solved from now on: "first" by IPOPT, "point" by a corrector, "certificate"."""
     done: list[str] = []
     for owner, name, what in ((optima, "optimum", "first"), (optima, "certified", "certificate"),
@@ -190,16 +207,15 @@ def solved(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 @pytest.mark.parametrize("lines", [1, 4, 6, 10])
-def test_a_journal_cut_anywhere_ends_the_same(tmp_path: Path, solved: list[str], lines: int) -> None:
+def test_a_journal_cut_anywhere_ends_the_same(calm: Calm, tmp_path: Path, solved: list[str], lines: int) -> None:
     """Before, at and beyond a corner and where equations were stated anew; what it has is not solved again."""
-    calm = of.follow_optima(pick(4.0, 8, 7.0), "limit force", until=2.0, points=25, out=tmp_path / "calm")
-    whole = (tmp_path / "calm" / "pick" / "optima.jsonl").read_bytes().splitlines(keepends=True)
-    journal, count = tmp_path / "cut" / "pick" / "optima.jsonl", len(solved)
-    journal.parent.mkdir(parents=True)
+    undisturbed, whole, count = calm
+    journal = tmp_path / "pick" / "optima.jsonl"
+    journal.parent.mkdir()
     journal.write_bytes(b"".join(whole[:lines]) + whole[lines][:99])
-    again = of.follow_optima(pick(4.0, 8, 7.0), "limit force", until=2.0, points=25, out=tmp_path / "cut")
-    assert len(whole) == 11 and alike(again, calm) and len(journal.read_bytes().splitlines()) == 11
-    assert ("first" in solved[count:]) == (lines == 1) and len(solved) - count <= count - (lines > 1) * lines
+    again = of.follow_optima(pick(4.0, 8, 7.0), "limit force", until=2.0, points=25, out=tmp_path)
+    assert len(whole) == 11 and alike(again, undisturbed) and len(journal.read_bytes().splitlines()) == 11
+    assert ("first" in solved) == (lines == 1) and len(solved) <= count - (lines > 1) * lines
 
 
 def test_a_family_goes_on_farther_nearer_and_the_other_way(tmp_path: Path, solved: list[str]) -> None:

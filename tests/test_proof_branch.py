@@ -95,17 +95,17 @@ def test_resonances_are_proved_where_the_family_has_them(straight, kind, order):
     assert off.proved and [one.proved for one in off.passages] == [False]
 
 
-def test_a_branch_is_not_proved_where_it_turns_back_or_another_is_mixed_in(proved):
+def test_a_branch_is_not_proved_where_it_turns_back_or_another_is_mixed_in(doubled):
     """A piece whose centre is off, whose tangent is wrong, or with a gap before the next one is refused."""
-    piece = proved.pieces[0]
+    piece = doubled.pieces[0]
     first, *others = piece.centre
     moved = replace(piece, centre=((first[0] + 1e-4, *first[1:]), *others))
     turned = replace(piece, centre=tuple((one[0], -one[1], *one[2:]) for one in piece.centre))
     for wrong in (moved, turned):
-        again = replayed(replace(proved, pieces=(wrong, *proved.pieces[1:])))
+        again = replayed(replace(doubled, pieces=(wrong, *doubled.pieces[1:])))
         assert not again.proved and "does not map the box into itself" in again.reason
     short = replace(piece, high=0.5 * (piece.low + piece.high))
-    again = replayed(replace(proved, pieces=(short,)))
+    again = replayed(replace(doubled, pieces=(short,)))
     assert not again.proved and "do not reach" in again.reason
 
 

@@ -79,6 +79,7 @@ def at_phase(model, orbit, share):
     return of.simulate(model, orbit.state, orbit.period * share).states[-1] if share else orbit.state
 
 
+PLAIN = of.FamilySettings(certify=False)
 ML_FOLDS = (88.29325054, 216.89980139)
 
 
@@ -93,19 +94,20 @@ def test_a_neuron_has_its_two_folds_and_no_other():
 @pytest.mark.parametrize("units", [(1e-6, 1.0), (1e6, 1.0), (1.0, 1e-6), (1.0, 1e6)])
 def test_a_neuron_in_other_units(units):
     model, parameter, orbit = cycle()
-    agree(branch(), seen(rescaled(model, units), orbit.state / units, orbit.period, parameter))
+    agree(branch(), seen(rescaled(model, units), orbit.state / units, orbit.period, parameter, settings=PLAIN))
 
 
 @pytest.mark.parametrize("eighth", range(1, 8))
 def test_a_neuron_from_any_instant(eighth):
     model, parameter, orbit = cycle()
-    agree(branch(), seen(model, at_phase(model, orbit, eighth / 8), orbit.period, parameter))
+    agree(branch(), seen(model, at_phase(model, orbit, eighth / 8), orbit.period, parameter, settings=PLAIN))
 
 
 def test_a_neuron_from_another_orbit():
     model, parameter, orbit = cycle()
-    near = of.follow_family(orbit, parameter, until=150.0, model=model).points[-1]
-    agree(branch(), seen(with_parameters(model, {"current": 150.0}), near.state, near.period, parameter))
+    near = of.follow_family(orbit, parameter, until=150.0, model=model, settings=PLAIN).points[-1]
+    there = with_parameters(model, {"current": 150.0})
+    agree(branch(), seen(there, near.state, near.period, parameter, settings=PLAIN))
 
 
 HH_EVENTS = (  # of current, ../data/cycles.json
