@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from orbitfinder.guesses.modes import mode_problem
 
 import orbitfinder as of
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.families.members import whole
-from orbitfinder.guesses.modes import mode_problem
 from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import energy

@@ -100,7 +100,7 @@ def register(atlas: Atlas, request: Request, context: Context, alone: bool = Fal
     how = {"method": METHOD, "strategies": context.strategies}
     if context.section is not None:
         target = request.target
-        how |= {"cycle": context.model.hybrid.cycle, "cycles": target.cycles, "section": dict(target.section)}
+        how |= {"cycle": context.model.cycle, "cycles": target.cycles, "section": dict(target.section)}
     method = json.dumps(how, sort_keys=True)
     key = [request.target.energy, *request.target.periods, request.seed, method]
     with explained(atlas.path), transaction(atlas.connection):
@@ -347,7 +347,7 @@ def search(
 def levels(model: Model, energies: float | Sequence[float] | None) -> tuple[float, ...]:
     """The energies (J) to search at, 0 alone where none is conserved. Raises `InputError`."""
     if model.invariants or energies is not None:
-        if not model.invariants and (model.rates is not None or model.hybrid is not None):
+        if not model.invariants and (model.rates is not None or not model.smooth):
             raise InputError("energy: this system conserves none; leave it out")
         given = [] if energies is None else energies
         return tuple(float(level) for level in (given if isinstance(given, Sequence) else [given]))

@@ -91,7 +91,7 @@ class EventSection:
             states = np.array([section.drawn(random) for _ in range(DRAWN)])
         except ConvergenceError as error:
             raise InputError(
-                f"search.section: no state after {model.hybrid.cycle[-1]!r} is found with components in these ranges"
+                f"search.section: no state after {model.cycle[-1]!r} is found with components in these ranges"
                 + (f" and {model.invariants[0].name} = {level:.9g}" if model.invariants else "")
                 + "; widen them"
             ) from error
@@ -108,11 +108,11 @@ class EventSection:
 
     @cached_property
     def _after(self) -> Buffered:
-        return Buffered(section_of(self.model, self.model.hybrid.arcs[-1][1]))
+        return Buffered(section_of(self.model, self.model.arcs[-1][1]))
 
     def drawn(self, random: np.random.Generator) -> np.ndarray:
         """A state that the reset makes. Raises `ConvergenceError`."""
-        last = self.model.hybrid.arcs[-1][1]
+        last = self.model.arcs[-1][1]
         for _ in range(DRAWN):
             wanted = random.uniform(np.nan_to_num(self.low), np.nan_to_num(self.high))
             before = self._met(wanted, random)
@@ -245,7 +245,7 @@ class EventSection:
 
 def _check(model: Model, ranges: Mapping[str, tuple[float, float]], cycles: int) -> None:
     """`InputError` for what a section cannot be made of."""
-    if not model.hybrid.cycle:
+    if not model.cycle:
         raise InputError(
             "search: give the system a cycle; its last event is where orbits are looked for, and their own courses may "
             "be others"
@@ -253,7 +253,7 @@ def _check(model: Model, ranges: Mapping[str, tuple[float, float]], cycles: int)
     if len(model.invariants) > 1:
         several = ", ".join(invariant.name for invariant in model.invariants)
         raise InputError(f"search: of machines that conserve one quantity at most, this one {several}; use find")
-    names, last = model.state_names, str(model.hybrid.cycle[-1])
+    names, last = model.state_names, str(model.cycle[-1])
     if not ranges:
         raise InputError(
             f"search.section: missing; give ranges of what the state is right after {last!r}, such as "

@@ -109,7 +109,7 @@ def neighbours(bins: tuple[int, int]) -> tuple[list[int], list[int]]:
 
 def signature_of(orbit: Orbit, model: Model) -> Signature:
     """The signature of an orbit over its minimal period; integrated again when it carries no samples."""
-    if model.hybrid is not None:
+    if not model.smooth:
         return _of_arcs(orbit, as_recorded(model, orbit.system))
     times, samples = orbit.times, orbit.samples
     if len(samples) < 2:

@@ -161,7 +161,7 @@ class SearchStart:
 def context_of(model: Model, target: Target) -> Context:
     """The shared part of a search. Raises `InputError` for systems and energies that cannot be searched."""
     check(model, target)
-    if model.hybrid is not None:
+    if not model.smooth:
         return _cut(model, target)
     if model.rates is not None:
         return _alone(model, target)
@@ -271,7 +271,7 @@ def check(model: Model, target: Target) -> None:
         raise InputError(f"search.period: must be two increasing positive numbers, got {low:g}, {high:g}; in s")
     if not np.isfinite(target.energy):
         raise InputError(f"energy: must be finite, got {target.energy}; give a number in J")
-    if model.hybrid is not None:
+    if not model.smooth:
         return
     if target.section:
         raise InputError("search.section: is of hybrid systems, this one has no events; leave it out")

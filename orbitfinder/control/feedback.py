@@ -139,7 +139,7 @@ class _Plant:
 def _plant(orbit: Orbit, model: Model | None, actuators: Sequence[str] | None) -> _Plant:
     """What may act on the motion; `InputError` for orbits that are not held yet, and for what does not act."""
     own = model or build_model(orbit.system)
-    if own.hybrid is not None:
+    if not own.smooth:
         raise InputError(
             f"{orbit.name}: a hybrid orbit; feedback is for motions without impacts so far; give a smooth one"
         )

@@ -340,7 +340,7 @@ class _Controlled:
         """The transition that a segment ends with, or None."""
         if not self.whole.arcs or (segment + 1) % self.whole.each:
             return None
-        return self.parts.model.hybrid.arcs[self.parts.arc(segment)][1]
+        return self.parts.model.arcs[self.parts.arc(segment)][1]
 
     def paths(self) -> Iterator[tuple[float, float, StatesAt]]:
         """When each segment begins, how long it lasts (s), its states at times since."""
@@ -451,8 +451,8 @@ def _reach(motion: _Controlled, transitions: list[np.ndarray]) -> np.ndarray:
 def _held(motion: _Controlled) -> Iterable[tuple[str, float]]:
     """What must not become negative along the arcs of a hybrid motion, and impulses, each with its least value."""
     model, d, least = motion.parts.model, motion.parts.size, dict[str, float]()
-    for k, piece in enumerate(motion.pieces if model.hybrid is not None else ()):
-        mode, _ = model.hybrid.arcs[motion.parts.arc(k)]
+    for k, piece in enumerate(motion.pieces if not model.smooth else ()):
+        mode, _ = model.arcs[motion.parts.arc(k)]
         driven, own = motion.control(k, np.linspace(0.0, 1.0, len(piece))), model.parameter_values.copy()
         for x, u in zip(piece[:, :d], driven, strict=True):
             own[[model.parameter_index(name) for name in model.controls]] = u

@@ -139,7 +139,7 @@ class Arrangement:
 
     def mode(self, arc: int) -> Model:
         """The smooth Model of an arc."""
-        return self.model if self.model.hybrid is None else self.model.hybrid.arcs[arc][0].model
+        return self.model if self.model.smooth else self.model.arcs[arc][0].model
 
     def duration(self, segment: int, period: Any, free: Any) -> Any:
         """How long (s) a segment lasts."""
@@ -266,7 +266,7 @@ def signs_of(model: Model, symmetry: Symmetry) -> tuple[int, ...]:
 
 def arranged(model: Model, symmetry: Symmetry, free: tuple[str, ...], control: Control, steps: int) -> Arrangement:
     """The arrangement of a controlled motion. Raises `InputError`."""
-    arcs = 0 if model.hybrid is None else len(model.hybrid.cycle)
+    arcs = len(model.cycle)
     signs = signs_of(model, symmetry)
     count = control.intervals * max(arcs, 1)
     if arcs and control.shape == "fourier":

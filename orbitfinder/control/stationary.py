@@ -102,7 +102,7 @@ class Stationary:
         varying, tasks, problem = self.varying, self.statement.tasks, self.program.problem
         drift = np.zeros((2, self.low.size))
         if varying.pin is not None:
-            guards = 0 if problem.model.hybrid is None else len(problem.model.hybrid.cycle)
+            guards = len(problem.model.cycle)
             drift[:, int(np.sum(tasks == -1)) - guards - len(problem.pin) + varying.pin] = 1.0
         if varying.task is not None:
             drift[:, : tasks.size][:, tasks == varying.task] = np.array(varying.slopes)[:, None]

@@ -84,7 +84,7 @@ def samples_of(orbit: Orbit, model: Model) -> tuple[np.ndarray, np.ndarray]:
     """
     if len(orbit.samples) > 1:
         return orbit.times, orbit.samples
-    if model.hybrid is not None:
+    if not model.smooth:
         raise InputError(f"{orbit.name}: no samples; keep orbit.npz beside orbit.json, or run it again")
     return np.linspace(0.0, orbit.period, SAMPLES), sample(build_flow(model), orbit.state, orbit.period, SAMPLES)
 

@@ -53,7 +53,7 @@ def export_orbit(orbit: Orbit, to: str, folder: str | Path, model: Model | None 
     if not any_motion:
         refuse_controlled(orbit, "to")
     model = model or build_model(orbit.system)
-    if model.hybrid is not None and not any_motion:
+    if not model.smooth and not any_motion:
         raise InputError(f"to: {to} files know no events, and this system is hybrid; use csv")
     files = write(orbit, model) if any_motion else write(source_of(orbit, model))
     target = Path(folder)

@@ -16,7 +16,7 @@ from orbitfinder.families.motion import full_samples
 from orbitfinder.families.passages import LOCATION
 from orbitfinder.families.point import LEAST, extents, freed, parameter_value
 from orbitfinder.families.rest import RestPoint, can_rest, rest_of, vanishing
-from orbitfinder.families.run import Interval, Run, Step, portrait
+from orbitfinder.families.run import Interval, Run, Walked, portrait
 from orbitfinder.families.start import return_gaps
 from orbitfinder.loops.conditions import hyperplane
 from orbitfinder.loops.continued import Curve, Solution, correct
@@ -105,7 +105,7 @@ AT_REST = Settings(floor=1e-6, round_off=1e-6, converged=1e-6, most_evaluations=
 SLOW, SHRINKING, MEETING = Slow(), Shrinking(), Meeting()
 
 
-def end_at(run: Run, before: Step, after: Step) -> End | None:
+def end_at(run: Run, before: Walked, after: Walked) -> End | None:
     """The reason to stop after a step, or None."""
     curve, solution = run.curve, after.solution
     if _self_excited(curve):
@@ -131,7 +131,7 @@ def end_at(run: Run, before: Step, after: Step) -> End | None:
     return _homoclinic(curve, solution, state, grown, str(more)) if saddle else None
 
 
-def approach(run: Run, before: Step, length: float) -> tuple[float, End | None]:
+def approach(run: Run, before: Walked, length: float) -> tuple[float, End | None]:
     """How long the next step may be, so as not to pass over the Hopf point or the family in which this one ends.
 
     Or that end, where it is near and nothing is wanted before it.
@@ -143,7 +143,7 @@ def approach(run: Run, before: Step, length: float) -> tuple[float, End | None]:
         return length, None
 
 
-def _to_hopf(run: Run, before: Step, length: float) -> tuple[float, End | None]:
+def _to_hopf(run: Run, before: Walked, length: float) -> tuple[float, End | None]:
     """The same towards a Hopf point, before which no multiplier may be left to pass the unit circle."""
     away = vanishing(run.curve, before.sample, length)
     rest, off = _shrinks_to(run, before, away) if away < SHRINKING.ahead * length else (None, np.inf)
@@ -158,7 +158,7 @@ def _to_hopf(run: Run, before: Step, length: float) -> tuple[float, End | None]:
     return length, _hopf(run, rest) if near else None
 
 
-def _to_join(run: Run, before: Step, length: float) -> tuple[float, End | None]:
+def _to_join(run: Run, before: Walked, length: float) -> tuple[float, End | None]:
     """The same towards a family that is joined: seen from a first guess, then from orbits a small share beside it."""
     for kept, away, apart in approaching(run.curve, before.sample, length):
         if MEETING.short * away > length:
@@ -172,7 +172,7 @@ def _to_join(run: Run, before: Step, length: float) -> tuple[float, End | None]:
     return length, None
 
 
-def _wanted(run: Run, before: Step, value: float, error: float) -> bool:
+def _wanted(run: Run, before: Walked, value: float, error: float) -> bool:
     """Whether something that is asked for lies before this value of the parameter."""
     now, far = before.point.value, 1e-9 * abs(run.origin.value - value) + error
     wanted = [*run.at, *([] if run.until is None else [run.until])]
@@ -184,7 +184,7 @@ def _self_excited(curve: Curve) -> bool:
     return bool(curve.equations.physical) and not curve.equations.model.conservative and can_rest(curve)
 
 
-def _shrinks_to(run: Run, step: Step, away: float) -> tuple[RestPoint | None, float]:
+def _shrinks_to(run: Run, step: Walked, away: float) -> tuple[RestPoint | None, float]:
     """The Hopf point near an orbit, and by how much of their way parameter and period miss it `away` along the tangent.
 
     Both are even in the amplitude, so that they change by half of what the tangent says.
@@ -238,7 +238,7 @@ def _at_equilibrium(run: Run, solution: Solution) -> End:
     return End("equilibrium", f"the orbits shrink to the equilibrium at q = {where}, period {period:.9g} s", *known)
 
 
-def end_of_failure(run: Run, step: Step, failure: str) -> End:
+def end_of_failure(run: Run, step: Walked, failure: str) -> End:
     """The reason why no further step could be taken."""
     curve, found = run.curve, step.solution
     try:
@@ -263,7 +263,7 @@ def end_of_failure(run: Run, step: Step, failure: str) -> End:
     return _canard(run, step, failure) or _singular(curve, found, failure) or End("step underflow", failure)
 
 
-def _canard(run: Run, step: Step, failure: str) -> End | None:
+def _canard(run: Run, step: Walked, failure: str) -> End | None:
     """The end of a family of relaxation oscillations that changes beyond what its parameter's digits can tell."""
     if not _self_excited(run.curve):
         return None
@@ -284,7 +284,7 @@ def _canard(run: Run, step: Step, failure: str) -> End | None:
     return End("canard", reason, float(values[-1]), float(periods[-1]), width)
 
 
-def _met(run: Run, step: Step, failure: str) -> End | None:
+def _met(run: Run, step: Walked, failure: str) -> End | None:
     """The join or the Hopf point that a family failed to reach."""
     curve, solution, name = run.curve, step.solution, run.settings.parameter
     for kept, away, _ in approaching(curve, step.sample, step.point.step):
@@ -300,7 +300,7 @@ def _met(run: Run, step: Step, failure: str) -> End | None:
     return _hopf(run, rest, f"; {failure}") if off < SHRINKING.agreed or halted else None
 
 
-def shortest_step(run: Run, step: Step) -> float:
+def shortest_step(run: Run, step: Walked) -> float:
     """How short a step may become: near a homoclinic orbit, where round-off rules, not very."""
     curve, solution, usual = run.curve, step.solution, run.settings.shortest_step
     if curve.equations.model.forced or not step.stretch > SLOW.grown:
@@ -429,7 +429,7 @@ def _beside_shifts(states: np.ndarray, relative: Sequence[Sequence[float]]) -> n
     return np.array([[*beside(state[:n], relative), *state[n:]] for state in states]) if relative else states
 
 
-def _steady(curve: Curve, before: Step) -> End:
+def _steady(curve: Curve, before: Walked) -> End:
     """The end of a family that shrinks to a relative equilibrium, by its last orbit before it."""
     shift, period = before.point.shift, before.point.period
     rates = ", ".join(f"{name} by {by / period:.9g} a second" for name, by in shift.items())
@@ -442,7 +442,7 @@ def _steady(curve: Curve, before: Step) -> End:
     )
 
 
-def returned(curve: Curve, before: Step, after: Step) -> End | None:
+def returned(curve: Curve, before: Walked, after: Walked) -> End | None:
     """The end of a closed family: the last step passed an earlier one again, going the same way.
 
     What looks near, by numbers that do not depend on where t = 0 lies, is confirmed by an orbit of the family with the

@@ -30,7 +30,7 @@ from orbitfinder.families.run import (
     Interval,
     Run,
     Sample,
-    Step,
+    Walked,
     ahead,
     make_interval,
     make_sample,
@@ -92,7 +92,7 @@ class _Walk:
         return Batch(self.run.direction, end=end)
 
 
-def _attempt(run: Run, before: Step, length: float) -> tuple[Step, Batch]:
+def _attempt(run: Run, before: Walked, length: float) -> tuple[Walked, Batch]:
     began = time.perf_counter()
     curve, settings, sample, place = run.curve, run.settings, before.sample, before.solution.place
     guess = advanced(place, sample.whole, length, before.curvature)
@@ -164,7 +164,7 @@ def _limits(run: Run, turn: float, stretch: float) -> tuple[float, float]:
     return along * settings.longest_step, min(limits)
 
 
-def _batch(run: Run, before: Step, after: Step, last: Sample) -> Batch:
+def _batch(run: Run, before: Walked, after: Walked, last: Sample) -> Batch:
     """Everything between two points, in order: events, points asked for, and the end if there is one."""
     settings, origin = run.settings, before.point
     interval, ended = make_interval(run.curve, before.sample, last), end_at(run, before, after)
@@ -192,7 +192,7 @@ def _batch(run: Run, before: Step, after: Step, last: Sample) -> Batch:
     return Batch(run.direction, (*_ordered(points), after.point), tuple(events), ended)
 
 
-def _cut(run: Run, before: Step, last: Sample) -> Batch | None:
+def _cut(run: Run, before: Walked, last: Sample) -> Batch | None:
     """The end of a family of hybrid orbits within a step, where the motion no longer goes through its cycle."""
     interval, name, origin = make_interval(run.curve, before.sample, last), run.settings.parameter, before.point
     lost = first_lost(interval)
@@ -213,7 +213,7 @@ def _cut(run: Run, before: Step, last: Sample) -> Batch | None:
 
 
 def _exactly(
-    run: Run, before: Step, interval: Interval, events: Sequence[Event]
+    run: Run, before: Walked, interval: Interval, events: Sequence[Event]
 ) -> tuple[list[FamilyPoint], list[tuple[tuple[str, float], FamilyPoint]]]:
     """The points of an interval that are asked for, and those at which the run ends, with what is reached there."""
     name = run.settings.parameter
@@ -256,7 +256,7 @@ def _ordered(points: list[FamilyPoint]) -> tuple[FamilyPoint, ...]:
 
 
 def exact_points(
-    run: Run, before: Step, interval: Interval, goal: tuple[str, float], events: Sequence[Event], role: str
+    run: Run, before: Walked, interval: Interval, goal: tuple[str, float], events: Sequence[Event], role: str
 ) -> list[FamilyPoint]:
     """The points of an interval at which the parameter, or a watched number, has exactly this value."""
     curve, (name, value), first = run.curve, goal, interval.first

@@ -20,7 +20,7 @@ from orbitfinder.families.branches import symmetric
 from orbitfinder.families.critical import Critical
 from orbitfinder.families.point import freed, parameter_value
 from orbitfinder.families.rest import predicted
-from orbitfinder.families.run import Sample, Step, parameter_slopes
+from orbitfinder.families.run import Sample, Walked, parameter_slopes
 from orbitfinder.families.stability import spectrum
 from orbitfinder.families.start import Start, corrected, curve_at, reformulated, symmetry_of
 from orbitfinder.integrate.march import uniform
@@ -236,7 +236,7 @@ def _critical(start: Start, name: str, kept: Invariance) -> Join | None:
     return Join(curve, known, value, error, kept, base)
 
 
-def agrees(join: Join, before: Step, away: float, name: str) -> bool:
+def agrees(join: Join, before: Walked, away: float, name: str) -> bool:
     """Whether a step may come to a join: parameter and period are as near to its own as they change on the way."""
     slopes = before.sample.slopes
     left = [join.value - before.point.value, join.solution.place.period * join.kept.covers - before.point.period]

@@ -64,7 +64,7 @@ def _alone(point: FamilyPoint, **changed: Any) -> Orbit:
 def _period(orbit: Orbit, model: Model, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Times and states over one period: of a point of a family by its shooting nodes, `count` of them; of a hybrid
     orbit those of its simulation."""
-    if model.hybrid is not None:
+    if not model.smooth:
         return sampled(model, orbit.state, orbit.period)
     if not isinstance(orbit, FamilyPoint) or not (orbit.curve and orbit.mesh.size):
         return dense(build_flow(model, (), model.invariants), orbit.nodes, orbit.period)

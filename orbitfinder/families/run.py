@@ -219,7 +219,7 @@ def real_indices(sample: Sample) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Step:
+class Walked:
     """The last step of a run: its point, what is read there, the parabola, the trend of the indices.
 
     `curve` is the family's in the scales that hold from here, `portraits` are those of every step so far (see
@@ -254,14 +254,14 @@ def first_point(start: Start, settings: FamilySettings, check: ClosureCheck | No
     return make_point(curve, start.solution, head, settings.parameter, check, index=0, arclength=0.0, step=step)
 
 
-def step_at(run: Run, done: Sequence[tuple[FamilyPoint, Standing | None]]) -> tuple[Run, Step]:
+def step_at(run: Run, done: Sequence[tuple[FamilyPoint, Standing | None]]) -> tuple[Run, Walked]:
     """The last step of a run after those already taken, from which everything follows, and the run in its scales."""
     origin, curve = run.origin, in_scales(run.curve, run.origin)
     found = at_place(curve, unknowns_of(curve, origin))
     known = portrait(curve, found)[None]
     whole = tangent(curve, found, run.direction * origin.tangent)
     sample = make_sample(curve, 0.0, found, whole, origin.indices)
-    step = Step(curve, origin, sample, np.zeros_like(whole), np.zeros_like(origin.indices), known)
+    step = Walked(curve, origin, sample, np.zeros_like(whole), np.zeros_like(origin.indices), known)
     for point, standing in done:
         run = replace(run, curve=step.curve)
         found, whole = standing_at(step.curve, point, standing)
@@ -295,8 +295,8 @@ def standing_of(curve: Curve, solution: Solution, whole: np.ndarray) -> Standing
 
 
 def step_from(
-    run: Run, before: Step, point: FamilyPoint, solution: Solution, whole: np.ndarray, last: Sample | None
-) -> Step:
+    run: Run, before: Walked, point: FamilyPoint, solution: Solution, whole: np.ndarray, last: Sample | None
+) -> Walked:
     """The step to a point that was accepted, in scales renewed there; `last` is its sample where it has one."""
     curve, place = run.curve.measured(solution), before.solution.place
     rows = curve.through(solution.place).linearised(solution.place, solution.march).matrix()
@@ -307,7 +307,7 @@ def step_from(
     else:
         slopes = parameter_slopes(curve, here.place, here.place.head_of(whole))
         sample = replace(last, distance=0.0, solution=here, whole=whole, slopes=slopes)
-    return Step(
+    return Walked(
         curve, point, sample, bend(curve, solution.place, whole, place), trend,
         np.vstack([before.portraits, portrait(curve, solution)]), drifted(curve, before.solution, here),
     )  # fmt: skip

@@ -75,7 +75,7 @@ def begin(
     """
     settings = settings or FamilySettings()
     problem = as_problem(origin, model)
-    if problem.model.hybrid is not None:  # all events of the cycle are watched
+    if not problem.model.smooth:  # all events of the cycle are watched
         problem, symmetry = replace(problem, symmetry=NONE.name), NONE.name
     free, held = unknown_parameters(problem.model, settings, momenta_of(problem.boundary, problem.model))
     by_momentum = bool(problem.relative) and settings.parameter in momenta_of(problem.boundary, problem.model)
@@ -85,7 +85,7 @@ def begin(
     base = replace(problem, symmetry=NONE.name) if wanted != problem.symmetry else problem
     chosen = bool(problem.free or problem.constraints) or problem.objective != "nearest" or problem.forcing_cycles > 1
     start = (_found_first if chosen else _tried)(base, free)
-    if symmetry == "auto" and problem.model.hybrid is None and not problem.relative:
+    if symmetry == "auto" and problem.model.smooth and not problem.relative:
         wanted = symmetry_of(start.curve, start.solution)
     return reformulated(start, related(named(wanted, problem.model), problem.model, problem.relative))
 

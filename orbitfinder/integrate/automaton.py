@@ -102,7 +102,7 @@ class Automaton:
     def __init__(
         self, model: Model, settings: ReferenceSettings = TIGHTEST, longest: float = np.inf, units: Sequence[float] = ()
     ) -> None:
-        assert model.hybrid is not None
+        assert not model.smooth
         self.units = np.asarray(units) if len(units) else np.ones(len(model.state_names))
         self.model, self.hybrid, self.settings, self.longest = model, model.hybrid, settings, longest
         self._fields: dict[str, VectorField] = {}
@@ -233,7 +233,7 @@ class Automaton:
 
     def _watch(
         self, function: ca.Function, direction: int, field: VectorField, x: np.ndarray, own: bool = False
-    ) -> _Watch:
+    ) -> _Height:
         if id(function) not in self._slopes:
             self._slopes[id(function)] = gradient(function)
         slope = self._slopes[id(function)]
@@ -244,10 +244,10 @@ class Automaton:
         def climb(x: np.ndarray) -> float:
             return direction * float(self.value(slope, x) @ field(0.0, x))
 
-        return _Watch(height, climb, x, float(np.abs(self.value(slope, x)) @ np.abs(x)), own)
+        return _Height(height, climb, x, float(np.abs(self.value(slope, x)) @ np.abs(x)), own)
 
     def _crossing(
-        self, guards: Sequence[_Watch], leaving: Sequence[Transition], looks: np.ndarray, within: np.ndarray,
+        self, guards: Sequence[_Height], leaving: Sequence[Transition], looks: np.ndarray, within: np.ndarray,
         dense: Callable[[float], np.ndarray], field: VectorField, begin: tuple[float, np.ndarray],
     ) -> tuple[float, np.ndarray, int] | None:  # fmt: skip
         """The first crossing that counts among those within a step: moment, state, number of its transition."""
@@ -433,7 +433,7 @@ def recognised(
     return names[: nearest[1]]
 
 
-class _Watch:
+class _Height:
     """A function along an arc: its height, below 0 before a crossing and above after, and the height's rate.
 
     Looks are added between those given until a cubic through heights and rates tells what is between them.

@@ -133,7 +133,7 @@ def build_flow(
 
     The last few are remembered: a second search on the same Model builds no integrator anew.
     """
-    if model.hybrid is not None:
+    if not model.smooth:
         raise InputError("system: it is hybrid, and a flow knows no events; use simulate, which goes through them")
     return remembered(Flow, model, free, unfolded, settings, units)
 

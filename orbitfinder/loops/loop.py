@@ -160,7 +160,7 @@ class Equations:
     march: March | Marches = field(init=False)
 
     def __post_init__(self, given: March | None) -> None:
-        if self.model.hybrid is not None:
+        if not self.model.smooth:
             object.__setattr__(self, "free", freed(self.model, self.free, self.symmetry.parts))
             part = self.model.hybrid.part(self.symmetry.parts)
             arcs = [self._marched(arc.model, k) for k, (arc, _) in enumerate(part)]
@@ -319,7 +319,7 @@ class Links:
     """
 
     def __init__(self, model: Model, free: tuple[str, ...], parts: int = 1) -> None:
-        arcs = () if model.hybrid is None else model.hybrid.part(parts)
+        arcs = () if model.smooth else model.hybrid.part(parts)
         self.count, self.parts, self.transitions = max(1, len(arcs)), parts, tuple(transition for _, transition in arcs)
         self._parts = [Buffered(_link(model, transition, free, True)) for transition in self.transitions]
         self._passes = [Buffered(_link(model, transition, free, False)) for transition in self.transitions]

@@ -189,7 +189,7 @@ class Problem(Shown):
         if self.model.constraint is not None and self.model.constraint.lift is not None:
             self._lift(self.model.degrees_of_freedom // 3)
         self._settle()
-        if self.model.hybrid is not None:
+        if not self.model.smooth:
             self._settle_cycle()
         _check(self)
 
@@ -223,7 +223,7 @@ class Problem(Shown):
     def _settle_cycle(self) -> None:
         """The cycle of a hybrid system is that of its guess's motion where none is given."""
         _check_hybrid(self)
-        if not self.model.hybrid.cycle:
+        if not self.model.cycle:
             _check_state(self.model, np.asarray(self.guess.state, float))
             given = np.asarray(self.guess.state, float), self.guess.period, self.guess.trajectory
             cycle = recognised(self.model, *given)
@@ -264,7 +264,7 @@ class Problem(Shown):
         intervals = segments or self.segments or 1
         size, symmetry = len(self.model.state_names), self.boundary
         unfolded = symmetry.unfolded(self.model)
-        arcs = 0 if self.model.hybrid is None else len(self.model.hybrid.part(symmetry.parts))
+        arcs = 0 if self.model.smooth else len(self.model.hybrid.part(symmetry.parts))
         others = sum(invariant.generator is not None for invariant in unfolded)
         equations = {
             "defects": size * (intervals - 1),
@@ -377,7 +377,7 @@ def _check(problem: Problem) -> None:
     _check_objective(problem)
     if model.constraint is not None:
         check_consistent(model, state)
-    if model.hybrid is None or not symmetry.maps:
+    if model.smooth or not symmetry.maps:
         symmetry.check(model, state, problem.forcing_cycles)
     else:
         _check_halves(problem, state)
@@ -420,10 +420,10 @@ def _check_hybrid(problem: Problem) -> None:
 def _check_halves(problem: Problem, state: np.ndarray) -> None:
     """`InputError` unless the second half of a hybrid system's cycle is the image of the first, tried near a state."""
     model, symmetry, forward = problem.model, problem.boundary, problem.boundary.forward
-    n, cycle, why = model.degrees_of_freedom, ", ".join(model.hybrid.cycle), ""
+    n, cycle, why = model.degrees_of_freedom, ", ".join(model.cycle), ""
     if symmetry.reverses or forward is None:
         why = "runs time backwards, and a reset, after which a hybrid orbit begins, is a map forwards"
-    elif len(model.hybrid.cycle) % 2:
+    elif len(model.cycle) % 2:
         why = f"takes half of the events to the other half, and the cycle {cycle} has an odd number"
     else:
         lengths, clock = surroundings(model, state[:n])
@@ -433,7 +433,7 @@ def _check_halves(problem: Problem, state: np.ndarray) -> None:
         half = (
             np.append(np.pi * turn * (model.angular & forward.keeps(n)), np.zeros(state.size - n)) for turn in turned
         )
-        arcs, automaton = [(mode.name, transition.name) for mode, transition in model.hybrid.arcs], Automaton(model)
+        arcs, automaton = [(mode.name, transition.name) for mode, transition in model.arcs], Automaton(model)
         pairs = list(zip(arcs, arcs[len(arcs) // 2 :], strict=False))
         off = (max(automaton.unlike(*pair, rows, forward.matrix(n), by) for pair in pairs) for by in half)
         if min(off) > LARGEST_TOLERANCE:
@@ -495,7 +495,7 @@ def _check_winding(problem: Problem) -> None:
     if any(k and not angle for k, angle in zip(problem.winding, problem.model.angular, strict=True)):
         raise InputError(f"winding: {list(problem.winding)} turns a coordinate that is not an angle; set it to 0")
     turning, forward = problem.boundary.may_turn(n), problem.boundary.forward
-    if problem.model.hybrid is not None and forward is not None:  # half of the turns belong to half of the events
+    if not problem.model.smooth and forward is not None:  # half of the turns belong to half of the events
         turning = forward.keeps(n)
     if np.any(np.asarray(problem.winding)[~turning]):
         raise InputError(
@@ -537,7 +537,7 @@ def boundary_constants(problem: Problem, nodes: np.ndarray, end: np.ndarray | No
     """The constants (2n) of the boundary rows that a guess is nearest to: the motion may be symmetric about an upright
     link. Of an orbit that repeats mirrored, about its mean over the part; of a hybrid one by its end."""
     start, turns, forward = nodes[0], problem.winding, problem.boundary.forward
-    if problem.model.hybrid is not None and forward is not None and end is not None:
+    if not problem.model.smooth and forward is not None and end is not None:
         if turns is None:  # of those that stay in place half a turn is a half of one
             moved = (end - start)[: problem.turns.size]
             turns = tuple(np.where(problem.model.angular, np.round(moved / np.pi), 0.0))
@@ -568,7 +568,7 @@ def displacement(problem: Problem, w: Unknowns, end: np.ndarray | None) -> np.nd
     model, n = problem.model, problem.model.degrees_of_freedom
     if problem.boundary.maps or problem.winding is not None or end is None:
         return boundary_constants(problem, w.nodes, end)
-    turns = whole_turns(model, w.nodes[0], end, problem.boundary.relative, model.hybrid is not None)
+    turns = whole_turns(model, w.nodes[0], end, problem.boundary.relative, not model.smooth)
     return np.concatenate([np.zeros(n) if turns is None else 2 * np.pi * turns, np.zeros(w.nodes.shape[1] - n)])
 
 

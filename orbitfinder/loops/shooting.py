@@ -138,7 +138,7 @@ def transcribe(problem: Problem, nodes: np.ndarray | Unknowns, flow: Flow | None
 def flow_of(problem: Problem, settings: IntegratorSettings | None = None) -> Flow:
     """The flow of a Problem's model, or of each arc of its cycle, in the units of its guess's motion."""
     symmetry, units, model = problem.boundary, units_of(problem), problem.model
-    arcs = [model] if model.hybrid is None else [mode.model for mode, _ in model.hybrid.part(symmetry.parts)]
+    arcs = [model] if model.smooth else [mode.model for mode, _ in model.hybrid.part(symmetry.parts)]
     free = freed(model, problem.free, symmetry.parts)
     first, *later = (build_flow(arc, free, symmetry.unfolded(arc), settings, units) for arc in arcs)
     return replace(first, later=tuple(later)) if later else first
@@ -195,7 +195,7 @@ def _variables(loop: Loop, flow: Flow, parts: list[ca.MX], tail: list[ca.MX], en
         each = len(parts) // len(functions)
         given = (inputs for _, inputs in spans(equations, flow, parts, tail))
         matrices = [functions[k // each](*inputs) for k, inputs in enumerate(given)]
-        arcs = () if model.hybrid is None else model.hybrid.arcs
+        arcs = model.arcs
         for arc, k in enumerate(equations.links.ends(len(parts))):
             (mode, transition), (after, _) = arcs[arc], arcs[(arc + 1) % len(arcs)]
             matrices[k] = saltation(mode.model, transition, after.model)(reached[k], p) @ matrices[k]

@@ -698,7 +698,7 @@ def recognise(times: np.ndarray, states: np.ndarray, model: Model, *, own: bool 
     Looked for are rest and x -> -x, else a centre, and then, with `own`, what the model declares. Of hybrid orbits none
     is asked.
     """
-    if model.hybrid is not None:
+    if not model.smooth:
         return NONE.name
     angles = model.angular
     if model.rates is not None:

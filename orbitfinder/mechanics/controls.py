@@ -97,7 +97,7 @@ def check_constant(model: Model, names: Iterable[str]) -> None:
 
 def actuated(model: Model) -> Model:
     """The Model for motions along which its controls act: with their forces, without the invariants they break."""
-    if not model.controls or model.hybrid is not None:
+    if not model.controls or not model.smooth:
         return model
     forces, drive = model.forces, model.actuation
     if drive is not None and forces is not None:

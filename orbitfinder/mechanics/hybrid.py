@@ -303,9 +303,9 @@ def with_cycle(model: Model, cycle: Sequence[str]) -> Model:
 
     Raises `InputError` for a system that is not hybrid, or a cycle that it cannot go through.
     """
-    if model.hybrid is None:
+    if model.smooth:
         raise InputError("cycle: the system is not hybrid, its motion has no events; leave the cycle out")
-    if tuple(cycle) == model.hybrid.cycle:
+    if tuple(cycle) == model.cycle:
         return model
     modes, transitions, conserved = model.hybrid.given
     made = hybrid(modes, transitions, cycle, conserved=conserved, system=dict(model.system) | {"cycle": list(cycle)})
@@ -318,7 +318,7 @@ def with_cycle(model: Model, cycle: Sequence[str]) -> Model:
 
 def as_recorded(model: Model, system: Mapping[str, Any]) -> Model:
     """The same system, a hybrid one with the cycle that the description of an orbit names."""
-    return with_cycle(model, system["cycle"]) if model.hybrid is not None and "cycle" in system else model
+    return with_cycle(model, system["cycle"]) if not model.smooth and "cycle" in system else model
 
 
 def section_of(model: Model, transition: Transition) -> ca.Function:
@@ -334,7 +334,7 @@ def section_of(model: Model, transition: Transition) -> ca.Function:
 
 def repeated(model: Model, times: int) -> Model:
     """The same system, the cycle of a hybrid one gone through so many times."""
-    return model if model.hybrid is None else with_cycle(model, model.hybrid.cycle * times)
+    return model if model.smooth else with_cycle(model, model.cycle * times)
 
 
 def _drawn(ground: Expression, model: Model) -> ca.Function:
@@ -375,16 +375,16 @@ def saltation(before: Model, transition: Transition, after: Model) -> ca.Functio
 
 def freed(model: Model, free: tuple[str, ...], parts: int = 1) -> tuple[str, ...]:
     """Freed parameters, and of a hybrid system the shares of all arcs but the last in the first of so many `parts`."""
-    count = 0 if model.hybrid is None else len(model.hybrid.part(parts)) - 1
+    count = 0 if model.smooth else len(model.hybrid.part(parts)) - 1
     shares = (f"{SHARE}{k + 1}" for k in range(count))
     return (*free, *(name for name in shares if name not in free))
 
 
 def share(model: Model, arc: int, p: Any, parts: int = 1) -> Any:
     """The share of the period that an arc of the first of so many equal `parts` of it takes; a smooth one is an arc."""
-    if model.hybrid is None:
+    if model.smooth:
         return 1 / parts
-    count, first = len(model.hybrid.part(parts)), len(model.parameter_names) - (len(model.hybrid.cycle) - 1)
+    count, first = len(model.hybrid.part(parts)), len(model.parameter_names) - (len(model.cycle) - 1)
     shares = p[first : first + count - 1]
     return shares[arc] if arc < count - 1 else 1 / parts - ca.sum1(shares) if count > 1 else 1 / parts
 
@@ -488,7 +488,7 @@ def _check_modes(modes: Sequence[Mode]) -> None:
     for mode in modes:
         if mode.holds is not None and not isinstance(mode.holds, Mapping):
             raise InputError(f"modes: holds of {mode.name}: expected names with a function each, got {mode.holds!r}")
-        if mode.model.hybrid is not None:
+        if not mode.model.smooth:
             raise InputError(f"modes: {mode.name} is a hybrid system itself; give its modes and transitions")
         if mode.model.state_names != first.state_names:
             raise InputError(

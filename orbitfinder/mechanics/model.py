@@ -286,6 +286,21 @@ class Model(Shown):
         return any(one.generator is None for one in self.invariants)
 
     @property
+    def smooth(self) -> bool:
+        """True when motions do not jump: there are no modes with guards and resets."""
+        return self.hybrid is None
+
+    @property
+    def cycle(self) -> tuple[str, ...]:
+        """The transitions of one period, in their order; none of a smooth system."""
+        return () if self.hybrid is None else self.hybrid.cycle
+
+    @property
+    def arcs(self) -> tuple[Any, ...]:
+        """Mode and transition of each arc of the cycle; none of a smooth system."""
+        return () if self.hybrid is None else self.hybrid.arcs
+
+    @property
     def forced(self) -> bool:
         """True when the equations depend on time explicitly."""
         return self.forcing_period is not None

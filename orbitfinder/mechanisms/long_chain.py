@@ -85,7 +85,7 @@ def suits(problem: Problem) -> bool:
     model = problem.model
     return (
         problem.control is None
-        and model.hybrid is None
+        and model.smooth
         and is_long(model)
         and model.acceleration.is_a("SXFunction")
         and float(model.system["gravity"]) > 0

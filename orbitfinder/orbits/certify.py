@@ -345,7 +345,7 @@ def _hybrid_checks(trial: Trial) -> Iterator[Check | None]:
     lasted, pairs = abs(seen.period / orbit.period - 1), seen.floquet.pair_defect
     events = [str(arc.ended_by) for arc in seen.arcs]
     ignored = "".join(f"; ignored: {text}" for text in model.hybrid.ignored)
-    yield equal("events", events != list(model.hybrid.cycle), 0.0,
+    yield equal("events", events != list(model.cycle), 0.0,
                 f"as simulated by DOP853, all guards watched: {', '.join(events)}{ignored}")  # fmt: skip
     yield from trial.closing()
     yield at_most("recorded_period", lasted, trial.asked * trial.scale, "time of the last event / recorded period - 1")
@@ -690,6 +690,6 @@ class _Nearby:
 
 VERIFIERS = {
     "smooth": Verifier(lambda orbit, model: True, _smoothly, _smooth_checks),
-    "impacts": Verifier(lambda orbit, model: model.hybrid is not None, _through_impacts, _hybrid_checks, "events"),
+    "impacts": Verifier(lambda orbit, model: not model.smooth, _through_impacts, _hybrid_checks, "events"),
 }
 """Every kind of motion by its name; others may join (`verifier_of` asks them all)"""

@@ -140,7 +140,7 @@ def course(model: Model, times: np.ndarray, states: np.ndarray, turns: Sequence[
     Raises `InputError` where these are not as many as its cycle asks for.
     """
     period, turned, origin = float(times[-1]), shift(turns, states.shape[1]), np.zeros(2)
-    arcs = () if model.hybrid is None else model.hybrid.arcs
+    arcs = model.arcs
     cuts = np.flatnonzero(np.diff(times) == 0) + 1
     if len(cuts) != max(len(arcs), 1) - 1:
         raise InputError(

@@ -212,7 +212,7 @@ def retraced(equations: Equations, found: Solution) -> Solution:
     automaton, arcs, states, ends = Automaton(model), links.count, list[np.ndarray](), found.march.ends.copy()
     steps, x, last = (w.mesh.size - 1) // arcs, w.nodes[0], links.ends(len(w.nodes))
     units = snapped(nonzero(np.ptp(found.march.states, axis=0)))
-    for k, ((mode, one), lasts) in enumerate(zip(model.hybrid.arcs, links.shares(w.free), strict=True)):
+    for k, ((mode, one), lasts) in enumerate(zip(model.arcs, links.shares(w.free), strict=True)):
         times = (w.mesh[k * steps : (k + 1) * steps + 1] * arcs - k) * lasts * w.period
         path = automaton.path(mode.name, x, times, CHECKED, units)
         states.append(path[:-1])
@@ -275,7 +275,7 @@ def _energies(model: Model, arcs: Sequence[Arc]) -> tuple[float, float]:
     """The largest drift of the energy in an arc without forces, and the largest error of the energy lost in an impact,
     both relative to the energy exchanged."""
     drift = balance = 0.0
-    modes = {mode.name: mode.model for mode, _ in model.hybrid.arcs}
+    modes = {mode.name: mode.model for mode, _ in model.arcs}
     exchanged = nonzero(max(float(energies(modes[arc.mode], arc.states)[0].max()) for arc in arcs))
     for arc in arcs:
         own = modes[arc.mode]
@@ -394,7 +394,7 @@ class HybridCheck(ClosureCheck):
 
 def shares_of(model: Model) -> np.ndarray:
     """The shares of the period that a hybrid Model's arcs take, by its parameters."""
-    return np.array([float(share(model, k, model.parameter_values)) for k in range(len(model.hybrid.cycle))])
+    return np.array([float(share(model, k, model.parameter_values)) for k in range(len(model.cycle))])
 
 
 def held(arcs: Sequence[Arc]) -> Iterator[tuple[str, float]]:

@@ -83,7 +83,7 @@ def chosen(
     try:
         return shooting, followed(shooting, settings, report, w, COARSE_BOX if stability else SMALLEST_BOX)
     except StalledError as stalled:
-        if not stability or problem.model.hybrid is not None:
+        if not stability or not problem.model.smooth:
             raise
         return _crossing(shooting, stalled, settings, report)
 
@@ -268,9 +268,9 @@ def instability(model: Model) -> Callable[[Variables], ca.MX]:
     others = len(model.state_names) - trivial
     if others < 1:
         raise InputError("objective: this system has no non-trivial Floquet multipliers; min_instability has no sense")
-    if symplectic(model) and others == 2 and model.hybrid is None:  # resets need not keep areas
+    if symplectic(model) and others == 2 and model.smooth:  # resets need not keep areas
         return lambda variables: (0.5 * (ca.trace(variables.monodromy) - trivial)) ** 2
-    largest = _Largest(len(model.state_names), trivial, symplectic(model) and model.hybrid is None)
+    largest = _Largest(len(model.state_names), trivial, symplectic(model) and model.smooth)
     return lambda variables: largest(variables.monodromy)
 
 

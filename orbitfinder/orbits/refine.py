@@ -83,7 +83,7 @@ class Refiner(Shown):
         self._alone = threading.Lock()  # the marches have one work space
         self.settings = chosen = settings or NewtonSettings()
         self.problem = problem = at_forcing_period(problem)
-        hybrid = problem.model.hybrid is not None
+        hybrid = not problem.model.smooth
         self.flow = None if hybrid else flow_of(problem)
         self.equations = Equations(problem.model, problem.boundary, problem.free)
         self.equations.march.build()

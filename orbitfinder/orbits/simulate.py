@@ -100,7 +100,7 @@ def simulate(
     if not 0 < duration < LONGEST:
         raise InputError(f"duration: must be positive and below {LONGEST:g} s, got {duration}; give a time in s")
     count = samples or int(min(max(duration * SAMPLES_PER_SECOND, 100), MOST_SAMPLES)) + 1
-    if model.hybrid is not None:
+    if not model.smooth:
         return _simulated(model, checked_state(model, state), np.linspace(0.0, duration, count))
     states = sample(build_flow(model), np.asarray(state, float), duration, count)
     kinetic, potential = energies(model, states)

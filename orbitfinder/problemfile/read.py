@@ -279,7 +279,7 @@ def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
             f"guess.{linkage_keys[0]}: is for linkages and mechanisms only; give state and period, mode or csv"
         )
     if given.csv is not None:
-        return read_trajectory(folder, given.csv, len(model.state_names), model.hybrid is not None)
+        return read_trajectory(folder, given.csv, len(model.state_names), not model.smooth)
     if given.mode is not None and given.amplitude is not None:
         if isinstance(given.mode, int) and isinstance(given.amplitude, float):
             return normal_mode(model, given.mode, given.amplitude, _rest(model, given.equilibrium))

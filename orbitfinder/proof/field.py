@@ -91,7 +91,7 @@ def _alone(model: Model, rates: ca.Function, x: ca.SX, v: ca.SX, s: ca.SX, p: ca
 
 def check_provable(model: Model) -> None:
     """`InputError` unless the theorem covers the Model: autonomous, the energy its only integral, or without any."""
-    if model.hybrid is not None:
+    if not model.smooth:
         raise InputError("system: orbits with events cannot be proved yet; the theorem is about smooth flows")
     if model.constraint is not None:
         raise InputError(

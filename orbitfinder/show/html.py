@@ -73,7 +73,7 @@ def model_html(model: Model) -> str:
         ("parameters", ", ".join(parameters[:MOST]) + (", ..." if len(parameters) > MOST else "")),
         ("conserved", kept),
     ]
-    told = {"controls": ", ".join(model.controls), "cycle": " > ".join(getattr(model.hybrid, "cycle", ()))}
+    told = {"controls": ", ".join(model.controls), "cycle": " > ".join(model.cycle)}
     rows += [(name, text) for name, text in told.items() if text]
     kind = str(model.system.get("function") or model.system.get("kind", "")).replace("_", " ")
     return f"<div>{heading(f'Model {kind}'.strip())}{table(rows)}</div>"
@@ -240,7 +240,7 @@ def _period(orbit: Orbit, model: Model) -> tuple[np.ndarray, np.ndarray]:
     """Times and states over a period, integrated from the state where none are recorded."""
     if len(orbit.samples) > 1:
         return orbit.times, orbit.samples
-    if model.hybrid is not None:
+    if not model.smooth:
         return sampled(model, orbit.state, orbit.period)
     return np.linspace(0.0, orbit.period, SAMPLES), sample(build_flow(model), orbit.state, orbit.period, SAMPLES)
 

@@ -83,7 +83,7 @@ def save_figures(orbit: Orbit | Family, folder: str | Path, model: Model | None 
     }
     if orbit.control is not None:
         figures["controls"] = controls(orbit)
-    elif np.isfinite(orbit.energy) and (model.hybrid is None or model.conservative):
+    elif np.isfinite(orbit.energy) and (model.smooth or model.conservative):
         figures["energy_error"] = energy_error(orbit, model)
     if has_path(model):
         figures["path"] = path_views(orbit, model)

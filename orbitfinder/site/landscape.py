@@ -47,7 +47,7 @@ def landscape(
 
 def _layout(model: Model) -> tuple[np.ndarray, np.ndarray] | None:
     """Where (down, right) the coordinates 0 are drawn and what a step in each adds; None where that is not all."""
-    mechanical = model.rates is None and model.hybrid is None and model.conservative and not model.forced
+    mechanical = model.rates is None and model.smooth and model.conservative and not model.forced
     if not mechanical or model.points is None or model.strokes or model.degrees_of_freedom != 2 or any(model.angles):
         return None
     q = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])

@@ -120,7 +120,7 @@ class Simulator:
         if known is None:
             return None if dense is None else _motion(_without_model(dense[1]), *dense, returns=True)
         model, field = known
-        if model.hybrid is not None:
+        if not model.smooth:
             return _jumping(model, np.asarray(document["state"], float), period, dense)
         nodes = np.asarray(document.get("nodes") or [document["state"]], float)
         if nodes.ndim != 2 or nodes.shape[1] != len(model.state_names):
@@ -173,7 +173,7 @@ class Simulator:
             return None
         model, field = known
         free = {name: float(value) for name, value in member.free.items() if name in model.parameter_names}
-        if model.hybrid is not None:
+        if not model.smooth:
             return _jumping(with_parameters(model, free), member.state, period, None)
         symmetry = symmetries_of(model).get(member.symmetry)
         if symmetry is None:

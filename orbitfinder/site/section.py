@@ -101,7 +101,7 @@ def _paths(
     section: Section, model: Model | None, starts: np.ndarray, span: float
 ) -> list[dict[str, Any] | None]:  # fmt: skip
     """Motions from states (k x d) over a time (s) for the page, None of what cannot be integrated."""
-    if model is None or model.hybrid is not None:
+    if model is None or not model.smooth:
         return [None] * len(starts)
     motions = named_surface(model, section.plane, section.axes).motions
     return [_packed(model, path, span) for path in motions.sampled(starts, span / SAMPLES, SAMPLES)]

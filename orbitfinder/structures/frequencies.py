@@ -86,8 +86,8 @@ def frequency_map(model: Model, starts: Any, duration: float) -> FrequencyMap:
         >>> mapped.frequencies.shape, bool(mapped.diffusion[0] < 1e-4)
         ((1, 2), True)
     """
-    if model.hybrid is not None or model.constraint is not None:
-        what = "hybrid systems jump" if model.hybrid is not None else "take the minimal model of this one"
+    if not model.smooth or model.constraint is not None:
+        what = "hybrid systems jump" if not model.smooth else "take the minimal model of this one"
         raise InputError(f"model: frequencies are those of smooth motions in minimal coordinates; {what}")
     begins = check_states(model, np.atleast_2d(np.asarray(starts, float)))
     if not (np.isfinite(duration) and duration > 0):

@@ -284,7 +284,7 @@ def surface_of(
 ) -> Surface:
     """The section of an orbit's system at its own invariants. Raises `InputError` where it has no manifolds."""
     model = model or build_model(orbit.system)
-    if model.hybrid is not None:
+    if not model.smooth:
         raise InputError("orbit: manifolds of hybrid systems are not grown; give the orbit of a smooth system")
     if model.constraint is not None:
         raise InputError(

@@ -57,8 +57,8 @@ class Surface:
     def name(self) -> str:
         """The plane in words: y = 0, ydot > 0."""
         plane, names = self.plane, self.model.state_names
-        if self.model.hybrid is not None:
-            return "events" if not self.model.hybrid.cycle else f"after {self.model.hybrid.cycle[-1]}"
+        if not self.model.smooth:
+            return "events" if not self.model.cycle else f"after {self.model.cycle[-1]}"
         if plane.component < 0:
             return f"t = k P, P = {plane.cycle:.6g}"
         side = {0: "both ways", 1: "growing", -1: "falling"}[plane.direction]
@@ -156,7 +156,7 @@ def surface(
         )
     if direction not in (-1, 0, 1):
         raise InputError(f"direction: must be 1 (growing), -1 (falling) or 0 (both), got {direction}")
-    if plane is not None and (model.forced or model.hybrid is not None):
+    if plane is not None and (model.forced or not model.smooth):
         what = "looked at once a period of its forcing" if model.forced else "looked at after its own events"
         raise InputError(f"plane: {plane!r} given for a system that is {what}; leave the plane out")
     cut = _plane(model, plane, direction, state)
@@ -168,7 +168,7 @@ def named_surface(
     state: np.ndarray | None = None,
 ) -> Surface:  # fmt: skip
     """The section that a record names in words, its `plane`, as `Surface.name` gives them."""
-    if model.forced or model.hybrid is not None:
+    if model.forced or not model.smooth:
         return surface(model, None, axes, levels=levels)
     where, _, side = plane.partition(",")
     direction = {"growing": 1, "falling": -1}.get(side.strip(), 0)
@@ -177,7 +177,7 @@ def named_surface(
 
 def _plane(model: Model, plane: str | None, direction: int, state: np.ndarray | None) -> Plane:
     """The plane of a text, or the one that fits. Raises `InputError`."""
-    if model.hybrid is not None:
+    if not model.smooth:
         return Plane(-1)
     if model.forced:
         return Plane(-1, 0.0, 0, float(model.forcing_period(model.parameter_values)))  # type: ignore[misc]
@@ -301,7 +301,7 @@ def section(
         if not 1 <= count <= most:
             raise InputError(f"{what}: must be between 1 and {most}, got {count}")
     model, state, own = _of(system, model)
-    levels = {} if model.hybrid is not None else level_of(model, energy, state)
+    levels = {} if not model.smooth else level_of(model, energy, state)
     cut = surface(model, plane, axes, direction, levels=levels)
     starts = _starts(cut, seeds, dict(ranges or {}), state)
     names, chosen = model.state_names, next(iter(levels.values()), float("nan"))
@@ -323,7 +323,7 @@ def section(
 
     path = None if out is None else Path(out) / (name or own) / "section.jsonl"
     request = plain({"system": dict(model.system), "section": (plane, axes, direction, levels, ranges or {}, state)})
-    growth, hybrid = unknown, model.hybrid is not None
+    growth, hybrid = unknown, not model.smooth
     with _tracks(path, request, 2 if hybrid else 6 + 2 * len(names), 3 + len(names)) as track:
         if hybrid:
             passing = _events(model, starts, returns, seen, track("seeds"))
@@ -371,7 +371,7 @@ def _starts(cut: Surface, seeds: int, ranges: Mapping[str, Sequence[float]], sta
         if len(given) != 2 or not (np.all(np.isfinite(given)) and given[0] < given[1]):
             raise InputError(f"ranges: {name} needs two growing numbers, got {', '.join(map(str, given))}")
     base = np.zeros(len(model.state_names)) if state is None else np.asarray(state, float).copy()
-    if model.conservative and model.hybrid is None:
+    if model.conservative and model.smooth:
         base[:] = 0.0  # or other coordinates of a motion elsewhere would be taken for those of the plane
     if cut.plane.component >= 0:
         base[cut.plane.component] = cut.plane.level
@@ -579,7 +579,7 @@ def crossings(model: Model, record: Any, orbit: Orbit) -> np.ndarray:
 
 def pierced(cut: Surface, orbit: Orbit) -> Pierced:
     """Where an orbit crosses a section in one period. Raises `InputError` where it does not."""
-    if cut.model.hybrid is not None:
+    if not cut.model.smooth:
         return Pierced(np.zeros(1), check_states(cut.model, orbit.state[None]))
     nodes, plane, motions = nodes_of(cut, orbit), cut.plane, cut.motions
     span, close = orbit.period / len(nodes), 1e-9 * orbit.period

@@ -213,8 +213,8 @@ def _model(origin: Orbit | Torus, model: Model | None) -> Model:
         if isinstance(origin, Torus):
             raise InputError("model: missing; a Torus does not say of which system it is (build_model(tori.system))")
         model = build_model(origin.system)
-    if model.hybrid is not None or model.constraint is not None:
-        what = "hybrid systems" if model.hybrid is not None else "native DAE models; give the minimal one"
+    if not model.smooth or model.constraint is not None:
+        what = "hybrid systems" if not model.smooth else "native DAE models; give the minimal one"
         raise InputError(f"origin: tori are not found of {what}")
     if isinstance(origin, Orbit) and (any(origin.winding) or origin.shift):
         raise InputError("origin: turns or shifts in a period; tori are found around orbits that come back")

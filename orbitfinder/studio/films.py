@@ -50,6 +50,6 @@ def draggable(model: Model) -> list[float]:
 
 def pullable(model: Model, state: np.ndarray) -> list[int]:
     """The points of a mechanism with a picture that can be pulled, as far as its joints allow; [] of a chain."""
-    if draggable(model) or model.hybrid is not None or model.rates is not None:
+    if draggable(model) or not model.smooth or model.rates is not None:
         return []
     return movable(model, state)

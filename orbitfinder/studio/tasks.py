@@ -107,7 +107,7 @@ class Tasks:
         run = simulate(model, np.asarray(state, float), duration, count)
         energy = float(run.energy[0]) if np.isfinite(run.energy[0]) else None
         returns = list[CloseReturn]()
-        if model.hybrid is None and np.ptp(run.states, axis=0).max() > 0:
+        if model.smooth and np.ptp(run.states, axis=0).max() > 0:
             returns = close_returns(run.times, run.states, model.angles, 12)
             returns.sort(key=lambda near: near.distance * near.period**3)
         shown = film(model, run.times, run.states)
