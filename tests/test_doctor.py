@@ -149,7 +149,7 @@ def test_our_own_derivative_is_right_where_casadis_is_wrong():
     assert np.abs(found - differences).max() < 1e-6  # CasADi's derivative of the trial is off by 0.3
 
 
-@pytest.mark.parametrize("shell", doctor.SHELLS)
+@pytest.mark.parametrize("shell", doctor.completion.params[0].type.choices)
 def test_completion_scripts_belong_to_their_shell(shell):
     result = invoke("completion", shell)
     assert result.exit_code == 0 and f"_ORBITFINDER_COMPLETE={shell}_complete" in result.stdout

@@ -14,8 +14,8 @@ from click.testing import CliRunner
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.proof.branch import (
+    BranchPiece,
     Checked,
-    Piece,
     branch_document,
     prove_branch,
     read_branch,
@@ -111,13 +111,13 @@ def test_a_branch_is_not_proved_where_it_turns_back_or_another_is_mixed_in(doubl
 
 def test_two_pieces_with_different_orbits_are_not_joined():
     """The orbit that the first one ends with must lie in the second one's box."""
-    first = Piece(0.0, 1.0, ((0.5, 0.5),), (0.1,))
+    first = BranchPiece(0.0, 1.0, ((0.5, 0.5),), (0.1,))
     from orbitfinder.proof.balls import arb
 
     one = Checked(first, [arb(0, 0.01)], 0.1, True, [])
-    assert same_orbit(one, Piece(1.0, 2.0, ((1.5, 0.5),), (0.1,)))
-    assert not same_orbit(one, Piece(1.0, 2.0, ((1.7, 0.5),), (0.1,)))
-    assert not same_orbit(one, Piece(1.0, 2.0, ((1.5, 0.5),), (0.005,)))
+    assert same_orbit(one, BranchPiece(1.0, 2.0, ((1.5, 0.5),), (0.1,)))
+    assert not same_orbit(one, BranchPiece(1.0, 2.0, ((1.7, 0.5),), (0.1,)))
+    assert not same_orbit(one, BranchPiece(1.0, 2.0, ((1.5, 0.5),), (0.005,)))
 
 
 def test_a_record_is_read_and_replayed_and_a_false_one_is_not(doubled, tmp_path):

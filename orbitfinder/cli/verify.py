@@ -28,7 +28,7 @@ from orbitfinder.records.codec import entries_of
 from orbitfinder.records.registry import answer, held, kind_of, load, load_orbit, member
 
 if TYPE_CHECKING:
-    from orbitfinder.proof.branch import Branch
+    from orbitfinder.proof.branch import ProvedBranch
     from orbitfinder.proof.theorem import Proof, RefinedOrbit
     from orbitfinder.records.family import Family
 
@@ -224,7 +224,7 @@ def _prove_branch(
     finish("proof", {"passed": branch.proved and not missed} | branch_document(branch), branch.proved and not missed)
 
 
-def _print_branch(heading: str, branch: Branch) -> None:
+def _print_branch(heading: str, branch: ProvedBranch) -> None:
     if not branch.proved:
         text(f"{heading}: not proved: {branch.reason}")
         return

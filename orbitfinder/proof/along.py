@@ -28,7 +28,7 @@ from orbitfinder.proof.balls import (
     identity,
     truncated,
 )
-from orbitfinder.proof.enclosure import Cloud, Step, TaylorSettings, transition_remainder
+from orbitfinder.proof.enclosure import Cloud, TaylorSettings, Tube, transition_remainder
 from orbitfinder.proof.field import Field, Jet, slope_series
 from orbitfinder.proof.series import coefficients
 
@@ -205,7 +205,7 @@ class Bundle(Cloud):
         other.values = [ranges(series) for series in jet.values]
         return other
 
-    def flow(self, field: Field, jet: Jet, step: Step, settings: TaylorSettings) -> np.ndarray:
+    def flow(self, field: Field, jet: Jet, step: Tube, settings: TaylorSettings) -> np.ndarray:
         """d(q, v)(h)/dz over the box for each e (d x d+2)."""
         order, n, d = settings.order, field.size, field.dimension
         other = copy(jet)

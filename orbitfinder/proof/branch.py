@@ -100,7 +100,7 @@ class BranchSettings:
 
 
 @dataclass(frozen=True)
-class Piece:
+class BranchPiece:
     """A piece of a branch: exactly one orbit for each energy from `low` to `high` in the box about its centre there.
 
     `centre` (exact floats) are the coefficients c_0, c_1, ... of each unknown in e, -1 at `low` and 1 at `high`,
@@ -147,7 +147,7 @@ class Piece:
 class Checked:
     """A piece with what was shown of it: K(Y) less the centre (`image`), the norm, the segments over every energy."""
 
-    piece: Piece
+    piece: BranchPiece
     image: Vector
     contraction: float
     proved: bool
@@ -188,7 +188,7 @@ def fill(shown: Checked) -> float:
     return max(float(x) / r for x, r in zip(sizes, shown.piece.radius, strict=True))
 
 
-def same_orbit(before: Checked, after: Piece) -> bool:
+def same_orbit(before: Checked, after: BranchPiece) -> bool:
     """Whether the orbit of the energy that two pieces share is in the box of the second one as it is of the first."""
     return inside(after.around(-1.0), before.end(1.0))
 
@@ -227,7 +227,7 @@ class Record:
     high: float
     proved: bool = False
     reason: str = ""
-    pieces: tuple[Piece, ...] = ()
+    pieces: tuple[BranchPiece, ...] = ()
     passages: tuple[Passage, ...] = ()
     wall_time: float = 0.0
 
@@ -238,7 +238,7 @@ class Record:
 
 
 @dataclass(frozen=True)
-class Branch(Record):
+class ProvedBranch(Record):
     """What was proved of a family over energies from `low` to `high`, or why nothing was."""
 
     formulation: Formulation = field(kw_only=True)
@@ -304,7 +304,7 @@ class _BranchProof:
     say: Progress
     settings: BranchSettings = BranchSettings()
 
-    def checked(self, piece: Piece) -> Checked:
+    def checked(self, piece: BranchPiece) -> Checked:
         """The operator on a piece, every energy of it at once."""
         settings = replace(ROUGH, tolerance=self.settings.remainder * min(piece.radius))
         here, centre = replace(self.equations, energy=piece.energy), piece.functions
@@ -337,7 +337,7 @@ class _BranchProof:
             terms = np.polynomial.chebyshev.cheb2poly(bend)  # without the zeros that it ends with
             powers[k, : len(terms)] = terms
         radius = np.full(len(powers), self.settings.radius * np.abs(powers).max())
-        piece = Piece(low, high, tuple(tuple(map(float, terms)) for terms in powers), tuple(map(float, radius)))
+        piece = BranchPiece(low, high, tuple(tuple(map(float, terms)) for terms in powers), tuple(map(float, radius)))
         return self.checked(piece)
 
     def scaled(self, shown: Checked | None) -> float:
@@ -367,7 +367,7 @@ class _BranchProof:
                 raise NotProved(f"no piece of the branch is short enough beyond {here!r} J: {why}")
         return joined
 
-    def again(self, pieces: Sequence[Piece]) -> list[Checked]:
+    def again(self, pieces: Sequence[BranchPiece]) -> list[Checked]:
         """Recorded pieces checked once more. Raises `NotProved`."""
         joined: list[Checked] = []
         for piece in pieces:
@@ -405,7 +405,7 @@ class _BranchProof:
 def prove_branch(
     family: Family, low: float, high: float, model: Model | None = None, progress: Progress | None = None,
     symmetry: str | None = None,
-) -> Branch:  # fmt: skip
+) -> ProvedBranch:  # fmt: skip
     """The proof of a family's part between two energies (J), with its events there. Raises `InputError`."""
     origin, say = _nearest(family, low, high), progress or (lambda line: None)
     with precision(ROUGH.bits):
@@ -420,18 +420,18 @@ def prove_branch(
         form, cut = start.formulation, equations.section
         section = None if cut is None else (tuple(cut[0]), tuple(cut[1]))
         stated = form.symmetry.name, form.segments, form.constants, form.turns, section
-        empty = Branch(family.name, model.system, *stated, low, high, formulation=form)
+        empty = ProvedBranch(family.name, model.system, *stated, low, high, formulation=form)
         run = _BranchProof(model, equations, say)
         first = run.settings.first * float(np.ptp(family.values("energy")))
         return _concluded(empty, run, codes, asked, lambda: run.pieces(unknowns_at(start), low, high, first))
 
 
-def branch_model(branch: Branch, trusted: Path | None = None) -> Model:
+def branch_model(branch: ProvedBranch, trusted: Path | None = None) -> Model:
     """The Model of a recorded branch."""
     return build_model(dict(branch.system), trusted)
 
 
-def replayed(branch: Branch, model: Model | None = None, progress: Progress | None = None) -> Branch:
+def replayed(branch: ProvedBranch, model: Model | None = None, progress: Progress | None = None) -> ProvedBranch:
     """A recorded proof of a branch done again, from its pieces. Raises `InputError`."""
     with precision(ROUGH.bits):
         model = model or branch_model(branch)
@@ -445,7 +445,7 @@ def replayed(branch: Branch, model: Model | None = None, progress: Progress | No
         return _concluded(branch, run, codes, asked, lambda: run.again(branch.pieces), 1.0, 2 * DIGITS)
 
 
-def contradictions(recorded: Branch, fresh: Branch) -> list[str]:
+def contradictions(recorded: ProvedBranch, fresh: ProvedBranch) -> list[str]:
     """Every claim of a recorded branch that the proof done again, its balls written as found, does not prove."""
     wrong = [
         f"contraction from {old.low!r} J: recorded {old.contraction:.3g}, found {new.contraction:.3g}"
@@ -472,9 +472,9 @@ def _borne(recorded: Passage, fresh: Passage) -> bool:
 
 
 def _concluded(
-    about: Branch, run: _BranchProof, codes: Programs, asked: Sequence[tuple[str, float]],
+    about: ProvedBranch, run: _BranchProof, codes: Programs, asked: Sequence[tuple[str, float]],
     pieces: Callable[[], list[Checked]], *written: Any,
-) -> Branch:  # fmt: skip
+) -> ProvedBranch:  # fmt: skip
     """What pieces and their ends say, balls as `written` (see `passage`)."""
     began, passed = time.perf_counter(), []
 
@@ -510,12 +510,12 @@ def _nearest(family: Family, low: float, high: float) -> FamilyPoint:
 RECORDS = Codec(Record, "branch-proof", "`orbitfinder prove`", AGAIN, version=2)
 
 
-def branch_document(branch: Branch) -> dict[str, Any]:
+def branch_document(branch: ProvedBranch) -> dict[str, Any]:
     """The JSON form of a branch."""
     return {"format": RECORDS.format, "version": RECORDS.version, **entries_of(branch, Record)}
 
 
-def read_branch(path: Path) -> Branch:
+def read_branch(path: Path) -> ProvedBranch:
     """A branch-proof.json. Raises `InputError`."""
     record = RECORDS.load(path)
     model = build_model(dict(record.system))
@@ -527,4 +527,4 @@ def read_branch(path: Path) -> Branch:
     positive = all(r > 0 and np.isfinite(r) for piece in record.pieces for r in piece.radius)
     if not (fits and positive and record.segments > 0):
         raise InputError(f"{path}: pieces: do not fit the system or its symmetry; {AGAIN}")
-    return Branch(**vars(record), formulation=form)
+    return ProvedBranch(**vars(record), formulation=form)

@@ -60,8 +60,8 @@ class TaylorSettings:
 
 
 @dataclass(frozen=True)
-class Step:
-    """A validated step of length h (part of a segment) from `begin`.
+class Tube:
+    """The tube of a validated step of length h (part of a segment) from `begin`.
 
     Every solution from the starting box is sum_k series_k t^k + remainder t^{p+1} for 0 <= t <= h
     (d components); `constants` are s and tau.
@@ -97,7 +97,7 @@ def horner(series: Sequence[Any], time: Any) -> Any:
     return total
 
 
-def find_step(field: Field, jet: Jet, begin: float, trial: float, settings: TaylorSettings) -> tuple[Step, float]:
+def find_step(field: Field, jet: Jet, begin: float, trial: float, settings: TaylorSettings) -> tuple[Tube, float]:
     """A step of a jet of solutions whose remainder is within tolerance, and the length to try next."""
     largest = nonzero(magnitude([series[-1] for series in jet.states]))
     h = min(_rounded(min(trial, (settings.tolerance / largest) ** (1.0 / settings.order))), 1.0 - begin)
@@ -109,7 +109,7 @@ def find_step(field: Field, jet: Jet, begin: float, trial: float, settings: Tayl
         error = radius(rest) * h ** (settings.order + 1)
         ratio = 0.9 * (settings.tolerance / nonzero(error)) ** (1.0 / (settings.order + 1))
         if error <= settings.tolerance:
-            return Step(begin, h, jet.states, rest, list(jet.z[-2:])), h * min(max(ratio, 1.0), 1.5)
+            return Tube(begin, h, jet.states, rest, list(jet.z[-2:])), h * min(max(ratio, 1.0), 1.5)
         h = _rounded(h * min(max(ratio, 0.3), 0.9))
     raise IntegrationError(
         "no validated step is short enough; raise the order or the precision, or use more segments",
@@ -148,7 +148,7 @@ def _state_image(field: Field, jet: Jet, span: Any, trial: Vector, order: int) -
 
 
 def transition_remainder(
-    field: Field, jet: Jet, step: Step, blocks: list[Any], slopes: list[Any], settings: TaylorSettings
+    field: Field, jet: Jet, step: Tube, blocks: list[Any], slopes: list[Any], settings: TaylorSettings
 ) -> Any:
     """The remainder H (d+1 x d+2) of the derivatives of (q, v, s) over a step.
 
@@ -236,7 +236,7 @@ class Cloud:
         constants = [c + d for c, d in zip(self.centre[size:], self.start.entries()[size:], strict=True)]
         return [x + d for x, d in zip(self.point, moved, strict=True)] + constants
 
-    def advanced(self, field: Field, begin: float, trial: float, settings: TaylorSettings) -> tuple[Self, Step, float]:
+    def advanced(self, field: Field, begin: float, trial: float, settings: TaylorSettings) -> tuple[Self, Tube, float]:
         """The same after one validated step, the step, and the length to try next."""
         solutions = field.solution(self.hull, settings.order)
         step, following = find_step(field, self.whole(solutions), begin, trial, settings)
@@ -260,7 +260,7 @@ class Cloud:
         """The jet, its coefficients in balls."""
         return jet
 
-    def flow(self, field: Field, jet: Jet, step: Step, settings: TaylorSettings) -> Any:
+    def flow(self, field: Field, jet: Jet, step: Tube, settings: TaylorSettings) -> Any:
         """dz(h)/dz over the starting box (d+2 square), by the same argument for the variational equations."""
         order, n, d = settings.order, field.size, field.dimension
         jet = jet.varied(field.varied)
@@ -315,7 +315,7 @@ def orthogonal(matrix: Any, weights: np.ndarray) -> Any:
 Moving = TypeVar("Moving", bound=Cloud)
 
 
-def integrate(field: Field, start: Moving, settings: TaylorSettings, trial: float = 1.0) -> tuple[Moving, list[Step]]:
+def integrate(field: Field, start: Moving, settings: TaylorSettings, trial: float = 1.0) -> tuple[Moving, list[Tube]]:
     """The Cloud one segment (unit time, tau seconds) later, and the steps on the way."""
     here, begin, steps = start, 0.0, []
     while begin < 1.0:

@@ -16,11 +16,11 @@ import numpy as np
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.proof.balls import Vector, arb, arb_mat, block, column, exact, floats, inside, magnitude, midpoints
-from orbitfinder.proof.enclosure import Step, TaylorSettings, cloud, horner, integrate
+from orbitfinder.proof.enclosure import TaylorSettings, Tube, cloud, horner, integrate
 from orbitfinder.proof.field import Field
 from orbitfinder.proof.formulation import Formulation
 
-Arc = tuple[Vector, Any, Vector, list[Step]]
+Arc = tuple[Vector, Any, Vector, list[Tube]]
 """a segment: its end from the box's centre, derivatives over the box (d x d+2), its end from the box, steps"""
 
 

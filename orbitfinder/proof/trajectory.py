@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.proof.balls import Vector, arb, arb_mat, between, block, fmpq, identity
-from orbitfinder.proof.enclosure import Step, TaylorSettings
+from orbitfinder.proof.enclosure import TaylorSettings, Tube
 from orbitfinder.proof.field import Field
 from orbitfinder.proof.formulation import Formulation, image
 from orbitfinder.proof.krawczyk import Arc, TheoremEquations, krawczyk
@@ -30,7 +30,7 @@ class Trajectory:
     field: Field
     formulation: Formulation
     box: Vector
-    steps: list[list[Step]]
+    steps: list[list[Tube]]
     horizon_matrix: Any
 
     @property
