@@ -299,7 +299,7 @@ def atlas_html(atlas: Atlas) -> str:
     steady = [atlas.orbit(row.id) for row in [row for row in rows if row.instability < STEADY][:3]]
     moving = "".join(picture for orbit in steady for picture in motions(orbit))
     head = ("id", *(["energy (J)"] if energy else []), "period (s)", "symmetry", "stability", "largest multiplier")
-    more = f"the first {MOST} by energy and period" if len(rows) > MOST else ""
+    more = f"the first {MOST} by {'energy and ' if energy else ''}period" if len(rows) > MOST else ""
     title = heading(f"Atlas {atlas.path.name}: {plural(len(rows), 'orbit')}", more)
     return f'<div>{title}{table(listed, head)}<div style="{ROW}">{moving}</div></div>'
 

@@ -49,6 +49,7 @@ from orbitfinder.show.style import (
 )
 from orbitfinder.show.svg import COLOURS, axis, label
 
+MOST_PORTRAITS = 12
 MOST_IN_LEGEND = 12
 
 
@@ -175,7 +176,7 @@ def _below(
 
 def _components(figure: Figure, course: Course, model: Model) -> Figure:
     """Components of a state over one period below each other (at most 12, evenly chosen)."""
-    chosen = evenly(model.degrees_of_freedom, 12)
+    chosen = evenly(model.degrees_of_freedom, MOST_PORTRAITS)
     columns = course.samples[:, chosen].T
     panels = _below(figure, course.times, columns, [axis(model, k) for k in chosen], course.period)
     for axes, column in zip(panels, columns, strict=True):
@@ -193,7 +194,7 @@ def phase_portraits(orbit: Orbit, model: Model) -> Figure:
     """
     course = course_of(orbit, model)
     states = course.samples
-    chosen = [model.planes[k] for k in evenly(len(model.planes), 12)]
+    chosen = [model.planes[k] for k in evenly(len(model.planes), MOST_PORTRAITS)]
     columns = min(len(chosen), 3 if len(chosen) != 4 else 2)
     rows = -(-len(chosen) // columns)
     figure = new_figure(max(3.2 * columns, 5.0), max(2.9 * rows, 3.6) + 0.5, *heading(orbit, "phase portraits"))

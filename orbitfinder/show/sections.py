@@ -26,6 +26,7 @@ CHAOS = "0.62"
 """Colour of returns that belong to no regular motion"""
 MOTIONS = COLOURS[2:6]
 """Those of regular motions, none of them a manifold's"""
+REFUSED = {"tube": "is a tube, not curves on a section; grow it without tube"}
 SIDES = {"unstable": "#D55E00", "stable": "#0072B2"}
 """Colours of manifolds"""
 
@@ -103,8 +104,8 @@ def _returns(axes: Any, section: Section) -> None:
 def _curves(axes: Any, manifold: Manifold, model: Model, pair: tuple[int, int]) -> None:
     """The curves of a manifold on the section."""
     colour = SIDES[manifold.which]
-    if manifold.kind != "curves":
-        raise InputError(f"manifolds: {manifold.name} is a tube, not curves on a section; grow it without tube")
+    if why := REFUSED.get(manifold.kind):
+        raise InputError(f"manifolds: {manifold.name} {why}")
     for k, curve in enumerate(manifold.curves):
         points = wrapped(curve, model.angular)[:, list(pair)]
         jumps = np.abs(np.diff(points, axis=0)).max(axis=1) > np.pi

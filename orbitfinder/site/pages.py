@@ -405,9 +405,9 @@ def atlas_values(entries: Sequence[SiteOrbit], atlas: AtlasFile) -> dict[str, An
     summary = f"{atlas.counted('distinct orbit')} ({', '.join(kinds) or 'none yet'}).{part} {unstable} unstable."
     if entries:
         unit = entries[0].units if len(kinds) == 1 else SI
-        summary += (
-            f" Energy {with_unit(span(energies), unit['energy'])}, period {with_unit(span(periods), unit['time'])}."
-        )
+        told = f"Energy {with_unit(span(energies), unit['energy'])}, period"
+        told = told if all(entry.conserved for entry in entries) else "Period"
+        summary += f" {told} {with_unit(span(periods), unit['time'])}."
     summary += " All as the atlas records it; an orbit with a page of its own says there what was checked."
     return {"summary": summary} | choices(entries)
 

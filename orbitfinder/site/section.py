@@ -41,8 +41,8 @@ def section_values(section: Section, data: dict[str, Any]) -> dict[str, Any]:
         told += f", {counts['regular']} of them regular"
     more = "" if drawn >= section.returns else f" The plot shows {drawn} of {section.returns} returns."
     laid = defaultdict[str, list[str]](list)
-    for curve in data["curves"]:
-        laid[curve["kind"]].append(curve["name"])
+    for kind, name in map(itemgetter("kind", "name"), data["curves"]):
+        laid[kind].append(name)
     tori = len(laid.pop("torus", ()))
     words = [f"{tori} invariant tori" if tori > 1 else "an invariant torus"] if tori else []
     return {"summary": f"{mechanism(section.system)}: {section.plane}{level}", "told": f"{told}.{more}",

@@ -16,6 +16,8 @@ from orbitfinder.errors import InputError
 
 MARK = "orbitfinder-page.json"
 """A file of this name says that a folder was written here, and which files in it."""
+PATIENCE = 60.0
+"""s to wait for another process that writes the same site"""
 FIRST_EDITION = re.compile(r"index\.html|(assets|atlases|data|families|orbits)/.*\.(html|js|css|svg|txt)")
 """What a site of the first edition, which kept no list, had written."""
 
@@ -48,7 +50,7 @@ def write_site(files: Mapping[str, bytes], out: Path) -> None:
     except OSError as error:
         raise InputError(f"out: cannot write beside {out} ({error}); choose another folder") from error
     try:
-        with locks.held(out.parent / f".{out.name}.lock", 60.0) as alone:
+        with locks.held(out.parent / f".{out.name}.lock", PATIENCE) as alone:
             if not alone:
                 raise InputError(f"out: another process is writing {out}; wait for it, or name another folder")
             _swept(out)
