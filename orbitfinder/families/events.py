@@ -54,10 +54,8 @@ def folds(interval: Interval) -> Iterator[Test]:
     kept = [invariant for invariant in p.model.invariants if invariant.name in held]
     bifurcates = () if "period" in held and not p.model.forced else ("energy", *p.physical)
     swept = momenta_of(p.symmetry, p.model) if any(invariant.generator is None for invariant in kept) else ("energy",)
-    for name in p.physical or (
-        *(invariant for invariant in swept if invariant not in {each.name for each in kept}),
-        "period",
-    ):
+    names = {invariant.name for invariant in kept}
+    for name in p.physical or (*(name for name in swept if name not in names), "period"):
         yield Test("fold" if name in bifurcates else "turn", name, slope(name))
 
 
