@@ -221,9 +221,9 @@ def exactly(before: Point, after: Point, name: str, value: float) -> Point:
     length, share = after.arclength - before.arclength, (value - a) / (b - a)
     first = after.problem.carried(before.w, after.w)
     guess = first.moved(share * (after.w.vector - first.vector))
-    found = solved(after.problem, guess, lambda w: after.problem.aim(w, name, value))
-    tangent = found.tangent if after.inner(found.tangent) >= 0 else -found.tangent
-    return replace(found, tangent=tangent, arclength=before.arclength + share * length)
+    there = solved(after.problem, guess, lambda w: after.problem.aim(w, name, value))
+    tangent = there.tangent if after.inner(there.tangent) >= 0 else -there.tangent
+    return replace(there, tangent=tangent, arclength=before.arclength + share * length)
 
 
 def located(before: Point, after: Point, test: Test) -> Point:
@@ -309,12 +309,12 @@ class CurveJournal:
         """The points at values between two, and those among them that were not known before."""
         points, fresh = list[KeptPoint](), list[AtValue]()
         for value in goals.met(before, after):
-            one = next((one for known, one in self.at if known == value
-                        and before.arclength <= one.point.arclength <= after.arclength), None)  # fmt: skip
-            if one is None:
-                one = self.kept("at", exactly(before, after, goals.name, value))
-                fresh.append((value, one))
-            points.append(replace(one, role="end" if value == goals.until else "at"))
+            kept = next((kept for known, kept in self.at if known == value
+                        and before.arclength <= kept.point.arclength <= after.arclength), None)  # fmt: skip
+            if kept is None:
+                kept = self.kept("at", exactly(before, after, goals.name, value))
+                fresh.append((value, kept))
+            points.append(replace(kept, role="end" if value == goals.until else "at"))
         return points, fresh
 
 

@@ -97,30 +97,30 @@ def switch(curve: Curve, event: Event, settings: FamilySettings | None = None) -
     if event.kind not in SWITCHABLE:
         raise InputError(f"event: cannot switch at a {event.kind}; choose one of {', '.join(SWITCHABLE)}")
     settings = settings or FamilySettings()
-    found: list[Leaving] = []
+    leavings: list[Leaving] = []
     for kept, share in (*curve.equations.symmetry.narrower(), (replace(curve.equations.symmetry, maps=()), 0.0)):
         symmetry = called(kept, curve.equations.model)
-        if not symmetry.maps and found:
+        if not symmetry.maps and leavings:
             break
         if len(symmetry.maps) > 1 and event.order % 2 == 0:  # half of an even number of turns is no half turn
             continue
         cover = _cover(curve, event, symmetry, share, settings)
-        if found and len(cover.directions) > 2:  # a circle, on which only the symmetric ones are isolated
+        if leavings and len(cover.directions) > 2:  # a circle, on which only the symmetric ones are isolated
             continue
         for direction in cover.directions:
             leaving = _leaving(cover, direction)
-            if leaving is not None and not _known(leaving, found):
-                found.append(leaving)
-    return [one.start for one in found]
+            if leaving is not None and not _known(leaving, leavings):
+                leavings.append(leaving)
+    return [one.start for one in leavings]
 
 
-def _known(leaving: Leaving, found: list[Leaving]) -> bool:
+def _known(leaving: Leaving, leavings: list[Leaving]) -> bool:
     """Whether a branch was found before: by its own symmetry, where it has more than was asked for, or as it is."""
     own = leaving.start.curve.equations.symmetry.name
-    known = {other.start.curve.equations.symmetry.name for other in found}
+    known = {other.start.curve.equations.symmetry.name for other in leavings}
     if own != leaving.cover.curve.equations.symmetry.name and own in known:
         return True
-    return any(_same(leaving, other) for other in found)
+    return any(_same(leaving, other) for other in leavings)
 
 
 def _cover(curve: Curve, event: Event, symmetry: Symmetry, share: float, settings: FamilySettings) -> Cover:
@@ -265,17 +265,17 @@ def _outwards(start: Start, origin: Unknowns) -> Start:
     return start if same else replace(start, direction=-start.direction)
 
 
-def _same(one: Leaving, other: Leaving) -> bool:
+def _same(leaving: Leaving, other: Leaving) -> bool:
     """Whether two are one branch: the same curve in the space of states, or a mirror image of it."""
-    length, event, cover = min(one.length, other.length), one.cover.event, one.cover
-    one, other = one.nearer(length) or one, other.nearer(length) or other
-    a, b = (_moved(each.start, event) for each in (one, other))
+    length, event, cover = min(leaving.length, other.length), leaving.cover.event, leaving.cover
+    leaving, other = leaving.nearer(length) or leaving, other.nearer(length) or other
+    a, b = (_moved(each.start, event) for each in (leaving, other))
     sizes = np.abs([np.nan_to_num(event.energy), event.period * event.order, *_freed(event)])
     # share of an event's energy, period and parameters that differences of theirs are not known to
     if np.all(np.abs(a - b) <= MIRRORED * np.maximum(np.abs(a), np.abs(b)) + 1e-13 * sizes):
         return True
     scale = cover.curve.scales.states
-    mine, theirs = (full_samples(each.start.curve, each.start.solution)[1] / scale for each in (one, other))
+    mine, theirs = (full_samples(each.start.curve, each.start.solution)[1] / scale for each in (leaving, other))
     old = full_samples(cover.curve, at_place(cover.curve, cover.place))[1] / scale
     model, size = cover.curve.equations.model, _apart(mine, old)
     images = [theirs, *(theirs @ each.matrix(model.degrees_of_freedom).T for each in involutions(model))]
@@ -293,15 +293,15 @@ def _apart(points: np.ndarray, curve: np.ndarray) -> float:
 def _foot(points: np.ndarray, curve: np.ndarray) -> np.ndarray:
     """The nearest points (k x 2n) of the polygon through others."""
     nearest = cKDTree(curve).query(points)[1]
-    found: np.ndarray = curve[nearest].copy()
+    closest: np.ndarray = curve[nearest].copy()
     for shift in (-1, 0):
         low = np.clip(nearest + shift, 0, len(curve) - 2)
         along = curve[low + 1] - curve[low]
         share = np.sum((points - curve[low]) * along, axis=1) / nonzero(np.sum(along**2, axis=1))
         foot = curve[low] + np.clip(share, 0.0, 1.0)[:, None] * along
-        nearer = np.linalg.norm(points - foot, axis=1) < np.linalg.norm(points - found, axis=1)
-        found[nearer] = foot[nearer]
-    return found
+        nearer = np.linalg.norm(points - foot, axis=1) < np.linalg.norm(points - closest, axis=1)
+        closest[nearer] = foot[nearer]
+    return closest
 
 
 def _freed(event: Event) -> np.ndarray:

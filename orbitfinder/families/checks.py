@@ -4,7 +4,7 @@ All three are gone round by the certificate's integrator and formulation (`orbit
 regular where the event is: the product of level - root over all roots, which are stability indices kappa = mu + 1/mu
 where multipliers come in pairs (mu itself moves like a square root there), else multipliers; the squared distance of
 two indices; the product of a pair less 1; what is extremal; a margin of a hybrid cycle. It must vanish at the event, to
-`SHARP` of a step, and change its sign across it; a kind may ask for more. Which check is whose stands in `kinds`.
+`SHARP` of a step, and change its sign across it; a kind may ask for more. Which check is whose stands in `entries`.
 """
 
 from __future__ import annotations

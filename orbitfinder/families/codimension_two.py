@@ -1,4 +1,4 @@
-"""Points of codimension two on a curve of bifurcations: located between two of its points and named (see `kinds`)."""
+"""Points of codimension two on a curve of bifurcations: located between two of its points and named (see `entries`)."""
 
 from __future__ import annotations
 

@@ -140,8 +140,8 @@ def torus_pair(roots: np.ndarray) -> tuple[float, float, np.ndarray]:
 
 def discriminant(indices: np.ndarray) -> float:
     """(kappa_i - kappa_j)^2 of the two nearest stability indices."""
-    one, other = nearest_pair(indices)
-    return float(((one - other) ** 2).real)
+    first, other = nearest_pair(indices)
+    return float(((first - other) ** 2).real)
 
 
 def nearest_pair(indices: np.ndarray) -> tuple[complex, complex]:

@@ -130,7 +130,7 @@ def _event(family: Family, event: int, where: str) -> Event:
     """The event of a number, or that one. `InputError` lists those that can be followed."""
     if "test" in family.curve:
         raise InputError(f"{where}: is a curve in two parameters itself; give the family that it was started from")
-    known = [k for k, one in enumerate(family.events) if one.kind in FOLLOWED and not one.detail.startswith("at ")]
+    known = [k for k, e in enumerate(family.events) if e.kind in FOLLOWED and not e.detail.startswith("at ")]
     listed = "; ".join(described(family, k) for k in known)
     choice = f"choose one of {listed}" if listed else "this family has none of which one does"
     if not 0 <= event < len(family.events):

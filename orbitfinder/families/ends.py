@@ -189,11 +189,11 @@ def _shrinks_to(run: Run, step: Walked, away: float) -> tuple[RestPoint | None, 
 
     Both are even in the amplitude, so that they change by half of what the tangent says.
     """
-    found, name = step.solution, run.settings.parameter
-    rest = rest_of(run.curve, found, name) if np.isfinite(away) else None
+    solution, name = step.solution, run.settings.parameter
+    rest = rest_of(run.curve, solution, name) if np.isfinite(away) else None
     if rest is None:
         return None, np.inf
-    left = np.array([rest.value - step.point.value, rest.period - found.place.period])
+    left = np.array([rest.value - step.point.value, rest.period - solution.place.period])
     slopes = np.array([step.sample.slopes[name], step.sample.slopes["period"]])
     least = np.array([rest.error, 1e-6 * rest.period])
     return rest, float(np.max(np.abs(left - 0.5 * away * slopes) / np.maximum(np.abs(left), least)))
@@ -240,27 +240,27 @@ def _at_equilibrium(run: Run, solution: Solution) -> End:
 
 def end_of_failure(run: Run, step: Walked, failure: str) -> End:
     """The reason why no further step could be taken."""
-    curve, found = run.curve, step.solution
+    curve, solution = run.curve, step.solution
     try:
         if (met := _met(run, step, failure)) is not None:
             return met
     except IntegrationError:
         pass
-    share, state = slowness(curve, found)
+    share, state = slowness(curve, solution)
     grown = step.stretch
     slow = grown > SLOW.grown and share > SLOW.grown_share and not curve.equations.model.forced
-    if slow and near_saddle(curve, found, state):
-        return _homoclinic(curve, found, state, grown, f"; then {failure}")
+    if slow and near_saddle(curve, solution, state):
+        return _homoclinic(curve, solution, state, grown, f"; then {failure}")
     if slow and grown > run.settings.longest_period:  # near a saddle-node that is not there yet, say: no canard
-        end = _homoclinic(curve, found, state, grown, f", where no saddle is at this value; {failure}")
+        end = _homoclinic(curve, solution, state, grown, f", where no saddle is at this value; {failure}")
         return replace(end, kind="step underflow")
-    dead = dead_point(curve.equations.model, found.march.states, freed(curve, found.place))
+    dead = dead_point(curve.equations.model, solution.march.states, freed(curve, solution.place))
     if dead:
         return End("dead point", f"{dead}, where the coordinates of this family end; {failure}")
-    size, far = _extent_and_place(curve, found)
-    if size < 10 * LEAST * far and linear(curve, found, SHRINKING.nearly):
-        return _at_equilibrium(run, found)
-    return _canard(run, step, failure) or _singular(curve, found, failure) or End("step underflow", failure)
+    size, far = _extent_and_place(curve, solution)
+    if size < 10 * LEAST * far and linear(curve, solution, SHRINKING.nearly):
+        return _at_equilibrium(run, solution)
+    return _canard(run, step, failure) or _singular(curve, solution, failure) or End("step underflow", failure)
 
 
 def _canard(run: Run, step: Walked, failure: str) -> End | None:

@@ -51,10 +51,11 @@ def slope(name: str) -> Measure:
 def folds(interval: Interval) -> Iterator[Test]:
     """What turns at a fold: each parameter that orbits are told by, or the period."""
     p, held = interval.curve.equations, {condition.name for condition in interval.curve.kept}
-    kept = [one for one in p.model.invariants if one.name in held]
+    kept = [invariant for invariant in p.model.invariants if invariant.name in held]
     bifurcates = () if "period" in held and not p.model.forced else ("energy", *p.physical)
-    swept = momenta_of(p.symmetry, p.model) if any(one.generator is None for one in kept) else ("energy",)
-    for name in p.physical or (*(one for one in swept if one not in {each.name for each in kept}), "period"):
+    swept = momenta_of(p.symmetry, p.model) if any(invariant.generator is None for invariant in kept) else ("energy",)
+    names = {invariant.name for invariant in kept}
+    for name in p.physical or (*(name for name in swept if name not in names), "period"):
         yield Test("fold" if name in bifurcates else "turn", name, slope(name))
 
 
@@ -102,10 +103,10 @@ def bifurcations(interval: Interval, most: int) -> list[tuple[Sample, Test]]:
 def find_events(interval: Interval, settings: FamilySettings) -> list[tuple[Sample, Test]]:
     """What happens in an interval, each with the orbit there."""
     turned = [*zeros(interval, folds(interval))]
-    found = sorted(turned + bifurcations(interval, settings.resonances), key=lambda pair: pair[0].distance)
+    seen = sorted(turned + bifurcations(interval, settings.resonances), key=lambda pair: pair[0].distance)
     turns = [sample.distance for sample, test in turned if test.detail != "period"]
-    found = [(p, t) for p, t in found if not KINDS[t.kind].crosses or (_apart(p.distance, turns) and _told(interval))]
-    return found + _changes(interval, found)
+    seen = [(p, t) for p, t in seen if not KINDS[t.kind].crosses or (_apart(p.distance, turns) and _told(interval))]
+    return seen + _changes(interval, seen)
 
 
 def _told(interval: Interval) -> bool:
@@ -202,13 +203,13 @@ def crossings(interval: Interval) -> list[tuple[Sample, Test]]:
 def _between(interval: Interval, low: float, high: float, depth: int) -> list[tuple[Sample, Test]]:
     """The passages of a part of an interval, halved until they explain what is beyond +1 and -1 at its ends."""
     a, b = interval.sample(low), interval.sample(high)
-    found = _passed(interval, a, b)
-    if all(_parity(found, sign) == (_beyond(a, sign) + _beyond(b, sign)) % 2 for sign in (1, -1)):
-        return found
+    inside = _passed(interval, a, b)
+    if all(_parity(inside, sign) == (_beyond(a, sign) + _beyond(b, sign)) % 2 for sign in (1, -1)):
+        return inside
     if depth == 0:
         if interval.length > UNTOLD:
             raise ConvergenceError("multipliers on the unit circle cannot be told apart within one step")
-        return found
+        return inside
     middle = 0.5 * (low + high)
     return _between(interval, low, middle, depth - 1) + _between(interval, middle, high, depth - 1)
 

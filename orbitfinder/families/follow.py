@@ -107,7 +107,7 @@ def _attempt(run: Run, before: Walked, length: float) -> tuple[Walked, Batch]:
     # a step as short as this may change the period by more than `longest_stretch`: the saddle is reached in the end
     if stretch > settings.longest_stretch and length > 1e-4:
         raise ConvergenceError(f"the period changes by {stretch:.2g} within one step")
-    found = settled(curve, raw, whole)
+    solution = settled(curve, raw, whole)
     last = make_sample(curve, length, raw, whole, before.point.indices + before.trend)
     if curve.equations.links and (cut := _cut(run, before, last)) is not None:
         return before, cut
@@ -121,14 +121,14 @@ def _attempt(run: Run, before: Walked, length: float) -> tuple[Walked, Batch]:
         "step": _next_length(longest, length, missed, bendable),
         "indices": last.indices,
     }
-    if found is not raw:
-        whole = tangent(curve, found, carried(curve, raw.place, whole, found.place))
-    point, found = _checked_point(run, found, whole, where, last.about if found is raw else None)
+    if solution is not raw:
+        whole = tangent(curve, solution, carried(curve, raw.place, whole, solution.place))
+    point, solution = _checked_point(run, solution, whole, where, last.about if solution is raw else None)
     point = replace(point, wall_time=time.perf_counter() - began)
-    after = step_from(run, before, point, found, whole, last if found is raw else None)
+    after = step_from(run, before, point, solution, whole, last if solution is raw else None)
     batch = _batch(run, before, after, last)
     stands = bool(batch.points) and batch.points[-1] is after.point
-    return after, replace(batch, standing=standing_of(curve, found, whole)) if stands else batch
+    return after, replace(batch, standing=standing_of(curve, solution, whole)) if stands else batch
 
 
 def _checked_point(
@@ -168,9 +168,9 @@ def _batch(run: Run, before: Walked, after: Walked, last: Sample) -> Batch:
     """Everything between two points, in order: events, points asked for, and the end if there is one."""
     settings, origin = run.settings, before.point
     interval, ended = make_interval(run.curve, before.sample, last), end_at(run, before, after)
-    found = _events(interval, settings)
-    events = [_placed(event, run, origin) for event in found]
-    points, final = _exactly(run, before, interval, found)
+    inside = _events(interval, settings)
+    events = [_placed(event, run, origin) for event in inside]
+    points, final = _exactly(run, before, interval, inside)
     if final:
         goal, there = min(final, key=lambda pair: abs(pair[1].arclength))
         end = End("target", reached(*goal))
@@ -179,7 +179,7 @@ def _batch(run: Run, before: Walked, after: Walked, last: Sample) -> Batch:
         return Batch(run.direction, _ordered(kept), tuple(_within(events, origin, reach)), end)
     if ended is not None and end_kind(ended.kind).outside:
         return Batch(run.direction, (), (), ended)
-    for event, near in zip(events, found, strict=True):
+    for event, near in zip(events, inside, strict=True):
         turned = KINDS[near.kind].extremal and near.detail not in ("period", *run.curve.watch)
         joined = merged(interval, near.arclength, settings.parameter) if turned else left_circle(run.curve, near)
         if joined is not None:

@@ -256,7 +256,7 @@ def end_of(join: Join, more: str = "") -> End:
     what = what if join.kept.covers == 1 else f"of period T/{join.kept.covers}"
     told = {name: (parameter_value(curve, place, name), "") for name in curve.equations.physical}
     told = told or {"energy": (parameter_value(curve, place, "energy"), " J")}
-    where = ", ".join(f"{one} {value:.12g}{unit}" for one, (value, unit) in told.items())
+    where = ", ".join(f"{quantity} {value:.12g}{unit}" for quantity, (value, unit) in told.items())
     period = place.period * join.kept.covers
     orbit = join.regular.place if alone else place  # at the join itself both families meet in one formulation
     joined = {

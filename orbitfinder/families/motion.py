@@ -74,7 +74,7 @@ def rises(curve: Curve, solution: Solution, whole: np.ndarray) -> dict[str, floa
 def noise(curve: Curve, solution: Solution) -> dict[str, float]:
     """What round-off makes of these derivatives."""
     wrong = unsure(curve.watch, *_motion(curve, solution), parameters_at(curve, solution.place), ROUGH)
-    return {name: ROUND_OFF / ROUGH * one / STEP for name, one in wrong.items()}
+    return {name: ROUND_OFF / ROUGH * error / STEP for name, error in wrong.items()}
 
 
 def parameters_at(curve: Curve, w: Unknowns) -> dict[str, float]:

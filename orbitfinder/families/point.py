@@ -173,7 +173,7 @@ def shift_at(curve: Curve, place: Unknowns) -> dict[str, float]:
         return {}
     end = curve.equations.ends(place)[-1]
     amounts = symmetry.shifts(symmetry.settled(curve.constant, place.nodes[0], end))
-    return {name: float(amounts[symmetry.relative.index(one.direction)]) for name, one in known.items()}
+    return {name: float(amounts[symmetry.relative.index(translation.direction)]) for name, translation in known.items()}
 
 
 def unknowns_of(curve: Curve, member: FamilyPoint | Event) -> Unknowns:

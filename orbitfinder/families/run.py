@@ -257,15 +257,15 @@ def first_point(start: Start, settings: FamilySettings, check: ClosureCheck | No
 def step_at(run: Run, done: Sequence[tuple[FamilyPoint, Standing | None]]) -> tuple[Run, Walked]:
     """The last step of a run after those already taken, from which everything follows, and the run in its scales."""
     origin, curve = run.origin, in_scales(run.curve, run.origin)
-    found = at_place(curve, unknowns_of(curve, origin))
-    known = portrait(curve, found)[None]
-    whole = tangent(curve, found, run.direction * origin.tangent)
-    sample = make_sample(curve, 0.0, found, whole, origin.indices)
+    solution = at_place(curve, unknowns_of(curve, origin))
+    known = portrait(curve, solution)[None]
+    whole = tangent(curve, solution, run.direction * origin.tangent)
+    sample = make_sample(curve, 0.0, solution, whole, origin.indices)
     step = Walked(curve, origin, sample, np.zeros_like(whole), np.zeros_like(origin.indices), known)
     for point, standing in done:
         run = replace(run, curve=step.curve)
-        found, whole = standing_at(step.curve, point, standing)
-        step = step_from(run, step, point, found, whole, None)
+        solution, whole = standing_at(step.curve, point, standing)
+        step = step_from(run, step, point, solution, whole, None)
     return replace(run, curve=step.curve), step
 
 
@@ -284,8 +284,8 @@ def standing_at(curve: Curve, point: FamilyPoint, standing: Standing | None) -> 
     path = curve.equations.varied(marched, states=True)
     rows = curve.through(place).linearised(place, path).matrix()
     stepped = distance(curve, place, marched)
-    found = Solution(place, path, np.vstack([rows, standing.rows.reshape(-1, rows.shape[1])]), 0.0, stepped, marched)
-    return found, standing.tangent
+    solution = Solution(place, path, np.vstack([rows, standing.rows.reshape(-1, rows.shape[1])]), 0.0, stepped, marched)
+    return solution, standing.tangent
 
 
 def standing_of(curve: Curve, solution: Solution, whole: np.ndarray) -> Standing:

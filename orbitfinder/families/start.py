@@ -270,12 +270,12 @@ def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -
         raise InputError("curve: constant or weights do not fit the system; continue the family again")
     if not all(0 <= k < len(model.invariants) for k, _ in known.held):
         raise InputError(f"curve.held: {list(known.held)} of {len(model.invariants)} invariants; continue again")
-    names = [one.name for one in model.invariants]
+    names = [number.name for number in model.invariants]
     conditions = clock(equations, known.cycles) + tuple(conserved(value, names[k], k) for k, value in known.held)
     others = {"period": known.period} if known.period is not None else {}
     conditions += tuple(pinned(equations, name, value) for name, value in (others | dict(known.pins)).items())
     scales = Scales.head(known.weights, equations.size)
-    watch = watches({name: one for name, one in known.watch.items() if isinstance(one, str)}, model)
+    watch = watches({name: number for name, number in known.watch.items() if isinstance(number, str)}, model)
     return Curve(equations, known.constant, conditions, weights=known.weights, scales=scales, watch=watch)
 
 
@@ -289,9 +289,9 @@ def curve_in(family: Family, model: Model) -> Curve:
 def entry_of(curve: Curve) -> dict[str, Any]:
     """What `curve_of` rebuilds a curve from (`CurveEntry`), its turns, and the test of a curve of bifurcations."""
     p, pins = curve.equations, {kept.name: kept.value for kept in curve.kept}
-    names, period = [one.name for one in p.model.invariants], pins.pop("period", None)
+    names, period = [number.name for number in p.model.invariants], pins.pop("period", None)
     held = [[names.index(name), pins.pop(name)] for name in list(pins) if name in names]
-    watch = {name: one.entry for name, one in curve.watch.items()}
+    watch = {name: number.entry for name, number in curve.watch.items()}
     relative = list(shifting(p.symmetry, p.model))
     known = {"symmetry": p.symmetry.name, "free": list(p.free), "constant": curve.constant, "winding": curve.turns,
              "weights": curve.weights, "held": held, "period": period}  # fmt: skip
@@ -333,13 +333,13 @@ def corrected(
     if reference is None:
         place = fitted(curve, place)
     try:
-        found = correct(curve, place, aim, reference, reach)
+        solution = correct(curve, place, aim, reference, reach)
     except (ConvergenceError, IntegrationError) as error:
         raise ConvergenceError(f"no orbit to start the family from: {error}; find and certify one first") from error
-    whole = kernel(curve, found)
-    found, place = settled(curve, found, whole), found.place
-    curve, whole = begun(curve, found, carried(curve, place, whole, found.place))
-    return Start(curve, found, found.place.head_of(whole))
+    whole = kernel(curve, solution)
+    solution, place = settled(curve, solution, whole), solution.place
+    curve, whole = begun(curve, solution, carried(curve, place, whole, solution.place))
+    return Start(curve, solution, solution.place.head_of(whole))
 
 
 def fitted(curve: Curve, place: Unknowns) -> Unknowns:

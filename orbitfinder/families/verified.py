@@ -131,12 +131,12 @@ def checked(curve: Curve, batch: Batch, step: float) -> Batch:
 def _kept(curve: Curve, events: Sequence[Event], step: float) -> Iterator[Event]:
     for event in events:
         try:
-            found = reading(curve, event, event.tangent, step)
-            what = f"{found.value:.2g} where {found.error:.2g} is known"
+            read = reading(curve, event, event.tangent, step)
+            what = f"{read.value:.2g} where {read.error:.2g} is known"
         except (ConvergenceError, IntegrationError) as error:
-            found, what = None, str(error)
-        if found is not None and found.passed:
-            yield replace(event, check=found)
+            read, what = None, str(error)
+        if read is not None and read.passed:
+            yield replace(event, check=read)
         else:
             logging.getLogger(__name__).warning(
                 "%s %s was seen at %.12g and is none: %s", "an" if event.kind[0] in "ei" else "a",
@@ -167,10 +167,10 @@ def _column(family: Family, curve: Curve, name: str) -> Check:
     worst = at_most("watch", 0.0, 0.0)
     for k, one in enumerate(family.points):
         interrupt.check()
-        found = _watch(curve, one, name) if one.scale <= UNKNOWN else worst
-        if not found.passed or found.value * worst.tolerance >= worst.value * found.tolerance:
-            worst = replace(found, note=found.note or f"at point {k}")
-        if not found.passed:
+        known = _watch(curve, one, name) if one.scale <= UNKNOWN else worst
+        if not known.passed or known.value * worst.tolerance >= worst.value * known.tolerance:
+            worst = replace(known, note=known.note or f"at point {k}")
+        if not known.passed:
             break
     return worst
 
@@ -207,13 +207,13 @@ def _event(family: Family, curve: Curve, event: Event) -> Check:
         before, after = _neighbours(family, event)
         _told(family, curve, event, abs(after.value - before.value), abs(after.energy - before.energy))
         along = (_head(after) - _head(before)) * (1.0 if event.arclength >= 0 else -1.0)
-        found = reading(curve, _alone(event), along, after.arclength - before.arclength)
+        again = reading(curve, _alone(event), along, after.arclength - before.arclength)
         old = event.check
-        if old is not None and not (old.passed and abs(old.value - found.value) <= old.error + found.error):
-            raise ConvergenceError(f"recorded as {old.value:.3g} +- {old.error:.1g}, found {found.value:.3g}")
+        if old is not None and not (old.passed and abs(old.value - again.value) <= old.error + again.error):
+            raise ConvergenceError(f"recorded as {old.value:.3g} +- {old.error:.1g}, found {again.value:.3g}")
     except (ConvergenceError, IntegrationError) as error:
         return refused(event.kind, error, float("nan"))
-    return at_most(event.kind, abs(found.value), found.error, event.detail, found.passed)
+    return at_most(event.kind, abs(again.value), again.error, event.detail, again.passed)
 
 
 def _alone(event: Event) -> Event:

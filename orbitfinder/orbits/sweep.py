@@ -152,7 +152,7 @@ def sweep(
     began, table = time.monotonic(), _table(problem, {**(values or {}), **named})
     if not 1 <= workers <= 256:
         raise InputError(f"workers: must be between 1 and 256, got {workers}")
-    found: dict[int, Row] = {}
+    visited: dict[int, Row] = {}
     path = None if out is None else Path(out) / problem.name / "sweep.jsonl"
     asked = {"system": dict(problem.model.system), **{name: getattr(problem, name) for name in ASKED}}
     free = freed(
@@ -165,24 +165,24 @@ def sweep(
             with limited.limited(limit):
                 rows = study.rows() if workers == 1 else _shared(study, min(workers, len(study.values)), folder)
                 for k, visit, fresh in rows:
-                    found[k] = visit.row
+                    visited[k] = visit.row
                     if fresh and path is not None:
                         journal.add(visit.entry())
-                    finished(lambda: study.swept(found, time.monotonic() - began))
-                    limited.note(f"{len(found)} of {len(study.values)} values are done")
+                    finished(lambda: study.swept(visited, time.monotonic() - began))
+                    limited.note(f"{len(visited)} of {len(study.values)} values are done")
                     if progress:
-                        progress(visit.row, len(found), len(study.values))
+                        progress(visit.row, len(visited), len(study.values))
         except LimitError as error:
-            late = {k: Row(study.named(k), None, str(error)) for k in range(len(study.values)) if k not in found}
-            found |= late
-    return study.swept(found, time.monotonic() - began)
+            late = {k: Row(study.named(k), None, str(error)) for k in range(len(study.values)) if k not in visited}
+            visited |= late
+    return study.swept(visited, time.monotonic() - began)
 
 
 def _table(problem: Problem, given: Mapping[str, Sequence[float]]) -> dict[str, list[float]]:
     """The values of each parameter, of equal lengths. Raises `InputError`."""
     if not given:
         raise InputError("values: missing; name a parameter and its values, such as sweep(problem, stiffness=[20, 30])")
-    found = {}
+    table = {}
     pinned = [pin.name for pin in problem.pin]
     physical = [name for name in problem.model.parameter_names if not name.startswith(SHARE)]
     for name, numbers in given.items():
@@ -195,15 +195,15 @@ def _table(problem: Problem, given: Mapping[str, Sequence[float]]) -> dict[str, 
         if name in problem.free and name not in pinned:
             raise InputError(f"{name}: free, so that the solver chooses it; leave it out of free to give its values")
         try:
-            found[name] = [float(number) for number in numbers]
+            table[name] = [float(number) for number in numbers]
         except (TypeError, ValueError) as error:
             raise InputError(f"{name}: must be a list of numbers, got {shortened(numbers)}") from error
-        if not found[name] or not np.all(np.isfinite(found[name])):
+        if not table[name] or not np.all(np.isfinite(table[name])):
             raise InputError(f"{name}: must be finite numbers, at least one, got {shortened(numbers)}")
-    if len({len(numbers) for numbers in found.values()}) > 1:
-        sizes = ", ".join(f"{len(numbers)} of {name}" for name, numbers in found.items())
+    if len({len(numbers) for numbers in table.values()}) > 1:
+        sizes = ", ".join(f"{len(numbers)} of {name}" for name, numbers in table.items())
         raise InputError(f"values: {sizes}; parameters that change together need equally many")
-    return found
+    return table
 
 
 Origin = tuple[np.ndarray, float, Mapping[str, float], tuple[int, ...]]
@@ -270,9 +270,9 @@ class _Study:
         self._pin = (*problem.pin, *(Pin(name, value) for name, value in own.items()))
         self._way: Known[Refined] = []
 
-    def swept(self, found: Mapping[int, Row], seconds: float) -> Sweep:
+    def swept(self, visited: Mapping[int, Row], seconds: float) -> Sweep:
         """Rows by number as a Sweep."""
-        rows = tuple(found[k] for k in sorted(found))
+        rows = tuple(visited[k] for k in sorted(visited))
         return Sweep(self.names, rows, self.problem.model.state_names, seconds)
 
     def named(self, k: int) -> dict[str, float]:
@@ -335,8 +335,8 @@ class _Study:
         if not way:
             way.append((self.own, self._at(self.own, None)))
         try:
-            here, found = way[-1]
-            return found if np.array_equal(here, target) else reached(way, target, self._stepped)
+            here, last = way[-1]
+            return last if np.array_equal(here, target) else reached(way, target, self._stepped)
         except ConvergenceError as error:
             place = ", ".join(f"{name} = {x:.6g}" for name, x in zip(self.names, way[-1][0], strict=True))
             raise ConvergenceError(
@@ -376,9 +376,9 @@ class _Study:
         return refined
 
 
-def _away(model: Model, expected: np.ndarray, found: np.ndarray, period: float) -> float:
+def _away(model: Model, expected: np.ndarray, nodes: np.ndarray, period: float) -> float:
     """How far nodes (N x d) are from those expected, coordinates by their size, rates by that of either in a period."""
-    moved, size = np.abs(found - expected).max(axis=0), np.abs(expected).max(axis=0)
+    moved, size = np.abs(nodes - expected).max(axis=0), np.abs(expected).max(axis=0)
     if model.rates is not None:
         return float((moved / alone(size, model.angular)).max())
     units = np.tile(proportions(model, expected[0]), 2)

@@ -305,7 +305,7 @@ def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
         "items": items,
         "looks": {
             kind: [look.symbol, look.series, look.pixels, look.line]
-            for kind, look in LOOKS.items() if kind in {*map(itemgetter("kind"), items)}
+            for kind, look in {kind: LOOKS[kind] for kind in map(itemgetter("kind"), items) if kind}.items()
         },
     }  # fmt: skip
 
