@@ -14,7 +14,7 @@ from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.structures import connections
 from orbitfinder.structures.connections import (
-    Chain,
+    ReturnChain,
     certified_connection,
     certify_connection,
     connect,
@@ -103,7 +103,7 @@ def chain_near(origin, goal, places, counts):
     """A guess of a connection from displacements known to a few digits."""
     forth = connections._returned(origin, places[0], counts[0])
     back = connections._returned(goal, places[1], counts[1])
-    return Chain(origin, goal, np.vstack([forth, back[-2::-1]]), places, counts[0])
+    return ReturnChain(origin, goal, np.vstack([forth, back[-2::-1]]), places, counts[0])
 
 
 def test_published_homoclinic_point(first, tmp_path):

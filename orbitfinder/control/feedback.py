@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Any
 
 import casadi as ca
@@ -315,9 +316,7 @@ def verified(controller: Controller, model: Model | None = None) -> Controller:
     nodes, count = controller.states[:-1], len(controller.states) - 1
     march = March(closed_loop(controller, model), forced=True, effort=EFFORT)
     varied = march.varied(nodes, uniform(1.0, count, STEPS), np.array([controller.period]))
-    monodromy = np.eye(controller.units.size)
-    for transition in varied.transitions:
-        monodromy = transition @ monodromy
+    monodromy = reduce(lambda before, after: after @ before, varied.transitions)
     units = extents_of(model, controller.states, controller.period)  # its own could hide any gap
     around = controller.states[-1] - controller.states[0]
     around[controller.angles > 0] -= 2 * np.pi * np.round(around[controller.angles > 0] / (2 * np.pi))

@@ -315,6 +315,12 @@ class _Controlled:
         """f, L and the tasks' integrands, df/du and the derivatives of these by u, at a state and controls."""
         return [value.full() for value in self._pointwise[self.parts.arc(segment)](x, u, self.free)]
 
+    @cached_property
+    def instants(self) -> list[list[np.ndarray]]:
+        """The same where segments begin."""
+        return [self.instant(k, piece[0, : self.parts.size], self.control(k, np.array([0.0]))[0])
+                for k, piece in enumerate(self.pieces)]  # fmt: skip
+
     def control(self, segment: int, shares: np.ndarray) -> np.ndarray:
         """Controls (k x m) at shares of a segment of the whole period."""
         begins, length = self.whole.phases(segment)
@@ -441,8 +447,7 @@ def _reach(motion: _Controlled, transitions: list[np.ndarray]) -> np.ndarray:
     columns, carried, units = [], np.eye(motion.units.size), motion.units
     for k in reversed(range(len(transitions))):
         carried = carried @ transitions[k]
-        u = motion.control(k, np.array([0.0]))[0]
-        by_u = motion.instant(k, motion.pieces[k][0, : units.size], u)[2] / units[:, None]
+        by_u = motion.instants[k][2] / units[:, None]
         strength = np.abs(by_u).max(axis=0)
         columns.append(carried @ by_u[:, strength > 0] / strength[strength > 0] / len(transitions))
     return np.hstack(columns)
@@ -606,11 +611,10 @@ def _signs(motion: _Controlled, met: _Met) -> list[tuple[str, int]]:
         *(f"pin {parts.model.state_names[k]}" for k in motion.pinned),
         *(f"phase {k}" for k in range(len(motion.normals))),
     ]
-    asked = [*(_at_phase(task) for _, task in parts.moments), *map(_on_average, parts.means)]
     events = [(motion.event(k), k) for k in range(parts.basis.intervals)]
     return [
         *((name, 0) for name in free),
-        *zip(asked, met.sides, strict=True),
+        *zip(map(_label, (*(task for _, task in parts.moments), *parts.means)), met.sides, strict=True),
         *((f"event {event.name} {k}", 0) for event, k in events if event is not None),
         *((f"limit {parts.always[task].expression} {k}.{j}", side) for k, j, task, side in met.active),
         *((f"bound {controls[i]} {j}", side) for i, j, side in met.bounded),
@@ -618,12 +622,8 @@ def _signs(motion: _Controlled, met: _Met) -> list[tuple[str, int]]:
     ]
 
 
-def _at_phase(task: Task) -> str:
-    return f"task {task.expression} at {task.at}"
-
-
-def _on_average(task: Task) -> str:
-    return f"mean {task.expression}"
+def _label(task: Task) -> str:
+    return f"mean {task.expression}" if task.at == "mean" else f"task {task.expression} at {task.at}"
 
 
 def _slopes(name: str, inputs: list[Any], value: Any, by: Sequence[Any]) -> ca.Function:
@@ -646,7 +646,7 @@ class _Adjoint:
         self.weights = np.zeros((motion.count, columns))
         self.weights[0, -1] = 1.0 / (per if parts.control.average else parts.symmetry.fraction)
         for k, task in enumerate(parts.means):
-            self.weights[1 + k, self.place[_on_average(task)]] = 1.0 / per
+            self.weights[1 + k, self.place[_label(task)]] = 1.0 / per
         self.costate = np.zeros((parts.size, columns))
         self.costate[:, : len(motion.boundary[1])] = motion.boundary[1].T
         self.by_coefficients = np.zeros((len(parts.model.controls) * parts.basis.whole, columns))
@@ -660,7 +660,7 @@ class _Adjoint:
             self.costates.append(self.costate.copy())
             for row, (where, task) in enumerate(parts.moments, len(parts.always)):
                 if where == segment:
-                    self._pushed(_at_phase(task), segment, 0, row)
+                    self._pushed(_label(task), segment, 0, row)
         self.costates.reverse()
         self.transitions.reverse()
 
@@ -765,7 +765,7 @@ def _conditions(motion: _Controlled, met: _Met, adjoint: _Adjoint) -> tuple[floa
     by_free[:, -1] += by_p
     by_period[-1] += by_t - (integral / motion.period**2 if average else 0.0)
     for k, task in enumerate(parts.means):
-        by_period[place[_on_average(task)]] -= motion.integral(1 + k) / motion.period**2
+        by_period[place[_label(task)]] -= motion.integral(1 + k) / motion.period**2
     rows = [("costate closes", start * motion.units[:, None])]
     for i, name in enumerate(parts.model.controls):
         own = basis.free(i).T @ adjoint.by_coefficients[i * basis.whole : (i + 1) * basis.whole]
@@ -824,11 +824,9 @@ def _hamiltonian(motion: _Controlled, values: Mapping[str, float], costates: lis
     parts, weights = motion.parts, np.zeros(motion.count)
     weights[0] = 1.0 / (motion.period if parts.control.average else 1.0)
     for k, task in enumerate(parts.means):
-        weights[1 + k] = values[_on_average(task)] / motion.period
+        weights[1 + k] = values[_label(task)] / motion.period
     levels, slopes, terms, sizes = [], [], [], []
-    for segment, costate in enumerate(costates):
-        u = motion.control(segment, np.array([0.0]))[0]
-        rate, costs, by_u, cost_by_u = motion.instant(segment, motion.pieces[segment][0, : parts.size], u)
+    for costate, (rate, costs, by_u, cost_by_u) in zip(costates, motion.instants, strict=False):
         levels.append(float(weights @ costs.ravel() + costate @ rate.ravel()))
         sizes.append(abs(float(weights @ costs.ravel())) + float(np.abs(costate * rate.ravel()).sum()))
         slopes.append(np.abs(weights @ cost_by_u + costate @ by_u).max(initial=0.0))

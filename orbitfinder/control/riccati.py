@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 
@@ -65,10 +66,7 @@ class Regulator:
     @property
     def monodromy(self) -> np.ndarray:
         """The closed loop's state-transition matrix (m x m) over the period."""
-        monodromy = np.eye(self.transitions.shape[1])
-        for transition in self.transitions:
-            monodromy = transition @ monodromy
-        return monodromy
+        return np.asarray(reduce(lambda before, after: after @ before, self.transitions))
 
 
 def periodic(pieces: Sequence[Scattering]) -> Regulator:
@@ -87,10 +85,7 @@ def periodic(pieces: Sequence[Scattering]) -> Regulator:
 
 def whole(pieces: Sequence[Scattering]) -> Scattering:
     """All pieces as one."""
-    joined = pieces[0]
-    for piece in pieces[1:]:
-        joined = joined.then(piece)
-    return joined
+    return reduce(Scattering.then, pieces)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # what is not finite is raised

@@ -289,12 +289,14 @@ class Stationary:
 
     def _fitted(self, point: Extremal, active: dict[int, int]) -> np.ndarray:
         """Multipliers that meet the conditions best."""
-        _, gradient, _, jacobian = self.values(point.z)
-        chosen = list(active)
         y = np.zeros(self.low.size)
-        matrix = jacobian[chosen].toarray()[:, self.others].T
-        y[chosen] = np.linalg.lstsq(matrix, -gradient[self.others], rcond=1e-12)[0]
+        y[list(active)] = np.linalg.lstsq(*self._gradients(point, active), rcond=1e-12)[0]
         return y
+
+    def _gradients(self, point: Extremal, active: dict[int, int]) -> tuple[np.ndarray, np.ndarray]:
+        """Those of active constraints (columns), and what they have to add up to, theta left out."""
+        _, gradient, _, jacobian = self.values(point.z)
+        return jacobian[list(active)].toarray()[:, self.others].T, -gradient[self.others]
 
     def _signed(self, point: Extremal, active: dict[int, int]) -> dict[int, int]:
         """Active constraints without those whose multipliers, of the right signs, are 0."""
@@ -302,10 +304,8 @@ class Stationary:
         y = self._fitted(point, active)[list(active)]
         if np.all(y * sides > VIOLATED * size_of(y), where=sides != 0):
             return active
-        _, gradient, _, jacobian = self.values(point.z)
-        matrix = jacobian[list(active)].toarray()[:, self.others].T
         low, high = np.where(sides > 0, 0.0, -np.inf), np.where(sides < 0, 0.0, np.inf)
-        y = lsq_linear(matrix, -gradient[self.others], (low, high), method="bvls").x
+        y = lsq_linear(*self._gradients(point, active), (low, high), method="bvls").x
         kept = (sides == 0) | (y * sides > VIOLATED * size_of(y))
         return {k: side for (k, side), stays in zip(active.items(), kept, strict=True) if stays}
 

@@ -377,7 +377,7 @@ def described(chain: ReturnChain, name: str) -> Connection:
     whole = np.vstack([*parts, np.append(since, chain.states[-1])])
     return Connection(
         name, dict(cut.model.system), names, cut.name, cut.plane.component,
-        (names[cut.axes[0]], names[cut.axes[1]]), chain.origin.orbit.energy, chain.states, linear.durations,
+        cut.axis_names, chain.origin.orbit.energy, chain.states, linear.durations,
         chain.chosen, _angle(chain, linear, units), float("inf"), ends[0], ends[1], None, whole[:, 0], whole[:, 1:],
     )  # fmt: skip
 
@@ -469,8 +469,7 @@ def _off_plane(chain: ReturnChain, states: np.ndarray) -> np.ndarray:
     if plane.component < 0:
         return np.zeros(1)
     own = states[:, plane.component]
-    nearest = np.round((own - plane.level) / plane.cycle) if plane.cycle else np.zeros(own.shape)
-    return np.asarray(plane.off(own, nearest) / units[plane.component])
+    return np.asarray(plane.off(own, plane.nearest(own)) / units[plane.component])
 
 
 def _chain(connection: Connection, model: Model) -> ReturnChain:
@@ -600,9 +599,7 @@ def _at_level(known: Known[ReturnChain], refiners: Sequence[Refiner], level: flo
     (before, past), (here, chain) = known[0], known[-1]
     cut = chain.origin.surface
     orbits = [refiner.orbit(refiner.refine(None, (Pin("energy", level),)), False) for refiner in refiners]
-    names = cut.model.state_names
-    text, axes = f"{names[cut.plane.component]}={cut.plane.level!r}", [names[k] for k in cut.axes]
-    surfaces = [surface_of(refiner, cut.model, text, axes, cut.plane.direction) for refiner in orbits]
+    surfaces = [replace(cut, levels=levels_at(cut.model, orbit.state)) for orbit in orbits]
     origin, goal = (
         local_manifold(orbits[k], surfaces[k], which, point=end.point)
         for k, which, end in ((0, "unstable", chain.origin), (-1, "stable", chain.goal))

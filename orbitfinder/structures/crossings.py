@@ -72,9 +72,13 @@ class Plane:
         """Values relative to the repetition of a number."""
         return values - self.level - (self.cycle * cell if self.cycle else 0.0)
 
+    def nearest(self, values: np.ndarray) -> np.ndarray:
+        """The number of the repetition nearest to values."""
+        return np.round((values - self.level) / self.cycle) if self.cycle else np.zeros(values.shape)
+
     def start(self, values: np.ndarray, rates: np.ndarray, unit: float) -> np.ndarray:
         """The cells that motions go into, some of which start on the plane."""
-        nearest = np.round((values - self.level) / self.cycle) if self.cycle else np.zeros(values.shape)
+        nearest = self.nearest(values)
         there = np.abs(self.off(values, nearest)) <= STEPS.on_it * unit
         return np.where(there, np.where(rates > 0, nearest, nearest - 1), self.cell(values))
 

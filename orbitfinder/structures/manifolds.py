@@ -307,7 +307,7 @@ def recorded(base: Local, kind: str, measured: tuple[float, float, float], parts
     states = np.vstack([part[0] for part in parts])
     return Manifold(
         base.orbit.name, dict(cut.model.system), names, "unstable" if base.sense > 0 else "stable", kind, cut.name,
-        (names[cut.axes[0]], names[cut.axes[1]]), base.orbit.energy, base.multiplier, *measured, base.point,
+        cut.axis_names, base.orbit.energy, base.multiplier, *measured, base.point,
         base.direction, states,
         np.concatenate([np.full(len(part[0]), k) for k, part in enumerate(parts)]),
         np.concatenate([part[1] for part in parts]),

@@ -64,6 +64,12 @@ class Surface:
         side = {0: "both ways", 1: "growing", -1: "falling"}[plane.direction]
         return f"{names[plane.component]} = {plane.level:.6g}, {side}"
 
+    @property
+    def axis_names(self) -> tuple[str, str]:
+        """The names of both axes."""
+        first, second = (self.model.state_names[k] for k in self.axes)
+        return first, second
+
     @cached_property
     def units(self) -> np.ndarray:
         """What the components of a state (d) are measured in, before there is a motion."""
@@ -314,7 +320,7 @@ def section(
         known = np.isfinite(times)
         which = np.broadcast_to(np.arange(len(starts))[:, None], times.shape)[known]
         return Section(
-            name or own, dict(model.system), names, cut.name, (names[cut.axes[0]], names[cut.axes[1]]), chosen,
+            name or own, dict(model.system), names, cut.name, cut.axis_names, chosen,
             wrapped(states[known], model.angular), times[known], which, starts, growth,
         )  # fmt: skip
 
@@ -364,7 +370,7 @@ def _of(system: Model | Orbit | Problem, model: Model | None) -> tuple[Model, np
 
 def _starts(cut: Surface, seeds: int, ranges: Mapping[str, Sequence[float]], state: np.ndarray | None) -> np.ndarray:
     """States (k x d) on the section that fill a box of its axes evenly, as far as motions are possible there."""
-    model, names = cut.model, [cut.model.state_names[i] for i in cut.axes]
+    model, names = cut.model, cut.axis_names
     for name, given in ranges.items():
         if name not in names:
             raise InputError(f"ranges: {name!r} is no axis{closest(name, names)}; the axes are {' and '.join(names)}")
@@ -454,8 +460,7 @@ def solved_component(cut: Surface) -> int:
 
 def _box(cut: Surface, base: np.ndarray, ranges: Mapping[str, Sequence[float]]) -> tuple[np.ndarray, np.ndarray]:
     """Least and greatest values of the axes: those given, whole turns of angles, else as far as the energy allows."""
-    model = cut.model
-    names = [model.state_names[i] for i in cut.axes]
+    model, names = cut.model, cut.axis_names
     angles = [i < model.degrees_of_freedom and bool(model.angular[i]) for i in cut.axes]
     fixed = {k: ranges[name] for k, name in enumerate(names) if name in ranges}
     fixed |= {k: (-np.pi, np.pi) for k in range(2) if angles[k] and k not in fixed}

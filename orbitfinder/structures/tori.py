@@ -468,7 +468,6 @@ def certify_torus(torus: Torus, model: Model) -> Torus:
     angles = np.random.default_rng(20).uniform(0, 2 * np.pi, 12)
     field, turn = vector_field(accelerations(own)), 2 * np.pi * torus.rotation
     starts = at_angles(torus.curve, angles)
-    period = float(own.forcing_period(own.parameter_values)) if own.forced else 0.0  # type: ignore[misc]
     times = np.linspace(0.0, torus.period, 33)
     longest = torus.period / STEPS_PER_PERIOD
     scale = nonzero(np.abs(starts).max(axis=0))
@@ -496,7 +495,7 @@ def certify_torus(torus: Torus, model: Model) -> Torus:
     if own.conservative:
         checks.append(at_most("energy", _spread(own, starts, torus.energy), INVARIANT, "over the curve, relative"))
     if own.forced:
-        cycles = torus.period / period
+        cycles = torus.period / float(own.forcing_period(own.parameter_values))  # type: ignore[misc]
         checks.append(at_most("forcing", abs(cycles - round(cycles)), INVARIANT, "a return is whole periods of it"))
     return replace(torus, certificate=Certificate(tuple(checks)))
 
