@@ -107,8 +107,8 @@ def test_every_kind_of_system(file):
     """Dissipative, forced and constrained systems have proposals too; energies only where one is conserved."""
     loaded = load_problem_file(PROBLEMS / f"{file}.toml")
     found = propose(loaded, count=2)
-    assert {one.name.split("-")[0] for one in found.found} == {"own", "mode", "return"}
-    assert all((one.energy is not None) == loaded.model.conservative for one in found.found)
+    assert {one.name.split("-")[0] for one in found.guesses} == {"own", "mode", "return"}
+    assert all((one.energy is not None) == loaded.model.conservative for one in found.guesses)
 
 
 def test_reasons_for_nothing(tmp_path):

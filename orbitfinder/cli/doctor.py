@@ -235,8 +235,11 @@ def doctor() -> None:
     finish("doctor", {"version": __version__, "usable": usable, "findings": findings}, usable)
 
 
+SHELLS = ("bash", "zsh", "fish")
+
+
 @click.command()
-@click.argument("shell", type=click.Choice(("bash", "zsh", "fish")))
+@click.argument("shell", type=click.Choice(SHELLS))
 @click.pass_context
 def completion(context: click.Context, shell: str) -> None:
     """Print the completion script for a SHELL; the shell reads it when it starts.

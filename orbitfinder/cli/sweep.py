@@ -90,8 +90,8 @@ def parameter(given: str) -> tuple[str, list[float]]:
     try:
         if numbers.count(":") == 2:
             first, last, count = numbers.split(":")
-            if not 1 <= int(count) <= (most := 1_000_000):
-                raise ValueError(f"{count} values, give 1 to {most}")
+            if not 1 <= int(count) <= 1_000_000:
+                raise ValueError(f"{count} values, give 1 to 1000000")
             return name.strip(), [float(x) for x in np.linspace(float(first), float(last), int(count))]
         if not equals:
             raise ValueError("no =")
