@@ -116,7 +116,7 @@ def test_a_misspelt_attribute_is_answered_with_the_one_that_was_meant(pendulum_o
     for name, right in meant.items():
         with pytest.raises(AttributeError, match=f"'Orbit' object has no attribute '{name}', did you mean '{right}'"):
             getattr(pendulum_orbit, name)
-    with pytest.raises(AttributeError, match="'Model' object has no attribute 'dof'; it has system, state_names,"):
+    with pytest.raises(AttributeError, match="'Model' object has no attribute 'dof'; it has system, dynamics,"):
         _ = orbitfinder.chain(1).dof
     assert not hasattr(pendulum_orbit, "_repr_png_")
     again = pickle.loads(pickle.dumps(copy.deepcopy(pendulum_orbit)))

@@ -9,6 +9,7 @@ from orbitfinder.loops.conditions import lowest_energy, pin
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
+from orbitfinder.mechanics.model import altered
 from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits import objectives
 from orbitfinder.orbits.find import find_orbit
@@ -103,10 +104,9 @@ def test_freeing_a_parameter_makes_room_for_a_second_pin():
 
 def test_an_under_determined_problem_is_refused_with_the_reason(no_solver):
     """A pin short of a two-parameter family is a CountError naming the invariants and the remedy."""
-    from dataclasses import replace
 
     free_fall = chain(2, gravity=0.0)
-    model = replace(free_fall, invariants=(free_fall.invariants[0],) * 2)
+    model = altered(free_fall, invariants=(free_fall.invariants[0],) * 2)
     one = Problem(model, Guess([0.1, 0.1, 0.0, 0.0], 2.0), pin=pin(energy=1.0))
     assert one.count().freedom == 1
     with pytest.raises(CountError, match=r"under-determined.*2-parameter families.*energy.*add 1 pins"):

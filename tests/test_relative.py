@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 import orbitfinder as of
 from orbitfinder.errors import ConvergenceError, CountError, InputError
 from orbitfinder.loops.symmetry import NONE, Symmetry, beside, named, related, shifts_of
+from orbitfinder.mechanics.model import altered
 from orbitfinder.mechanisms.chain import chain_dae
 from orbitfinder.orbits.reduction import held, reduction, steady
 from orbitfinder.problemfile.write import orbit_text
@@ -149,7 +150,7 @@ def test_five_swings_that_make_three_turns(pendulum):
 
 def test_half_a_period_by_a_mirror(pendulum):
     """(phi, t) -> -(phi, t): over half the period, the shift free at its end."""
-    model = replace(pendulum, symmetries=(("mirror", -1, (1, -1)),))
+    model = altered(pendulum, symmetries=(("mirror", -1, (1, -1)),))
     problem = wanted(model, symmetry="mirror", guess=of.Guess([1.3, 0.0, 0.0, 2.0], 1.1))
     assert problem.count().freedom == 0 and problem.count().equations["boundary"] == 3
     found = of.find_orbit(problem)
@@ -210,7 +211,7 @@ def test_a_generator_that_is_none_is_found_out(pendulum, orbit):
     q, v, p = (ca.SX.sym(name, size) for name, size in (("q", 2), ("v", 2), ("p", 3)))
     along = ca.Function("shift_theta", [q, v, p], [ca.DM([1, 0, 0, 0])])
     false = replace(phi, name="momentum_theta", generator=along)
-    model = replace(pendulum, invariants=(*pendulum.invariants[:1], false))
+    model = altered(pendulum, invariants=(*pendulum.invariants[:1], false))
     found = of.certify(replace(orbit, shift={"theta": 0.0}), model)
     assert {"closure", "cyclic"} <= set(found.failures)
 

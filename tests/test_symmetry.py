@@ -30,7 +30,7 @@ from orbitfinder.loops.symmetry import (
     symmetries_of,
     undeclared_mirrors,
 )
-from orbitfinder.mechanics.model import vector_field
+from orbitfinder.mechanics.model import altered, vector_field
 from orbitfinder.mechanisms.library import (
     henon_heiles,
     pendulum_on_cart,
@@ -135,7 +135,7 @@ def test_samples_tell_their_symmetry(symmetry):
         assert has(one, times, rolled, np.zeros(n, bool))
     others = {BRAKE_MAP, REFLECTION_MAP, REVERSAL_MAP} - {*symmetry.both, *symmetry.maps}
     assert not any(has(one, times, rolled, np.zeros(n, bool)) for one in others)
-    model = replace(henon_heiles(), symmetries=(("mirror", -1, (1, -1)),))
+    model = altered(henon_heiles(), symmetries=(("mirror", -1, (1, -1)),))
     if symmetry in (*SYMMETRIES.values(), HALF_TURNED):
         assert recognise(times, rolled, model) == symmetry.name
 
@@ -185,7 +185,7 @@ def test_a_name_is_known_where_it_is_declared():
     with pytest.raises(InputError, match="unknown 'mirror'; use one of none, reflection"):
         named("mirror", of.chain(2))
     with pytest.raises(InputError, match=r"change under y -> -y, running the film backwards, so 'mirror' cannot"):
-        named("mirror", model).check(replace(henon_heiles(), symmetries=model.symmetries), np.array([0.1, 0.2, 0, 0]))
+        named("mirror", model).check(altered(henon_heiles(), symmetries=model.symmetries), np.array([0.1, 0.2, 0, 0]))
     with pytest.raises(InputError, match="unknown 'mirror'"):
         Problem(of.chain(2), Guess([0.1, 0.1, 0, 0], 1.0), symmetry="mirror")
 

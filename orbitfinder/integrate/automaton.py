@@ -191,10 +191,7 @@ class Automaton:
             atol=settings.absolute_tolerance, max_step=nonzero(self.longest),
         )  # fmt: skip
         self._asked = []
-        guards = [
-            self._watch(transition.guard, transition.direction, field, x, by in ("", transition.name))
-            for transition in leaving
-        ]
+        guards = [self._watch(each.guard, each.direction, field, x, by in ("", each.name)) for each in leaving]
         holds = {name: self._watch(hold, -1, field, x) for name, hold in self.hybrid.mode(mode).holds.items()}
         times: list[np.ndarray] = [np.zeros(1)]
         states: list[np.ndarray] = [x[None]]
@@ -346,10 +343,7 @@ class Automaton:
 
     def _decided(self, states: np.ndarray) -> float:
         """How far from their change of mind the answers were on which crossings count."""
-        sizes = {
-            transition.name: max(abs(float(self.value(transition.allowed, x)[0])) for x in states)
-            for transition, _ in self._asked
-        }
+        sizes = {each.name: max(abs(float(self.value(each.allowed, x)[0])) for x in states) for each, _ in self._asked}
         return min((value / nonzero(sizes[transition.name]) for transition, value in self._asked), default=np.inf)
 
 

@@ -82,7 +82,7 @@ class Progress:
 Callback = Callable[[Progress], None]
 
 
-class _Watch(ca.Callback):  # type: ignore[misc]
+class _Iterations(ca.Callback):  # type: ignore[misc]
     """CasADi's iteration hook: it reports `Progress`, and ends a search that is late or gets nowhere.
 
     `stuck` then says since when, empty otherwise.
@@ -133,7 +133,7 @@ def solve_nlp(
     shooting: Shooting, settings: SolveSettings, report: Callback | None = None, start: np.ndarray | None = None
 ) -> np.ndarray:
     """The decision vector w that IPOPT finds from `start`; `ConvergenceError` or `IntegrationError` otherwise."""
-    watch = _Watch(shooting, report)
+    watch = _Iterations(shooting, report)
     objective = ca.MX(0) if shooting.square else shooting.objective
     rows = ca.vertcat(shooting.constraints, shooting.inequalities)
     program = {"x": shooting.variables, "f": objective, "g": rows}

@@ -114,6 +114,12 @@ def _spread(density: np.ndarray) -> np.ndarray:
     )
 
 
+def _graded(density: np.ndarray, mesh: np.ndarray, steps: int) -> np.ndarray:
+    """So many steps over a mesh as its density (M) asks for."""
+    work = np.concatenate([[0.0], np.cumsum(density)])
+    return np.asarray(np.interp(np.linspace(0.0, work[-1], steps + 1), work, mesh))
+
+
 def remeshed(curve: Curve, solution: Solution) -> Unknowns:
     """The place on a mesh that spreads the error estimate evenly, with as many segments as the growth asks for.
 
@@ -128,8 +134,7 @@ def remeshed(curve: Curve, solution: Solution) -> Unknowns:
     if not density.sum() < MESH.most_steps:
         raise ConvergenceError("the motion is nearly singular, its mesh would become too fine; take a smaller step")
     each = _rounded(density.sum() / count)
-    work = np.concatenate([[0.0], np.cumsum(density)])
-    mesh = np.interp(np.linspace(0.0, work[-1], count * each + 1), work, place.mesh)
+    mesh = _graded(density, place.mesh, count * each)
     nodes = between(curve, solution, mesh[each:-1:each])
     return replace(place, nodes=np.vstack([place.nodes[:1], nodes]), mesh=mesh)
 
@@ -157,8 +162,7 @@ def _remeshed_arcs(curve: Curve, solution: Solution) -> Unknowns:
     meshes, nodes = [], []
     for k, own in enumerate(density):
         edges, states = place.mesh[k * steps : (k + 1) * steps + 1], arc_states(solution, arcs, k)
-        work = np.concatenate([[0.0], np.cumsum(own)])
-        mesh = np.interp(np.linspace(0.0, work[-1], count * each + 1), work, edges)
+        mesh = _graded(own, edges, count * each)
         slopes = curve.equations.march.arcs[k].rates(states, place.tail) * place.period
         nodes.append(CubicHermiteSpline(edges, states, slopes)(mesh[:-1:each]))
         nodes[-1][0] = states[0]
@@ -200,9 +204,8 @@ def regraded(curve: Curve, solution: Solution) -> np.ndarray:
     each, old = _rounded(needed.max()), density.shape[1]
     pieces = []
     for k, part in enumerate(density):
-        work = np.concatenate([[0.0], np.cumsum(part)])
         edges = place.mesh[k * old : (k + 1) * old + 1]
-        pieces.append(np.interp(np.linspace(0.0, work[-1], each + 1), work, edges)[:-1])
+        pieces.append(_graded(part, edges, each)[:-1])
         pieces[-1][0] = edges[0]
     return np.append(np.concatenate(pieces), place.mesh[-1])
 

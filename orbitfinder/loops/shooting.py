@@ -239,9 +239,7 @@ def _rows(loop: Loop, problem: Problem, known: Variables, tail: list[ca.MX], far
     if model.constraint is not None and far is not None:
         closing = constrained_brake_rows(model, start, end, known.parameters, allowed_velocities(model, far))
     own = [] if problem.phase_condition is None else [ca.MX(problem.phase_condition(known))]
-    equations = [
-        constraint.value(known) - constraint.lower for constraint in problem.constraints if constraint.equation
-    ]
+    equations = [each.value(known) - each.lower for each in problem.constraints if each.equation]
     return ca.vertcat(rows[: closed - start.numel()], closing, *own, rows[closed:], *equations)
 
 

@@ -92,11 +92,7 @@ class Involution:
         signs = tuple(int(sign) for sign in np.ravel(pair[0] * pair[1]))
         made: int | tuple[int, ...] = signs[0] if len(set(signs)) == 1 else signs
         sense = self.sense * other.sense
-        alike = (
-            involution
-            for involution in USUAL
-            if (involution.sense, involution.signs) == (sense, made) and not self.first_order
-        )
+        alike = (each for each in USUAL if (each.sense, each.signs) == (sense, made) and not self.first_order)
         return next(alike, Involution(f"{other.name} with {self.name}", sense, made, first_order=self.first_order))
 
     def in_words(self, names: tuple[str, ...]) -> str:
@@ -401,8 +397,8 @@ class Symmetry:
         if self.reverses and self.forward is not None:
             first, last = self.mirrors
             yield from (
-                (replace(self, maps=(involution,)), share)
-                for involution, share in ((first, 0.0), (last, 0.25), (self.forward, 0.0))
+                (replace(self, maps=(each,)), share)
+                for each, share in ((first, 0.0), (last, 0.25), (self.forward, 0.0))
             )
         elif self.reverses:
             yield self, 0.5

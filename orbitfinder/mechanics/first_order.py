@@ -14,6 +14,7 @@ from orbitfinder._runtime.arguments import checked
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.controls import Limits, with_controls
+from orbitfinder.mechanics.lagrange import strangers
 from orbitfinder.mechanics.model import Dynamics, Invariant, Mechanics, Model, Structure, altered
 
 Field = Callable[[Any, "Named", "Named"], Any]
@@ -229,8 +230,7 @@ class _Symbols:
 
     def foreign(self, expression: ca.SX) -> str:
         """Names of what an expression depends on beside t, x and p, joined."""
-        known = ca.vertcat(self.t, self.column, self.numbers)
-        return ", ".join(str(symbol) for symbol in ca.symvar(expression) if not ca.depends_on(known, symbol))
+        return ", ".join(strangers(expression, [self.t, self.column, self.numbers]))
 
     def signs(self, moved: Mapping[str, int]) -> tuple[int, ...]:
         """One sign for each component, -1 for those in `moved`."""

@@ -153,11 +153,7 @@ class Hybrid:
     @property
     def ignored(self) -> tuple[str, ...]:
         """What guards ignore on purpose."""
-        return tuple(
-            f"{transition.name}: {transition.ignored}"
-            for transition in self.transitions
-            if transition.allowed is not None
-        )
+        return tuple(f"{each.name}: {each.ignored}" for each in self.transitions if each.allowed is not None)
 
 
 @dataclass(frozen=True)
@@ -417,36 +413,26 @@ def widened(model: Model, count: int, kept: int) -> Model:
     fields = {name: getattr(model, name) for name in PART_OF}
     functions = {name: wide(value) for name, value in fields.items() if isinstance(value, ca.Function)}
     invariants = tuple(
-        replace(
-            invariant,
-            value=wide(invariant.value),
-            unfolding=wide(invariant.unfolding),
-            generator=wide(invariant.generator),
-        )
-        for invariant in model.invariants
+        replace(each, **{name: wide(getattr(each, name)) for name in ("value", "unfolding", "generator")})  # type: ignore[arg-type]
+        for each in model.invariants
     )
     return altered(model, **functions, invariants=invariants)  # type: ignore[arg-type]
 
 
 def _transition(transition: Transition, model: Model) -> Transition:
+    told = f"transition {transition.name}"
     given = {"guard": transition.guard, "reset": transition.reset or _unchanged}
-    guard, reset = (
-        _function(name, value, model, f"transition {transition.name}: {name}") for name, value in given.items()
-    )
+    guard, reset = (_function(name, value, model, f"{told}: {name}") for name, value in given.items())
     if guard.numel_out(0) != 1:
-        raise InputError(f"transition {transition.name}: guard gives {guard.numel_out(0)} numbers; give one")
+        raise InputError(f"{told}: guard gives {guard.numel_out(0)} numbers; give one")
     if not guard.jac_sparsity(0, 0).nnz():
-        raise InputError(
-            f"transition {transition.name}: guard does not change with the state and is never crossed; name a state"
-        )
+        raise InputError(f"{told}: guard does not change with the state and is never crossed; name a state")
     size = len(model.state_names)
     if reset.size_out(0) != (size, 1):
-        raise InputError(
-            f"transition {transition.name}: reset gives {reset.numel_out(0)} numbers for {size} states; give all"
-        )
+        raise InputError(f"{told}: reset gives {reset.numel_out(0)} numbers for {size} states; give all")
     others = {name: getattr(transition, name) for name in ("allowed", "impulse", "lost", "advance")}
     made = {
-        name: None if value is None else _function(name, value, model, f"transition {transition.name}: {name}")
+        name: None if value is None else _function(name, value, model, f"{told}: {name}")
         for name, value in others.items()
     }
     return replace(transition, guard=guard, reset=reset, slope=gradient(guard), **made)  # type: ignore[arg-type]
@@ -516,18 +502,14 @@ def _check_cycle(parts: Hybrid) -> None:
             raise InputError(f"transitions: expected a list, each a Transition, got {each!r}")
     _check_once("transitions", [transition.name for transition in parts.transitions])
     for transition in parts.transitions:
+        told = f"transition {transition.name}"
         for which in (transition.source, transition.target):
             if which not in names:
-                raise InputError(f"transition {transition.name}: unknown mode {which!r}{closest(which, names)}")
+                raise InputError(f"{told}: unknown mode {which!r}{closest(which, names)}")
         if transition.direction not in (-1, 1):
-            raise InputError(
-                f"transition {transition.name}: direction must be -1 (falling) or 1 (rising), got "
-                f"{transition.direction}"
-            )
+            raise InputError(f"{told}: direction must be -1 (falling) or 1 (rising), got {transition.direction}")
         if transition.allowed is not None and not transition.ignored:
-            raise InputError(
-                f"transition {transition.name}: ignored must say in words what `allowed` leaves out on purpose"
-            )
+            raise InputError(f"{told}: ignored must say in words what `allowed` leaves out on purpose")
     course = [parts.transition(name) for name in parts.cycle]
     for before, following in zip(course, [*course[1:], *course[:1]], strict=True):
         if before.target != following.source:
