@@ -150,7 +150,7 @@ def quick_compiler() -> str:
 def own_cache(tmp_path_factory):
     """Compiled functions go to a folder of this run, which its processes share, not to the user's cache.
 
-    So does the bytecode of commands where none may be written beside the sources: each would compile the package anew.
+    Commands keep the bytecode of the package, as they do unless told otherwise: each of them would compile it anew.
     """
     base = tmp_path_factory.getbasetemp()
     folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "cache"
@@ -159,9 +159,7 @@ def own_cache(tmp_path_factory):
         patch.setenv("ORBITFINDER_CACHE", str(folder))
         if quick_compiler():
             patch.setenv("CC", quick_compiler())
-        if os.environ.get("PYTHONDONTWRITEBYTECODE"):
-            patch.delenv("PYTHONDONTWRITEBYTECODE")
-            patch.setenv("PYTHONPYCACHEPREFIX", str(folder.with_name("bytecode")))
+        patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
         yield
 
 
