@@ -28,10 +28,11 @@ def places() -> dict[str, str]:
 def homes() -> dict[str, str]:
     """The module and name behind each public name."""
     found = {}
-    for stub, door in (("__init__.pyi", ""), ("guesses/__init__.pyi", "guesses.")):
+    doors = (("__init__.pyi", "", ""), ("orbits/guesses/__init__.pyi", "guesses.", "orbits.guesses."))
+    for stub, door, room in doors:
         text = (ROOT / "orbitfinder" / stub).read_text(encoding="utf-8")
         for home, name in re.findall(r"^from \.(\S+) import (\w+)", text, re.MULTILINE):
-            found[door + name] = f"{door}{home}.{name}"
+            found[door + name] = f"{room}{home}.{name}"
     for door in ("linkages", "flows", "sections"):
         text = (ROOT / "orbitfinder" / f"{door}.py").read_text(encoding="utf-8")
         for home, names in re.findall(

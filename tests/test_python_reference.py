@@ -82,7 +82,7 @@ def test_every_name_is_on_one_page():
     front = (ROOT / "orbitfinder" / "__init__.pyi").read_text()
     homes = {f"{home}.{name}" for home, name in re.findall(r"^from \.(\S+) import (\w+)", front, re.MULTILINE)}
     homes |= {f"{one.__module__.removeprefix('orbitfinder.')}.{one.__name__}" for one in offered_by_the_namespaces()}
-    assert homes - {"_runtime.__version__"} <= set(described)
+    assert homes - {"_runtime.__version__", "orbits.guesses"} <= set(described)
     assert {"mechanisms.library", "mechanisms.machines", "mechanisms.driven", "errors"} <= set(described)
 
 

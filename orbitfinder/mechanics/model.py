@@ -219,7 +219,7 @@ PART_OF: dict[str, str] = {}
 """The part of a Model that has a field"""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Model(Shown):
     """Equations of motion x' = (v, a(t, q, v, p)) of a state x = (q, v), and what belongs to them.
 
@@ -251,11 +251,11 @@ class Model(Shown):
     system: Mapping[str, Any]
     dynamics: Dynamics
     mechanics: Mechanics
-    structure: Structure = Structure()
-    hybrid: Any = None
-    drive: Drive = Drive()
-    picture: Picture = Picture()
-    scales: Mapping[str, float] = field(default_factory=dict)
+    structure: Structure
+    hybrid: Any
+    drive: Drive
+    picture: Picture
+    scales: Mapping[str, float]
 
     state_names = Of[tuple[str, ...]]("dynamics")
     parameter_names = Of[tuple[str, ...]]("dynamics")
@@ -279,6 +279,21 @@ class Model(Shown):
     centres = Of[ca.Function | None]("picture")
     strokes = Of[tuple[tuple[str, tuple[int, ...]], ...]]("picture")
     landmarks = Of[Mapping[str, tuple[float, ...]]]("picture")
+
+    def __init__(
+        self, system: Mapping[str, Any], dynamics: Dynamics | None = None, mechanics: Mechanics | None = None,
+        structure: Structure | None = None, hybrid: Any = None, drive: Drive | None = None,
+        picture: Picture | None = None, scales: Mapping[str, float] | None = None, **fields: Any,
+    ) -> None:  # fmt: skip
+        """The parts, and fields of parts by their own names, which go before."""
+        if unknown := [name for name in fields if name not in PART_OF]:
+            raise TypeError(f"Model() has no field {unknown[0]!r}; it has {', '.join(PART_OF)}")
+        parts = dynamics, mechanics, structure, drive, picture
+        vars(self).update(system=system, hybrid=hybrid, scales=scales or {})
+        for kind, part in zip((Dynamics, Mechanics, Structure, Drive, Picture), parts, strict=True):
+            name = kind.__name__.lower()
+            own = {key: value for key, value in fields.items() if PART_OF[key] == name}
+            vars(self)[name] = kind(**own) if part is None else replace(part, **own) if own else part  # type: ignore[type-var]
 
     @property
     def conservative(self) -> bool:
@@ -386,11 +401,8 @@ class Model(Shown):
 
 
 def altered(model: Model, **changes: Any) -> Model:
-    """The Model with some fields changed, those of its parts by their own names."""
-    parts: dict[str, dict[str, Any]] = {}
-    for name in changes.keys() & PART_OF.keys():
-        parts.setdefault(PART_OF[name], {})[name] = changes.pop(name)
-    return replace(model, **changes, **{part: replace(getattr(model, part), **new) for part, new in parts.items()})
+    """The Model with some fields changed, those of its parts by their own names; as `dataclasses.replace`."""
+    return replace(model, **changes)
 
 
 def constraint_of(model: Model) -> HolonomicConstraint:
