@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from orbitfinder.guesses.modes import mode_problem
 
 import orbitfinder as of
 from orbitfinder.atlas.store import Atlas
