@@ -163,6 +163,15 @@ def own_cache(tmp_path_factory):
         yield
 
 
+@pytest.fixture(scope="module")
+def optimised():
+    """The compiler that users have: for files whose marches are so long that optimising them pays."""
+    with pytest.MonkeyPatch.context() as patch:
+        if quick_compiler():
+            patch.delenv("CC")
+        yield
+
+
 @pytest.fixture(scope="session")
 def report_orbits() -> dict[str, Orbit]:
     """The four report orbits, found once from the printed digits with default settings."""

@@ -71,6 +71,8 @@ def test_eight_merged_shards_are_one_search(whole, shards, tmp_path):
     assert sum(len(content(one)[0]) for one in shards) > merged.orbits  # there was something to recognise
 
 
+pytestmark = pytest.mark.usefixtures("optimised")
+
 KILLED = """
 import os, signal, sys
 from orbitfinder.atlas import merge

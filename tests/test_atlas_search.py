@@ -32,6 +32,7 @@ from orbitfinder.mechanisms.chain import chain
 from orbitfinder.mechanisms.linkage import linkage
 from orbitfinder.orbits.certify import certify
 
+pytestmark = pytest.mark.usefixtures("optimised")
 ROOT = Path(__file__).parents[1]
 TRIPLE = ROOT / "problems" / "search" / "triple.toml"
 ENERGY, PERIODS = -30.0, (0.5, 6.0)

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from orbitfinder.guesses.modes import mode_problem
 
 import orbitfinder as of
 from orbitfinder.atlas.store import Atlas
@@ -19,6 +18,7 @@ from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import energy
 from orbitfinder.orbits.certify import certify
+from orbitfinder.orbits.guesses.modes import mode_problem
 from orbitfinder.records.family import FamilyPoint, load_family, save_family, situated
 from orbitfinder.records.orbit import Orbit, save_orbit, system_at
 from orbitfinder.records.registry import kind_of, load_orbit, member
