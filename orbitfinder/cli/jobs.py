@@ -228,7 +228,7 @@ def orbit_and_model(
 
     try:
         record = read(file)
-        model = model_of(record, file, trust)
+        model: Any = model_of(record, file, trust) if hasattr(record, "system") else None  # it may be of no system
         if isinstance(record, Orbit):
             check_consistent(record, model)
             record = whole(record, model) if pictured and not file.exists() else record

@@ -278,7 +278,7 @@ def _without_model(states: np.ndarray) -> Any:
     n = states.shape[1] // 2
     names = tuple(f"q{i + 1}{rate}" for rate in ("", "dot") for i in range(n))
     return SimpleNamespace(state_names=names, degrees_of_freedom=n, angles=(False,) * n, points=None, strokes=(),
-                           hybrid=None, rates=None, conservative=False)  # fmt: skip
+                           hybrid=None, smooth=True, cycle=(), arcs=(), rates=None, conservative=False)  # fmt: skip
 
 
 def recorded(model: Model, states: np.ndarray, duration: float, cuts: tuple[int, ...] = ()) -> Scene:
