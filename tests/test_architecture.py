@@ -325,3 +325,52 @@ def test_what_guards_a_quotient_is_said_once():
         if isinstance(node, ast.Constant) and isinstance(node.value, float) and 0 < node.value < 1e-200
     }
     assert written == {"_runtime.sizes"}
+
+
+ASKED = {
+    "mechanics.kind": "the registry of systems",
+    "problemfile.schema": "which table of a file belongs to a system's kind",
+    "mechanisms.mechanism": "the table of joints",
+    "mechanisms.linkage": "named in a message",
+    "records.family": "a fold of the period in files of 0.1, which is a turn",
+    "cli.show": "the tables of events, for what follows them",
+}
+KIND = re.compile(r"\[\"kind\"\]|\.get\(\"kind\"\)|\w\.kind [!=]=|\bkind [!=]= \"")
+
+
+def texts():
+    return {module: (PACKAGE / f"{module.replace('.', '/')}.py") for module in MODULES if module}
+
+
+def read(path):
+    return (path if path.exists() else path.with_suffix("") / "__init__.py").read_text(encoding="utf-8")
+
+
+def test_kinds_are_asked_by_registries():
+    """Of systems, events, ends, records: what is special to a kind stands in its entry."""
+    told = {"structures.section": "NumPy's kind of numbers"}
+    assert {module for module, path in texts().items() if KIND.search(read(path))} <= {*ASKED, *told}
+
+
+def test_a_class_has_its_name_alone():
+    names = [node.name for tree in MODULES.values() for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
+    assert not {name for name in names if names.count(name) > 1}
+
+
+def test_things_are_called_what_they_are():
+    """`one` and `found` only where nothing better says it; whether a system is hybrid is asked of the Model."""
+    whole = "\n".join(read(path) for path in texts().values())
+    assert len(re.findall(r"\b(?:one|found)\b", whole)) <= 2000
+    assert len(re.findall(r"\bmodel\.hybrid\b", whole)) <= 40
+
+
+def test_numbers_belong_to_settings():
+    """Capitals at the top of files."""
+    named = [
+        node
+        for tree in MODULES.values()
+        for node in tree.body
+        for target in (node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)])
+        if isinstance(node, ast.Assign | ast.AnnAssign) and isinstance(target, ast.Name) and target.id.isupper()
+    ]
+    assert len(named) <= 650
