@@ -33,7 +33,7 @@ from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.proof.record import entry
 from orbitfinder.proof.theorem import Options, prove
-from orbitfinder.records.certificate import AT_MOST, sense_of
+from orbitfinder.records.certificate import AT_MOST, Check
 from orbitfinder.records.reading import write_atomically
 from orbitfinder.show.plot import save_atlas_figures
 from orbitfinder.show.style import new_figure, save_png
@@ -151,7 +151,7 @@ def prove_some(file: Path, count: int, records: Path) -> None:
 def narrow(document: dict) -> bool:
     """True when a check that sets an upper bound passed with less than `MARGIN` in hand."""
     return any(
-        sense_of(check["value"], check["tolerance"], check["passed"]) == AT_MOST
+        Check("", check["value"], check["tolerance"], check["passed"]).sense == AT_MOST
         and check["value"] * MARGIN > check["tolerance"]
         for check in document["certificate"]["checks"]
     )
