@@ -17,10 +17,6 @@
     period: unit("period", S), action: unit("action", it.units.action), amplitude: (it.curve ? "" : "amplitude of ") + safe(it.moved || ""),
     largest: "largest multiplier", value: safe(it.parameter), below: unit("energy below the highest", E),
     arclength: "place along the family (arclength)", moduli: "|multipliers|", angles: "angle of multipliers, °" };
-  // Symbol, colour and size of each kind of event.
-  var LOOKS = { fold: ["triangle-down", 1, 11], turn: ["triangle-left", 1, 9], branch_point: ["circle-open", 2, 12], period_doubling: ["square", 3, 9],
-    torus: ["cross", 4, 10], collision: ["x", 1, 9], stability_change: ["diamond", 5, 10], resonance: ["circle", 4, 7],
-    cusp: ["triangle-up", 3, 11], strong_resonance: ["pentagon", 2, 10], isola_centre: ["hexagon", 4, 10] };
   var highest = Math.max.apply(null, items.map(function (one) { return one.energy; }));
 
   function axes() { return { x: part("across").value, y: part("up").value }; }
@@ -103,9 +99,9 @@
         color: stable ? c.series[0] : c.surface, line: { width: stable ? 0 : 1.3, color: c.series[0] } } }));
     });
     Object.keys(kinds).forEach(function (kind) {
-      var look = LOOKS[kind] || ["star", 1, 10], colour = c.series[look[1]];
+      var look = it.looks[kind], colour = c.series[look[1]];
       traces.push(points(chosen, kinds[kind], { name: safe(kind).replace(/_/g, " "), marker: { symbol: look[0],
-        size: look[2], color: colour, line: { width: kind === "resonance" ? 0 : 1.5, color: colour } } }));
+        size: look[2], color: colour, line: { width: look[3], color: colour } } }));
     });
     return traces;
   }
