@@ -28,7 +28,10 @@ def places() -> dict[str, str]:
 def homes() -> dict[str, str]:
     """The module and name behind each public name."""
     found = {}
-    doors = (("__init__.pyi", "", ""), ("orbits/guesses/__init__.pyi", "guesses.", "orbits.guesses."))
+    doors = (
+        ("__init__.pyi", "", ""),
+        ("orbits/guesses/__init__.pyi", "guesses.", "orbits.guesses."),
+    )
     for stub, door, room in doors:
         text = (ROOT / "orbitfinder" / stub).read_text(encoding="utf-8")
         for home, name in re.findall(r"^from \.(\S+) import (\w+)", text, re.MULTILINE):

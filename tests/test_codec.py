@@ -119,3 +119,15 @@ def test_a_number_that_no_file_can_say_is_named_before_anything_is_written(tmp_p
     with pytest.raises(InputError, match=r"toy\.json: table\[1\]\[0\]: malformed number, inf is not finite"):
         CODEC.save(toy(table=np.array([[0.0], [np.inf]])), tmp_path / "toy.json")
     assert list(tmp_path.iterdir()) == []
+
+
+@dataclass(frozen=True)
+class Bare:
+    name: str
+    notes: dict
+
+
+def test_a_bare_table_is_one_of_anything(tmp_path):
+    codec = Codec(Bare, "bare", "`a test`", "make it again")
+    bare = Bare("a", {"x": 1.5, "y": [1, "b"]})
+    assert codec.load(codec.save(bare, tmp_path / "bare.json")) == bare

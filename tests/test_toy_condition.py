@@ -125,3 +125,10 @@ def test_its_slope_is_that_of_its_value(problem):
         each = [condition.at(equations, w.moved(step)) - condition.at(equations, w.moved(-step))
                 for step in 1e-5 * np.eye(w.vector.size)]  # fmt: skip
         assert np.array(each) / 2e-5 == pytest.approx(slope, abs=1e-8) and loop.size(w) == 5
+
+
+def test_a_text_is_no_list_of_names(problem, monkeypatch):
+    """Or its letters would be names, and parts of it pins."""
+    monkeypatch.setitem(conditions.QUANTITIES, "text", Quantity(lambda model: "coordinate_sum", kinetic))
+    with pytest.raises(TypeError, match="Quantity.names: returned the text 'coordinate_sum'; return a list of names"):
+        of.find_orbit(replace(problem, pin=of.pin(nate_s=0.8)))

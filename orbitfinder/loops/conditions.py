@@ -71,17 +71,17 @@ def constrained_brake_rows(model: Model, start: Any, end: Any, parameters: Any, 
 
 def quantities(model: Model) -> list[str]:
     """What pins may name beside physical parameters."""
-    return [name for kind, each in QUANTITIES.items() if kind != PARAMETER for name in each.names(model)]
+    return [name for kind, each in QUANTITIES.items() if kind != PARAMETER for name in each.named(model)]
 
 
 def followed(model: Model) -> list[str]:
     """What a family may be followed in beside physical parameters."""
-    return [name for kind in QUANTITIES.values() if kind.followed for name in kind.names(model)]
+    return [name for kind in QUANTITIES.values() if kind.followed for name in kind.named(model)]
 
 
 def kind_of(model: Model, name: str, where: str = "pin", more: Sequence[str] = ()) -> Quantity:
     """The kind of what a name stands for; `InputError` where that is no quantity of this model, nor one `more`."""
-    kind = next((kind for kind in QUANTITIES.values() if name in kind.names(model)), None)
+    kind = next((kind for kind in QUANTITIES.values() if name in kind.named(model)), None)
     if kind is None or (kind is QUANTITIES[PARAMETER] and name not in more):
         known = list(dict.fromkeys([*quantities(model), *more]))
         raise InputError(f"{where}: unknown quantity {name!r}{closest(name, known)}; use one of {', '.join(known)}")
@@ -353,6 +353,13 @@ class Quantity:
     refused: Callable[[Any, Pin], str] = lambda *_: ""
     followed: bool = False
     held: bool = False
+
+    def named(self, model: Model) -> Sequence[str]:
+        """The names of a model; `TypeError` for a text, whose letters would be names."""
+        names = self.names(model)
+        if isinstance(names, str):
+            raise TypeError(f"Quantity.names: returned the text {names!r}; return a list of names, [{names!r}]")
+        return names
 
 
 def _level(variables: Variables, name: str) -> Any:

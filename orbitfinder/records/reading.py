@@ -321,7 +321,7 @@ def _complex(_: Any, value: Any, where: str) -> complex:
 def _table(of: tuple[Any, ...], value: Any, where: str) -> dict[str, Any]:
     if not isinstance(value, Mapping):
         raise _wrong(where, "a table", value)
-    if of == (str, Any):
+    if not of or of == (str, Any):
         return dict(value)
     return {of[0](key): typed(of[1], entry, f"{where}.{key}".lstrip(".")) for key, entry in value.items()}
 
