@@ -238,6 +238,7 @@ class Model(Shown):
         drive: controls with their limits.
         picture: what is drawn.
         scales: sizes to measure in: of coordinates by name, of all that are no angles by "length", of parameters.
+        **fields: of the parts by their own names, `kinetic=...`; they go before.
 
     Examples:
         >>> pendulum.degrees_of_freedom, pendulum.conservative, pendulum.parameter_names[:3]
