@@ -1,6 +1,7 @@
 """What the tests share: the report's orbits, the reference data, a few orbits found once."""
 
 import contextlib
+import gc
 import json
 import os
 import shutil
@@ -160,7 +161,13 @@ def own_cache(tmp_path_factory):
         if quick_compiler():
             patch.setenv("CC", quick_compiler())
         patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
+        patch.setattr(os, "fsync", lambda handle: None)  # for when the power fails; here it waits for the disk
         yield
+
+
+def pytest_collection_finish() -> None:
+    """What was collected stays: no garbage collection looks at a million objects of modules and tests again."""
+    gc.freeze()
 
 
 @pytest.fixture(scope="module")

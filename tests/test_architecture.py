@@ -7,6 +7,7 @@ import ast
 import re
 from collections import defaultdict
 from collections.abc import Iterator
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -66,12 +67,15 @@ def dotted(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-MODULES = {dotted(path): ast.parse(path.read_text(encoding="utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}
+@cache
+def modules() -> dict[str, ast.Module]:
+    """Every module of the package by its name; read when a test asks, as every process of a run collects this file."""
+    return {dotted(path): ast.parse(path.read_text(encoding="utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}
 
 
 def imports(module: str) -> Iterator[tuple[str, str]]:
     """(what it is imported from, the name), wherever in the file the import stands."""
-    for node in ast.walk(MODULES[module]):
+    for node in ast.walk(modules()[module]):
         if isinstance(node, ast.Import):
             yield from ((alias.name, "") for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -86,7 +90,7 @@ def needs(module: str) -> set[str]:
         if source.split(".")[0] == "orbitfinder":
             home = source.removeprefix("orbitfinder").removeprefix(".")
             whole = f"{home}.{name}".removeprefix(".")
-            found.add(whole if whole in MODULES else home)
+            found.add(whole if whole in modules() else home)
     return found - {module}
 
 
@@ -105,7 +109,7 @@ def test_arrows_go_down_only():
     """A module imports its own room and lower floors."""
     upward = [
         f"{module} -> {needed}"
-        for module in MODULES
+        for module in modules()
         for needed in needs(module)
         if module and needed
         if floor(needed) > floor(module)
@@ -118,7 +122,7 @@ def test_the_core_is_closed():
     """What stands above the border registers itself: nothing below it imports or names it."""
     assert not [
         f"{module} -> {needed}"
-        for module in MODULES
+        for module in modules()
         if module and floor(module) < CORE
         for needed in needs(module)
         if needed and floor(needed) >= CORE
@@ -126,8 +130,8 @@ def test_the_core_is_closed():
     rooms = "|".join(room for rooms in FLOORS[CORE:] for room in rooms if room)
     named = re.compile(rf'"(?:{rooms})\.[a-z_.]+:[a-z_]+"')
     assert not [
-        module for module in MODULES
-        if module and floor(module) < CORE and named.search(ast.unparse(MODULES[module]).replace("'", '"'))
+        module for module in modules()
+        if module and floor(module) < CORE and named.search(ast.unparse(modules()[module]).replace("'", '"'))
     ]  # fmt: skip
 
 
@@ -147,12 +151,12 @@ def circles(graph: dict[str, set[str]]) -> Iterator[tuple[str, ...]]:
 
 def test_no_import_circles():
     """The modules can be put in an order in which each needs only earlier ones."""
-    assert not list(circles({module: needs(module) for module in MODULES if module}))
+    assert not list(circles({module: needs(module) for module in modules() if module}))
 
 
 @pytest.mark.parametrize("library", LIBRARIES)
 def test_libraries_stay_in_their_rooms(library):
-    found = {module for module in MODULES if any(source.split(".")[0] == library for source, _ in imports(module))}
+    found = {module for module in modules() if any(source.split(".")[0] == library for source, _ in imports(module))}
     assert not [module for module in found if not inside(module, LIBRARIES[library])]
 
 
@@ -160,13 +164,13 @@ def test_nobody_takes_what_is_anothers_own():
     """Names that begin with an underscore stay at home, and only front doors export what they import."""
     private = [
         f"{module}: {source}.{name}"
-        for module in MODULES
+        for module in modules()
         for source, name in imports(module)
         if source.startswith("orbitfinder") and name.startswith("_") and name not in ("_runtime", "__version__")
     ]
     again = [
         f"{module}: {alias.name} as {alias.asname}"
-        for module, tree in MODULES.items()
+        for module, tree in modules().items()
         for node in ast.walk(tree)
         if module and isinstance(node, ast.ImportFrom)
         for alias in node.names
@@ -177,7 +181,7 @@ def test_nobody_takes_what_is_anothers_own():
 
 def test_symmetries_are_spelled_in_two_files():
     spelled = defaultdict(set)
-    for module, tree in MODULES.items():
+    for module, tree in modules().items():
         for node in ast.walk(tree):
             if isinstance(node, ast.Constant) and node.value in SYMMETRIES:
                 spelled[module].add(node.value)
@@ -188,7 +192,7 @@ def test_the_library_does_not_print_and_names_what_it_handles():
     """Results go through return values and the command line; no handler takes everything unnamed."""
     wrong = [
         f"{module}:{node.lineno}"
-        for module, tree in MODULES.items()
+        for module, tree in modules().items()
         for node in ast.walk(tree)
         if (isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print")
         or (isinstance(node, ast.ExceptHandler) and not node.type)
@@ -209,7 +213,7 @@ def code_lines(node):
 def test_functions_are_short():
     long = [
         f"{module}.{node.name}: {code_lines(node)} lines"
-        for module, tree in MODULES.items()
+        for module, tree in modules().items()
         for node in ast.walk(tree)
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and code_lines(node) > 60
     ]
@@ -219,7 +223,7 @@ def test_functions_are_short():
 def test_kinds_of_systems_are_asked_in_one_file():
     """What is special to a kind stands in its entry of `mechanics.kind.KINDS`."""
     kinds, asked = {"chain", "linkage", "mechanism", "robot", "python"}, set()
-    for module, tree in MODULES.items():
+    for module, tree in modules().items():
         for node in (one for one in ast.walk(tree) if isinstance(one, ast.Compare)):
             named = {one.value for one in ast.walk(node) if isinstance(one, ast.Constant)}
             if named & kinds and "kind" in ast.unparse(node):
@@ -234,7 +238,7 @@ def test_every_kind_of_event_has_a_check():
     from orbitfinder.show.diagram import LOOKS
 
     made = {kind for root in (1, 2) for _, kind, *_ in index_levels(root, 6)}
-    for module, tree in MODULES.items():
+    for module, tree in modules().items():
         for node in ast.walk(tree) if module.startswith("families") else ():
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ("Test", "Margin"):
                 made |= {one.value for one in ast.walk(node.args[0]) if isinstance(one, ast.Constant)}
@@ -275,7 +279,7 @@ def iterates(node):
 def test_newton_is_written_once():
     """A loop that solves linear equations, or calls a function of its file that does, is there or has a reason."""
     found = set()
-    for module, tree in ((module, tree) for module, tree in MODULES.items() if not module.startswith("proof")):
+    for module, tree in ((module, tree) for module, tree in modules().items() if not module.startswith("proof")):
         functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
         solving = SOLVERS | {one.name for one in functions if calls(one.body) & SOLVERS}
         loops = [node for node in ast.walk(tree) if iterates(node)]
@@ -300,7 +304,7 @@ HALVED = {
 def test_brackets_are_closed_and_steps_halved_in_one_place():
     """Of what is followed; whatever else does so has its reason."""
     brackets, halved = set(), set()
-    for module, tree in MODULES.items():
+    for module, tree in modules().items():
         for node in ast.walk(tree):
             if isinstance(node, ast.Call) and calls([node]) & {"brentq", "bisect", "toms748", "root_scalar"}:
                 brackets.add(module)
@@ -312,7 +316,7 @@ def test_brackets_are_closed_and_steps_halved_in_one_place():
 
 def test_checks_are_judged_in_one_file():
     """A number is held against what is allowed there, in one of its three senses."""
-    called = {module for module, tree in MODULES.items() if "Check" in calls([tree])}
+    called = {module for module, tree in modules().items() if "Check" in calls([tree])}
     assert called == {"records.certificate"}
 
 
@@ -320,7 +324,7 @@ def test_what_guards_a_quotient_is_said_once():
     """`nonzero`, `size_of` and `relative` say what a size of 0 is; nobody writes a number of his own for it."""
     written = {
         module
-        for module, tree in MODULES.items()
+        for module, tree in modules().items()
         for node in ast.walk(tree)
         if isinstance(node, ast.Constant) and isinstance(node.value, float) and 0 < node.value < 1e-200
     }
@@ -339,7 +343,7 @@ KIND = re.compile(r"\[\"kind\"\]|\.get\(\"kind\"\)|\w\.kind [!=]=|\bkind [!=]= \
 
 
 def texts():
-    return {module: (PACKAGE / f"{module.replace('.', '/')}.py") for module in MODULES if module}
+    return {module: (PACKAGE / f"{module.replace('.', '/')}.py") for module in modules() if module}
 
 
 def read(path):
@@ -353,7 +357,7 @@ def test_kinds_are_asked_by_registries():
 
 
 def test_a_class_has_its_name_alone():
-    names = [node.name for tree in MODULES.values() for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
+    names = [node.name for tree in modules().values() for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
     assert not {name for name in names if names.count(name) > 1}
 
 
@@ -368,7 +372,7 @@ def test_numbers_belong_to_settings():
     """Capitals at the top of files."""
     named = [
         node
-        for tree in MODULES.values()
+        for tree in modules().values()
         for node in tree.body
         for target in (node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)])
         if isinstance(node, ast.Assign | ast.AnnAssign) and isinstance(target, ast.Name) and target.id.isupper()

@@ -14,7 +14,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Mapping
 from numbers import Integral, Real
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, Generic, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -22,14 +22,16 @@ from orbitfinder.errors import InputError, closest
 
 P = ParamSpec("P")
 R = TypeVar("R")
+Entry = TypeVar("Entry")
 
 SEQUENCE = re.compile(r"(?:Sequence|tuple)\[(.+?)(?:, \.\.\.)?\]")
 MAPPING = re.compile(r"Mapping\[str, (.+)\]")
+MARKER, COLOUR = re.compile(r"[.,ov^<>12348spP*hH+xXDd|_]|\$.+\$"), re.compile("#[0-9A-Fa-f]{6}")
 
 
 def _real(value: Any) -> bool:
-    if isinstance(value, Real):
-        return not isinstance(value, bool)
+    if isinstance(value, Real | np.bool_):
+        return not isinstance(value, bool | np.bool_)
     return getattr(value, "shape", None) in ((), (1, 1)) and _numbers(value)
 
 
@@ -61,6 +63,13 @@ KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "Sequence[float]": (lambda value: _numbers(value) and np.ndim(value) > 0, "a list of numbers"),
     "tuple[float, float]": (_pair, "two numbers, [smallest, largest]"),
     "ca.SX": (lambda value: _is_a("SX", "DM")(value) or _numbers(value), "a CasADi SX expression"),
+    "ca.MX": (lambda value: _is_a("MX", "DM")(value) or _numbers(value), "a CasADi MX expression"),
+    "Answer": (lambda value: isinstance(value, str) or callable(value), "a function, or its name 'module:function'"),
+    "Marker": (
+        lambda value: isinstance(value, str) and bool(MARKER.fullmatch(value)),
+        "'o', '^', '$T$' or another marker of Matplotlib",
+    ),
+    "Colour": (lambda value: isinstance(value, str) and bool(COLOUR.fullmatch(value)), "a colour such as '#00AA88'"),
     "Expression": (callable, "a function of the Variables"),
     "Callback": (callable, "a function"),
     "None": (lambda value: value is None, ""),
@@ -89,6 +98,12 @@ MADE_BY = {
     "SolveSettings": "SolveSettings(max_iterations=...) makes them",
     "IntegratorSettings": "IntegratorSettings(relative_tolerance=...) makes them",
     "DaeSettings": "DaeSettings(relative_tolerance=...) makes them",
+    "Test": "Test(kind, detail, measure) makes one",
+    "Reading": "sides.zero(measure) makes one",
+    "Look": "Look(marker, symbol, colour) makes one",
+    "Followed": "Followed(vanishes) makes one",
+    "Condition": "Condition(name, value, at, slope, expression) makes one",
+    "Certificate": "Certificate((at_most(name, value, tolerance),)) makes one",
 }
 """By class: where it comes from; the remedy in its message. Other names are aliases, and not looked into."""
 
@@ -136,20 +151,48 @@ def shown(value: Any) -> str:
     return text if 0 < len(text) <= 60 else f"{type(value).__name__} {text[:60]}".strip()
 
 
-def check(name: str, annotation: str, value: Any) -> None:
-    """`InputError` naming the argument, what it should be, what was given and where it comes from."""
+def check(name: str, annotation: str, value: Any, remedy: str = "") -> None:
+    """`InputError` naming the argument, what it should be, what was given and where it comes from, or a `remedy`."""
     if fits(annotation, value):
         return
     parts = [part for part in _alternatives(annotation) if part != "None"]
     expected = " or ".join(dict.fromkeys(_expected(part) for part in parts if (part, "Path") != ("str", parts[-1])))
-    made = next((f"; {MADE_BY[word]}" for word in re.findall(r"ca\.SX|[A-Za-z]+", annotation) if word in MADE_BY), "")
+    words = re.findall(r"ca\.SX|[A-Za-z]+", " ".join(part for part in parts if not part.startswith("Callable[")))
+    made = next((f"; {MADE_BY[word]}" for word in words if word in MADE_BY), remedy)
     raise InputError(f"{name}: expected {expected}, got {shown(value)}{made}")
 
 
-def check_fields(instance: Any) -> None:
-    """`check` for every field of a dataclass whose annotations are texts; for its `__post_init__`."""
+def check_fields(instance: Any, where: str = "", remedy: str = "") -> None:
+    """`check` for every field of a dataclass whose annotations are texts; for its `__post_init__`, or, with what it is
+    part of, for what it holds too."""
     for field in dataclasses.fields(instance):
-        check(field.name, str(field.type), getattr(instance, field.name))
+        value = getattr(instance, field.name)
+        check(where + field.name, str(field.type), value, remedy)
+        if where and dataclasses.is_dataclass(value):
+            check_fields(value, f"{where}{field.name}.", remedy)
+
+
+class Registry(dict[str, Entry], Generic[Entry]):
+    """A table of entries of one class, in which others may enter theirs; each is looked at when it is entered."""
+
+    def __init__(self, kind: type[Entry], entries: Mapping[str, Entry] | None = None) -> None:
+        super().__init__()
+        self.kind = kind
+        self.update(entries)
+
+    def __setitem__(self, name: str, entry: Entry) -> None:
+        """Raises `InputError` with the names of the entry and of its field."""
+        called = self.kind.__name__
+        where, remedy = f"{called} {name!r}", f"; see {self.kind.__module__}.{called}"
+        if not isinstance(entry, self.kind):
+            raise InputError(f"{where}: expected {_expected(called)}, got {shown(entry)}{remedy}")
+        check_fields(entry, f"{where}, ", remedy)
+        super().__setitem__(name, entry)
+
+    def update(self, entries: Mapping[str, Entry] | None = None, **more: Entry) -> None:  # type: ignore[override]
+        """Enter several."""
+        for name, entry in {**(entries or {}), **more}.items():
+            self[name] = entry
 
 
 def checked(function: Callable[P, R]) -> Callable[P, R]:

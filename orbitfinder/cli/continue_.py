@@ -96,12 +96,14 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
         family, places = None, list[int]()
         if getattr(origin, "guess", None) is None or getattr(origin, "control", None) is None:
             parameter = parameter or parameter_of(origin)
-            name = folder_of(out, chosen["name"] or origin.name, *NAMED).name
+            name, steps = folder_of(out, chosen["name"] or origin.name, *NAMED).name, list[Batch]()
             family = of.follow_family(
                 origin, parameter, until=chosen["until"], at=at, settings=settings, out=out, name=name,
-                model=model, progress=_reporter(shown, name, parameter, points, chosen["until"]),
+                model=model, progress=_reporter(shown, name, parameter, points, chosen["until"], steps),
                 stop=_stops(chosen["stop"]),
             )  # fmt: skip
+            if not steps and len(family.points) > 1:
+                shown.say(READ.format(folder=out / name))
             places = [k for k, event in enumerate(family.events) if event.kind in SWITCHABLE]
             _listed(family, places, shown)
     if family is None:
@@ -125,6 +127,11 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
     finish("continue", summary(family) | {"at": asked, "written": [folder / "family.json", *written]})
 
 
+READ = (
+    "{folder}: this family was finished there before, and is read, not followed; to follow it anew, as after a change "
+    "of code, give another --out or delete the folder"
+)
+"""What is said where there was nothing left to do"""
 NAMED = ("name", "give another --name")
 """Where a name that cannot be a folder's comes from, and what to do about it"""
 
@@ -282,12 +289,16 @@ def model_in(origin: Origin, model: of.Model | None, family: of.Family) -> of.Mo
     return known if known is not None and known.constraint is None else build_model(family.system)
 
 
-def _reporter(shown: Display, name: str, parameter: str, most: int, until: float | None) -> Callable[[Batch], None]:
-    """A live panel with the last events, or, without a terminal, a line an event and a line every ten points."""
+def _reporter(
+    shown: Display, name: str, parameter: str, most: int, until: float | None, steps: list[Batch]
+) -> Callable[[Batch], None]:
+    """A live panel with the last events, or, without a terminal, a line an event and a line every ten points; `steps`
+    grows by each that is taken."""
     began, seen, events = time.monotonic(), [0], list[Event]()
 
     def report(batch: Batch) -> None:
         interrupt.check()
+        steps.append(batch)
         seen[0] += len(batch.points)
         events.extend(batch.events)
         for event in () if shown.live else batch.events:

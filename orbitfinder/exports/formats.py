@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from orbitfinder._runtime.arguments import Registry
 from orbitfinder.records.registry import Answer
 
 
@@ -20,9 +21,9 @@ class Format:
     any_motion: bool = False
 
 
-FORMATS = {
+FORMATS = Registry(Format, {
     "csv": Format("exports.write:csv_file", any_motion=True),
     "auto": Format("exports.auto:auto_files"),
     "julia": Format("exports.julia:julia_files"),
     "c": Format("exports.c99:c_files"),
-}
+})  # fmt: skip

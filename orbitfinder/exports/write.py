@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from orbitfinder._runtime.arguments import check
 from orbitfinder.errors import InputError
 from orbitfinder.exports.formats import FORMATS
 from orbitfinder.exports.source import samples_of, source_of
@@ -56,6 +57,7 @@ def export_orbit(orbit: Orbit, to: str, folder: str | Path, model: Model | None 
     if not model.smooth and not any_motion:
         raise InputError(f"to: {to} files know no events, and this system is hybrid; use csv")
     files = write(orbit, model) if any_motion else write(source_of(orbit, model))
+    check(f"Format {to!r}, files", "Mapping[str, str]", files, "; return the text of each file by its name")
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():

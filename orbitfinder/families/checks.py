@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder._runtime.arguments import check
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.changes import margins_called
@@ -168,6 +169,7 @@ class Sides:
     def zero(self, measure: Measure, sharp: bool = True) -> Reading:
         """What a measure says: it is to vanish here and to change its sign, if it is `sharp` to tell where."""
         low, value, high = measure(self.before), measure(self.here), measure(self.after)
+        check("Sides.zero, value of its measure", "float", value)
         slope = abs(high - low) * self.step / (2 * self.apart)
         noise, most = 0.0, DOUBTFUL * slope if sharp else min(abs(low), abs(high))
         if self.here.__dict__.get("tour"):

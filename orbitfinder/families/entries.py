@@ -19,7 +19,7 @@ from orbitfinder.families.registry import FOLLOWED, KINDS, LOOKS, SWITCHABLE, Ev
 
 __all__ = ["FOLLOWED", "KINDS", "LOOKS", "SWITCHABLE", "kind_of"]
 
-KINDS |= {
+KINDS.update({
     "fold": EventKind(
         checks.check_fold,
         "a multiplier is +1 and the parameter turns back: two orbits come together and vanish",
@@ -106,4 +106,4 @@ KINDS |= {
         checks.check_bending, "the doubled orbit is born to the other side from there on",
         Look("H", "hexagon2", series=3), second=True,
     ),
-}  # fmt: skip
+})  # fmt: skip

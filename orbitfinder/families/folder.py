@@ -138,7 +138,7 @@ def follow_family(
     with contextlib.nullcontext() if folder is None else locks.alone_in(folder):
         journal = None if folder is None else read_journal(folder)
         born = origin.event.parameter if isinstance(origin, Branch) and isinstance(origin.number, int) else None
-        if journal is None or {**journal.header.get("request", {}), "until": None} != {**request, "until": None}:
+        if journal is None or not _same(journal.header.get("request", {}), request):
             start = _started(origin, settings, model)
             curve = replace(start.curve, watch=watches(watch, start.curve.equations.model))
             start = replace(start, curve=curve)
@@ -162,6 +162,11 @@ def follow_family(
         if folder is not None:
             journal = _reopened(folder, journal, {run.direction: run.goals for run in runs})
         return _finish(folder, journal, curve, settings, runs, progress)
+
+
+def _same(known: Mapping[str, Any], request: Mapping[str, Any]) -> bool:
+    """Whether a journal answers a request; one that does not say of which system it is was asked by its start alone."""
+    return {"system": request["system"], **known, "until": None} == {**request, "until": None}
 
 
 def _read(path: str | Path) -> Orbit:
@@ -291,20 +296,26 @@ def _request(
     And what the family was started from, for its file.
     """
     head: Any
-    source = {"name": getattr(origin, "name", "")}
+    source, system = {"name": getattr(origin, "name", "")}, dict[str, Any]()
     if isinstance(origin, Branch):
         head, kind = origin.described(), "branch"
         source = head
     elif isinstance(origin, Start):
         head, kind = origin.solution.place.head.tolist(), "start"
     elif isinstance(origin, Orbit):
-        head, kind = [*origin.state.tolist(), origin.period], "orbit"
+        head, kind, system = [*origin.state.tolist(), origin.period], "orbit", dict(origin.system)
     else:
-        guess = origin.guess
+        guess, system = origin.guess, dict(origin.model.system)
         head, kind = [*map(float, guess.state), float(guess.period), plain(origin.pin), origin.symmetry], "problem"
     chosen = {key: value for key, value in plain(settings).items() if key != "points"}
     more = {"watch": {name: as_recorded(number) for name, number in watch.items()}} if watch else {}
-    request = {"origin": plain(head), "settings": chosen, "at": [float(value) for value in at], **more}
+    request = {
+        "origin": plain(head),
+        "system": plain(system),
+        "settings": chosen,
+        "at": [float(value) for value in at],
+        **more,
+    }
     return request, {"kind": kind, **source}
 
 

@@ -25,7 +25,7 @@ from orbitfinder.families.events import event_at, find_events
 from orbitfinder.families.motion import watched
 from orbitfinder.families.passages import Test, avoided, zeros
 from orbitfinder.families.point import FamilySettings, make_point, parameter_value
-from orbitfinder.families.registry import end_kind
+from orbitfinder.families.registry import end_kind, tests_of
 from orbitfinder.families.run import (
     Interval,
     Run,
@@ -230,8 +230,7 @@ def _events(interval: Interval, settings: FamilySettings) -> list[Event]:
     try:
         alone = interval.curve.test is None
         located = find_events(interval, settings) if alone else find_special(interval)
-        tests = [kind.test for kind in KINDS.values() if kind.test and kind.second != alone]
-        located += [pair for test in tests for pair in zeros(interval, test(interval))]
+        located += zeros(interval, tests_of(interval, not alone))
         events = [event_at(interval.curve, sample, test, settings.parameter) for sample, test in located]
         return sorted(events, key=lambda event: event.arclength)
     except (ConvergenceError, IntegrationError) as error:

@@ -15,6 +15,7 @@ from math import gcd
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from orbitfinder._runtime.arguments import check
 from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.run import Interval, Sample, ahead, is_real, real_indices
@@ -103,7 +104,10 @@ def located(interval: Interval, measure: Measure, low: float, high: float) -> Sa
 def zeros(interval: Interval, tests: Iterable[Test]) -> Iterator[tuple[Sample, Test]]:
     """The tests that change their sign across an interval, each with the orbit at which it vanishes."""
     for test in tests:
-        if test.measure(interval.first) * test.measure(interval.last) < 0:
+        ends = [test.measure(sample) for sample in (interval.first, interval.last)]
+        for value in ends:
+            check(f"EventKind {test.kind!r}, measure of its Test", "float", value)
+        if ends[0] * ends[1] < 0:
             yield located(interval, test.measure, 0.0, interval.length), test
 
 

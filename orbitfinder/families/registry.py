@@ -11,14 +11,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Any
+from typing import Any, TypeAlias
 
-from orbitfinder.errors import ConvergenceError
+from orbitfinder._runtime.arguments import Registry, check
+from orbitfinder.errors import ConvergenceError, InputError, closest
 from orbitfinder.families.passages import Test
 from orbitfinder.families.run import Interval, Sample
 from orbitfinder.families.stability import Spectrum
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.records.family import Event, Reading
+
+Marker: TypeAlias = str
+Colour: TypeAlias = str
 
 
 @dataclass(frozen=True)
@@ -30,9 +34,9 @@ class Look:
     what the others leave room for.
     """
 
-    marker: str = "o"
+    marker: Marker = "o"
     symbol: str = "circle"
-    colour: str = "#000000"
+    colour: Colour = "#000000"
     series: int = 1
     size: float = 5.5
     pixels: int = 10
@@ -87,13 +91,32 @@ class EventKind:
     leaves: bool = False
 
 
-KINDS: dict[str, EventKind] = {}
+KINDS = Registry(EventKind)
 """Every kind of event by its name; what is not here cannot be recorded"""
 
 
 def kind_of(name: str) -> EventKind:
     """The kind of a recorded event; of one that is not known nothing is told."""
     return KINDS.get(name, EventKind(_unknown))
+
+
+def tests_of(interval: Interval, second: bool) -> Iterator[Test]:
+    """What vanishes within a step at the kinds that are looked for alone, on families or (`second`) on curves.
+
+    Raises `InputError` for a kind that makes anything but `Test`s of known kinds.
+    """
+    for name, kind in KINDS.items():
+        if kind.test is None or kind.second != second:
+            continue
+        tests = kind.test(interval)
+        tests, where = list(tests) if isinstance(tests, Iterable) else tests, f"EventKind {name!r}, test"
+        check(where, "Sequence[Test]", tests)
+        for test in tests:
+            if test.kind not in KINDS:
+                hint = closest(test.kind, KINDS)
+                raise InputError(f"{where}: a Test of {test.kind!r}, which is no kind of event{hint}; "
+                                 f"write Test({name!r}, ...)")  # fmt: skip
+            yield test
 
 
 def _unknown(_: Any, event: Event) -> Reading:

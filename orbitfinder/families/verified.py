@@ -12,6 +12,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from orbitfinder._runtime import interrupt
+from orbitfinder._runtime.arguments import check
 from orbitfinder.errors import ConvergenceError, IntegrationError, plural
 from orbitfinder.families.checks import ALIKE, Probe, Sides, check_known
 from orbitfinder.families.critical import Critical, levelled
@@ -80,6 +81,7 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float) -> Readi
             before, middle, after = looks[outer : len(looks) - outer]
             sides = Sides(before, here, middle, after, share * step, step, looks[:: len(looks) - 1] if outer else ())
             result = kind.check(sides, event)
+            check(f"EventKind {event.kind!r}, check", "Reading", result)
         except (ConvergenceError, IntegrationError) as error:
             said = ConvergenceError(str(error))
             continue

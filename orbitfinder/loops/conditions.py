@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from orbitfinder._runtime.arguments import check_fields
+from orbitfinder._runtime.arguments import Registry, check, check_fields, shown
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError, closest
 from orbitfinder.loops.loop import Condition, Equations, Unknowns, levels
@@ -97,6 +97,7 @@ def check_pin(problem: Any, asked: Pin) -> None:
     """`InputError` when a pin names nothing of this problem's model or a value that it cannot have."""
     kind = kind_of(problem.model, asked.name, more=problem.model.parameter_names)
     why = kind.refused(problem, asked)
+    check(f"Quantity of {asked.name!r}, refused", "str | None", why, "; return why, or '' where it may be pinned")
     if not why and kind.row is None and problem.control is not None:
         why = f"{asked.name} is not of controlled motions, whose costate does not know it; ask for it in a task"
     if why:
@@ -107,8 +108,10 @@ def pinned(equations: Equations, name: str, value: float) -> Condition:
     """The condition that a quantity or a freed parameter has a value."""
     kind = QUANTITIES[PARAMETER] if name in equations.free else kind_of(equations.model, name, more=equations.free)
     if kind.row is not None:
-        return kind.row(equations, name, value)
-    return expressed(value, name, lambda variables: kind.value(variables, name))
+        row = kind.row(equations, name, value)
+        check(f"Quantity of {name!r}, row", "Condition", row)
+        return row
+    return expressed(value, name, lambda variables: kind.expression(variables, name))
 
 
 def measured(equations: Equations, w: Unknowns, name: str) -> float:
@@ -179,7 +182,7 @@ class Variables:
         """A quantity by name; `InputError` names the known ones."""
         if name in self.model.parameter_names:
             return self.parameters[self.model.parameter_index(name)]
-        return kind_of(self.model, name, "variables").value(self, name)
+        return kind_of(self.model, name, "variables").expression(self, name)
 
     @property
     def rate(self) -> ca.MX:
@@ -355,11 +358,19 @@ class Quantity:
     held: bool = False
 
     def named(self, model: Model) -> Sequence[str]:
-        """The names of a model; `TypeError` for a text, whose letters would be names."""
+        """The names of a model; `TypeError` for what is no list, as a text, whose letters would be names."""
         names = self.names(model)
-        if isinstance(names, str):
-            raise TypeError(f"Quantity.names: returned the text {names!r}; return a list of names, [{names!r}]")
+        if isinstance(names, str) or not isinstance(names, Sequence):
+            (entry,) = (name for name, each in QUANTITIES.items() if each is self)
+            what = f"the text {names!r}" if isinstance(names, str) else shown(names)
+            raise TypeError(f"Quantity.names: returned {what}; return a list of names, ['...'], for {entry!r}")
         return names
+
+    def expression(self, variables: Variables, name: str) -> Any:
+        """Its value. Raises `InputError` for what CasADi does not know."""
+        value = self.value(variables, name)
+        check(f"Quantity of {name!r}, value", "ca.MX", value, "; write it in what `of.Variables` has")
+        return value
 
 
 def _level(variables: Variables, name: str) -> Any:
@@ -420,7 +431,7 @@ def _state_refused(problem: Any, asked: Pin) -> str:
 
 
 PARAMETER = "a physical parameter"
-QUANTITIES: dict[str, Quantity] = {
+QUANTITIES = Registry(Quantity, {
     "the energy": Quantity(
         lambda _: ("energy",),
         _level,
@@ -455,7 +466,7 @@ QUANTITIES: dict[str, Quantity] = {
         lambda variables, name: variables.parameters[variables.model.parameter_index(name)],
         _unknown,
     ),
-}
+})  # fmt: skip
 """What may be named, by its kind; where a name is of two, the first is meant"""
 
 

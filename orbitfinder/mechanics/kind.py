@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from orbitfinder._runtime.arguments import Registry, check
 from orbitfinder._runtime.rooms import filled
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.constrained import Loops
@@ -65,7 +66,9 @@ def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model
     Raises `InputError` for an unknown or wrong description.
     """
     try:
-        return system_kind(system).build(system, trusted)
+        model = system_kind(system).build(system, trusted)
+        check(f"SystemKind {system.get('kind')!r}, build", "Model", model)
+        return model
     except InputError:
         raise
     except (TypeError, ValueError, KeyError, IndexError, OverflowError, AttributeError) as error:
@@ -216,7 +219,7 @@ def _function(system: Mapping[str, Any]) -> str:
     return NAMES.get(name, name.replace("_", " "))
 
 
-KINDS = {"python": SystemKind(python_model, _function, described=False)}
+KINDS = Registry(SystemKind, {"python": SystemKind(python_model, _function, described=False)})
 """Every kind by its name; others may join (`kinds` has them all)"""
 CLOSING: dict[str, Loops] = {}
 """How loops are closed of what has no entry of its own: that of ''"""

@@ -20,7 +20,7 @@ from orbitfinder.loops.ipopt import Callback, Progress, SolveSettings
 from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certified
-from orbitfinder.orbits.method import method_of
+from orbitfinder.orbits.method import solved
 from orbitfinder.records.orbit import Orbit
 
 NEAR_ONE = 1e-3
@@ -63,7 +63,7 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
         began = time.perf_counter()
         problem.check_count()
         hint(degrees_taken_for_radians(problem))
-        orbit, model = method_of(problem).find(problem, settings, _reporter(progress, began), began)
+        orbit, model = solved(problem, settings, _reporter(progress, began), began)
         if settings.with_certificate:
             orbit = certified(orbit, model)
             hint(unexplained_multipliers(problem, orbit))

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.integrate import trapezoid
 
 from orbitfinder._runtime import __version__
+from orbitfinder.errors import InputError
 from orbitfinder.integrate.cvodes import Flow, transition
 from orbitfinder.integrate.equations import accelerations, action_rate, invariant_gradients, with_action
 from orbitfinder.integrate.march import March, Marches, rounded, uniform
@@ -94,7 +95,11 @@ def _untouched(march: March | Marches, w: Unknowns) -> np.ndarray:
 
 def measure(problem: Problem, flow: Flow, nodes: np.ndarray, period: float, unfolding: np.ndarray) -> Orbit:
     """An Orbit (without certificate) from converged node states over the problem's horizon."""
-    model = problem.model
+    model, given = problem.model, [np.shape(part) for part in (nodes, period, unfolding)]
+    size = len(model.state_names)
+    if [len(shape) for shape in given] != [2, 0, 1] or given[0][1] != size or not period > 0:
+        raise InputError(f"measure: expected nodes (N x {size}), a period > 0 (s) and unfolding parameters, "
+                         f"got shapes {', '.join(map(str, given))}, period {period}; hand those")  # fmt: skip
     whole = full_period(problem, flow, nodes, period)
     found = paths(flow, whole, period)
     times, states = dense(flow, whole, period, found)

@@ -246,7 +246,11 @@ def typed(kind: Any, value: Any, where: str) -> Any:
     does not know are left out, those with a default may be missing. `_check` of a dataclass, if it has any, raises
     `ValueError` about its field unless what was read belongs together.
     """
-    reader, of = _reader(kind)
+    try:
+        reader, of = _reader(kind)
+    except KeyError as error:
+        raise TypeError(f"{where}: no record has a field of {error}; annotate it as str, float, np.ndarray, "
+                        "tuple[X, ...], dict[str, X], X | None or a record X") from error  # fmt: skip
     return reader(of, value, where)
 
 
@@ -255,6 +259,8 @@ def _reader(kind: Any) -> tuple[Callable[[Any, Any, str], Any], Any]:
     """What reads values of a kind, and what is given to it first: the kinds within, of a dataclass itself."""
     if dataclasses.is_dataclass(kind):
         return _record, kind
+    if kind is tuple:
+        raise KeyError(kind)
     return _READERS[typing.get_origin(kind) or kind], typing.get_args(kind)
 
 

@@ -7,13 +7,14 @@ answer is a function or its name, "module:function", which is loaded when it is 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
+from orbitfinder._runtime.arguments import Registry, check
 from orbitfinder._runtime.rooms import filled
 from orbitfinder.errors import InputError
 from orbitfinder.records.codec import outline
@@ -66,14 +67,16 @@ class Kind:
 
 VERBS = ("verify", "plot", "animate", "export", "page", "studio")
 """What not every kind answers; every one is shown"""
+ANSWERS = {"verify": "Certificate", "plot": "Sequence[Path]", "animate": "Clip", "export": "Sequence[Path]"}
+"""What an answer is, if it does not come piece by piece"""
 
 
-KINDS = {
+KINDS = Registry(Kind, {
     "orbit": Kind("an orbit", read_orbit, verify="orbits.certify:certify", studio="orbit"),
     "family": Kind(
         "a family", load_family, attrgetter("points"), verify="families.verified:verified", studio="family",
     ),
-}  # fmt: skip
+})  # fmt: skip
 """Every kind by its format; others may join (`kinds` has them all)"""
 
 
@@ -90,11 +93,16 @@ def answers(kind: str, **verbs: Answer) -> None:
 
 def kind_of(file: Path) -> str:
     """What a file holds, by its name and its first bytes: one of `KINDS`, or nothing."""
+    kind = _format(file)
+    return kind if kind in kinds() else ""
+
+
+def _format(file: Path) -> str:
+    """What a file says that it holds, known or not."""
     if file.suffix in DATABASES:
         return "atlas"
     found = OURS.match(file_head(file, HEAD))
-    kind = "" if found is None else "export" if found[1] else found[2].decode()
-    return kind if kind in kinds() else ""
+    return "" if found is None else "export" if found[1] else found[2].decode()
 
 
 def member(path: str | Path) -> tuple[Path, int | None]:
@@ -108,9 +116,16 @@ def member(path: str | Path) -> tuple[Path, int | None]:
 
 
 def held(path: str | Path) -> tuple[str, Kind]:
-    """The kind of FILE or FILE#K and its name; what is no record of ours is read, and refused, as an orbit."""
+    """The kind of FILE or FILE#K and its name; what is no record of ours is read, and refused, as an orbit.
+
+    Raises `InputError` for a format that nobody has entered.
+    """
     file, number = member(path)
-    name = kind_of(file) or "orbit"
+    name = _format(file) or "orbit"
+    if name not in kinds():
+        raise InputError(f"{path}: format: 'orbitfinder/{name}' is unknown to this installation, which knows "
+                         f"{', '.join(kinds())}; install what wrote it, or import the module that enters it in "
+                         "KINDS of orbitfinder/records/registry.py, in records.py of its room")  # fmt: skip
     if number is not None and not (kinds()[name].parts or kinds()[name].one):
         raise InputError(f"{path}: #{number}: not a family or an atlas, of which orbits have numbers; "
                          f"leave #{number} out")  # fmt: skip
@@ -122,7 +137,7 @@ def load(path: str | Path) -> Any:
     """The record of FILE or FILE#K. Raises `InputError`."""
     held(path)
     file, number = member(path)
-    kind = kinds()[kind_of(file) or "orbit"]
+    kind = kinds()[_format(file) or "orbit"]
     if number is None:
         return loaded(kind.read)(file)
     if kind.parts is None:
@@ -136,7 +151,15 @@ def load(path: str | Path) -> Any:
 
 def answer(verb: str, path: str | Path) -> Callable[..., Any]:
     """What answers one of `VERBS` about FILE or FILE#K. `InputError` says what takes the file where nothing does."""
-    return loaded(taken(verb, path))
+    find = loaded(taken(verb, path))
+
+    def checked(*given: Any) -> Any:
+        made = find(*given)
+        if not isinstance(made, Iterator):
+            check(f"Kind {held(path)[0]!r}, {verb}", ANSWERS.get(verb, "Any"), made, "; return the files")
+        return made
+
+    return checked
 
 
 def taken(verb: str, path: str | Path) -> Answer:
@@ -169,7 +192,15 @@ def loaded(named: Answer) -> Callable[..., Any]:
     if callable(named):
         return named
     module, _, name = named.partition(":")
-    return getattr(import_module(f"orbitfinder.{module}"), name)  # type: ignore[no-any-return]
+    try:
+        found = getattr(import_module(f"orbitfinder.{module}"), name, None)
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"orbitfinder.{module}".startswith(error.name):
+            raise
+        found = None
+    if not callable(found):
+        raise InputError(f"Kind: there is no {named!r} in orbitfinder; name 'room.file:function' in the entry of KINDS")
+    return found  # type: ignore[no-any-return]
 
 
 def load_orbit(path: str | Path) -> Orbit:
