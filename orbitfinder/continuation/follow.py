@@ -429,13 +429,14 @@ class _Straight(Generic[S]):
         return int(self.share)
 
     def approach(self) -> tuple[float, End | None]:
-        return min(self.step, 1.0 - self.share), None
+        left = 1.0 - self.share
+        return self.step if self.step < 2 * left else left, None  # halves of a step are of a whole one, also the last
 
     def shortest(self) -> float:
         return self.pace.shortest * min(1.0, (1.0 - self.share) / self.pace.first)
 
     def advance(self, length: float) -> _Line:
-        share = self.share + length
+        share = min(self.share + length, 1.0)
         place = self.target if share == 1.0 else self.start + share * (self.target - self.start)
         solution, iterations = self.corrected(place)
         self.known[:] = [*self.known[-1:], (place, solution)]
