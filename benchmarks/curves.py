@@ -4,7 +4,7 @@ Doublings of two coupled pendula (AUTO's demo `pen`) from damping 0.1 to 0.5 and
 force of 0.3 to 0.5. Each program starts from one orbit, finds the event, frees the second parameter and goes on with
 its own steps. Time is that of this second run (turns.py): `of.follow_family` from the event with default settings,
 which close every point by the second integrator and locate codimension two; AUTO's on the coarsest mesh that is right
-to TOLERANCE, its events on.
+to TOLERANCE, its events on. Closures of both are judged by SciPy's DOP853 on the equations as they stand here.
 
     python benchmarks/curves.py           writes results/benchmarks/curves.md
     python benchmarks/curves.py --json    prints the rows instead
@@ -22,7 +22,8 @@ import numpy as np
 from peers.auto_curves import DUFFING, PENDULA, AutoLocus, Locus
 from peers.program import needed
 from peers.task import Unavailable
-from turns import Run, arguments, conditions, followed, in_turns, progress, publish
+from scipy.integrate import solve_ivp
+from turns import Run, arguments, conditions, failing, followed, in_turns, progress, publish
 
 import orbitfinder as of
 from orbitfinder.families.branches import Branch
@@ -96,13 +97,40 @@ def begun(case: Case) -> Branch:
 def ours(case: Case, start: Branch) -> tuple[float, Locus]:
     """The same curve by orbitfinder."""
     seconds, curve = followed(start, case.parameters[1], until=case.ends[1])
-    points = np.array([[*(one.free[name] for name in case.parameters), one.period] for one in curve.points])
-    return seconds, Locus(points, len(curve.events))
+    drive = (1.0, 0.0) if case.kind == "fold" else ()
+    points = [[*map(one.free.get, case.parameters), one.period, *one.state, *drive] for one in curve.points]
+    return seconds, Locus(np.array(points), len(curve.events))
 
 
 def error(case: Case, locus: Locus) -> float:
     """Of the first parameter at the end, where it is known."""
     return abs(locus.at(case.ends[1]) - case.expected[1])
+
+
+def duffing(_: float, u: np.ndarray, w: float, force: float) -> list[float]:
+    """Rates of Duffing's oscillator and of its drive (cos, sin)."""
+    x, v, c, s = u
+    grown = 1 - c * c - s * s
+    return [v, force * c - 0.1 * v - x - x**3, grown * c - w * s, grown * s + w * c]
+
+
+def pendula(_: float, u: np.ndarray, torque: float, damping: float) -> list[float]:
+    """Rates of two coupled pendula."""
+    a, b, p, q = u
+    pull = 0.175 * (b - a)
+    return [p, q, torque - damping * p - np.sin(a) + pull, torque - damping * q - np.sin(b) - pull]
+
+
+def closure(case: Case, locus: Locus) -> float:
+    """The worst gap round the loop of one point in four, whole turns apart, relative to the extents of the motion."""
+    field, worst = duffing if case.kind == "fold" else pendula, 0.0
+    for first, second, period, *state in locus.points[::4]:
+        path = solve_ivp(field, (0.0, period), state, method="DOP853", rtol=3e-14, atol=1e-15, args=(first, second)).y
+        gaps = path[:, -1] - state
+        if case.kind != "fold":
+            gaps[:2] -= 2 * np.pi * np.round(gaps[:2] / (2 * np.pi))
+        worst = max(worst, float((np.abs(gaps) / np.ptp(path, axis=1)).max()))
+    return worst
 
 
 def measured(case: Case, repeats: int) -> dict[str, Any]:
@@ -113,30 +141,29 @@ def measured(case: Case, repeats: int) -> dict[str, Any]:
         try:
             methods[AUTO], mesh = auto(case, Path(folder))
         except Unavailable as failure:
-            methods[AUTO] = partial(_fail, failure)
+            methods[AUTO] = partial(failing, failure)
         taken = in_turns(methods, range(repeats))
     runs, errors = {}, {}
     for name, one in taken.items():
         if isinstance(one, Unavailable):
             runs[name], errors[name] = Run(failed=str(one)), np.nan
         else:
-            said = "x".join(map(str, mesh)) if name == AUTO else ""
-            runs[name], errors[name] = Run(seconds=one[0], points=len(one[1].points), detail=said), error(case, one[1])
+            seconds, locus = one
+            said, gap = "x".join(map(str, mesh)) if name == AUTO else "", closure(case, locus)
+            runs[name] = Run(seconds=seconds, points=len(locus.points), closure=gap, detail=said)
+            errors[name] = error(case, locus)
     special = {name: one[1].special for name, one in taken.items() if not isinstance(one, Unavailable)}
     ratio = runs[OURS].seconds / runs[AUTO].seconds
     return {"curve": case.name, "runs": runs, "errors": errors, "codimension two": special, "ratio": ratio,
             "wanted": case.wanted, "met": bool(ratio <= case.wanted)}  # fmt: skip
 
 
-def _fail(failure: Unavailable) -> tuple[float, Locus]:
-    raise failure
-
-
 def line(row: dict[str, Any]) -> str:
     """A row of the table."""
     ours, theirs = (row["runs"][name] for name in (OURS, AUTO))
     pairs = [
-        f"{ours.points} / {theirs.points}", " / ".join(f"{row['errors'][name]:.1e}" for name in (OURS, AUTO)),
+        f"{ours.points} / {theirs.points}", f"{ours.closure:.0e} / {theirs.closure:.0e}",
+        " / ".join(f"{row['errors'][name]:.1e}" for name in (OURS, AUTO)),
         " / ".join(str(row["codimension two"].get(name, "")) for name in (OURS, AUTO)),
     ]  # fmt: skip
     said = "; ".join(one.failed or one.detail for one in (ours, theirs) if one.failed or one.detail)
@@ -158,10 +185,10 @@ def main() -> None:
     publish("curves", f"""# Cost of a point on a curve in two parameters
 
 Written by `python benchmarks/curves.py`; processor times in ms a point, the least of {chosen.repeats} turns.
-Points, the error of the first parameter at the end and located points of codimension two are ours / AUTO's.
+Points, closures, the error of the first parameter at the end and located points of codimension two are ours / AUTO's.
 
-| curve | ours | AUTO's | ours / AUTO's | wanted | met | points | error | codimension two | mesh |
-|---|---|---|---|---|---|---|---|---|---|
+| curve | ours | AUTO's | ours / AUTO's | wanted | met | points | closure | error | codimension two | mesh |
+|---|---|---|---|---|---|---|---|---|---|---|
 {lines}
 
 AUTO with ISP = 2, ILP = 1, EPSL = EPSU = 1e-11, one thread. {conditions()}.

@@ -28,7 +28,7 @@ from typing import Any
 
 from peers.task import NAMES, Unavailable, tasks
 from tori import NOBLE, PROBLEM
-from turns import Run, arguments, conditions, followed, in_turns, processor_time, progress, publish
+from turns import Run, arguments, conditions, followed, in_turns, known, processor_time, progress, publish
 
 import orbitfinder as of
 
@@ -267,10 +267,11 @@ def line(row: Mapping[str, Any]) -> str:
     """A row of the table."""
     ours, theirs = row["ours"], row.get("earlier", Run())
     value, unit = (row["difference"], " s") if "difference" in row else (row["ratio"], "")
+    counts = f"{ours.points} / {theirs.points}" if "earlier" in row else str(ours.points)
     met = {True: "yes", False: "no", None: ""}[row["met"]]
     said = "; ".join(one.detail or one.failed for one in (ours, theirs) if one.detail or one.failed)
-    times = f"{ours.told} | {theirs.told} | {value:.2f}{unit} | {row['wanted']:g}{unit}"
-    return f"| {row['row']} | {times} | {met} | {ours.points} / {theirs.points} | {said} |"
+    times = f"{ours.told} | {theirs.told} | {known(value, '.2f')}{unit} | {row['wanted']:g}{unit}"
+    return f"| {row['row']} | {times} | {met} | {counts} | {said} |"
 
 
 def main() -> None:

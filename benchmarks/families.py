@@ -5,7 +5,8 @@ goes to that energy in as many points, with its own steps too (peers/auto_family
 as asked for; "coarse" is the first of the meshes. A time is that of the whole run divided by its points (turns.py):
 `of.follow_family` from the first orbit in its formulation, with the second integrator's closure of every point and, for
 comparison, without it. Closures of both are judged by one integration: DOP853 at its tightest on Hamilton's equations,
-divided by max(1, largest multiplier); ours are held besides to LEAST max(1, A / GROWN), A what errors grow by.
+divided by max(1, largest multiplier); ours, in extents of the motion, are held besides to LEAST max(1, A / GROWN), A
+what errors grow by.
 
     python benchmarks/families.py             writes results/benchmarks/families.md
     python benchmarks/families.py --quick     three families, 20 points
@@ -29,7 +30,7 @@ import numpy as np
 from peers.auto_family import AutoFamily
 from peers.program import needed
 from peers.task import Unavailable
-from turns import Run, arguments, conditions, followed, in_turns, progress, publish
+from turns import Run, arguments, conditions, failing, followed, in_turns, progress, publish
 
 import orbitfinder as of
 from orbitfinder.families.start import Start, begin
@@ -41,8 +42,8 @@ from orbitfinder.records.family import FamilyPoint
 
 POINTS = 40
 REPEATS = 3
-LIMIT = 360.0
-"""Seconds of turns; `run.py` gives 500"""
+LIMIT = 300.0
+"""Seconds after which methods take no further turn; `run.py` gives 600"""
 MESHES = ((50, 4), (100, 4), (200, 4), (100, 7))
 """(NTST, NCOL) that AUTO is tried with; the cheapest one whose closures are as asked for is its time."""
 CLOSURE = 1e-11
@@ -124,7 +125,7 @@ def measured(case: Case, points: int, repeats: Iterable[int]) -> dict[str, Any]:
         f"{name}, {kind}": partial(followed, start, "energy", events=kind == EVENTS, **asked, **settings)
         for name, settings in METHODS.items() for kind in (PLAIN, EVENTS)
     }  # fmt: skip
-    peer, failed, meshes = None, {}, {}
+    peer, meshes = None, {}
     with tempfile.TemporaryDirectory() as folder:
         family = followed(start, "energy", events=False, certify=False, **asked)[1]
         try:
@@ -135,9 +136,9 @@ def measured(case: Case, points: int, repeats: Iterable[int]) -> dict[str, Any]:
             methods |= {name: partial(peer.go, one) for name, one in chosen.items()}
             meshes = {name: "x".join(map(str, one.mesh)) for name, one in chosen.items()}
         except Unavailable as failure:
-            failed = dict.fromkeys(("AUTO coarse", f"AUTO, {PLAIN}", f"AUTO, {EVENTS}"), Run(failed=str(failure)))
+            methods |= dict.fromkeys(("AUTO coarse", f"AUTO, {PLAIN}", f"AUTO, {EVENTS}"), partial(failing, failure))
         taken = in_turns(methods, repeats)
-    runs = {name: told(one, start, peer, meshes.get(name, "")) for name, one in taken.items()} | failed
+    runs = {name: told(one, start, peer, meshes.get(name, "")) for name, one in taken.items()}
     ratios = {f"{name}, {kind}": runs[f"{name}, {kind}"].seconds / runs[f"AUTO, {kind}"].seconds
               for name in METHODS for kind in (PLAIN, EVENTS)}  # fmt: skip
     given = taken[f"ours, {EVENTS}"]
@@ -163,19 +164,22 @@ def told(one: Any, start: Start, peer: AutoFamily | None, mesh: str) -> Run:
 
 
 def beyond(model: Model, points: Iterable[FamilyPoint]) -> float:
-    """The worst closure over what is allowed of it."""
-    return max(gap / (LEAST * max(1.0, point.scale / GROWN)) for gap, point in closures(model, points))
-
-
-def closures(model: Model, points: Iterable[FamilyPoint]) -> Iterator[tuple[float, FamilyPoint]]:
-    """Of every point."""
-    check, turns = ClosureCheck(model), np.zeros(model.degrees_of_freedom)
-    return ((check(point.state, point.period, turns, 1e-15), point) for point in points)
+    """The worst closure, relative to the extents of the motion, over what is allowed of it."""
+    return max(
+        gap(model, point, np.ptp(of.simulate(model, point.state, point.period).states, axis=0))
+        / (LEAST * max(1.0, point.scale / GROWN))
+        for point in points
+    )
 
 
 def judged(model: Model, points: Iterable[FamilyPoint]) -> float:
     """Worst closure over max(1, largest multiplier)."""
-    return max(gap / point.scale for gap, point in closures(model, points))
+    return max(gap(model, point) / point.scale for point in points)
+
+
+def gap(model: Model, point: FamilyPoint, units: np.ndarray | float = 1.0) -> float:
+    """Of an orbit round its loop."""
+    return ClosureCheck(model)(point.state, point.period, np.zeros(model.degrees_of_freedom), 1e-15, units=units)
 
 
 # ---- the page --------------------------------------------------------------------------------------

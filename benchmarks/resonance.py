@@ -23,7 +23,7 @@ from peers.auto_forced import AutoForced, Curve
 from peers.program import needed
 from peers.task import Unavailable
 from scipy.integrate import solve_ivp
-from turns import Run, arguments, conditions, followed, in_turns, publish
+from turns import Run, arguments, conditions, failing, followed, in_turns, publish
 
 import orbitfinder as of
 from orbitfinder.families.start import begin, full_samples
@@ -58,23 +58,25 @@ def measured(folder: Path, repeats: int) -> list[dict[str, Any]]:
         WITHOUT: partial(followed, orbit, "frequency", until=LAST, certify=False),
         DEFAULT: partial(followed, orbit, "frequency", until=LAST),
     }
-    reference, steps = as_curve(methods[WITHOUT]()[1])[0], MESHES[0]
+    reference = as_curve(methods[WITHOUT]()[1])[0]
     start = begin(orbit, of.FamilySettings(parameter="frequency"))
     times, states = full_samples(start.curve, start.solution, 800)
     program = AutoForced(folder, NUMBERS, np.column_stack([times, states]), LAST)
+    peer = usual = f"AUTO-07p, {MESHES[0][0]} x {MESHES[0][1]}"
     for mesh in MESHES:
-        steps = program.stepping(mesh, len(reference.points))
-        if worst(program.go(mesh, *steps)[1]) <= worst(reference):
+        name = f"AUTO-07p, {mesh[0]} x {mesh[1]}"
+        try:
+            methods[name] = partial(program.go, mesh, *program.stepping(mesh, len(reference.points)))
+            closing = worst(methods[name]()[1]) <= worst(reference)
+        except Unavailable as failure:
+            methods[name], closing = partial(failing, failure), False
+        if peer != usual:
+            del methods[peer]
+        peer = name
+        if closing:
             break
-    peer, usual = named(mesh), named(MESHES[0])
-    methods[peer] = partial(program.go, mesh, *steps)
-    methods.setdefault(usual, partial(program.go, MESHES[0], *program.stepping(MESHES[0], len(reference.points))))
     taken = in_turns(methods, range(repeats))
     return [row(name, one, taken[peer], taken[usual]) for name, one in taken.items()]
-
-
-def named(mesh: tuple[int, int]) -> str:
-    return f"AUTO-07p, {mesh[0]} x {mesh[1]}"
 
 
 def row(name: str, one: Any, peer: Any, usual: Any) -> dict[str, Any]:

@@ -48,7 +48,7 @@ class Part:
 PARTS = (
     Part("warm", "Warm refinement of the four report orbits, against AUTO-07p, heyoka, scipy and Octave", limit=480.0),
     Part("refine", "The same from nothing: `find_orbit` against the script by hand"),
-    Part("families", "Continuation: cost of a point, against AUTO-07p", limit=500.0),
+    Part("families", "Continuation: cost of a point, against AUTO-07p", limit=600.0),
     Part("resonance", "Duffing's resonance curve: cost of a point, against AUTO-07p", limit=120.0),
     Part("curves", "Curves in two parameters: cost of a point, against AUTO-07p", limit=120.0),
     Part("search", "Search: distinct orbits in a minute, against the loop by hand"),

@@ -38,8 +38,13 @@ class Run:
 
     @property
     def told(self) -> str:
-        """Its time in ms a point, or that there is none."""
-        return "failed" if self.failed else f"{1e3 * self.seconds:.3g}"
+        """Its time in ms a point, or that it failed; nothing where nobody asked."""
+        return "failed" if self.failed else known(1e3 * self.seconds, ".3g")
+
+
+def known(number: float, form: str) -> str:
+    """A number in words, "" where there is none."""
+    return "" if math.isnan(number) else f"{number:{form}}"
 
 
 def processor_time(children: bool = False) -> float:
@@ -80,6 +85,11 @@ def in_turns(
             least = seconds if turn <= 0 or before is None else min(seconds, before[0])
             found[name] = least, given
     return found
+
+
+def failing(failure: Unavailable) -> tuple[float, Any]:
+    """A method that failed before its first turn."""
+    raise failure
 
 
 def arguments(description: str | None) -> argparse.ArgumentParser:

@@ -66,7 +66,7 @@ PLAIN = {0, 4, 9}
 
 @dataclass(frozen=True)
 class Locus:
-    """A curve: (first, second parameter, period) of every point, and how many special points were located on it."""
+    """A curve: (first, second parameter, period, states) of every point, and how many special ones it located."""
 
     points: np.ndarray
     special: int
@@ -117,4 +117,4 @@ class AutoLocus:
             UZSTOP={2: last}, **CLOSER,
         )  # fmt: skip
         special = sum(abs(int(row[2])) % 10 not in PLAIN for row in self.program.table())
-        return seconds, Locus(rows[:, [-2, -1, -3]], special)
+        return seconds, Locus(rows[:, [-2, -1, -3, 0, 1, 2, 3]], special)
