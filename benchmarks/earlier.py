@@ -34,7 +34,7 @@ import orbitfinder as of
 
 ROOT = Path(__file__).parents[1]
 REPEATS, LEAST, LIMIT = 3, 0.2, 300.0
-"""Turns, seconds that a time is a mean over at least, and after how many seconds a process is given up"""
+"""Turns, seconds that a time is a mean over at least, and s after which a first point is given up"""
 SLOPE = 0.009
 """rad, of the simplest walker"""
 LATENCY = 0.6
@@ -185,49 +185,52 @@ def first_point() -> None:
 # ---- from outside ----------------------------------------------------------------------------------
 
 
-def process(checkout: Path, words: list[str], compiled: bool, **more: str) -> subprocess.Popen[str]:
-    """Another process of this file, with the package of a checkout."""
+def command(checkout: Path, *words: str, compiled: bool = True, **more: str) -> dict[str, Any]:
+    """What runs this file in another process, with the package of a checkout."""
     environment = os.environ | {"PYTHONPATH": str(checkout), "OPENBLAS_NUM_THREADS": "1", "PYTHONWARNINGS": "ignore"}
     environment |= more | ({} if compiled else {"ORBITFINDER_COMPILE": "off"})
-    line = [sys.executable, str(Path(__file__)), *words]
-    return subprocess.Popen(line, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                            stderr=subprocess.PIPE, text=True)  # fmt: skip
+    return {"args": [sys.executable, str(Path(__file__)), *words], "env": environment, "text": True}
+
+
+def last_words(said: str) -> Unavailable:
+    return Unavailable((said.strip().splitlines() or ["no message"])[-1])
 
 
 @contextmanager
 def worker(checkout: Path, name: str) -> Iterator[Callable[[], tuple[float, int]]]:
     """A process that does a row's work whenever it is called; (s, points)."""
-    doing = process(checkout, ["--serve", name], ROWS[name].compiled)
-    assert doing.stdin and doing.stdout and doing.stderr
+    with (
+        tempfile.TemporaryFile("w+") as said,
+        subprocess.Popen(**command(checkout, "--serve", name, compiled=ROWS[name].compiled), stdin=subprocess.PIPE,
+                         stdout=subprocess.PIPE, stderr=said) as doing,
+    ):  # fmt: skip
 
-    def ask() -> tuple[float, int]:
-        assert doing.stdin and doing.stdout and doing.stderr
-        try:
-            doing.stdin.write("\n")
-            doing.stdin.flush()
-            answer = doing.stdout.readline()
-        except BrokenPipeError:
+        def ask() -> tuple[float, int]:
+            assert doing.stdin and doing.stdout
             answer = ""
-        if not answer:
-            raise Unavailable((doing.stderr.read().strip().splitlines() or ["no message"])[-1])
-        seconds, points = json.loads(answer)
-        return seconds, points
+            with suppress(BrokenPipeError):
+                print(file=doing.stdin, flush=True)
+                answer = doing.stdout.readline()
+            if not answer:
+                said.seek(0)
+                raise last_words(said.read())
+            seconds, points = json.loads(answer)
+            return seconds, points
 
-    try:
-        yield ask
-    finally:
-        doing.kill()
-        doing.communicate()
+        try:
+            yield ask
+        finally:
+            doing.kill()
 
 
 def latency(checkout: Path) -> tuple[float, float]:
     """(processor, wall) seconds to the first point in a new process with an empty cache."""
     with tempfile.TemporaryDirectory() as cache:
-        doing = process(checkout, ["--first-point"], True, ORBITFINDER_CACHE=cache)
-        said, wrong = doing.communicate(timeout=LIMIT)
-    if doing.returncode:
-        raise Unavailable((wrong.strip().splitlines() or ["no message"])[-1])
-    used, passed = json.loads(said)
+        asked = command(checkout, "--first-point", ORBITFINDER_CACHE=cache)
+        done = subprocess.run(**asked, capture_output=True, timeout=LIMIT)
+    if done.returncode:
+        raise last_words(done.stderr)
+    used, passed = json.loads(done.stdout)
     return used, passed
 
 
