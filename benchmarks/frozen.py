@@ -1,8 +1,7 @@
-"""Freeze what the package answers, and hold a later commit to it.
+"""Freeze what the package answers, and hold a later commit to it; earlier.py does that to its times.
 
     python benchmarks/frozen.py record FILE [PART ...]      answers of this checkout into FILE, some ten minutes
     python benchmarks/frozen.py compare [FILE [PART ...]]   the answers now against them, exit 1 if they differ
-    python benchmarks/frozen.py times [CHECKOUT|COMMIT]     five times as ratios to another checkout, run alternately
 
 FILE is benchmarks/frozen.json unless said: the answers of 0.2.0 (9bce99e). Parts: problems (every problem file: period,
 energy, action, multipliers, stability, symmetry), families (of results/families, by their documented commands), further
@@ -19,7 +18,6 @@ counted.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import re
@@ -30,10 +28,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 ROOT = Path(__file__).parents[1]
-BASELINE, BEFORE = ROOT / "benchmarks" / "frozen.json", "9bce99e"
+BASELINE = ROOT / "benchmarks" / "frozen.json"
 NUMBER, GROWTH, MULTIPLIER, EVENT, OTHER = 1e-11, 1e-14, 1e-7, 1e-7, 1e-9
 """Relative differences allowed: of numbers of orbits, at least and a unit of amplification, of multipliers, of the
 values of events and ends, and of everything else"""
@@ -53,8 +49,6 @@ FURTHER = (
 )
 BRANCHED = "problems/families/triple-mode-2.toml --direction forward --points 60"
 LIMIT = 3600
-RATIOS = {"refine": 1.05, "find": 1.05, "search": 1.05, "family": 1.5, "forced family": 1.5}
-"""The most that this checkout may take of the other's processor time; families have more nodes than in 0.2.0"""
 
 
 def command(*arguments: str, cwd: Path, checkout: Path = ROOT) -> str:
@@ -411,73 +405,6 @@ def pinned_differences(before: list[Any], now: list[Any], where: str) -> Iterato
         yield from min(there, key=len)
 
 
-TIMED = """
-import sys, time, orbitfinder as of
-from pathlib import Path
-root, what = Path(sys.argv[1]), sys.argv[2]
-orbit = of.load_orbit(root / "results/orbits/triple-1/orbit.json")
-problem = of.Problem(of.chain(3), of.Guess(orbit.state, orbit.period), of.pin(energy=orbit.energy))
-if what == "refine":
-    refiner, off = of.Refiner(problem), of.Guess(orbit.state * (1 + 1e-6), orbit.period)
-    refiner.refine(off)
-    work, times = lambda: refiner.refine(off), 200
-else:
-    of.find_orbit(problem); work, times = lambda: of.find_orbit(problem), 5
-best = []
-for _ in range(times):
-    began = time.process_time(); work(); best.append(time.process_time() - began)
-print(sorted(best)[len(best) // 2])
-"""
-
-
-def seconds(what: str, checkout: Path) -> float:
-    """Processor time of one refinement or find (median), of a family of 60 points, of 200 starts."""
-    environment = os.environ | {"PYTHONPATH": str(checkout), "OPENBLAS_NUM_THREADS": "1"}
-    if what in ("refine", "find"):
-        line = [sys.executable, "-c", TIMED, str(checkout), what]
-        done = subprocess.run(line, env=environment, cwd=checkout, capture_output=True, text=True, check=True)
-        return float(done.stdout)
-    with tempfile.TemporaryDirectory() as folder:
-        before = os.times()
-        if what == "family":
-            file = str(checkout / "problems/families/triple-mode-2.toml")
-            command("continue", file, "--points", "60", "--direction", "forward", cwd=Path(folder), checkout=checkout)
-        elif what == "forced family":
-            file = str(checkout / "problems/families/duffing-resonance.toml")
-            command("continue", file, "--parameter", "frequency", "--until", "2.5", cwd=Path(folder), checkout=checkout)
-        else:
-            file = str(checkout / "problems/search/triple.toml")
-            command("search", file, "--starts", "200", "--workers", "0", "--atlas", "a.sqlite", cwd=Path(folder),
-                    checkout=checkout)  # fmt: skip
-        after = os.times()
-    return after.children_user + after.children_system - before.children_user - before.children_system
-
-
-@contextlib.contextmanager
-def other_checkout(target: str) -> Iterator[Path]:
-    """A folder as it is, or a commit in a folder that is gone afterwards."""
-    if Path(target).is_dir():
-        yield Path(target).resolve()
-        return
-    with tempfile.TemporaryDirectory() as name:
-        packed = subprocess.run(["git", "-C", str(ROOT), "archive", target], capture_output=True)
-        if packed.returncode:
-            raise SystemExit(f"{target}: neither a folder nor a commit: {packed.stderr.decode().strip()}")
-        subprocess.run(["tar", "-x", "-C", name], input=packed.stdout, check=True)
-        yield Path(name)
-
-
-def times(other: Path, repeats: int = 5) -> bool:
-    """Ratios of processor time, this checkout to another, run alternately; True when none is above its `RATIOS`."""
-    fine = True
-    for what, allowed in RATIOS.items():
-        pairs = [(seconds(what, ROOT), seconds(what, other)) for _ in range(repeats)]
-        mine, theirs = np.median(pairs, axis=0)
-        fine &= bool(mine <= allowed * theirs)
-        print(f"{what:>14}: {mine:.4g} s against {theirs:.4g} s, ratio {mine / theirs:.3f} of {allowed}", flush=True)
-    return fine
-
-
 def known(before: Mapping[str, Any], sentence: str) -> str:
     """Why a difference is right, "" when nobody said so."""
     return next((one["why"] for one in before.get("known", []) if re.fullmatch(one["what"], sentence)), "")
@@ -512,9 +439,6 @@ def main() -> None:
             file.write_text(json.dumps(known, separators=(",", ":")).replace("},", "},\n") + "\n")
     elif verb == "compare":
         raise SystemExit(1 if compared(file, parts) else 0)
-    elif verb == "times":
-        with other_checkout(target or BEFORE) as other:
-            raise SystemExit(0 if times(other) else 1)
     else:
         raise SystemExit(__doc__)
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from earlier import SLOPE, gait
 from hybrid_gaits import compass, doubling, simplest
 from machine import load, processor, versions
 
@@ -27,9 +28,6 @@ ROOT = Path(__file__).parents[1]
 REPEATS = 15
 FASTER, IN_EQUATIONS, FAMILY = 50.0, 1e-3, 3.0
 """What is wanted: times faster than by hand, s of processor time in the equations, times a smooth family's point"""
-SLOPE = 0.009
-START = np.array([0.20, 0.40, -0.20, -0.02])
-"""The long gait of the simplest walker to two digits, of period 3.9 s"""
 
 
 @dataclass(frozen=True)
@@ -76,7 +74,7 @@ class Clocked:
 def refinements(repeats: int) -> tuple[float, float, float, float]:
     """Medians over guesses a hundredth off: ours, ours in the equations, by hand; the largest difference of states."""
     random, walker = np.random.default_rng(0), simplest(SLOPE)
-    refiner = of.Refiner(of.Problem(of.systems.simplest_walker(SLOPE), of.Guess(START, 3.9)))
+    refiner = of.Refiner(gait())
     first = refiner.refine()
     ours, equations, hand, differ = [], [], [], 0.0
     for _ in range(repeats):
@@ -96,7 +94,7 @@ def refinements(repeats: int) -> tuple[float, float, float, float]:
 
 def point_times() -> tuple[float, float]:
     """Median wall time (s) of a point of the walker's family in slope, and of a double pendulum's in energy."""
-    walker = of.find_orbit(of.Problem(of.systems.simplest_walker(SLOPE), of.Guess(START, 3.9)))
+    walker = of.find_orbit(gait())
     settings = of.FamilySettings(longest_step=0.02, directions="forward", points=60)
     pendulum = of.find_orbit(of.Problem(of.chain(2), of.guesses.normal_mode(of.chain(2), 1, 0.2), of.pin(theta1=0.2)))
     found = []

@@ -1,99 +1,102 @@
 """Cost of a point on Duffing's resonance curve x'' + 0.1 x' + x + x^3 = 0.3 cos w t, w from 0.8 over its folds to 2.5.
 
-orbitfinder (`follow`, without the deferred certificate, compiled and interpreted) and AUTO-07p, from the same first
-orbit in about as many points. Closures of both are judged by one integration, SciPy's DOP853 on the equations as they
+`of.follow_family` without the second integrator and with default settings, and AUTO-07p on the coarsest mesh that
+closes as well and at its users' 20 x 4; from the same first orbit in about as many points, events located by all, in
+turns (turns.py says what a time is). Closures are judged by one integration, SciPy's DOP853 on the equations as they
 stand here, and the folds by a number of 140 bits (tests/data/forced.json).
 
     python benchmarks/resonance.py            writes results/benchmarks/resonance.md
-    python benchmarks/resonance.py --cpu      processor time on one thread for both, for a busy machine
+    python benchmarks/resonance.py --json     prints the rows instead
 """
 
 from __future__ import annotations
 
-import argparse
 import json
-import shutil
-import sys
 import tempfile
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from machine import processor, versions
-from peers.auto_family import AUTO, Clock
 from peers.auto_forced import AutoForced, Curve
+from peers.program import needed
+from peers.task import Unavailable
 from scipy.integrate import solve_ivp
+from turns import Run, arguments, conditions, failing, followed, in_turns, publish
 
-from orbitfinder.families.follow import follow
-from orbitfinder.families.point import FamilySettings
-from orbitfinder.families.run import Run, first_point
-from orbitfinder.families.start import Start, begin, full_samples
-from orbitfinder.integrate.compiled import compiling
-from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanisms.library import forced_duffing
+import orbitfinder as of
+from orbitfinder.families.start import begin, full_samples
 
 ROOT = Path(__file__).parents[1]
 NUMBERS = {"stiffness": 1.0, "cubic": 1.0, "damping": 0.1, "force": 0.3, "frequency": 0.8}
 LAST = 2.5
 REPEATS = 5
 MESHES = ((20, 4), (50, 4), (70, 4), (100, 4), (100, 7))
-"""(NTST, NCOL) that AUTO is tried with; the cheapest one that closes as well is its time."""
+"""(NTST, NCOL) that AUTO is tried with"""
+WITHOUT, DEFAULT = "orbitfinder, without the second integrator", "orbitfinder"
+WANTED = {WITHOUT: 0.2, DEFAULT: 0.5}
+"""... of the time of AUTO that closes as well"""
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cpu", action="store_true")
-    parser.add_argument("--out", type=Path, default=ROOT / "results" / "benchmarks")
+    parser = arguments(__doc__)
+    parser.add_argument("--repeats", type=int, default=REPEATS)
     chosen = parser.parse_args()
-    if shutil.which("gfortran") is None or not (AUTO / "lib").is_dir():
-        sys.exit(f"AUTO-07p is needed in {AUTO} (Debian: auto-07p, gfortran); set AUTO_DIR")
-    clock, found = Clock(chosen.cpu), {}
-    for name, mode in (("interpreted", "off"), ("compiled", "on")):
-        with compiling(mode):
-            for events in (False, True):
-                start = started()
-                found[f"orbitfinder, {name}{', events located' * events}"] = ours(start, events, clock)
-    wanted = worst(found["orbitfinder, compiled"])
+    needed()
     with tempfile.TemporaryDirectory() as folder:
-        times, states = full_samples(start.curve, start.solution, 800)
-        program = AutoForced(Path(folder), NUMBERS, np.column_stack([times, states]), LAST, clock)
-        steps = program.stepping(MESHES[0], len(found["orbitfinder, compiled"].points))
-        for mesh in MESHES:
-            for events in (False, True):
-                asked = program.stepping(mesh, steps.points // 4)
-                name = f"AUTO-07p, {mesh[0]} x {mesh[1]}{', events located' * events}"
-                found[name] = program.best(type(asked)(asked.points, mesh, asked.step, 1, events), REPEATS)
-            if worst(found[name]) <= wanted:
-                break
-    text = page(found, chosen.cpu)
-    print(text)
-    chosen.out.mkdir(parents=True, exist_ok=True)
-    (chosen.out / "resonance.md").write_text(text, encoding="utf-8")
+        rows = measured(Path(folder), chosen.repeats)
+    publish("resonance", page(rows, chosen.repeats), rows, chosen)
 
 
-def started() -> Start:
-    """The first orbit, below resonance."""
-    model = forced_duffing(**NUMBERS)
-    guess = Guess([0.5, 0.0], 2 * np.pi / NUMBERS["frequency"])
-    return begin(Problem(model, guess), FamilySettings(parameter="frequency"))
+def measured(folder: Path, repeats: int) -> list[dict[str, Any]]:
+    """A row for each method."""
+    orbit = of.find_orbit(
+        of.Problem(of.systems.forced_duffing(**NUMBERS), of.Guess([0.5, 0.0], 2 * np.pi / NUMBERS["frequency"]))
+    )
+    methods: dict[str, Callable[[], tuple[float, Any]]] = {
+        WITHOUT: partial(followed, orbit, "frequency", until=LAST, certify=False),
+        DEFAULT: partial(followed, orbit, "frequency", until=LAST),
+    }
+    reference = as_curve(methods[WITHOUT]()[1])[0]
+    start = begin(orbit, of.FamilySettings(parameter="frequency"))
+    times, states = full_samples(start.curve, start.solution, 800)
+    program = AutoForced(folder, NUMBERS, np.column_stack([times, states]), LAST)
+    peer = usual = f"AUTO-07p, {MESHES[0][0]} x {MESHES[0][1]}"
+    for mesh in MESHES:
+        name = f"AUTO-07p, {mesh[0]} x {mesh[1]}"
+        try:
+            methods[name] = partial(program.go, mesh, *program.stepping(mesh, len(reference.points)))
+            closing = worst(methods[name]()[1]) <= worst(reference)
+        except Unavailable as failure:
+            methods[name], closing = partial(failing, failure), False
+        if peer != usual:
+            del methods[peer]
+        peer = name
+        if closing:
+            break
+    taken = in_turns(methods, range(repeats))
+    return [row(name, one, taken[peer], taken[usual]) for name, one in taken.items()]
 
 
-def ours(start: Start, events: bool, clock: Clock) -> Curve:
-    """orbitfinder without the independent check, which is made after the clock has stopped."""
-    settings = FamilySettings(parameter="frequency", events=events, certify=False)
-    run = Run(start.curve, settings, 1, first_point(start, settings, None), until=LAST)
-    list(follow(run))  # functions are built here
-    taken = []
-    for _ in range(REPEATS):
-        began = clock()
-        batches = list(follow(run))
-        taken.append(clock() - began)
-    points = [point for batch in batches for point in batch.points]
-    folds = [event for batch in batches for event in batch.events if event.kind == "fold"]
-    rows = [[*point.state, 0.0, point.period, point.value] for point in points]
-    for event in folds:
-        place = next(k for k, point in enumerate(points) if point.arclength > event.arclength)
-        rows.insert(place + len(rows) - len(points), [*event.state, 0.0, event.period, event.parameter])
-    return Curve(min(taken) / len(points), np.array(rows))
+def row(name: str, one: Any, peer: Any, usual: Any) -> dict[str, Any]:
+    """What is told of a method: `Run`, folds, ratios to AUTO that closes as well and to its users'."""
+    if isinstance(one, Unavailable):
+        return {"method": name, "run": Run(failed=str(one)), "folds": [], "ratios": [np.nan, np.nan], "met": False}
+    seconds, given = one
+    curve, folds = (given, given.folds) if isinstance(given, Curve) else as_curve(given)
+    ended = abs(curve.points[-1, 4] - LAST) > 1e-6
+    said = f"ends at w = {curve.points[-1, 4]:.4g}" if ended else ""
+    run = Run(seconds=seconds, points=len(curve.points), closure=worst(curve), detail=said)
+    ratios = [np.nan if isinstance(other, Unavailable) else seconds / other[0] for other in (peer, usual)]
+    met = ratios[0] <= WANTED[name] and (name != WITHOUT or ratios[1] < 1) if name in WANTED else None
+    return {"method": name, "run": run, "folds": [float(w) for w in folds], "ratios": ratios, "met": met}
+
+
+def as_curve(family: of.Family) -> tuple[Curve, np.ndarray]:
+    """The points of a family, and its folds."""
+    rows = np.array([[*point.state, 0.0, point.period, point.value] for point in family.points])
+    return Curve(rows), np.array([event.parameter for event in family.events if event.kind == "fold"])
 
 
 def closure(row: np.ndarray) -> float:
@@ -118,29 +121,35 @@ def worst(curve: Curve) -> float:
     return max(closure(row) for row in curve.points[1::4])
 
 
-def page(found: dict[str, Curve], cpu: bool) -> str:
+def line(row: dict[str, Any], known: list[str]) -> str:
+    """A row of the table."""
+    run, folds = row["run"], np.array(row["folds"])
+    if run.failed:
+        return f"| {row['method']} | failed | {run.failed} | | | | | | |"
+    errors = [f"{abs(folds - float(w)).min():.0e}" if folds.size else "none located" for w in known]
+    met = {True: "yes", False: "no", None: ""}[row["met"]]
+    ratios = " | ".join(f"{one:.2f}" for one in row["ratios"])
+    said = f"{run.points} {run.detail}".strip()
+    return f"| {row['method']} | {run.told} | {said} | {run.closure:.0e} | {' | '.join(errors)} | {ratios} | {met} |"
+
+
+def page(rows: list[dict[str, Any]], repeats: int) -> str:
     """The report of a run."""
     known = json.loads((ROOT / "tests" / "data" / "forced.json").read_text())["duffing folds"]
-    rows = []
-    for name, curve in found.items():
-        errors = [min(np.abs(curve.folds - float(one))) if curve.folds.size else np.nan for one in known]
-        told = [f"{one:.0e}" if "events" in name else "" for one in errors]
-        rows.append(
-            f"| {name} | {1e3 * curve.seconds:.2f} | {len(curve.points)} | {worst(curve):.0e} | {' | '.join(told)} |"
-        )
+    lines = "\n".join(line(row, known) for row in rows)
     return f"""# Cost of a point on Duffing's resonance curve
 
-Written by `python benchmarks/resonance.py{" --cpu" if cpu else ""}`; {"processor" if cpu else "wall"} times, the least
-of {REPEATS} runs, multipliers included. w from {NUMBERS["frequency"]} over both folds to {LAST}. Closures are the worst
-of one point in four, relative to the motion, divided by max(1, largest multiplier), by SciPy's DOP853; folds against
-140 bits.
+Written by `python benchmarks/resonance.py`; processor times, the least of {repeats} turns, multipliers and stability
+included. w from {NUMBERS["frequency"]} over both folds to {LAST}. Closures are the worst of one point in four, relative
+to the motion, divided by max(1, largest multiplier), by SciPy's DOP853; folds against 140 bits.
 
-| | ms a point | points | closure | error of the upper fold | of the lower fold |
-|---|---|---|---|---|---|
-{chr(10).join(rows)}
+| | ms a point | points | closure | error of the upper fold | of the lower | / AUTO closing as well | / 20 x 4 | met |
+|---|---|---|---|---|---|---|---|---|
+{lines}
 
-AUTO with NTST x NCOL, ISP = 1 and ILP = 0, with events 2 and 1; EPSL = EPSU = 1e-12.
-{processor()}; {versions()}.
+AUTO with NTST x NCOL, ISP = 2, ILP = 1, EPSL = EPSU = 1e-12, one thread. Wanted: without the second integrator at most
+{WANTED[WITHOUT]:g} of AUTO that closes as well and below 20 x 4, with it at most {WANTED[DEFAULT]:g}.
+{conditions()}.
 """
 
 

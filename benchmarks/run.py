@@ -48,7 +48,9 @@ class Part:
 PARTS = (
     Part("warm", "Warm refinement of the four report orbits, against AUTO-07p, heyoka, scipy and Octave", limit=480.0),
     Part("refine", "The same from nothing: `find_orbit` against the script by hand"),
-    Part("families", "Continuation: cost of a point, against AUTO-07p", limit=900.0),
+    Part("families", "Continuation: cost of a point, against AUTO-07p", limit=600.0),
+    Part("resonance", "Duffing's resonance curve: cost of a point, against AUTO-07p", limit=120.0),
+    Part("curves", "Curves in two parameters: cost of a point, against AUTO-07p", limit=120.0),
     Part("search", "Search: distinct orbits in a minute, against the loop by hand"),
     Part("breakdown", "Where the time of one refinement goes"),
     Part("cost", "Evaluating chains: time and memory against the number of links"),
@@ -57,6 +59,7 @@ PARTS = (
 ELSEWHERE = {
     "first_order": "First-order systems by Newton's method over DOP853 alone: `python benchmarks/first_order.py`",
     "long_chains": "Normal modes of long chains: `python benchmarks/long_chains.py`, longer than this command runs",
+    "earlier": "Times against an earlier checkout's: `python benchmarks/earlier.py --against COMMIT`",
     "hybrid_search": "Searches of hybrid systems, against a scan by brute force: `python benchmarks/hybrid_search.py`",
     "hybrid": "Walking machines, against a script by hand and a second program: `python benchmarks/hybrid.py`",
 }

@@ -11,8 +11,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-from frozen import BEFORE, ROOT, other_checkout
+from earlier import ROOT, checkout_of
 
+BEFORE = "9bce99e"
 MEASURED = """
 import hashlib, json, time
 import casadi as ca, numpy as np, orbitfinder as of
@@ -56,7 +57,7 @@ def measured(checkout: Path) -> dict[str, tuple[float, str]]:
 
 def main() -> None:
     """See the module."""
-    with other_checkout(sys.argv[1] if len(sys.argv) > 1 else BEFORE) as other:
+    with checkout_of(sys.argv[1] if len(sys.argv) > 1 else BEFORE) as other:
         mine, theirs = (measured(one) for one in (ROOT, other))
     for name, (now, bits) in mine.items():
         before, same = theirs[name][0], "the same bits" if bits == theirs[name][1] else "other bits"

@@ -1,6 +1,7 @@
 """The benchmarks: their equations are ours, what is missing is said, and the page is put together from its parts."""
 
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import casadi as ca
@@ -13,10 +14,12 @@ import orbitfinder as of
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "benchmarks"))
 
+import earlier  # noqa: E402
 import first_order  # noqa: E402
 import machine  # noqa: E402
 import run  # noqa: E402
-from peers import auto, octave  # noqa: E402
+import turns  # noqa: E402
+from peers import auto, auto_forced, octave, program  # noqa: E402
 from peers.task import Answer, Unavailable, closure, tasks  # noqa: E402
 
 
@@ -135,3 +138,90 @@ def test_first_order_systems_are_written_twice():
     assert one.period == pytest.approx(5.881088455553877, abs=1e-12) and one.closure < 1e-12
     assert first_order.closed(lambda u: np.array([u[1], u[0]]), np.array([1.0, 0.2]), 1.0) is None
     assert first_order.words(4) == ["LR", "LLR", "LRR", "LLLR", "LLRR", "LRRR"]
+
+
+def test_methods_take_turns_and_failures_are_rows():
+    """The first turn is not counted, the least of the others is; what fails says why and is not asked again."""
+    order, taken = [], iter([0.1, 5.0, 3.0, 4.0])
+
+    def good():
+        order.append("good")
+        return next(taken), len(order)
+
+    def bad():
+        order.append("bad")
+        raise ValueError("no luck")
+
+    found = turns.in_turns({"good": good, "bad": bad}, range(3))
+    assert order == ["good", "bad", "good", "good", "good"] and found["good"] == (3.0, 5)
+    assert isinstance(found["bad"], Unavailable) and str(found["bad"]) == "ValueError: no luck"
+    failed = turns.Run(failed="no luck")
+    assert failed.told == "failed" and turns.plain([failed])[0]["seconds"] is None
+
+
+def test_a_family_is_read_inside_the_clock():
+    oscillator = of.systems.forced_duffing(frequency=0.8)
+    orbit = of.find_orbit(of.Problem(oscillator, of.Guess([0.5, 0.0], 2.5 * np.pi)))
+    began = turns.processor_time()
+    seconds, family = turns.followed(orbit, "frequency", until=0.85, certify=False)
+    assert 0 < seconds * len(family.points) <= turns.processor_time() - began
+    assert family.points[-1].value == 0.85 and {point.closure for point in family.points} == {0.0}
+
+
+def test_times_against_an_earlier_checkout(monkeypatch):
+    """Ratios of two processes that stay, the difference of latencies, a commit, and what fails."""
+    name = "torus"
+    taken = {earlier.ROOT: (0.2, 1), Path("elsewhere"): (1.0, 1)}
+
+    @contextmanager
+    def worker(where, _):
+        yield lambda: taken[where]
+
+    monkeypatch.setattr(earlier, "worker", worker)
+    monkeypatch.setattr(earlier, "latency", lambda where: taken[where])
+    both = {"ours": earlier.ROOT, "earlier": Path("elsewhere")}
+    row = earlier.measured(name, both, 1)
+    assert (row["ratio"], row["wanted"], row["met"]) == (0.2, 0.25, True) and "| 0.20 | 0.25 | yes |" in earlier.line(
+        row
+    )
+    taken[earlier.ROOT] = (1.7, 1)
+    assert earlier.measured(name, both, 1)["met"] is False
+    row = earlier.measured("latency", both, 1)
+    assert (
+        row["difference"] == pytest.approx(0.7)
+        and row["met"] is False
+        and "| 0.70 s | 0.6 s | no |" in earlier.line(row)
+    )
+    assert earlier.measured(name, {"ours": earlier.ROOT}, 1)["met"] is None
+    with pytest.raises(SystemExit, match="no-such: neither a folder nor a commit"), earlier.checkout_of("no-such"):
+        pass
+
+
+def test_work_that_fails_in_a_checkout_is_told(tmp_path):
+    """A checkout without the package, or with another's, is no silent comparison of ours with ourselves."""
+    with earlier.worker(tmp_path, "torus") as ask, pytest.raises(Unavailable, match="no checkout of orbitfinder"):
+        ask()
+
+
+def test_auto_missing_is_told(monkeypatch):
+    monkeypatch.setattr(program, "AUTO", Path("nowhere"))
+    with pytest.raises(SystemExit, match="AUTO-07p is needed in nowhere"):
+        program.needed()
+
+
+def test_auto_goes_over_both_folds(tmp_path):
+    """Its points are those it counts, with all digits; a run that it refuses is told."""
+    try:
+        program.needed()
+    except SystemExit as error:
+        pytest.skip(str(error))
+    import resonance
+
+    orbit = of.find_orbit(of.Problem(of.systems.forced_duffing(**resonance.NUMBERS), of.Guess([0.5, 0.0], 2.5 * np.pi)))
+    samples = of.simulate(of.systems.forced_duffing(**resonance.NUMBERS), orbit.state, orbit.period)
+    peer = auto_forced.AutoForced(tmp_path, resonance.NUMBERS, np.column_stack([samples.times, samples.states]), 2.5)
+    curve = peer.go((20, 4), 400, 0.3)[1]
+    assert curve.folds == pytest.approx([1.7797195242985731, 1.3242362007705656], abs=1e-7)
+    assert len(curve.points) == len(peer.program.table()) and curve.points[-1, 4] == pytest.approx(2.5, abs=1e-6)
+    with pytest.raises(Unavailable, match="AUTO-07p: "):
+        peer.program.run((20, 4), ICP=[1, 11], NDIM=-1)

@@ -6,8 +6,6 @@ import re
 import sys
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "benchmarks"))
 
@@ -106,17 +104,6 @@ def test_compare_prints_known_differences_and_counts_the_others(monkeypatch, tmp
     assert frozen.compared(file, ["further"]) == 1
     printed = capsys.readouterr().out
     assert "(known: it has its Hopf point)" in printed and "new: hopf 2.0\n1 differences" in printed
-
-
-def test_times_allow_families_more_and_take_a_commit(monkeypatch, capsys):
-    assert frozen.RATIOS["refine"] == 1.05 and frozen.RATIOS["family"] == 1.5
-    taken = {"family": 1.4, "forced family": 1.4}
-    monkeypatch.setattr(frozen, "seconds", lambda what, where: taken.get(what, 1.0) if where == frozen.ROOT else 1.0)
-    assert frozen.times(Path("elsewhere"), 1)
-    taken["find"] = 1.1
-    assert not frozen.times(Path("elsewhere"), 1) and "ratio 1.100 of 1.05" in capsys.readouterr().out
-    with pytest.raises(SystemExit, match="no-such: neither a folder nor a commit"), frozen.other_checkout("no-such"):
-        pass
 
 
 def test_proofs_are_asked_for_and_not_written_into_what_is_shipped(monkeypatch, tmp_path):

@@ -22,9 +22,9 @@ import orbitfinder as of
 from orbitfinder.exports.source import FORTRAN, fortran_number, straight_line
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.rk8 import march
+from peers.program import AUTO as HOME
 from peers.task import Answer, Task, Unavailable
 
-HOME = Path(os.environ.get("AUTO_DIR", "/usr/lib/auto-07p"))
 INTERVALS = (100, 50, 25)
 """NTST of the row that is compared, and coarser meshes, of which the coarsest that still closes is shown too."""
 FUNCTIONS = """subroutine FUNC(NDIM, U, ICP, PAR, IJAC, F, DFDU, DFDP)
