@@ -17,6 +17,7 @@ import numpy as np
 
 from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.compiled import compiled
+from orbitfinder.integrate.lanes.kernel import kernel
 from orbitfinder.integrate.parallel import STAGES, Lanes
 from orbitfinder.integrate.rk8 import agree, refined, step_of, variational_field
 
@@ -94,9 +95,14 @@ class March(Refining):
         return self.size + self.unfolding + self.free
 
     @cached_property
+    def _whole(self) -> ca.Function:
+        """The field of (x, vec Y, S)."""
+        return variational_field(self.field, self.integrand)
+
+    @cached_property
     def _varied(self) -> ca.Function:
-        """The field of (x, vec Y, S); in another form where it is interpreted."""
-        whole = variational_field(self.field, self.integrand)
+        """The same, in another form where it is interpreted."""
+        whole = self._whole
         if compiled(step_of(whole), effort=self._effort).class_name() == "External":
             return whole
         return variational_field(self.field, self.integrand, products=True)
@@ -124,27 +130,38 @@ class March(Refining):
     def ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (N x d) at the ends of the segments from their nodes (N x d). Raises `IntegrationError`."""
         start = self._begun(nodes, self._clock(nodes, mesh, tail))
-        return _finite(self._lanes.marched(self._step, start, _parameters(mesh, tail), False), nodes)[:, 1:]
+        return _finite(self._marched(self.field, start, mesh, tail, 0)[0], nodes)[:, 1:]
+
+    def _marched(
+        self, field: ca.Function, start: np.ndarray, mesh: np.ndarray, tail: np.ndarray, kept: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The ends (N x ...) of the segments that begin at `start`, and the first `kept` numbers of every step's."""
+        quick = kernel(field, len(start), self._effort)
+        if quick is not None:
+            return quick.marched(start, _parameters(mesh, tail), kept)
+        step = self._step if field is self.field else self._varied_step
+        path = self._lanes.marched(step, start, _parameters(mesh, tail), bool(kept))
+        each = (mesh.size - 1) // len(start) if kept else 1
+        return path[each - 1 :: each], path[:, :kept]
 
     def states(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (M + 1 x d) at the mesh."""
         start = self._begun(nodes, self._clock(nodes, mesh, tail))
-        path = self._lanes.marched(self._step, start, _parameters(mesh, tail), True)
+        path = self._marched(self.field, start, mesh, tail, 1 + self.size)[1]
         return np.vstack([nodes[:1], _finite(path, nodes)[:, 1:]])
 
     def varied(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, states: bool = False) -> Varied:
         """Ends and their derivatives; with `states` those at the mesh too. Raises `IntegrationError`."""
         (count, size), own = nodes.shape, self.columns
         start = self._begun(nodes, self._clock(nodes, mesh, tail), self._unit)
-        path = _finite(self._lanes.marched(self._varied_step, start, _parameters(mesh, tail), states), nodes)
-        last = path[(mesh.size - 1) // count - 1 :: (mesh.size - 1) // count] if states else path
-        ends = last[:, 1 : 1 + size]
+        last, path = self._marched(self._whole, start, mesh, tail, 1 + size if states else 0)
+        ends = _finite(last, nodes)[:, 1 : 1 + size]
         matrices = last[:, 1 + size : 1 + size * (1 + own)].reshape(count, own, size).transpose(0, 2, 1)
         transitions = matrices[:, :, :size]
         columns = np.empty((count, size, 1 + own - size))
         columns[:, :, 0] = self._by_period(nodes, ends, transitions, mesh, tail)
         columns[:, :, 1:] = matrices[:, :, size:]
-        along = np.concatenate([nodes[:1], path[:, 1 : 1 + size]]) if states else nodes
+        along = np.concatenate([nodes[:1], _finite(path, nodes)[:, 1:]]) if states else nodes
         return Varied(ends, transitions, columns, along, float(last[:, 1 + size * (1 + own) :].sum()))
 
     def _by_period(
