@@ -77,7 +77,13 @@ class CompileLimits:
 LIMITS = CompileLimits()
 
 
-ALWAYS = ("-std=c99", *(() if sys.platform == "win32" else ("-fPIC",)), "-shared", "-ffp-contract=off", "-fno-math-errno")
+ALWAYS = (
+    "-std=c99",
+    *(() if sys.platform == "win32" else ("-fPIC",)),
+    "-shared",
+    "-ffp-contract=off",
+    "-fno-math-errno",
+)
 NATIVE = "-march=native"
 TIMEOUT = 300.0
 """s after which a compilation is given up"""
@@ -209,9 +215,7 @@ def library(code: str, opened: Callable[[Path, bool], T], effort: float | None) 
     return entry
 
 
-def _fetched(
-    code: str, opened: Callable[[Path, bool], T], effort: float | None, compiler: Compiler, key: str
-) -> T:
+def _fetched(code: str, opened: Callable[[Path, bool], T], effort: float | None, compiler: Compiler, key: str) -> T:
     """The same from the disk or made now."""
     place = usable()
     entry = _loaded(find_entry(place, key), opened)
