@@ -176,12 +176,18 @@ def compiled(function: ca.Function, *, effort: float | None = None) -> ca.Functi
 
 
 def _tried(function: ca.Function, effort: float | None) -> ca.Function:
+    fast = attempted(function.name(), lambda: _library(function, effort))
+    return function if fast is None else fast
+
+
+def attempted(name: str, make: Callable[[], T]) -> T | None:
+    """What is made of the function of that name; None, counted among those left, where it cannot be compiled."""
     try:
         with captured():
-            return _library(function, effort)
+            return make()
     except (Unavailable, OSError, RuntimeError) as error:
-        _count(left=1, reason=f"{function.name()}: {error}")
-        return function
+        _count(left=1, reason=f"{name}: {error}")
+        return None
 
 
 def interpreted_seconds(function: ca.Function, calls: float) -> float:
@@ -204,12 +210,15 @@ def _library(function: ca.Function, effort: float | None) -> ca.Function:
     return library(_code(function), lambda path, new: _opened(path, function, new), effort)
 
 
-def library(code: str, opened: Callable[[Path, bool], T], effort: float | None) -> T:
+def library(code: str, opened: Callable[[Path, bool], T], effort: float | None, level: str = "") -> T:
     """What `opened(path, new)` makes of C as a shared library, from this process, from the disk or made now.
 
-    `opened` removes a file that is not as it must be. Raises `Unavailable` and `OSError`.
+    `opened` removes a file that is not as it must be; `level` of optimisation, "" for what suits the length. Raises
+    `Unavailable` and `OSError`.
     """
     compiler = find_compiler()
+    if level:
+        compiler = replace(compiler, tuning=(*compiler.tuning, level))
     key = key_of(code, compiler.identity, " ".join(flags(len(code), compiler.tuning)), ca.__version__)
     entry: T = _libraries(key, lambda: _fetched(code, opened, effort, compiler, key))
     return entry
@@ -220,7 +229,7 @@ def _fetched(code: str, opened: Callable[[Path, bool], T], effort: float | None,
     place = usable()
     entry = _loaded(find_entry(place, key), opened)
     if entry is None:
-        _worth_it(len(code), effort)
+        worth_it(len(code), effort)
         # one process at a time per key (256 locks in all); where files cannot be locked the work may be done twice
         with locks.held(place / f"lock-{key[:2]}", expected_seconds(len(code)) * 10 + 10) as held:
             entry = _loaded(find_entry(place, key), opened)  # another process may have made it meanwhile
@@ -249,7 +258,8 @@ def _code(function: ca.Function) -> str:
     return code
 
 
-def _worth_it(size: int, effort: float | None) -> None:
+def worth_it(size: int, effort: float | None) -> None:
+    """Raises `Unavailable` where so many bytes of C take longer to compile than `effort` (s) of work would."""
     expected = expected_seconds(size)
     if mode() == "on":
         return

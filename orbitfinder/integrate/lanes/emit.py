@@ -1,4 +1,4 @@
-"""CasADi's scalar instructions as C over vectors: one register for each number, a lane for each place.
+"""CasADi's scalar instructions as C over vectors: one register for each number, a lane for each segment.
 
 The numbers are those of CasADi's own code but for sin and cos, which are good to 1.5 ulp (see `kernel.c`).
 """
@@ -9,14 +9,16 @@ import casadi as ca
 import numpy as np
 from scipy.integrate import DOP853
 
+from orbitfinder.integrate.compiled import Unavailable
+
 BINARY = {
     ca.OP_ADD: "{} + {}", ca.OP_SUB: "{} - {}", ca.OP_MUL: "{} * {}", ca.OP_DIV: "{} / {}",
     ca.OP_LT: "truth({} < {})", ca.OP_LE: "truth({} <= {})", ca.OP_EQ: "truth({} == {})", ca.OP_NE: "truth({} != {})",
     ca.OP_AND: "truth(({} != 0.0) & ({} != 0.0))", ca.OP_OR: "truth(({} != 0.0) | ({} != 0.0))",
-    ca.OP_IF_ELSE_ZERO: "kept({} != 0.0, {})", ca.OP_POW: "v_pow({}, {})", ca.OP_CONSTPOW: "v_pow({}, {})",
-    ca.OP_FMOD: "v_fmod({}, {})", ca.OP_COPYSIGN: "v_copysign({}, {})", ca.OP_FMIN: "v_fmin({}, {})",
-    ca.OP_FMAX: "v_fmax({}, {})", ca.OP_ATAN2: "v_atan2({}, {})", ca.OP_HYPOT: "v_hypot({}, {})",
-    ca.OP_REMAINDER: "v_remainder({}, {})",
+    ca.OP_IF_ELSE_ZERO: "kept({} != 0.0, {})", ca.OP_CONSTPOW: "v_pow({}, {})",
+    **{getattr(ca, f"OP_{name.upper()}"): f"v_{name}({{}}, {{}})" for name in (
+        "pow", "fmod", "remainder", "copysign", "fmin", "fmax", "atan2", "hypot",
+    )},
 }  # fmt: skip
 UNARY = {
     ca.OP_ASSIGN: "{0}", ca.OP_NEG: "-{0}", ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "{0} + {0}", ca.OP_INV: "1.0 / {0}",
@@ -26,44 +28,54 @@ UNARY = {
         "tanh", "asinh", "acosh", "atanh", "sign", "log1p", "expm1",
     )},
 }  # fmt: skip
+MOST_NUMBERS = 3000
+"""That a function may hold at once: 64 bytes each of a thread's stack, which may have 512 KB"""
 
 
-class Unknown(Exception):
-    """An operation that lanes do not have; the message names it."""
+class Unknown(Unavailable):
+    """What lanes do not have; the message names it."""
+
+
+def scalars(function: ca.Function) -> ca.Function:
+    """The function as an expression of scalars. Raises `Unknown` for splines, solvers, callbacks and the like."""
+    if function.is_a("SXFunction"):
+        return function
+    try:
+        return function.expand()
+    except RuntimeError as error:
+        raise Unknown(f"{function.name()} is no expression of scalars: {str(error).strip().splitlines()[-1]}") from None
 
 
 def emitted(function: ca.Function, name: str) -> str:
-    """`static void NAME(const V *a0, ..., V *r0, ...)` of an SX function, all of every vector. Raises `Unknown`."""
-    if not function.is_a("SXFunction"):
-        raise Unknown(f"{function.name()} is no expression of scalars")
+    """`static void NAME(const V *a0, ..., V *r0, ...)` of a function of scalars. Raises `Unknown`.
+
+    The first output is written whole, of the others the nonzeros, one after another as CasADi keeps them.
+    """
+    if function.sz_w() > MOST_NUMBERS:
+        raise Unknown(f"{function.name()} holds {function.sz_w()} numbers at once")
     arguments = [f"const V *a{k}" for k in range(function.n_in())] + [f"V *r{k}" for k in range(function.n_out())]
-    lines = [f"static void {name}({', '.join(arguments)}) {{"]
+    lines = [f"static __attribute__((noinline)) void {name}({', '.join(arguments)}) {{"]
     lines.append("  V " + ", ".join(f"w{k}" for k in range(max(1, function.sz_w()))) + ";")
-    inside, outside = ([find(k).find() for k in range(count)] for find, count in (
-        (function.sparsity_in, function.n_in()), (function.sparsity_out, function.n_out())))  # fmt: skip
-    for k, places in enumerate(outside):
-        empty = sorted(set(range(function.numel_out(k))) - set(places))
-        lines += [f"  r{k}[{place}] = all(0.0);" for place in empty]
-    for k in range(function.n_instructions()):
-        lines.append("  " + _instruction(function, k, inside, outside))
+    places = function.sparsity_out(0).find()
+    lines += [f"  r0[{place}] = all(0.0);" for place in sorted(set(range(function.numel_out(0))) - set(places))]
+    lines += [f"  {_instruction(function, k, places)}" for k in range(function.n_instructions())]
     return "\n".join([*lines, "}", ""])
 
 
-def _instruction(function: ca.Function, k: int, inside: list[list[int]], outside: list[list[int]]) -> str:
-    """A statement; `inside` and `outside` are where the numbers stand that inputs and outputs have."""
+def _instruction(function: ca.Function, k: int, places: list[int]) -> str:
     code, given, made = (of(k) for of in (function.instruction_id, function.instruction_input,
                                           function.instruction_output))  # fmt: skip
     if code == ca.OP_CONST:
         return f"w{made[0]} = all({_number(function.instruction_constant(k))});"
     if code == ca.OP_INPUT:
-        return f"w{made[0]} = a{given[0]}[{inside[given[0]][given[1]]}];"
+        return f"w{made[0]} = a{given[0]}[{given[1]}];"
     if code == ca.OP_OUTPUT:
-        return f"r{made[0]}[{outside[made[0]][made[1]]}] = w{given[0]};"
+        return f"r{made[0]}[{made[1] if made[0] else places[made[1]]}] = w{given[0]};"
     form = UNARY.get(code) or BINARY.get(code)
     if form is None:
-        names = [one for one in dir(ca) if one.startswith("OP_") and getattr(ca, one) == code]
+        names = [name for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) == code]
         raise Unknown(f"{function.name()} has {', '.join(names) or code}")
-    return f"w{made[0]} = {form.format(*(f'w{one}' for one in given))};"
+    return f"w{made[0]} = {form.format(*(f'w{number}' for number in given))};"
 
 
 def _number(value: float) -> str:
@@ -75,17 +87,62 @@ def _number(value: float) -> str:
     return float(value).hex()
 
 
-def stepped(size: int) -> str:
-    """The step of `march.c`: `rates(t, y, s, free, found)` at Dormand and Prince's twelve stages."""
-    lines = ["static void step(V *z, const V *p) {", f"  V h = p[0], y[{size}], k[{len(DOP853.C)}][{size}], t;"]
+def field_code(field: ca.Function) -> str:
+    """What `march.c` needs of y' = f(t, y, s, free), of one output or with those of `rk8.slopes_of`."""
+    field = scalars(field)
+    state, unfolding, free = (field.size1_in(k) for k in (1, 2, 3))
+    sizes = {"STATE": state, "OWN": state, "UNFOLDING": unfolding, "FREE": free}
+    given = "const V *s, const V *freed"
+    if field.n_out() == 1:
+        called = "rates(&t, y, s, freed, k[{}]);"
+        return _heads(sizes) + emitted(field, "rates") + _stages("states", given, "OWN", called)
+    field = _packed(field)
+    rows = field.sparsity_out(1)  # transposed: CasADi's columns are rows of df/dx
+    tables = "".join(f"static const int {name}[] = {{{', '.join(map(str, values))}}};\n"
+                     for name, values in (("BEGIN", rows.colind()), ("COLUMN", rows.row())))  # fmt: skip
+    given += ", V (*slope)[SLOPES], V (*forcing)[FORCING]"
+    sizes |= {"OWN": field.numel_out(0), "COLUMNS": state + unfolding + free, "SLOPES": max(1, rows.nnz())}
+    return "".join([
+        _heads(sizes), tables,
+        "#define FORCING (1 + STATE * (COLUMNS - STATE))\n#define TOGETHER 4\n", PRODUCT, emitted(field, "rates"),
+        _stages("states", given, "OWN", "rates(&t, y, s, freed, k[{0}], slope[{0}], forcing[{0}]);"),
+        _stages("columns", "V (*slope)[SLOPES], V (*forcing)[FORCING], int first", "STATE * TOGETHER",
+                "product(k[{0}], slope[{0}], forcing[{0}], y, first);"),
+    ])  # fmt: skip
+
+
+PRODUCT = "static void product(V *rate, const V *slope, const V *forcing, const V *y, int first);\n"
+
+
+def _packed(slopes: ca.Function) -> ca.Function:
+    """(f, added), df/dx transposed without its zeros, and the forcing."""
+    inputs = slopes.sx_in()
+    rate, matrix, forcing, added = slopes.call(inputs)
+    return ca.Function(slopes.name(), inputs, [ca.vertcat(rate, added), matrix.T, ca.densify(forcing)])
+
+
+def _heads(sizes: dict[str, int]) -> str:
+    return "".join(f"#define {name} {value}\n" for name, value in sizes.items())
+
+
+def _stages(name: str, arguments: str, size: str, called: str) -> str:
+    """`NAME(z, h, t, ...)`: Dormand and Prince's twelve stages k of y' = f(t, y) from z, `called` makes one of them.
+
+    y is advanced in z; with `error` a thirteenth stage estimates what a step of it is wrong by (SciPy's norm).
+    """
+    every = f"for (int i = 0; i < {size}; i++)"
+    lines = [f"static void {name}(V *z, V h, const V *clock, V *y, V (*k)[{size}], V *error, {arguments}) {{", "  V t;"]
     for stage, (shift, row) in enumerate(zip(DOP853.C, DOP853.A, strict=True)):
-        lines.append(f"  t = z[0] + {_number(shift)} * h;" if shift else "  t = z[0];")
-        lines.append(f"  for (int i = 0; i < {size}; i++) y[i] = z[1 + i]{_combined(row[:stage])};")
-        lines.append(f"  rates(&t, y, p + 1, p + 1 + UNFOLDING, k[{stage}]);")
-    lines.append(f"  for (int i = 0; i < {size}; i++) z[1 + i] += {_combined(DOP853.B)[3:]};")
-    return "\n".join([*lines, "  z[0] += h;", "}", ""])
+        lines.append(f"  t = *clock + {_number(shift)} * h;" if shift else "  t = *clock;")
+        lines.append(f"  {every} y[i] = z[i]{_combined(row[:stage])};")
+        lines.append(f"  {called.format(stage)}")
+    lines.append(f"  {every} z[i] = z[i]{_combined(DOP853.B)};")
+    lines += ["  if (!error) return;", "  t = *clock + h;", f"  {every} y[i] = z[i];", f"  {called.format(12)}"]
+    fifth, third = (_combined(weights)[3:] for weights in (DOP853.E5, DOP853.E3))
+    lines.append(f"  {every} error[i] = estimate({fifth}, {third});")
+    return "\n".join([*lines, "}", ""])
 
 
 def _combined(weights: np.ndarray) -> str:
-    terms = [f"{_number(float(one))} * k[{k}][i]" for k, one in enumerate(weights) if one != 0.0]
+    terms = [f"{_number(float(weight))} * k[{k}][i]" for k, weight in enumerate(weights) if weight != 0.0]
     return f" + h * ({' + '.join(terms)})" if terms else ""
