@@ -35,6 +35,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -85,6 +86,8 @@ ALWAYS = (
     "-fno-math-errno",
 )
 NATIVE = "-march=native"
+ZIG = (sys.executable, "-m", "ziglang", "cc", "-fno-sanitize=undefined")
+"""The clang of the extra `compiler`, which by itself adds checks that end the process"""
 TIMEOUT = 300.0
 """s after which a compilation is given up"""
 
@@ -322,9 +325,11 @@ class Compiler:
 
 
 def find_compiler() -> Compiler:
-    """The compiler of $CC, else the first of cc, gcc, clang. Raises `Unavailable` when none runs."""
+    """The compiler of $CC, else the first of cc, gcc, clang and ZIG. Raises `Unavailable` when none runs."""
     chosen = os.environ.get("CC", "").strip()
-    candidates = [tuple(shlex.split(chosen))] if chosen else [("cc",), ("gcc",), ("clang",)]
+    candidates: list[tuple[str, ...]] = [tuple(shlex.split(chosen))] if chosen else [("cc",), ("gcc",), ("clang",)]
+    if not chosen and find_spec(ZIG[2]):
+        candidates.append(ZIG)
     reasons = []
     for command in candidates:
         path = shutil.which(command[0])

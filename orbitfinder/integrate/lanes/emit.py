@@ -95,23 +95,19 @@ def field_code(field: ca.Function) -> str:
     given = "const V *s, const V *freed"
     if field.n_out() == 1:
         called = "rates(&t, y, s, freed, k[{}]);"
-        return _heads(sizes) + emitted(field, "rates") + _stages("states", given, "OWN", called)
+        return _heads(sizes) + emitted(field, "rates") + _stages("states", "V", given, "OWN", called)
     field = _packed(field)
     rows = field.sparsity_out(1)  # transposed: CasADi's columns are rows of df/dx
+    sizes |= {"OWN": field.numel_out(0), "COLUMNS": state + unfolding + free, "SLOPES": max(1, rows.nnz())}
     tables = "".join(f"static const int {name}[] = {{{', '.join(map(str, values))}}};\n"
                      for name, values in (("BEGIN", rows.colind()), ("COLUMN", rows.row())))  # fmt: skip
-    given += ", V (*slope)[SLOPES], V (*forcing)[FORCING]"
-    sizes |= {"OWN": field.numel_out(0), "COLUMNS": state + unfolding + free, "SLOPES": max(1, rows.nnz())}
+    more = "V (*slope)[SLOPES], V (*forcing)[FORCING]"
+    called = "rates(&t, y, s, freed, k[{0}], slope[{0}], forcing[{0}]);"
     return "".join([
-        _heads(sizes), tables,
-        "#define FORCING (1 + STATE * (COLUMNS - STATE))\n#define TOGETHER 4\n", PRODUCT, emitted(field, "rates"),
-        _stages("states", given, "OWN", "rates(&t, y, s, freed, k[{0}], slope[{0}], forcing[{0}]);"),
-        _stages("columns", "V (*slope)[SLOPES], V (*forcing)[FORCING], int first", "STATE * TOGETHER",
-                "product(k[{0}], slope[{0}], forcing[{0}], y, first);"),
+        _heads(sizes), tables, emitted(field, "rates"),
+        _stages("states", "V", f"{given}, {more}", "OWN", called),
+        _stages("columns", "W", f"{more}, int first", "BLOCK", "product(k[{0}], slope[{0}], forcing[{0}], y, first);"),
     ])  # fmt: skip
-
-
-PRODUCT = "static void product(V *rate, const V *slope, const V *forcing, const V *y, int first);\n"
 
 
 def _packed(slopes: ca.Function) -> ca.Function:
@@ -125,21 +121,23 @@ def _heads(sizes: dict[str, int]) -> str:
     return "".join(f"#define {name} {value}\n" for name, value in sizes.items())
 
 
-def _stages(name: str, arguments: str, size: str, called: str) -> str:
-    """`NAME(z, h, t, ...)`: Dormand and Prince's twelve stages k of y' = f(t, y) from z, `called` makes one of them.
+def _stages(name: str, kind: str, arguments: str, size: str, called: str) -> str:
+    """`NAME(z, h, t0, ...)`: Dormand and Prince's twelve stages k of y' = f(t, y) from z, each made by `called`.
 
-    y is advanced in z; with `error` a thirteenth stage estimates what a step of it is wrong by (SciPy's norm).
+    Numbers are of the `kind` V or W. y is advanced in z; with `error` a thirteenth stage estimates what a step of it
+    is wrong by (SciPy's norm).
     """
     every = f"for (int i = 0; i < {size}; i++)"
-    lines = [f"static void {name}(V *z, V h, const V *clock, V *y, V (*k)[{size}], V *error, {arguments}) {{", "  V t;"]
+    given = ", ".join(f"{kind} {each}" for each in ("*z", "h", "t0", "*y", f"(*k)[{size}]", "*error"))
+    lines = [f"static void {name}({given}, {arguments}) {{", f"  {kind} t;"]
     for stage, (shift, row) in enumerate(zip(DOP853.C, DOP853.A, strict=True)):
-        lines.append(f"  t = *clock + {_number(shift)} * h;" if shift else "  t = *clock;")
+        lines.append(f"  t = t0{f' + {_number(shift)} * h' if shift else ''};")
         lines.append(f"  {every} y[i] = z[i]{_combined(row[:stage])};")
         lines.append(f"  {called.format(stage)}")
     lines.append(f"  {every} z[i] = z[i]{_combined(DOP853.B)};")
-    lines += ["  if (!error) return;", "  t = *clock + h;", f"  {every} y[i] = z[i];", f"  {called.format(12)}"]
+    lines += ["  if (!error) return;", "  t = t0 + h;", f"  {every} y[i] = z[i];", f"  {called.format(12)}"]
     fifth, third = (_combined(weights)[3:] for weights in (DOP853.E5, DOP853.E3))
-    lines.append(f"  {every} error[i] = estimate({fifth}, {third});")
+    lines.append(f"  {every} error[i] = estimate_{kind}({fifth}, {third});")
     return "\n".join([*lines, "}", ""])
 
 

@@ -94,6 +94,32 @@ TURNING(v_sin, sin, 0)
 TURNING(v_cos, cos, 1)
 
 /* What a step is wrong by, from its errors of fifth and third order. */
-INLINE V estimate(V fifth, V third) {
-  return fifth * fifth / v_sqrt(fifth * fifth + 0.01 * (third * third) + LEAST);
-}
+#define ESTIMATE(KIND) INLINE KIND estimate_##KIND(KIND fifth, KIND third) { \
+    KIND square = fifth * fifth, v = square + 0.01 * (third * third) + LEAST; \
+    for (unsigned l = 0; l < sizeof(KIND) / 8; l++) v[l] = sqrt(v[l]); \
+    return square / v; \
+  }
+ESTIMATE(V)
+
+/* Columns that a march of variations moves at a time: BESIDE of them in TOGETHER registers W, each of a column of LANES
+   segments, or of one segment's eight columns. COLUMN_OF and NUMBER are the numbers of one column. */
+#if LANES == 1
+typedef double W __attribute__((vector_size(64)));
+#define TOGETHER 1
+#define BESIDE 8
+#define SPREAD(v) ((v)[0] + (W){0.0})
+#define COLUMN_OF(w, i, c) (w)[i][c]
+#define NUMBER(v) (v)[0]
+ESTIMATE(W)
+#else
+typedef V W;
+#define TOGETHER 4
+#define BESIDE 4
+#define SPREAD(v) (v)
+#define COLUMN_OF(w, i, c) (w)[(i) * TOGETHER + (c)]
+#define NUMBER(v) (v)
+#define estimate_W estimate_V
+#endif
+#define BLOCK (STATE * TOGETHER)
+#define FORCING (1 + STATE * (COLUMNS - STATE))
+static void product(W *rate, const V *slope, const V *forcing, const W *y, int first);

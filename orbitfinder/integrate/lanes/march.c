@@ -5,8 +5,7 @@
 #define STAGES 13
 #ifdef COLUMNS
 #define ROWS (1 + OWN + STATE * COLUMNS)
-#define BLOCK (STATE * TOGETHER)
-#define ROOM (STAGES * (OWN + SLOPES + FORCING) + OWN + BLOCK * (STAGES + 3))
+#define ROOM (STAGES * (OWN + SLOPES + FORCING) + OWN + BLOCK * (STAGES + 3) * (sizeof(W) / sizeof(V)))
 #else
 #define ROWS (1 + OWN)
 #define ROOM ((STAGES + 1) * OWN)
@@ -14,18 +13,18 @@
 #define GIVEN (1 + UNFOLDING + FREE)
 
 #ifdef COLUMNS
-/* rate = df/dx y + forcing for TOGETHER columns that stand side by side, of which column `first` is the first. */
-static void product(V *rate, const V *slope, const V *forcing, const V *y, int first) {
+/* rate = df/dx y + forcing for TOGETHER vectors of columns that stand side by side, from column `first` on. */
+static void product(W *rate, const V *slope, const V *forcing, const W *y, int first) {
   for (int i = 0; i < STATE; i++) {
-    V a = all(0.0), b = a, c = a, d = a;
+    W sum[TOGETHER] = {{0.0}};
     for (int k = BEGIN[i]; k < BEGIN[i + 1]; k++) {
-      const V slant = slope[k], *row = y + COLUMN[k] * TOGETHER;
-      a += slant * row[0]; b += slant * row[1]; c += slant * row[2]; d += slant * row[3];
+      const W slant = SPREAD(slope[k]), *row = y + COLUMN[k] * TOGETHER;
+#pragma GCC unroll 4
+      for (int j = 0; j < TOGETHER; j++) sum[j] += slant * row[j];
     }
-    V *to = rate + i * TOGETHER;
-    to[0] = a; to[1] = b; to[2] = c; to[3] = d;
-    for (int j = 0; j < TOGETHER; j++)
-      if (first + j >= STATE && first + j < COLUMNS) to[j] += forcing[(first + j - STATE) * STATE + i];
+    for (int c = first < STATE ? STATE : first; c < first + BESIDE && c < COLUMNS; c++)
+      COLUMN_OF(sum, 0, c - first) += NUMBER(forcing[(c - STATE) * STATE + i]);
+    for (int j = 0; j < TOGETHER; j++) rate[i * TOGETHER + j] = sum[j];
   }
 }
 #endif
@@ -34,22 +33,22 @@ static void product(V *rate, const V *slope, const V *forcing, const V *y, int f
 static void step(V *z, const V *p, V *work, V *error) {
   const V h = p[0], *s = p + 1, *freed = s + UNFOLDING;
 #ifdef COLUMNS
-  V (*k)[OWN] = (V (*)[OWN])work, (*slope)[SLOPES] = (V (*)[SLOPES])(k + STAGES);
-  V (*forcing)[FORCING] = (V (*)[FORCING])(slope + STAGES), *y = (V *)(forcing + STAGES);
-  states(z + 1, h, z, y, k, error, s, freed, slope, forcing);
-  V *base = y + OWN, *place = base + BLOCK, *wrong = place + BLOCK, (*d)[BLOCK] = (V (*)[BLOCK])(wrong + BLOCK);
-  for (int first = 0; first < COLUMNS; first += TOGETHER) {
-    V *to = z + 1 + OWN + first * STATE, *lost = error ? error + OWN + first * STATE : 0;
-    for (int j = 0; j < TOGETHER; j++) for (int i = 0; i < STATE; i++)
-      base[i * TOGETHER + j] = first + j < COLUMNS ? to[j * STATE + i] : all(0.0);
-    columns(base, h, z, place, d, error ? wrong : 0, slope, forcing, first);
-    for (int j = 0; j < TOGETHER && first + j < COLUMNS; j++) for (int i = 0; i < STATE; i++) {
-      to[j * STATE + i] = base[i * TOGETHER + j];
-      if (error) lost[j * STATE + i] = wrong[i * TOGETHER + j];
+  W *base = (W *)work, *y = base + BLOCK, *wrong = y + BLOCK, (*d)[BLOCK] = (W (*)[BLOCK])(wrong + BLOCK);
+  V (*slope)[SLOPES] = (V (*)[SLOPES])(d + STAGES), (*forcing)[FORCING] = (V (*)[FORCING])(slope + STAGES);
+  V (*k)[OWN] = (V (*)[OWN])(forcing + STAGES);
+  states(z + 1, h, z[0], k[STAGES], k, error, s, freed, slope, forcing);
+  for (int first = 0; first < COLUMNS; first += BESIDE) {
+    V *to = z + 1 + OWN, *lost = error + OWN;
+    for (int c = 0; c < BESIDE; c++) for (int i = 0; i < STATE; i++)
+      COLUMN_OF(base, i, c) = first + c < COLUMNS ? NUMBER(to[(first + c) * STATE + i]) : NUMBER(all(0.0));
+    columns(base, SPREAD(h), SPREAD(z[0]), y, d, error ? wrong : 0, slope, forcing, first);
+    for (int c = 0; c < BESIDE && first + c < COLUMNS; c++) for (int i = 0; i < STATE; i++) {
+      NUMBER(to[(first + c) * STATE + i]) = COLUMN_OF(base, i, c);
+      if (error) NUMBER(lost[(first + c) * STATE + i]) = COLUMN_OF(wrong, i, c);
     }
   }
 #else
-  states(z + 1, h, z, work, (V (*)[OWN])(work + OWN), error, s, freed);
+  states(z + 1, h, z[0], work, (V (*)[OWN])(work + OWN), error, s, freed);
 #endif
   z[0] += h;
 }
@@ -74,7 +73,7 @@ int march(ptrdiff_t count, ptrdiff_t steps, const double *starts, const double *
           ptrdiff_t kept, double *errors) {
   void *memory = malloc((2 * ROWS + ROOM) * sizeof(V) + 64);
   if (!memory) return 1;
-  V *z = (V *)(((uintptr_t)memory + 63) & ~(uintptr_t)63), *error = z + ROWS, *work = error + ROWS, p[GIVEN];
+  V *work = (V *)(((uintptr_t)memory + 63) & ~(uintptr_t)63), *z = work + ROOM, *error = z + ROWS, p[GIVEN];
   for (ptrdiff_t first = 0; first < count; first += LANES) {
     ptrdiff_t segment[LANES], row[LANES];
     for (int l = 0; l < LANES; l++) segment[l] = first + l < count ? first + l : count - 1;
