@@ -17,8 +17,9 @@ import numpy as np
 
 from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.compiled import compiled
+from orbitfinder.integrate.lanes.kernel import Kernel, kernel, varied_kernel
 from orbitfinder.integrate.parallel import STAGES, Lanes
-from orbitfinder.integrate.rk8 import agree, refined, step_of, variational_field
+from orbitfinder.integrate.rk8 import agree, refined, slopes_of, step_of, variational_field
 
 EFFORT = 3.0
 """Seconds of interpreted marching in a family of moderate length, for `compiled`."""
@@ -81,7 +82,7 @@ class March(Refining):
     ) -> None:
         self.field, self.forced, self.integrand, self._effort = field, forced, integrand, effort
         self.size, self.unfolding, self.free = (int(field.size1_in(k)) for k in (1, 2, 3))
-        self._lanes = Lanes(alone)
+        self._lanes, self._kernels = Lanes(alone), dict[bool, Kernel | None]()
 
     @property
     def arcs(self) -> tuple[March, ...]:
@@ -95,7 +96,7 @@ class March(Refining):
 
     @cached_property
     def _varied(self) -> ca.Function:
-        """The field of (x, vec Y, S); in another form where it is interpreted."""
+        """The field of (x, vec Y, S), in another form where it is interpreted."""
         whole = variational_field(self.field, self.integrand)
         if compiled(step_of(whole), effort=self._effort).class_name() == "External":
             return whole
@@ -119,32 +120,51 @@ class March(Refining):
 
     def build(self) -> None:
         """Derive and compile now what integrates states and derivatives, not at first use."""
-        assert self._step and self._varied_step
+        assert (self._kernel(False) or self._step) and (self._kernel(True) or self._varied_step)
+
+    def _kernel(self, varied: bool, segments: int = 0) -> Kernel | None:
+        """What marches in lanes, with variations or without; decided at first use, for good."""
+        if varied not in self._kernels:
+            made = (varied_kernel(self.field, self.integrand, self._effort, segments == 1) if varied
+                    else kernel(self.field, self._effort, segments == 1))  # fmt: skip
+            self._kernels[varied] = made
+        return self._kernels[varied]
 
     def ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (N x d) at the ends of the segments from their nodes (N x d). Raises `IntegrationError`."""
         start = self._begun(nodes, self._clock(nodes, mesh, tail))
-        return _finite(self._lanes.marched(self._step, start, _parameters(mesh, tail), False), nodes)[:, 1:]
+        return _finite(self._marched(False, start, mesh, tail, 0)[0], nodes)[:, 1:]
+
+    def _marched(
+        self, varied: bool, start: np.ndarray, mesh: np.ndarray, tail: np.ndarray, kept: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The ends (N x ...) of the segments that begin at `start`, and the first `kept` numbers of every step's."""
+        quick = self._kernel(varied, len(start))
+        if quick is not None:
+            return quick.marched(start, _parameters(mesh, tail), kept)
+        step = self._varied_step if varied else self._step
+        path = self._lanes.marched(step, start, _parameters(mesh, tail), bool(kept))
+        each = (mesh.size - 1) // len(start) if kept else 1
+        return path[each - 1 :: each], path[:, :kept]
 
     def states(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (M + 1 x d) at the mesh."""
         start = self._begun(nodes, self._clock(nodes, mesh, tail))
-        path = self._lanes.marched(self._step, start, _parameters(mesh, tail), True)
+        path = self._marched(False, start, mesh, tail, 1 + self.size)[1]
         return np.vstack([nodes[:1], _finite(path, nodes)[:, 1:]])
 
     def varied(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, states: bool = False) -> Varied:
         """Ends and their derivatives; with `states` those at the mesh too. Raises `IntegrationError`."""
         (count, size), own = nodes.shape, self.columns
         start = self._begun(nodes, self._clock(nodes, mesh, tail), self._unit)
-        path = _finite(self._lanes.marched(self._varied_step, start, _parameters(mesh, tail), states), nodes)
-        last = path[(mesh.size - 1) // count - 1 :: (mesh.size - 1) // count] if states else path
-        ends = last[:, 1 : 1 + size]
+        last, path = self._marched(True, start, mesh, tail, 1 + size if states else 0)
+        ends = _finite(last, nodes)[:, 1 : 1 + size]
         matrices = last[:, 1 + size : 1 + size * (1 + own)].reshape(count, own, size).transpose(0, 2, 1)
         transitions = matrices[:, :, :size]
         columns = np.empty((count, size, 1 + own - size))
         columns[:, :, 0] = self._by_period(nodes, ends, transitions, mesh, tail)
         columns[:, :, 1:] = matrices[:, :, size:]
-        along = np.concatenate([nodes[:1], path[:, 1 : 1 + size]]) if states else nodes
+        along = np.concatenate([nodes[:1], _finite(path, nodes)[:, 1:]]) if states else nodes
         return Varied(ends, transitions, columns, along, float(last[:, 1 + size * (1 + own) :].sum()))
 
     def _by_period(
@@ -161,12 +181,8 @@ class March(Refining):
 
     def slopes(self, x: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """d(dx/dt)/dx (d x d) at a state (d)."""
-        field, size = self._varied, self.size
-        start = np.zeros(field.size1_in(1))
-        start[:size], start[size : size + size * size] = x, np.eye(size).ravel()
         s, free = tail[1 : 1 + self.unfolding], tail[1 + self.unfolding :]
-        rates = self.at(field, 0.0, start, s, free)[0].ravel()
-        return np.asarray(rates[size : size + size * size].reshape(size, size).T)
+        return self.at(slopes_of(self.field, self.integrand), 0.0, x, s, free)[1]
 
     def rates(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray | float = 0.0) -> np.ndarray:
         """dx/dt (k x d) at states (k x d)."""
@@ -191,7 +207,7 @@ class March(Refining):
     ) -> np.ndarray:
         """Estimated error of each step `asked` for, relative to the size of the motion, measured in `units` (d)."""
         start = self._begun(states[asked], tail[0] * mesh[asked] * self.forced)
-        errors = np.abs(self._lanes.evaluated(self._error, STAGES, start, _parameters(mesh, tail)[asked]))
+        errors = np.abs(self._errors(False, start, _parameters(mesh, tail)[asked]))
         extent = np.abs(states).max(axis=0) / units
         return np.asarray((errors / (units * np.maximum(extent, extent.max() * 1e-2))).max(axis=1))
 
@@ -204,14 +220,20 @@ class March(Refining):
         """
         size = self.size
         start = self._begun(states[asked], tail[0] * mesh[asked] * self.forced, self._unit)
-        errors = self._lanes.evaluated(self._varied_error, STAGES, start, _parameters(mesh, tail)[asked])
+        errors = self._errors(True, start, _parameters(mesh, tail)[asked])
         scale = (units[:, None] / units[None, :]).ravel()  # columns first: entry (i, j) stands at j size + i
         return np.asarray((np.abs(errors[:, size : size + size * size]) * scale).max(axis=1))
+
+    def _errors(self, varied: bool, starts: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        quick = self._kernel(varied)
+        if quick is not None:
+            return quick.errors(starts, parameters)
+        return self._lanes.evaluated(self._varied_error if varied else self._error, STAGES, starts, parameters)
 
     @cached_property
     def _unit(self) -> np.ndarray:
         """vec Y and S where a segment begins."""
-        unit = np.zeros(self._varied_step.size1_in(0) - 1 - self.size)
+        unit = np.zeros(self.size * self.columns + (self.integrand.numel_out(0) if self.integrand else 0))
         unit[: self.size * self.columns] = np.eye(self.size, self.columns).ravel("F")
         return unit
 
