@@ -95,14 +95,14 @@ class March(Refining):
         return self.size + self.unfolding + self.free
 
     @cached_property
-    def _whole(self) -> ca.Function:
+    def whole(self) -> ca.Function:
         """The field of (x, vec Y, S)."""
         return variational_field(self.field, self.integrand)
 
     @cached_property
     def _varied(self) -> ca.Function:
         """The same, in another form where it is interpreted."""
-        whole = self._whole
+        whole = self.whole
         if compiled(step_of(whole), effort=self._effort).class_name() == "External":
             return whole
         return variational_field(self.field, self.integrand, products=True)
@@ -154,7 +154,7 @@ class March(Refining):
         """Ends and their derivatives; with `states` those at the mesh too. Raises `IntegrationError`."""
         (count, size), own = nodes.shape, self.columns
         start = self._begun(nodes, self._clock(nodes, mesh, tail), self._unit)
-        last, path = self._marched(self._whole, start, mesh, tail, 1 + size if states else 0)
+        last, path = self._marched(self.whole, start, mesh, tail, 1 + size if states else 0)
         ends = _finite(last, nodes)[:, 1 : 1 + size]
         matrices = last[:, 1 + size : 1 + size * (1 + own)].reshape(count, own, size).transpose(0, 2, 1)
         transitions = matrices[:, :, :size]

@@ -76,14 +76,30 @@ def _number(value: float) -> str:
 
 
 def stepped(size: int) -> str:
-    """The step of `march.c`: `rates(t, y, s, free, found)` at Dormand and Prince's twelve stages."""
-    lines = ["static void step(V *z, const V *p) {", f"  V h = p[0], y[{size}], k[{len(DOP853.C)}][{size}], t;"]
+    """The step of `march.c`: `rates(t, y, s, free, result)` at Dormand and Prince's twelve stages."""
+    return "\n".join(["static void step(V *z, const V *p) {", *_stages(size), "  z[0] += h;", "}", ""])
+
+
+def erring(size: int, state: int) -> str:
+    """The same with the estimate of its error in the first components (see `rk8.one_step`), `flow` their field."""
+    last = len(DOP853.C)
+    lines = ["static void erring(V *z, const V *p, V *e) {", *_stages(size), f"  V after[{state}];", "  z[0] += h;"]
+    lines.append("  flow(z, z + 1, p + 1, p + 1 + UNFOLDING, after);")
+    lines.append(f"  for (int i = 0; i < {state}; i++) {{")
+    for name, weights in (("fifth", DOP853.E5), ("third", DOP853.E3)):
+        terms = _combined(weights[:last])[3:] + f" + h * ({_number(float(weights[last]))} * after[i])"
+        lines.append(f"    V {name} = {terms};")
+    lines.append("    e[i] = fifth * fifth / v_sqrt(fifth * fifth + 0.01 * third * third + 1e-300);")
+    return "\n".join([*lines, "  }", "}", ""])
+
+
+def _stages(size: int) -> list[str]:
+    lines = [f"  V h = p[0], y[{size}], k[{len(DOP853.C)}][{size}], t;"]
     for stage, (shift, row) in enumerate(zip(DOP853.C, DOP853.A, strict=True)):
         lines.append(f"  t = z[0] + {_number(shift)} * h;" if shift else "  t = z[0];")
         lines.append(f"  for (int i = 0; i < {size}; i++) y[i] = z[1 + i]{_combined(row[:stage])};")
         lines.append(f"  rates(&t, y, p + 1, p + 1 + UNFOLDING, k[{stage}]);")
-    lines.append(f"  for (int i = 0; i < {size}; i++) z[1 + i] += {_combined(DOP853.B)[3:]};")
-    return "\n".join([*lines, "  z[0] += h;", "}", ""])
+    return [*lines, f"  for (int i = 0; i < {size}; i++) z[1 + i] += {_combined(DOP853.B)[3:]};"]
 
 
 def _combined(weights: np.ndarray) -> str:

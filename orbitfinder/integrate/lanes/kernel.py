@@ -73,15 +73,14 @@ def _code(field: ca.Function, wide: bool) -> str:
     sizes = {
         "SIZE": field.size1_out(0), "UNFOLDING": field.size1_in(2), "TAIL": field.size1_in(2) + field.size1_in(3),
     } | ({} if wide else {"LANES": 1})  # fmt: skip
-    kernel, march = _sources()
     heads = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
-    return "".join([heads, kernel, march, emitted(field, "rates"), stepped(field.size1_out(0))])
+    return "".join([heads, source("kernel.c"), source("march.c"), emitted(field, "rates"), stepped(field.size1_out(0))])
 
 
-@lru_cache(maxsize=1)
-def _sources() -> tuple[str, ...]:
-    here = files("orbitfinder.integrate.lanes")
-    return tuple((here / name).read_text(encoding="utf-8") for name in ("kernel.c", "march.c"))
+@lru_cache(maxsize=8)
+def source(name: str) -> str:
+    """The C of a file beside this one."""
+    return (files("orbitfinder.integrate.lanes") / name).read_text(encoding="utf-8")
 
 
 def _opened(path: Path, field: ca.Function, new: bool) -> Kernel:
