@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from threading import get_ident
 from typing import Any
 
+from orbitfinder._runtime.caches import Kept
 from orbitfinder._runtime.rooms import filled
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.constrained import Loops
@@ -28,6 +31,8 @@ PROBLEM = "problem"
 """The function of a Python problem file, which returns a Problem and not a Model"""
 FUNCTIONS: dict[str, Callable[..., Any]] = {}
 """What `BUILT_IN` has, by name"""
+_models = Kept[Model](8)
+"""The last Models that descriptions stand for, of each thread its own: what is derived from them is kept with them"""
 
 
 @dataclass(frozen=True)
@@ -65,7 +70,10 @@ def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model
     Raises `InputError` for an unknown or wrong description.
     """
     try:
-        return system_kind(system).build(system, trusted)
+        kind = system_kind(system)
+        if trusted is not None or not kind.described:
+            return kind.build(system, trusted)
+        return _models((json.dumps(system, sort_keys=True), get_ident()), lambda: kind.build(system, trusted))
     except InputError:
         raise
     except (TypeError, ValueError, KeyError, IndexError, OverflowError, AttributeError) as error:
