@@ -302,7 +302,7 @@ def step_from(
 ) -> Walked:  # fmt: skip
     """The step to a point that was accepted, in scales renewed there; `last` is its sample where it has one, `known`
     how it stands."""
-    stands = known or _accepted(run.curve, before.solution.place, solution, whole)
+    stands = known or accepted(run.curve, before.solution.place, solution, whole)
     curve, here, whole, trend = stands.curve, stands.solution, stands.whole, trend_of(before.point, point)
     if last is None:
         sample = make_sample(curve, 0.0, here, whole, point.indices)
@@ -315,7 +315,7 @@ def step_from(
     )  # fmt: skip
 
 
-def _accepted(curve: Curve, before: Unknowns, solution: Solution, whole: np.ndarray) -> Accepted:
+def accepted(curve: Curve, before: Unknowns, solution: Solution, whole: np.ndarray) -> Accepted:
     """How an orbit with its tangent stands after another."""
     curve = curve.measured(solution)
     rows = curve.through(solution.place).linearised(solution.place, solution.march).matrix()

@@ -89,10 +89,9 @@ class Blocks:
         if w.vector.size > SMALL:
             return []
         standing, passage = _rows(w, self._count)
-        normals = curve.through(w).normals
         for rows, row in zip(standing, (w.vector, whole, bend, _packed(curve.scales)), strict=False):
             rows[0] = row
-        standing[4][0], standing[5][0] = normals.ravel() if len(normals) else 0.0, length
+        standing[5][0] = length
         made = self._advance(_frame(curve, w, self._pacing, self._maps), standing, passage)
         ahead, before = list[Ahead](), w
         for k in range(made):
@@ -204,5 +203,5 @@ def _frame(curve: Curve, w: Unknowns, pacing: Pacing, maps: np.ndarray) -> Frame
         ready=CORRECTOR.newton_ready, floor=CORRECTOR.newton_floor, contraction=0.1, stall=0.5,
         iterations=CORRECTOR.most_newton, reach=0.5, sharpest=pacing.sharpest, stretch=pacing.stretch,
         longest=pacing.longest, prediction=pacing.prediction, stale=MESH.stale, allowed=STEP_ERROR, spare=MESH.spare,
-        sampled=MESH.sampled, steepest=MESH.steepest, least_share=LEAST_SHARE, still=STILL,
+        sampled=MESH.sampled, steepest=MESH.steepest, least_share=LEAST_SHARE, still=STILL, stepped=CORRECTOR.unmoved,
     )  # fmt: skip

@@ -20,7 +20,7 @@ typedef struct {
   ptrdiff_t segments, steps, closing, phase, named, images, forced, first_order;
   const double *mesh, *first, *last, *aimed, *maps, *lengths, *angular, *values, *units;
   double ready, floor, contraction, stall, iterations, reach, sharpest, stretch, longest, prediction, stale, allowed,
-    spare, sampled, steepest, least_share, still;
+    spare, sampled, steepest, least_share, still, stepped;
 } Frame;
 
 /* One accepted point, and what the next begins with. */
@@ -354,6 +354,7 @@ static void phased(const Work *o, const double *w, const double *scales, double 
 static int corrected(const Work *o, const Standing *from, const Standing *to, const Passage *q, double length, double level) {
   const Frame *f = o->f;
   double previous = INFINITY, *w = q->marched;
+  int again = 0; /* a last step so long that what was integrated along w is not yet that of the orbit is followed by another */
   memcpy(w, o->guess, o->n * sizeof(double));
   for (int iteration = 0; iteration < f->iterations; iteration++) {
     q->facts[5] = marched(o, w, q);
@@ -363,7 +364,7 @@ static int corrected(const Work *o, const Standing *from, const Standing *to, co
       double size = fabs(o->right[k] / o->units[k]);
       if (!(size <= largest)) largest = size;
     }
-    int ready = largest < f->ready || (largest < f->floor && largest > f->contraction * previous);
+    int ready = again || largest < f->ready || (largest < f->floor && largest > f->contraction * previous);
     if (!isfinite(largest) || (iteration > 2 && largest > f->stall * previous && !ready)) return 0;
     linearised(o, w, from->normals, q);
     if (!factored_with(o, o->normal)) return 0;
@@ -372,7 +373,7 @@ static int corrected(const Work *o, const Standing *from, const Standing *to, co
     if (ready) {
       q->facts[3] = largest;
       q->facts[4] = apart(o, to->w, w);
-      return 1;
+      if (again++ || q->facts[4] < f->stepped) return 1;
     }
     if (!(apart(o, to->w, o->guess) < 0.5 * length + 1e-9) || !(to->w[o->cut] > 0)) return 0;
     memcpy(w, to->w, o->n * sizeof(double));
@@ -466,6 +467,7 @@ ptrdiff_t advance(const Frame *f, ptrdiff_t count, int known, double *const *sta
       o.shares[k] = 0.5 * (f->mesh[(k + 1) * f->steps] - f->mesh[k * f->steps] + f->mesh[(last + 1) * f->steps]
         - f->mesh[last * f->steps]) / (f->mesh[M] - f->mesh[0]);
     }
+    if (!known) phased(&o, standing[0], standing[3], standing[4]);
     for (; made < count; made++) {
       double *s[12], *q[8];
       for (int k = 0; k < 6; k++) { s[k] = standing[k] + made * before[k]; s[6 + k] = s[k] + before[k]; }

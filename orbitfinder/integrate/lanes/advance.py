@@ -21,7 +21,7 @@ SIZES = ("segments", "steps", "closing", "phase", "named", "images", "forced", "
 ARRAYS = ("mesh", "first", "last", "aimed", "maps", "lengths", "angular", "values", "units")
 NUMBERS = (
     "ready", "floor", "contraction", "stall", "iterations", "reach", "sharpest", "stretch", "longest", "prediction",
-    "stale", "allowed", "spare", "sampled", "steepest", "least_share", "still",
+    "stale", "allowed", "spare", "sampled", "steepest", "least_share", "still", "stepped",
 )  # fmt: skip
 
 
