@@ -39,6 +39,8 @@ class CorrectorSettings:
     """Steps of a horizon from which on the approach takes only half of them."""
     newton_floor: float = 1e-9
     """... or below this, where round-off on an unstable orbit keeps the residual from shrinking further."""
+    unmoved: float = 1e-13
+    """A last step that is shorter than this leaves what was integrated along the motion as it is."""
     most_newton: int = 12
     slow: float = 0.1
     """A step that leaves more than this share of the residual asks for the differences of a test function anew."""

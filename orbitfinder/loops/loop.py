@@ -20,12 +20,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
+from threading import get_ident
 from typing import Any, Self
 
 import casadi as ca
 import numpy as np
 
+from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.integrate.compiled import mode
 from orbitfinder.integrate.evaluate import Buffered
 from orbitfinder.integrate.march import March, Marches, Varied
 from orbitfinder.loops.condensed import Inner, Linearised
@@ -34,6 +37,7 @@ from orbitfinder.mechanics.hybrid import Transition, freed, share
 from orbitfinder.mechanics.model import Model, vector_field
 from orbitfinder.records.orbit import SHARE
 
+_marches = Kept[March](16)
 NO_GUARDS = np.zeros(0)
 GRAZED = 1e-30
 """A guard's rate at least, by which what grazes it is multiplied"""
@@ -169,7 +173,13 @@ class Equations:
             object.__setattr__(self, "march", given or self._marched(self.model))
 
     def _marched(self, model: Model, arc: int | None = None) -> March:
-        """What integrates the loop, or one of its arcs in periods of its own."""
+        """What integrates the loop, or one of its arcs in periods of its own: once for loops of a thread that differ in
+        their links alone."""
+        unfolded = tuple(invariant.name for invariant in self.symmetry.unfolded(model))
+        key = (Same(self.model), self.free, unfolded, self.action, self.alone, arc, self.symmetry.parts, get_ident())
+        return _marches((key, mode()), lambda: self._derived(model, arc))
+
+    def _derived(self, model: Model, arc: int | None) -> March:
         flow = vector_field(model, self.free, self.symmetry.unfolded(model))
         rate = _action_rate(model, flow, self.free) if self.action else None
         if arc is not None:

@@ -108,13 +108,19 @@ def varied_kernel(
     field: ca.Function, integrand: ca.Function | None, effort: float | None, alone: bool = False
 ) -> Kernel | None:
     """That of a field of x with its variations and an integral, as `rk8.variational_field` makes it."""
+    return _kept(effort, lambda: varied_forms(field, integrand), alone, Same(field), Same(integrand))
 
-    def forms() -> tuple[ca.Function, ca.Function]:
-        flat = scalars(field)
-        whole = variational_field(flat, integrand)
-        return whole if flat.size1_in(1) <= UNROLLED else slopes_of(flat, integrand), whole
 
-    return _kept(effort, forms, alone, Same(field), Same(integrand))
+def varied_forms(field: ca.Function, integrand: ca.Function | None) -> tuple[ca.Function, ca.Function]:
+    """A field with its variations as it is emitted, and as one function."""
+    flat = scalars(field)
+    whole = variational_field(flat, integrand)
+    return whole if flat.size1_in(1) <= UNROLLED else slopes_of(flat, integrand), whole
+
+
+def march_code(emitted: ca.Function) -> str:
+    """The C of a march of what is emitted."""
+    return f"#define LEAST {LEAST!r}\n" + field_code(emitted).join((source("kernel.c"), source("march.c")))
 
 
 def _kept(
@@ -124,7 +130,7 @@ def _kept(
 
     def made() -> Kernel:
         emitted, known = forms()
-        code = f"#define LEAST {LEAST!r}\n" + field_code(emitted).join(_sources())
+        code = march_code(emitted)
         worth_it(len(code), effort)
         return Kernel(code, known, alone)
 
@@ -134,10 +140,10 @@ def _kept(
     return _kernels((*key, mode(), effort, *surroundings), lambda: attempted(key[0].thing.name(), made))
 
 
-@lru_cache(maxsize=1)
-def _sources() -> tuple[str, ...]:
-    here = files("orbitfinder.integrate.lanes")
-    return tuple((here / name).read_text(encoding="utf-8") for name in ("kernel.c", "march.c"))
+@lru_cache(maxsize=8)
+def source(name: str) -> str:
+    """The C of a file beside this one."""
+    return (files("orbitfinder.integrate.lanes") / name).read_text(encoding="utf-8")
 
 
 def _agrees(march: Marching, field: ca.Function) -> bool:
