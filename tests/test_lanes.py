@@ -22,12 +22,13 @@ from orbitfinder.integrate.lanes import emit, kernel
 from orbitfinder.integrate.lanes.emit import emitted, field_code, scalars
 from orbitfinder.integrate.march import March, uniform
 from orbitfinder.integrate.rk8 import slopes_of, variational_field
+from orbitfinder.loops import loop
 from orbitfinder.mechanics.model import vector_field
 from orbitfinder.systems import FUNCTIONS
 
 pytestmark = pytest.mark.skipif(not available()[0], reason="no C compiler: " + available()[1])
 
-KERNEL, MARCH = kernel._sources()
+KERNEL, MARCH = kernel.source("kernel.c"), kernel.source("march.c")
 LIBM = re.sub(r"TURNING\(v_(sin|cos), .*", r"EACH1(v_\1, \1)", KERNEL)
 """The kernel with sin and cos of the C library"""
 CHAINS = {f"{links} links": lambda links=links: of.chain(links) for links in (1, 2, 3, 4)}
@@ -342,9 +343,15 @@ def refused(*_):
 def flipped(tmp_path, monkeypatch):
     """A plus for a minus in `emit`, in libraries of its own."""
     monkeypatch.setenv("ORBITFINDER_CACHE", str(tmp_path))
-    monkeypatch.setattr(kernel, "_kernels", Kept(32))
+    forgotten(monkeypatch)
     monkeypatch.setitem(emit.BINARY, ca.OP_SUB, "{} + {}")
     return monkeypatch
+
+
+def forgotten(patch):
+    """Neither kernels nor what marches by them are kept any more."""
+    patch.setattr(kernel, "_kernels", Kept(32))
+    patch.setattr(loop, "_marches", Kept(16))
 
 
 def test_a_flipped_sign_is_seen_before_use(flipped):
@@ -380,7 +387,7 @@ def turns_red(problem, flipped):
     with flipped.context() as patch:
         patch.setitem(emit.BINARY, ca.OP_SUB, "{} - {}")
         assert verdict(problem) is True
-    flipped.setattr(kernel, "_kernels", Kept(32))
+    forgotten(flipped)
     flipped.setattr(kernel, "_agrees", lambda *_: True)
     assert verdict(problem) is not True
 
@@ -415,7 +422,7 @@ def test_a_flipped_sign_turns_all_shipped_orbits_red(flipped):
         if green and ca.OP_SUB in [field.instruction_id(k) for k in range(field.n_instructions())]:
             turns_red(problem, flipped)
             turned += 1
-        flipped.setattr(kernel, "_kernels", Kept(32))
+        forgotten(flipped)
     assert turned >= 20
 
 
