@@ -190,9 +190,10 @@ class March(Refining):
             moment = times if isinstance(times, float) else times[0]
             s, free = tail[1 : 1 + self.unfolding], tail[1 + self.unfolding :]
             return self.at(self.field, moment, states, s, free)[0].T
-        moments = np.broadcast_to(times, len(states))[:, None]
-        s, free = np.split(np.broadcast_to(tail[1:], (len(states), tail.size - 1)), [self.unfolding], axis=1)
-        return self._lanes.evaluated(self.field, 1, moments, states, s, free)
+        given = np.empty((len(states), tail.size))  # (t, s, free): broadcasting takes as long as the rates
+        given[:, 0], given[:, 1:] = times, tail[1:]
+        s, free = given[:, 1 : 1 + self.unfolding], given[:, 1 + self.unfolding :]
+        return self._lanes.evaluated(self.field, 1, given[:, :1], states, s, free)
 
     def along(self, function: ca.Function, *arguments: np.ndarray) -> np.ndarray:
         """Any function at k places (k x ... each)."""
