@@ -289,6 +289,11 @@ class Equations:
         """All segments of w integrated with their derivatives."""
         return self.march.varied(w.nodes, w.mesh, w.tail, states)
 
+    def varied_each(self, places: Sequence[Unknowns], states: bool = False) -> list[Varied]:
+        """The same of several w on one mesh, beside each other."""
+        nodes, tails = np.array([w.nodes for w in places]), np.array([w.tail for w in places])
+        return self.march.varied_each(nodes, places[0].mesh, tails, states)
+
     def ends(self, w: Unknowns) -> np.ndarray:
         """The ends (N x d) of all segments of w."""
         return self.march.ends(w.nodes, w.mesh, w.tail)
