@@ -266,7 +266,8 @@ def _bases(curve: Curve, states: Sequence[np.ndarray], flows: np.ndarray, slopes
     nor along another symmetry, nor changes an invariant, whose `slopes` (k of ... x d) are given.
     """
     p = curve.equations
-    directions = np.array([generated(p.model, x) for x in states])
+    none = np.zeros((len(states), 0, p.size))
+    directions = np.array([generated(p.model, x) for x in states]) if p.model.invariants else none
     if not p.model.forced:
         directions = np.concatenate([flows[:, None], directions], axis=1)
     gradients = np.array([slope[: p.energy] for slope in slopes])

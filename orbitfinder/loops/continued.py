@@ -179,7 +179,8 @@ def _measures(curve: Curve, w: Unknowns, slopes: np.ndarray | None = None) -> Me
     measures = Measures.of(curve, w, curve.scales.columns(w), slopes)
     if curve.test is None:
         return measures
-    return replace(measures, rows=np.insert(measures.rows, measures.rows.size - (slopes is not None), TESTED))
+    named, aims = np.split(measures.rows, [measures.rows.size - (slopes is not None)])
+    return replace(measures, rows=np.concatenate([named, [TESTED], aims]))
 
 
 def _all_rows(curve: Curve, w: Unknowns, ends: np.ndarray, aim: Condition, lost: np.ndarray) -> np.ndarray:
@@ -245,7 +246,7 @@ def correct(
         path = curve.equations.varied(w, states=True)
         rows, jacobian = _all_rows(curve, w, path.ends, aim, lost), curve.linearised(w, path).matrix()
         if border is not None:
-            rows = np.insert(rows, -1, border.value(Solution(w, path, jacobian, 0.0)))
+            rows = np.concatenate([rows[:-1], [border.value(Solution(w, path, jacobian, 0.0))], rows[-1:]])
         largest = float(np.abs(rows / units).max())
         stays = 0.1 if border is None else 0.7  # by less it shrinks where the border is not yet known
         ready = largest < CORRECTOR.newton_ready or (largest < CORRECTOR.newton_floor and largest > stays * previous)

@@ -88,7 +88,8 @@ class Unknowns:
         cut, last = count * size, vector.size - self.free.size
         nodes = vector[:cut].reshape(count, size)
         w = Unknowns(nodes, float(vector[cut]), vector[cut + 1 : last], vector[last:], self.mesh)
-        w.__dict__.update(vector=vector, tail=vector[cut:])  # known already
+        known = {"shares": self.__dict__["shares"]} if "shares" in self.__dict__ else {}
+        w.__dict__.update(vector=vector, tail=vector[cut:], **known)
         return w
 
     def symbols(self) -> tuple[list[ca.MX], list[ca.MX]]:
@@ -107,8 +108,11 @@ class Unknowns:
 
     def joined(self, node: np.ndarray, period: float, unfolding: float, free: np.ndarray) -> np.ndarray:
         """A vector over w: `node` (d) for each node, one number for all of the unfolding."""
-        damping = np.full(self.unfolding.size, unfolding)
-        return np.concatenate([np.tile(node, len(self.nodes)), [period], damping, free])
+        (count, size), cut = self.nodes.shape, self.nodes.size
+        row = np.empty(cut + 1 + self.unfolding.size + self.free.size)
+        row[:cut].reshape(count, size)[:], row[cut] = node, period
+        row[cut + 1 : row.size - self.free.size], row[row.size - self.free.size :] = unfolding, free
+        return row
 
     def spread(self, head: np.ndarray) -> np.ndarray:
         """A row over w out of a row over the head (x(0), T, free)."""
