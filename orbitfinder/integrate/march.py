@@ -208,10 +208,8 @@ class March(Refining):
         if len(states) == 1:
             moment = times if isinstance(times, float) else times[0]
             return self.at(self.field, moment, states, s, free)[0].T
-        moments = np.broadcast_to(times, len(states))[:, None]
-        if tail.ndim == 1:
-            s, free = (np.broadcast_to(part, (len(states), part.size)) for part in (s, free))
-        return self._lanes.evaluated(self.field, 1, moments, states, s, free)
+        moments = np.reshape(times, (-1, 1))
+        return self._lanes.evaluated(self.field, 1, moments, states, np.atleast_2d(s), np.atleast_2d(free))
 
     def along(self, function: ca.Function, *arguments: np.ndarray) -> np.ndarray:
         """Any function at k places (k x ... each)."""

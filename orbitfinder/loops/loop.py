@@ -250,8 +250,7 @@ class Equations:
             value = function(x, self.model.parameters(self.free, chosen))
             rows = ca.densify(ca.vertcat(value, ca.jacobian(value, x).T))
             self._watched[key] = ca.Function("watched", [x, chosen], [rows])
-        free = np.broadcast_to(free, (len(states), free.size))
-        both = self.march.arcs[0].along(self._watched[key], states, free)
+        both = self.march.arcs[0].along(self._watched[key], states, np.atleast_2d(free))
         return both[:, 0], both[:, 1:]
 
     @cached_property
