@@ -221,9 +221,9 @@ def _critical(start: Start, name: str, kept: Invariance) -> Join | None:
     def at(distance: float) -> tuple[Solution, float]:
         guess, aim = advanced(place, whole, distance), plane(curve, place, whole, distance)
         solution = correct(curve, guess, aim, place, reach=1.0 + abs(distance))
-        return solution, test(curve, solution)
+        return solution, float(test(curve, [solution])[0])
 
-    (known, low), here, last, moved = (base, test(curve, base)), FIRST, 0.0, np.inf
+    (known, low), here, last, moved = (base, float(test(curve, [base])[0])), FIRST, 0.0, np.inf
     for _ in range(MOST_SECANT):
         known, value = at(here)
         slope = (value - low) / (here - last)

@@ -51,11 +51,9 @@ class Linearised:
         (count, size, _), (closing, extra) = self.transitions.shape, self.tail.shape
         cut, total = (count - 1) * size, count * size
         matrix = np.zeros((cut + closing, total + extra))
-        for k in range(count - 1):
-            here = slice(k * size, (k + 1) * size)
-            matrix[here, here] = self.transitions[k]
-            matrix[here, (k + 1) * size : (k + 2) * size] = -np.eye(size)
-            matrix[here, total:] = self.columns[k]
+        blocks, k = np.zeros((count - 1, size, count, size)), np.arange(count - 1)
+        blocks[k, :, k], blocks[k, :, k + 1] = self.transitions[:-1], -np.eye(size)
+        matrix[:cut, :total], matrix[:cut, total:] = blocks.reshape(cut, total), self.columns[:-1].reshape(cut, extra)
         matrix[cut:, cut:total] = self.last @ self.transitions[-1]
         matrix[cut:, : self.first.shape[1]] += self.first
         matrix[cut:, total:] = self.last @ self.columns[-1] + self.tail

@@ -92,7 +92,8 @@ class Unknowns:
         cut, last = count * size, vector.size - self.free.size
         nodes = vector[:cut].reshape(count, size)
         w = Unknowns(nodes, float(vector[cut]), vector[cut + 1 : last], vector[last:], self.mesh)
-        w.__dict__.update(vector=vector, tail=vector[cut:])  # known already
+        known = {"shares": self.__dict__["shares"]} if "shares" in self.__dict__ else {}
+        w.__dict__.update(vector=vector, tail=vector[cut:], **known)
         return w
 
     def symbols(self) -> tuple[list[ca.MX], list[ca.MX]]:
@@ -111,8 +112,11 @@ class Unknowns:
 
     def joined(self, node: np.ndarray, period: float, unfolding: float, free: np.ndarray) -> np.ndarray:
         """A vector over w: `node` (d) for each node, one number for all of the unfolding."""
-        damping = np.full(self.unfolding.size, unfolding)
-        return np.concatenate([np.tile(node, len(self.nodes)), [period], damping, free])
+        (count, size), cut = self.nodes.shape, self.nodes.size
+        row = np.empty(cut + 1 + self.unfolding.size + self.free.size)
+        row[:cut].reshape(count, size)[:], row[cut] = node, period
+        row[cut + 1 : row.size - self.free.size], row[row.size - self.free.size :] = unfolding, free
+        return row
 
     def spread(self, head: np.ndarray) -> np.ndarray:
         """A row over w out of a row over the head (x(0), T, free)."""
@@ -256,8 +260,7 @@ class Equations:
             value = function(x, self.model.parameters(self.free, chosen))
             rows = ca.densify(ca.vertcat(value, ca.jacobian(value, x).T))
             self._watched[key] = ca.Function("watched", [x, chosen], [rows])
-        free = np.broadcast_to(free, (len(states), free.size))
-        both = self.march.arcs[0].along(self._watched[key], states, free)
+        both = self.march.arcs[0].along(self._watched[key], states, np.atleast_2d(free))
         return both[:, 0], both[:, 1:]
 
     @cached_property
@@ -298,6 +301,11 @@ class Equations:
     def varied(self, w: Unknowns, states: bool = False) -> Varied:
         """All segments of w integrated with their derivatives."""
         return self.march.varied(w.nodes, w.mesh, w.tail, states)
+
+    def varied_each(self, places: Sequence[Unknowns], states: bool = False) -> list[Varied]:
+        """The same of several w on one mesh, beside each other."""
+        nodes, tails = np.array([w.nodes for w in places]), np.array([w.tail for w in places])
+        return self.march.varied_each(nodes, places[0].mesh, tails, states)
 
     def ends(self, w: Unknowns) -> np.ndarray:
         """The ends (N x d) of all segments of w."""

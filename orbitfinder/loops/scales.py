@@ -78,7 +78,8 @@ class Scales:
     def metric(self, w: Unknowns) -> np.ndarray:
         """The weights of <a, b> over w: 0 of an unfolding."""
         weights = self.columns(w) ** -2.0
-        weights[: w.nodes.size] *= np.repeat(w.shares, w.nodes.shape[1])
+        nodes = weights[: w.nodes.size].reshape(w.nodes.shape)
+        nodes *= w.shares[:, None]
         weights[w.nodes.size + 1 : weights.size - w.free.size] = 0.0
         return np.asarray(weights)
 
