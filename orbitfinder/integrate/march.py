@@ -16,13 +16,15 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import IntegrationError
-from orbitfinder.integrate.compiled import compiled
-from orbitfinder.integrate.lanes.kernel import kernel
+from orbitfinder.integrate.compiled import compiled, mode
+from orbitfinder.integrate.lanes.kernel import FEW, Kernel, kernel
 from orbitfinder.integrate.parallel import STAGES, Lanes
 from orbitfinder.integrate.rk8 import agree, refined, step_of, variational_field
 
 EFFORT = 3.0
 """Seconds of interpreted marching in a family of moderate length, for `compiled`."""
+LEAST_TOGETHER, MOST_TOGETHER = 5, 16
+"""Components of a state for which eight segments pay: a smaller system's time is that of the linear algebra"""
 _NOTHING = np.zeros(0)
 QUANTUM = 4
 """Numbers of steps are rounded up to a multiple of this, so that few different marches are made."""
@@ -82,7 +84,7 @@ class March(Refining):
     ) -> None:
         self.field, self.forced, self.integrand, self._effort = field, forced, integrand, effort
         self.size, self.unfolding, self.free = (int(field.size1_in(k)) for k in (1, 2, 3))
-        self._lanes = Lanes(alone)
+        self._lanes, self._kernels = Lanes(alone), dict[tuple[bool, bool, str], Kernel | None]()
 
     @property
     def arcs(self) -> tuple[March, ...]:
@@ -136,13 +138,24 @@ class March(Refining):
         self, field: ca.Function, start: np.ndarray, mesh: np.ndarray, tail: np.ndarray, kept: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """The ends (N x ...) of the segments that begin at `start`, and the first `kept` numbers of every step's."""
-        quick = kernel(field, len(start), self._effort)
+        quick = self._kernel(field, len(start) > FEW)
         if quick is not None:
             return quick.marched(start, _parameters(mesh, tail), kept)
         step = self._step if field is self.field else self._varied_step
         path = self._lanes.marched(step, start, _parameters(mesh, tail), bool(kept))
         each = (mesh.size - 1) // len(start) if kept else 1
         return path[each - 1 :: each], path[:, :kept]
+
+    def _kernel(self, field: ca.Function, wide: bool) -> Kernel | None:
+        key = field is self.field, wide, mode()
+        if key not in self._kernels:
+            self._kernels[key] = kernel(field, FEW + wide, self._effort)
+        return self._kernels[key]
+
+    @property
+    def together(self) -> bool:
+        """Whether segments are marched side by side, and there is so much in a step that it pays."""
+        return LEAST_TOGETHER <= self.size <= MOST_TOGETHER and self._kernel(self._whole, True) is not None
 
     def states(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (M + 1 x d) at the mesh."""
@@ -192,7 +205,10 @@ class March(Refining):
             s, free = tail[1 : 1 + self.unfolding], tail[1 + self.unfolding :]
             return self.at(self.field, moment, states, s, free)[0].T
         moments = np.broadcast_to(times, len(states))[:, None]
-        s, free = np.split(np.broadcast_to(tail[1:], (len(states), tail.size - 1)), [self.unfolding], axis=1)
+        s, free = (
+            np.broadcast_to(part, (len(states), part.size))
+            for part in (tail[1 : 1 + self.unfolding], tail[1 + self.unfolding :])
+        )
         return self._lanes.evaluated(self.field, 1, moments, states, s, free)
 
     def along(self, function: ca.Function, *arguments: np.ndarray) -> np.ndarray:
@@ -340,7 +356,8 @@ def rounded(steps: float) -> int:
 
 def divided(mesh: np.ndarray, times: int) -> np.ndarray:
     """The mesh with every step cut into so many."""
-    return np.asarray(np.interp(np.arange(times * (mesh.size - 1) + 1) / times, np.arange(mesh.size), mesh))
+    parts = mesh[:-1, None] + (mesh[1:] - mesh[:-1])[:, None] * (np.arange(times) / times)
+    return np.append(parts, mesh[-1])
 
 
 def _parameters(mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
