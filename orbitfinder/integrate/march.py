@@ -356,8 +356,7 @@ def rounded(steps: float) -> int:
 
 def divided(mesh: np.ndarray, times: int) -> np.ndarray:
     """The mesh with every step cut into so many."""
-    parts = mesh[:-1, None] + (mesh[1:] - mesh[:-1])[:, None] * (np.arange(times) / times)
-    return np.append(parts, mesh[-1])
+    return np.asarray(np.interp(np.arange(times * (mesh.size - 1) + 1) / times, np.arange(mesh.size), mesh))
 
 
 def _parameters(mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
