@@ -23,6 +23,8 @@ from orbitfinder.integrate.rk8 import agree, refined, slopes_of, step_of, variat
 
 EFFORT = 3.0
 """Seconds of interpreted marching in a family of moderate length, for `compiled`."""
+LEAST_TOGETHER, MOST_TOGETHER = 5, 16
+"""Components of a state for which eight segments pay: a smaller system's time is that of the linear algebra"""
 _NOTHING = np.zeros(0)
 QUANTUM = 4
 """Numbers of steps are rounded up to a multiple of this, so that few different marches are made."""
@@ -150,6 +152,11 @@ class March(Refining):
         path = np.concatenate([self._lanes.marched(step, *each, bool(kept)) for each in own])
         steps = len(parameters) // len(start) if kept else 1
         return path[steps - 1 :: steps], path[:, :kept]
+
+    @property
+    def together(self) -> bool:
+        """Whether segments are marched side by side, and there is so much in a step that it pays."""
+        return LEAST_TOGETHER <= self.size <= MOST_TOGETHER and self._kernel(True) is not None
 
     def states(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (M + 1 x d) at the mesh."""

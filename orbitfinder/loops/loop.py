@@ -104,7 +104,9 @@ class Unknowns:
 
     def on(self, mesh: np.ndarray) -> Unknowns:
         """The same on another mesh."""
-        return Unknowns(self.nodes, self.period, self.unfolding, self.free, mesh)
+        w = Unknowns(self.nodes, self.period, self.unfolding, self.free, mesh)
+        w.__dict__.update(vector=self.vector, tail=self.tail)  # known already
+        return w
 
     def moved(self, step: np.ndarray) -> Unknowns:
         """w + step."""
@@ -264,7 +266,7 @@ class Equations:
         return both[:, 0], both[:, 1:]
 
     @cached_property
-    def _known(self) -> dict[str, tuple[Unknowns, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+    def _known(self) -> dict[str, tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
         return {}
 
     @cached_property
@@ -289,9 +291,9 @@ class Equations:
     def quantities_at(self, w: Unknowns) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Their values (k) at x(0), their derivatives by the state and by freed parameters; not to be written to."""
         known = self._known.get("quantities")
-        if known is None or known[0] is not w:  # asked for row by row, at one w after another
+        if known is None or known[0] is not w.vector:  # asked for row by row, on one mesh after another
             values, slopes, by_free = self.march.at(self.quantities, w.nodes[0], w.free)
-            known = self._known["quantities"] = w, (values.ravel(), slopes, by_free)
+            known = self._known["quantities"] = w.vector, (values.ravel(), slopes, by_free)
         return known[1]
 
     def momentum_slopes(self, x: np.ndarray, free: np.ndarray) -> np.ndarray:
@@ -498,19 +500,13 @@ class Loop:
         rows = np.zeros((len(first) + more, cut if np.any(slopes[:, size:cut]) else max(size, self.normals.shape[1])))
         rows[: len(first), :size], rows[len(first) : before, : self.normals.shape[1]] = first, self.normals
         rows[before:] = slopes[:, : rows.shape[1]]
-        tail = np.vstack([np.zeros((before, slopes.shape[1] - cut)), slopes[:, cut:]])
+        tail, end = np.zeros((len(rows), slopes.shape[1] - cut)), np.zeros((len(rows), size))
+        tail[before:], end[: len(first)] = slopes[:, cut:], last
         links, transitions, columns = self.equations.links, path.transitions, path.columns
         inner: Inner | None = None
         if links:
             transitions, columns, inner = links.varied(w, path)
-        return Linearised(
-            transitions,
-            columns,
-            rows,
-            np.vstack([last, np.zeros((more, size))]),
-            tail,
-            inner,
-        )
+        return Linearised(transitions, columns, rows, end, tail, inner)
 
     def lost(self, w: Unknowns, aims: Sequence[Condition] = (), slopes: np.ndarray | None = None) -> np.ndarray:
         """What of each row near w may be round-off, those of aims last: where an energy is large beside its changes.
@@ -548,7 +544,7 @@ class Loop:
 
 def beyond(rows: np.ndarray, lost: np.ndarray) -> np.ndarray:
     """Rows without what may be round-off, of which no step is better than another."""
-    return np.where(np.abs(rows) <= lost, 0.0, rows)
+    return np.asarray(rows * ~(np.abs(rows) <= lost))
 
 
 def _action_rate(model: Model, flow: ca.Function, free: tuple[str, ...]) -> ca.Function:
