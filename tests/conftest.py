@@ -114,6 +114,7 @@ def dop853(flow: Flow, state, times, s=(), free=()) -> np.ndarray:
 EXTRAS = {
     "browser": ("selenium",),
     "cluster": ("distributed",),
+    "compiler": ("ziglang",),
     "docs": ("mkdocs", "material", "mkdocstrings", "griffe", "yaml", "nbformat", "sympy", "urdf_parser_py"),
     "notebook": ("anywidget", "ipykernel", "nbclient", "nbformat"),
     "parquet": ("pyarrow",),

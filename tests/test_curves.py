@@ -448,7 +448,7 @@ def test_the_row_of_the_test_is_its_derivative(duffing):
         ends = []
         for step in (-2e-5, 2e-5):
             w = found.place.moved(step * along)
-            ends.append(curve.test(curve, replace(found, place=w, march=curve.equations.varied(w, states=True))))
+            ends.extend(curve.test(curve, [replace(found, place=w, march=curve.equations.varied(w, states=True))]))
         assert (ends[1] - ends[0]) / 4e-5 == pytest.approx(found.jacobian[-1] @ along, rel=1e-5, abs=1e-7)
 
 

@@ -4,10 +4,15 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import orbitfinder as of
 from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate import parallel
+from orbitfinder.integrate.compiled import compiling
 from orbitfinder.integrate.cvodes import build_flow
+from orbitfinder.integrate.march import uniform
 from orbitfinder.integrate.rk8 import step_of, variational_field
+from orbitfinder.loops.loop import Equations
+from orbitfinder.loops.symmetry import Symmetry
 from orbitfinder.mechanisms.chain import chain
 
 
@@ -61,6 +66,33 @@ def test_little_work_stays_in_one_lane(step, monkeypatch):
     monkeypatch.setattr(parallel, "LANES", 4)
     assert parallel._lanes(step, 8, 1) == 1
     assert parallel._lanes(step, 8, 10_000) == 4 and parallel._lanes(step, 2, 10_000) == 2
+
+
+@pytest.mark.parametrize("mode", ["on", "off"])
+@pytest.mark.parametrize("segments", [1, 2, 8])
+@pytest.mark.parametrize("system", ["forced", "autonomous", "two arcs"])
+def test_loops_beside_each_other_are_those_one_after_another(system, segments, mode):
+    """To the last bit, whatever is forced, linked or compiled; a failure names the segment's own state."""
+    model, free = {
+        "forced": (of.systems.forced_duffing(), ("frequency", "force")), "autonomous": (of.systems.van_der_pol(), ()),
+        "two arcs": (of.systems.slip_walker(), ("stiffness",)),
+    }[system]  # fmt: skip
+    equations, random = Equations(model, Symmetry(), free, action=True), np.random.default_rng(0)
+    segments *= max(1, equations.links.count)
+    mesh, nodes = uniform(1.0, segments, 4), random.uniform(0.1, 0.4, (segments, equations.size))
+    with compiling(mode):
+        w = equations.unknowns(nodes, 1.3, mesh)
+        places = [w.moved(random.uniform(0.0, 0.01, w.vector.size)) for _ in range(5)]
+        for states in (True, False):
+            for path, place in zip(equations.varied_each(places, states), places, strict=True):
+                alone = equations.varied(place, states)
+                for name in ("ends", "transitions", "columns", "states", "integral"):
+                    np.testing.assert_array_equal(getattr(path, name), getattr(alone, name))
+        places[3].nodes[-1] = np.inf
+        with pytest.raises(IntegrationError) as raised:
+            equations.varied_each(places)
+        assert np.all(np.isinf(raised.value.state))
+        assert raised.value.segment == segments // max(1, equations.links.count) - 1
 
 
 @pytest.mark.parametrize("links", [3, 9])

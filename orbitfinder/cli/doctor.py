@@ -32,6 +32,7 @@ EXTRAS = {
     "studio": "studio: mechanisms dragged to orbits",
     "notebook": "orbit.widget(), the notebooks", "docs": "building the documentation",
     "browser": "tests of pages in a browser", "test": "the tests",
+    "compiler": "a C compiler where there is no other",
 }  # fmt: skip
 """What each optional extra is for; what a release does not declare is not asked about."""
 
@@ -116,7 +117,7 @@ def tools() -> Iterator[Finding]:
 
     compiler, reason = available()
     said = f"{reason or 'runs'} (mode {mode()})"
-    remedy = "install gcc or clang for compiled equations; without one everything runs interpreted"
+    remedy = "install gcc or clang, or pip install 'orbitfinder[compiler]'; without one everything runs interpreted"
     yield finding("C compiler", compiler, said, remedy)
     yield _cache()
     browsers = ("chromium", "chromium-browser", "google-chrome", "chrome", "firefox")

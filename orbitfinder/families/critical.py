@@ -7,6 +7,7 @@ Source: Yu. A. Kuznetsov, Elements of Applied Bifurcation Theory (2004), chapter
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -15,7 +16,7 @@ import numpy as np
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.changes import margins
 from orbitfinder.families.registry import FOLLOWED, Followed
-from orbitfinder.families.stability import Spectrum, keeps_pairs, reduced_map
+from orbitfinder.families.stability import Spectrum, keeps_pairs, reduced_maps
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.orbits.floquet import reciprocal_pairs
 
@@ -51,9 +52,9 @@ class Critical:
         followed: Followed = FOLLOWED[self.kind]
         return followed
 
-    def __call__(self, curve: Curve, orbit: Solution) -> float:
-        """The test at an orbit. Raises `ConvergenceError` where it has no value."""
-        return self.followed.vanishes(self, curve, orbit)
+    def __call__(self, curve: Curve, orbits: Sequence[Solution]) -> np.ndarray:
+        """The test at orbits (k). Raises `ConvergenceError` where it has no value."""
+        return np.asarray(self.followed.vanishes(self, curve, orbits))
 
     def level(self, conservative: bool) -> float:
         """The value that a stability index, or a multiplier, has along the curve."""
@@ -64,54 +65,60 @@ class Critical:
         return about.indices if about.conservative else about.multipliers, self.level(about.conservative)
 
 
-def at_level(test: Critical, curve: Curve, orbit: Solution) -> float:
+def at_level(test: Critical, curve: Curve, orbits: Sequence[Solution]) -> np.ndarray:
     """A root has the value that it has along the curve."""
-    roots, conservative = _roots(curve, orbit)
-    return levelled(roots, test.level(conservative))
+    roots, conservative = _roots(curve, orbits)
+    return _levelled(roots, test.level(conservative))
 
 
-def pair_at_circle(_: Critical, curve: Curve, orbit: Solution) -> float:
+def pair_at_circle(_: Critical, curve: Curve, orbits: Sequence[Solution]) -> np.ndarray:
     """The product of a pair is 1."""
-    return torus_pair(_multipliers(reduced_map(curve, orbit)[0]))[0] - 1.0
+    return np.array([torus_pair(multipliers)[0] - 1.0 for multipliers in _multipliers(curve, orbits)])
 
 
 def neutral(curve: Curve, orbit: Solution) -> str:
     """Of a pair of product 1 that is real that it is no torus's."""
-    real = abs(torus_pair(_multipliers(reduced_map(curve, orbit)[0]))[1]) >= 2.0
+    real = abs(torus_pair(_multipliers(curve, [orbit])[0])[1]) >= 2.0
     return "two real multipliers of product 1, a neutral saddle and no torus" if real else ""
 
 
-def indices_meet(_: Critical, curve: Curve, orbit: Solution) -> float:
+def indices_meet(_: Critical, curve: Curve, orbits: Sequence[Solution]) -> np.ndarray:
     """Two stability indices are one."""
-    return discriminant(_roots(curve, orbit)[0])
+    return np.array([discriminant(roots) for roots in _roots(curve, orbits)[0]])
 
 
-def grazed(test: Critical, curve: Curve, orbit: Solution) -> float:
+def grazed(test: Critical, curve: Curve, orbits: Sequence[Solution]) -> np.ndarray:
     """The margin of the curve."""
     assert test.margin is not None
-    known = margins(curve, orbit).get(test.margin)
-    if known is None:
+    known = [margins(curve, orbit).get(test.margin) for orbit in orbits]
+    if None in known:
         raise ConvergenceError(f"what is grazed is no longer near {test.margin[1]}; take a smaller step")
-    return known.value
+    return np.array([margin.value for margin in known if margin])
 
 
-def _multipliers(reduced: np.ndarray) -> np.ndarray:
-    return np.linalg.eigvals(reduced).astype(complex)
+def _multipliers(curve: Curve, orbits: Sequence[Solution]) -> np.ndarray:
+    """Those of each orbit's root map (k x r)."""
+    return np.linalg.eigvals(reduced_maps(curve, orbits)[0]).astype(complex)
 
 
-def _roots(curve: Curve, orbit: Solution) -> tuple[np.ndarray, bool]:
-    """Stability indices where multipliers come in pairs, as is said, else multipliers."""
-    reduced = reduced_map(curve, orbit)[0]
-    roots, conservative = _multipliers(reduced), keeps_pairs(curve, reduced)
+def _roots(curve: Curve, orbits: Sequence[Solution]) -> tuple[np.ndarray, bool]:
+    """Stability indices (k x ...) where multipliers of all orbits come in pairs, as is said, else multipliers."""
+    reduced = reduced_maps(curve, orbits)[0]
+    roots, conservative = np.linalg.eigvals(reduced).astype(complex), keeps_pairs(curve, reduced)
     if conservative:
-        first, second = reciprocal_pairs(roots)
-        roots = roots[first] + roots[second]
+        pairs = [(own, *reciprocal_pairs(own)) for own in roots]
+        roots = np.array([own[first] + own[second] for own, first, second in pairs])
     return roots, conservative
 
 
 def levelled(roots: np.ndarray, level: float) -> float:
     """prod (level - r_i) over roots, each by its size, which is 0 where one of them is there."""
-    return float(np.prod((level - roots) / _sizes(roots)).real)
+    return float(_levelled(roots, level))
+
+
+def _levelled(roots: np.ndarray, level: float) -> np.ndarray:
+    """The same of several (k x r)."""
+    return np.asarray(np.prod((level - roots) / _sizes(roots), axis=-1).real)
 
 
 def doubled(roots: np.ndarray, level: float) -> float:

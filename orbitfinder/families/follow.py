@@ -39,6 +39,7 @@ from orbitfinder.families.run import (
     step_from,
 )
 from orbitfinder.families.stability import Spectrum
+from orbitfinder.loops.block import Ahead, Blocks, Pacing
 from orbitfinder.loops.conditions import pinned
 from orbitfinder.loops.continued import Solution, advanced, correct, distance, plane, tangent
 from orbitfinder.loops.mesh import carried, refined, regraded, settled
@@ -69,7 +70,8 @@ class _Walk:
     """The walk along a family: the run, in the scales that hold where it stands, and its last step."""
 
     def __init__(self, run: Run, done: Sequence[tuple[FamilyPoint, Standing | None]]) -> None:
-        self.run, self.last = step_at(run, done)
+        self.blocks = Blocks.of(run.curve, pacing(run))
+        self.run, self.last = step_at(run, done, self.blocks)
 
     def taken(self) -> int:
         return self.last.point.index
@@ -81,7 +83,7 @@ class _Walk:
         return shortest_step(self.run, self.last)
 
     def advance(self, length: float) -> Batch:
-        self.last, batch = _attempt(self.run, self.last, length)
+        self.last, batch = _attempt(self.run, self.last, length, self.blocks)
         self.run = replace(self.run, curve=self.last.curve)
         return batch
 
@@ -92,8 +94,46 @@ class _Walk:
         return Batch(self.run.direction, end=end)
 
 
-def _attempt(run: Run, before: Walked, length: float) -> tuple[Walked, Batch]:
+def pacing(run: Run) -> Pacing:
+    """How long the steps of a run may be."""
+    settings = run.settings
+    return Pacing(settings.longest_step, settings.sharpest_turn, settings.longest_stretch, PREDICTION)
+
+
+def _attempt(run: Run, before: Walked, length: float, blocks: Blocks | None) -> tuple[Walked, Batch]:
     began = time.perf_counter()
+    curve, settings, sample, place = run.curve, run.settings, before.sample, before.solution.place
+    ahead = None if blocks is None else blocks.next(curve, (place, sample.whole, before.curvature), length)
+    step = _corrected(run, before, length) if ahead is None else ahead
+    raw, whole = step.solution, step.whole
+    solution = raw if ahead is not None else settled(curve, raw, whole)
+    last = make_sample(curve, length, raw, whole, before.point.indices + before.trend)
+    if curve.equations.links and (cut := _cut(run, before, last)) is not None:
+        return before, cut
+    if curve.test is None and length > settings.narrowest and avoided(sample, last):
+        raise ConvergenceError("two families may avoid each other within one step")
+    longest, bendable = _limits(run, step.turn, step.stretch)
+    where: dict[str, Any] = {
+        "index": before.point.index + 1,
+        "arclength": before.point.arclength + run.direction * length,
+        "step": _next_length(longest, length, step.missed, bendable) if ahead is None else ahead.next,
+        "indices": last.indices,
+    }
+    if solution is not raw:
+        whole = tangent(curve, solution, carried(curve, raw.place, whole, solution.place))
+    point, kept = _checked_point(run, solution, whole, where, last.about if solution is raw else None)
+    point = replace(point, wall_time=time.perf_counter() - began)
+    known = ahead.accepted if ahead is not None and kept is raw else None
+    if known is None and blocks is not None:
+        known = blocks.accepted(curve, place, kept, whole)
+    after = step_from(run, before, point, kept, whole, last if kept is raw else None, known)
+    batch = _batch(run, before, after, last)
+    stands = bool(batch.points) and batch.points[-1] is after.point
+    return after, replace(batch, standing=standing_of(curve, kept, whole)) if stands else batch
+
+
+def _corrected(run: Run, before: Walked, length: float) -> Ahead:
+    """The point a length on, corrected."""
     curve, settings, sample, place = run.curve, run.settings, before.sample, before.solution.place
     guess = advanced(place, sample.whole, length, before.curvature)
     slope = before.solution.jacobian if before.drift is None else before.solution.jacobian + length * before.drift
@@ -107,28 +147,7 @@ def _attempt(run: Run, before: Walked, length: float) -> tuple[Walked, Batch]:
     # a step as short as this may change the period by more than `longest_stretch`: the saddle is reached in the end
     if stretch > settings.longest_stretch and length > 1e-4:
         raise ConvergenceError(f"the period changes by {stretch:.2g} within one step")
-    solution = settled(curve, raw, whole)
-    last = make_sample(curve, length, raw, whole, before.point.indices + before.trend)
-    if curve.equations.links and (cut := _cut(run, before, last)) is not None:
-        return before, cut
-    if curve.test is None and length > settings.narrowest and avoided(sample, last):
-        raise ConvergenceError("two families may avoid each other within one step")
-    missed = distance(curve, guess, raw.place)
-    longest, bendable = _limits(run, turn, stretch)
-    where: dict[str, Any] = {
-        "index": before.point.index + 1,
-        "arclength": before.point.arclength + run.direction * length,
-        "step": _next_length(longest, length, missed, bendable),
-        "indices": last.indices,
-    }
-    if solution is not raw:
-        whole = tangent(curve, solution, carried(curve, raw.place, whole, solution.place))
-    point, solution = _checked_point(run, solution, whole, where, last.about if solution is raw else None)
-    point = replace(point, wall_time=time.perf_counter() - began)
-    after = step_from(run, before, point, solution, whole, last if solution is raw else None)
-    batch = _batch(run, before, after, last)
-    stands = bool(batch.points) and batch.points[-1] is after.point
-    return after, replace(batch, standing=standing_of(curve, solution, whole)) if stands else batch
+    return Ahead(place, length, raw, whole, turn, stretch, distance(curve, guess, raw.place))
 
 
 def _checked_point(

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from math import gcd
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
@@ -27,6 +26,7 @@ from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.conditions import pinned
 from orbitfinder.loops.continued import Curve, Solution, advanced, correct, plane, tangent
 from orbitfinder.loops.loop import Equations, Unknowns
+from orbitfinder.loops.mesh import hermite
 from orbitfinder.loops.symmetry import Involution, called, involutions, named
 from orbitfinder.mechanics.model import wrapped
 from orbitfinder.records.family import End
@@ -114,15 +114,18 @@ def _sampled(curve: Curve, place: Unknowns, states: np.ndarray) -> np.ndarray:
     p = curve.equations
     mesh, states = p.symmetry.whole(place.mesh, states, curve.constant)
     slopes = p.march.rates(states, place.tail, mesh * place.period) * place.period
-    return np.asarray(CubicHermiteSpline(mesh, states, slopes)(np.linspace(0.0, 1.0, SAMPLED + 1)))
+    return hermite(mesh, states, slopes, np.linspace(0.0, 1.0, SAMPLED + 1))
 
 
-def _beside(curve: Curve, states: np.ndarray) -> Iterator[tuple[Invariance, np.ndarray, float]]:
+def _beside(curve: Curve, solution: Solution) -> list[tuple[Invariance, np.ndarray, float]]:
     """What an orbit nearly keeps, d, and its size relative to the motion's."""
-    away, angles = (states - states.mean(axis=0)) / curve.units, curve.equations.model.angular
-    for kept in joinable(curve):
-        gaps = kept.gaps(states, angles) / curve.units
-        yield kept, gaps, float(np.sqrt((gaps**2).mean() / nonzero((away**2).mean())))
+    if "beside" not in solution.kept:
+        states, angles = sampled(curve, solution), curve.equations.model.angular
+        away = nonzero(float((((states - states.mean(axis=0)) / curve.units) ** 2).mean()))
+        gaps = [(kept, kept.gaps(states, angles) / curve.units) for kept in joinable(curve)]
+        solution.kept["beside"] = [(kept, gap, float(np.sqrt((gap**2).mean() / away))) for kept, gap in gaps]
+    beside: list[tuple[Invariance, np.ndarray, float]] = solution.kept["beside"]
+    return beside
 
 
 def _held(curve: Curve, kept: Invariance, states: np.ndarray) -> bool:
@@ -138,7 +141,9 @@ def _held(curve: Curve, kept: Invariance, states: np.ndarray) -> bool:
 def approaching(curve: Curve, sample: Sample, length: float) -> Iterator[tuple[Invariance, float, float]]:
     """The families that might be joined: what they keep, how far ahead, and how far the orbit is beside them."""
     here = sampled(curve, sample.solution)
-    near = [one for one in _beside(curve, here) if BESIDE[0] < one[2] < BESIDE[1] and _held(curve, one[0], here)]
+    near = [
+        one for one in _beside(curve, sample.solution) if BESIDE[0] < one[2] < BESIDE[1] and _held(curve, one[0], here)
+    ]
     if not near:
         return
     place, path = predicted(curve, sample, length)
@@ -152,8 +157,8 @@ def approaching(curve: Curve, sample: Sample, length: float) -> Iterator[tuple[I
 
 def passed(curve: Curve, before: Solution, after: Solution) -> bool:
     """Whether a family was joined between two orbits: the second one keeps what the first did not, or is its image."""
-    first, other = sampled(curve, before), sampled(curve, after)
-    for (kept, here, size), (_, there, left) in zip(_beside(curve, first), _beside(curve, other), strict=True):
+    first = sampled(curve, before)
+    for (kept, here, size), (_, there, left) in zip(_beside(curve, before), _beside(curve, after), strict=True):
         sizes = float(np.linalg.norm(here) * np.linalg.norm(there))
         turned = BESIDE[0] < min(size, left) and max(size, left) < BESIDE[1] and (here * there).sum() < -0.5 * sizes
         # share of the lower bound that d is below where it is only what cubics are off
@@ -216,9 +221,9 @@ def _critical(start: Start, name: str, kept: Invariance) -> Join | None:
     def at(distance: float) -> tuple[Solution, float]:
         guess, aim = advanced(place, whole, distance), plane(curve, place, whole, distance)
         solution = correct(curve, guess, aim, place, reach=1.0 + abs(distance))
-        return solution, test(curve, solution)
+        return solution, float(test(curve, [solution])[0])
 
-    (known, low), here, last, moved = (base, test(curve, base)), FIRST, 0.0, np.inf
+    (known, low), here, last, moved = (base, float(test(curve, [base])[0])), FIRST, 0.0, np.inf
     for _ in range(MOST_SECANT):
         known, value = at(here)
         slope = (value - low) / (here - last)

@@ -12,7 +12,7 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.motion import watched
 from orbitfinder.families.stability import Spectrum, spectrum, transitions
 from orbitfinder.loops.conditions import measured
-from orbitfinder.loops.continued import Curve, Solution
+from orbitfinder.loops.continued import CORRECTOR, Curve, Solution
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.symmetry import shifting, turned
 from orbitfinder.mechanics.scales import alone, shared
@@ -23,8 +23,6 @@ from orbitfinder.records.orbit import system_at
 
 LEAST = 1e-3
 """Share of a motion's distance from the origin that its extent counts as at least: it is known to round-off of that."""
-STEPPED = 1e-13
-"""A last step of Newton's that is shorter than this leaves the action as it is"""
 
 
 @dataclass(frozen=True)
@@ -142,7 +140,11 @@ def make_point(
 def action_at(curve: Curve, solution: Solution) -> float:
     """The action over the horizon (J s) of the place after Newton's last step, which may have changed the energy: by
     dE, and so the action by T dE."""
-    return solution.march.integral if solution.stepped < STEPPED else curve.equations.varied(solution.place).integral
+    return (
+        solution.march.integral
+        if solution.stepped < CORRECTOR.unmoved
+        else curve.equations.varied(solution.place).integral
+    )
 
 
 def checked_pieces(curve: Curve, solution: Solution, check: ClosureCheck, free: Mapping[str, float]) -> float:

@@ -8,10 +8,12 @@ on pages and told of in the docs. Those that there are stand in `families.entrie
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any, TypeAlias
+
+import numpy as np
 
 from orbitfinder._runtime.arguments import Registry, check
 from orbitfinder.errors import ConvergenceError, InputError, closest
@@ -51,13 +53,13 @@ class Look:
 class Followed:
     """How a kind is followed while two parameters vary; `test` is the `critical.Critical` of its curve.
 
-    `vanishes(test, curve, orbit)` is 0 along the curve. Of codimension two are there the zeros of
+    `vanishes(test, curve, orbits)`, a number of each, is 0 along the curve. Of codimension two are there the zeros of
     `tests(test, spectrum)`, and what is `special(interval)` besides, with its orbit. `margin(curve, orbit, event)`
     names what is grazed, `refused(curve, orbit)` says why an orbit is none of the curve, and `beyond` what is met where
     the multipliers become real, at which the curve ends.
     """
 
-    vanishes: Callable[[Any, Curve, Solution], float]
+    vanishes: Callable[[Any, Curve, Sequence[Solution]], np.ndarray]
     tests: Callable[[Any, Spectrum], Iterable[Test]] = lambda test, spectrum: ()
     special: Callable[[Interval], Iterable[tuple[Sample, Test]]] = lambda interval: ()
     margin: Callable[[Curve, Solution, Event], tuple[int, str, str]] | None = None

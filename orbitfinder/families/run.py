@@ -12,6 +12,7 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
 from orbitfinder.families.stability import Spectrum, matching, spectrum
 from orbitfinder.families.start import Start
+from orbitfinder.loops.block import Accepted, Blocks
 from orbitfinder.loops.conditions import followed, pinned
 from orbitfinder.loops.continued import (
     Curve,
@@ -254,18 +255,19 @@ def first_point(start: Start, settings: FamilySettings, check: ClosureCheck | No
     return make_point(curve, start.solution, head, settings.parameter, check, index=0, arclength=0.0, step=step)
 
 
-def step_at(run: Run, done: Sequence[tuple[FamilyPoint, Standing | None]]) -> tuple[Run, Walked]:
+def step_at(run: Run, done: Sequence[tuple[FamilyPoint, Standing | None]], blocks: Blocks | None) -> tuple[Run, Walked]:
     """The last step of a run after those already taken, from which everything follows, and the run in its scales."""
     origin, curve = run.origin, in_scales(run.curve, run.origin)
     solution = at_place(curve, unknowns_of(curve, origin))
-    known = portrait(curve, solution)[None]
+    first = portrait(curve, solution)[None]
     whole = tangent(curve, solution, run.direction * origin.tangent)
     sample = make_sample(curve, 0.0, solution, whole, origin.indices)
-    step = Walked(curve, origin, sample, np.zeros_like(whole), np.zeros_like(origin.indices), known)
+    step = Walked(curve, origin, sample, np.zeros_like(whole), np.zeros_like(origin.indices), first)
     for point, standing in done:
         run = replace(run, curve=step.curve)
         solution, whole = standing_at(step.curve, point, standing)
-        step = step_from(run, step, point, solution, whole, None)
+        known = None if blocks is None else blocks.accepted(step.curve, step.solution.place, solution, whole)
+        step = step_from(run, step, point, solution, whole, None, known)
     return replace(run, curve=step.curve), step
 
 
@@ -295,22 +297,31 @@ def standing_of(curve: Curve, solution: Solution, whole: np.ndarray) -> Standing
 
 
 def step_from(
-    run: Run, before: Walked, point: FamilyPoint, solution: Solution, whole: np.ndarray, last: Sample | None
-) -> Walked:
-    """The step to a point that was accepted, in scales renewed there; `last` is its sample where it has one."""
-    curve, place = run.curve.measured(solution), before.solution.place
-    rows = curve.through(solution.place).linearised(solution.place, solution.march).matrix()
-    here = replace(solution, jacobian=np.vstack([rows, solution.jacobian[len(rows) :]]))
-    whole, trend = tangent(curve, here, whole), trend_of(before.point, point)
+    run: Run, before: Walked, point: FamilyPoint, solution: Solution, whole: np.ndarray, last: Sample | None,
+    known: Accepted | None = None,
+) -> Walked:  # fmt: skip
+    """The step to a point that was accepted, in scales renewed there; `last` is its sample where it has one, `known`
+    how it stands."""
+    stands = known or accepted(run.curve, before.solution.place, solution, whole)
+    curve, here, whole, trend = stands.curve, stands.solution, stands.whole, trend_of(before.point, point)
     if last is None:
         sample = make_sample(curve, 0.0, here, whole, point.indices)
     else:
         slopes = parameter_slopes(curve, here.place, here.place.head_of(whole))
         sample = replace(last, distance=0.0, solution=here, whole=whole, slopes=slopes)
     return Walked(
-        curve, point, sample, bend(curve, solution.place, whole, place), trend,
-        np.vstack([before.portraits, portrait(curve, solution)]), drifted(curve, before.solution, here),
+        curve, point, sample, stands.bend, trend, np.vstack([before.portraits, portrait(curve, solution)]),
+        None if known is not None else drifted(curve, before.solution, here),
     )  # fmt: skip
+
+
+def accepted(curve: Curve, before: Unknowns, solution: Solution, whole: np.ndarray) -> Accepted:
+    """How an orbit with its tangent stands after another."""
+    curve = curve.measured(solution)
+    rows = curve.through(solution.place).linearised(solution.place, solution.march).matrix()
+    here = replace(solution, jacobian=np.vstack([rows, solution.jacobian[len(rows) :]]))
+    whole = tangent(curve, here, whole)
+    return Accepted(curve, here, whole, bend(curve, solution.place, whole, before))
 
 
 def drifted(curve: Curve, before: Solution, solution: Solution) -> np.ndarray | None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import pairwise
 from math import gcd
 
@@ -108,7 +109,8 @@ class RootFactors:
 def spectrum(curve: Curve, solution: Solution) -> Spectrum:
     """Reduced multipliers of a corrected orbit, composed from its segments and its symmetry."""
     p, place = curve.equations, solution.place
-    reduced, basis, root = reduced_map(curve, solution)
+    maps, bases, root = reduced_maps(curve, [solution])
+    reduced, basis = maps[0], bases[0]
     conservative = keeps_pairs(curve, reduced)
     whole = np.linalg.matrix_power(reduced, root)
     floquet, chain = analyse(whole, conservative), None
@@ -132,21 +134,22 @@ def spectrum(curve: Curve, solution: Solution) -> Spectrum:
     return Spectrum(floquet, root, indices, turns, krein, reduced, values, vectors, conservative, form, chain)
 
 
-def reduced_map(curve: Curve, solution: Solution) -> tuple[np.ndarray, np.ndarray, int]:
-    """The root map without the trivial multipliers (r x r), the basis (d x r) that it is in, and the map's root."""
-    units, (root_map, root) = curve.units, _root_map(curve, solution)
-    p, place = curve.equations, solution.place
-    basis = _basis(curve, place.nodes[0], _flow(curve, solution), p.quantities_at(place)[1])
-    reduced = np.asarray(basis.T @ (root_map * units / units[:, None]) @ basis)
+def reduced_maps(curve: Curve, solutions: Sequence[Solution]) -> tuple[np.ndarray, np.ndarray, int]:
+    """The root maps of orbits without the trivial multipliers (k x r x r), their bases (k x d x r), the maps' root."""
+    units, (root_maps, root) = curve.units, _root_maps(curve, solutions)
+    p, places, flows = curve.equations, [solution.place for solution in solutions], _flows(curve, solutions)
+    slopes = [p.quantities_at(place)[1] if p.energy else np.zeros((0, p.size)) for place in places]
+    bases = _bases(curve, [place.nodes[0] for place in places], flows, slopes)
+    reduced = np.asarray(bases.swapaxes(1, 2) @ (root_maps * units / units[:, None]) @ bases)
     if not np.all(np.isfinite(reduced)):
         raise ConvergenceError("the multipliers overflow, as where a guard is grazed; take a smaller step")
-    return reduced, basis, root
+    return reduced, bases, root
 
 
 def keeps_pairs(curve: Curve, reduced: np.ndarray) -> bool:
-    """Whether multipliers come in reciprocal pairs; resets need not keep areas."""
-    area = abs(np.linalg.det(reduced)) if curve.equations.links and reduced.size else 1.0
-    return bool(curve.equations.symplectic and abs(area - 1.0) < AREA)
+    """Whether multipliers of reduced maps (... x r x r) come in reciprocal pairs; resets need not keep areas."""
+    areas = np.abs(np.linalg.det(reduced)) if curve.equations.links and reduced.size else 1.0
+    return bool(curve.equations.symplectic and np.all(np.abs(areas - 1.0) < AREA))
 
 
 def _lost(floquet: Floquet) -> bool:
@@ -179,7 +182,7 @@ def _chain(curve: Curve, solution: Solution) -> RootFactors:
     )[0]
     flows = p.march.rates(states, w.tail)
     slopes = [p.march.at(p.quantities, x, w.free)[1] for x in states]
-    bases = [_basis(curve, *moment) for moment in zip(states, flows, slopes, strict=True)]
+    bases = _bases(curve, states, flows, slopes)
     reduced = [bases[b].T @ factor @ bases[a] for factor, (a, b) in zip(factors, pairwise(stops), strict=True)]
     missed = 0.0
     if p.symplectic:
@@ -223,13 +226,13 @@ def _form(curve: Curve, x: np.ndarray, w: Unknowns, basis: np.ndarray) -> np.nda
     return np.asarray(half - half.T)
 
 
-def _root_map(curve: Curve, solution: Solution) -> tuple[np.ndarray, int]:
-    """The matrix of which the monodromy is a power, and that power, from the horizon's matrix by the symmetry."""
-    size = curve.equations.size
-    matrix = np.eye(size)
-    for transition in transitions(curve, solution):
-        matrix = transition @ matrix
-    return curve.equations.symmetry.root(matrix, lambda other: _inverse(curve, solution, matrix) @ other, size)
+def _root_maps(curve: Curve, solutions: Sequence[Solution]) -> tuple[np.ndarray, int]:
+    """The matrices (k x d x d) of which monodromies are a power, and that power, from the horizon's by the symmetry."""
+    each = np.array([transitions(curve, solution) for solution in solutions])
+    matrices = reduce(lambda before, after: after @ before, each.swapaxes(0, 1))
+    return curve.equations.symmetry.root(
+        matrices, lambda other: _inverses(curve, solutions, matrices) @ other, curve.equations.size
+    )
 
 
 def transitions(curve: Curve, solution: Solution) -> np.ndarray:
@@ -246,37 +249,46 @@ def transitions(curve: Curve, solution: Solution) -> np.ndarray:
     return p.links.saltated(place, solution.march, late / shares[:, None], np.roll(early / shares[:, None], -1, axis=0))
 
 
-def _inverse(curve: Curve, solution: Solution, matrix: np.ndarray) -> np.ndarray:
+def _inverses(curve: Curve, solutions: Sequence[Solution], matrices: np.ndarray) -> np.ndarray:
     """A^-1 by symplecticity, C A^-1 C'^-1 = -J (C' A C^-1)^T J in canonical coordinates; as it is without."""
     if not curve.equations.symplectic:
-        return np.linalg.inv(matrix)
-    place, end = solution.place, solution.march.ends[-1]
-    before = curve.equations.momentum_slopes(place.nodes[0], place.free)
-    after = curve.equations.momentum_slopes(end, place.free)
-    canonical = after @ matrix @ np.linalg.inv(before)
-    unit = symplectic_unit(len(matrix) // 2)
-    return np.asarray(np.linalg.solve(before, -unit @ canonical.T @ unit @ after))
+        return np.linalg.inv(matrices)
+    places = [(each.place.nodes[0], each.march.ends[-1], each.place.free) for each in solutions]
+    before = np.array([curve.equations.momentum_slopes(start, free) for start, _, free in places])
+    after = np.array([curve.equations.momentum_slopes(end, free) for _, end, free in places])
+    canonical = after @ matrices @ np.linalg.inv(before)
+    unit = symplectic_unit(matrices.shape[1] // 2)
+    return np.asarray(np.linalg.solve(before, -unit @ canonical.swapaxes(1, 2) @ unit @ after))
 
 
-def _basis(curve: Curve, x: np.ndarray, flow: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """The basis (columns), in the curve's units, of what is neither along the flow (d) at a state (d) nor along another
-    symmetry, nor changes an invariant, whose `slopes` (k x d) are given.
+def _bases(curve: Curve, states: Sequence[np.ndarray], flows: np.ndarray, slopes: Sequence[np.ndarray]) -> np.ndarray:
+    """Bases (k x d x r, columns), in the curve's units, of what is neither along the flow (k x d) at states (k of d)
+    nor along another symmetry, nor changes an invariant, whose `slopes` (k of ... x d) are given.
     """
     p = curve.equations
-    directions = np.vstack([*([] if p.model.forced else [flow]), generated(p.model, x)])
-    return complement(slopes[: p.energy] * curve.units, directions / curve.units)
+    none = np.zeros((len(states), 0, p.size))
+    directions = np.array([generated(p.model, x) for x in states]) if p.model.invariants else none
+    if not p.model.forced:
+        directions = np.concatenate([flows[:, None], directions], axis=1)
+    gradients = np.array([slope[: p.energy] for slope in slopes])
+    return complement(gradients * curve.units, directions / curve.units)
 
 
-def _flow(curve: Curve, solution: Solution) -> np.ndarray:
-    """The field (d) at x(0). Raises `ConvergenceError` unless the orbit moves."""
-    p, place = curve.equations, solution.place
-    flow = p.march.rates(place.nodes[:1], place.tail)[0]
-    still = not np.any(flow)
+def _flows(curve: Curve, solutions: Sequence[Solution]) -> np.ndarray:
+    """The field (k x d) at x(0) of each. Raises `ConvergenceError` unless all of the orbits move."""
+    p = curve.equations
     if p.model.forced:  # what is driven may stand still at that moment, or be carried through one
-        still = bool(np.all(np.ptp(solution.march.states, axis=0) * np.sqrt(curve.weights[: p.size]) <= STILL))
-    if still:
+        flows = np.zeros((len(solutions), p.size))
+        moved = np.ptp([solution.march.states for solution in solutions], axis=1)
+        still = np.all(moved * np.sqrt(curve.weights[: p.size]) <= STILL, axis=1)
+    else:
+        places = [solution.place for solution in solutions]
+        starts, tails = np.array([w.nodes[0] for w in places]), np.array([w.tail for w in places])
+        flows = p.march.arcs[0].rates(starts, tails)
+        still = ~np.any(flows, axis=1)
+    if np.any(still):
         raise ConvergenceError("the corrector found an equilibrium and no orbit")
-    return np.asarray(flow)
+    return flows
 
 
 def _krein(form: np.ndarray, values: np.ndarray, vectors: np.ndarray, wanted: np.ndarray) -> tuple[int, ...]:

@@ -32,10 +32,12 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -76,8 +78,16 @@ class CompileLimits:
 LIMITS = CompileLimits()
 
 
-ALWAYS = ("-std=c99", *(() if sys.platform == "win32" else ("-fPIC",)), "-shared", "-ffp-contract=off")
+ALWAYS = (
+    "-std=c99",
+    *(() if sys.platform == "win32" else ("-fPIC",)),
+    "-shared",
+    "-ffp-contract=off",
+    "-fno-math-errno",
+)
 NATIVE = "-march=native"
+ZIG = (sys.executable, "-m", "ziglang", "cc", "-fno-sanitize=undefined")
+"""The clang of the extra `compiler`, which by itself adds checks that end the process"""
 TIMEOUT = 300.0
 """s after which a compilation is given up"""
 
@@ -98,7 +108,8 @@ class Statistics:
 
 _chosen: list[str] = []
 _statistics = Statistics()
-_known, _libraries = Kept[ca.Function](LIMITS.remembered), Kept[ca.Function](LIMITS.remembered)
+T = TypeVar("T")
+_known, _libraries = Kept[ca.Function](LIMITS.remembered), Kept[Any](LIMITS.remembered)
 
 
 def mode() -> str:
@@ -168,12 +179,18 @@ def compiled(function: ca.Function, *, effort: float | None = None) -> ca.Functi
 
 
 def _tried(function: ca.Function, effort: float | None) -> ca.Function:
+    fast = attempted(function.name(), lambda: _library(function, effort))
+    return function if fast is None else fast
+
+
+def attempted(name: str, make: Callable[[], T]) -> T | None:
+    """What is made of the function of that name; None, counted among those left, where it cannot be compiled."""
     try:
         with captured():
-            return _library(function, effort)
+            return make()
     except (Unavailable, OSError, RuntimeError) as error:
-        _count(left=1, reason=f"{function.name()}: {error}")
-        return function
+        _count(left=1, reason=f"{name}: {error}")
+        return None
 
 
 def interpreted_seconds(function: ca.Function, calls: float) -> float:
@@ -193,27 +210,38 @@ def with_derivatives(function: ca.Function, *, effort: float | None = None) -> c
 
 def _library(function: ca.Function, effort: float | None) -> ca.Function:
     """The compiled function, from this process, from the disk or made now."""
-    code = _code(function)
+    return library(_code(function), lambda path, new: _opened(path, function, new), effort)
+
+
+def library(code: str, opened: Callable[[Path, bool], T], effort: float | None, level: str = "") -> T:
+    """What `opened(path, new)` makes of C as a shared library, from this process, from the disk or made now.
+
+    `opened` removes a file that is not as it must be; `level` of optimisation, "" for what suits the length. Raises
+    `Unavailable` and `OSError`.
+    """
     compiler = find_compiler()
+    if level:
+        compiler = replace(compiler, tuning=(*compiler.tuning, level))
     key = key_of(code, compiler.identity, " ".join(flags(len(code), compiler.tuning)), ca.__version__)
-    return _libraries(key, lambda: _fetched(function, effort, code, compiler, key))
+    entry: T = _libraries(key, lambda: _fetched(code, opened, effort, compiler, key))
+    return entry
 
 
-def _fetched(function: ca.Function, effort: float | None, code: str, compiler: Compiler, key: str) -> ca.Function:
-    """The compiled function from the disk or made now."""
+def _fetched(code: str, opened: Callable[[Path, bool], T], effort: float | None, compiler: Compiler, key: str) -> T:
+    """The same from the disk or made now."""
     place = usable()
-    library = _loaded(find_entry(place, key), function)
-    if library is None:
-        _worth_it(len(code), effort)
+    entry = _loaded(find_entry(place, key), opened)
+    if entry is None:
+        worth_it(len(code), effort)
         # one process at a time per key (256 locks in all); where files cannot be locked the work may be done twice
         with locks.held(place / f"lock-{key[:2]}", expected_seconds(len(code)) * 10 + 10) as held:
-            library = _loaded(find_entry(place, key), function)  # another process may have made it meanwhile
-            if library is None:
+            entry = _loaded(find_entry(place, key), opened)  # another process may have made it meanwhile
+            if entry is None:
                 if not held:
                     raise Unavailable("another process is compiling the same")
-                library = _opened(publish(make_library(compiler, code, place), place, key), function, new=True)
+                entry = opened(publish(make_library(compiler, code, place), place, key), True)
                 _count(made=1)
-    return library
+    return entry
 
 
 def _code(function: ca.Function) -> str:
@@ -233,7 +261,8 @@ def _code(function: ca.Function) -> str:
     return code
 
 
-def _worth_it(size: int, effort: float | None) -> None:
+def worth_it(size: int, effort: float | None) -> None:
+    """Raises `Unavailable` where so many bytes of C take longer to compile than `effort` (s) of work would."""
     expected = expected_seconds(size)
     if mode() == "on":
         return
@@ -243,19 +272,19 @@ def _worth_it(size: int, effort: float | None) -> None:
         raise Unavailable(f"{effort:.2g} s of work, compiling would take about {expected:.2g} s")
 
 
-def _loaded(path: Path | None, function: ca.Function) -> ca.Function | None:
+def _loaded(path: Path | None, opened: Callable[[Path, bool], T]) -> T | None:
     """A library of the cache; None where there is none that fits."""
     if path is None:
         return None
     try:
-        library = _opened(path, function)
+        entry = opened(path, False)
     except Unavailable:
         return None
     _count(loaded=1)
-    return library
+    return entry
 
 
-def _opened(path: Path, function: ca.Function, new: bool = False) -> ca.Function:
+def _opened(path: Path, function: ca.Function, new: bool) -> ca.Function:
     """A library loaded and, when new, compared with the interpreter at one point; `Unavailable` removes its file."""
     try:
         library = ca.external(function.name(), str(path))
@@ -296,9 +325,11 @@ class Compiler:
 
 
 def find_compiler() -> Compiler:
-    """The compiler of $CC, else the first of cc, gcc, clang. Raises `Unavailable` when none runs."""
+    """The compiler of $CC, else the first of cc, gcc, clang and ZIG. Raises `Unavailable` when none runs."""
     chosen = os.environ.get("CC", "").strip()
-    candidates = [tuple(shlex.split(chosen))] if chosen else [("cc",), ("gcc",), ("clang",)]
+    candidates: list[tuple[str, ...]] = [tuple(shlex.split(chosen))] if chosen else [("cc",), ("gcc",), ("clang",)]
+    if not chosen and find_spec(ZIG[2]):
+        candidates.append(ZIG)
     reasons = []
     for command in candidates:
         path = shutil.which(command[0])

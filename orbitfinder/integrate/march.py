@@ -17,11 +17,14 @@ import numpy as np
 
 from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.compiled import compiled
+from orbitfinder.integrate.lanes.kernel import Kernel, kernel, varied_kernel
 from orbitfinder.integrate.parallel import STAGES, Lanes
-from orbitfinder.integrate.rk8 import agree, refined, step_of, variational_field
+from orbitfinder.integrate.rk8 import agree, refined, slopes_of, step_of, variational_field
 
 EFFORT = 3.0
 """Seconds of interpreted marching in a family of moderate length, for `compiled`."""
+LEAST_TOGETHER, MOST_TOGETHER = 5, 16
+"""Components of a state for which eight segments pay: a smaller system's time is that of the linear algebra"""
 _NOTHING = np.zeros(0)
 QUANTUM = 4
 """Numbers of steps are rounded up to a multiple of this, so that few different marches are made."""
@@ -81,7 +84,7 @@ class March(Refining):
     ) -> None:
         self.field, self.forced, self.integrand, self._effort = field, forced, integrand, effort
         self.size, self.unfolding, self.free = (int(field.size1_in(k)) for k in (1, 2, 3))
-        self._lanes = Lanes(alone)
+        self._lanes, self._kernels = Lanes(alone), dict[bool, Kernel | None]()
 
     @property
     def arcs(self) -> tuple[March, ...]:
@@ -95,7 +98,7 @@ class March(Refining):
 
     @cached_property
     def _varied(self) -> ca.Function:
-        """The field of (x, vec Y, S); in another form where it is interpreted."""
+        """The field of (x, vec Y, S), in another form where it is interpreted."""
         whole = variational_field(self.field, self.integrand)
         if compiled(step_of(whole), effort=self._effort).class_name() == "External":
             return whole
@@ -119,64 +122,100 @@ class March(Refining):
 
     def build(self) -> None:
         """Derive and compile now what integrates states and derivatives, not at first use."""
-        assert self._step and self._varied_step
+        assert (self._kernel(False) or self._step) and (self._kernel(True) or self._varied_step)
+
+    def _kernel(self, varied: bool, segments: int = 0) -> Kernel | None:
+        """What marches in lanes, with variations or without; decided at first use, for good."""
+        if varied not in self._kernels:
+            made = (varied_kernel(self.field, self.integrand, self._effort, segments == 1) if varied
+                    else kernel(self.field, self._effort, segments == 1))  # fmt: skip
+            self._kernels[varied] = made
+        return self._kernels[varied]
 
     def ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (N x d) at the ends of the segments from their nodes (N x d). Raises `IntegrationError`."""
         start = self._begun(nodes, self._clock(nodes, mesh, tail))
-        return _finite(self._lanes.marched(self._step, start, _parameters(mesh, tail), False), nodes)[:, 1:]
+        return _finite(self._marched(False, start, _parameters(mesh, tail), 0)[0], nodes)[:, 1:]
+
+    def _marched(
+        self, varied: bool, start: np.ndarray, parameters: np.ndarray, kept: int, loops: int = 1
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The ends (N x ...) of the segments that begin at `start`, and the first `kept` numbers of every step's.
+
+        The segments are those of so many `loops`, one after another.
+        """
+        quick = self._kernel(varied, len(start))
+        if quick is not None:
+            return quick.marched(start, parameters, kept)
+        step = self._varied_step if varied else self._step
+        own = zip(np.split(start, loops), np.split(parameters, loops), strict=True)
+        path = np.concatenate([self._lanes.marched(step, *each, bool(kept)) for each in own])
+        steps = len(parameters) // len(start) if kept else 1
+        return path[steps - 1 :: steps], path[:, :kept]
+
+    @property
+    def together(self) -> bool:
+        """Whether segments are marched side by side, and there is so much in a step that it pays."""
+        return LEAST_TOGETHER <= self.size <= MOST_TOGETHER and self._kernel(True) is not None
 
     def states(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (M + 1 x d) at the mesh."""
         start = self._begun(nodes, self._clock(nodes, mesh, tail))
-        path = self._lanes.marched(self._step, start, _parameters(mesh, tail), True)
+        path = self._marched(False, start, _parameters(mesh, tail), 1 + self.size)[1]
         return np.vstack([nodes[:1], _finite(path, nodes)[:, 1:]])
 
     def varied(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, states: bool = False) -> Varied:
         """Ends and their derivatives; with `states` those at the mesh too. Raises `IntegrationError`."""
-        (count, size), own = nodes.shape, self.columns
-        start = self._begun(nodes, self._clock(nodes, mesh, tail), self._unit)
-        path = _finite(self._lanes.marched(self._varied_step, start, _parameters(mesh, tail), states), nodes)
-        last = path[(mesh.size - 1) // count - 1 :: (mesh.size - 1) // count] if states else path
-        ends = last[:, 1 : 1 + size]
-        matrices = last[:, 1 + size : 1 + size * (1 + own)].reshape(count, own, size).transpose(0, 2, 1)
-        transitions = matrices[:, :, :size]
-        columns = np.empty((count, size, 1 + own - size))
-        columns[:, :, 0] = self._by_period(nodes, ends, transitions, mesh, tail)
-        columns[:, :, 1:] = matrices[:, :, size:]
-        along = np.concatenate([nodes[:1], path[:, 1 : 1 + size]]) if states else nodes
-        return Varied(ends, transitions, columns, along, float(last[:, 1 + size * (1 + own) :].sum()))
+        return self.varied_each(nodes[None], mesh, tail[None], states)[0]
+
+    def varied_each(self, nodes: np.ndarray, mesh: np.ndarray, tails: np.ndarray, states: bool = False) -> list[Varied]:
+        """The same of several loops on one mesh, of nodes (B x N x d) and tails (B x m), beside each other."""
+        (loops, count, size), own = nodes.shape, self.columns
+        starts, clocks = nodes.reshape(-1, size), [self._clock(nodes[0], mesh, tail) for tail in tails]
+        parameters = np.concatenate([_parameters(mesh, tail) for tail in tails])
+        start = self._begun(starts, np.concatenate(clocks), self._unit)
+        last, path = self._marched(True, start, parameters, 1 + size if states else 0, loops)
+        last = _finite(last, starts, loops).reshape(loops, count, -1)
+        ends, rest = last[:, :, 1 : 1 + size], last[:, :, 1 + size * (1 + own) :]
+        matrices = last[:, :, 1 + size : 1 + size * (1 + own)].reshape(loops, count, own, size).swapaxes(2, 3)
+        transitions = matrices[:, :, :, :size]
+        columns = np.empty((loops, count, size, 1 + own - size))
+        columns[:, :, :, 0] = self._by_period(nodes, ends, transitions, mesh, tails)
+        columns[:, :, :, 1:] = matrices[:, :, :, size:]
+        if states:
+            inside = _finite(path, starts, loops)[:, 1:].reshape(loops, -1, size)
+            nodes = np.concatenate([nodes[:, :1], inside], axis=1)
+        integrals = [float(each.sum()) for each in rest]
+        return list(map(Varied, ends, transitions, columns, nodes, integrals))
 
     def _by_period(
-        self, nodes: np.ndarray, ends: np.ndarray, transitions: np.ndarray, mesh: np.ndarray, tail: np.ndarray
+        self, nodes: np.ndarray, ends: np.ndarray, transitions: np.ndarray, mesh: np.ndarray, tails: np.ndarray
     ) -> np.ndarray:
-        """d(ends)/dT (N x d): a segment gets longer and, which a forced system sees, begins later."""
-        edges = mesh[:: (mesh.size - 1) // len(nodes)]
-        durations = (edges[1:] - edges[:-1])[:, None]
-        if not self.forced or len(nodes) == 1:
-            return np.asarray(self.rates(ends, tail, tail[0] * edges[1:]) * durations)
-        times = tail[0] * np.concatenate([edges[1:], edges[:-1]])
-        late, early = self.rates(np.concatenate([ends, nodes]), tail, times).reshape(2, *ends.shape)
-        return np.asarray(late * durations + (late - (transitions @ early[:, :, None])[:, :, 0]) * edges[:-1, None])
+        """d(ends)/dT (B x N x d): a segment gets longer and, which a forced system sees, begins later."""
+        (loops, count, size), each = nodes.shape, np.repeat(tails, nodes.shape[1], axis=0)
+        edges = mesh[:: (mesh.size - 1) // count]
+        durations, times = (edges[1:] - edges[:-1])[:, None], tails[:, :1] * edges
+        if not self.forced or count == 1:
+            rates = self.rates(ends.reshape(-1, size), each, times[:, 1:].ravel())
+            return np.asarray(rates.reshape(loops, count, size) * durations)
+        states, moments = np.concatenate([ends, nodes]), np.concatenate([times[:, 1:], times[:, :-1]])
+        rates = self.rates(states.reshape(-1, size), np.concatenate([each, each]), moments.ravel())
+        late, early = rates.reshape(2, loops, count, size)
+        return np.asarray(late * durations + (late - (transitions @ early[..., None])[..., 0]) * edges[:-1, None])
 
     def slopes(self, x: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """d(dx/dt)/dx (d x d) at a state (d)."""
-        field, size = self._varied, self.size
-        start = np.zeros(field.size1_in(1))
-        start[:size], start[size : size + size * size] = x, np.eye(size).ravel()
         s, free = tail[1 : 1 + self.unfolding], tail[1 + self.unfolding :]
-        rates = self.at(field, 0.0, start, s, free)[0].ravel()
-        return np.asarray(rates[size : size + size * size].reshape(size, size).T)
+        return self.at(slopes_of(self.field, self.integrand), 0.0, x, s, free)[1]
 
     def rates(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray | float = 0.0) -> np.ndarray:
-        """dx/dt (k x d) at states (k x d)."""
+        """dx/dt (k x d) at states (k x d), of a tail (m) or one of each (k x m)."""
+        s, free = tail[..., 1 : 1 + self.unfolding], tail[..., 1 + self.unfolding :]
         if len(states) == 1:
             moment = times if isinstance(times, float) else times[0]
-            s, free = tail[1 : 1 + self.unfolding], tail[1 + self.unfolding :]
             return self.at(self.field, moment, states, s, free)[0].T
-        moments = np.broadcast_to(times, len(states))[:, None]
-        s, free = np.split(np.broadcast_to(tail[1:], (len(states), tail.size - 1)), [self.unfolding], axis=1)
-        return self._lanes.evaluated(self.field, 1, moments, states, s, free)
+        moments = np.reshape(times, (-1, 1))
+        return self._lanes.evaluated(self.field, 1, moments, states, np.atleast_2d(s), np.atleast_2d(free))
 
     def along(self, function: ca.Function, *arguments: np.ndarray) -> np.ndarray:
         """Any function at k places (k x ... each)."""
@@ -191,7 +230,7 @@ class March(Refining):
     ) -> np.ndarray:
         """Estimated error of each step `asked` for, relative to the size of the motion, measured in `units` (d)."""
         start = self._begun(states[asked], tail[0] * mesh[asked] * self.forced)
-        errors = np.abs(self._lanes.evaluated(self._error, STAGES, start, _parameters(mesh, tail)[asked]))
+        errors = np.abs(self._errors(False, start, _parameters(mesh, tail)[asked]))
         extent = np.abs(states).max(axis=0) / units
         return np.asarray((errors / (units * np.maximum(extent, extent.max() * 1e-2))).max(axis=1))
 
@@ -204,14 +243,20 @@ class March(Refining):
         """
         size = self.size
         start = self._begun(states[asked], tail[0] * mesh[asked] * self.forced, self._unit)
-        errors = self._lanes.evaluated(self._varied_error, STAGES, start, _parameters(mesh, tail)[asked])
+        errors = self._errors(True, start, _parameters(mesh, tail)[asked])
         scale = (units[:, None] / units[None, :]).ravel()  # columns first: entry (i, j) stands at j size + i
         return np.asarray((np.abs(errors[:, size : size + size * size]) * scale).max(axis=1))
+
+    def _errors(self, varied: bool, starts: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        quick = self._kernel(varied)
+        if quick is not None:
+            return quick.errors(starts, parameters)
+        return self._lanes.evaluated(self._varied_error if varied else self._error, STAGES, starts, parameters)
 
     @cached_property
     def _unit(self) -> np.ndarray:
         """vec Y and S where a segment begins."""
-        unit = np.zeros(self._varied_step.size1_in(0) - 1 - self.size)
+        unit = np.zeros(self.size * self.columns + (self.integrand.numel_out(0) if self.integrand else 0))
         unit[: self.size * self.columns] = np.eye(self.size, self.columns).ravel("F")
         return unit
 
@@ -260,12 +305,12 @@ class Marches(Refining):
 
     def varied(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, states: bool = False) -> Varied:
         """Ends and their derivatives; with `states` those at the mesh too. Raises `IntegrationError`."""
-        paths = [arc.varied(own, part, tail, states) for arc, own, part in self._each(nodes, mesh)]
-        along = _one_after_another([path.states for path in paths]) if states else nodes
-        ends, transitions, columns = (
-            np.concatenate([getattr(path, name) for path in paths]) for name in ("ends", "transitions", "columns")
-        )
-        return Varied(ends, transitions, columns, along, sum(path.integral for path in paths))
+        return self.varied_each(nodes[None], mesh, tail[None], states)[0]
+
+    def varied_each(self, nodes: np.ndarray, mesh: np.ndarray, tails: np.ndarray, states: bool = False) -> list[Varied]:
+        """The same of several loops on one mesh, of nodes (B x N x d) and tails (B x m), beside each other."""
+        arcs = [arc.varied_each(own, part, tails, states) for arc, own, part in self._each(nodes, mesh)]
+        return [_in_turn(paths, states) for paths in zip(*arcs, strict=True)]
 
     def rates(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray | float = 0.0) -> np.ndarray:
         """dx/dt (k x d) at states (k x d) that are shared out evenly among the arcs, in periods of its own for each."""
@@ -302,8 +347,17 @@ class Marches(Refining):
     def _each(self, nodes: np.ndarray, mesh: np.ndarray) -> Iterator[tuple[March, np.ndarray, np.ndarray]]:
         count = len(self.arcs)
         steps = (mesh.size - 1) // count
-        for k, (arc, own) in enumerate(zip(self.arcs, np.split(nodes, count), strict=True)):
+        for k, (arc, own) in enumerate(zip(self.arcs, np.split(nodes, count, axis=-2), strict=True)):
             yield arc, own, mesh[k * steps : (k + 1) * steps + 1]
+
+
+def _in_turn(paths: Sequence[Varied], states: bool) -> Varied:
+    """The integration of one arc after another."""
+    ends, transitions, columns = (
+        np.concatenate([getattr(path, name) for path in paths]) for name in ("ends", "transitions", "columns")
+    )
+    along = (_one_after_another if states else np.concatenate)([path.states for path in paths])
+    return Varied(ends, transitions, columns, along, sum(path.integral for path in paths))
 
 
 def _one_after_another(pieces: Sequence[np.ndarray]) -> np.ndarray:
@@ -334,10 +388,11 @@ def _parameters(mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
     return packed
 
 
-def _finite(numbers: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """The numbers of all segments. Raises `IntegrationError` naming the first that is not finite."""
+def _finite(numbers: np.ndarray, nodes: np.ndarray, loops: int = 1) -> np.ndarray:
+    """The numbers of all segments of so many loops. Raises `IntegrationError` naming the first that is not finite."""
     if np.isfinite(numbers).all():
         return numbers
     each = len(numbers) // len(nodes)
     segment = int(np.argmin(np.all(np.isfinite(numbers), axis=1))) // each
-    raise IntegrationError("the state is not finite", segment=segment, state=nodes[segment])
+    own = segment % (len(nodes) // loops)
+    raise IntegrationError("the state is not finite", segment=own, state=nodes[segment])

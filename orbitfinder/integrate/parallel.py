@@ -66,8 +66,11 @@ class Lanes:
         return np.concatenate(_shared(run, lanes, lanes))
 
     def evaluated(self, function: ca.Function, stages: int, *arguments: np.ndarray) -> np.ndarray:
-        """A function of so many stages at k places (k x ...), many of them in chunks so that one map serves every k."""
-        count, width = len(arguments[0]), CHUNK
+        """A function of so many stages at k places (k x ..., the same for all 1 x ...).
+
+        Many of them in chunks, so that one map serves every k.
+        """
+        count, width = max(map(len, arguments)), CHUNK
         if count <= FEW:
             return self._across(function, count, 0)(*arguments)[0]
         begins = range(0, count, width)
@@ -78,7 +81,8 @@ class Lanes:
             values = []
             for begin in begins[lane::lanes]:
                 rows = np.minimum(np.arange(begin, begin + width), count - 1)
-                values.append(maps[lane](*(argument[rows] for argument in arguments))[0])
+                chunk = (argument if len(argument) == 1 else argument[rows] for argument in arguments)
+                values.append(maps[lane](*chunk)[0])
             return values
 
         return np.concatenate(_shared(filled, lanes, len(begins)))[:count]

@@ -119,6 +119,18 @@ def refined(path: Callable[[int], T], steps: int, agreed: Callable[[T, T], bool]
 
 
 @lru_cache(maxsize=16)
+def slopes_of(field: ca.Function, quadrature: ca.Function | None = None) -> ca.Function:
+    """f, df/dx, [df/ds | df/dfree] and `quadrature`, where there is one, as a function of (t, x, s, free)."""
+    symbol: Any = ca.SX.sym if field.is_a("SXFunction") else ca.MX.sym
+    inputs = [symbol(name, field.size1_in(k)) for k, name in enumerate(("t", "x", "s", "free"))]
+    x, s, free = inputs[1:]
+    rate = field(*inputs)
+    added = type(x)(0, 1) if quadrature is None else quadrature(*inputs)
+    outputs = [rate, ca.jacobian(rate, x), ca.jacobian(rate, ca.vertcat(s, free)), added]
+    return ca.Function("slopes", inputs, ca.cse(outputs) if field.is_a("SXFunction") else outputs)
+
+
+@lru_cache(maxsize=16)
 def variational_field(field: ca.Function, quadrature: ca.Function | None = None, products: bool = False) -> ca.Function:
     """f and its variations as one field of y = (x, vec[Phi | dx/ds | dx/dfree], S), columns of length 2n.
 
@@ -127,20 +139,14 @@ def variational_field(field: ca.Function, quadrature: ca.Function | None = None,
     there is one. With `products` (df/dx) Phi is a matrix product, which interpreted takes three quarters of the time
     and compiled twice as long.
     """
-    symbol: Any = ca.SX.sym if field.is_a("SXFunction") else ca.MX.sym
-    inputs = [symbol(name, field.size1_in(k)) for k, name in enumerate(("t", "x", "s", "free"))]
-    t, x, s, free = inputs
-    size, extra = x.numel(), s.numel() + free.numel()
-    rate = field(*inputs)
-    slopes, forcing = ca.jacobian(rate, x), ca.jacobian(rate, ca.vertcat(s, free))
-    added = type(x)(0, 1) if quadrature is None else quadrature(*inputs)
-    outputs = [rate, slopes, forcing, added]
-    if not field.is_a("SXFunction"):
-        return _with_columns(ca.Function("slopes", inputs, outputs), size, extra)
-    if size > WIDE or products:
-        return _with_columns(ca.Function("slopes", inputs, ca.cse(outputs), NOT_INLINED), size, extra)
+    size, extra = field.size1_in(1), field.size1_in(2) + field.size1_in(3)
+    slopes = slopes_of(field, quadrature)
+    if not field.is_a("SXFunction") or size > WIDE or products:
+        return _with_columns(slopes, size, extra)
+    t, x, s, free = inputs = slopes.sx_in()
+    rate, matrix, forcing, added = slopes.call(inputs)
     columns = ca.SX.sym("columns", size, size + extra)
-    rates = ca.cse([rate, slopes @ columns + ca.horzcat(ca.SX(size, size), forcing), added])
+    rates = ca.cse([rate, matrix @ columns + ca.horzcat(ca.SX(size, size), forcing), added])
     whole = ca.vertcat(x, ca.vec(columns), ca.SX.sym("S", added.numel()))
     rates[1] = ca.vec(rates[1])
     return ca.Function("variations", [t, whole, s, free], [ca.vertcat(*rates)], NOT_INLINED)

@@ -4,9 +4,9 @@
     sum_k F_k dx_k + L (Phi_{N-1} dx_{N-1} + C_{N-1} dy) + G dy = -r
 
 with dy the change of (period, unfolding, freed parameters) and r the closing rows, of which most have an F_0 only.
-Rows at the inner ends of segments (guards) come after those. Eliminating the nodes costs N small
-products and one small solve. The product of all Phi_k loses the contracting directions where it is very large; beyond
-`LARGEST_PRODUCT` the whole matrix is solved instead.
+Rows at the inner ends of segments (guards) come after those. The nodes follow from the first by a unit triangular
+system, after which a small one is left. The product of all Phi_k loses the contracting directions where it is very
+large; beyond `LARGEST_PRODUCT` the whole matrix is solved instead.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg.lapack import dgetrf, dgetrs
+from scipy.linalg.lapack import dgecon, dgetrf, dgetrs, dlange, dtrtrs
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
@@ -27,6 +27,7 @@ CUTOFF = 1e-13
 SMALL = 150
 """Unknowns up to which a dense factorisation is the faster one"""
 
+NO_PLACES = np.zeros(0, int)
 Inner = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Segments (g), and the derivatives of a row of each by its node (g x d) and by y (g x m)"""
 
@@ -48,78 +49,72 @@ class Linearised:
 
     def matrix(self) -> np.ndarray:
         """The derivatives of all rows by w."""
-        (count, size, _), (closing, extra) = self.transitions.shape, self.tail.shape
-        cut, total = (count - 1) * size, count * size
-        matrix = np.zeros((cut + closing, total + extra))
-        for k in range(count - 1):
-            here = slice(k * size, (k + 1) * size)
-            matrix[here, here] = self.transitions[k]
-            matrix[here, (k + 1) * size : (k + 2) * size] = -np.eye(size)
-            matrix[here, total:] = self.columns[k]
-        matrix[cut:, cut:total] = self.last @ self.transitions[-1]
-        matrix[cut:, : self.first.shape[1]] += self.first
-        matrix[cut:, total:] = self.last @ self.columns[-1] + self.tail
-        return matrix if self.inner is None else np.vstack([matrix, self._inner_matrix(total + extra)])
+        total, size = self.transitions[..., 0].size, self.transitions.shape[1]
+        closing, tail = self._closing()
+        matrix = np.empty((total - size + len(closing), total + tail.shape[1]))
+        matrix[: total - size, :total] = -self._links()[size:total, :total]
+        matrix[: total - size, total:] = self.columns[:-1].reshape(total - size, tail.shape[1])
+        matrix[total - size :, :total] = closing[:, :total]
+        matrix[total - size :, total - size : total] += closing[:, total:] @ self.transitions[-1]
+        matrix[total - size :, total:] = closing[:, total:] @ self.columns[-1] + tail
+        return matrix
 
-    def _inner_matrix(self, width: int) -> np.ndarray:
-        assert self.inner is not None
-        size, rows = self.transitions.shape[1], np.zeros((len(self.inner[0]), width))
-        for row, k, slope, by_tail in zip(rows, *self.inner, strict=True):
-            row[k * size : (k + 1) * size] = slope
-            row[width - by_tail.size :] = by_tail
-        return rows
+    def _links(self) -> np.ndarray:
+        """The derivatives of x_0 and of x_{k+1} - Phi_k x_k by x_0 .. x_N, the last of which is where the loop ends."""
+        count, size, _ = self.transitions.shape
+        links, segments = np.eye((count + 1) * size), np.arange(count)
+        links.reshape(count + 1, size, count + 1, size)[segments + 1, :, segments] = -self.transitions
+        return links
+
+    def _closing(self) -> tuple[np.ndarray, np.ndarray]:
+        """The derivatives of the closing rows, and of the inner ones after them, by x_0 .. x_N and by y."""
+        count, size, _ = self.transitions.shape
+        rows, nodes = self.first.shape
+        places, slopes, by_tail = self.inner or (NO_PLACES, None, None)
+        closing, tail = np.zeros((rows + len(places), (count + 1) * size)), self.tail
+        closing[:rows, :nodes], closing[:rows, count * size :] = self.first, self.last
+        if len(places):
+            tail = np.concatenate([tail, by_tail])
+            closing.reshape(-1, count + 1, size)[np.arange(len(places)) + rows, places] = slopes
+        return closing, tail
 
 
 def eliminated(system: Linearised) -> Solver:
     """Newton's step for any residual at this linearisation."""
-    count, size, _ = system.transitions.shape
-    product, columns = np.eye(size), np.zeros((size, system.tail.shape[1]))
-    places, slopes, by_tail = system.inner or (np.zeros(0, int), np.zeros((0, size)), np.zeros((0, columns.shape[1])))
-    inner, at = np.zeros((len(places), size + columns.shape[1])), {int(k): j for j, k in enumerate(places)}
-    firsts = np.split(system.first, system.first.shape[1] // size, axis=1)
-    head, tail = np.zeros(firsts[0].shape), system.tail.copy()
-    for k, (transition, own) in enumerate(zip(system.transitions, system.columns, strict=True)):
-        if k < len(firsts):
-            head, tail = head + firsts[k] @ product, tail + firsts[k] @ columns
-        if k in at:
-            inner[at[k]] = np.concatenate([slopes[at[k]] @ product, slopes[at[k]] @ columns + by_tail[at[k]]])
-        product, columns = transition @ product, transition @ columns + own
-    if not np.abs(product).max() <= LARGEST_PRODUCT:
-        whole = system.matrix()
-        shortest = least_squares(whole, CUTOFF)
-        return lambda rows: -shortest(rows)
-    matrix = np.hstack([head + system.last @ product, system.last @ columns + tail])
-    matrix = np.vstack([matrix, inner]) if len(inner) else matrix
-    solved = _solver(matrix) if len(inner) else least_squares(matrix, CUTOFF)
+    count, size, extra = system.columns.shape
+    total, links, (closing, tail) = count * size, system._links(), system._closing()
+    start = np.zeros((total + size, size + extra))
+    start[:size, :size], start[size:, size:] = links[:size, :size], system.columns.reshape(total, extra)
+    along = _followed(links, start)
+    if not np.abs(along[total:, :size]).max() <= LARGEST_PRODUCT:
+        whole = _solver(system.matrix())
+        return lambda rows: -whole(rows)
+    matrix = closing @ along
+    matrix[:, size:] += tail
+    solved = _solver(matrix)
 
     def solve(rows: np.ndarray) -> np.ndarray:
-        defects, closing = rows[: (count - 1) * size].reshape(-1, size), rows[(count - 1) * size :]
-        carried, closing = np.zeros(size), closing.copy()
-        for k, transition in enumerate(system.transitions):
-            if 0 < k < len(firsts):
-                closing[: len(system.tail)] += firsts[k] @ carried
-            if k in at:
-                closing[len(system.tail) + at[k]] += slopes[at[k]] @ carried
-            carried = transition @ carried
-            if k < count - 1:
-                carried += defects[k]
-        # not pinv: outside `one_thread` OpenBLAS gives it threads, on a busy machine 100 ms where lstsq takes 0.2
-        closing[: len(system.tail)] += system.last @ carried
-        change = -solved(closing)
-        nodes, tail = [change[:size]], change[size:]
-        for transition, own, defect in zip(system.transitions, system.columns, defects, strict=False):
-            nodes.append(transition @ nodes[-1] + own @ tail + defect)
-        return np.concatenate([*nodes, tail])
+        defects = np.zeros(total + size)
+        defects[size:total] = rows[: total - size]
+        carried = _followed(links, defects)
+        change = -solved(rows[total - size :] + closing @ carried)
+        return np.concatenate([(carried + along @ change)[:total], change[size:]])
 
     return solve
 
 
+def _followed(links: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """x_0 .. x_N from x_0 and from what is added behind each segment: unit triangular, Fortran's order its transpose"""
+    return np.asarray(dtrtrs(links.T, right, lower=0, trans=1, unitdiag=1)[0])
+
+
 def _solver(matrix: np.ndarray) -> Solver:
-    """A square matrix factorised once, any other solved by least squares."""
-    try:
-        return Factors(matrix).solve
-    except np.linalg.LinAlgError:
-        return least_squares(matrix, CUTOFF)
+    """A square matrix factorised once; one that is singular to round-off, or not square, by least squares."""
+    if matrix.shape[0] == matrix.shape[1]:
+        factors, order, fault = dgetrf(matrix)
+        if not fault and dgecon(factors, dlange("1", matrix))[0] > CUTOFF:
+            return lambda rows: np.asarray(dgetrs(factors, order, rows)[0])
+    return least_squares(matrix, CUTOFF)
 
 
 class Factors:

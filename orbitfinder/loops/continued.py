@@ -6,7 +6,7 @@ kernel, the tangent of the family (Muñoz-Almaraz et al., Physica D 181 (2003) 1
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
@@ -39,6 +39,8 @@ class CorrectorSettings:
     """Steps of a horizon from which on the approach takes only half of them."""
     newton_floor: float = 1e-9
     """... or below this, where round-off on an unstable orbit keeps the residual from shrinking further."""
+    unmoved: float = 1e-13
+    """A last step that is shorter than this leaves what was integrated along the motion as it is."""
     most_newton: int = 12
     slow: float = 0.1
     """A step that leaves more than this share of the residual asks for the differences of a test function anew."""
@@ -67,13 +69,13 @@ class Curve(Loop):
     `scales` measure w at the orbit that the family has come to. `weights` are of a head (x(0), T, free) of its first
     orbit, in which its equations are integrated: coordinates by `mechanics.scales.lengths` (angles in rad), rates by
     the time scale, period and parameters relative to their values. A curve of bifurcations
-    has a `test` too, a function of an orbit that vanishes along it, and one parameter more is free; `degenerate` where
+    has a `test` too, a function of orbits that vanishes along it, and one parameter more is free; `degenerate` where
     the equations without it lose a rank there, as at a branch point, which a symmetry must keep.
     """
 
     weights: np.ndarray = field(kw_only=True)
     scales: Scales = field(kw_only=True)
-    test: Callable[[Curve, Solution], float] | None = field(default=None, kw_only=True)
+    test: Callable[[Curve, Sequence[Solution]], np.ndarray] | None = field(default=None, kw_only=True)
     degenerate: bool = field(default=False, kw_only=True)
     watch: Mapping[str, Watch] = field(default_factory=dict, kw_only=True)
     """numbers of its orbits that a user watches"""
@@ -179,7 +181,8 @@ def _measures(curve: Curve, w: Unknowns, slopes: np.ndarray | None = None) -> Me
     measures = Measures.of(curve, w, curve.scales.columns(w), slopes)
     if curve.test is None:
         return measures
-    return replace(measures, rows=np.insert(measures.rows, measures.rows.size - (slopes is not None), TESTED))
+    named, aims = np.split(measures.rows, [measures.rows.size - (slopes is not None)])
+    return replace(measures, rows=np.concatenate([named, [TESTED], aims]))
 
 
 def _all_rows(curve: Curve, w: Unknowns, ends: np.ndarray, aim: Condition, lost: np.ndarray) -> np.ndarray:
@@ -245,7 +248,7 @@ def correct(
         path = curve.equations.varied(w, states=True)
         rows, jacobian = _all_rows(curve, w, path.ends, aim, lost), curve.linearised(w, path).matrix()
         if border is not None:
-            rows = np.insert(rows, -1, border.value(Solution(w, path, jacobian, 0.0)))
+            rows = np.concatenate([rows[:-1], [border.value(Solution(w, path, jacobian, 0.0))], rows[-1:]])
         largest = float(np.abs(rows / units).max())
         stays = 0.1 if border is None else 0.7  # by less it shrinks where the border is not yet known
         ready = largest < CORRECTOR.newton_ready or (largest < CORRECTOR.newton_floor and largest > stays * previous)
@@ -289,7 +292,7 @@ class Border:
 
     def value(self, solution: Solution) -> float:
         """The test at an orbit."""
-        self._value = self.test(self.curve, solution)
+        self._value = float(self.test(self.curve, [solution])[0])
         return self._value
 
     def row(self, w: Unknowns, jacobian: np.ndarray, exact: bool = True) -> np.ndarray:
@@ -317,17 +320,16 @@ class Border:
 
     def _differenced(self, w: Unknowns, columns: np.ndarray) -> np.ndarray:
         """The row over unknowns in units of the metric, 0 along what nothing was moved in."""
-        free = np.array([self._at(w, columns * along) - self._at(w, -columns * along) for along in self._free]) / 2
-        row = free @ self._free
-        for along in self._across:
+        directions = np.concatenate([self._free, -self._free, self._across.reshape(-1, columns.size)])
+        near = [w.moved(step) for step in CORRECTOR.difference * (columns * directions)]
+        paths = self.curve.equations.varied_each(near, states=True)
+        tests = self.test(self.curve, [Solution(*both, NO_ROWS, 0.0) for both in zip(near, paths, strict=True)])
+        ahead, behind, over = np.split(tests, [len(self._free), 2 * len(self._free)])
+        row = 0.5 * (ahead - behind) @ self._free
+        for along, test in zip(self._across, over, strict=True):
             beside = along - (self._free @ along) @ self._free
-            row = row + (self._at(w, columns * along) - self._value - CORRECTOR.difference * row @ along) * beside
+            row = row + (test - self._value - CORRECTOR.difference * row @ along) * beside
         return np.asarray(row / CORRECTOR.difference)
-
-    def _at(self, w: Unknowns, direction: np.ndarray) -> float:
-        """The test a small step along a direction."""
-        near = w.moved(CORRECTOR.difference * direction)
-        return self.test(self.curve, Solution(near, self.curve.equations.varied(near, states=True), NO_ROWS, 0.0))
 
 
 def _left_free(curve: Curve, w: Unknowns, jacobian: np.ndarray) -> np.ndarray:

@@ -20,12 +20,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
+from threading import get_ident
 from typing import Any, Self
 
 import casadi as ca
 import numpy as np
 
+from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.integrate.compiled import mode
 from orbitfinder.integrate.evaluate import Buffered
 from orbitfinder.integrate.march import March, Marches, Varied
 from orbitfinder.loops.condensed import Inner, Linearised
@@ -34,6 +37,7 @@ from orbitfinder.mechanics.hybrid import Transition, freed, share
 from orbitfinder.mechanics.model import Model, vector_field
 from orbitfinder.records.orbit import SHARE
 
+_marches = Kept[March](16)
 NO_GUARDS = np.zeros(0)
 GRAZED = 1e-30
 """A guard's rate at least, by which what grazes it is multiplied"""
@@ -88,7 +92,8 @@ class Unknowns:
         cut, last = count * size, vector.size - self.free.size
         nodes = vector[:cut].reshape(count, size)
         w = Unknowns(nodes, float(vector[cut]), vector[cut + 1 : last], vector[last:], self.mesh)
-        w.__dict__.update(vector=vector, tail=vector[cut:])  # known already
+        known = {"shares": self.__dict__["shares"]} if "shares" in self.__dict__ else {}
+        w.__dict__.update(vector=vector, tail=vector[cut:], **known)
         return w
 
     def symbols(self) -> tuple[list[ca.MX], list[ca.MX]]:
@@ -99,7 +104,9 @@ class Unknowns:
 
     def on(self, mesh: np.ndarray) -> Unknowns:
         """The same on another mesh."""
-        return Unknowns(self.nodes, self.period, self.unfolding, self.free, mesh)
+        w = Unknowns(self.nodes, self.period, self.unfolding, self.free, mesh)
+        w.__dict__.update(vector=self.vector, tail=self.tail)  # known already
+        return w
 
     def moved(self, step: np.ndarray) -> Unknowns:
         """w + step."""
@@ -107,8 +114,11 @@ class Unknowns:
 
     def joined(self, node: np.ndarray, period: float, unfolding: float, free: np.ndarray) -> np.ndarray:
         """A vector over w: `node` (d) for each node, one number for all of the unfolding."""
-        damping = np.full(self.unfolding.size, unfolding)
-        return np.concatenate([np.tile(node, len(self.nodes)), [period], damping, free])
+        (count, size), cut = self.nodes.shape, self.nodes.size
+        row = np.empty(cut + 1 + self.unfolding.size + self.free.size)
+        row[:cut].reshape(count, size)[:], row[cut] = node, period
+        row[cut + 1 : row.size - self.free.size], row[row.size - self.free.size :] = unfolding, free
+        return row
 
     def spread(self, head: np.ndarray) -> np.ndarray:
         """A row over w out of a row over the head (x(0), T, free)."""
@@ -169,7 +179,13 @@ class Equations:
             object.__setattr__(self, "march", given or self._marched(self.model))
 
     def _marched(self, model: Model, arc: int | None = None) -> March:
-        """What integrates the loop, or one of its arcs in periods of its own."""
+        """What integrates the loop, or one of its arcs in periods of its own: once for loops of a thread that differ in
+        their links alone."""
+        unfolded = tuple(invariant.name for invariant in self.symmetry.unfolded(model))
+        key = (Same(self.model), self.free, unfolded, self.action, self.alone, arc, self.symmetry.parts, get_ident())
+        return _marches((key, mode()), lambda: self._derived(model, arc))
+
+    def _derived(self, model: Model, arc: int | None) -> March:
         flow = vector_field(model, self.free, self.symmetry.unfolded(model))
         rate = _action_rate(model, flow, self.free) if self.action else None
         if arc is not None:
@@ -246,12 +262,11 @@ class Equations:
             value = function(x, self.model.parameters(self.free, chosen))
             rows = ca.densify(ca.vertcat(value, ca.jacobian(value, x).T))
             self._watched[key] = ca.Function("watched", [x, chosen], [rows])
-        free = np.broadcast_to(free, (len(states), free.size))
-        both = self.march.arcs[0].along(self._watched[key], states, free)
+        both = self.march.arcs[0].along(self._watched[key], states, np.atleast_2d(free))
         return both[:, 0], both[:, 1:]
 
     @cached_property
-    def _known(self) -> dict[str, tuple[Unknowns, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+    def _known(self) -> dict[str, tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
         return {}
 
     @cached_property
@@ -276,9 +291,9 @@ class Equations:
     def quantities_at(self, w: Unknowns) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Their values (k) at x(0), their derivatives by the state and by freed parameters; not to be written to."""
         known = self._known.get("quantities")
-        if known is None or known[0] is not w:  # asked for row by row, at one w after another
+        if known is None or known[0] is not w.vector:  # asked for row by row, on one mesh after another
             values, slopes, by_free = self.march.at(self.quantities, w.nodes[0], w.free)
-            known = self._known["quantities"] = w, (values.ravel(), slopes, by_free)
+            known = self._known["quantities"] = w.vector, (values.ravel(), slopes, by_free)
         return known[1]
 
     def momentum_slopes(self, x: np.ndarray, free: np.ndarray) -> np.ndarray:
@@ -288,6 +303,11 @@ class Equations:
     def varied(self, w: Unknowns, states: bool = False) -> Varied:
         """All segments of w integrated with their derivatives."""
         return self.march.varied(w.nodes, w.mesh, w.tail, states)
+
+    def varied_each(self, places: Sequence[Unknowns], states: bool = False) -> list[Varied]:
+        """The same of several w on one mesh, beside each other."""
+        nodes, tails = np.array([w.nodes for w in places]), np.array([w.tail for w in places])
+        return self.march.varied_each(nodes, places[0].mesh, tails, states)
 
     def ends(self, w: Unknowns) -> np.ndarray:
         """The ends (N x d) of all segments of w."""
@@ -480,19 +500,13 @@ class Loop:
         rows = np.zeros((len(first) + more, cut if np.any(slopes[:, size:cut]) else max(size, self.normals.shape[1])))
         rows[: len(first), :size], rows[len(first) : before, : self.normals.shape[1]] = first, self.normals
         rows[before:] = slopes[:, : rows.shape[1]]
-        tail = np.vstack([np.zeros((before, slopes.shape[1] - cut)), slopes[:, cut:]])
+        tail, end = np.zeros((len(rows), slopes.shape[1] - cut)), np.zeros((len(rows), size))
+        tail[before:], end[: len(first)] = slopes[:, cut:], last
         links, transitions, columns = self.equations.links, path.transitions, path.columns
         inner: Inner | None = None
         if links:
             transitions, columns, inner = links.varied(w, path)
-        return Linearised(
-            transitions,
-            columns,
-            rows,
-            np.vstack([last, np.zeros((more, size))]),
-            tail,
-            inner,
-        )
+        return Linearised(transitions, columns, rows, end, tail, inner)
 
     def lost(self, w: Unknowns, aims: Sequence[Condition] = (), slopes: np.ndarray | None = None) -> np.ndarray:
         """What of each row near w may be round-off, those of aims last: where an energy is large beside its changes.
@@ -530,7 +544,7 @@ class Loop:
 
 def beyond(rows: np.ndarray, lost: np.ndarray) -> np.ndarray:
     """Rows without what may be round-off, of which no step is better than another."""
-    return np.where(np.abs(rows) <= lost, 0.0, rows)
+    return np.asarray(rows * ~(np.abs(rows) <= lost))
 
 
 def _action_rate(model: Model, flow: ca.Function, free: tuple[str, ...]) -> ca.Function:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import sqrt
 
 import numpy as np
 
@@ -100,9 +101,10 @@ class Newton:
         def linearised(w: Unknowns) -> tuple[np.ndarray, Solver]:
             path = paths.pop() if paths else self._varied(w)
             rows = self._measured(w, path.ends) if path else np.full(1, np.inf)
-            if path is None or not np.linalg.norm(rows) < self.best:
+            size = _length(rows)
+            if path is None or not size < self.best:
                 return rows, np.negative
-            self.best = float(np.linalg.norm(rows))
+            self.best = size
             solver = self._solver(w, path)
 
             def shortened(rows: np.ndarray) -> np.ndarray:
@@ -112,7 +114,7 @@ class Newton:
             solvers.append(solver)
             return rows, shortened
 
-        solved = full(w, linearised, chosen.approach, Unknowns.moved, lambda rows: float(np.linalg.norm(rows)))
+        solved = full(w, linearised, chosen.approach, Unknowns.moved, _length)
         if solved.converged:
             return solved.w.moved(solved.solver(solved.rows)), solvers[-1]
         if not solved.rows.size:
@@ -124,7 +126,8 @@ class Newton:
 
     def _finish(self, w: Unknowns, solver: Solver) -> tuple[Unknowns, float]:
         """Chord steps on ever finer marches until twice as many steps confirm the residual, then to round-off."""
-        scale = max(1.0, float(np.abs(w.nodes / w.at(self.measures.columns).nodes).max()))
+        cut = w.nodes.size
+        scale = max(1.0, float(np.abs(w.vector[:cut] / self.measures.columns[:cut]).max()))
         rows = self._rows(w)
         for _ in range(self.settings.most_doublings):
             solved = self._chord(w, rows, solver, self.settings.unconfirmed)
@@ -165,3 +168,8 @@ class Newton:
         self.growth = max(1.0, float(np.abs(system.transitions).max()))
         step = eliminated(system)
         return lambda rows: step(rows) * self.measures.columns
+
+
+def _length(rows: np.ndarray) -> float:
+    """Their norm, of which NumPy's own function takes three times as long."""
+    return sqrt(rows @ rows)

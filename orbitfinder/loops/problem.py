@@ -560,15 +560,16 @@ def loop_of(problem: Problem, equations: Equations, w: Unknowns, end: np.ndarray
     """The loop of a Problem at these pins, its phases and displacement as w has them, whose motion ends at `end`."""
     given = (pinned(equations, pin.name, pin.value) for pin in pins)
     conditions = (*clock(equations, problem.forcing_cycles), *given)
-    return Loop(equations, displacement(problem, w, end), conditions).through(w)
+    return Loop(equations, displacement(problem, w, end), conditions, equations.phases(w), w.nodes[0])
 
 
 def displacement(problem: Problem, w: Unknowns, end: np.ndarray | None) -> np.ndarray:
     """The constants of the closing rows: the whole turns that the problem states, else those of the motion."""
     model, n = problem.model, problem.model.degrees_of_freedom
-    if problem.boundary.maps or problem.winding is not None or end is None:
+    symmetry = problem.boundary
+    if symmetry.maps or problem.winding is not None or end is None:
         return boundary_constants(problem, w.nodes, end)
-    turns = whole_turns(model, w.nodes[0], end, problem.boundary.relative, not model.smooth)
+    turns = whole_turns(model, w.nodes[0], end, symmetry.relative, not model.smooth)
     return np.concatenate([np.zeros(n) if turns is None else 2 * np.pi * turns, np.zeros(w.nodes.shape[1] - n)])
 
 
@@ -577,7 +578,7 @@ def whole_turns(
 ) -> np.ndarray | None:
     """Whole turns of each angle (n) between two states beside a shift along `relative` directions; None when they do
     not come near whole numbers, unless the `nearest` are wanted (of a clock that is among the states)."""
-    turned = np.where(model.angles, (end - start)[: model.degrees_of_freedom] / (2 * np.pi), 0.0)
+    turned = np.where(model.angular, (end - start)[: model.degrees_of_freedom] / (2 * np.pi), 0.0)
     turned = beside(turned, relative)
     whole = np.round(turned)
     return whole if nearest or np.all(np.abs(turned - whole) <= WINDING_MARGIN) else None

@@ -78,13 +78,10 @@ class Scales:
     def metric(self, w: Unknowns) -> np.ndarray:
         """The weights of <a, b> over w: 0 of an unfolding."""
         weights = self.columns(w) ** -2.0
-        weights[: w.nodes.size] *= np.repeat(w.shares, w.nodes.shape[1])
+        nodes = weights[: w.nodes.size].reshape(w.nodes.shape)
+        nodes *= w.shares[:, None]
         weights[w.nodes.size + 1 : weights.size - w.free.size] = 0.0
         return np.asarray(weights)
-
-
-EVEN = WIDE**0.5
-"""What changes by less than this is measured in 1."""
 
 
 @dataclass(frozen=True)
@@ -119,10 +116,12 @@ class Measures:
         A condition is then measured in 1 unless a unit of the unknowns changes it by far more or less; a machine's,
         whose steps are damped by the norm of all rows, in powers of 2.
         """
-        size, node, clock = w.nodes.shape[1], np.asarray(state, float), float(snapped(w.period / (2 * np.pi)))
-        if not node.size:
-            changes, node, clock = np.linalg.norm(loop.slopes(w, loop.conditions), axis=1), np.ones(size), 1.0
-            if np.all((changes > 1 / EVEN) & (changes < EVEN)):
+        size, node, clock = w.nodes.shape[1], np.asarray(state, float), 1.0
+        if node.size:
+            clock = float(snapped(w.period / (2 * np.pi)))
+        else:
+            changes, node = np.square(loop.slopes(w, loop.conditions)).sum(axis=1), np.ones(size)
+            if np.all((changes > 1 / WIDE) & (changes < WIDE)):
                 return cls.plain(loop, w)
         measures = cls.of(loop, w, w.joined(node, clock, 1.0 / clock, snapped(np.abs(w.free))))
         ends = (len(w.nodes) - 1) * size + np.array([0, size + len(loop.normals)])

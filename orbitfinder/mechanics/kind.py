@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from threading import get_ident
 from typing import Any
 
 from orbitfinder._runtime.arguments import Registry, check
+from orbitfinder._runtime.caches import Kept
 from orbitfinder._runtime.rooms import filled
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.constrained import Loops
@@ -29,6 +32,8 @@ PROBLEM = "problem"
 """The function of a Python problem file, which returns a Problem and not a Model"""
 FUNCTIONS: dict[str, Callable[..., Any]] = {}
 """What `BUILT_IN` has, by name"""
+_models = Kept[Model](8)
+"""The last Models that descriptions stand for, of each thread its own: what is derived from them is kept with them"""
 
 
 @dataclass(frozen=True)
@@ -66,13 +71,20 @@ def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model
     Raises `InputError` for an unknown or wrong description.
     """
     try:
-        model = system_kind(system).build(system, trusted)
-        check(f"SystemKind {system.get('kind')!r}, build", "Model", model)
-        return model
+        kind = system_kind(system)
+        if trusted is not None or not kind.described:
+            return _built(kind, system, trusted)
+        return _models((json.dumps(system, sort_keys=True), get_ident()), lambda: _built(kind, system, trusted))
     except InputError:
         raise
     except (TypeError, ValueError, KeyError, IndexError, OverflowError, AttributeError) as error:
         raise InputError(f"system: {error}; compare with a freshly written orbit.json") from error
+
+
+def _built(kind: SystemKind, system: Mapping[str, Any], trusted: Path | None) -> Model:
+    model = kind.build(system, trusted)
+    check(f"SystemKind {system.get('kind')!r}, build", "Model", model)
+    return model
 
 
 def system_kind(system: Mapping[str, Any]) -> SystemKind:

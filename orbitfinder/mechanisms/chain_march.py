@@ -68,8 +68,12 @@ class ClosedChain(March):
             steps = tail[0] * np.diff(mesh[k * each : (k + 1) * each + 1])
             transitions[k][:, self.kept] = self.variations(node, steps, np.eye(size)[:, self.kept])
         ends = path[each::each]
-        by_period = self._by_period(nodes, ends, transitions, mesh, tail)
+        by_period = self._by_period(nodes[None], ends[None], transitions[None], mesh, tail[None])[0]
         return Varied(ends, transitions, by_period[:, :, None], path if states else nodes, 0.0)
+
+    def varied_each(self, nodes: np.ndarray, mesh: np.ndarray, tails: np.ndarray, states: bool = False) -> list[Varied]:
+        """The same of several loops on one mesh, of nodes (B x N x 2n) and tails (B x 1), one after another."""
+        return [self.varied(own, mesh, tail, states) for own, tail in zip(nodes, tails, strict=True)]
 
     def _path(self, state: np.ndarray, steps: np.ndarray) -> np.ndarray:
         """States (k x 2n) after each of k steps."""

@@ -60,13 +60,18 @@ def reduce_monodromy(monodromy: np.ndarray, gradients: np.ndarray, directions: n
 
 
 def complement(gradients: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """The orthonormal basis (columns) of what is orthogonal to the gradients (k x 2n) and the directions (k x 2n)."""
-    removed = np.vstack([gradients, directions])
+    """The orthonormal basis (columns) of what is orthogonal to the gradients (k x 2n) and the directions (k x 2n).
+
+    Or the bases of several (... x k x 2n each), of as many columns as the least of them has.
+    """
+    removed = np.concatenate([gradients, directions], axis=-2)
+    *several, _, size = removed.shape
     if not removed.size:  # forced: nothing is trivial
-        return np.eye(removed.shape[1])
-    scale = np.linalg.norm(removed, axis=1, keepdims=True)
+        return np.broadcast_to(np.eye(size), (*several, size, size))
+    scale = np.linalg.norm(removed, axis=-1, keepdims=True)
     _, singular, rows = np.linalg.svd(removed / nonzero(scale))  # at an equilibrium the flow is 0
-    return np.asarray(rows[int(np.sum(singular > 1e-10 * singular[0])) :].T)
+    rank = int(np.sum(singular > 1e-10 * singular[..., :1], axis=-1).max())
+    return np.asarray(rows[..., rank:, :].swapaxes(-1, -2))
 
 
 def analyse(reduced: np.ndarray, conservative: bool = True) -> Floquet:

@@ -7,10 +7,10 @@ refined = refiner.refine(guess)           # milliseconds
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 
@@ -46,6 +46,9 @@ PART = 0.5
 """Share of a smooth period's steps that a hybrid one starts with: between its events a motion is a part of a swing"""
 STANDSTILL = 1e-6
 """Largest rate at the start times the period, below which the motion is none."""
+
+TOGETHER = 8
+"""Segments come in multiples of this where so many are marched side by side"""
 
 MOST_SAMPLES = 6
 """Times that the samples of a period are doubled, at most, for the action"""
@@ -88,11 +91,11 @@ class Refiner(Shown):
         self.equations = Equations(problem.model, problem.boundary, problem.free)
         self.equations.march.build()
         fraction = problem.boundary.fraction * (PART if hybrid else 1.0)
-        whole = max(4, int(np.ceil(chosen.steps_per_period * fraction)))
-        arcs = self.equations.links.count
-        self.segments = problem.segments or (1 if hybrid else self._segments(whole))
-        self._steps = max(4, -(-whole // (arcs * self.segments)))
-        self._first = first_unknowns(self.equations, problem.guess, self.segments, self._steps) if hybrid else None
+        self._whole_steps = whole = max(4, int(np.ceil(chosen.steps_per_period * fraction)))
+        self._fewest = self.segments = problem.segments or (1 if hybrid else self._segments(whole))
+        if not (problem.segments or hybrid) and self.equations.march.arcs[0].together:
+            self.segments = -(-self._fewest // TOGETHER) * TOGETHER
+        self._first = self._begun(problem.guess) if hybrid else None
 
     def refine(self, guess: Guess | None = None, pin: Sequence[Pin] | None = None, simulated: bool = False) -> Refined:
         """The orbit near a guess (default: the problem's) at the pins (default: the problem's). A physical parameter
@@ -107,12 +110,25 @@ class Refiner(Shown):
 
     def _refined(self, guess: Guess | None, pin: Sequence[Pin] | None, simulated: bool) -> Refined:
         pins, given = _pins(self.problem, pin), _checked(guess or self.problem.guess, self.problem, self.equations.free)
-        if self._first is None or given is self.problem.guess:
-            return self._solved(self._start(given, pins), pins)
+        if self._first is None:
+            if self._fewest < self.segments:  # more may lead astray
+                with suppress(ConvergenceError, IntegrationError):
+                    return self._solved(self._start(given, pins, self.segments), pins)
+            return self._solved(self._start(given, pins, self._fewest), pins)
+        if given is self.problem.guess:
+            return self._solved(self._first, pins)
         if not simulated and given.times is None:
             with suppress(ConvergenceError, IntegrationError):
                 return self._solved(carried(self.equations, self._first, given), pins)
-        return self._solved(first_unknowns(self.equations, given, self.segments, self._steps), pins)
+        return self._solved(self._begun(given), pins)
+
+    def _begun(self, guess: Guess) -> Unknowns:
+        """The unknowns of a hybrid motion, simulated from a guess."""
+        return first_unknowns(self.equations, guess, self.segments, self._steps(self.segments))
+
+    def _steps(self, segments: int) -> int:
+        """Steps in each of so many segments of an arc."""
+        return max(4, -(-self._whole_steps // (self.equations.links.count * segments)))
 
     def _solved(self, w: Unknowns, pins: Sequence[Pin]) -> Refined:
         path = self.equations.varied(w)
@@ -123,17 +139,18 @@ class Refiner(Shown):
         if not residual < self.settings.converged:
             raise ConvergenceError(
                 f"warm refinement stalled at a residual of {residual:.2g}; the orbit is too unstable for "
-                f"{plural(self.segments, 'segment')}, give the problem more"
+                f"{plural(len(w.nodes), 'segment')}, give the problem more"
             )
-        if self._rates(w, np.asarray(scales or 1.0)) < STANDSTILL:
+        units = np.asarray(scales or 1.0)
+        moved = float((np.abs(w.nodes[0] - w.nodes[-1]) / units).max())
+        if moved < STANDSTILL and self._rates(w, units) < STANDSTILL:
             raise ConvergenceError("warm refinement ended at an equilibrium; start farther from it, or pin the energy")
         told = {one.name: one.value for one in pins}  # a pinned parameter is that, not one to round-off
         known = [told.get(name, one) for name, one in zip(self.equations.free, w.free, strict=True)]
-        w = replace(w, free=np.array(known, float))
-        turns = self.problem.boundary.turns(loop.constant)
+        turns = self.equations.symmetry.turns(loop.constant)
         return Refined(
-            w.nodes[0], w.period, w.nodes, w.unfolding, w.free, turns, residual, w.steps, newton.marches,
-            newton.jacobians + 1,
+            w.nodes[0], w.period, w.nodes, w.unfolding, np.array(known, float), turns, residual, w.steps,
+            newton.marches, newton.jacobians + 1,
         )  # fmt: skip
 
     def orbit(self, refined: Refined, with_certificate: bool = True) -> Orbit:
@@ -166,6 +183,11 @@ class Refiner(Shown):
         return marched(problem, march, w, whole, found, flow.units), model
 
     @cached_property
+    def _mesh(self) -> Callable[[int, int], np.ndarray]:
+        """That of so many segments of so many steps, made once."""
+        return lru_cache(partial(uniform, self.equations.symmetry.fraction))
+
+    @cached_property
     def _whole(self) -> Equations:
         """The equations over whole periods."""
         plain = not self.problem.boundary.maps
@@ -183,25 +205,25 @@ class Refiner(Shown):
         except IntegrationError:
             return most
 
-    def _start(self, guess: Guess, pins: Sequence[Pin]) -> Unknowns:
+    def _start(self, guess: Guess, pins: Sequence[Pin], segments: int) -> Unknowns:
         """The unknowns of a guess: sampled from its trajectory, else simulated from its state.
 
         Freed parameters start where they are pinned, else where the guess says, else at the model's own values.
         """
-        if self._first is not None:
-            return self._first
         own = zip(self.problem.free, self.equations.numbers, strict=True)
         known = {**dict(own), **guess.free, **{one.name: one.value for one in pins}}
         free = np.array([known[name] for name in self.problem.free], float)
-        state, fraction = np.asarray(guess.state, float), self.problem.boundary.fraction
-        mesh = uniform(fraction, self.segments, self._steps)
+        state, steps = np.asarray(guess.state, float), self._steps(segments)
+        mesh = self._mesh(segments, steps)
         if guess.times is not None and guess.states is not None:
-            nodes = guessed_nodes(guess, mesh[: -1 : self._steps])
+            nodes = guessed_nodes(guess, mesh[:-1:steps])
             return self.equations.unknowns(nodes, guess.period, mesh, free)
         w = self.equations.unknowns(state[None], guess.period, mesh, free)
-        if self.segments == 1:
+        if segments == 1:
             return w
-        return replace(w, nodes=self.equations.march.states(w.nodes, w.mesh, w.tail)[: -1 : self._steps])
+        each = steps if segments == self._fewest else -(-steps // 2)  # the guess is off by more than longer steps are
+        nodes = self.equations.march.states(w.nodes, self._mesh(segments, each), w.tail)[:-1:each]
+        return Unknowns(nodes, w.period, w.unfolding, free, mesh)
 
     def _rates(self, w: Unknowns, units: np.ndarray) -> float:
         """Largest component of T f at the nodes, in units of the state: 0 at an equilibrium."""

@@ -1,0 +1,1 @@
+"""Marches of many segments at once in the registers of the processor."""

@@ -1,0 +1,146 @@
+"""CasADi's scalar instructions as C over vectors: one register for each number, a lane for each segment.
+
+The numbers are those of CasADi's own code but for sin and cos, which are good to 1.5 ulp (see `kernel.c`).
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from scipy.integrate import DOP853
+
+from orbitfinder.integrate.compiled import Unavailable
+
+BINARY = {
+    ca.OP_ADD: "{} + {}", ca.OP_SUB: "{} - {}", ca.OP_MUL: "{} * {}", ca.OP_DIV: "{} / {}",
+    ca.OP_LT: "truth({} < {})", ca.OP_LE: "truth({} <= {})", ca.OP_EQ: "truth({} == {})", ca.OP_NE: "truth({} != {})",
+    ca.OP_AND: "truth(({} != 0.0) & ({} != 0.0))", ca.OP_OR: "truth(({} != 0.0) | ({} != 0.0))",
+    ca.OP_IF_ELSE_ZERO: "kept({} != 0.0, {})", ca.OP_CONSTPOW: "v_pow({}, {})",
+    **{getattr(ca, f"OP_{name.upper()}"): f"v_{name}({{}}, {{}})" for name in (
+        "pow", "fmod", "remainder", "copysign", "fmin", "fmax", "atan2", "hypot",
+    )},
+}  # fmt: skip
+UNARY = {
+    ca.OP_ASSIGN: "{0}", ca.OP_NEG: "-{0}", ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "{0} + {0}", ca.OP_INV: "1.0 / {0}",
+    ca.OP_NOT: "truth({0} == 0.0)", ca.OP_FABS: "absolute({0})",
+    **{getattr(ca, f"OP_{name.upper()}"): f"v_{name}({{0}})" for name in (
+        "sqrt", "sin", "cos", "exp", "log", "tan", "asin", "acos", "atan", "floor", "ceil", "erf", "sinh", "cosh",
+        "tanh", "asinh", "acosh", "atanh", "sign", "log1p", "expm1",
+    )},
+}  # fmt: skip
+MOST_NUMBERS = 3000
+"""That a function may hold at once: 64 bytes each of a thread's stack, which may have 512 KB"""
+
+
+class Unknown(Unavailable):
+    """What lanes do not have; the message names it."""
+
+
+def scalars(function: ca.Function) -> ca.Function:
+    """The function as an expression of scalars. Raises `Unknown` for splines, solvers, callbacks and the like."""
+    if function.is_a("SXFunction"):
+        return function
+    try:
+        return function.expand()
+    except RuntimeError as error:
+        raise Unknown(f"{function.name()} is no expression of scalars: {str(error).strip().splitlines()[-1]}") from None
+
+
+def emitted(function: ca.Function, name: str) -> str:
+    """`static void NAME(const V *a0, ..., V *r0, ...)` of a function of scalars. Raises `Unknown`.
+
+    The first output is written whole, of the others the nonzeros, one after another as CasADi keeps them.
+    """
+    if function.sz_w() > MOST_NUMBERS:
+        raise Unknown(f"{function.name()} holds {function.sz_w()} numbers at once")
+    arguments = [f"const V *a{k}" for k in range(function.n_in())] + [f"V *r{k}" for k in range(function.n_out())]
+    lines = [f"static __attribute__((noinline)) void {name}({', '.join(arguments)}) {{"]
+    lines.append("  V " + ", ".join(f"w{k}" for k in range(max(1, function.sz_w()))) + ";")
+    places = function.sparsity_out(0).find()
+    lines += [f"  r0[{place}] = all(0.0);" for place in sorted(set(range(function.numel_out(0))) - set(places))]
+    lines += [f"  {_instruction(function, k, places)}" for k in range(function.n_instructions())]
+    return "\n".join([*lines, "}", ""])
+
+
+def _instruction(function: ca.Function, k: int, places: list[int]) -> str:
+    code, given, made = (of(k) for of in (function.instruction_id, function.instruction_input,
+                                          function.instruction_output))  # fmt: skip
+    if code == ca.OP_CONST:
+        return f"w{made[0]} = all({_number(function.instruction_constant(k))});"
+    if code == ca.OP_INPUT:
+        return f"w{made[0]} = a{given[0]}[{given[1]}];"
+    if code == ca.OP_OUTPUT:
+        return f"r{made[0]}[{made[1] if made[0] else places[made[1]]}] = w{given[0]};"
+    form = UNARY.get(code) or BINARY.get(code)
+    if form is None:
+        names = [name for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) == code]
+        raise Unknown(f"{function.name()} has {', '.join(names) or code}")
+    return f"w{made[0]} = {form.format(*(f'w{number}' for number in given))};"
+
+
+def _number(value: float) -> str:
+    """A constant, to the last bit."""
+    if value != value:
+        return "NAN"
+    if value in (float("inf"), -float("inf")):
+        return "INFINITY" if value > 0 else "-INFINITY"
+    return float(value).hex()
+
+
+def field_code(field: ca.Function) -> str:
+    """What `march.c` needs of y' = f(t, y, s, free), of one output or with those of `rk8.slopes_of`."""
+    field = scalars(field)
+    state, unfolding, free = (field.size1_in(k) for k in (1, 2, 3))
+    sizes = {"STATE": state, "OWN": state, "UNFOLDING": unfolding, "FREE": free}
+    given = "const V *s, const V *freed"
+    if field.n_out() == 1:
+        called = "rates(&t, y, s, freed, k[{}]);"
+        return _heads(sizes) + emitted(field, "rates") + _stages("states", "V", given, "OWN", called)
+    field = _packed(field)
+    rows = field.sparsity_out(1)  # transposed: CasADi's columns are rows of df/dx
+    sizes |= {"OWN": field.numel_out(0), "COLUMNS": state + unfolding + free, "SLOPES": max(1, rows.nnz())}
+    tables = "".join(f"static const int {name}[] = {{{', '.join(map(str, values))}}};\n"
+                     for name, values in (("BEGIN", rows.colind()), ("COLUMN", rows.row())))  # fmt: skip
+    more = "V (*slope)[SLOPES], V (*forcing)[FORCING]"
+    called = "rates(&t, y, s, freed, k[{0}], slope[{0}], forcing[{0}]);"
+    return "".join([
+        _heads(sizes), tables, emitted(field, "rates"),
+        _stages("states", "V", f"{given}, {more}", "OWN", called),
+        _stages("columns", "W", f"{more}, int first", "BLOCK", "product(k[{0}], slope[{0}], forcing[{0}], y, first);"),
+    ])  # fmt: skip
+
+
+def _packed(slopes: ca.Function) -> ca.Function:
+    """(f, added), df/dx transposed without its zeros, and the forcing."""
+    inputs = slopes.sx_in()
+    rate, matrix, forcing, added = slopes.call(inputs)
+    return ca.Function(slopes.name(), inputs, [ca.vertcat(rate, added), matrix.T, ca.densify(forcing)])
+
+
+def _heads(sizes: dict[str, int]) -> str:
+    return "".join(f"#define {name} {value}\n" for name, value in sizes.items())
+
+
+def _stages(name: str, kind: str, arguments: str, size: str, called: str) -> str:
+    """`NAME(z, h, t0, ...)`: Dormand and Prince's twelve stages k of y' = f(t, y) from z, each made by `called`.
+
+    Numbers are of the `kind` V or W. y is advanced in z; with `error` a thirteenth stage estimates what a step of it
+    is wrong by (SciPy's norm).
+    """
+    every = f"for (int i = 0; i < {size}; i++)"
+    given = ", ".join(f"{kind} {each}" for each in ("*z", "h", "t0", "*y", f"(*k)[{size}]", "*error"))
+    lines = [f"static void {name}({given}, {arguments}) {{", f"  {kind} t;"]
+    for stage, (shift, row) in enumerate(zip(DOP853.C, DOP853.A, strict=True)):
+        lines.append(f"  t = t0{f' + {_number(shift)} * h' if shift else ''};")
+        lines.append(f"  {every} y[i] = z[i]{_combined(row[:stage])};")
+        lines.append(f"  {called.format(stage)}")
+    lines.append(f"  {every} z[i] = z[i]{_combined(DOP853.B)};")
+    lines += ["  if (!error) return;", "  t = t0 + h;", f"  {every} y[i] = z[i];", f"  {called.format(12)}"]
+    fifth, third = (_combined(weights)[3:] for weights in (DOP853.E5, DOP853.E3))
+    lines.append(f"  {every} error[i] = estimate_{kind}({fifth}, {third});")
+    return "\n".join([*lines, "}", ""])
+
+
+def _combined(weights: np.ndarray) -> str:
+    terms = [f"{_number(float(weight))} * k[{k}][i]" for k, weight in enumerate(weights) if weight != 0.0]
+    return f" + h * ({' + '.join(terms)})" if terms else ""

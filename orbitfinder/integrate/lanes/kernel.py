@@ -1,0 +1,157 @@
+"""Marches of many segments in one call of compiled code, which holds no lock of Python's.
+
+    kernel(field, effort).marched(starts, parameters)
+    varied_kernel(field, integrand, effort).marched(starts, parameters)       of (x, vec Y, S)
+
+Without a compiler, or for a field that is no expression of scalars, there is none.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Callable
+from functools import lru_cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder._runtime import limit
+from orbitfinder._runtime.caches import Kept, Same
+from orbitfinder._runtime.sizes import LEAST
+from orbitfinder.integrate.compiled import LIMITS, Unavailable, attempted, library, mode, worth_it
+from orbitfinder.integrate.lanes.emit import field_code, scalars
+from orbitfinder.integrate.rk8 import slopes_of, step_of, variational_field
+
+REMEMBERED = 32
+UNROLLED = 12
+"""States up to which df/dx times the columns is written out"""
+SHORT = 1e-2
+"""Of a step that is compared with the interpreter's"""
+LEVEL = "-O2"
+"""More takes longer for nothing, as vector types say what is to be vectorised; at -O1 gcc leaves the upper halves of
+registers dirty when it calls libm, which makes that 20 times slower"""
+_kernels = Kept["Kernel | None"](REMEMBERED)
+Marching = Callable[..., int]
+SIGNATURE: list[Any] = [*[ctypes.c_ssize_t] * 2, *[ctypes.c_void_p] * 4, ctypes.c_ssize_t, ctypes.c_void_p]
+
+
+class Kernel:
+    """Marches of y' = f(t, y, s, free) by C `code`, `known` being the same in CasADi. Raises `Unavailable`.
+
+    A single segment is marched by code of one lane, in half the time of a register of eight; its bits are the same.
+    """
+
+    def __init__(self, code: str, known: ca.Function, alone: bool) -> None:
+        self._code, self._known = code, known
+        self._marches = {alone: self._made(alone)}
+
+    def marched(self, starts: np.ndarray, parameters: np.ndarray, kept: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """The ends (k x 1 + N) of segments that `starts` (k x 1 + N) begin, and of every step the first `kept` of it.
+
+        `parameters` (M x P) are (h, s, free) of the steps, segment after segment; rows are (t, y).
+        """
+        ends, path = np.empty(starts.shape), np.empty((len(parameters), kept))
+        self._run(starts, parameters, ends, path)
+        return ends, path
+
+    def errors(self, starts: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """About what the step from each of `starts` (k x 1 + N) by its `parameters` (k x P) is wrong by (k x N)."""
+        errors = np.empty((len(starts), starts.shape[1] - 1))
+        self._run(starts, parameters, np.empty(starts.shape), np.empty((len(starts), 0)), errors)
+        return errors
+
+    def _run(self, starts: np.ndarray, parameters: np.ndarray, *results: np.ndarray) -> None:
+        limit.check()
+        ends, path, *errors = (array.ctypes.data for array in results)
+        starts, parameters = np.ascontiguousarray(starts), np.ascontiguousarray(parameters)
+        march, sizes = self._march(len(starts) == 1), (len(starts), len(parameters) // max(1, len(starts)))
+        given = (starts.ctypes.data, parameters.ctypes.data)
+        if march(*sizes, *given, ends, path, results[1].shape[1], errors[0] if errors else None):
+            raise MemoryError(f"no memory for marches of {starts.shape[1]} numbers")
+
+    def _march(self, alone: bool) -> Marching:
+        """The march of one lane or of many; where it cannot be made the other serves."""
+        if alone not in self._marches:
+            made = attempted(self._known.name(), lambda: self._made(alone))
+            self._marches[alone] = made or self._marches[not alone]
+        return self._marches[alone]
+
+    def _made(self, alone: bool) -> Marching:
+        code = "#define LANES 1\n" * alone + self._code
+        return library(code, lambda path, new: self._opened(path, new), None, LEVEL)
+
+    def _opened(self, path: Path, new: bool) -> Marching:
+        """A library loaded and, when new, compared with the interpreter."""
+        try:
+            march = ctypes.CDLL(str(path)).march
+        except (OSError, AttributeError) as error:
+            path.unlink(missing_ok=True)
+            raise Unavailable(f"the library cannot be loaded: {error}") from None
+        march.argtypes = SIGNATURE
+        if new and not _agrees(march, self._known):
+            path.unlink(missing_ok=True)
+            raise Unavailable("the compiled march disagrees with the interpreted field")
+        marching: Marching = march
+        return marching
+
+
+def kernel(field: ca.Function, effort: float | None, alone: bool = False) -> Kernel | None:
+    """The kernel of a field f(t, y, s, free), None where there is none; `alone`: a single segment comes first."""
+    return _kept(effort, lambda: (field, field), alone, Same(field))
+
+
+def varied_kernel(
+    field: ca.Function, integrand: ca.Function | None, effort: float | None, alone: bool = False
+) -> Kernel | None:
+    """That of a field of x with its variations and an integral, as `rk8.variational_field` makes it."""
+    return _kept(effort, lambda: varied_forms(field, integrand), alone, Same(field), Same(integrand))
+
+
+def varied_forms(field: ca.Function, integrand: ca.Function | None) -> tuple[ca.Function, ca.Function]:
+    """A field with its variations as it is emitted, and as one function."""
+    flat = scalars(field)
+    whole = variational_field(flat, integrand)
+    return whole if flat.size1_in(1) <= UNROLLED else slopes_of(flat, integrand), whole
+
+
+def march_code(emitted: ca.Function) -> str:
+    """The C of a march of what is emitted."""
+    return f"#define LEAST {LEAST!r}\n" + field_code(emitted).join((source("kernel.c"), source("march.c")))
+
+
+def _kept(
+    effort: float | None, forms: Callable[[], tuple[ca.Function, ca.Function]], alone: bool, *key: Same
+) -> Kernel | None:
+    """The kernel of what is to be emitted and is known. Whether it is worth compiling does not depend on the cache."""
+
+    def made() -> Kernel:
+        emitted, known = forms()
+        code = march_code(emitted)
+        worth_it(len(code), effort)
+        return Kernel(code, known, alone)
+
+    if mode() == "off":
+        return None
+    surroundings = (os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"))
+    return _kernels((*key, mode(), effort, *surroundings), lambda: attempted(key[0].thing.name(), made))
+
+
+@lru_cache(maxsize=8)
+def source(name: str) -> str:
+    """The C of a file beside this one."""
+    return (files("orbitfinder.integrate.lanes") / name).read_text(encoding="utf-8")
+
+
+def _agrees(march: Marching, field: ca.Function) -> bool:
+    """Whether a step ends where the interpreter says, from a place in each lane."""
+    random, step = np.random.default_rng(0), step_of(field)
+    starts, numbers = (random.uniform(0.1, 0.9, (5, step.size1_in(k))) for k in (0, 1))
+    numbers[:, 0] *= SHORT  # a long one makes much of round-off
+    ends, known = np.empty(starts.shape), step.map(5)(starts.T, numbers.T).full().T
+    march(5, 1, starts.ctypes.data, numbers.ctypes.data, ends.ctypes.data, ends.ctypes.data, 0, None)
+    size = np.abs(known[np.isfinite(known)]).max(initial=1.0)
+    return bool(np.allclose(ends, known, rtol=LIMITS.agreement, atol=LIMITS.agreement * size, equal_nan=True))

@@ -1,0 +1,94 @@
+/* Marches of y' = f(t, y, s, free), one call for all segments: t and OWN numbers y, the first STATE of which f sees.
+
+   With COLUMNS, y = (x, S) and beside it stand the columns of Y' = df/dx Y + [0 | forcing], TOGETHER at a time: the
+   stages of x come first, with df/dx at each, so that no more than a few columns need be near at once. */
+#define STAGES 13
+#ifdef COLUMNS
+#define ROWS (1 + OWN + STATE * COLUMNS)
+#define ROOM (STAGES * (OWN + SLOPES + FORCING) + OWN + BLOCK * (STAGES + 3) * (sizeof(W) / sizeof(V)))
+#else
+#define ROWS (1 + OWN)
+#define ROOM ((STAGES + 1) * OWN)
+#endif
+#define GIVEN (1 + UNFOLDING + FREE)
+
+#ifdef COLUMNS
+/* rate = df/dx y + forcing for TOGETHER vectors of columns that stand side by side, from column `first` on. */
+static void product(W *rate, const V *slope, const V *forcing, const W *y, int first) {
+  for (int i = 0; i < STATE; i++) {
+    W sum[TOGETHER] = {{0.0}};
+    for (int k = BEGIN[i]; k < BEGIN[i + 1]; k++) {
+      const W slant = SPREAD(slope[k]), *row = y + COLUMN[k] * TOGETHER;
+#pragma GCC unroll 4
+      for (int j = 0; j < TOGETHER; j++) sum[j] += slant * row[j];
+    }
+    for (int c = first < STATE ? STATE : first; c < first + BESIDE && c < COLUMNS; c++)
+      COLUMN_OF(sum, 0, c - first) += NUMBER(forcing[(c - STATE) * STATE + i]);
+    for (int j = 0; j < TOGETHER; j++) rate[i * TOGETHER + j] = sum[j];
+  }
+}
+#endif
+
+/* A step of z = (t, y, Y) by p = (h, s, free); in `error`, where there is such, what y and Y are wrong by. */
+static void step(V *z, const V *p, V *work, V *error) {
+  const V h = p[0], *s = p + 1, *freed = s + UNFOLDING;
+#ifdef COLUMNS
+  W *base = (W *)work, *y = base + BLOCK, *wrong = y + BLOCK, (*d)[BLOCK] = (W (*)[BLOCK])(wrong + BLOCK);
+  V (*slope)[SLOPES] = (V (*)[SLOPES])(d + STAGES), (*forcing)[FORCING] = (V (*)[FORCING])(slope + STAGES);
+  V (*k)[OWN] = (V (*)[OWN])(forcing + STAGES);
+  states(z + 1, h, z[0], k[STAGES], k, error, s, freed, slope, forcing);
+  for (int first = 0; first < COLUMNS; first += BESIDE) {
+    V *to = z + 1 + OWN, *lost = error + OWN;
+    for (int c = 0; c < BESIDE; c++) for (int i = 0; i < STATE; i++)
+      COLUMN_OF(base, i, c) = first + c < COLUMNS ? NUMBER(to[(first + c) * STATE + i]) : NUMBER(all(0.0));
+    columns(base, SPREAD(h), SPREAD(z[0]), y, d, error ? wrong : 0, slope, forcing, first);
+    for (int c = 0; c < BESIDE && first + c < COLUMNS; c++) for (int i = 0; i < STATE; i++) {
+      NUMBER(to[(first + c) * STATE + i]) = COLUMN_OF(base, i, c);
+      if (error) NUMBER(lost[(first + c) * STATE + i]) = COLUMN_OF(wrong, i, c);
+    }
+  }
+#else
+  states(z + 1, h, z[0], work, (V (*)[OWN])(work + OWN), error, s, freed);
+#endif
+  z[0] += h;
+}
+
+/* Where number i of (t, x, vec Y, S), as callers have them, stands in z. */
+INLINE int within(int i) {
+#ifdef COLUMNS
+  return i <= STATE ? i : i <= STATE * (1 + COLUMNS) ? i + OWN - STATE : i - STATE * COLUMNS;
+#else
+  return i;
+#endif
+}
+
+INLINE void gathered(V *to, const double *from, const ptrdiff_t *rows, int width) {
+  for (int i = 0; i < width; i++) for (int l = 0; l < LANES; l++) to[i][l] = from[rows[l] * width + i];
+}
+
+/* (t, y) of `count` segments in `starts`, (h, s, free) of `steps` steps of each, one after another, in `given`; where
+   the segments end in `ends`, of each step the first `kept` numbers of its end in `path`; in `errors`, where there is
+   such, estimates for the last step of each. Returns whether there was no memory for it. */
+int march(ptrdiff_t count, ptrdiff_t steps, const double *starts, const double *given, double *ends, double *path,
+          ptrdiff_t kept, double *errors) {
+  void *memory = malloc((2 * ROWS + ROOM) * sizeof(V) + 64);
+  if (!memory) return 1;
+  V *work = (V *)(((uintptr_t)memory + 63) & ~(uintptr_t)63), *z = work + ROOM, *error = z + ROWS, p[GIVEN];
+  for (ptrdiff_t first = 0; first < count; first += LANES) {
+    ptrdiff_t segment[LANES], row[LANES];
+    for (int l = 0; l < LANES; l++) segment[l] = first + l < count ? first + l : count - 1;
+    for (int i = 0; i < ROWS; i++) for (int l = 0; l < LANES; l++) z[within(i)][l] = starts[segment[l] * ROWS + i];
+    for (ptrdiff_t k = 0; k < steps; k++) {
+      for (int l = 0; l < LANES; l++) row[l] = segment[l] * steps + k;
+      gathered(p, given, row, GIVEN);
+      step(z, p, work, errors && k == steps - 1 ? error : 0);
+      for (int l = 0; l < LANES; l++) for (ptrdiff_t i = 0; i < kept; i++) path[row[l] * kept + i] = z[i][l];
+    }
+    for (int l = 0; l < LANES; l++) for (int i = 0; i < ROWS; i++) {
+      ends[segment[l] * ROWS + i] = z[within(i)][l];
+      if (errors && i) errors[segment[l] * (ROWS - 1) + i - 1] = error[within(i) - 1][l];
+    }
+  }
+  free(memory);
+  return 0;
+}
