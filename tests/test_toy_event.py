@@ -27,7 +27,7 @@ TOY = EventKind(
     words="the period is 1.72 s",
     look=Look("$T$", "star-square", "#00AA88", series=2, pixels=13),
     test=lambda interval: [passages.Test("on_time", "", lambda sample: sample.solution.place.period - PERIOD)],
-    followed=Followed(lambda test, curve, orbit: orbit.place.period - PERIOD),
+    followed=Followed(lambda test, curve, orbits: np.array([orbit.place.period - PERIOD for orbit in orbits])),
 )
 
 
