@@ -53,7 +53,7 @@ def test_points_are_those_of_newton(family, monkeypatch):
     """Every w of a block to 1e-12 of what errors grow by, and its tangents, by the corrector in NumPy."""
     points, made = followed(*family, monkeypatch)
     grown = max(point.scale for point in points)
-    assert sum(len(ahead) for *_, ahead in made) > 2
+    assert any(ahead for *_, ahead in made)
     for curve, (w, whole, bend), ahead in made:
         for point in ahead:
             length = point.length
