@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import orbitfinder as of
+from orbitfinder.families.follow import PREDICTION
 from orbitfinder.families.run import accepted
+from orbitfinder.families.start import begin
 from orbitfinder.integrate.compiled import compiling
 from orbitfinder.loops import block
-from orbitfinder.loops.block import Blocks
-from orbitfinder.loops.continued import advanced, correct, plane, tangent
+from orbitfinder.loops.block import Blocks, Pacing
+from orbitfinder.loops.conditions import clock
+from orbitfinder.loops.continued import advanced, correct, distance, plane, tangent
+from orbitfinder.loops.mesh import MESH, STEP_ERROR
 
 PROBLEMS = {
     "duffing": ("problems/families/duffing-resonance.toml", "frequency"),
@@ -18,6 +24,8 @@ PROBLEMS = {
     "triple": ("problems/report/triple-2.toml", "energy"),
     "a length held in energy": ("problems/report/triple-1.toml", "length1"),
 }
+PACING = Pacing(longest=0.1, sharpest=of.FamilySettings.sharpest_turn, stretch=of.FamilySettings.longest_stretch,
+                prediction=PREDICTION)  # fmt: skip
 
 
 @pytest.fixture(params=list(PROBLEMS))
@@ -32,18 +40,19 @@ class Counted(Blocks):
 
     made: list[tuple]
 
-    def _made(self, curve, start, length):
-        ahead = super()._made(curve, start, length)
+    def _made(self, curve, start, length, count):
+        ahead = super()._made(curve, start, length, count)
         self.made.append((curve, start, tuple(ahead)))
         return ahead
 
 
-def followed(orbit, parameter, monkeypatch, points: int = 12) -> tuple[list, list[tuple]]:
+def followed(orbit, parameter, monkeypatch, points: int = 12, **how) -> tuple[list, list[tuple]]:
     """Points of a family, and the blocks that they came in."""
     made = Counted.made = []
     compiled = Blocks.of.__func__
     monkeypatch.setattr(Blocks, "of", classmethod(lambda cls, *given: compiled(Counted, *given)))
-    settings = of.FamilySettings(points=points, directions="forward", certify=False, events=False, longest_step=0.1)
+    how = {"longest_step": 0.1, **how}
+    settings = of.FamilySettings(points=points, directions="forward", certify=False, events=False, **how)
     points = of.follow_family(orbit, parameter, settings=settings).points
     monkeypatch.undo()
     return points, made
@@ -64,6 +73,14 @@ def test_points_are_those_of_newton(family, monkeypatch):
             assert np.abs(gap).max() <= 1e-12 * grown
             along = tangent(curve, solution, whole)
             assert np.abs((along - point.whole) / columns).max() <= 1e-8 * grown
+            missed = distance(curve, guess, point.solution.place)
+            turn = np.arccos(np.clip(np.sum(curve.scales.metric(w) * whole * point.whole), -1.0, 1.0))
+            stretch = abs(point.solution.place.period / w.period - 1.0)
+            assert point.next == pytest.approx(PACING.next(length, turn, stretch, missed), rel=1e-6)
+            there, march = point.solution.place, curve.equations.march
+            steps = np.arange(there.mesh.size - 1)
+            errors = march.step_errors(point.solution.march.states, there.mesh, there.tail, curve.units, steps)
+            assert errors.max() < MESH.stale * STEP_ERROR * (1 + 1e-6)
             stands = point.accepted
             here = accepted(curve, w, point.solution, point.whole)
             assert stands.curve.scales.columns(w) == pytest.approx(here.curve.scales.columns(w), rel=1e-13)
@@ -71,6 +88,16 @@ def test_points_are_those_of_newton(family, monkeypatch):
             assert np.abs((stands.bend - here.bend) / columns).max() <= 1e-8 * grown
             assert stands.solution.march.integral == pytest.approx(here.solution.march.integral, rel=1e-13)
             curve, w, whole, bend = stands.curve, stands.solution.place, stands.whole, stands.bend
+
+
+def test_sharp_turns_and_long_stretches_are_the_drivers(monkeypatch):
+    orbit = of.find_orbit(of.load_problem(PROBLEMS["duffing"][0]))
+    for limit in ({"sharpest_turn": 0.02}, {"longest_stretch": 0.004}):
+        _, made = followed(orbit, "frequency", monkeypatch, first_step=0.4, longest_step=0.5, **limit)
+        points = [point for *_, ahead in made for point in ahead]
+        assert points and not made[0][-1]
+        assert all(point.turn <= limit.get("sharpest_turn", 1.0) for point in points)
+        assert all(point.stretch <= limit.get("longest_stretch", 1.0) for point in points)
 
 
 def test_a_point_is_the_same_in_any_block(family, monkeypatch):
@@ -89,3 +116,23 @@ def test_without_a_compiler_there_are_none():
     settings = of.FamilySettings(points=2, directions="forward", certify=False, events=False)
     with compiling("off"):
         assert len(of.follow_family(orbit, "frequency", settings=settings).points) == 3
+
+
+def test_conditions_of_another_name_or_number_of_cycles_are_others():
+    """Two curves of the same equations, one of twice the forcing's period."""
+    curve = begin(of.load_problem(PROBLEMS["duffing"][0]), of.FamilySettings(parameter="frequency")).curve
+    twice = replace(curve, conditions=clock(curve.equations, 2))
+    one, two = (block._compiled(each) for each in (curve, twice))
+    assert one is not None and two is not None and one is not two
+    assert block._compiled(curve) is one
+
+
+def test_conditions_on_more_than_the_head_are_left_to_newton():
+    curve = begin(of.load_problem(PROBLEMS["duffing"][0]), of.FamilySettings(parameter="frequency")).curve
+    (known,) = curve.conditions
+
+    def everywhere(equations, nodes, period, free):
+        return sum(node[0] for node in nodes) + 0 * period
+
+    other = replace(curve, conditions=(replace(known, name="everywhere", expression=everywhere),))
+    assert block._compiled(curve) is not None and block._compiled(other) is None

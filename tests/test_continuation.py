@@ -303,6 +303,21 @@ def test_straight_to_values_before_a_fold():
     assert 0.99 < known[-1][0] < 1.0 and len(known) == 2 and len(asked) < 60
 
 
+def test_halves_of_the_last_straight_step_are_of_a_whole_one():
+    """A step of 0.5 where 0.4 are left is tried to the end and then as 0.25, not as 0.2."""
+    tried = []
+
+    def corrected(place):
+        tried.append(place)
+        if len(tried) in (3, 4):
+            raise ConvergenceError("too far")
+        return place, 1
+
+    pace = Pace(first=0.1, shortest=1e-3, longest=0.5, quick=5, growth=5.0)
+    assert reached([(0.0, 0.0)], 1.0, corrected, pace) == 1.0
+    assert tried == pytest.approx([0.1, 0.6, 1.0, 0.85, 0.725, 1.0])
+
+
 def test_no_kind_of_problem_is_known_here():
     """The driver asks no problem what it is."""
     for file in (Path(__file__).parents[1] / "orbitfinder" / "continuation").glob("*.py"):

@@ -96,8 +96,9 @@ class _Walk:
 
 def pacing(run: Run) -> Pacing:
     """How long the steps of a run may be."""
-    settings = run.settings
-    return Pacing(settings.longest_step, settings.sharpest_turn, settings.longest_stretch, PREDICTION)
+    # steps along a curve of bifurcations may be so many times longer: only its points of codimension two lie between
+    settings, along = run.settings, 1.0 if run.curve.test is None else 3.0
+    return Pacing(along * settings.longest_step, settings.sharpest_turn, settings.longest_stretch, PREDICTION)
 
 
 def _attempt(run: Run, before: Walked, length: float, blocks: Blocks | None) -> tuple[Walked, Batch]:
@@ -112,11 +113,10 @@ def _attempt(run: Run, before: Walked, length: float, blocks: Blocks | None) -> 
         return before, cut
     if curve.test is None and length > settings.narrowest and avoided(sample, last):
         raise ConvergenceError("two families may avoid each other within one step")
-    longest, bendable = _limits(run, step.turn, step.stretch)
     where: dict[str, Any] = {
         "index": before.point.index + 1,
         "arclength": before.point.arclength + run.direction * length,
-        "step": _next_length(longest, length, step.missed, bendable) if ahead is None else ahead.next,
+        "step": step.next,
         "indices": last.indices,
     }
     if solution is not raw:
@@ -147,7 +147,8 @@ def _corrected(run: Run, before: Walked, length: float) -> Ahead:
     # a step as short as this may change the period by more than `longest_stretch`: the saddle is reached in the end
     if stretch > settings.longest_stretch and length > 1e-4:
         raise ConvergenceError(f"the period changes by {stretch:.2g} within one step")
-    return Ahead(place, length, raw, whole, turn, stretch, distance(curve, guess, raw.place))
+    missed = distance(curve, guess, raw.place)
+    return Ahead(place, length, raw, whole, turn, stretch, missed, pacing(run).next(length, turn, stretch, missed))
 
 
 def _checked_point(
@@ -164,23 +165,6 @@ def _checked_point(
                 raise
             solution, about = refined(run.curve, solution, whole), None
     raise AssertionError("unreachable")
-
-
-def _next_length(longest: float, length: float, missed: float, bendable: float) -> float:
-    """Longer after a good prediction (its error goes with the third power), shorter after a bad one or large changes.
-
-    `bendable` times the length would be changed by as much as is allowed.
-    """
-    ease = float(np.clip((PREDICTION / max(missed, 1e-12)) ** (1 / 3), 0.5, 1.5))
-    return float(min(longest, length * min(ease, max(0.5, bendable))))
-
-
-def _limits(run: Run, turn: float, stretch: float) -> tuple[float, float]:
-    """The longest step, and how many times this one may be by its changes: its turn (rad), the period's, relative."""
-    # steps along a curve of bifurcations may be so many times longer: only its points of codimension two lie between
-    settings, along = run.settings, 1.0 if run.curve.test is None else 3.0
-    limits = (0.4 * settings.sharpest_turn / max(turn, 1e-9), 0.6 * settings.longest_stretch / max(stretch, 1e-9))
-    return along * settings.longest_step, min(limits)
 
 
 def _batch(run: Run, before: Walked, after: Walked, last: Sample) -> Batch:

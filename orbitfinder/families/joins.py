@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from math import gcd
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
@@ -26,7 +27,6 @@ from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.conditions import pinned
 from orbitfinder.loops.continued import Curve, Solution, advanced, correct, plane, tangent
 from orbitfinder.loops.loop import Equations, Unknowns
-from orbitfinder.loops.mesh import hermite
 from orbitfinder.loops.symmetry import Involution, called, involutions, named
 from orbitfinder.mechanics.model import wrapped
 from orbitfinder.records.family import End
@@ -114,7 +114,7 @@ def _sampled(curve: Curve, place: Unknowns, states: np.ndarray) -> np.ndarray:
     p = curve.equations
     mesh, states = p.symmetry.whole(place.mesh, states, curve.constant)
     slopes = p.march.rates(states, place.tail, mesh * place.period) * place.period
-    return hermite(mesh, states, slopes, np.linspace(0.0, 1.0, SAMPLED + 1))
+    return np.asarray(CubicHermiteSpline(mesh, states, slopes)(np.linspace(0.0, 1.0, SAMPLED + 1)))
 
 
 def _beside(curve: Curve, solution: Solution) -> list[tuple[Invariance, np.ndarray, float]]:

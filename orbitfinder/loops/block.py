@@ -33,6 +33,16 @@ class Pacing:
     stretch: float
     prediction: float
 
+    def next(self, length: float, turn: float, stretch: float, missed: float) -> float:
+        """The length after a step that turned by so much (rad), stretched the period, was predicted so far off.
+
+        Longer after a good prediction (its error goes with the third power), shorter after a bad one, and so that what
+        is allowed is not changed in the next. The same stands in `advance.c`.
+        """
+        ease = float(np.clip((self.prediction / max(missed, 1e-12)) ** (1 / 3), 0.5, 1.5))
+        bendable = min(0.4 * self.sharpest / max(turn, 1e-9), 0.6 * self.stretch / max(stretch, 1e-9))
+        return float(min(self.longest, length * min(ease, max(0.5, bendable))))
+
 
 @dataclass(frozen=True)
 class Accepted:
@@ -47,7 +57,7 @@ class Accepted:
 @dataclass(frozen=True)
 class Ahead:
     """A point as predicted and corrected a `length` after `start`, in the scales there: its orbit, its tangent, the
-    angle to that before, the relative change of the period, how far off the prediction was.
+    angle to that before, the relative change of the period, how far off the prediction was; and the `next` length.
     """
 
     start: Unknowns
@@ -57,8 +67,7 @@ class Ahead:
     turn: float
     stretch: float
     missed: float
-    next: float = 0.0
-    """the length of the step after it, and"""
+    next: float
     accepted: Accepted | None = None
     """how it stands, where that is known"""
 
@@ -80,15 +89,18 @@ class Blocks:
     def next(self, curve: Curve, start: tuple[Unknowns, np.ndarray, np.ndarray], length: float) -> Ahead | None:
         """The point a length after a place with its tangent and bend; None where the driver must see to it."""
         if not (self._ahead and self._ahead[0].start is start[0] and self._ahead[0].length == length):
-            self._count = FEWEST if self._ahead else min(2 * self._count, MOST)
-            self._ahead = self._made(curve, start, length)
+            count = FEWEST if self._ahead else self._count
+            self._ahead = self._made(curve, start, length, count)
+            self._count = min(2 * count, MOST) if len(self._ahead) == count else FEWEST
         return self._ahead.pop(0) if self._ahead else None
 
-    def _made(self, curve: Curve, start: tuple[Unknowns, np.ndarray, np.ndarray], length: float) -> list[Ahead]:
+    def _made(
+        self, curve: Curve, start: tuple[Unknowns, np.ndarray, np.ndarray], length: float, count: int
+    ) -> list[Ahead]:
         w, whole, bend = start
         if w.vector.size > SMALL:
             return []
-        standing, passage = _rows(w, self._count)
+        standing, passage = _rows(w, count)
         for rows, row in zip(standing, (w.vector, whole, bend, _packed(curve.scales)), strict=False):
             rows[0] = row
         standing[5][0] = length
@@ -125,7 +137,7 @@ def _rows(w: Unknowns, count: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """What stands at a point and before `count` others, and what is met on the way to each (see `advance.c`)."""
     (segments, d), f, n, cut = w.nodes.shape, w.free.size, w.vector.size, w.nodes.size
     standing = [(n,), (n,), (n,), (2 * d + 1 + 4 * f,), (cut,), (1,)]
-    passage = [(n,), (n,), (segments, d), (segments, d, d), (segments, d, n - cut), (w.mesh.size, d), (n - 1, n), (7,)]
+    passage = [(n,), (n,), (segments, d), (segments, d, d), (segments, d, n - cut), (w.mesh.size, d), (n - 1, n), (6,)]
     return [np.zeros((count + 1, *shape)) for shape in standing], [np.empty((count, *shape)) for shape in passage]
 
 
@@ -160,25 +172,24 @@ def _suits(curve: Curve) -> bool:
 
 def _compiled(curve: Curve) -> Advance | None:
     """The compiled blocks of a curve, None where there are none."""
-    p, march, key = (
-        curve.equations,
-        curve.equations.march,
-        ("advance", tuple(condition.name for condition in curve.conditions)),
-    )
+    p, march = curve.equations, curve.equations.march
     if not (_suits(curve) and isinstance(march, March)):
         return None
+    key = "advance", tuple((condition.name, condition.cycles) for condition in curve.conditions)
     if key not in p.derived:
         p.derived[key] = _conditions(curve)
     return advance_of(march.field, march.integrand, p.derived[key], EFFORT)
 
 
 def _conditions(curve: Curve) -> ca.Function:
-    """(values, slopes) of the conditions by the head (x, T, free)."""
+    """(values, slopes) of the conditions by the head (x, T, free); free variables are left where they see more of w."""
     p = curve.equations
     x, period, free = ca.MX.sym("x", p.size), ca.MX.sym("T"), ca.MX.sym("free", len(p.free))
-    values = ca.vertcat(*(condition.expression(p, [x], period, free) for condition in curve.conditions))
+    nodes = [x, ca.MX.sym("node", p.size)]
+    values = ca.vertcat(*(condition.expression(p, nodes, period, free) for condition in curve.conditions))
     by = [ca.jacobian(values, part) for part in (x, period, free)]
-    return ca.Function("conditions", [x, period, free], [ca.densify(values), ca.densify(ca.horzcat(*by))])
+    given, rows = [x, period, free], [ca.densify(values), ca.densify(ca.horzcat(*by))]
+    return ca.Function("conditions", given, rows, {"allow_free": True})
 
 
 def _maps(curve: Curve) -> np.ndarray:
@@ -196,12 +207,12 @@ def _maps(curve: Curve) -> np.ndarray:
 def _frame(curve: Curve, w: Unknowns, pacing: Pacing, maps: np.ndarray) -> Frame:
     p, (first, last) = curve.equations, curve.equations.boundary
     return Frame(
-        segments=len(w.nodes), steps=w.steps, closing=len(first), phase=int(_timed(curve)), named=len(curve.conditions),
+        segments=len(w.nodes), steps=w.steps, closing=len(first), phase=int(_timed(curve)),
         images=len(maps), forced=int(p.model.forced), first_order=int(p.model.rates is not None), mesh=w.mesh,
         first=first, last=last, aimed=p.aimed(curve.constant), maps=maps, lengths=curve.shares,
         angular=p.model.angular, values=[condition.value for condition in curve.conditions], units=curve.units,
         ready=CORRECTOR.newton_ready, floor=CORRECTOR.newton_floor, contraction=0.1, stall=0.5,
-        iterations=CORRECTOR.most_newton, reach=0.5, sharpest=pacing.sharpest, stretch=pacing.stretch,
+        iterations=CORRECTOR.most_newton, sharpest=pacing.sharpest, stretch=pacing.stretch,
         longest=pacing.longest, prediction=pacing.prediction, stale=MESH.stale, allowed=STEP_ERROR, spare=MESH.spare,
         sampled=MESH.sampled, steepest=MESH.steepest, least_share=LEAST_SHARE, still=STILL, stepped=CORRECTOR.unmoved,
     )  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
@@ -143,20 +144,9 @@ def between(curve: Curve, solution: Solution, moments: np.ndarray) -> np.ndarray
     place, states, march = solution.place, solution.march.states, curve.equations.march
     if curve.equations.model.forced:
         slopes = march.rates(states, place.tail, place.mesh * place.period) * place.period
-        return hermite(place.mesh, states, slopes, moments)
+        return np.asarray(CubicHermiteSpline(place.mesh, states, slopes)(moments))
     before = np.searchsorted(place.mesh, moments, side="right") - 1
     return march.ends(states[before], np.append(0.0, np.cumsum(moments - place.mesh[before])), place.tail)
-
-
-def hermite(times: np.ndarray, states: np.ndarray, slopes: np.ndarray, moments: np.ndarray) -> np.ndarray:
-    """The cubics (k x d) through states (M x d) with slopes at times (M), at moments (k): SciPy's, made in a tenth of
-    the time."""
-    before = np.clip(np.searchsorted(times, moments, side="right") - 1, 0, times.size - 2)
-    lengths = (times[before + 1] - times[before])[:, None]
-    share = (moments - times[before])[:, None] / lengths
-    moved = states[before + 1] - states[before]
-    early, late = lengths * slopes[before] - moved, moved - lengths * slopes[before + 1]
-    return np.asarray(states[before] + share * (moved + (1 - share) * ((1 - share) * early + share * late)))
 
 
 def _remeshed_arcs(curve: Curve, solution: Solution) -> Unknowns:
@@ -174,7 +164,7 @@ def _remeshed_arcs(curve: Curve, solution: Solution) -> Unknowns:
         edges, states = place.mesh[k * steps : (k + 1) * steps + 1], arc_states(solution, arcs, k)
         mesh = _graded(own, edges, count * each)
         slopes = curve.equations.march.arcs[k].rates(states, place.tail) * place.period
-        nodes.append(hermite(edges, states, slopes, mesh[:-1:each]))
+        nodes.append(CubicHermiteSpline(edges, states, slopes)(mesh[:-1:each]))
         nodes[-1][0] = states[0]
         meshes.append(mesh[:-1])
     return replace(place, nodes=np.vstack(nodes), mesh=np.append(np.concatenate(meshes), place.mesh[-1]))

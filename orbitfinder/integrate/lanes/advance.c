@@ -10,9 +10,9 @@
 #define VARIED (D * (1 + D + MORE)) /* numbers of x and its variations; the integral follows */
 
 typedef struct {
-  ptrdiff_t segments, steps, closing, phase, named, images, forced, first_order;
+  ptrdiff_t segments, steps, closing, phase, images, forced, first_order;
   const double *mesh, *first, *last, *aimed, *maps, *lengths, *angular, *values, *units;
-  double ready, floor, contraction, stall, iterations, reach, sharpest, stretch, longest, prediction, stale, allowed,
+  double ready, floor, contraction, stall, iterations, sharpest, stretch, longest, prediction, stale, allowed,
     spare, sampled, steepest, least_share, still, stepped;
 } Frame;
 
@@ -260,27 +260,26 @@ static int factored_with(const Work *o, const double *aim) {
 }
 
 /* Whether the mesh serves: no step's error is stale, no segment steep, and the steps are not far too many. */
-static int serves(const Work *o, const Passage *q, const double *scales, double *worst) {
+static int serves(const Work *o, const Passage *q, const double *scales) {
   const Frame *f = o->f;
   const ptrdiff_t M = f->segments * f->steps, every = (ptrdiff_t)f->sampled;
-  double extent[D], most = 0, needed = 0, count = 0, steep = 0;
+  double extent[D], most = 0, worst = 0, needed = 0, count = 0, steep = 0;
   for (int i = 0; i < D; i++) {
     extent[i] = 0;
     for (ptrdiff_t k = 0; k <= M; k++) extent[i] = fmax(extent[i], fabs(q->states[k * D + i]));
     extent[i] /= f->units[i];
     most = fmax(most, extent[i]);
   }
-  *worst = 0;
   for (ptrdiff_t k = 0; k < M; k++) {
     double error = 0;
     for (int i = 0; i < D; i++)
       error = fmax(error, fabs(o->errors[k * D + i]) / (f->units[i] * fmax(extent[i], most * 1e-2)));
-    *worst = fmax(*worst, error);
+    worst = fmax(worst, error);
     if (k % every == 0) { needed += pow(error / f->allowed, 0.125); count++; }
   }
   for (ptrdiff_t k = 0; k < f->segments * D * D; k++)
     steep = fmax(steep, fabs(q->phi[k]) * scales[k % D] / scales[k / D % D]);
-  return *worst < f->stale * f->allowed && needed * f->spare >= count && D * steep <= f->steepest;
+  return worst < f->stale * f->allowed && needed * f->spare >= count && D * steep <= f->steepest;
 }
 
 /* The sizes of the whole motion (see `loops.scales.sizes`). */
@@ -420,7 +419,7 @@ static int stepped(const Work *o, const Standing *from, const Standing *to, cons
   turn = acos(fmax(-1.0, fmin(1.0, inner(o, from->tangent, q->raw))));
   stretch = fabs(to->w[o->cut] / from->w[o->cut] - 1.0);
   if (!(turn <= f->sharpest) || (stretch > f->stretch && length > 1e-4)) return 0;
-  if (!serves(o, q, from->scales, &q->facts[6])) return 0;
+  if (!serves(o, q, from->scales)) return 0;
   missed = apart(o, o->guess, to->w);
   q->facts[0] = turn; q->facts[1] = stretch; q->facts[2] = missed;
   double bendable = fmin(0.4 * f->sharpest / fmax(turn, 1e-9), 0.6 * f->stretch / fmax(stretch, 1e-9));
@@ -444,7 +443,7 @@ static int replayed(const Work *o, const Standing *from, const Standing *to, con
    of which w, tangent and march were given. */
 ptrdiff_t advance(const Frame *f, ptrdiff_t count, int known, double *const *standing, double *const *passage) {
   const ptrdiff_t N = f->segments, M = N * f->steps, cut = N * D, n = cut + TAILS, rows = n - 1, wide = 2 * D + 1 + 4 * FREE;
-  const ptrdiff_t before[] = {n, n, n, wide, cut, 1}, on[] = {n, n, N * D, N * D * D, N * D * TAILS, (M + 1) * D, rows * n, 7};
+  const ptrdiff_t before[] = {n, n, n, wide, cut, 1}, on[] = {n, n, N * D, N * D * D, N * D * TAILS, (M + 1) * D, rows * n, 6};
   ptrdiff_t made = 0, size = n * n + rows * n + 8 * n + M * D + N;
   double *space = malloc(size * sizeof(double)), *p = space;
   ptrdiff_t *order = malloc(n * sizeof(ptrdiff_t));

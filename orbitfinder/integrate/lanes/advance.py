@@ -16,10 +16,10 @@ from orbitfinder.integrate.compiled import LIMITS, Unavailable, attempted, libra
 from orbitfinder.integrate.lanes.emit import emitted, scalars
 from orbitfinder.integrate.lanes.kernel import LEVEL, march_code, source, varied_forms
 
-SIZES = ("segments", "steps", "closing", "phase", "named", "images", "forced", "first_order")
+SIZES = ("segments", "steps", "closing", "phase", "images", "forced", "first_order")
 ARRAYS = ("mesh", "first", "last", "aimed", "maps", "lengths", "angular", "values", "units")
 NUMBERS = (
-    "ready", "floor", "contraction", "stall", "iterations", "reach", "sharpest", "stretch", "longest", "prediction",
+    "ready", "floor", "contraction", "stall", "iterations", "sharpest", "stretch", "longest", "prediction",
     "stale", "allowed", "spare", "sampled", "steepest", "least_share", "still", "stepped",
 )  # fmt: skip
 
