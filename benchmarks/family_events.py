@@ -6,7 +6,7 @@ equations (`brute_systems.py`) and is kept in tests/data/brute_force.json. `test
 `curves.json` have numbers of AUTO-07p and of 140 bits for five of them. Writes results/validation/family_events.md;
 exit 1 when anything is missed or invented.
 
-    python -m benchmarks.family_events [NAME ...]                    the comparison, three to ten minutes
+    python -m benchmarks.family_events [NAME ...]                    the comparison, a minute or two
     python -m benchmarks.family_events --again [NAME ...]            brute force computed again first, five minutes
     python -m benchmarks.family_events --dense [NAME ...] [--points 150] [--step 0.05]
 

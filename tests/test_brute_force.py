@@ -188,6 +188,19 @@ def told(events, kind, value):
     return SimpleNamespace(events=events, ends=(end,), points=(SimpleNamespace(value=value, arclength=0.0),))
 
 
+def test_the_fold_of_a_canard_is_found():
+    """Along it the parameter moves by a few hundred round-offs in a twentieth of a step."""
+    row = family_events.judged("FitzHugh, AUTO's fhn", KEPT["FitzHugh, AUTO's fhn"], 1)
+    assert "fold 0.430518245" in row.agreed and row.right and not (row.missed or row.invented)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "direction"), [(name, int(key)) for name in KEPT for key in KEPT[name]["directions"]])
+def test_nothing_is_missed_and_nothing_invented(name, direction):
+    row = family_events.judged(name, KEPT[name], direction)
+    assert row.right and not (row.missed or row.invented)
+
+
 def test_a_false_fold_a_lost_end_and_a_failure_are_in_the_page(monkeypatch):
     """Planted families of the oscillator in SI, whose truth is no event and the Hopf point 0."""
     name = "oscillator in SI"

@@ -51,9 +51,9 @@ SAME_STEP = 1e-6
 """... or this share of how much it changes in the step, if that is more"""
 GROWN = 1.5
 """A family that ends homoclinic has a period this many times its shortest"""
-SHARES = ((3e-3, 0), (3e-4, 0), (5e-2, 1))
+SHARES = ((3e-3, 0), (3e-4, 0), (5e-2, 1), (2e-1, 1))
 """How far the orbits on both sides are, in steps of the family, and whether there are others twice as far: the nearer
-ones where two events share a step, the farthest where a parameter hardly moves, as in a canard"""
+ones where two events share a step, the farthest where a parameter hardly moves beyond its round-off, as in a canard"""
 STEPS = 480
 """Steps of a period on which an orbit is marched of which the nodes are not known"""
 
