@@ -231,7 +231,8 @@ def _stepped(
     )  # fmt: skip
     if times.size > 2:
         solver.set_solout(steps.accepted)
-    solver._integrator._solout = _accepted
+    if solver._integrator._solout.__func__.__code__.co_argcount == 3:  # (self, t, y) since SciPy 1.17, more before
+        solver._integrator._solout = _accepted
     solver.set_initial_value(start, times[0])
     outer = getattr(_under_way, "steps", None)
     _under_way.steps = steps
