@@ -12,8 +12,9 @@ import numpy as np
 from scipy.optimize import brentq
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
-from orbitfinder.integrate.dop853 import ReferenceSettings, integrate, vector_field
+from orbitfinder.integrate.dop853 import ReferenceSettings, integrate
 from orbitfinder.integrate.equations import accelerations
+from orbitfinder.integrate.field import vector_field
 from orbitfinder.loops.symmetry import Involution
 from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.scales import alike, given_or

@@ -28,16 +28,8 @@ from scipy.optimize import lsq_linear
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.control.program import Optimum, Program, arranged, mirror_of, optimum
 from orbitfinder.errors import InputError
-from orbitfinder.integrate.dop853 import (
-    SECOND,
-    TIGHTEST,
-    ReferenceSettings,
-    Trace,
-    VectorField,
-    integrate,
-    rates_of,
-    vector_field,
-)
+from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, Trace, integrate
+from orbitfinder.integrate.field import VectorField, rates_of, vector_field
 from orbitfinder.loops.control import Basis, Control, Task
 from orbitfinder.loops.ipopt import Callback, SolveSettings
 from orbitfinder.loops.problem import Problem

@@ -19,8 +19,8 @@ from orbitfinder.families.critical import Critical, levelled
 from orbitfinder.families.entries import kind_of
 from orbitfinder.families.point import unknowns_of
 from orbitfinder.families.start import curve_in, fitted
-from orbitfinder.integrate.dop853 import vector_field
 from orbitfinder.integrate.equations import hamilton
+from orbitfinder.integrate.field import vector_field
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, begun, correct, plane, scaled, tangent
 from orbitfinder.loops.symmetry import turned

@@ -19,17 +19,9 @@ from scipy.optimize import brentq
 from orbitfinder._runtime import limit
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.integrate.dop853 import (
-    SECOND,
-    TIGHTEST,
-    ReferenceSettings,
-    VectorField,
-    integrate,
-    integrate_in,
-    scaled,
-    vector_field,
-)
+from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, integrate, integrate_in
 from orbitfinder.integrate.evaluate import Buffered
+from orbitfinder.integrate.field import VectorField, scaled, vector_field
 from orbitfinder.mechanics.hybrid import Transition, gradient
 from orbitfinder.mechanics.model import Model, wrapped
 from orbitfinder.mechanics.model import vector_field as field_of

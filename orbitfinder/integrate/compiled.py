@@ -210,7 +210,7 @@ def with_derivatives(function: ca.Function, *, effort: float | None = None) -> c
 
 def _library(function: ca.Function, effort: float | None) -> ca.Function:
     """The compiled function, from this process, from the disk or made now."""
-    return library(_code(function), lambda path, new: _opened(path, function, new), effort)
+    return library(casadi_code(function), lambda path, new: _opened(path, function, new), effort)
 
 
 def library(code: str, opened: Callable[[Path, bool], T], effort: float | None, level: str = "") -> T:
@@ -244,7 +244,7 @@ def _fetched(code: str, opened: Callable[[Path, bool], T], effort: float | None,
     return entry
 
 
-def _code(function: ca.Function) -> str:
+def casadi_code(function: ca.Function) -> str:
     """The function in C; `RuntimeError` for what CasADi cannot generate (CVODES, IDAS, IPOPT, Python callbacks).
 
     Code that calls another library is refused: nothing links the two, and before CasADi 3.8.1 what calls a library by

@@ -14,17 +14,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from scipy.integrate import DOP853, ode
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import IntegrationError
-from orbitfinder.integrate.evaluate import Buffered
-
-VectorField = Callable[[float, np.ndarray], np.ndarray]
-TOGETHER, MANY = (64, 1024), 640
-"""States whose rates are evaluated in one call, where some are wanted and where more than so many are."""
+from orbitfinder.integrate.field import Field, Steps, VectorField, rates_of, scaled
 
 
 @dataclass(frozen=True)
@@ -43,77 +38,6 @@ EVALUATIONS_PER_STEP = 12
 TIGHTEST = ReferenceSettings()
 SECOND = ReferenceSettings(relative_tolerance=1e-12, absolute_tolerance=1e-13)
 FAILURES = {-2: "too many evaluations", -3: "the step size becomes too small", -4: "the equations are probably stiff"}
-
-
-def vector_field(function: ca.Function, free: np.ndarray | None = None) -> VectorField:
-    """A NumPy callable f(t, y) around a CasADi function of (t, y), or of (t, y, free), without per-call conversions.
-
-    It reads `free` where that is whenever it is called. Its attribute `many(times, states)` evaluates a row of rates
-    for each row of states in one call.
-    """
-    size = function.size1_in(1)
-    time, state, rate = np.zeros(1), np.zeros(size), np.zeros(function.size1_out(0))
-    dense = function
-    if not function.sparsity_out(0).is_dense():
-        dense = ca.Function("dense", (a := function.mx_in()), [ca.densify(function(*a))])
-    buffer, evaluate = dense.buffer()
-    buffer.set_arg(0, memoryview(time))
-    buffer.set_arg(1, memoryview(state))
-    given = [] if free is None else [free]
-    for values in given:
-        buffer.set_arg(2, memoryview(values))
-    buffer.set_res(0, memoryview(rate))
-
-    def call(t: float, y: np.ndarray) -> np.ndarray:
-        time[0] = t
-        state[:] = y
-        evaluate()
-        return rate.copy()
-
-    mapped: dict[int, Buffered] = {}
-
-    def many(times: np.ndarray, states: np.ndarray) -> np.ndarray:
-        if len(times) == 1:
-            return call(times[0], states[0])[None]
-        size = TOGETHER[len(times) > MANY]
-        if size not in mapped:
-            mapped[size] = Buffered(dense.map(size))
-        rates = np.empty((len(times), rate.size))
-        for k in range(0, len(times), size):
-            block = slice(k, k + size)
-            clock, some = times[block, None], states[block]
-            if len(some) < size:  # the last block is filled with the last state
-                clock, some = (
-                    np.concatenate([rows, np.repeat(rows[-1:], size - len(some), 0)]) for rows in (clock, some)
-                )
-            rates[block] = mapped[size](clock, some, *given)[0][: len(times) - k]
-        return rates
-
-    call.keep = (dense, buffer)  # type: ignore[attr-defined]  # or both are freed under the evaluation
-    call.memory = (time, state, rate, evaluate)  # type: ignore[attr-defined]
-    call.many = many  # type: ignore[attr-defined]
-    return call
-
-
-def scaled(field: VectorField, units: np.ndarray) -> VectorField:
-    """The field of y / units, so that one tolerance is right for components of all sizes."""
-
-    def call(t: float, y: np.ndarray) -> np.ndarray:
-        return np.asarray(field(t, y * units) / units)
-
-    if hasattr(field, "memory"):
-        time, state, rate, evaluate = field.memory
-
-        def call(t: float, y: np.ndarray) -> np.ndarray:  # the same without a copy and a call
-            time[0] = t
-            np.multiply(y, units, state)
-            evaluate()
-            return rate / units  # type: ignore[no-any-return]
-
-    rates, together = rates_of(field)
-    call.many = lambda times, states: rates(times, states * units) / units  # type: ignore[attr-defined]
-    call.together = together  # type: ignore[attr-defined]
-    return call
 
 
 @dataclass(frozen=True)
@@ -189,16 +113,14 @@ def integrate(
         return np.repeat(start[None], times.size, axis=0)
     if not np.all(np.abs(field(float(times[0]), start)) < 1e100):  # also where the state is NaN
         raise IntegrationError("the equations of motion overflow there", time=float(times[0]), state=start)
-    steps = _Steps(field)
-    try:
-        end = _stepped(steps, start, times, settings, longest_step)
-        trace = Trace(np.array(steps.moments), np.array(steps.states), *rates_of(field))
-        inner = trace.at(times[1:-1]) if times.size > 2 else np.zeros((0, start.size))
-        if traces is not None:
-            traces.append(trace)
-    finally:
-        vars(steps).clear()  # the field, 0.1 MB and more of steps, whoever still has it
-    states = np.vstack([start, inner, end])
+    steps = _stepped(field, start, times, settings, longest_step)
+    if steps.code < 0:
+        raise IntegrationError(FAILURES.get(steps.code, f"DOP853 returned {steps.code}"), time=steps.time, state=start)
+    trace = Trace(steps.moments, steps.states, *rates_of(field))
+    inner = trace.at(times[1:-1]) if times.size > 2 else np.zeros((0, start.size))
+    if traces is not None:
+        traces.append(trace)
+    states = np.vstack([start, inner, steps.state])
     if not np.all(np.isfinite(states)):
         raise IntegrationError("the state is not finite", time=float(times[-1]), state=start)
     return states
@@ -218,42 +140,53 @@ def integrate_in(
 
 
 def _stepped(
-    steps: _Steps, start: np.ndarray, times: np.ndarray, settings: ReferenceSettings, longest: float
-) -> np.ndarray:
-    """The state at the last time; accepted steps are noted where states between are wanted."""
+    field: VectorField, start: np.ndarray, times: np.ndarray, settings: ReferenceSettings, longest: float
+) -> Steps:
+    """The steps to the last time, noted where states between are wanted: compiled, or SciPy's."""
     # DOP853 adds up its steps: multiples of the clock's resolution add up exactly, others drift by 6e-14 in 800
     tick = float(np.spacing(np.abs(times[[0, -1]]).max()))
+    span, noted = (float(times[0]), float(times[-1])), times.size > 2
+    at_most = max(1, settings.max_evaluations // EVALUATIONS_PER_STEP)
+    given = start, settings, float(np.floor(min(longest, span[1] - span[0]) / tick) * tick), at_most, noted
+    if isinstance(field, Field):
+        return field.integrated(span, *given, lambda: _interpreted(field.rate, span, *given))
+    return _interpreted(field, span, *given)
+
+
+def _interpreted(
+    rate: VectorField, span: tuple[float, float], start: np.ndarray, settings: ReferenceSettings, longest: float,
+    most: int, noted: bool,
+) -> Steps:  # fmt: skip
+    """The same by SciPy's DOP853, which calls a function of Python."""
     solver: Any = ode(_rate).set_integrator(
         "dop853",
-        rtol=settings.relative_tolerance, atol=settings.absolute_tolerance,
-        nsteps=max(1, settings.max_evaluations // EVALUATIONS_PER_STEP),
-        max_step=np.floor(min(longest, times[-1] - times[0]) / tick) * tick,
+        rtol=settings.relative_tolerance, atol=settings.absolute_tolerance, nsteps=most, max_step=longest,
     )  # fmt: skip
-    if times.size > 2:
+    steps = _Steps(rate)
+    if noted:
         solver.set_solout(steps.accepted)
-    if solver._integrator._solout.__func__.__code__.co_argcount == 3:  # (self, t, y) since SciPy 1.17, more before
+    if solver._integrator._solout.__func__.__code__.co_argcount == 3:  # (self, x, y) since SciPy 1.17
         solver._integrator._solout = _accepted
-    solver.set_initial_value(start, times[0])
+    solver.set_initial_value(start, span[0])
     outer = getattr(_under_way, "steps", None)
     _under_way.steps = steps
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # SciPy's, of failures: they are raised here
-        try:
-            end = solver.integrate(times[-1])
-        except ValueError as error:  # an interrupt between two callbacks
-            raise _root(error) from None
-        finally:
-            _under_way.steps = outer
-    failed, code = not solver.successful(), solver.get_return_code()
-    if steps.errors:
-        raise _root(steps.errors[0])
-    if failed:
-        raise IntegrationError(FAILURES.get(code, f"DOP853 returned {code}"), time=float(solver.t), state=start)
-    return np.asarray(end)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # SciPy's, of failures: they are raised here
+            end = solver.integrate(span[1])
+        if steps.errors:
+            raise _root(steps.errors[0])
+        code = 1 if solver.successful() else int(solver.get_return_code())
+        return Steps(code, float(solver.t), np.asarray(end), np.array(steps.moments), np.array(steps.states))
+    except ValueError as error:  # an interrupt between two callbacks
+        raise _root(error) from None
+    finally:
+        _under_way.steps = outer
+        vars(steps).clear()  # the field, 0.1 MB and more of steps, whoever still has it
 
 
 _under_way = threading.local()
-"""The `_Steps` of this thread's integration: SciPy 1.17 never lets go of what it has called, so it calls these two"""
+"""The `_Steps` of this thread's integration: SciPy 1.17 never lets go of what it has called, so it calls these"""
 
 
 def _rate(t: float, y: np.ndarray) -> np.ndarray:
@@ -298,13 +231,3 @@ def _between(
     solver = DOP853(stacked, 0.0, states.ravel(), 1.0, first_step=1.0, rtol=1.0, atol=np.inf)
     solver.step()
     return np.asarray(solver.y).reshape(states.shape)
-
-
-def _one_by_one(field: VectorField) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    return lambda times, states: np.stack([field(float(t), y) for t, y in zip(times, states, strict=True)])
-
-
-def rates_of(field: VectorField) -> tuple[Callable[[np.ndarray, np.ndarray], np.ndarray], bool]:
-    """Rates of rows of states, and whether they come from one call."""
-    many = getattr(field, "many", None)
-    return many or _one_by_one(field), many is not None and getattr(field, "together", True)

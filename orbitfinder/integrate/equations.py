@@ -6,7 +6,7 @@ All of it is remembered for the models seen last, and compiled for those of whic
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import wraps
 from typing import Any, TypeVar
 
@@ -14,8 +14,8 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder._runtime.caches import Kept, Same
-from orbitfinder.integrate.compiled import compiled
 from orbitfinder.integrate.evaluate import Buffered
+from orbitfinder.integrate.field import expect
 from orbitfinder.mechanics.canonical import Canonical, canonical, coordinates
 from orbitfinder.mechanics.model import Model, vector_field
 
@@ -131,15 +131,11 @@ def action_rate(model: Model) -> ca.Function:
 
 def prepare(model: Model, effort: float | None = None, free: tuple[str, ...] = ()) -> None:
     """Have the equations of a Model compiled: many of its orbits are to be certified, in `effort` (s) or more."""
-    slow = hamilton(model, free)
-    if free:  # only closures are looked at there
-        _derived[_key(model, canonical, free)] = replace(slow, field=compiled(slow.field, effort=effort))
-        return
-    fast = replace(
-        slow, field=compiled(slow.field, effort=effort), variational=compiled(slow.variational, effort=effort)
-    )
-    _derived[_key(model, canonical)] = fast
-    _derived[_key(model, accelerations)] = compiled(accelerations(model), effort=effort)
+    equations = hamilton(model, free)
+    expect(equations.field, effort)
+    if not free:  # with parameters left free only closures are looked at
+        expect(equations.variational, effort)
+        expect(accelerations(model), effort)
 
 
 @dataclass(frozen=True, eq=False)

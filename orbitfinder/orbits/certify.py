@@ -14,9 +14,9 @@ from orbitfinder._runtime.rooms import filled
 from orbitfinder._runtime.sizes import LEAST, size_of
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.integrate.automaton import Arc
-from orbitfinder.integrate.dop853 import rates_of, vector_field
 from orbitfinder.integrate.equations import accelerations, invariant_gradients
 from orbitfinder.integrate.evaluate import one_thread
+from orbitfinder.integrate.field import rates_of, vector_field
 from orbitfinder.loops.symmetry import NONE, beside, knowing, recognise, shifts_of, symmetries_of, symplectic, turned
 from orbitfinder.mechanics.hybrid import as_recorded
 from orbitfinder.mechanics.kind import build_model

@@ -31,12 +31,11 @@ from orbitfinder.integrate.dop853 import (
     TIGHTEST,
     ReferenceSettings,
     Trace,
-    VectorField,
     integrate,
     integrate_in,
-    vector_field,
 )
 from orbitfinder.integrate.equations import accelerations, hamilton, invariant_gradients
+from orbitfinder.integrate.field import VectorField, vector_field
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
 from orbitfinder.loops.symmetry import Involution, symplectic
 from orbitfinder.mechanics.constrained import tangent_basis

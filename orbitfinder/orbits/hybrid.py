@@ -17,15 +17,9 @@ import numpy as np
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.automaton import Arc, Automaton, arcs_along
-from orbitfinder.integrate.dop853 import (
-    SECOND,
-    TIGHTEST,
-    ReferenceSettings,
-    Trace,
-    rates_of,
-    scaled,
-)
+from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, Trace
 from orbitfinder.integrate.equations import invariant_gradients
+from orbitfinder.integrate.field import rates_of, scaled
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.continued import Solution
 from orbitfinder.loops.loop import Equations, Unknowns

@@ -13,8 +13,9 @@ import numpy as np
 from orbitfinder._runtime import interrupt
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, OrbitfinderError
 from orbitfinder.integrate.cvodes import Flow, end_state, transition
-from orbitfinder.integrate.dop853 import SECOND, integrate_in, vector_field
+from orbitfinder.integrate.dop853 import SECOND, integrate_in
 from orbitfinder.integrate.equations import accelerations, invariant_gradients
+from orbitfinder.integrate.field import vector_field
 from orbitfinder.integrate.idas import build_dae_flow
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.ipopt import Callback, SolveSettings

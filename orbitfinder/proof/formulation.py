@@ -31,8 +31,9 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from orbitfinder.errors import InputError, IntegrationError, plural
-from orbitfinder.integrate.dop853 import SECOND, integrate, vector_field
+from orbitfinder.integrate.dop853 import SECOND, integrate
 from orbitfinder.integrate.equations import accelerations
+from orbitfinder.integrate.field import vector_field
 from orbitfinder.loops.symmetry import Symmetry, off_centre
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import Vector, arb

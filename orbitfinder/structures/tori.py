@@ -22,9 +22,10 @@ from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.continuation.follow import CurveJournal, Goals, Pace, SolutionCurve, follow, towards
 from orbitfinder.continuation.problem import Point, plane, solved
 from orbitfinder.errors import ConvergenceError, InputError, closest
-from orbitfinder.integrate.dop853 import STEPS_PER_PERIOD, integrate_in, vector_field
+from orbitfinder.integrate.dop853 import STEPS_PER_PERIOD, integrate_in
 from orbitfinder.integrate.equations import accelerations
 from orbitfinder.integrate.evaluate import one_thread
+from orbitfinder.integrate.field import vector_field
 from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.kind import build_model, with_parameters

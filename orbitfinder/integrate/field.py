@@ -1,0 +1,338 @@
+"""Vector fields f(t, y) of CasADi functions on NumPy's memory: one state at a time, many in a call, or along DOP853.
+
+Interpreted until that has taken as long as a compiler would; then CasADi's own C of the field and `dop853.c` are one
+library, which shares nothing with the finder's. Its numbers are the interpreter's and SciPy's to the last bit (asked of
+every problem that is shipped), so that nothing depends on when, where or whether a compiler runs.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+import numpy as np
+from scipy.integrate import DOP853, ode
+
+from orbitfinder._runtime import limit
+from orbitfinder._runtime.caches import Kept, Same
+from orbitfinder.integrate.compiled import Unavailable, attempted, casadi_code, expected_seconds, library, mode
+from orbitfinder.integrate.evaluate import Buffered
+
+if TYPE_CHECKING:
+    from orbitfinder.integrate.dop853 import ReferenceSettings
+
+VectorField = Callable[[float, np.ndarray], np.ndarray]
+TOGETHER, MANY = (64, 1024), 640
+"""States whose rates are evaluated in one call of the interpreter, where some are wanted and where more than so many"""
+LOOKED_FOR = 0.03
+"""s of interpreted work after which a library is looked for: to write the C that names it takes as long"""
+REMEMBERED = 64
+"""Functions of which is known what they took"""
+AT_A_TIME = 256
+"""Steps between two looks at the limit of time"""
+DONE, WAITING, NO_MEMORY = 1, 0, -5
+"""What `dop853.c` answers, besides SciPy's codes"""
+AGREEMENT = 1e-12
+"""Relative difference between compiled and interpreted rates beyond which a library is not believed"""
+THIRD = (0.244094488188976377952755905512, 0.733846688281611857341361741547, 0.0220588235294117647058823529412)
+"""bhh1 to bhh3 of dop853.f, whose error estimate of third order is the sum of B k less these times k1, k9 and k12"""
+
+
+class _Standing(ctypes.Structure):
+    """The struct of that name in `dop853.c`."""
+
+    _fields_ = [
+        *((name, ctypes.c_ssize_t) for name in ("size", "left", "accepted")),
+        *((name, ctypes.c_void_p) for name in ("units", "freed", "y", "k")),
+        *((name, ctypes.c_double) for name in ("t", "end", "h", "longest", "relative", "absolute")),
+        *((name, ctypes.c_ssize_t) for name in ("begun", "rejected", "stiff", "calm")),
+    ]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Steps:
+    """What an integration came to: DOP853's `code`, the time and the state (n) where it ended, and the accepted steps
+    from the start on, their moments (k) and states (k x n), where they were asked for."""
+
+    code: int
+    time: float
+    state: np.ndarray
+    moments: np.ndarray
+    states: np.ndarray
+
+
+class Library:
+    """A field with its integrator, as compiled."""
+
+    def __init__(self, path: Path) -> None:
+        library = ctypes.CDLL(str(path))
+        self._dop853, self._rates = library.dop853, library.rates
+        self._dop853.argtypes = [ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_void_p, ctypes.c_void_p]
+        self._rates.argtypes = [*[ctypes.c_ssize_t] * 2, *[ctypes.c_void_p] * 5]
+
+    def rates(self, times: np.ndarray, states: np.ndarray, units: Any, free: Any) -> np.ndarray:
+        """Rates (k x n) at times (k) and states (k x n) in `units`."""
+        limit.check()
+        times, states = np.ascontiguousarray(times, float), np.ascontiguousarray(states, float)
+        found = np.empty(states.shape)
+        given = (times.ctypes.data, states.ctypes.data, _place(units), _place(free), found.ctypes.data)
+        if self._rates(*states.shape, *given):
+            raise MemoryError(f"no memory for rates of {states.shape[1]} numbers")
+        return found
+
+    def integrated(
+        self, span: tuple[float, float], start: np.ndarray, units: Any, free: Any, settings: ReferenceSettings,
+        longest: float, most: int, noted: bool,
+    ) -> Steps:  # fmt: skip
+        """The steps of DOP853 from a start (n) in `units` over a span, at `most` so many."""
+        y, k = np.array(start, float), np.empty(12 * start.size)
+        at = _Standing(
+            size=y.size, left=most, units=_place(units), freed=_place(free), y=y.ctypes.data, k=k.ctypes.data,
+            t=span[0], end=span[1], longest=longest,
+            relative=settings.relative_tolerance, absolute=settings.absolute_tolerance,
+        )  # fmt: skip
+        moments, states, code = [np.array(span[:1])], [y.copy()[None]], WAITING
+        while code == WAITING:
+            limit.check()
+            some, before = (np.empty(AT_A_TIME), np.empty((AT_A_TIME, y.size))), at.accepted
+            places = [each.ctypes.data for each in some] if noted else [None, None]
+            code = self._dop853(ctypes.byref(at), AT_A_TIME, *places)
+            if noted:
+                kept = slice(0, at.accepted - before)
+                moments.append(some[0][kept])
+                states.append(some[1][kept])
+        if code == NO_MEMORY:
+            raise MemoryError(f"no memory for steps of {y.size} numbers")
+        return Steps(code, at.t, y, np.concatenate(moments), np.concatenate(states))
+
+
+def _place(values: np.ndarray | None) -> int | None:
+    return None if values is None else values.ctypes.data
+
+
+class _Work:
+    """What a function has taken interpreted (s), and its library once that pays for one."""
+
+    def __init__(self, function: ca.Function) -> None:
+        self.dense = function
+        if not function.sparsity_out(0).is_dense():
+            self.dense = ca.Function("dense", (a := function.mx_in()), [ca.densify(function(*a))])
+        self.spent, self._next = 0.0, LOOKED_FOR
+        self._library: Library | None = None
+
+    @contextmanager
+    def interpreted(self) -> Iterator[None]:
+        """Time that is spent on it."""
+        began = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.spent += time.perf_counter() - began
+
+    def doubted(self) -> None:
+        """Never again by the library, which does not say what the interpreter says."""
+        self._library, self._next = None, np.inf
+
+    def library(self) -> Library | None:
+        """The library, looked for and made when so much was spent on the function."""
+        chosen = mode()
+        if chosen == "off":
+            return None
+        if self._library is None and (self.spent >= self._next or (chosen == "on" and self._next < np.inf)):
+            self._next = np.inf
+            self._library = attempted(self.dense.name(), self._found)
+        return self._library
+
+    def _found(self) -> Library:
+        code = _code(self.dense)
+        expected = expected_seconds(len(code))
+        if self.spent < expected:
+            self._next = expected
+        return library(code, lambda path, new: _opened(path), self.spent)
+
+
+_works = Kept[_Work](REMEMBERED)
+
+
+def _work(function: ca.Function) -> _Work:
+    surroundings = (os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"))
+    return _works((Same(function), *surroundings), lambda: _Work(function))
+
+
+def expect(function: ca.Function, effort: float | None) -> None:
+    """So many seconds of work with a field are to come, None for more than compiling it takes."""
+    work = _work(function)
+    work.spent = max(work.spent, np.inf if effort is None else effort)
+
+
+def _code(function: ca.Function) -> str:
+    """A field of (t, y) or (t, y, free) in CasADi's C, and DOP853 about it."""
+    name = function.name()
+    facts = {"FIELD": name, "FIELD_work": f"{name}_work", "FREED": int(function.n_in() > 2), "REFUSED": _refused()}
+    lines = [f"#define {name} {fact}" for name, fact in facts.items()]
+    tables = {"A": DOP853.A, "B": DOP853.B, "WITHIN": DOP853.C, "FIFTH": DOP853.E5, "THIRD": np.array(THIRD)}
+    for name, table in tables.items():
+        sizes = "".join(f"[{size}]" for size in table.shape)
+        rows = ["{" + ", ".join(float(x).hex() for x in row) + "}" for row in np.atleast_2d(table)]
+        whole = rows[0] if table.ndim == 1 else "{" + ", ".join(rows) + "}"
+        lines.append(f"static const double {name}{sizes} = {whole};")
+    own = (files("orbitfinder.integrate") / "dop853.c").read_text(encoding="utf-8")
+    return "\n".join([casadi_code(function), *lines, own])
+
+
+@lru_cache(maxsize=1)
+def _refused() -> str:
+    """How this SciPy shortens steps that it refuses (see `dop853.c`), by how often it asks for a pendulum's rates."""
+    asked: list[float] = []
+
+    def pendulum(t: float, y: np.ndarray) -> np.ndarray:
+        asked.append(t)
+        return np.array([y[1], -np.sin(y[0])])
+
+    solver = ode(pendulum).set_integrator("dop853", rtol=1e-6, atol=1e-6).set_initial_value([1.0, 0.3])
+    solver.integrate(10.0)
+    return "fmax" if len(asked) > 225 else "fmin"  # 262 by SciPy 1.17, 191 by 1.16
+
+
+def _opened(path: Path) -> Library:
+    try:
+        return Library(path)
+    except (OSError, AttributeError) as error:
+        path.unlink(missing_ok=True)
+        raise Unavailable(f"the library cannot be loaded: {error}") from None
+
+
+class Field:
+    """f(t, y u) / u of a CasADi function f of (t, x), or of (t, x, free), in units u (n, or none).
+
+    `free` is read whenever f is. The same object must not be called by two threads at once.
+    """
+
+    together = True
+    """whether rates of many states come from one call"""
+
+    def __init__(self, function: ca.Function, free: np.ndarray | None = None, units: np.ndarray | None = None) -> None:
+        self._function, self._free, self._units = function, free, units
+        self._work = _work(function)
+        dense, size = self._work.dense, function.size1_in(1)
+        time, state, rate = np.zeros(1), np.zeros(size), np.zeros(function.size1_out(0))
+        buffer, evaluate = dense.buffer()
+        buffer.set_arg(0, memoryview(time))
+        buffer.set_arg(1, memoryview(state))
+        if free is not None:
+            buffer.set_arg(2, memoryview(free))
+        buffer.set_res(0, memoryview(rate))
+
+        def call(t: float, y: np.ndarray) -> np.ndarray:
+            time[0] = t
+            state[:] = y
+            evaluate()
+            return rate.copy()
+
+        def measured(t: float, y: np.ndarray) -> np.ndarray:
+            time[0] = t
+            np.multiply(y, units, state)
+            evaluate()
+            return np.asarray(rate / units)
+
+        self.rate: VectorField = call if units is None else measured
+        """The same without a look-up of it, for what calls it often"""
+        self._buffer = dense, buffer  # or both are freed under the evaluation
+        self._mapped: dict[int, Buffered] = {}
+
+    def __call__(self, t: float, y: np.ndarray) -> np.ndarray:
+        """The rate (n) at a time and a state (n)."""
+        return self.rate(t, y)
+
+    def scaled(self, units: np.ndarray) -> Field:
+        """The same in units (n)."""
+        assert self._units is None
+        return Field(self._function, self._free, np.ascontiguousarray(units, float))
+
+    def many(self, times: np.ndarray, states: np.ndarray) -> np.ndarray:
+        """Rates (k x n) at times (k) and states (k x n)."""
+        fast = self._work.library()
+        if fast is not None:
+            return fast.rates(times, states, self._units, self._free)
+        with self._work.interpreted():
+            return self._many(times, states)
+
+    def _many(self, times: np.ndarray, states: np.ndarray) -> np.ndarray:
+        if len(times) == 1:
+            return self.rate(times[0], states[0])[None]
+        size = TOGETHER[len(times) > MANY]
+        dense = self._work.dense
+        if size not in self._mapped:
+            self._mapped[size] = Buffered(dense.map(size))
+        given = [] if self._free is None else [self._free]
+        rates = np.empty((len(times), dense.size1_out(0)))
+        for k in range(0, len(times), size):
+            block = slice(k, k + size)
+            clock, some = times[block, None], states[block]
+            if self._units is not None:
+                some = some * self._units
+            if len(some) < size:  # the last block is filled with the last state
+                clock, some = (
+                    np.concatenate([rows, np.repeat(rows[-1:], size - len(some), 0)]) for rows in (clock, some)
+                )
+            rates[block] = self._mapped[size](clock, some, *given)[0][: len(times) - k]
+        return rates if self._units is None else rates / self._units
+
+    def integrated(
+        self, span: tuple[float, float], start: np.ndarray, settings: ReferenceSettings, longest: float, most: int,
+        noted: bool, interpreted: Callable[[], Steps],
+    ) -> Steps:  # fmt: skip
+        """The steps of DOP853 from a start (n) over a span, `interpreted` where there is no library."""
+        fast = self._work.library()
+        if fast is not None:
+            steps = fast.integrated(span, start, self._units, self._free, settings, longest, most, noted)
+            if self._agrees(fast, np.array([span[0], steps.time]), np.array([start, steps.state])):
+                return steps
+            self._work.doubted()
+        with self._work.interpreted():
+            return interpreted()
+
+    def _agrees(self, fast: Library, times: np.ndarray, states: np.ndarray) -> bool:
+        """Whether the library's rates are the interpreter's."""
+        rows = fast.rates(times, states, self._units, self._free)
+        own = np.array([self.rate(t, y) for t, y in zip(times, states, strict=True)])
+        sizes = np.abs(own).max(axis=1)
+        return bool(np.all(np.abs(rows - own).max(axis=1)[known := np.isfinite(sizes)] <= AGREEMENT * sizes[known]))
+
+
+def vector_field(function: ca.Function, free: np.ndarray | None = None) -> Field:
+    """The `Field` of a CasADi function of (t, y), or of (t, y, free)."""
+    return Field(function, free)
+
+
+def scaled(field: VectorField, units: np.ndarray) -> VectorField:
+    """The field of y / units, so that one tolerance is right for components of all sizes."""
+    if isinstance(field, Field):
+        return field.scaled(units)
+
+    def call(t: float, y: np.ndarray) -> np.ndarray:
+        return np.asarray(field(t, y * units) / units)
+
+    rates, together = rates_of(field)
+    call.many = lambda times, states: rates(times, states * units) / units  # type: ignore[attr-defined]
+    call.together = together  # type: ignore[attr-defined]
+    return call
+
+
+def _one_by_one(field: VectorField) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    return lambda times, states: np.stack([field(float(t), y) for t, y in zip(times, states, strict=True)])
+
+
+def rates_of(field: VectorField) -> tuple[Callable[[np.ndarray, np.ndarray], np.ndarray], bool]:
+    """Rates of rows of states, and whether they come from one call."""
+    many = getattr(field, "many", None)
+    return many or _one_by_one(field), many is not None and getattr(field, "together", True)
