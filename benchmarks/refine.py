@@ -26,7 +26,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 import orbitfinder as of
-from orbitfinder.integrate.dop853 import integrate, vector_field
+from orbitfinder.integrate.dop853 import integrate
+from orbitfinder.integrate.field import vector_field
 from orbitfinder.mechanics.model import vector_field as equations_of_motion
 
 ROOT = Path(__file__).parents[1]

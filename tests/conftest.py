@@ -103,7 +103,8 @@ def pendulum_period(amplitude: float) -> float:
 
 def dop853(flow: Flow, state, times, s=(), free=()) -> np.ndarray:
     """States at increasing times by the independent integrator, on the flow's own field."""
-    from orbitfinder.integrate.dop853 import integrate, vector_field
+    from orbitfinder.integrate.dop853 import integrate
+    from orbitfinder.integrate.field import vector_field
 
     t, x = ca.MX.sym("t"), ca.MX.sym("x", len(state))
     field = ca.Function("field", [t, x], [flow.field(t, x, ca.DM(list(s)), ca.DM(list(free)))])

@@ -4,7 +4,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from orbitfinder.integrate.dop853 import integrate, vector_field
+from orbitfinder.integrate.dop853 import integrate
+from orbitfinder.integrate.field import vector_field
 from orbitfinder.mechanics.canonical import canonical
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import energies

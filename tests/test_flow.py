@@ -16,7 +16,7 @@ from orbitfinder.integrate.cvodes import (
     vector_field,
 )
 from orbitfinder.integrate.dop853 import integrate
-from orbitfinder.integrate.dop853 import vector_field as numeric_field
+from orbitfinder.integrate.field import vector_field as numeric_field
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.lagrange import Symbols, acceleration_function, lagrange, mass_matrix_and_bias

@@ -187,7 +187,8 @@ def test_the_jacobi_integral_is_conserved_where_the_kinetic_energy_has_linear_te
 
 def test_the_arenstorf_orbit_closes_in_the_rotating_frame():
     """E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, section II.0: it returns."""
-    from orbitfinder.integrate.dop853 import integrate, vector_field
+    from orbitfinder.integrate.dop853 import integrate
+    from orbitfinder.integrate.field import vector_field
 
     flow = build_flow(FUNCTIONS["restricted_three_body"](0.012277471))
     t, x = ca.MX.sym("t"), ca.MX.sym("x", 4)

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from orbitfinder.integrate.cvodes import build_flow
-from orbitfinder.integrate.dop853 import TIGHTEST, integrate, vector_field
+from orbitfinder.integrate.dop853 import TIGHTEST, integrate
+from orbitfinder.integrate.field import vector_field
 from orbitfinder.integrate.rk8 import MOST_DOUBLINGS
 from orbitfinder.loops import polish
 from orbitfinder.loops.conditions import pin

@@ -8,7 +8,8 @@ from scipy.special import ellipj, ellipk
 pytest.importorskip("flint")
 
 from orbitfinder.errors import InputError, IntegrationError
-from orbitfinder.integrate.dop853 import TIGHTEST, integrate, vector_field
+from orbitfinder.integrate.dop853 import TIGHTEST, integrate
+from orbitfinder.integrate.field import vector_field
 from orbitfinder.loops.symmetry import BRAKE, REFLECTION, REVERSAL, SYMMETRIES
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanisms.chain import chain

@@ -7,15 +7,8 @@ from conftest import pendulum_period
 from scipy.integrate import DOP853, solve_ivp
 
 from orbitfinder.errors import IntegrationError
-from orbitfinder.integrate.dop853 import (
-    SECOND,
-    STEPS_PER_PERIOD,
-    TIGHTEST,
-    ReferenceSettings,
-    _root,
-    integrate,
-    vector_field,
-)
+from orbitfinder.integrate.dop853 import SECOND, STEPS_PER_PERIOD, TIGHTEST, ReferenceSettings, _root, integrate
+from orbitfinder.integrate.field import vector_field
 from orbitfinder.mechanics.canonical import canonical
 from orbitfinder.mechanisms.chain import chain
 

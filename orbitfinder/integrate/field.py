@@ -226,11 +226,11 @@ class Field:
         dense, size = self._work.dense, function.size1_in(1)
         time, state, rate = np.zeros(1), np.zeros(size), np.zeros(function.size1_out(0))
         buffer, evaluate = dense.buffer()
-        buffer.set_arg(0, memoryview(time))
-        buffer.set_arg(1, memoryview(state))
+        buffer.set_arg(0, time.data)
+        buffer.set_arg(1, state.data)
         if free is not None:
-            buffer.set_arg(2, memoryview(free))
-        buffer.set_res(0, memoryview(rate))
+            buffer.set_arg(2, free.data)
+        buffer.set_res(0, rate.data)
 
         def call(t: float, y: np.ndarray) -> np.ndarray:
             time[0] = t
@@ -240,7 +240,7 @@ class Field:
 
         def measured(t: float, y: np.ndarray) -> np.ndarray:
             time[0] = t
-            np.multiply(y, units, state)
+            np.multiply(y, units, state)  # type: ignore[arg-type]
             evaluate()
             return np.asarray(rate / units)
 
