@@ -13,8 +13,8 @@ from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.integrate.dop853 import integrate
-from orbitfinder.integrate.field import vector_field as second
 from orbitfinder.integrate.equations import accelerations
+from orbitfinder.integrate.field import vector_field as second
 from orbitfinder.mechanics.model import vector_field
 from orbitfinder.structures.crossings import FINE, Crossings, Plane
 from orbitfinder.structures.frequencies import frequency_table

@@ -20,11 +20,11 @@ from orbitfinder._runtime import limit
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, integrate, integrate_in
+from orbitfinder.integrate.equations import accelerations, with_variations
 from orbitfinder.integrate.evaluate import Buffered
 from orbitfinder.integrate.field import VectorField, scaled, vector_field
 from orbitfinder.mechanics.hybrid import Transition, gradient
 from orbitfinder.mechanics.model import Model, wrapped
-from orbitfinder.mechanics.model import vector_field as field_of
 from orbitfinder.mechanics.scales import units_of
 
 
@@ -105,9 +105,7 @@ class Automaton:
     def field(self, mode: str) -> VectorField:
         """dx/dt (t, x) in a mode."""
         if mode not in self._fields:
-            flow = field_of(self.hybrid.mode(mode).model)
-            t, x = ca.MX.sym("t"), ca.MX.sym("x", flow.size1_in(1))
-            self._fields[mode] = vector_field(ca.Function("f", [t, x], [flow(t, x, [], [])]))
+            self._fields[mode] = vector_field(accelerations(self.hybrid.mode(mode).model))
         return self._fields[mode]
 
     @classmethod
@@ -131,15 +129,7 @@ class Automaton:
 
     def varied(self, mode: str) -> VectorField:
         """The field of (x, vec Y, S) in a mode: the motion, its variations, its action."""
-        own = self.hybrid.mode(mode).model
-        flow, size = field_of(own), len(own.state_names)
-        t, y = ca.MX.sym("t"), ca.MX.sym("y", size * (1 + size) + 1)
-        x, matrix = y[:size], ca.reshape(y[size:-1], size, size)
-        inputs = flow.mx_in()
-        both = ca.Function("both", inputs, [flow(*inputs), ca.jacobian(flow(*inputs), inputs[1])])
-        rate, slopes = both(t, x, [], [])
-        action = own.action_rate(t, x, own.parameter_values)
-        return vector_field(ca.Function("varied", [t, y], [ca.vertcat(rate, ca.vec(slopes @ matrix), action)]))
+        return vector_field(with_variations(self.hybrid.mode(mode).model))
 
     def value(self, function: ca.Function, x: np.ndarray) -> np.ndarray:
         """A guard, a reset or a condition at one state."""

@@ -3,7 +3,7 @@
 
    A and B are the method's coefficients, WITHIN its moments, THIRD and FIFTH those of its errors. Operations are in the
    order of dop853.f, so that steps are those of SciPy, to the last bit where its own code is not contracted. REFUSED is
-   fmin in dop853.f and in SciPy before 1.17, then fmax: a refused step is cut to 0.3 of it or less. */
+   fmin in dop853.f and in SciPy before 1.17, then most_cut: a refused step is cut to 0.3 of it, whatever its error. */
 #include <stdint.h>
 #include <stddef.h>
 #include <stdlib.h>
@@ -70,6 +70,7 @@ int rates(ptrdiff_t count, ptrdiff_t size, const double *times, const double *st
   return 0;
 }
 
+#define most_cut(most, asked) (most)
 #define EACH for (ptrdiff_t i = 0; i < n; i++)
 #define STAGE(TO, SHARE, CHANGE) { EACH v[i] = y[i] + h * CHANGE; rates_at(&call, t + SHARE * h, v, TO); }
 

@@ -57,6 +57,19 @@ def accelerations(model: Model) -> ca.Function:
 
 
 @_once
+def with_variations(model: Model) -> ca.Function:
+    """The field of (x, vec Y, S): the motion of a Model with its parameter values, its variations, its action."""
+    flow, size = vector_field(model), len(model.state_names)
+    t, y = ca.MX.sym("t"), ca.MX.sym("y", size * (1 + size) + 1)
+    x, matrix = y[:size], ca.reshape(y[size:-1], size, size)
+    inputs = flow.mx_in()
+    both = ca.Function("both", inputs, [flow(*inputs), ca.jacobian(flow(*inputs), inputs[1])])
+    rate, slopes = both(t, x, [], [])
+    action = model.action_rate(t, x, model.parameter_values)
+    return ca.Function("varied", [t, y], [ca.vertcat(rate, ca.vec(slopes @ matrix), action)])
+
+
+@_once
 def invariant_gradients(model: Model) -> ca.Function:
     """The gradients (k x 2n) of a Model's invariants at a state x, with its parameter values."""
     n, p = model.degrees_of_freedom, ca.DM(model.parameter_values)

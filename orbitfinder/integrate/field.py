@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -26,9 +26,6 @@ from orbitfinder._runtime import limit
 from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder.integrate.compiled import Unavailable, attempted, casadi_code, expected_seconds, library, mode
 from orbitfinder.integrate.evaluate import Buffered
-
-if TYPE_CHECKING:
-    from orbitfinder.integrate.dop853 import ReferenceSettings
 
 VectorField = Callable[[float, np.ndarray], np.ndarray]
 TOGETHER, MANY = (64, 1024), 640
@@ -90,17 +87,17 @@ class Library:
         return found
 
     def integrated(
-        self, span: tuple[float, float], start: np.ndarray, units: Any, free: Any, settings: ReferenceSettings,
+        self, span: tuple[float, float], start: np.ndarray, units: Any, free: Any, tolerances: tuple[float, float],
         longest: float, most: int, noted: bool,
     ) -> Steps:  # fmt: skip
-        """The steps of DOP853 from a start (n) in `units` over a span, at `most` so many."""
+        """The steps of DOP853 from a start (n) in `units` over a span, at `most` so many; relative and absolute
+        `tolerances`."""
         y, k = np.array(start, float), np.empty(12 * start.size)
         at = _Standing(
             size=y.size, left=most, units=_place(units), freed=_place(free), y=y.ctypes.data, k=k.ctypes.data,
-            t=span[0], end=span[1], longest=longest,
-            relative=settings.relative_tolerance, absolute=settings.absolute_tolerance,
+            t=span[0], end=span[1], longest=longest, relative=tolerances[0], absolute=tolerances[1],
         )  # fmt: skip
-        moments, states, code = [np.array(span[:1])], [y.copy()[None]], WAITING
+        moments, states, code = [np.array(span[:noted])], [y.copy()[None][:noted]], WAITING
         while code == WAITING:
             limit.check()
             some, before = (np.empty(AT_A_TIME), np.empty((AT_A_TIME, y.size))), at.accepted
@@ -155,7 +152,7 @@ class _Work:
     def _found(self) -> Library:
         code = _code(self.dense)
         expected = expected_seconds(len(code))
-        if self.spent < expected:
+        if self.spent < expected and mode() == "auto":
             self._next = expected
         return library(code, lambda path, new: _opened(path), self.spent)
 
@@ -200,7 +197,7 @@ def _refused() -> str:
 
     solver = ode(pendulum).set_integrator("dop853", rtol=1e-6, atol=1e-6).set_initial_value([1.0, 0.3])
     solver.integrate(10.0)
-    return "fmax" if len(asked) > 225 else "fmin"  # 262 by SciPy 1.17, 191 by 1.16
+    return "most_cut" if len(asked) > 225 else "fmin"  # 262 by SciPy 1.17, 191 by 1.16
 
 
 def _opened(path: Path) -> Library:
@@ -211,7 +208,7 @@ def _opened(path: Path) -> Library:
         raise Unavailable(f"the library cannot be loaded: {error}") from None
 
 
-class Field:
+class CasadiField:
     """f(t, y u) / u of a CasADi function f of (t, x), or of (t, x, free), in units u (n, or none).
 
     `free` is read whenever f is. The same object must not be called by two threads at once.
@@ -253,10 +250,10 @@ class Field:
         """The rate (n) at a time and a state (n)."""
         return self.rate(t, y)
 
-    def scaled(self, units: np.ndarray) -> Field:
+    def scaled(self, units: np.ndarray) -> CasadiField:
         """The same in units (n)."""
         assert self._units is None
-        return Field(self._function, self._free, np.ascontiguousarray(units, float))
+        return CasadiField(self._function, self._free, np.ascontiguousarray(units, float))
 
     def many(self, times: np.ndarray, states: np.ndarray) -> np.ndarray:
         """Rates (k x n) at times (k) and states (k x n)."""
@@ -288,13 +285,13 @@ class Field:
         return rates if self._units is None else rates / self._units
 
     def integrated(
-        self, span: tuple[float, float], start: np.ndarray, settings: ReferenceSettings, longest: float, most: int,
-        noted: bool, interpreted: Callable[[], Steps],
+        self, span: tuple[float, float], start: np.ndarray, tolerances: tuple[float, float], longest: float,
+        most: int, noted: bool, interpreted: Callable[[], Steps],
     ) -> Steps:  # fmt: skip
         """The steps of DOP853 from a start (n) over a span, `interpreted` where there is no library."""
         fast = self._work.library()
         if fast is not None:
-            steps = fast.integrated(span, start, self._units, self._free, settings, longest, most, noted)
+            steps = fast.integrated(span, start, self._units, self._free, tolerances, longest, most, noted)
             if self._agrees(fast, np.array([span[0], steps.time]), np.array([start, steps.state])):
                 return steps
             self._work.doubted()
@@ -309,14 +306,14 @@ class Field:
         return bool(np.all(np.abs(rows - own).max(axis=1)[known := np.isfinite(sizes)] <= AGREEMENT * sizes[known]))
 
 
-def vector_field(function: ca.Function, free: np.ndarray | None = None) -> Field:
-    """The `Field` of a CasADi function of (t, y), or of (t, y, free)."""
-    return Field(function, free)
+def vector_field(function: ca.Function, free: np.ndarray | None = None) -> CasadiField:
+    """The `CasadiField` of a CasADi function of (t, y), or of (t, y, free)."""
+    return CasadiField(function, free)
 
 
 def scaled(field: VectorField, units: np.ndarray) -> VectorField:
     """The field of y / units, so that one tolerance is right for components of all sizes."""
-    if isinstance(field, Field):
+    if isinstance(field, CasadiField):
         return field.scaled(units)
 
     def call(t: float, y: np.ndarray) -> np.ndarray:

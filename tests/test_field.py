@@ -1,0 +1,189 @@
+"""DOP853 in C about CasADi's own C of a field: the interpreter's and SciPy's bits, what it refuses, what it raises."""
+
+from importlib.resources import files
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import orbitfinder as of
+from orbitfinder._runtime import limit
+from orbitfinder.errors import IntegrationError, LimitError
+from orbitfinder.integrate import compiled, field
+from orbitfinder.integrate.compiled import compiling
+from orbitfinder.integrate.dop853 import ReferenceSettings, integrate, integrate_in
+from orbitfinder.integrate.equations import accelerations, expect, hamilton, with_variations
+from orbitfinder.integrate.field import vector_field
+
+pytestmark = pytest.mark.skipif(not compiled.available()[0], reason="needs a C compiler")
+
+PROBLEMS = Path(__file__).parent.parent / "problems"
+SYSTEMS = ("report/triple-1", "families/duffing-resonance", "families/lyapunov-l1", "gallery/brusselator")
+TOLERANCES = (1e-12, 1e-8, 1e-4)
+
+
+@pytest.fixture(autouse=True)
+def unknown(monkeypatch):
+    """No function has been worked with."""
+    monkeypatch.setattr(field, "_works", field.Kept(8))
+
+
+def both(function, start, times, tolerance, units=None, free=None, longest=np.inf):
+    """States and accepted steps, interpreted and compiled."""
+    found = []
+    for mode in ("off", "on"):
+        traces, own = [], vector_field(function, free)
+        with compiling(mode):
+            assert (own._work.library() is None) == (mode == "off")
+            given = start, times, ReferenceSettings(tolerance, tolerance), longest, traces
+            states = integrate(own, *given) if units is None else integrate_in(units, own, *given)
+        found.append((states, traces[0].moments, traces[0].states))
+    return found
+
+
+def cubic(name: str = "f") -> ca.Function:
+    """x'' = -p x^3 + t x / 10 with p left free."""
+    t, y, p = ca.SX.sym("t"), ca.SX.sym("y", 2), ca.SX.sym("p")
+    return ca.Function(name, [t, y, p], [ca.vertcat(y[1], -p * y[0] ** 3 + 0.1 * t * y[0])])
+
+
+def harmonic() -> ca.Function:
+    t, y = ca.SX.sym("t"), ca.SX.sym("y", 2)
+    return ca.Function("harmonic", [t, y], [ca.vertcat(y[1], -y[0])])
+
+
+@pytest.mark.parametrize("tolerance", TOLERANCES)
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_bits_are_those_of_the_interpreter_and_of_scipy(system, tolerance):
+    """Motions of Hamilton's equations, their variations and the accelerations, every accepted step, in units or not."""
+    problem = of.load_problem(PROBLEMS / f"{system}.toml")
+    equations, random = hamilton(problem.model), np.random.default_rng(0)
+    for function in (equations.field, equations.variational, accelerations(problem.model)):
+        size = function.size1_in(1)
+        for start in 0.3 * random.normal(size=(3, size)):
+            for units in (None, random.uniform(0.3, 3.0, size)):
+                for longest, times in ((np.inf, [0.1, 0.5, 0.6]), (0.01, [0.1, 0.6])):
+                    slow, fast = both(function, start, np.array(times), tolerance, units, longest=longest)
+                    for ours, scipys in zip(fast, slow, strict=True):
+                        np.testing.assert_array_equal(ours, scipys)
+
+
+def test_bits_of_what_is_free_and_many_looks_at_the_clock():
+    """A parameter that changes between two motions of one field; more steps than fit between two looks."""
+    free = np.array([2.0])
+    for value in (2.0, 0.5):
+        free[:] = value
+        slow, fast = both(cubic(), np.array([1.0, 0.0]), np.linspace(0.0, 30.0, 7), 1e-9, None, free, 0.02)
+        assert len(fast[1]) > 5 * field.AT_A_TIME
+        for ours, scipys in zip(fast, slow, strict=True):
+            np.testing.assert_array_equal(ours, scipys)
+
+
+def test_rates_of_many_states_have_the_same_bits():
+    """Rates of 1, 5 and 2000 states at once, in units, with what is free."""
+    random, free = np.random.default_rng(1), np.array([0.7])
+    units = random.uniform(0.5, 2.0, 2)
+    for count in (1, 5, 2000):
+        times, states = random.normal(size=count), random.normal(size=(count, 2))
+        answers = []
+        for mode in ("off", "on"):
+            with compiling(mode):
+                answers.append(vector_field(cubic(), free).scaled(units).many(times, states))
+        np.testing.assert_array_equal(*answers)
+
+
+def test_it_is_compiled_when_it_has_taken_as_long():
+    """Interpreted at first, in the library once the work was worth one; at once where much is expected."""
+    function = harmonic()
+    own = vector_field(function)
+    with compiling("auto"):
+        integrate(own, np.array([1.0, 0.0]), np.array([0.0, 1.0]))
+        assert own._work.library() is None and 0.0 < own._work.spent < field.LOOKED_FOR
+        expect(function, 1e-3)
+        assert own._work.library() is None
+        expect(function, None)
+        assert own._work.library() is not None
+    with compiling("off"):
+        assert own._work.library() is None
+
+
+def test_nothing_is_compiled_without_a_compiler(monkeypatch):
+    """The interpreter goes on, and it is said why; the compiler is not asked again and again."""
+    monkeypatch.setenv("CC", "/nowhere/cc")
+    own = vector_field(harmonic())
+    with compiling("on"):
+        before = compiled.statistics().left
+        for _ in range(3):
+            integrate(own, np.array([1.0, 0.0]), np.array([0.0, 1.0]))
+        assert compiled.statistics().left == before + 1 and "not on the path" in compiled.statistics().reason
+
+
+def test_a_library_that_lies_is_not_believed(monkeypatch):
+    """C of x'' = +x in the place of x'' = -x: the motion is the interpreter's, and the library is used no more."""
+    function, true = harmonic(), compiled.casadi_code
+    t, y = function.sx_in()
+    wrong = ca.Function("harmonic", [t, y], [ca.vertcat(y[1], y[0])])
+    monkeypatch.setattr(field, "casadi_code", lambda _: true(wrong))
+    slow, fast = both(function, np.array([1.0, 0.0]), np.array([0.0, 1.0, 2.0]), 1e-10)
+    np.testing.assert_array_equal(slow[0], fast[0])
+    with compiling("on"):
+        assert vector_field(function)._work.library() is None
+
+
+FAILING = {
+    "too many evaluations": ("-1.0 * y", 1e-12, {"max_evaluations": 120}),
+    "step size becomes too small": ("y * y", 1e-12, {}),
+    "probably stiff": ("-1e5 * (y - ca.cos(t))", 1e-5, {}),
+    "not finite": ("ca.sqrt(1.0 - t) * y", 1e-12, {}),
+}
+
+
+@pytest.mark.parametrize("message", FAILING)
+def test_failures_are_those_of_scipy(message):
+    """Code, message and time of a motion that cannot be gone on with, interpreted and compiled."""
+    rate, tolerance, more = FAILING[message]
+    t, y = ca.SX.sym("t"), ca.SX.sym("y", 1)
+    function = ca.Function("f", [t, y], [eval(rate, {"t": t, "y": y, "ca": ca})])
+    errors = []
+    for mode in ("off", "on"):
+        with compiling(mode), pytest.raises(IntegrationError) as caught:
+            settings = ReferenceSettings(tolerance, tolerance, **more)
+            integrate(vector_field(function), np.array([1.0]), np.array([0.0, 10.0]), settings, 0.5)
+        errors.append((str(caught.value), caught.value.time))
+    assert errors[0] == errors[1] and (message in errors[0][0] or message == "not finite")
+
+
+def test_a_limit_of_time_ends_it():
+    """A motion of a billion steps ends with the limit."""
+    with compiling("on"):
+        own = vector_field(harmonic())
+        assert own._work.library() is not None
+        with pytest.raises(LimitError), limit.limited(0.2):
+            integrate(own, np.array([1.0, 0.0]), np.array([0.0, 1e6]), ReferenceSettings(max_evaluations=10**10), 1e-3)
+
+
+def test_equations_of_a_mode_are_derived_once():
+    """Two automata of one hybrid system ask for the same functions, so that one library serves both."""
+    model = of.load_problem(PROBLEMS / "hybrid" / "compass-gait.toml").model
+    mode = model.hybrid.modes[0].model
+    assert accelerations(mode) is accelerations(mode) and with_variations(mode) is with_variations(mode)
+
+
+def test_the_rule_of_refused_steps_is_that_of_this_scipy(monkeypatch):
+    """The other rule (SciPy before 1.17, or since) gives another count of steps on a pendulum at 1e-6: it matters."""
+    t, y = ca.SX.sym("t"), ca.SX.sym("y", 2)
+    swing = ca.Function("swing", [t, y], [ca.vertcat(y[1], -ca.sin(y[0]))])
+    given = np.array([1.0, 0.3]), np.array([0.0, 5.0, 10.0]), 1e-6
+    slow, fast = both(swing, *given)
+    assert len(slow[1]) == len(fast[1])
+    other = {"most_cut": "fmin", "fmin": "most_cut"}[field._refused()]
+    monkeypatch.setattr(field, "_refused", lambda: other)
+    monkeypatch.setattr(field, "_works", field.Kept(8))
+    slow, fast = both(swing, *given)
+    assert len(slow[1]) != len(fast[1])
+
+
+def test_the_package_carries_the_integrator():
+    """A wheel without the source in C would leave every certificate interpreted, unnoticed."""
+    assert "int dop853(" in (files("orbitfinder.integrate") / "dop853.c").read_text()
