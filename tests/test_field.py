@@ -139,6 +139,13 @@ FAILING = {
 }
 
 
+@pytest.mark.parametrize("name", ["rates", "dop853", "prepared", "sin_of"])
+def test_a_field_may_have_any_name(name):
+    """Names of functions in `dop853.c` too: the field of every first-order model is called `rates`."""
+    slow, fast = both(cubic(name), np.array([1.0, 0.0]), np.array([0.0, 1.0, 2.0]), 1e-10, free=np.array([1.0]))
+    np.testing.assert_array_equal(slow[0], fast[0])
+
+
 @pytest.mark.parametrize("message", FAILING)
 def test_failures_are_those_of_scipy(message):
     """Code, message and time of a motion that cannot be gone on with, interpreted and compiled."""
@@ -177,8 +184,9 @@ def test_the_rule_of_refused_steps_is_that_of_this_scipy(monkeypatch):
     given = np.array([1.0, 0.3]), np.array([0.0, 5.0, 10.0]), 1e-6
     slow, fast = both(swing, *given)
     assert len(slow[1]) == len(fast[1])
-    other = {"most_cut": "fmin", "fmin": "most_cut"}[field._refused()]
-    monkeypatch.setattr(field, "_refused", lambda: other)
+    rules = field._rules()
+    other = rules | {"REFUSED": {"most_cut": "fmin", "fmin": "most_cut"}[rules["REFUSED"]]}
+    monkeypatch.setattr(field, "_rules", lambda: other)
     monkeypatch.setattr(field, "_works", field.Kept(8))
     slow, fast = both(swing, *given)
     assert len(slow[1]) != len(fast[1])

@@ -3,7 +3,8 @@
 
    A and B are the method's coefficients, WITHIN its moments, THIRD and FIFTH those of its errors. Operations are in the
    order of dop853.f, so that steps are those of SciPy, to the last bit where its own code is not contracted. REFUSED is
-   fmin in dop853.f and in SciPy before 1.17, then most_cut: a refused step is cut to 0.3 of it, whatever its error. */
+   fmin in dop853.f and in SciPy before 1.17, then most_cut: a refused step is cut to 0.3 of it, whatever its error; steps
+   shorter than ROUND_OFF are the shortest. */
 #include <stdint.h>
 #include <stddef.h>
 #include <stdlib.h>
@@ -12,7 +13,6 @@
 #define SAFETY 0.9
 #define LEAST_FACTOR 0.3
 #define MOST_FACTOR 6.0
-#define ROUND_OFF 2.3e-16
 #define STABLE 6.1
 #define LOOKED_AT 1000
 
@@ -112,7 +112,7 @@ int dop853(Standing *at, ptrdiff_t room, double *moments, double *states) {
   for (ptrdiff_t noted = 0; noted < room && code == WAITING;) {
     double t = at->t, h = at->h;
     int last = 0;
-    if (--at->left < 0) { code = TOO_MANY; break; }
+    if (at->left-- < 0) { code = TOO_MANY; break; }
     if (0.1 * fabs(h) <= fabs(t) * ROUND_OFF) { code = TOO_SHORT; break; }
     if (t + 1.01 * h - at->end > 0.0) h = at->end - t, last = 1;
     STAGE(k2, WITHIN[1], A[1][0] * k1[i])

@@ -174,21 +174,22 @@ def expect(function: ca.Function, effort: float | None) -> None:
 def _code(function: ca.Function) -> str:
     """A field of (t, y) or (t, y, free) in CasADi's C, and DOP853 about it."""
     name = function.name()
-    facts = {"FIELD": name, "FIELD_work": f"{name}_work", "FREED": int(function.n_in() > 2), "REFUSED": _refused()}
-    lines = [f"#define {name} {fact}" for name, fact in facts.items()]
+    facts = {"FIELD": "evaluated", "FIELD_work": f"{name}_work", "FREED": int(function.n_in() > 2), **_rules()}
+    lines = [f"#define {fact} {value}" for fact, value in facts.items()]
     tables = {"A": DOP853.A, "B": DOP853.B, "WITHIN": DOP853.C, "FIFTH": DOP853.E5, "THIRD": np.array(THIRD)}
-    for name, table in tables.items():
+    for constant, table in tables.items():
         sizes = "".join(f"[{size}]" for size in table.shape)
         rows = ["{" + ", ".join(float(x).hex() for x in row) + "}" for row in np.atleast_2d(table)]
         whole = rows[0] if table.ndim == 1 else "{" + ", ".join(rows) + "}"
-        lines.append(f"static const double {name}{sizes} = {whole};")
+        lines.append(f"static const double {constant}{sizes} = {whole};")
     own = (files("orbitfinder.integrate") / "dop853.c").read_text(encoding="utf-8")
-    return "\n".join([casadi_code(function), *lines, own])
+    # under another name, for it may be that of a function in `own`
+    return "\n".join([f"#define {name} evaluated", casadi_code(function), f"#undef {name}", *lines, own])
 
 
 @lru_cache(maxsize=1)
-def _refused() -> str:
-    """How this SciPy shortens steps that it refuses (see `dop853.c`), by how often it asks for a pendulum's rates."""
+def _rules() -> dict[str, str]:
+    """Where SciPy since 1.17 is not dop853.f (see `dop853.c`): asked of it by how often it evaluates a pendulum."""
     asked: list[float] = []
 
     def pendulum(t: float, y: np.ndarray) -> np.ndarray:
@@ -197,7 +198,8 @@ def _refused() -> str:
 
     solver = ode(pendulum).set_integrator("dop853", rtol=1e-6, atol=1e-6).set_initial_value([1.0, 0.3])
     solver.integrate(10.0)
-    return "most_cut" if len(asked) > 225 else "fmin"  # 262 by SciPy 1.17, 191 by 1.16
+    fresh = len(asked) > 225  # 262 since 1.17, 191 before
+    return {"REFUSED": "most_cut" if fresh else "fmin", "ROUND_OFF": "2.220446049250313e-16" if fresh else "2.3e-16"}
 
 
 def _opened(path: Path) -> Library:
