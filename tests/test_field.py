@@ -35,7 +35,7 @@ def both(function, start, times, tolerance, units=None, free=None, longest=np.in
     for mode in ("off", "on"):
         traces, own = [], vector_field(function, free)
         with compiling(mode):
-            assert (own._work.library() is None) == (mode == "off")
+            assert (own.library() is None) == (mode == "off")
             given = start, times, ReferenceSettings(tolerance, tolerance), longest, traces
             states = integrate(own, *given) if units is None else integrate_in(units, own, *given)
         found.append((states, traces[0].moments, traces[0].states))
@@ -99,13 +99,13 @@ def test_it_is_compiled_when_it_has_taken_as_long():
     own = vector_field(function)
     with compiling("auto"):
         integrate(own, np.array([1.0, 0.0]), np.array([0.0, 1.0]))
-        assert own._work.library() is None and 0.0 < own._work.spent < field.LOOKED_FOR
+        assert own.library() is None and 0.0 < own._work.spent < field.LOOKED_FOR
         expect(function, 1e-3)
-        assert own._work.library() is None
+        assert own.library() is None
         expect(function, None)
-        assert own._work.library() is not None
+        assert own.library() is not None
     with compiling("off"):
-        assert own._work.library() is None
+        assert own.library() is None
 
 
 def test_nothing_is_compiled_without_a_compiler(monkeypatch):
@@ -128,7 +128,7 @@ def test_a_library_that_lies_is_not_believed(monkeypatch):
     slow, fast = both(function, np.array([1.0, 0.0]), np.array([0.0, 1.0, 2.0]), 1e-10)
     np.testing.assert_array_equal(slow[0], fast[0])
     with compiling("on"):
-        assert vector_field(function)._work.library() is None
+        assert vector_field(function).library() is None
 
 
 FAILING = {
@@ -165,7 +165,7 @@ def test_a_limit_of_time_ends_it():
     """A motion of a billion steps ends with the limit."""
     with compiling("on"):
         own = vector_field(harmonic())
-        assert own._work.library() is not None
+        assert own.library() is not None
         with pytest.raises(LimitError), limit.limited(0.2):
             integrate(own, np.array([1.0, 0.0]), np.array([0.0, 1e6]), ReferenceSettings(max_evaluations=10**10), 1e-3)
 

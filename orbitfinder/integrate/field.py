@@ -252,6 +252,10 @@ class CasadiField:
         """The rate (n) at a time and a state (n)."""
         return self.rate(t, y)
 
+    def library(self) -> Library | None:
+        """What it is compiled to, if it is."""
+        return self._work.library()
+
     def scaled(self, units: np.ndarray) -> CasadiField:
         """The same in units (n)."""
         assert self._units is None
@@ -259,7 +263,7 @@ class CasadiField:
 
     def many(self, times: np.ndarray, states: np.ndarray) -> np.ndarray:
         """Rates (k x n) at times (k) and states (k x n)."""
-        fast = self._work.library()
+        fast = self.library()
         if fast is not None:
             return fast.rates(times, states, self._units, self._free)
         with self._work.interpreted():
@@ -291,7 +295,7 @@ class CasadiField:
         most: int, noted: bool, interpreted: Callable[[], Steps],
     ) -> Steps:  # fmt: skip
         """The steps of DOP853 from a start (n) over a span, `interpreted` where there is no library."""
-        fast = self._work.library()
+        fast = self.library()
         if fast is not None:
             steps = fast.integrated(span, start, self._units, self._free, tolerances, longest, most, noted)
             if self._agrees(fast, np.array([span[0], steps.time]), np.array([start, steps.state])):
