@@ -27,9 +27,11 @@ T = TypeVar("T")
 
 
 def _key(model: Model, derive: Callable[..., Any], free: tuple[str, ...] = ()) -> tuple[Any, ...]:
+    values = model.parameter_values.copy()
+    values[[model.parameter_index(name) for name in free]] = np.nan  # given to the equations, which are those of all
     parts = (model.rates, model.acceleration, model.kinetic, model.potential, model.gyroscopic, model.forces,
              model.constraint, *(invariant.value for invariant in model.invariants))  # fmt: skip
-    return (derive, free, len(model.state_names), model.parameter_values.tobytes(), *map(Same, parts))
+    return (derive, free, len(model.state_names), values.tobytes(), *map(Same, parts))
 
 
 def _once(derive: Callable[[Model], T]) -> Callable[[Model], T]:

@@ -98,7 +98,7 @@ class Motion:
 class Hamiltonian:
     """Hamilton's equations of a Model in y = (q, p) (m numbers), under constraints in as few as it offers.
 
-    Parameters left `free` have the values that were `put` last; only motions are looked at then.
+    Parameters left `free` have the model's values, or those that were `put` last: one set of equations for all of them.
     """
 
     def __init__(self, model: Model, free: tuple[str, ...] = ()) -> None:
@@ -107,6 +107,7 @@ class Hamiltonian:
         self._values = model.parameter_values[[model.parameter_index(name) for name in free]].copy()
         self._given = [self._values] if free else []
         self.field = vector_field(self.equations.field, *self._given)
+        self.variational = vector_field(self.equations.variational, *self._given)
 
     def put(self, values: np.ndarray) -> None:
         """Give the free parameters (k) these values."""
@@ -138,12 +139,15 @@ class Hamiltonian:
     def frame(self, state: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Gradients of the invariants, symmetry directions (the flow first) and gradients of the constraints at y."""
         model, flow = self.model, self.field(0.0, start)
-        tangent = self.equations.tangent(start).full()
+        tangent = self.equations.tangent(start, *self._given).full()
         if model.rates is not None:
             directions = np.vstack([*([] if model.forced else [flow]), generated(model, state)])
             return invariant_gradients(model)(state).full(), directions, tangent
-        free = None if model.forces is None else hamilton(altered(model, forces=None)).field(0.0, start).full().ravel()
-        lift = self.equations.lift(*self._halves(state)).full()
+        free = None
+        if model.forces is not None:
+            unforced = hamilton(altered(model, forces=None), self.free).field
+            free = unforced(0.0, start, *self._given).full().ravel()
+        lift = self.equations.lift(*self._halves(state), *self._given).full()
         return *canonical_frame(model, state, flow, lift, free), tangent
 
 
@@ -171,9 +175,11 @@ def canonical_motion(
     moments: np.ndarray,
     settings: ReferenceSettings,
     varied: ReferenceSettings = VARIED,
+    free: tuple[str, ...] = (),
 ) -> Motion:
-    """The `Motion` of a state (2n) at `moments` (from 0 to the period) by Hamilton's equations."""
-    equations = Hamiltonian(model)
+    """The `Motion` of a state (2n) at `moments` (from 0 to the period) by Hamilton's equations, derived with parameters
+    left `free` where many motions of other values of them are to come."""
+    equations = Hamiltonian(model, free)
     chosen, start = equations.coordinates.chosen, equations.start(state)
     first_order = model.rates is not None
     masses = np.zeros(0) if first_order else equations.masses(state[chosen])
@@ -236,7 +242,7 @@ def _pieces(
     """State-transition matrices (m x m) of equal pieces of a period that begin at `starts` (or, if there is one, each
     where the one before ended), their ends with the first start, and the action."""
     nodes, action, half = [starts[0]], 0.0, starts.shape[1] // 2
-    first_order, variational = equations.model.rates is not None, vector_field(equations.equations.variational)
+    first_order, variational = equations.model.rates is not None, equations.variational
     work = float(units @ units) / period if first_order else float(units[:half] @ units[half:]) or 1.0
     pieces = []
     for k in range(PIECES):
@@ -505,17 +511,20 @@ def tour(
     forward: Involution | None = None,
     beside: tuple[np.ndarray, np.ndarray] | None = None,
     varied: ReferenceSettings = VARIED,
+    free: tuple[str, ...] = (),
 ) -> Tour:
     """The `Tour` of a state (d) and a period of a smooth Model, of an orbit that is its own image by `forward` after
-    half a period. Where errors grow, what is known of the motion `beside` it (k times from 0 to 1, k x d states) and
+    half a period. Equations are derived with parameters `free` where
+    other values of them are to come. Where errors grow, what is known of the motion `beside` it (k times from 0 to 1, k x d states) and
     found to be one by this integrator says what the state alone cannot."""
-    own = system_kind(model.system).motion(model)
+    kind = system_kind(model.system)
+    own, free = kind.motion(model), () if kind.reread else free  # others are made anew at each value
     given = model, state, period, turns, evenly(period), TIGHTEST
-    motion = own(*given) if own else canonical_motion(*given, varied)
+    motion = own(*given) if own else canonical_motion(*given, varied, free)
     units, half = known_in(motion.path, motion.masses, period, model.angular), None
     loop = _looped(model, motion, units, motion.path, period)
     if beside is not None and loop.closes.gap > GROWN and not own:
-        told, apart = _beside(model, motion, units, *beside, varied)
+        told, apart = _beside(Hamiltonian(model, free), motion, units, *beside, varied)
         motion = told if apart <= GROWN else motion
     if forward is not None:
         n = motion.turns.size
@@ -523,19 +532,19 @@ def tour(
         half = places if n == units.size else np.kron(np.eye(2), forward.places(n)) * units[None, :] / units[:, None]
     return replace(
         loop, pieces=in_extents(motion.transitions, units), half=half,
-        divergence=partial(_divergence, model, motion, units), motion=(motion.times, motion.states),
+        divergence=partial(_divergence, Hamiltonian(model, free), motion, units), motion=(motion.times, motion.states),
     )  # fmt: skip
 
 
 def _beside(
-    model: Model, motion: Motion, units: np.ndarray, times: np.ndarray, states: np.ndarray, varied: ReferenceSettings
+    equations: Hamiltonian, motion: Motion, units: np.ndarray, times: np.ndarray, states: np.ndarray, varied: ReferenceSettings
 ) -> tuple[Motion, float]:
     """The motion with transitions of pieces that begin at `states` (k x 2n; k `times` from 0 to 1) of the same orbit,
     and the largest gap between two of them, relative to what a piece makes of an error.
 
     From its start alone an unstable orbit is known to fewer and fewer digits, and so is its linearisation.
     """
-    equations, edges = Hamiltonian(model), motion.times[:: SAMPLES // PIECES]
+    edges = motion.times[:: SAMPLES // PIECES]
     period, begins = float(edges[-1]), []
     for now in edges[:-1]:
         near = int(np.searchsorted(times * period, now, side="right")) - 1
@@ -547,19 +556,18 @@ def _beside(
     return replace(motion, transitions=pieces, begins=np.array(begins)), float(np.max(apart / sizes[:-1]))
 
 
-def _divergence(model: Model, motion: Motion, units: np.ndarray) -> tuple[float, float]:
+def _divergence(equations: Hamiltonian, motion: Motion, units: np.ndarray) -> tuple[float, float]:
     """By how much the divergence integrated along a motion misses sum log |det| of its pieces, and an error bar."""
-    equations, size, missed, refined, known = hamilton(model), motion.path.shape[1], 0.0, 0.0, 0.0
-    field, variational = vector_field(equations.field), vector_field(equations.variational)
+    size, missed, refined, known = motion.path.shape[1], 0.0, 0.0, 0.0
     unit, edges = np.append(np.eye(size).ravel(), 0.0), motion.times[:: SAMPLES // PIECES]
     for k, begin in enumerate(motion.begins):
         piece = motion.transitions[k]
         missed += float(np.linalg.slogdet(piece)[1])
         known += VARIED.relative_tolerance * float(np.linalg.cond(piece * units / units[:, None]))
-        if not symplectic(model):
+        if not symplectic(equations.model):
             times = np.linspace(edges[k], edges[k + 1], SAMPLES // PIECES + 1)
-            path = integrate_in(units, field, begin, times, VARIED)
-            rows = variational.many(times, np.hstack([path, np.tile(unit, (times.size, 1))]))  # type: ignore[attr-defined]
+            path = integrate_in(units, equations.field, begin, times, VARIED)
+            rows = equations.variational.many(times, np.hstack([path, np.tile(unit, (times.size, 1))]))  # type: ignore[attr-defined]
             traces = rows[:, size:-1].reshape(-1, size, size).trace(axis1=1, axis2=2)
             fine, coarse = (float(simpson(traces[::by], x=times[::by])) for by in (1, 2))
             missed, refined = missed - fine, refined + fine - coarse
