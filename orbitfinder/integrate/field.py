@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -233,14 +233,21 @@ class CasadiField:
     def __init__(self, function: ca.Function, free: np.ndarray | None = None, units: np.ndarray | None = None) -> None:
         self._function, self._free, self._units = function, free, units
         self._work = _work(function)
-        dense, size = self._work.dense, function.size1_in(1)
-        time, state, rate = np.zeros(1), np.zeros(size), np.zeros(function.size1_out(0))
+        self._mapped: dict[int, Buffered] = {}
+        self._scaled: tuple[bytes, CasadiField] | None = None
+
+    @cached_property
+    def rate(self) -> VectorField:
+        """The same without a look-up of it, for what calls it often."""
+        dense, size, units = self._work.dense, self._function.size1_in(1), self._units
+        time, state, rate = np.zeros(1), np.zeros(size), np.zeros(self._function.size1_out(0))
         buffer, evaluate = dense.buffer()
         buffer.set_arg(0, time.data)
         buffer.set_arg(1, state.data)
-        if free is not None:
-            buffer.set_arg(2, free.data)
+        if self._free is not None:
+            buffer.set_arg(2, self._free.data)
         buffer.set_res(0, rate.data)
+        self._buffer = dense, buffer  # or both are freed under the evaluation
 
         def call(t: float, y: np.ndarray) -> np.ndarray:
             time[0] = t
@@ -254,10 +261,7 @@ class CasadiField:
             evaluate()
             return np.asarray(rate / units)
 
-        self.rate: VectorField = call if units is None else measured
-        """The same without a look-up of it, for what calls it often"""
-        self._buffer = dense, buffer  # or both are freed under the evaluation
-        self._mapped: dict[int, Buffered] = {}
+        return call if units is None else measured
 
     def __call__(self, t: float, y: np.ndarray) -> np.ndarray:
         """The rate (n) at a time and a state (n)."""
@@ -268,9 +272,12 @@ class CasadiField:
         return self._work.library()
 
     def scaled(self, units: np.ndarray) -> CasadiField:
-        """The same in units (n)."""
+        """The same in units (n), as long as they are those of the last time."""
         assert self._units is None
-        return CasadiField(self._function, self._free, np.ascontiguousarray(units, float))
+        units = np.ascontiguousarray(units, float)
+        if self._scaled is None or self._scaled[0] != units.tobytes():
+            self._scaled = units.tobytes(), CasadiField(self._function, self._free, units.copy())
+        return self._scaled[1]
 
     def many(self, times: np.ndarray, states: np.ndarray) -> np.ndarray:
         """Rates (k x n) at times (k) and states (k x n)."""

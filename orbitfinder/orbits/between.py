@@ -28,6 +28,8 @@ SUSPECT = 1e-6
 """Rates this far off the smooth curve through four steps, relative to the largest, have their steps taken again"""
 RETAKEN, FINER = 16, 4
 """Steps that are taken again at most, and steps of the integrator between two looks there"""
+TOGETHER = 20
+"""Steps whose looks are computed at once"""
 CLOSER, BEYOND = 513, 1e-9
 """Looks at a guard where it is not on its curve, and by what share of its largest height it is beyond 0"""
 
@@ -196,13 +198,18 @@ def curve(
         known = slopes[first[:, 1:]] if order == 1 else 0.0
         table = np.where(gap > 0, np.diff(table, axis=1) / np.where(gap > 0, gap, 1.0), known)
         found.append(table[:, 0])
-    counts = np.bincount(step, minlength=len(first))
-    value, *lower = (np.repeat(one.T, counts, axis=1) for one in reversed(found))
-    slope = np.zeros_like(value)
-    for order, one in zip(range(6, -1, -1), lower, strict=True):  # rows of all moments: long loops
-        ahead = moments - np.repeat(z[:, order], counts)
-        slope *= ahead
-        slope += value
-        value *= ahead
-        value += one
-    return value.T, slope.T
+    counts, found = np.bincount(step, minlength=len(first)), [one.T.copy() for one in found]
+    begins, states = np.append(0, np.cumsum(counts)), np.empty((2, values.shape[1], len(moments)))
+    for low in range(0, len(first), TOGETHER):  # as much as stays in the cache
+        part = slice(low, low + TOGETHER)
+        own = slice(begins[low], begins[min(low + TOGETHER, len(first))])
+        value, *lower = (np.repeat(one[:, part], counts[part], axis=1) for one in reversed(found))
+        slope = np.zeros_like(value)
+        for order, one in zip(range(6, -1, -1), lower, strict=True):  # rows of all moments: long loops
+            ahead = moments[own] - np.repeat(z[part, order], counts[part])
+            slope *= ahead
+            slope += value
+            value *= ahead
+            value += one
+        states[:, :, own] = value, slope
+    return states[0].T, states[1].T
