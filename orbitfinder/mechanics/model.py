@@ -382,9 +382,7 @@ class Model(Shown):
 
     def along(self, function: ca.Function, *columns: np.ndarray) -> np.ndarray:
         """A function of (..., p) at k columns of its other arguments, p the model's own: k blocks of columns."""
-        count = columns[0].shape[1]
-        values = np.tile(self.parameter_values[:, None], (1, count))
-        return np.asarray(function.map(count)(*columns, values).full())
+        return np.asarray(function(*columns, self.parameter_values).full())  # one column serves for all
 
     def parameter_index(self, name: str) -> int:
         """Position of a physical parameter; `InputError` names the known ones."""

@@ -28,7 +28,7 @@ SUSPECT = 1e-6
 """Rates this far off the smooth curve through four steps, relative to the largest, have their steps taken again"""
 RETAKEN, FINER = 16, 4
 """Steps that are taken again at most, and steps of the integrator between two looks there"""
-TOGETHER = 20
+TOGETHER = 30
 """Steps whose looks are computed at once"""
 CLOSER, BEYOND = 513, 1e-9
 """Looks at a guard where it is not on its curve, and by what share of its largest height it is beyond 0"""
