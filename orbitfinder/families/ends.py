@@ -10,7 +10,7 @@ import numpy as np
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.families.joins import EVEN, Invariance, agrees, approaching, end_of, passed, solved
+from orbitfinder.families.joins import EVEN, Invariance, Join, agrees, approaching, end_of, passed, solved
 from orbitfinder.families.minimal import dead_point
 from orbitfinder.families.motion import full_samples
 from orbitfinder.families.passages import LOCATION
@@ -131,14 +131,14 @@ def end_at(run: Run, before: Walked, after: Walked) -> End | None:
     return _homoclinic(curve, solution, state, grown, str(more)) if saddle else None
 
 
-def approach(run: Run, before: Walked, length: float) -> tuple[float, End | None]:
+def approach(run: Run, before: Walked, length: float, seen: dict[Invariance, Join]) -> tuple[float, End | None]:
     """How long the next step may be, so as not to pass over the Hopf point or the family in which this one ends.
 
-    Or that end, where it is near and nothing is wanted before it.
+    Or that end, where it is near and nothing is wanted before it. `seen` are the joins that the run has ahead of it.
     """
     try:
         length, ended = _to_hopf(run, before, length) if _self_excited(run.curve) else (length, None)
-        return (length, ended) if ended else _to_join(run, before, length)
+        return (length, ended) if ended else _to_join(run, before, length, seen)
     except IntegrationError:  # as far ahead as is looked
         return length, None
 
@@ -158,15 +158,19 @@ def _to_hopf(run: Run, before: Walked, length: float) -> tuple[float, End | None
     return length, _hopf(run, rest) if near else None
 
 
-def _to_join(run: Run, before: Walked, length: float) -> tuple[float, End | None]:
+def _to_join(run: Run, before: Walked, length: float, seen: dict[Invariance, Join]) -> tuple[float, End | None]:
     """The same towards a family that is joined: seen from a first guess, then from orbits a small share beside it."""
+    name = run.settings.parameter
     for kept, away, apart in approaching(run.curve, before.sample, length):
         if MEETING.short * away > length:
             continue
-        join = solved(run.curve, before.solution, run.settings.parameter, kept)
-        if join is None or not agrees(join, before, away, run.settings.parameter):
+        join, beside = seen.get(kept), apart > MEETING.apart
+        if join is None or not beside or not agrees(join, before, away, name):  # the end is told from the nearest orbit
+            join = solved(run.curve, before.solution, name, kept)
+        if join is None or not agrees(join, before, away, name):
             continue
-        if apart > MEETING.apart or _wanted(run, before, join.value, join.error):
+        seen[kept] = join
+        if beside or _wanted(run, before, join.value, join.error):
             return min(length, MEETING.short * away), None
         return length, end_of(join)
     return length, None

@@ -22,6 +22,7 @@ from orbitfinder.families.codimension_two import find_special, left_circle
 from orbitfinder.families.ends import approach, end_at, end_of_failure, merged, returned, shortest_step
 from orbitfinder.families.entries import KINDS
 from orbitfinder.families.events import event_at, find_events
+from orbitfinder.families.joins import Invariance, Join
 from orbitfinder.families.motion import watched
 from orbitfinder.families.passages import Test, avoided, zeros
 from orbitfinder.families.point import FamilySettings, make_point, parameter_value
@@ -72,12 +73,13 @@ class _Walk:
     def __init__(self, run: Run, done: Sequence[tuple[FamilyPoint, Standing | None]]) -> None:
         self.blocks = Blocks.of(run.curve, pacing(run))
         self.run, self.last = step_at(run, done, self.blocks)
+        self.joins = dict[Invariance, Join]()
 
     def taken(self) -> int:
         return self.last.point.index
 
     def approach(self) -> tuple[float, End | None]:
-        return approach(self.run, self.last, self.last.point.step)
+        return approach(self.run, self.last, self.last.point.step, self.joins)
 
     def shortest(self) -> float:
         return shortest_step(self.run, self.last)

@@ -316,7 +316,9 @@ class CasadiField:
         fast = self.library()
         if fast is not None:
             steps = fast.integrated(span, start, self._units, self._free, tolerances, longest, most, noted)
-            if not self._work.asked() or self._agrees(fast, np.array([span[0], steps.time]), np.array([start, steps.state])):
+            if not self._work.asked() or self._agrees(
+                fast, np.array([span[0], steps.time]), np.array([start, steps.state])
+            ):
                 return steps
             self._work.doubted()
         with self._work.interpreted():

@@ -210,6 +210,10 @@ class March(Refining):
 
     def rates(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray | float = 0.0) -> np.ndarray:
         """dx/dt (k x d) at states (k x d), of a tail (m) or one of each (k x m)."""
+        quick = self._kernel(False)
+        if quick is not None:
+            clock = np.broadcast_to(np.asarray(times, float).ravel(), len(states))
+            return quick.rates(clock, states, np.atleast_2d(tail)[:, 1:])
         s, free = tail[..., 1 : 1 + self.unfolding], tail[..., 1 + self.unfolding :]
         if len(states) == 1:
             moment = times if isinstance(times, float) else times[0]

@@ -514,9 +514,12 @@ def tour(
     free: tuple[str, ...] = (),
 ) -> Tour:
     """The `Tour` of a state (d) and a period of a smooth Model, of an orbit that is its own image by `forward` after
-    half a period. Equations are derived with parameters `free` where
-    other values of them are to come. Where errors grow, what is known of the motion `beside` it (k times from 0 to 1, k x d states) and
-    found to be one by this integrator says what the state alone cannot."""
+    half a period.
+
+    Equations are derived with parameters `free` where other values of them are to come. Where errors grow, what is
+    known of the motion `beside` it (k times from 0 to 1, k x d states) and found to be one by this integrator says what
+    the state alone cannot.
+    """
     kind = system_kind(model.system)
     own, free = kind.motion(model), () if kind.reread else free  # others are made anew at each value
     given = model, state, period, turns, evenly(period), TIGHTEST
@@ -537,8 +540,9 @@ def tour(
 
 
 def _beside(
-    equations: Hamiltonian, motion: Motion, units: np.ndarray, times: np.ndarray, states: np.ndarray, varied: ReferenceSettings
-) -> tuple[Motion, float]:
+    equations: Hamiltonian, motion: Motion, units: np.ndarray, times: np.ndarray, states: np.ndarray,
+    varied: ReferenceSettings,
+) -> tuple[Motion, float]:  # fmt: skip
     """The motion with transitions of pieces that begin at `states` (k x 2n; k `times` from 0 to 1) of the same orbit,
     and the largest gap between two of them, relative to what a piece makes of an error.
 

@@ -47,7 +47,7 @@ class Kernel:
 
     def __init__(self, code: str, known: ca.Function, alone: bool) -> None:
         self._code, self._known = code, known
-        self._marches = {alone: self._made(alone)}
+        self._libraries = {alone: self._made(alone)}
 
     def marched(self, starts: np.ndarray, parameters: np.ndarray, kept: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """The ends (k x 1 + N) of segments that `starts` (k x 1 + N) begin, and of every step the first `kept` of it.
@@ -64,39 +64,52 @@ class Kernel:
         self._run(starts, parameters, np.empty(starts.shape), np.empty((len(starts), 0)), errors)
         return errors
 
+    def rates(self, times: np.ndarray, states: np.ndarray, given: np.ndarray) -> np.ndarray:
+        """Rates (k x N) at times (k) and states (k x N), by (s, free) of each (k x P) or of all (1 x P).
+
+        Of what has no variations.
+        """
+        limit.check()
+        found = np.empty(states.shape)
+        times, states, given = (np.ascontiguousarray(one, float) for one in (times, states, given))
+        places = (one.ctypes.data for one in (times, states, given, found))
+        self._library(len(states) == 1).evaluated(len(states), len(given) == 1, *places)
+        return found
+
     def _run(self, starts: np.ndarray, parameters: np.ndarray, *results: np.ndarray) -> None:
         limit.check()
         ends, path, *errors = (array.ctypes.data for array in results)
         starts, parameters = np.ascontiguousarray(starts), np.ascontiguousarray(parameters)
-        march, sizes = self._march(len(starts) == 1), (len(starts), len(parameters) // max(1, len(starts)))
+        march, sizes = self._library(len(starts) == 1).march, (len(starts), len(parameters) // max(1, len(starts)))
         given = (starts.ctypes.data, parameters.ctypes.data)
         if march(*sizes, *given, ends, path, results[1].shape[1], errors[0] if errors else None):
             raise MemoryError(f"no memory for marches of {starts.shape[1]} numbers")
 
-    def _march(self, alone: bool) -> Marching:
-        """The march of one lane or of many; where it cannot be made the other serves."""
-        if alone not in self._marches:
+    def _library(self, alone: bool) -> ctypes.CDLL:
+        """That of one lane or of many; where it cannot be made the other serves."""
+        if alone not in self._libraries:
             made = attempted(self._known.name(), lambda: self._made(alone))
-            self._marches[alone] = made or self._marches[not alone]
-        return self._marches[alone]
+            self._libraries[alone] = made or self._libraries[not alone]
+        return self._libraries[alone]
 
-    def _made(self, alone: bool) -> Marching:
+    def _made(self, alone: bool) -> ctypes.CDLL:
         code = "#define LANES 1\n" * alone + self._code
         return library(code, lambda path, new: self._opened(path, new), None, LEVEL)
 
-    def _opened(self, path: Path, new: bool) -> Marching:
+    def _opened(self, path: Path, new: bool) -> ctypes.CDLL:
         """A library loaded and, when new, compared with the interpreter."""
         try:
-            march = ctypes.CDLL(str(path)).march
+            opened = ctypes.CDLL(str(path))
+            opened.march.argtypes = SIGNATURE
+            if hasattr(opened, "evaluated"):  # what has no variations
+                opened.evaluated.argtypes = [ctypes.c_ssize_t, ctypes.c_int, *[ctypes.c_void_p] * 4]
         except (OSError, AttributeError) as error:
             path.unlink(missing_ok=True)
             raise Unavailable(f"the library cannot be loaded: {error}") from None
-        march.argtypes = SIGNATURE
-        if new and not _agrees(march, self._known):
+        if new and not _agrees(opened.march, self._known):
             path.unlink(missing_ok=True)
             raise Unavailable("the compiled march disagrees with the interpreted field")
-        marching: Marching = march
-        return marching
+        return opened
 
 
 def kernel(field: ca.Function, effort: float | None, alone: bool = False) -> Kernel | None:

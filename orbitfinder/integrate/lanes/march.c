@@ -92,3 +92,20 @@ int march(ptrdiff_t count, ptrdiff_t steps, const double *starts, const double *
   free(memory);
   return 0;
 }
+
+#ifndef COLUMNS
+/* Rates (k x OWN) at times and states of which `one` tells whether all have the first of `given` (s, free). */
+void evaluated(ptrdiff_t count, int one, const double *times, const double *at, const double *given, double *out) {
+  for (ptrdiff_t first = 0; first < count; first += LANES) {
+    V t, y[STATE], p[GIVEN], r[OWN];
+    for (int l = 0; l < LANES; l++) {
+      ptrdiff_t k = first + l < count ? first + l : count - 1;
+      t[l] = times[k];
+      for (int i = 0; i < STATE; i++) y[i][l] = at[k * STATE + i];
+      for (int i = 0; i < GIVEN - 1; i++) p[i][l] = given[(one ? 0 : k) * (GIVEN - 1) + i];
+    }
+    rates(&t, y, p, p + UNFOLDING, r);
+    for (int l = 0; l < LANES && first + l < count; l++) for (int i = 0; i < OWN; i++) out[(first + l) * OWN + i] = r[i][l];
+  }
+}
+#endif
