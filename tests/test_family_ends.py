@@ -14,8 +14,9 @@ from scipy.optimize import fsolve
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
+from orbitfinder.families import ends
 from orbitfinder.families.folder import directions
-from orbitfinder.families.joins import Invariance
+from orbitfinder.families.joins import Invariance, agrees
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.rest import can_rest, rest_of
 from orbitfinder.families.start import begin, full_samples
@@ -208,6 +209,18 @@ def test_a_join_is_seen_from_both_sides(pendulum):
         for end, known in zip(again.ends, lopsided.ends, strict=True):
             assert end.kind == "merged" and end.parameter == pytest.approx(known.parameter, rel=1e-10)
             assert end.error < 1e-9
+
+
+def test_a_join_ahead_is_solved_for_when_it_is_first_seen_and_where_the_family_ends(pendulum, monkeypatch):
+    """Steps on the way only look whether it is still the one ahead."""
+    asked, real, seen = [], ends.solved, []
+    monkeypatch.setattr(ends, "solved", lambda *given: asked.append(real(*given)) or asked[-1])
+    monkeypatch.setattr(ends, "agrees", lambda join, *given: seen.append(join) or agrees(join, *given))
+    middle = pendulum[1].points[len(pendulum[1].points) // 2]
+    again = of.follow_family(middle, "torque", settings=replace(QUIET, directions="forward"))
+    assert again.ends[-1].kind == "merged"
+    found = [join for join in asked if join is not None]
+    assert len(found) == 2 and len(seen) > 3
 
 
 def test_the_joined_family_is_gone_on_along(pendulum, tmp_path):

@@ -15,6 +15,8 @@ from orbitfinder.integrate.compiled import compiling
 from orbitfinder.integrate.dop853 import ReferenceSettings, integrate, integrate_in
 from orbitfinder.integrate.equations import accelerations, expect, hamilton, with_variations
 from orbitfinder.integrate.field import vector_field
+from orbitfinder.mechanics.kind import with_parameters
+from orbitfinder.orbits.evidence import tour
 
 pytestmark = pytest.mark.skipif(not compiled.available()[0], reason="needs a C compiler")
 
@@ -129,6 +131,40 @@ def test_a_library_that_lies_is_not_believed(monkeypatch):
     np.testing.assert_array_equal(slow[0], fast[0])
     with compiling("on"):
         assert vector_field(function).library() is None
+
+
+def test_answers_are_compared_once_in_so_many(monkeypatch):
+    """The first, and one of eight after it: both ends of an integration each."""
+    compared, real = [], field.CasadiField._agrees
+    monkeypatch.setattr(field.CasadiField, "_agrees", lambda own, *given: compared.append(given) or real(own, *given))
+    with compiling("on"):
+        own = vector_field(harmonic())
+        for _ in range(17):
+            integrate(own, np.array([1.0, 0.0]), np.array([0.0, 1.0]))
+    assert len(compared) == 3 and [len(times) for _, times, _ in compared] == [2, 2, 2]
+
+
+def test_units_of_the_last_time_are_kept():
+    own, units = vector_field(harmonic()), np.array([1.0, 2.0])
+    scaled = own.scaled(units)
+    assert own.scaled(units.copy()) is scaled and own.scaled(2 * units) is not scaled
+    units[:] = 5.0  # the caller's own
+    np.testing.assert_array_equal(scaled(0.0, np.array([1.0, 1.0])), [2.0, -0.5])
+
+
+def test_one_set_of_equations_serves_all_values_of_what_is_free():
+    """Hamilton's equations with a parameter left free: derived once, their values and motions those of fixed ones."""
+    model = of.load_problem(PROBLEMS / "families" / "duffing-resonance.toml").model
+    one, other = (with_parameters(model, {"frequency": value}) for value in (1.1, 1.3))
+    assert hamilton(one, ("frequency",)) is hamilton(other, ("frequency",)) and hamilton(one) is not hamilton(other)
+    assert hamilton(one, ("damping",)) is not hamilton(other, ("damping",))
+    state, turns = np.array([0.4, 0.1]), np.zeros(1)
+    for each in (one, other):
+        period = 2 * np.pi / each.parameter_values[each.parameter_index("frequency")]
+        fixed, free = (tour(each, state, period, turns, free=names) for names in ((), ("frequency",)))
+        np.testing.assert_allclose(np.array(free.pieces), np.array(fixed.pieces), rtol=1e-11, atol=1e-11)
+        np.testing.assert_allclose(free.motion[1], fixed.motion[1], rtol=1e-11, atol=1e-12)
+        assert free.divergence() == pytest.approx(fixed.divergence(), abs=1e-10)
 
 
 FAILING = {

@@ -209,7 +209,7 @@ def test_sin_and_cos_far_out(tmp_path):
 # ---- the same bits ---------------------------------------------------------------------------------
 
 WIDTHS = (8, 4, 2, 1)
-OWN = ("march", "rates", "states", "columns", "product", "step", "within", "gathered", "BEGIN", "COLUMN")
+OWN = ("march", "evaluated", "rates", "states", "columns", "product", "step", "within", "gathered", "BEGIN", "COLUMN")
 SIZES = ("STATE", "OWN", "UNFOLDING", "FREE", "COLUMNS", "SLOPES", "ROWS", "ROOM", "GIVEN", "STAGES")
 
 
@@ -281,6 +281,30 @@ def test_any_number_of_segments_has_the_same_bits(links):
         same(errors[:count], lanes.errors(starts[:count], given[:count]))
     starts[3] = np.nan
     same(np.delete(lanes.marched(starts, given)[0], 3, 0), np.delete(ends, 3, 0))
+
+
+@pytest.mark.parametrize("file", ["families/duffing-resonance", "report/triple-1", "gallery/brusselator"])
+def test_rates_of_any_number_of_states_are_the_interpreted_ones(file):
+    """At one time or at many, with parameters of all or of each; those of one state are the same to the last bit."""
+    model = of.load_problem(f"problems/{file}.toml").model
+    names = model.parameter_names[:2]
+    field, random = vector_field(model, names), np.random.default_rng(5)
+    lanes, known = March(field, forced=model.forced), interpreted(field, forced=model.forced)
+    states, times = random.uniform(-0.5, 0.5, (19, field.size1_in(1))), random.uniform(0.0, 1.0, 19)
+    tails = random.uniform(0.5, 1.5, (19, 1 + len(names)))
+    for tail, moment in ((tails, times), (tails[0], times), (tails[0], 0.3)):
+        rates = lanes.rates(states, tail, moment)
+        np.testing.assert_allclose(rates, known.rates(states, tail, moment), rtol=1e-13, atol=1e-13)
+        for k in (0, 18):
+            own = tail[k] if tail.ndim > 1 else tail
+            there = moment if isinstance(moment, float) else moment[k : k + 1]
+            same(lanes.rates(states[k : k + 1], own, there), rates[k : k + 1])
+    assert lanes._kernels[False]
+    states[3] = np.nan
+    same(
+        np.delete(lanes.rates(states, tails, times), 3, 0),
+        np.delete(lanes.rates(np.nan_to_num(states), tails, times), 3, 0),
+    )
 
 
 def springs(t, x, p):

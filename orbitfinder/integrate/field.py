@@ -39,7 +39,7 @@ AT_A_TIME = 256
 DONE, WAITING, NO_MEMORY = 1, 0, -5
 """What `dop853.c` answers, besides SciPy's codes"""
 SPOT_CHECKED = 7
-"""Integrations between two whose ends are compared with the interpreter's: an orbit's certificate has eighteen or more"""
+"""Integrations between two whose ends are compared with the interpreter's: an orbit's certificate has eighteen"""
 AGREEMENT = 1e-12
 """Relative difference between compiled and interpreted rates beyond which a library is not believed"""
 THIRD = (0.244094488188976377952755905512, 0.733846688281611857341361741547, 0.0220588235294117647058823529412)
