@@ -4,10 +4,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import orbitfinder as of
 from orbitfinder.integrate import equations as module
 from orbitfinder.integrate.compiled import available, compiling
 from orbitfinder.integrate.equations import KEPT, accelerations, hamilton, prepare
 from orbitfinder.integrate.field import vector_field
+from orbitfinder.mechanics.canonical import canonical
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import altered
 from orbitfinder.mechanisms.chain import chain
@@ -35,6 +37,32 @@ def test_equations_are_derived_once():
     rates = [one.field(0.0, y).full().ravel() for one in others]
     np.testing.assert_array_equal(rates[0], rates[3])
     assert np.abs(rates[1] - rates[0]).max() > 0.1 and np.abs(rates[2] - rates[0]).max() > 0.1
+
+
+@pytest.mark.parametrize("build", [of.systems.forced_duffing, of.systems.henon_heiles, of.systems.lorenz])
+def test_equations_are_derived_once_for_all_values_of_the_parameters(build):
+    """Of what is not made anew at each value; they are those that are derived with the values in them."""
+    model = build()
+    name = model.parameter_names[0]
+    other = with_parameters(model, {name: 1.1 * model.parameter_values[0] + 0.1})
+    ours, theirs = hamilton(model), hamilton(other)
+    assert ours is hamilton(model) and ours is not theirs
+    assert ours.field.function is theirs.field.function and ours.variational.function is theirs.variational.function
+    assert accelerations(model).function is accelerations(other).function
+    random = np.random.default_rng(0)
+    for one, known in ((hamilton(each), canonical(each)) for each in (model, other)):
+        size = known.field.size1_in(1)
+        assert one.coordinates.size == known.coordinates.size
+        for function, fixed in ((one.field, known.field), (one.variational, known.variational)):
+            for y in random.uniform(-1.0, 1.0, (5, fixed.size1_in(1))):
+                t = float(random.uniform())
+                np.testing.assert_allclose(function(t, y).full(), fixed(t, y).full(), rtol=1e-13, atol=1e-14)
+        y = random.uniform(-1.0, 1.0, size)
+        q, v = np.split(y[: 2 * known.coordinates.size], [known.coordinates.size])
+        for name in ("momentum", "lift"):
+            both = (getattr(equations, name)(q, v).full() for equations in (one, known))
+            np.testing.assert_allclose(*both, rtol=1e-14, atol=1e-15)
+        np.testing.assert_allclose(one.tangent(y).full(), known.tangent(y).full(), rtol=1e-14)
 
 
 def test_only_so_many_are_remembered():

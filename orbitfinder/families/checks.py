@@ -65,12 +65,11 @@ class Probe:
     def _round(self, varied: ReferenceSettings) -> Tour:
         p, w = self.curve.equations, self.solution.place
         turns = turned(p.model, np.array(self.curve.turns), shift_at(self.curve, w))
-        free = freed(self.curve, w)
-        model = with_parameters(p.model, free)
+        model = with_parameters(p.model, freed(self.curve, w))
         if p.links:
             return hybrid_tour(model, w.nodes[0], w.period, turns)
         beside = p.symmetry.whole(w.mesh, self.solution.march.states, self.curve.constant)
-        return tour(model, w.nodes[0], w.period, turns, p.symmetry.forward, beside, varied, tuple(free))
+        return tour(model, w.nodes[0], w.period, turns, p.symmetry.forward, beside, varied)
 
     @cached_property
     def about(self) -> Any:

@@ -1,12 +1,13 @@
 """What is derived from a Model once: Hamilton's equations, its accelerations, the gradients of its invariants.
 
 All of it is remembered for the models seen last, and compiled for those of which many orbits are to be certified.
+Equations of motion are derived for all values of the parameters, but of a model that is made anew at each (chains).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import wraps
 from typing import Any, TypeVar
 
@@ -15,8 +16,9 @@ import numpy as np
 
 from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder.integrate.evaluate import Buffered
-from orbitfinder.integrate.field import expect
+from orbitfinder.integrate.field import Bound, expect
 from orbitfinder.mechanics.canonical import Canonical, canonical, coordinates
+from orbitfinder.mechanics.kind import system_kind
 from orbitfinder.mechanics.model import Model, vector_field
 
 KEPT = 16
@@ -44,31 +46,62 @@ def _once(derive: Callable[[Model], T]) -> Callable[[Model], T]:
     return found
 
 
+def _parameters(model: Model) -> tuple[str, ...]:
+    """The parameters whose values equations of motion are given and not derived with."""
+    return () if system_kind(model.system).reread else tuple(model.parameter_names)
+
+
+def _at_values(derive: Callable[[Model, tuple[str, ...]], ca.Function]) -> Callable[[Model], ca.Function | Bound]:
+    """A function of a model, derived once for all values of its parameters, at those of the model."""
+
+    @wraps(derive)
+    def found(model: Model) -> ca.Function | Bound:
+        names = _parameters(model)
+        function = _derived(_key(model, found, names), lambda: derive(model, names))
+        return Bound(function, model.parameter_values) if names else function
+
+    return found
+
+
 def hamilton(model: Model, free: tuple[str, ...] = ()) -> Canonical:
     """Hamilton's equations of a Model with its parameter values, some of them left free (see `Coordinates`)."""
-    derived: Canonical = _derived(_key(model, canonical, free), lambda: canonical(model, free))
-    return derived
+    names = free or _parameters(model)
+    derived: Canonical = _derived(_key(model, canonical, names), lambda: canonical(model, names))
+    if free or not names:
+        return derived
+    return _derived(_key(model, _bound), lambda: _bound(derived, model.parameter_values))  # type: ignore[no-any-return]
 
 
-@_once
-def accelerations(model: Model) -> ca.Function:
+def _bound(derived: Canonical, values: np.ndarray) -> Canonical:
+    """Equations at these values of all parameters."""
+
+    def bound(parts: Any) -> dict[str, Any]:
+        known = {part.name: getattr(parts, part.name) for part in fields(parts)}
+        return {name: Bound(one, values) for name, one in known.items() if isinstance(one, ca.Function)}
+
+    return replace(derived, coordinates=replace(derived.coordinates, **bound(derived.coordinates)), **bound(derived))
+
+
+@_at_values
+def accelerations(model: Model, free: tuple[str, ...]) -> ca.Function:
     """The equations of motion x' = f(t, x) of a Model with its parameter values, nothing unfolded."""
-    field = vector_field(model, (), ())
-    t, x = ca.MX.sym("t"), ca.MX.sym("x", len(model.state_names))
-    return ca.Function("plain", [t, x], [field(t, x, ca.DM(0, 1), ca.DM(0, 1))])
+    field = vector_field(model, free, ())
+    t, x, p = ca.MX.sym("t"), ca.MX.sym("x", len(model.state_names)), ca.MX.sym("p", len(free))
+    return ca.Function("plain", [t, x, *([p] if free else [])], [field(t, x, ca.DM(0, 1), p)])
 
 
-@_once
-def with_variations(model: Model) -> ca.Function:
+@_at_values
+def with_variations(model: Model, free: tuple[str, ...]) -> ca.Function:
     """The field of (x, vec Y, S): the motion of a Model with its parameter values, its variations, its action."""
-    flow, size = vector_field(model), len(model.state_names)
-    t, y = ca.MX.sym("t"), ca.MX.sym("y", size * (1 + size) + 1)
+    flow, size = vector_field(model, free), len(model.state_names)
+    t, y, p = ca.MX.sym("t"), ca.MX.sym("y", size * (1 + size) + 1), ca.MX.sym("p", len(free))
     x, matrix = y[:size], ca.reshape(y[size:-1], size, size)
     inputs = flow.mx_in()
     both = ca.Function("both", inputs, [flow(*inputs), ca.jacobian(flow(*inputs), inputs[1])])
-    rate, slopes = both(t, x, [], [])
-    action = model.action_rate(t, x, model.parameter_values)
-    return ca.Function("varied", [t, y], [ca.vertcat(rate, ca.vec(slopes @ matrix), action)])
+    rate, slopes = both(t, x, [], p)
+    action = model.action_rate(t, x, model.parameters(free, p))
+    given = [t, y, *([p] if free else [])]
+    return ca.Function("varied", given, [ca.vertcat(rate, ca.vec(slopes @ matrix), action)])
 
 
 @_once

@@ -176,9 +176,9 @@ def _work(function: ca.Function) -> _Work:
     return _works((Same(function), *surroundings), lambda: _Work(function))
 
 
-def expect(function: ca.Function, effort: float | None) -> None:
+def expect(function: ca.Function | Bound, effort: float | None) -> None:
     """So many seconds of work with a field are to come, None for more than compiling it takes."""
-    work = _work(function)
+    work = _work(function.function if isinstance(function, Bound) else function)
     work.spent = max(work.spent, np.inf if effort is None else effort)
 
 
@@ -219,6 +219,22 @@ def _opened(path: Path) -> Library:
     except (OSError, AttributeError) as error:
         path.unlink(missing_ok=True)
         raise Unavailable(f"the library cannot be loaded: {error}") from None
+
+
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """A CasADi function whose last argument, the values (k) of parameters, is given."""
+
+    function: ca.Function
+    values: np.ndarray
+
+    def __call__(self, *arguments: Any) -> Any:
+        """What it is of the others."""
+        return self.function(*arguments, self.values)
+
+    def numel_in(self, k: int) -> int:
+        """Numbers in one of its arguments."""
+        return int(self.function.numel_in(k))
 
 
 class CasadiField:
@@ -332,8 +348,10 @@ class CasadiField:
         return bool(np.all(np.abs(rows - own).max(axis=1)[known := np.isfinite(sizes)] <= AGREEMENT * sizes[known]))
 
 
-def vector_field(function: ca.Function, free: np.ndarray | None = None) -> CasadiField:
+def vector_field(function: ca.Function | Bound, free: np.ndarray | None = None) -> CasadiField:
     """The `CasadiField` of a CasADi function of (t, y), or of (t, y, free)."""
+    if isinstance(function, Bound):
+        return CasadiField(function.function, np.ascontiguousarray(function.values, float))
     return CasadiField(function, free)
 
 

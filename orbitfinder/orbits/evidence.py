@@ -134,7 +134,7 @@ class Hamiltonian:
         rates = self.field.many(np.zeros(len(path)), path)[:, : self.coordinates.size]  # type: ignore[attr-defined]
         if lift is None:
             return np.hstack([places, rates])
-        return np.asarray(lift.map(len(path))(places.T, rates.T, *(one[:, None] for one in self._given)).full().T)
+        return np.asarray(lift(places.T, rates.T, *self._given).full().T)
 
     def frame(self, state: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Gradients of the invariants, symmetry directions (the flow first) and gradients of the constraints at y."""
@@ -175,11 +175,9 @@ def canonical_motion(
     moments: np.ndarray,
     settings: ReferenceSettings,
     varied: ReferenceSettings = VARIED,
-    free: tuple[str, ...] = (),
 ) -> Motion:
-    """The `Motion` of a state (2n) at `moments` (from 0 to the period) by Hamilton's equations, derived with parameters
-    left `free` where many motions of other values of them are to come."""
-    equations = Hamiltonian(model, free)
+    """The `Motion` of a state (2n) at `moments` (from 0 to the period) by Hamilton's equations."""
+    equations = Hamiltonian(model)
     chosen, start = equations.coordinates.chosen, equations.start(state)
     first_order = model.rates is not None
     masses = np.zeros(0) if first_order else equations.masses(state[chosen])
@@ -511,23 +509,20 @@ def tour(
     forward: Involution | None = None,
     beside: tuple[np.ndarray, np.ndarray] | None = None,
     varied: ReferenceSettings = VARIED,
-    free: tuple[str, ...] = (),
 ) -> Tour:
     """The `Tour` of a state (d) and a period of a smooth Model, of an orbit that is its own image by `forward` after
     half a period.
 
-    Equations are derived with parameters `free` where other values of them are to come. Where errors grow, what is
-    known of the motion `beside` it (k times from 0 to 1, k x d states) and found to be one by this integrator says what
-    the state alone cannot.
+    Where errors grow, what is known of the motion `beside` it (k times from 0 to 1, k x d states) and found to be one
+    by this integrator says what the state alone cannot.
     """
-    kind = system_kind(model.system)
-    own, free = kind.motion(model), () if kind.reread else free  # others are made anew at each value
+    own = system_kind(model.system).motion(model)
     given = model, state, period, turns, evenly(period), TIGHTEST
-    motion = own(*given) if own else canonical_motion(*given, varied, free)
+    motion = own(*given) if own else canonical_motion(*given, varied)
     units, half = known_in(motion.path, motion.masses, period, model.angular), None
     loop = _looped(model, motion, units, motion.path, period)
     if beside is not None and loop.closes.gap > GROWN and not own:
-        told, apart = _beside(Hamiltonian(model, free), motion, units, *beside, varied)
+        told, apart = _beside(Hamiltonian(model), motion, units, *beside, varied)
         motion = told if apart <= GROWN else motion
     if forward is not None:
         n = motion.turns.size
@@ -535,7 +530,7 @@ def tour(
         half = places if n == units.size else np.kron(np.eye(2), forward.places(n)) * units[None, :] / units[:, None]
     return replace(
         loop, pieces=in_extents(motion.transitions, units), half=half,
-        divergence=partial(_divergence, Hamiltonian(model, free), motion, units), motion=(motion.times, motion.states),
+        divergence=partial(_divergence, Hamiltonian(model), motion, units), motion=(motion.times, motion.states),
     )  # fmt: skip
 
 
