@@ -1,5 +1,6 @@
 """DOP853 in C about CasADi's own C of a field: the interpreter's and SciPy's bits, what it refuses, what it raises."""
 
+import gc
 from importlib.resources import files
 from pathlib import Path
 
@@ -68,6 +69,27 @@ def test_bits_are_those_of_the_interpreter_and_of_scipy(system, tolerance):
                     slow, fast = both(function, start, np.array(times), tolerance, units, longest=longest)
                     for ours, scipys in zip(fast, slow, strict=True):
                         np.testing.assert_array_equal(ours, scipys)
+
+
+@pytest.mark.parametrize("file", ["gallery/lorenz", "published/figure-eight", "families/coupled-pendula"])
+def test_rates_are_the_interpreters_to_the_last_bit(file):
+    """gcc 12 makes a fused multiply-add of a difference and a sum side by side, whatever it is told of contraction."""
+    model, random = of.load_problem(PROBLEMS / f"{file}.toml").model, np.random.default_rng(1)
+    for function in (hamilton(model).field, hamilton(model).variational, accelerations(model)):
+        times, states = random.uniform(size=50), 0.3 * random.normal(size=(50, function.numel_in(1)))
+        rates = []
+        for mode in ("off", "on"):
+            with compiling(mode):
+                rates.append(vector_field(function).many(times, states))
+                assert (vector_field(function).library() is None) == (mode == "off")
+        np.testing.assert_array_equal(*rates)
+
+
+def test_a_rate_outlives_its_field():
+    """What evaluates it is kept by the function that is handed out."""
+    rate = vector_field(harmonic()).rate
+    gc.collect()
+    np.testing.assert_array_equal(rate(0.0, np.array([1.0, 2.0])), [2.0, -1.0])
 
 
 def test_bits_of_what_is_free_and_many_looks_at_the_clock():

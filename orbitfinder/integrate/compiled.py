@@ -8,7 +8,9 @@ given its variational equations. Nothing here raises or prints: what cannot be c
 `statistics()` says why.
 
 Never -ffast-math. `-ffp-contract=off` forbids the fused multiply-add that compilers otherwise form where the
-processor has one, so that compiled code rounds as the interpreter does. `-march=native -O3` puts sums over long
+processor has one, so that compiled code rounds as the interpreter does; `-fno-tree-slp-vectorize` too, for gcc makes
+one of a difference and a sum that stand side by side (vfmsubadd) whatever it is told of contraction. `-march=native
+-O3` puts sums over long
 vectors into wide registers, which halves the time of a march and changes no bit of it; what the compiler takes
 "native" to mean is part of its identity, so that a cache in a shared home serves every processor its own library.
 
@@ -84,6 +86,7 @@ ALWAYS = (
     "-shared",
     "-ffp-contract=off",
     "-fno-math-errno",
+    "-fno-tree-slp-vectorize",
 )
 NATIVE = "-march=native"
 ZIG = (sys.executable, "-m", "ziglang", "cc", "-fno-sanitize=undefined")

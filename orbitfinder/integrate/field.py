@@ -263,7 +263,6 @@ class CasadiField:
         if self._free is not None:
             buffer.set_arg(2, self._free.data)
         buffer.set_res(0, rate.data)
-        self._buffer = dense, buffer  # or both are freed under the evaluation
 
         def call(t: float, y: np.ndarray) -> np.ndarray:
             time[0] = t
@@ -277,7 +276,10 @@ class CasadiField:
             evaluate()
             return np.asarray(rate / units)
 
-        return call if units is None else measured
+        found: Any = call if units is None else measured
+        found.evaluated = dense, buffer  # or both are freed under the evaluation
+        evaluating: VectorField = found
+        return evaluating
 
     def __call__(self, t: float, y: np.ndarray) -> np.ndarray:
         """The rate (n) at a time and a state (n)."""

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, PPoly
 
+from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.constrained import allowed_velocities
 from orbitfinder.mechanics.model import Invariant, Model, altered, wrapped
@@ -820,6 +821,10 @@ def moved(model: Model, free: Sequence[str]) -> Model:
     return altered(model, parameter_values=numbers) if free else model
 
 
+_slopes = Kept[Any](16)
+"""The derivatives of forces that were asked for last"""
+
+
 def symplectic(model: Model) -> bool:
     """Whether the flow is Hamilton's, driven or not, so that multipliers come in reciprocal pairs.
 
@@ -830,7 +835,8 @@ def symplectic(model: Model) -> bool:
         return model.hamiltonian
     if model.conservative or model.forces is None or not model.forced:
         return model.conservative
-    random, slopes, n = np.random.default_rng(0), model.forces.jacobian(), model.degrees_of_freedom
+    forces, random, n = model.forces, np.random.default_rng(0), model.degrees_of_freedom
+    slopes = _slopes(Same(forces), lambda: forces.jacobian())
     lengths, _ = surroundings(model, np.zeros(n))
     clock = float(model.forcing_period(model.parameter_values)) / (2 * np.pi)  # type: ignore[misc]
     for size in np.tile(RECOGNISED.sizes, 2):
