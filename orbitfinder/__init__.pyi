@@ -25,6 +25,11 @@ from .control.optimum import save_optima as save_optima
 from .exports.write import export_orbit as export_orbit
 from .families.branches import switch_branch as switch_branch
 from .families.curves import follow_curve as follow_curve
+from .families.equilibria import follow_equilibria as follow_equilibria
+from .families.equilibrium import Equilibria as Equilibria
+from .families.equilibrium import Equilibrium as Equilibrium
+from .families.equilibrium import load_equilibria as load_equilibria
+from .families.equilibrium import save_equilibria as save_equilibria
 from .families.folder import follow_family as follow_family
 from .families.point import FamilySettings as FamilySettings
 from .loops.conditions import Constraint as Constraint

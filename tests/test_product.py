@@ -51,14 +51,15 @@ SHIPPED = {
     "atlas#": Path(f"{RESULTS / 'atlas' / 'rossler.sqlite'}#1"),
 }
 MADE = ("export", "export#", "empty export", "optima", "optima#", "tori", "tori#", "section", "manifold", "connection",
-        "controller", "journal", "text")  # fmt: skip
+        "controller", "equilibria", "journal", "text")  # fmt: skip
 KINDS = (*SHIPPED, *MADE)
 ORBITS = {kind for kind in (*SHIPPED, "export#", "optima#") if kind not in ("branch-proof", "family", "atlas")}
 TAKEN = {
-    "verify": ORBITS | {"family", "optima", "tori", "tori#", "connection", "controller"},
-    "plot": ORBITS | {"family", "atlas", "optima", "tori", "tori#", "section", "manifold", "connection", "controller"},
+    "verify": ORBITS | {"family", "optima", "tori", "tori#", "connection", "controller", "equilibria"},
+    "plot": ORBITS | {"family", "atlas", "optima", "tori", "tori#", "section", "manifold", "connection", "controller",
+                      "equilibria"},
     "animate": ORBITS, "export": ORBITS | {"controller"}, "studio": ORBITS | {"family", "atlas"},
-    "page": {*KINDS} - {"branch-proof", "controller", "journal", "text"},
+    "page": {*KINDS} - {"branch-proof", "controller", "equilibria", "journal", "text"},
 }  # fmt: skip
 """What a verb answers; of anything else it says in one sentence what takes it"""
 PAGES = {"orbit", "forced", "first-order", "hybrid", "mechanism", "control", "proof", "family", "family#", "atlas",
@@ -92,12 +93,14 @@ def records(tmp_path_factory):
     of.sections.save_connection(connection(loop), folder / "connection.json")
     of.save_optima(of.Optima("o", "damping", (driven, driven), np.array([0.2, 0.2]), (0, 0)), folder / "optima.json")
     of.save_controller(of.stabilise(load_orbit(GALLERY / "control-stabilised-triple-1.json")), folder / "held.json")
+    resting = of.follow_equilibria(of.systems.brusselator(rate=1.8), [1.0, 1.8], "rate", until=2.4)
+    of.save_equilibria(resting, folder / "equilibria.json")
     (folder / "empty.json").write_text("[]")
     (folder / "family.jsonl").write_text('{"format": "orbitfinder/family"}\n')
     (folder / "text.txt").write_text("no record\n")
     names = {"optima": "optima.json", "tori": "tori.json", "section": "section.json", "manifold": "manifold.json",
-             "connection": "connection.json", "controller": "held.json", "journal": "family.jsonl", "text": "text.txt",
-             "export": "export.json", "empty export": "empty.json", "export#": "export.json#0",
+             "connection": "connection.json", "controller": "held.json", "equilibria": "equilibria.json",
+             "journal": "family.jsonl", "text": "text.txt", "export": "export.json", "empty export": "empty.json", "export#": "export.json#0",
              "optima#": "optima.json#1", "tori#": "tori.json#0"}  # fmt: skip
     return SHIPPED | {kind: folder / name for kind, name in names.items()}
 

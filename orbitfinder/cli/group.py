@@ -19,6 +19,7 @@ from orbitfinder._runtime import __version__, interrupt, keeping
 from orbitfinder.cli.atlas import atlas
 from orbitfinder.cli.continue_ import continue_
 from orbitfinder.cli.doctor import completion, doctor
+from orbitfinder.cli.equilibria import equilibria
 from orbitfinder.cli.export import animate, export, page, plot
 from orbitfinder.cli.guess import guess, init
 from orbitfinder.cli.options import (
@@ -46,6 +47,7 @@ from orbitfinder.errors import InputError, OrbitfinderError
 LIMITS = {
     **dict.fromkeys(("run", "simulate", "guess"), 600.0), **dict.fromkeys(("prove", "continue"), 86_400.0),
     **dict.fromkeys(("verify", "sweep", "refine", "stabilise", "torus", "section", "manifold", "connect"), 3600.0),
+    "equilibria": 3600.0,
 }  # fmt: skip
 """s after which a command stops unless --limit says otherwise: the slowest search that we ship, 100 links, takes 46,
 the longest proof an hour. `search` has its budget; the others go on for as long as they are let."""
@@ -53,7 +55,7 @@ the longest proof an hour. `search` has its budget; the others go on for as long
 
 PURPOSES = {
     "Find": ("problems", "init", "guess", "run", "simulate", "sweep", "search", "atlas", "section"),
-    "Follow": ("continue", "torus", "manifold", "connect"),
+    "Follow": ("equilibria", "continue", "torus", "manifold", "connect"),
     "Prove": ("verify", "prove", "refine"),
     "Use": ("stabilise", "export"),
     "Look": ("show", "studio", "plot", "animate", "page", "reproduce"),
@@ -164,7 +166,7 @@ def cli() -> None:
 
 
 for command in (
-    problems, run, verify, simulate, init, guess, sweep, continue_, section, manifold, connect, torus, stabilise,
-    search, atlas, prove, refine, export, show, plot, animate, page, studio, reproduce, doctor, completion,
+    problems, run, verify, simulate, init, guess, sweep, equilibria, continue_, section, manifold, connect, torus,
+    stabilise, search, atlas, prove, refine, export, show, plot, animate, page, studio, reproduce, doctor, completion,
 ):  # fmt: skip
     cli.add_command(command)

@@ -1,0 +1,62 @@
+"""The command `equilibria`: states of rest along a parameter."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+import orbitfinder as of
+from orbitfinder._runtime.keeping import kept
+from orbitfinder.cli.console import display
+from orbitfinder.cli.jobs import folder_of
+from orbitfinder.cli.options import FILES, FINITE, finish, option, text, usual
+from orbitfinder.errors import InputError
+
+
+@click.command()
+@click.argument("file", type=FILES)
+@option("parameter", "The physical parameter to follow in.", required=True)
+@option("until", "Its value to stop at; without one both ways are gone.", kind=FINITE)
+@option("at", "A value at which an equilibrium is computed exactly; may be given again.", kind=FINITE, multiple=True)
+@option("points", "The most in each direction.", 400, (1, 100_000))
+@option("name", "Name of the curve; the file's when left out.")
+@usual("Folder for DIR/<name>/equilibria.json.", "equilibria")
+def equilibria(
+    file: Path, parameter: str, until: float | None, at: tuple[float, ...], points: int, name: str | None, out: Path,
+    trust: bool,
+) -> None:  # fmt: skip
+    """Follow the equilibria of the system of a problem FILE, with folds, branch points and Hopf points.
+
+    From the equilibrium near the state of its [guess] or [simulate], or where a simulation from there comes to rest.
+    Each is certified by differences of the rates, each event by the flow. Exit code 0: all certified and --until
+    reached. A run that was killed goes on where it stopped when the same command is given again.
+
+    \b
+    Examples:
+      orbitfinder equilibria problems/gallery/brusselator.toml --parameter rate --until 1.5
+    """
+    from orbitfinder.problemfile.read import load_problem_file
+
+    loaded = load_problem_file(file, trust)
+    if loaded.start is None:
+        raise InputError(f"{file}: guess: missing; give the state near an equilibrium, [guess] or [simulate] state")
+    folder = folder_of(out, name or loaded.name)
+    with display(f"{folder.name}: equilibria of {file}") as shown, kept(folder / "equilibria.json", of.save_equilibria):
+        found = of.follow_equilibria(
+            loaded.model, loaded.start, parameter, until, at=at, points=points, name=folder.name, out=out,
+            progress=lambda rest: shown.say(f"{parameter} {rest.value:.9g}, {rest.stability}"),
+        )  # fmt: skip
+        written = [of.save_equilibria(found, folder / "equilibria.json")]
+    sure = sum(point.certified for point in found.points)
+    true = sum(event.check is not None and event.check.passed for event in found.events)
+    text(f"{written[0]}: {len(found.points)} equilibria, {sure} certified; {found.ends[-1].reason}")
+    for k, event in enumerate(found.events):
+        line = f"  {k} {event.words} at {parameter} = {event.parameter:.12g} +- {event.error:.1g}"
+        if event.kind == "hopf":
+            line += f", period {event.period:.12g}, l1 = {event.lyapunov:.6g}"
+        text(line)
+    document = {"name": folder.name, "parameter": parameter, "points": len(found.points), "certified": sure,
+                "events": found.events, "ends": found.ends, "written": written}  # fmt: skip
+    arrived = until is None or found.ends[-1].kind == "target"
+    finish("equilibria", document, arrived and sure == len(found.points) and true == len(found.events))

@@ -1,0 +1,183 @@
+"""Equilibria as plain numbers, and their file (format "orbitfinder/equilibria")."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orbitfinder._runtime.notebook import Shown, brief
+from orbitfinder.records.codec import Codec, Complexes, Unknown
+from orbitfinder.records.family import End, Reading
+
+
+@dataclass(frozen=True)
+class Equilibrium(Shown):
+    """A state x at which x' = f(x, p) = 0.
+
+    Args:
+        state: x (d), rates 0.
+        value: of the parameter.
+        eigenvalues: of the slopes of f (1/s), those that an integral or a constraint makes 0 left out.
+        stability: stable | unstable | neutral (all on the imaginary axis, or left of it).
+        arclength: along the curve.
+        residual: largest rate by other equations, in the equilibrium's own sizes and pace.
+        certified: whether that, and the eigenvalues from differences of those, agree.
+        free: what else varies along a curve in two parameters, and of Hopf points their frequency.
+
+    Examples:
+        >>> rest = equilibria.points[0]
+        >>> rest.stability, rest.certified
+        ('stable', True)
+    """
+
+    __repr__ = brief("value", "stability", "certified")
+    _sparse = ("free",)
+
+    state: np.ndarray
+    value: float
+    eigenvalues: Complexes
+    stability: str
+    arclength: float = 0.0
+    residual: Unknown = float("nan")
+    certified: bool = False
+    free: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RestEvent(Shown):
+    """Something that happens between two equilibria, solved for.
+
+    `kind`: fold | branch_point | hopf | neutral_saddle (eigenvalues +-a that cross nothing) | mode (a frequency of an
+    undamped equilibrium); in two parameters cusp | bogdanov_takens | generalised_hopf | fold_hopf.
+
+    Args:
+        kind: what.
+        index: of the point before it.
+        arclength: along the curve.
+        parameter: value of the parameter.
+        error: its error bar.
+        state: x (d).
+        eigenvalues: there.
+        check: the critical eigenvalue by the certificate's integrator: 0 where it is as claimed.
+        frequency: of Hopf points, omega in rad/s.
+        period: 2 pi / omega.
+        period_error: its error bar.
+        lyapunov: the first Lyapunov coefficient, <p, q> = <q, q> = 1, divided by 2 omega (Yu. Kuznetsov, Elements of
+            Applied Bifurcation Theory (2004), section 5.4).
+        lyapunov_error: its error bar.
+        criticality: supercritical | subcritical | "" where the coefficient is not known from 0.
+        direction: of branch points the other branch's, over (x, p); of Hopf points Re q and Im q.
+        free: as of an `Equilibrium`.
+
+    Examples:
+        >>> equilibria.events[0].kind, equilibria.events[0].criticality
+        ('hopf', 'supercritical')
+    """
+
+    __repr__ = brief("kind", "parameter", "frequency", "criticality", "index")
+    _sparse = ("check", "free", "direction", "criticality")
+
+    kind: str
+    index: int
+    arclength: float
+    parameter: float
+    error: float
+    state: np.ndarray
+    eigenvalues: Complexes
+    check: Reading | None = None
+    frequency: Unknown = float("nan")
+    period: Unknown = float("nan")
+    period_error: Unknown = float("nan")
+    lyapunov: Unknown = float("nan")
+    lyapunov_error: Unknown = float("nan")
+    criticality: str = ""
+    direction: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    free: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def words(self) -> str:
+        """What happens, for reading."""
+        return f"{self.criticality} {self.kind}".strip().replace("_", " ")
+
+
+@dataclass(frozen=True)
+class Equilibria(Shown):
+    """Equilibria along a parameter, or fold or Hopf points along two.
+
+    Args:
+        name: a word for files.
+        system: plain description that rebuilds the model.
+        parameter: what is followed in.
+        points: in order.
+        events: by arclength.
+        ends: why it ends, before the first point and behind the last.
+        second: the other parameter of a curve in two.
+        along: fold | hopf, what a curve in two parameters is one of.
+
+    Examples:
+        >>> equilibria.parameter, [event.kind for event in equilibria.events], equilibria.ends[-1].kind
+        ('rate', ['hopf'], 'target')
+    """
+
+    __repr__ = brief("name", "parameter", "points", "events", "ends")
+    _sparse = ("second", "along")
+
+    name: str
+    system: Mapping[str, Any]
+    parameter: str
+    points: tuple[Equilibrium, ...]
+    events: tuple[RestEvent, ...] = ()
+    ends: tuple[End, ...] = ()
+    second: str = ""
+    along: str = ""
+
+    def _check(self) -> None:
+        if len({point.state.shape for point in self.points}) != 1:
+            raise ValueError("points: expected one at least, all of one number of components")
+
+
+CODEC = Codec(Equilibria, "equilibria", "`orbitfinder equilibria`", "compute the equilibria again")
+
+
+def save_equilibria(found: Equilibria, path: str | Path) -> Path:
+    """Write an equilibria.json.
+
+    Args:
+        found: the equilibria.
+        path: where.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: where it cannot be written.
+
+    Examples:
+        >>> of.save_equilibria(equilibria, "equilibria.json").name
+        'equilibria.json'
+    """
+    return CODEC.save(found, path)
+
+
+def load_equilibria(path: str | Path) -> Equilibria:
+    """Read an equilibria.json.
+
+    Args:
+        path: of the file.
+
+    Returns:
+        Equilibria.
+
+    Raises:
+        InputError: on anything unreadable.
+
+    Examples:
+        >>> _ = of.save_equilibria(equilibria, "equilibria.json")
+        >>> len(of.load_equilibria("equilibria.json").events)
+        1
+    """
+    return CODEC.load(path)

@@ -1,0 +1,444 @@
+"""Rest as a continuation problem: equilibria, and what is singular among them, in one parameter or two.
+
+With G(z, p) = 0 the equations of rest and E their mass matrix (`integrate.jets`), what is followed is
+
+    regular         G = 0
+    fold            G = 0,  G_z a = 0,  c.a = 1
+    hopf            G = 0,  G_z a = -kappa E b,  G_z b = E a,  c.a = 1,  c.b = 0      eigenvalues^2 = -kappa
+    branch_point    G = -mu psi0,  G_z^T psi = 0,  G_p.psi = 0,  psi0.psi = 1
+
+the last three with one parameter solved for, or along a curve in two. A Hopf point's q = a + i omega b; where kappa
+goes through 0 the curve goes on, as one of neutral saddles. Sources: A. Griewank, G. Reddien, IMA J. Numer. Anal. 3
+(1983) 295-303; Yu. Kuznetsov, Elements of Applied Bifurcation Theory (2004), chapter 10.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+from scipy.linalg.lapack import dgetrf, dgetrs
+
+from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.errors import ConvergenceError
+from orbitfinder.integrate.jets import Jets
+from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.newton import Settings, Solver
+from orbitfinder.mechanics.scales import LEAST_SHARE, parameter_sizes
+
+SETTINGS = Settings(floor=1e-15, round_off=1e-9, converged=1e-10, most_evaluations=12, contraction=0.05)
+"""Rows are relative to the sizes and the pace of the equilibrium"""
+ROUND_OFF = 4 * float(np.finfo(float).eps)
+"""What each row is known to, relative to the sizes of its terms"""
+
+
+@dataclass(frozen=True, eq=False)
+class Numbers:
+    """Unknowns that are numbers only."""
+
+    vector: np.ndarray
+
+    def moved(self, step: np.ndarray) -> Numbers:
+        """So much farther."""
+        return Numbers(self.vector + step)
+
+
+class Dense:
+    """Derivatives as a matrix whose columns and rows are scaled."""
+
+    def __init__(self, matrix: np.ndarray, sizes: np.ndarray) -> None:
+        self.matrix, self.sizes = matrix, sizes
+
+    def closed(self, rows: np.ndarray) -> Solver:
+        """See `continuation.problem.Linear`."""
+        whole = np.vstack([self.matrix, rows * self.sizes])
+        factors, pivots, fault = dgetrf(whole)
+        if fault:
+            raise ConvergenceError("the equations of rest are singular")
+        return lambda right: np.asarray(-dgetrs(factors, pivots, right)[0] * self.sizes)
+
+
+@dataclass(frozen=True, eq=False)
+class AtRest:
+    """The problem: `kind` as above, sizes of z (d + extra), of the parameters and of the rates, references.
+
+    `phase` (k x d) are the generators of symmetries that nothing fixes, `c` and `kept` the numbers above.
+    """
+
+    jets: Jets
+    kind: str
+    z_sizes: np.ndarray
+    p_sizes: np.ndarray
+    pace: float
+    kept: np.ndarray
+    phase: np.ndarray
+    origin: np.ndarray
+    c: np.ndarray
+    settings: Settings = SETTINGS
+
+    @property
+    def count(self) -> int:
+        """Components of z."""
+        return self.jets.size + self.jets.extra
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """Sizes of all unknowns: z, what is singular in units of z, the parameters last."""
+        more = {"regular": 0, "fold": self.count, "hopf": 2 * self.count + 1, "branch_point": self.count + 1}
+        return np.concatenate([self.z_sizes, np.ones(more[self.kind]), self.p_sizes])
+
+    def parts(self, w: Numbers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """z, p and what is between them."""
+        vector, count = w.vector, len(self.p_sizes)
+        return vector[: self.count], vector[vector.size - count :], vector[self.count : vector.size - count]
+
+    def scaled(self, z: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """G with its phases, its slopes in z (square) and in p, all in units."""
+        rows, by_z, by_p = self.jets.first(z, p, self.kept)
+        sizes, units = self.row_sizes, self.z_sizes
+        g, gz, gp = rows.ravel() / sizes, by_z.T * units / sizes[:, None], by_p.T * self.p_sizes / sizes[:, None]
+        if len(self.phase):
+            d = self.jets.size
+            g = np.append(g, self.phase @ ((z[:d] - self.origin) / units[:d]))
+            gz = np.vstack([gz, np.pad(self.phase, ((0, 0), (0, units.size - d)))])
+            gp = np.vstack([gp, np.zeros((len(self.phase), gp.shape[1]))])
+        return g, gz, gp
+
+    @property
+    def row_sizes(self) -> np.ndarray:
+        """What G is measured in: sizes of the state a unit of time, and what the rest changes by at unit steps."""
+        return np.concatenate([self.z_sizes[: self.jets.size] * self.pace, self.kept_sizes])
+
+    @property
+    def kept_sizes(self) -> np.ndarray:
+        """What rows behind the rates are measured in."""
+        d = self.jets.size
+        z = np.concatenate([self.origin, np.zeros(self.jets.extra)])
+        by_z = self.jets.first(z, self.jets.model.parameter_values[self._free], self.kept)[1].T[d:]
+        return np.asarray(nonzero(np.abs(by_z * self.z_sizes).max(axis=1, initial=0.0)))
+
+    @property
+    def _free(self) -> list[int]:
+        return [self.jets.model.parameter_index(name) for name in self.jets.free]
+
+    @property
+    def row_sizes_square(self) -> np.ndarray:
+        """The same with those of the phases."""
+        return np.append(self.row_sizes, np.ones(len(self.phase)))
+
+    def second(self, z: np.ndarray, p: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """The slopes in (z, p) of G_z v, in units, with rows of 0 for the phases."""
+        units = np.concatenate([self.z_sizes, self.p_sizes])
+        found = self.jets.second(z, p, v * self.z_sizes) * units / self.row_sizes[:, None]
+        return np.vstack([found, np.zeros((len(self.phase), units.size))])
+
+    def rows(self, w: Numbers) -> np.ndarray:
+        """F(w)."""
+        return self._assembled(w, False)[0]
+
+    def linearise(self, w: Numbers) -> tuple[np.ndarray, Dense]:
+        """F(w) and its derivatives."""
+        rows, matrix = self._assembled(w, True)
+        return rows, Dense(matrix, self.sizes)
+
+    def _assembled(self, w: Numbers, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
+        z, p, more = self.parts(w)
+        g, gz, gp = self.scaled(z, p)
+        if not (np.isfinite(g).all() and np.isfinite(gz).all()):
+            raise ConvergenceError("the equations of rest leave the numbers")
+        if self.kind == "regular":
+            return g, np.hstack([gz, gp])
+        return getattr(self, f"_{self.kind}")(z, p, more, (g, gz, gp), slopes)  # type: ignore[no-any-return]
+
+    def _fold(
+        self, z: np.ndarray, p: np.ndarray, a: np.ndarray, given: Any, slopes: bool
+    ) -> tuple[np.ndarray, np.ndarray]:
+        g, gz, gp = given
+        rows = np.concatenate([g, gz @ a, [self.c @ a - 1.0]])
+        if not slopes:
+            return rows, rows
+        count, turned, zeros = self.count, self.second(z, p, a), np.zeros((self.count, self.count))
+        return rows, np.vstack([
+            np.hstack([gz, zeros, gp]), np.hstack([turned[:, :count], gz, turned[:, count:]]),
+            np.concatenate([np.zeros(count), self.c, np.zeros(p.size)]),
+        ])  # fmt: skip
+
+    def _hopf(
+        self, z: np.ndarray, p: np.ndarray, more: np.ndarray, given: Any, slopes: bool
+    ) -> tuple[np.ndarray, np.ndarray]:
+        (g, gz, gp), count = given, self.count
+        a, b, kappa = more[:count], more[count:-1], more[-1]
+        mass = self.mass
+        rows = np.concatenate([g, gz @ a + kappa * mass * b, gz @ b - mass * a, [self.c @ a - 1.0, self.c @ b]])
+        if not slopes:
+            return rows, rows
+        first, second, zeros = self.second(z, p, a), self.second(z, p, b), np.zeros((count, count))
+        column, none = (mass * b)[:, None], np.zeros((count, 1))
+        ends = np.zeros((2, self.sizes.size))
+        ends[0, count : 2 * count] = ends[1, 2 * count : 3 * count] = self.c
+        return rows, np.vstack([
+            np.hstack([gz, zeros, zeros, none, gp]),
+            np.hstack([first[:, :count], gz, kappa * np.diag(mass), column, first[:, count:]]),
+            np.hstack([second[:, :count], -np.diag(mass), gz, none, second[:, count:]]), ends,
+        ])  # fmt: skip
+
+    def _branch_point(
+        self, z: np.ndarray, p: np.ndarray, more: np.ndarray, given: Any, slopes: bool
+    ) -> tuple[np.ndarray, np.ndarray]:
+        (g, gz, gp), count = given, self.count
+        mu, psi = more[0], more[1:]
+        rows = np.concatenate([g + mu * self.c, gz.T @ psi, gp.T @ psi, [self.c @ psi - 1.0]])
+        if not slopes:
+            return rows, rows
+        units, known = np.concatenate([self.z_sizes, self.p_sizes]), count - len(self.phase)
+        hessian = self.jets.weighted(z, p, psi[:known] / self.row_sizes) * units * units[:, None]
+        both = np.hstack([gz, gp]).T
+        return rows, np.vstack([
+            np.hstack([gz, self.c[:, None], np.zeros((count, count)), gp]),
+            np.hstack([hessian[:, :count], np.zeros((count + p.size, 1)), both, hessian[:, count:]]),
+            np.concatenate([np.zeros(count + 1), self.c, np.zeros(p.size)]),
+        ])  # fmt: skip
+
+    @property
+    def mass(self) -> np.ndarray:
+        """The diagonal of E (with the phases' zeros)."""
+        return np.concatenate([np.ones(self.jets.size), np.zeros(self.jets.extra)])
+
+    def phases(self, w: Numbers) -> np.ndarray:
+        """None: they are rows."""
+        return np.zeros((0, w.vector.size))
+
+    def metric(self, w: Numbers) -> np.ndarray:
+        """The mean square of the state's components, and of each parameter; of kappa where it is one."""
+        d, metric = self.jets.size, np.zeros(w.vector.size)
+        metric[:d] = 1.0 / (d * self.z_sizes[:d] ** 2)
+        metric[w.vector.size - self.p_sizes.size :] = self.p_sizes**-2.0
+        return metric
+
+    def value(self, w: Numbers, name: str) -> float:
+        """Of a parameter."""
+        return float(w.vector[w.vector.size - self.p_sizes.size + self.jets.free.index(name)])
+
+    def aim(self, w: Numbers, name: str, value: float) -> tuple[float, np.ndarray]:
+        """A parameter at a value, in its units."""
+        index = self.jets.free.index(name) - self.p_sizes.size
+        row = np.zeros(w.vector.size)
+        row[index] = 1.0 / self.p_sizes[index]
+        return (float(w.vector[index]) - value) * float(row[index]), row
+
+    def at(self, w: Numbers, tangent: np.ndarray) -> tuple[Self, Numbers, np.ndarray]:
+        """With references and sizes of an accepted w."""
+        z, p, more = self.parts(w)
+        renewed = self.seen(z)
+        if self.kind == "regular":
+            z = np.where(np.abs(z) <= ROUND_OFF * renewed.z_sizes, 0.0, z)
+            w = Numbers(np.concatenate([z, p]))
+            renewed = replace(renewed, origin=z[: self.jets.size], phase=_phase(self.jets, z, p, renewed.z_sizes))
+        elif self.kind in ("fold", "hopf"):  # a reference that stays along the vector
+            a, count = more[: self.count], self.count
+            c = a / (a @ a)
+            renewed, vector = replace(renewed, c=c), w.vector.copy()
+            if self.kind == "hopf":  # a + i omega b turned so that c.b = 0
+                b, kappa = more[count : 2 * count], more[-1]
+                share = float(c @ b)
+                turned, other = a + kappa * share * b, b - share * a
+                scale = float(c @ turned)
+                vector[count : 2 * count] = turned / scale
+                vector[2 * count : 3 * count] = (other - (c @ other) / scale * turned) / scale
+                w = Numbers(vector)
+        metric = renewed.metric(w)
+        return renewed, w, tangent / np.sqrt(float(tangent @ (metric * tangent)))
+
+    def seen(self, z: np.ndarray) -> Self:
+        """With sizes no smaller than those of another equilibrium."""
+        d = self.jets.size
+        sizes = np.append(np.maximum(self.z_sizes[:d], np.abs(z[:d])), self.z_sizes[d:])
+        return self if self.kind != "regular" else replace(self, z_sizes=sizes)
+
+    def carried(self, w: Numbers, onto: Numbers) -> Numbers:  # noqa: ARG002 - of the protocol
+        """Itself: there is no mesh."""
+        return w
+
+
+def _phase(jets: Jets, z: np.ndarray, p: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """The directions (k x d) of symmetries at a state, in units, each of length 1."""
+    rows = jets.generators(z[: jets.size], p)[0] / sizes[: jets.size]
+    return np.asarray(rows / nonzero(np.linalg.norm(rows, axis=1, keepdims=True)))
+
+
+def regular(jets: Jets, state: np.ndarray, values: np.ndarray, span: np.ndarray | None = None) -> AtRest:
+    """The problem of equilibria about a state; `span` (of the parameters) are ways that are to be gone."""
+    model, d = jets.model, jets.size
+    z = np.concatenate([state, np.zeros(jets.extra)])
+    kept = jets.kept_at(state)
+    p_sizes = parameter_sizes(model, jets.free, values)
+    p_sizes = np.maximum(p_sizes, 0.0 if span is None else np.abs(span))
+    by_z = jets.first(z, values, kept)[1].T
+    sizes = state_sizes(model, np.abs(state))
+    pace = float(np.abs(np.linalg.eigvals(by_z[:d, :d] * sizes / sizes[:, None])).max(initial=0.0)) or 1.0
+    if model.rates is None:
+        n = model.degrees_of_freedom
+        sizes[n:] = sizes[:n] * pace
+    pushes = np.abs(by_z[:d, d:] / sizes[:, None]).max(axis=0, initial=0.0) / pace
+    z_sizes = np.concatenate([sizes, 1.0 / nonzero(pushes)])
+    return AtRest(
+        jets, "regular", z_sizes, p_sizes, pace, kept, _phase(jets, z, values, z_sizes), state, np.zeros(0)
+    )  # fmt: skip
+
+
+def state_sizes(model: Model, largest: np.ndarray) -> np.ndarray:
+    """What states (d) are measured in whose components are at most so large: angles in rad, the others in themselves,
+    in a tenth of the largest where they are 0."""
+    angular = np.resize(model.angular, largest.size)
+    share = LEAST_SHARE * float(largest[~angular].max(initial=0.0)) or 1.0
+    return np.where(angular, np.maximum(1.0, largest), np.where(largest > 0.0, largest, share))
+
+
+def without_noise(problem: AtRest, z: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """z with 0 for what is 0 to the error bars of a regular equilibrium."""
+    gz = np.abs(problem.scaled(z, p)[1])
+    try:
+        inverse = np.abs(np.linalg.inv(problem.scaled(z, p)[1]))
+    except np.linalg.LinAlgError:
+        return z
+    bars = inverse @ (ROUND_OFF * (gz @ np.abs(z / problem.z_sizes))) * problem.z_sizes
+    return np.where(np.abs(z) <= bars, 0.0, z)
+
+
+def eigenvalues(problem: AtRest, z: np.ndarray, p: np.ndarray, slopes: np.ndarray | None = None) -> np.ndarray:
+    """Of the linearised flow (1/s), those that integrals, constraints and symmetries make 0 left out."""
+    d, jets = problem.jets.size, problem.jets
+    gz = problem.scaled(z, p)[1] if slopes is None else slopes
+    a = gz[:d, :d]
+    if gz.shape[0] > d:
+        units = problem.z_sizes[:d]
+        rows = np.vstack([gz[d:, :d], jets.generators(z[:d], p)[1] * units])
+        _, values, right = np.linalg.svd(rows)
+        basis = right[np.count_nonzero(values > 1e-9 * values.max(initial=0.0)) :]
+        a = basis @ a @ basis.T
+    return np.asarray(np.linalg.eigvals(a) * problem.pace)
+
+
+def singular(problem: AtRest, z: np.ndarray, p: np.ndarray, kind: str) -> tuple[AtRest, Numbers]:
+    """The problem of what is singular near an equilibrium, and a guess of it."""
+    gz = problem.scaled(z, p)[1]
+    left, _, right = np.linalg.svd(gz)
+    if kind == "fold":
+        a = right[-1]
+        return replace(problem, kind=kind, c=a), Numbers(np.concatenate([z, a, p]))
+    if kind == "branch_point":
+        psi = left[:, -1]
+        return replace(problem, kind=kind, c=psi), Numbers(np.concatenate([z, [0.0], psi, p]))
+    values, vectors = _pencil(gz, problem.mass)
+    i, j = critical_pair(values)
+    turning = abs(values[i].imag) >= abs(values[i].real)
+    kappa = float(abs(values[i] * values[j])) * (1.0 if turning else -1.0)
+    if kappa > 0:  # q = a + i omega b
+        q = vectors[:, i] if values[i].imag > 0 else vectors[:, i].conj()
+        q = q * np.exp(-0.5j * np.angle(np.sum(q**2)))  # Re q and Im q across each other, the first the longer
+        a, b = q.real, q.imag / np.sqrt(kappa)
+    else:
+        u, v = vectors[:, i].real, vectors[:, j].real
+        first, second = values[i].real, values[j].real
+        a, b = u + v, u / first + v / second
+    c = a / (a @ a)
+    b = b - (c @ b) * a if kappa <= 0 else b
+    return replace(problem, kind=kind, c=c), Numbers(np.concatenate([z, a, b, [kappa], p]))
+
+
+def _pencil(gz: np.ndarray, mass: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues and vectors of G_z v = lambda E v, the infinite ones left out."""
+    if mass.all():
+        values, vectors = np.linalg.eig(gz)
+        return values, vectors
+    shift = 0.7364  # none of them, in units of the pace
+    inverse, right = np.linalg.eig(np.linalg.solve(gz - shift * np.diag(mass), np.diag(mass)))
+    finite = np.abs(inverse) > 1e-9
+    return shift + 1.0 / inverse[finite], right[:, finite]
+
+
+def critical_pair(values: np.ndarray) -> tuple[int, int]:
+    """The two eigenvalues whose sum is the least, of those that are not both 0."""
+    sums = np.abs(values[:, None] + values[None, :])
+    sums[np.diag_indices(values.size)] = np.inf
+    i, j = np.unravel_index(int(np.argmin(sums)), sums.shape)
+    return int(i), int(j)
+
+
+def error_bars(problem: AtRest, w: Numbers) -> np.ndarray:
+    """Of all unknowns of a square problem: what round-off of its terms, and what is left of its rows, moves them by."""
+    rows, linear = problem.linearise(w)
+    inverse = np.abs(np.linalg.inv(linear.matrix))
+    terms = np.abs(linear.matrix) @ np.abs(w.vector / problem.sizes)
+    return np.asarray(inverse @ (np.abs(rows) + ROUND_OFF * terms) * problem.sizes)
+
+
+def solve_square(problem: AtRest, guess: Numbers, most: int = 30) -> Numbers:
+    """A solution of a problem with as many rows as unknowns: whole Newton steps until they no longer shrink.
+
+    Raises `ConvergenceError`.
+    """
+    w, last = guess, np.inf
+    for _ in range(most):
+        rows, linear = problem.linearise(w)
+        try:
+            step = linear.closed(np.zeros((0, w.vector.size)))(rows)
+        except ConvergenceError:
+            break
+        w, length = w.moved(step), float(np.abs(step / problem.sizes).max())
+        if not length < 1e3:
+            break
+        if (length < 1e-9 and length > 0.3 * last) or length == 0.0:
+            return w
+        last = length
+    raise ConvergenceError("the equations of a singular equilibrium were not solved")
+
+
+Form = Callable[..., np.ndarray]
+"""Of two or three vectors"""
+
+
+def forms(jets: Jets, z: np.ndarray, p: np.ndarray) -> tuple[Form, Form]:
+    """The second and third derivatives of G in z as forms of complex vectors, in the model's units."""
+    count = z.size
+
+    def second(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return np.asarray(jets.second(z, p, u.real)[:, :count] @ v + 1j * (jets.second(z, p, u.imag)[:, :count] @ v))
+
+    def third(u: np.ndarray, v: np.ndarray, w: np.ndarray) -> np.ndarray:
+        pairs = [(i * j, a, b) for i, a in ((1, u.real), (1j, u.imag)) for j, b in ((1, v.real), (1j, v.imag))]
+        return np.asarray(sum(factor * (jets.third(z, p, a, b) @ w) for factor, a, b in pairs))
+
+    return second, third
+
+
+def lyapunov(problem: AtRest, z: np.ndarray, p: np.ndarray, omega: float) -> tuple[float, np.ndarray]:
+    """The first Lyapunov coefficient of a Hopf point of frequency omega (rad/s), and q.
+
+    l1 = Re [<p, C(q, q, q*)> - 2 <p, B(q, A^-1 B(q, q*))> + <p, B(q*, (2 i omega - A)^-1 B(q, q))>] / 2 omega.
+    """
+    jets, d = problem.jets, problem.jets.size
+    rows, by_z, _ = jets.first(z, p, problem.kept)
+    a = by_z.T
+    if len(problem.phase):
+        a = np.vstack([a, np.pad(problem.phase / problem.z_sizes[:d], ((0, 0), (0, z.size - d)))])
+    units = problem.z_sizes  # conditioned, and back
+    mass = np.diag(problem.mass)
+    values, vectors = _pencil(a * units / problem.row_sizes_square[:, None], problem.mass)
+    q = units * vectors[:, np.argmin(np.abs(values - 1j * omega / problem.pace))]
+    left_values, left = _pencil((a * units / problem.row_sizes_square[:, None]).T, problem.mass)
+    weight = left[:, np.argmin(np.abs(left_values - 1j * omega / problem.pace))].conj() / problem.row_sizes_square
+    q = q / np.linalg.norm(q[:d])
+    weight = weight / np.conj(weight.conj() @ (mass @ q))
+    second, third = forms(jets, z, p)
+    none = np.zeros(len(problem.phase))
+
+    def solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+        scales = problem.row_sizes_square
+        return np.asarray(units * np.linalg.solve(matrix * units / scales[:, None], np.append(right, none) / scales))
+
+    mean, double = solved(a, second(q, q.conj())), solved(2j * omega * mass - a, second(q, q))
+    terms = third(q, q, q.conj()) - 2 * second(q, mean) + second(q.conj(), double)
+    return float((weight.conj()[: terms.size] @ terms).real / (2 * omega)), q[:d]
