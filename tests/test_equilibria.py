@@ -12,8 +12,9 @@ import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.equilibria import verified
-from orbitfinder.families.rest_problem import Numbers, regular, singular
+from orbitfinder.families.rest_problem import Stacked, regular, singular
 from orbitfinder.integrate.jets import at_rest
+from orbitfinder.show.equilibria import stretched
 
 
 def morris_lecar(current=50.0, units=(1.0, 1.0)):
@@ -158,8 +159,8 @@ def test_derivatives_are_those_of_differences():
     problem = regular(at_rest(model, ("I",), state), state, value)
     for kind in ("fold", "hopf", "branch_point"):
         extended, guess = singular(problem, state + 0.5, value, kind)
-        start = Numbers(guess.vector * (1 + 0.01 * np.random.default_rng(1).normal(size=guess.vector.size)))
-        rows, linear = extended.linearise(start)
+        start = Stacked(guess.vector * (1 + 0.01 * np.random.default_rng(1).normal(size=guess.vector.size)))
+        linear = extended.linearise(start)[1]
         for k, size in enumerate(extended.sizes):
             step = np.zeros(extended.sizes.size)
             step[k] = 1e-5 * size
@@ -185,12 +186,14 @@ def test_planted_faults_are_seen():
     wrong = {
         "rates": replace(first, state=first.state + 1e-9),
         "eigenvalues": replace(first, eigenvalues=first.eigenvalues * (1 + 1e-5)),
-        "stability": replace(first, stability="unstable"),
+        "verdicts": replace(first, stability="unstable"),
     }
     for name, point in wrong.items():
         assert name in verified(replace(found, points=(point, *found.points[1:])), model).failures
-    moved = replace(event, frequency=event.frequency * 1.001)
+    moved = replace(event, frequency=event.frequency * 1.001, critical=event.critical * 1.001)
     assert verified(replace(found, events=(moved,)), model).failures == ("critical eigenvalues",)
+    for other in (replace(event, critical=event.critical * 1.001), replace(event, kind="fold")):
+        assert "verdicts" in verified(replace(found, events=(other,)), model).failures
 
 
 def test_both_ways_are_gone_and_a_journal_goes_on(tmp_path):
@@ -209,6 +212,17 @@ def test_both_ways_are_gone_and_a_journal_goes_on(tmp_path):
     again = of.load_equilibria(file)
     assert [p.value for p in again.points] == [p.value for p in longer.points]
     assert again.events[0].lyapunov == longer.events[0].lyapunov and verified(again, model).passed
+
+
+def test_pictures_change_their_line_at_the_event():
+    """Stretches of one stability meet where it changes."""
+    cubic = of.ode(lambda t, x, p: [p[0] + x[0] - x[0] ** 3], ["x"], parameters={"r": -1.0})
+    found = of.follow_equilibria(cubic, [-1.3], "r", until=1.0)
+    places = sorted((*found.points, *found.events), key=lambda place: place.arclength)
+    parts = stretched(places)
+    assert [stable for _, stable in parts] == [True, False, True]
+    meets = [places[part.stop - 1] for part, _ in parts[:-1]]
+    assert meets == list(found.events) and [places[part.start] for part, _ in parts[1:]] == meets
 
 
 @pytest.mark.parametrize("change, message", [

@@ -159,6 +159,8 @@ def values():
         Variables(model, problem.boundary, (), (), ca.MX.sym("T"), {}, ca.MX.sym("p"), list),
         load_problem_file(ROOT / "problems" / "report" / "triple-1.toml"), ring, pace,
         of.Tori("around", model.system, "rotation", {"energy": -1.0}, (ring,)), of.TorusSettings(),
+        of.Equilibria("rest", {}, "b", (of.Equilibrium(np.zeros(2), 1.0, np.zeros(2, complex), "neutral"),)),
+        of.Equilibrium(np.zeros(2), 1.0, np.zeros(2, complex), "neutral"),
         of.Optima("kept", "damping", (orbit,), np.zeros(1), (0,)),
     ]  # fmt: skip
     return {type(one).__name__: one for one in found}

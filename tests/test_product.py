@@ -100,7 +100,8 @@ def records(tmp_path_factory):
     (folder / "text.txt").write_text("no record\n")
     names = {"optima": "optima.json", "tori": "tori.json", "section": "section.json", "manifold": "manifold.json",
              "connection": "connection.json", "controller": "held.json", "equilibria": "equilibria.json",
-             "journal": "family.jsonl", "text": "text.txt", "export": "export.json", "empty export": "empty.json", "export#": "export.json#0",
+             "journal": "family.jsonl", "text": "text.txt", "export": "export.json",
+             "empty export": "empty.json", "export#": "export.json#0",
              "optima#": "optima.json#1", "tori#": "tori.json#0"}  # fmt: skip
     return SHIPPED | {kind: folder / name for kind, name in names.items()}
 
@@ -192,7 +193,7 @@ def test_a_page_and_the_studio_have_something_to_show_or_say_what_they_take(kind
 
 
 LOADERS = (of.load_orbit, of.load_family, of.load_optima, of.load_tori, of.load_controller, of.sections.load_section,
-           of.sections.load_manifold, of.sections.load_connection)  # fmt: skip
+           of.sections.load_manifold, of.sections.load_connection, of.load_equilibria)  # fmt: skip
 
 
 def test_every_reader_takes_its_own_files_and_refuses_the_others(records):
@@ -206,7 +207,7 @@ def test_every_reader_takes_its_own_files_and_refuses_the_others(records):
     assert set(KINDS) - set(read) == {"branch-proof", "atlas", "export", "empty export", "tori#", "journal", "text"}
 
 
-@pytest.mark.parametrize("kind", ["optima", "tori", "section", "manifold", "connection", "controller"])
+@pytest.mark.parametrize("kind", ["optima", "tori", "section", "manifold", "connection", "controller", "equilibria"])
 def test_damaged_records_are_read_or_refused_in_a_sentence(kind, records, tmp_path):
     load, path = next(one for one in LOADERS if one.__name__ == f"load_{kind}"), tmp_path / "record.json"
     data, beside, read = records[kind].read_bytes(), records[kind].with_suffix(".npz"), 0

@@ -53,7 +53,7 @@ def equilibria(
     text(f"{written[0]}: {len(found.points)} equilibria, {sure} certified; {found.ends[-1].reason}")
     for k, event in enumerate(found.events):
         line = f"  {k} {event.words} at {parameter} = {event.parameter:.12g} +- {event.error:.1g}"
-        if event.kind == "hopf":
+        if event.frequency > 0:
             line += f", period {event.period:.12g}, l1 = {event.lyapunov:.6g}"
         text(line)
     document = {"name": folder.name, "parameter": parameter, "points": len(found.points), "certified": sure,

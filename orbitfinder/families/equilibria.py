@@ -20,7 +20,7 @@ from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, c
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
 from orbitfinder.families.rest_problem import (
     AtRest,
-    Numbers,
+    Stacked,
     eigenvalues,
     error_bars,
     lyapunov,
@@ -199,7 +199,7 @@ class _Way:
         """The first point."""
         model = self.problem.jets.model
         start = float(model.parameter_values[model.parameter_index(self.parameter)])
-        w = Numbers(np.append(self.rest, start))
+        w = Stacked(np.append(self.rest, start))
         point = solved(self.problem, w, lambda w: self.problem.aim(w, self.parameter, start))
         return replace(point, tangent=point.tangent * self.sign * towards(point, self.parameter, self.until))
 
@@ -232,8 +232,8 @@ class _Way:
         if w.shape != tangent.shape or w.size != self.rest.size + 1:
             raise ValueError("a point of another size")
         problem = replace(self.problem, z_sizes=np.array(entry["sizes"], float))
-        problem = problem.at(Numbers(w), tangent)[0]
-        point = Point(problem, Numbers(w), tangent, float(entry["arclength"]), float(entry["step"]))
+        problem = problem.at(Stacked(w), tangent)[0]
+        point = Point(problem, Stacked(w), tangent, float(entry["arclength"]), float(entry["step"]))
         return point, self.record(point)
 
 
@@ -306,35 +306,65 @@ def by_the_flow(model: Model, state: np.ndarray, sizes: np.ndarray, pace: float,
 
 def _event(kept: KeptPoint, way: _Way, index: int) -> RestEvent | None:
     """What is singular near a located point, solved for; None where it is nothing."""
-    problem, kind = kept.point.problem, kept.role
+    problem = kept.point.problem
     z, p, _ = problem.parts(kept.point.w)
     try:
-        extended, guess = singular(problem, z, p, kind)
+        extended, guess = singular(problem, z, p, kept.role)
         w = solve_square(extended, guess)
     except (ConvergenceError, np.linalg.LinAlgError):
         return None
     bars, count, d = error_bars(extended, w), extended.count, problem.jets.size
-    w = Numbers(np.where(np.abs(w.vector) <= bars, 0.0, w.vector))  # what is 0 to its error bar
+    w = Stacked(np.where(np.abs(w.vector) <= bars, 0.0, w.vector))  # what is 0 to its error bar
     z, p, more = extended.parts(w)
     if np.abs((z - kept.point.w.vector[:count]) / problem.z_sizes).max() > 1e-3:
         return None  # another one
     model = with_parameters(problem.jets.model, {way.parameter: float(p[0])})
     found = _recorded(problem, z, p, kept.point.arclength * way.sign, way.parameter)
-    known: dict[str, Any] = {}
-    claimed: complex = 0.0
-    if kind == "hopf":
-        kappa, known = float(more[-1]), {}
-        claimed = np.sqrt(complex(-kappa)) * problem.pace
-        kind = "hopf" if kappa > 0 else "neutral_saddle"
-        if kappa > 0:
-            known = _turning(extended, z, p, bars, float(claimed.imag), kappa)
-    elif kind == "branch_point":
-        known = {"direction": _other(problem, z, p, kept.point.tangent)}
+    there = _Singular(extended, z, p, more, bars, kept.point.tangent)
+    name, claimed, known = TOLD[kept.role](there)
     value = by_the_flow(model, z[:d], problem.z_sizes[:d], problem.pace, claimed)
     check = Reading(value, CRITICAL, bool(value <= CRITICAL and found.residual <= RESIDUAL))
     return RestEvent(
-        kind, index, found.arclength, float(p[0]), float(bars[-1]), z[:d], found.eigenvalues, check, **known
+        name, index, found.arclength, float(p[0]), float(bars[-1]), z[:d], found.eigenvalues, check, critical=claimed,
+        **known,
     )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Singular:
+    """A singular equilibrium as it is solved for: z, parameters, what is between them, error bars, tangent there."""
+
+    extended: AtRest
+    z: np.ndarray
+    p: np.ndarray
+    more: np.ndarray
+    bars: np.ndarray
+    tangent: np.ndarray
+
+
+Told = tuple[str, complex, dict[str, Any]]
+"""The kind of an event, its critical eigenvalue (1/s), what else is known of it"""
+
+
+def _fold(_: _Singular) -> Told:
+    return "fold", 0.0 + 0.0j, {}
+
+
+def _crossing(there: _Singular) -> Told:
+    problem = replace(there.extended, form="regular")
+    return "branch_point", 0.0 + 0.0j, {"direction": _other(problem, there.z, there.p, there.tangent)}
+
+
+def _opposite(there: _Singular) -> Told:
+    kappa = float(there.more[-1])
+    rate = float(np.sqrt(abs(kappa)) * there.extended.pace)
+    if kappa <= 0:
+        return "neutral_saddle", complex(rate), {}
+    return "hopf", 1j * rate, _turning(there.extended, there.z, there.p, there.bars, rate, kappa)
+
+
+TOLD = {"fold": _fold, "branch_point": _crossing, "hopf": _opposite}
+"""By what vanishes: what is there"""
 
 
 def _turning(
@@ -388,16 +418,19 @@ def _record(name: str, model: Model, parameter: str, runs: list[tuple[SolutionCu
 
 def _apart(events: list[RestEvent]) -> list[RestEvent]:
     """Without folds that are branch points: of a branch that turns where it crosses another."""
-    crossings = [event for event in events if event.kind == "branch_point"]
+    groups: dict[str, list[RestEvent]] = {"branch_point": [], "fold": []}
+    for event in events:
+        groups.setdefault(event.kind, []).append(event)
 
-    def crossed(event: RestEvent) -> bool:
+    def crossed(fold: RestEvent) -> bool:
         return any(
-            abs(event.parameter - other.parameter) <= 10 * (event.error + other.error)
-            or abs(event.arclength - other.arclength) < 1e-6
-            for other in crossings
+            abs(fold.parameter - other.parameter) <= 10 * (fold.error + other.error)
+            or abs(fold.arclength - other.arclength) < 1e-6
+            for other in groups["branch_point"]
         )
 
-    return [event for event in events if event.kind != "fold" or not crossed(event)]
+    groups["fold"] = [fold for fold in groups["fold"] if not crossed(fold)]
+    return sorted((event for group in groups.values() for event in group), key=lambda event: event.arclength)
 
 
 def verified(equilibria: Equilibria, model: Model | None = None) -> Certificate:
@@ -415,12 +448,11 @@ def verified(equilibria: Equilibria, model: Model | None = None) -> Certificate:
             wrong += point.stability != stability(point.eigenvalues, size)
             continue
         there = with_parameters(model, {equilibria.parameter: value})
-        real = point.eigenvalues[np.argmin(np.abs(point.eigenvalues))]
-        claimed = 1j * point.frequency if point.kind == "hopf" else real if point.kind == "neutral_saddle" else 0.0
-        worst[2] = max(worst[2], by_the_flow(there, state, sizes, size, claimed))
+        wrong += not point.consistent
+        worst[2] = max(worst[2], by_the_flow(there, state, sizes, size, point.critical))
     return Certificate((
         at_most("rates", worst[0], RESIDUAL, "largest rate, in the sizes and the pace of its equilibrium"),
         at_most("eigenvalues", worst[1], SLOPES, "from differences of the rates"),
         at_most("critical eigenvalues", worst[2], CRITICAL, "at the events, by the flow of the variations"),
-        equal("stability", float(wrong), 0.0, "verdicts that their eigenvalues do not bear out"),
+        equal("verdicts", float(wrong), 0.0, "on stability and events, which eigenvalues do not bear out"),
     ))  # fmt: skip

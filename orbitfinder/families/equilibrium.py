@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,6 @@ class Equilibrium(Shown):
         arclength: along the curve.
         residual: largest rate by other equations, in the equilibrium's own sizes and pace.
         certified: whether that, and the eigenvalues from differences of those, agree.
-        free: what else varies along a curve in two parameters, and of Hopf points their frequency.
 
     Examples:
         >>> rest = equilibria.points[0]
@@ -35,8 +34,6 @@ class Equilibrium(Shown):
     """
 
     __repr__ = brief("value", "stability", "certified")
-    _sparse = ("free",)
-
     state: np.ndarray
     value: float
     eigenvalues: Complexes
@@ -44,15 +41,13 @@ class Equilibrium(Shown):
     arclength: float = 0.0
     residual: Unknown = float("nan")
     certified: bool = False
-    free: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class RestEvent(Shown):
     """Something that happens between two equilibria, solved for.
 
-    `kind`: fold | branch_point | hopf | neutral_saddle (eigenvalues +-a that cross nothing) | mode (a frequency of an
-    undamped equilibrium); in two parameters cusp | bogdanov_takens | generalised_hopf | fold_hopf.
+    `kind`: fold | branch_point | hopf | neutral_saddle (eigenvalues +-a that cross nothing).
 
     Args:
         kind: what.
@@ -70,8 +65,8 @@ class RestEvent(Shown):
             Applied Bifurcation Theory (2004), section 5.4).
         lyapunov_error: its error bar.
         criticality: supercritical | subcritical | "" where the coefficient is not known from 0.
+        critical: the eigenvalue that it is told by.
         direction: of branch points the other branch's, over (x, p); of Hopf points Re q and Im q.
-        free: as of an `Equilibrium`.
 
     Examples:
         >>> equilibria.events[0].kind, equilibria.events[0].criticality
@@ -79,7 +74,7 @@ class RestEvent(Shown):
     """
 
     __repr__ = brief("kind", "parameter", "frequency", "criticality", "index")
-    _sparse = ("check", "free", "direction", "criticality")
+    _sparse = ("check", "direction", "criticality")
 
     kind: str
     index: int
@@ -95,8 +90,13 @@ class RestEvent(Shown):
     lyapunov: Unknown = float("nan")
     lyapunov_error: Unknown = float("nan")
     criticality: str = ""
+    critical: complex = 0.0 + 0.0j
     direction: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    free: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def consistent(self) -> bool:
+        """Whether the eigenvalue that it is told by is one of its kind."""
+        return self.kind in CRITICAL and CRITICAL[self.kind](self)
 
     @property
     def words(self) -> str:
@@ -104,9 +104,18 @@ class RestEvent(Shown):
         return f"{self.criticality} {self.kind}".strip().replace("_", " ")
 
 
+CRITICAL: dict[str, Callable[[RestEvent], bool]] = {
+    "fold": lambda event: event.critical == 0.0,
+    "branch_point": lambda event: event.critical == 0.0,
+    "hopf": lambda event: event.critical == 1j * event.frequency and event.frequency > 0,
+    "neutral_saddle": lambda event: event.critical.imag == 0.0 and event.critical.real > 0,
+}
+"""Every kind of event, and what its critical eigenvalue is"""
+
+
 @dataclass(frozen=True)
 class Equilibria(Shown):
-    """Equilibria along a parameter, or fold or Hopf points along two.
+    """Equilibria along a parameter.
 
     Args:
         name: a word for files.
@@ -115,8 +124,6 @@ class Equilibria(Shown):
         points: in order.
         events: by arclength.
         ends: why it ends, before the first point and behind the last.
-        second: the other parameter of a curve in two.
-        along: fold | hopf, what a curve in two parameters is one of.
 
     Examples:
         >>> equilibria.parameter, [event.kind for event in equilibria.events], equilibria.ends[-1].kind
@@ -124,16 +131,12 @@ class Equilibria(Shown):
     """
 
     __repr__ = brief("name", "parameter", "points", "events", "ends")
-    _sparse = ("second", "along")
-
     name: str
     system: Mapping[str, Any]
     parameter: str
     points: tuple[Equilibrium, ...]
     events: tuple[RestEvent, ...] = ()
     ends: tuple[End, ...] = ()
-    second: str = ""
-    along: str = ""
 
     def _check(self) -> None:
         if len({point.state.shape for point in self.points}) != 1:

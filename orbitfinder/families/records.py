@@ -3,6 +3,4 @@
 from orbitfinder.families.equilibrium import load_equilibria
 from orbitfinder.records.registry import KINDS, Kind
 
-KINDS["equilibria"] = Kind(
-    "equilibria", load_equilibria, verify="families.equilibria:verified", plot="show.equilibria:save_equilibria_figure"
-)
+KINDS["equilibria"] = Kind("equilibria", load_equilibria, verify="families.equilibria:verified")

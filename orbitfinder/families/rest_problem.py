@@ -35,14 +35,14 @@ ROUND_OFF = 4 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
-class Numbers:
+class Stacked:
     """Unknowns that are numbers only."""
 
     vector: np.ndarray
 
-    def moved(self, step: np.ndarray) -> Numbers:
+    def moved(self, step: np.ndarray) -> Stacked:
         """So much farther."""
-        return Numbers(self.vector + step)
+        return Stacked(self.vector + step)
 
 
 class Dense:
@@ -62,13 +62,13 @@ class Dense:
 
 @dataclass(frozen=True, eq=False)
 class AtRest:
-    """The problem: `kind` as above, sizes of z (d + extra), of the parameters and of the rates, references.
+    """The problem: `form` as above, sizes of z (d + extra), of the parameters and of the rates, references.
 
     `phase` (k x d) are the generators of symmetries that nothing fixes, `c` and `kept` the numbers above.
     """
 
     jets: Jets
-    kind: str
+    form: str
     z_sizes: np.ndarray
     p_sizes: np.ndarray
     pace: float
@@ -87,9 +87,9 @@ class AtRest:
     def sizes(self) -> np.ndarray:
         """Sizes of all unknowns: z, what is singular in units of z, the parameters last."""
         more = {"regular": 0, "fold": self.count, "hopf": 2 * self.count + 1, "branch_point": self.count + 1}
-        return np.concatenate([self.z_sizes, np.ones(more[self.kind]), self.p_sizes])
+        return np.concatenate([self.z_sizes, np.ones(more[self.form]), self.p_sizes])
 
-    def parts(self, w: Numbers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def parts(self, w: Stacked) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """z, p and what is between them."""
         vector, count = w.vector, len(self.p_sizes)
         return vector[: self.count], vector[vector.size - count :], vector[self.count : vector.size - count]
@@ -134,23 +134,23 @@ class AtRest:
         found = self.jets.second(z, p, v * self.z_sizes) * units / self.row_sizes[:, None]
         return np.vstack([found, np.zeros((len(self.phase), units.size))])
 
-    def rows(self, w: Numbers) -> np.ndarray:
+    def rows(self, w: Stacked) -> np.ndarray:
         """F(w)."""
         return self._assembled(w, False)[0]
 
-    def linearise(self, w: Numbers) -> tuple[np.ndarray, Dense]:
+    def linearise(self, w: Stacked) -> tuple[np.ndarray, Dense]:
         """F(w) and its derivatives."""
         rows, matrix = self._assembled(w, True)
         return rows, Dense(matrix, self.sizes)
 
-    def _assembled(self, w: Numbers, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
+    def _assembled(self, w: Stacked, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
         z, p, more = self.parts(w)
         g, gz, gp = self.scaled(z, p)
         if not (np.isfinite(g).all() and np.isfinite(gz).all()):
             raise ConvergenceError("the equations of rest leave the numbers")
-        if self.kind == "regular":
+        if self.form == "regular":
             return g, np.hstack([gz, gp])
-        return getattr(self, f"_{self.kind}")(z, p, more, (g, gz, gp), slopes)  # type: ignore[no-any-return]
+        return getattr(self, f"_{self.form}")(z, p, more, (g, gz, gp), slopes)  # type: ignore[no-any-return]
 
     def _fold(
         self, z: np.ndarray, p: np.ndarray, a: np.ndarray, given: Any, slopes: bool
@@ -206,48 +206,48 @@ class AtRest:
         """The diagonal of E (with the phases' zeros)."""
         return np.concatenate([np.ones(self.jets.size), np.zeros(self.jets.extra)])
 
-    def phases(self, w: Numbers) -> np.ndarray:
+    def phases(self, w: Stacked) -> np.ndarray:
         """None: they are rows."""
         return np.zeros((0, w.vector.size))
 
-    def metric(self, w: Numbers) -> np.ndarray:
+    def metric(self, w: Stacked) -> np.ndarray:
         """The mean square of the state's components, and of each parameter; of kappa where it is one."""
         d, metric = self.jets.size, np.zeros(w.vector.size)
         metric[:d] = 1.0 / (d * self.z_sizes[:d] ** 2)
         metric[w.vector.size - self.p_sizes.size :] = self.p_sizes**-2.0
         return metric
 
-    def value(self, w: Numbers, name: str) -> float:
+    def value(self, w: Stacked, name: str) -> float:
         """Of a parameter."""
         return float(w.vector[w.vector.size - self.p_sizes.size + self.jets.free.index(name)])
 
-    def aim(self, w: Numbers, name: str, value: float) -> tuple[float, np.ndarray]:
+    def aim(self, w: Stacked, name: str, value: float) -> tuple[float, np.ndarray]:
         """A parameter at a value, in its units."""
         index = self.jets.free.index(name) - self.p_sizes.size
         row = np.zeros(w.vector.size)
         row[index] = 1.0 / self.p_sizes[index]
         return (float(w.vector[index]) - value) * float(row[index]), row
 
-    def at(self, w: Numbers, tangent: np.ndarray) -> tuple[Self, Numbers, np.ndarray]:
+    def at(self, w: Stacked, tangent: np.ndarray) -> tuple[Self, Stacked, np.ndarray]:
         """With references and sizes of an accepted w."""
         z, p, more = self.parts(w)
         renewed = self.seen(z)
-        if self.kind == "regular":
+        if self.form == "regular":
             z = np.where(np.abs(z) <= ROUND_OFF * renewed.z_sizes, 0.0, z)
-            w = Numbers(np.concatenate([z, p]))
+            w = Stacked(np.concatenate([z, p]))
             renewed = replace(renewed, origin=z[: self.jets.size], phase=_phase(self.jets, z, p, renewed.z_sizes))
-        elif self.kind in ("fold", "hopf"):  # a reference that stays along the vector
+        elif self.form in ("fold", "hopf"):  # a reference that stays along the vector
             a, count = more[: self.count], self.count
             c = a / (a @ a)
             renewed, vector = replace(renewed, c=c), w.vector.copy()
-            if self.kind == "hopf":  # a + i omega b turned so that c.b = 0
+            if self.form == "hopf":  # a + i omega b turned so that c.b = 0
                 b, kappa = more[count : 2 * count], more[-1]
                 share = float(c @ b)
                 turned, other = a + kappa * share * b, b - share * a
                 scale = float(c @ turned)
                 vector[count : 2 * count] = turned / scale
                 vector[2 * count : 3 * count] = (other - (c @ other) / scale * turned) / scale
-                w = Numbers(vector)
+                w = Stacked(vector)
         metric = renewed.metric(w)
         return renewed, w, tangent / np.sqrt(float(tangent @ (metric * tangent)))
 
@@ -255,9 +255,9 @@ class AtRest:
         """With sizes no smaller than those of another equilibrium."""
         d = self.jets.size
         sizes = np.append(np.maximum(self.z_sizes[:d], np.abs(z[:d])), self.z_sizes[d:])
-        return self if self.kind != "regular" else replace(self, z_sizes=sizes)
+        return self if self.form != "regular" else replace(self, z_sizes=sizes)
 
-    def carried(self, w: Numbers, onto: Numbers) -> Numbers:  # noqa: ARG002 - of the protocol
+    def carried(self, w: Stacked, onto: Stacked) -> Stacked:  # noqa: ARG002 - of the protocol
         """Itself: there is no mesh."""
         return w
 
@@ -321,16 +321,16 @@ def eigenvalues(problem: AtRest, z: np.ndarray, p: np.ndarray, slopes: np.ndarra
     return np.asarray(np.linalg.eigvals(a) * problem.pace)
 
 
-def singular(problem: AtRest, z: np.ndarray, p: np.ndarray, kind: str) -> tuple[AtRest, Numbers]:
+def singular(problem: AtRest, z: np.ndarray, p: np.ndarray, form: str) -> tuple[AtRest, Stacked]:
     """The problem of what is singular near an equilibrium, and a guess of it."""
     gz = problem.scaled(z, p)[1]
     left, _, right = np.linalg.svd(gz)
-    if kind == "fold":
+    if form == "fold":
         a = right[-1]
-        return replace(problem, kind=kind, c=a), Numbers(np.concatenate([z, a, p]))
-    if kind == "branch_point":
+        return replace(problem, form=form, c=a), Stacked(np.concatenate([z, a, p]))
+    if form == "branch_point":
         psi = left[:, -1]
-        return replace(problem, kind=kind, c=psi), Numbers(np.concatenate([z, [0.0], psi, p]))
+        return replace(problem, form=form, c=psi), Stacked(np.concatenate([z, [0.0], psi, p]))
     values, vectors = _pencil(gz, problem.mass)
     i, j = critical_pair(values)
     turning = abs(values[i].imag) >= abs(values[i].real)
@@ -345,7 +345,7 @@ def singular(problem: AtRest, z: np.ndarray, p: np.ndarray, kind: str) -> tuple[
         a, b = u + v, u / first + v / second
     c = a / (a @ a)
     b = b - (c @ b) * a if kappa <= 0 else b
-    return replace(problem, kind=kind, c=c), Numbers(np.concatenate([z, a, b, [kappa], p]))
+    return replace(problem, form=form, c=c), Stacked(np.concatenate([z, a, b, [kappa], p]))
 
 
 def _pencil(gz: np.ndarray, mass: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -367,7 +367,7 @@ def critical_pair(values: np.ndarray) -> tuple[int, int]:
     return int(i), int(j)
 
 
-def error_bars(problem: AtRest, w: Numbers) -> np.ndarray:
+def error_bars(problem: AtRest, w: Stacked) -> np.ndarray:
     """Of all unknowns of a square problem: what round-off of its terms, and what is left of its rows, moves them by."""
     rows, linear = problem.linearise(w)
     inverse = np.abs(np.linalg.inv(linear.matrix))
@@ -375,7 +375,7 @@ def error_bars(problem: AtRest, w: Numbers) -> np.ndarray:
     return np.asarray(inverse @ (np.abs(rows) + ROUND_OFF * terms) * problem.sizes)
 
 
-def solve_square(problem: AtRest, guess: Numbers, most: int = 30) -> Numbers:
+def solve_square(problem: AtRest, guess: Stacked, most: int = 30) -> Stacked:
     """A solution of a problem with as many rows as unknowns: whole Newton steps until they no longer shrink.
 
     Raises `ConvergenceError`.
@@ -420,8 +420,7 @@ def lyapunov(problem: AtRest, z: np.ndarray, p: np.ndarray, omega: float) -> tup
     l1 = Re [<p, C(q, q, q*)> - 2 <p, B(q, A^-1 B(q, q*))> + <p, B(q*, (2 i omega - A)^-1 B(q, q))>] / 2 omega.
     """
     jets, d = problem.jets, problem.jets.size
-    rows, by_z, _ = jets.first(z, p, problem.kept)
-    a = by_z.T
+    a = jets.first(z, p, problem.kept)[1].T
     if len(problem.phase):
         a = np.vstack([a, np.pad(problem.phase / problem.z_sizes[:d], ((0, 0), (0, z.size - d)))])
     units = problem.z_sizes  # conditioned, and back

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from orbitfinder.families.equilibrium import Equilibria
+from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
 from orbitfinder.mechanics.model import Model
 from orbitfinder.show.style import dress, new_figure, save_all
 from orbitfinder.show.svg import COLOURS, axis
@@ -20,27 +22,38 @@ MOST = 6
 
 def save_equilibria_figure(equilibria: Equilibria, folder: str | Path, model: Model) -> list[Path]:
     """Write `equilibria.png`; returns its path."""
-    states = np.array([point.state for point in equilibria.points])
-    values = np.array([point.value for point in equilibria.points])
-    stable = np.array([point.stability != "unstable" for point in equilibria.points])
+    places = sorted((*equilibria.points, *equilibria.events), key=lambda place: place.arclength)
+    values = np.array([place.value if isinstance(place, Equilibrium) else place.parameter for place in places])
+    states, stretches = np.array([place.state for place in places]), stretched(places)
     count = min(states.shape[1] if model.rates is not None else model.degrees_of_freedom, MOST)
     columns = min(count, 3)
     rows = -(-count // columns)
-    words = f"{len(values)} equilibria along {equilibria.parameter}; solid: stable, dashed: unstable"
+    words = f"{len(equilibria.points)} equilibria along {equilibria.parameter}; solid: stable, dashed: unstable"
     figure = new_figure(3.6 * columns + 1.0, 3.2 * rows + 0.8, equilibria.name, words)
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    edges = [0, *(np.flatnonzero(np.diff(stable)) + 1), len(values)]
     for k, panel in enumerate(panels):
         if k >= count:
             panel.set_visible(False)
             continue
-        for low, high in pairwise(edges):
-            part = slice(max(low - 1, 0), high)
-            panel.plot(values[part], states[part, k], "-" if stable[low] else "--", color=COLOURS[0], linewidth=1.6)
-        for kind in dict.fromkeys(event.kind for event in equilibria.events):
-            places = [(event.parameter, event.state[k]) for event in equilibria.events if event.kind == kind]
+        for part, stable in stretches:
+            panel.plot(values[part], states[part, k], "-" if stable else "--", color=COLOURS[0], linewidth=1.6)
+        marked = defaultdict[str, list[tuple[float, float]]](list)
+        for event in equilibria.events:
+            marked[event.kind].append((event.parameter, event.state[k]))
+        for kind, places in marked.items():
             panel.plot(*np.array(places).T, MARKS.get(kind, "."), color=COLOURS[1], label=kind.replace("_", " "))
         dress(panel, equilibria.parameter, axis(model, k))
     if equilibria.events:
         panels[0].legend(loc="best", frameon=False, fontsize=8)
     return save_all({"equilibria": figure}, folder)
+
+
+def stretched(places: Sequence[Equilibrium | RestEvent]) -> list[tuple[slice, bool]]:
+    """Equilibria and events in their order as stretches of one stability, with the places where they meet in both."""
+    stretches: list[tuple[slice, bool]] = []
+    for k, pair in enumerate(pairwise(places)):
+        verdicts = [place.stability for place in pair if isinstance(place, Equilibrium)]
+        stable = bool(verdicts) and verdicts[-1] != "unstable"
+        start = stretches.pop()[0].start if stretches and stretches[-1][1] == stable else k
+        stretches.append((slice(start, k + 2), stable))
+    return stretches
