@@ -58,5 +58,5 @@ def equilibria(
         text(line)
     document = {"name": folder.name, "parameter": parameter, "points": len(found.points), "certified": sure,
                 "events": found.events, "ends": found.ends, "written": written}  # fmt: skip
-    arrived = until is None or found.ends[-1].kind == "target"
+    arrived = until is None or found.points[-1].value == until
     finish("equilibria", document, arrived and sure == len(found.points) and true == len(found.events))

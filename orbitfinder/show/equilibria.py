@@ -22,7 +22,8 @@ MOST = 6
 
 def save_equilibria_figure(equilibria: Equilibria, folder: str | Path, model: Model) -> list[Path]:
     """Write `equilibria.png`; returns its path."""
-    places = sorted((*equilibria.points, *equilibria.events), key=lambda place: place.arclength)
+    both: tuple[Equilibrium | RestEvent, ...] = (*equilibria.points, *equilibria.events)
+    places = sorted(both, key=lambda place: place.arclength)
     values = np.array([place.value if isinstance(place, Equilibrium) else place.parameter for place in places])
     states, stretches = np.array([place.state for place in places]), stretched(places)
     count = min(states.shape[1] if model.rates is not None else model.degrees_of_freedom, MOST)
@@ -40,8 +41,8 @@ def save_equilibria_figure(equilibria: Equilibria, folder: str | Path, model: Mo
         marked = defaultdict[str, list[tuple[float, float]]](list)
         for event in equilibria.events:
             marked[event.kind].append((event.parameter, event.state[k]))
-        for kind, places in marked.items():
-            panel.plot(*np.array(places).T, MARKS.get(kind, "."), color=COLOURS[1], label=kind.replace("_", " "))
+        for kind, marks in marked.items():
+            panel.plot(*np.array(marks).T, MARKS.get(kind, "."), color=COLOURS[1], label=kind.replace("_", " "))
         dress(panel, equilibria.parameter, axis(model, k))
     if equilibria.events:
         panels[0].legend(loc="best", frameon=False, fontsize=8)
