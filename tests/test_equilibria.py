@@ -258,3 +258,56 @@ def test_the_command(tmp_path):
     file.write_text(table + "search = { period = [1.0, 9.0] }\n")
     done = CliRunner().invoke(cli, words)
     assert done.exit_code == 2 and "guess: missing; give the state near an equilibrium" in done.stderr
+
+
+CYCLES = [
+    ((of.systems.brusselator(rate=1.8), [1.0, 1.8], "rate", 2.4), 0, {2.5: 6.5772843419058333033}),
+    ((morris_lecar(), [-40.0, 0.05], "I", 250.0), 1, {200.0: 65.619195980659958010, 150.0: 66.161752734528508188}),
+    ((hodgkin_huxley(), [-65.0, 0.05, 0.6, 0.32], "I", 180.0), 1,
+     {150.0: 5.9575738351538314841, 100.0: 6.7902707172699416723}),
+    ((lorenz(20.0), [7.0, 7.0, 19.0], "rho", 28.0), 0, {}),
+    ((wing(), [0.0, 0.0, 0.0, 0.0], "U", 20.0), 0, {}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("rest, number, periods", CYCLES, ids="bmhlw")
+def test_cycles_are_born_at_hopf_points(rest, number, periods):
+    """On the side that the coefficient says, with the reference's periods; the way back ends at the same Hopf point."""
+    found = of.follow_equilibria(*rest)
+    branch, hopf = of.switch_branch(found, number, model=rest[0]), found.events[number]
+    assert branch.name == f"equilibria-{number}" and branch.described()["kind_of_event"] == "hopf"
+    settings = of.FamilySettings(directions="away", events=False)
+    family = of.follow_family(branch, at=list(periods), points=150, settings=settings, model=rest[0])
+    for value, period in periods.items():
+        (point,) = [point for point in family.points if point.value == value]
+        assert point.period == pytest.approx(period, rel=1e-12, abs=0)
+    near = family.points[np.argmin([abs(point.period - hopf.period) for point in family.points])]
+    assert abs(near.period - hopf.period) < 0.01 * hopf.period
+    crossed = np.sign(near.value - hopf.parameter)
+    rising = [found.points[hopf.index + k].stability == "unstable" for k in (0, 1)]
+    born = 1 if rising[1] else -1  # the side on which the equilibrium is unstable
+    assert crossed == (born if hopf.criticality == "supercritical" else -born)
+    assert ("stable" in near.stability and "un" not in near.stability) == (hopf.criticality == "supercritical")
+    back = replace(settings, directions="both")
+    ends = of.follow_family(branch, points=40, settings=back, model=rest[0]).ends
+    (end,) = [end for end in ends if end.kind == "hopf"]
+    assert abs(end.parameter - hopf.parameter) <= 10 * (end.error + hopf.error)
+
+
+def test_no_cycles_elsewhere(tmp_path):
+    """At folds and other numbers a sentence says where cycles are born; the command follows them."""
+    model = of.systems.brusselator(rate=1.8)
+    found = of.follow_equilibria(model, [1.0, 1.8], "rate", until=2.4)
+    with pytest.raises(InputError, match="event: no cycles are born at event 3; choose one of 0"):
+        of.switch_branch(found, 3)
+    origin = of.follow_equilibria(lorenz(0.2), [0.0, 0.0, 0.0], "rho", until=28.0)
+    with pytest.raises(InputError, match="no cycles are born at event 0; these equilibria have no Hopf point"):
+        of.switch_branch(origin, 0, model=lorenz(0.2))
+    file = str(of.save_equilibria(found, tmp_path / "equilibria.json"))
+    words = ["continue", file, "--switch", "0", "--until", "2.5", "-o", str(tmp_path / "families"), "--no-figures"]
+    done = CliRunner().invoke(cli, words)
+    assert done.exit_code == 0, done.output
+    family = of.load_family(tmp_path / "families" / "equilibria-0" / "family.json")
+    assert family.points[-1].value == 2.5 and family.source["kind_of_event"] == "hopf"
+    done = CliRunner().invoke(cli, ["continue", file])
+    assert done.exit_code == 2, done.output

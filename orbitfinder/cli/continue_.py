@@ -19,7 +19,7 @@ from orbitfinder.cli.options import FILES, FINITE, NUMBERS, finish, next_step, n
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.certificate import certified
 from orbitfinder.records.family import UNITS, Batch, Event, number_of
-from orbitfinder.records.registry import member
+from orbitfinder.records.registry import held, member
 
 if TYPE_CHECKING:
     from orbitfinder.families.branches import Branch
@@ -41,7 +41,7 @@ class Switch(click.ParamType):  # type: ignore[type-arg]
 
 
 @click.command(name="continue")
-@click.argument("file", type=FILES, metavar="FILE|ORBIT.json|FAMILY.json")
+@click.argument("file", type=FILES, metavar="FILE|ORBIT.json|FAMILY.json|EQUILIBRIA.json")
 @option("parameter", "energy, period or a physical parameter.  [default: energy, or a branch's own]")
 @option("until", "Stop when the parameter reaches this value.", kind=FINITE)
 @option("at", "Compute points exactly at these values of the parameter.", "", NUMBERS, metavar="V,V,...")
@@ -65,7 +65,7 @@ class Switch(click.ParamType):  # type: ignore[type-arg]
 def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: int, out: Path, **chosen: Any) -> None:
     """Follow the family of orbits through an ORBIT.json, the orbit of a problem FILE, or from an event of a FAMILY.json
     a branch (--switch), or the event itself in two parameters (--curve); --switch start|end goes on along the family
-    that is joined at that end.
+    that is joined at that end. From a Hopf point of an EQUILIBRIA.json --switch follows the cycles that are born there.
 
     Both ways along the family unless --until, --at or --direction say where to go; a branch away from its birth.
     Folds, branch points, period doublings, tori, resonances, collisions and stability changes are located. A run
@@ -79,6 +79,7 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
       orbitfinder continue orbits/triple-1/orbit.json --at -38,-37,-36 --out families
       orbitfinder continue problems/control/maintained-oscillator.toml --parameter damping --until 0.1
       orbitfinder continue families/triple-mode-2/family.json --switch 10 --until -36
+      orbitfinder continue equilibria/brusselator/equilibria.json --switch 0
       orbitfinder continue families/duffing-resonance/family.json --curve 0 --parameters force,frequency
     """
     directions = chosen["direction"] or ("away" if isinstance(chosen["event"], int) else "both")
@@ -241,8 +242,13 @@ def origin_of(file: Path, trust: bool, switch: int | str | None = None, branch: 
         return of.load_problem(file, trust), None
     if whole_family(file):
         return _branch_of(file, trust, switch, branch), None
+    from orbitfinder.families.equilibrium import EQUILIBRIA
+
+    if switch is not None and held(file)[0] == EQUILIBRIA:
+        return of.switch_branch(file, switch, model=model_of(of.load_equilibria(file), file, trust)), None
     if switch is not None:
-        raise InputError(f"--switch: {file} is not a family.json; give the family.json that the event is in")
+        raise InputError(f"--switch: {file} is neither a family.json nor an equilibria.json; give the file that the "
+                         "event is in")  # fmt: skip
     ((_, orbit, model),) = named_orbits([file], trust, pictured=False)
     return orbit, model
 

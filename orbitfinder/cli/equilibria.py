@@ -10,7 +10,7 @@ import orbitfinder as of
 from orbitfinder._runtime.keeping import kept
 from orbitfinder.cli.console import display
 from orbitfinder.cli.jobs import folder_of
-from orbitfinder.cli.options import FILES, FINITE, finish, option, text, usual
+from orbitfinder.cli.options import FILES, FINITE, finish, next_step, option, text, usual
 from orbitfinder.errors import InputError
 
 
@@ -56,6 +56,8 @@ def equilibria(
         if event.frequency > 0:
             line += f", period {event.period:.12g}, l1 = {event.lyapunov:.6g}"
         text(line)
+    if born := [k for k, event in enumerate(found.events) if event.frequency > 0]:
+        next_step("continue", written[0], "--switch", born[0])
     document = {"name": folder.name, "parameter": parameter, "points": len(found.points), "certified": sure,
                 "events": found.events, "ends": found.ends, "written": written}  # fmt: skip
     arrived = until is None or found.points[-1].value == until

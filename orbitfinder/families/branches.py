@@ -20,8 +20,10 @@ from scipy.spatial import cKDTree
 from orbitfinder._runtime.notebook import brief
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.families.birth import cycle_start
 from orbitfinder.families.critical import Critical
 from orbitfinder.families.entries import SWITCHABLE
+from orbitfinder.families.equilibrium import EQUILIBRIA, Equilibria, RestEvent
 from orbitfinder.families.motion import full_samples
 from orbitfinder.families.point import FamilySettings, parameter_value, shift_at, unknowns_of
 from orbitfinder.families.run import parameter_slopes
@@ -49,6 +51,7 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Event, Family, load_family
 from orbitfinder.records.orbit import SHARE
 from orbitfinder.records.reading import finite
+from orbitfinder.records.registry import held
 
 CHOICE = 'give the number of an event, "start" or "end"'
 DISTANCES = (0.02, 0.005, 0.00125, 0.05, 0.1)
@@ -345,17 +348,18 @@ class Branch:
 
 
 def switch_branch(
-    family: Family | str | Path,
-    event: int | str | Event,
+    family: Family | Equilibria | str | Path,
+    event: int | str | Event | RestEvent,
     branch: int = 1,
     *,
     settings: FamilySettings | None = None,
     model: Model | None = None,
 ) -> Branch:
-    """A branch that leaves a family at an event, or the family that it joins; `of.follow_family` follows it.
+    """A branch that leaves a family at an event, the family that it joins, or the cycles that are born at a Hopf point
+    of equilibria; `of.follow_family` follows it.
 
     Args:
-        family: a Family, or its family.json.
+        family: a Family or Equilibria, or the file of one.
         event: one of its events, or its number in order along the family, from 0; "start" or "end" for the family that
             is joined at that end.
         branch: which of those that leave there, from 1.
@@ -380,6 +384,11 @@ def switch_branch(
         >>> of.follow_family(branch, points=3).points[-1].symmetry
         'none'
     """
+    if isinstance(family, Equilibria) or (not isinstance(family, Family) and held(family)[0] == EQUILIBRIA):
+        rest, number, start, birth = cycle_start(family, event, settings or FamilySettings(), model)
+        return Branch(start, rest.name, birth, number, 1, f"{rest.name}-{number}")
+    if isinstance(event, RestEvent):
+        raise InputError(f"event: a {event.kind} of equilibria; give the equilibria that it is of")
     if isinstance(event, str):
         if event not in ("start", "end"):
             raise InputError(f"event: families are joined at the start or the end, got {event!r}; or give its number")

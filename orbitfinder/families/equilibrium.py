@@ -143,7 +143,9 @@ class Equilibria(Shown):
             raise ValueError("points: expected one at least, all of one number of components")
 
 
-CODEC = Codec(Equilibria, "equilibria", "`orbitfinder equilibria`", "compute the equilibria again")
+EQUILIBRIA = "equilibria"
+"""Their format"""
+CODEC = Codec(Equilibria, EQUILIBRIA, "`orbitfinder equilibria`", "compute the equilibria again")
 
 
 def save_equilibria(found: Equilibria, path: str | Path) -> Path:
