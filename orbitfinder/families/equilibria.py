@@ -47,7 +47,7 @@ NEUTRAL = 1e-9
 RESIDUAL, SLOPES, CRITICAL = 1e-12, 1e-7, 1e-8
 """What may be left of the rates, of the eigenvalues by differences and of a critical one by the flow, in the pace of
 the equilibrium and its sizes"""
-DIFFERENCE = 1e-2
+DIFFERENCE = 2e-3
 """Half of the widest of the differences that check slopes, in the sizes of the state"""
 FARTHEST = 1e3
 """How long a simulation to rest takes, in the times in which the state at its start would change by itself"""
@@ -219,7 +219,7 @@ class _Way:
     def record(self, point: Point) -> Equilibrium:
         """Certified."""
         z, p, _ = point.problem.parts(point.w)
-        return _recorded(point.problem, z, p, point.arclength * self.sign, self.parameter)
+        return _recorded(point.problem, z, p, point.arclength * self.sign, self.parameter, _eigenvalues(point))
 
     def write(self, point: Point, record: Equilibrium) -> Mapping[str, Any]:  # noqa: ARG002 - made again when read
         """Both in plain numbers."""
@@ -246,18 +246,26 @@ def _border(point: Point) -> float:
     return float(sign * np.exp(size / len(matrix)))
 
 
+def _eigenvalues(point: Point) -> np.ndarray:
+    """Those of a point, remembered with it."""
+    if "eigenvalues" not in point.w.known:
+        z, p, _ = point.problem.parts(point.w)
+        point.w.known["eigenvalues"] = eigenvalues(point.problem, z, p)
+    return np.asarray(point.w.known["eigenvalues"])
+
+
 def _pair(point: Point) -> float:
     """The product of all sums of two eigenvalues: its sign, and the least of them in size."""
-    z, p, _ = point.problem.parts(point.w)
-    values = eigenvalues(point.problem, z, p) / point.problem.pace
+    values = _eigenvalues(point) / point.problem.pace
     i, j = np.triu_indices(values.size, 1)
     sums = values[i] + values[j]
     return float(np.prod(np.sign(np.prod(sums / nonzero(np.abs(sums))).real)) * np.abs(sums).min(initial=1.0))
 
 
-def _recorded(problem: AtRest, z: np.ndarray, p: np.ndarray, arclength: float, parameter: str) -> Equilibrium:
+def _recorded(
+    problem: AtRest, z: np.ndarray, p: np.ndarray, arclength: float, parameter: str, values: np.ndarray
+) -> Equilibrium:
     d, model = problem.jets.size, problem.jets.model
-    values = eigenvalues(problem, z, p)
     values = values[np.lexsort((-values.imag, -values.real))]
     value = float(p[problem.jets.free.index(parameter)])
     residual, slopes = by_differences(model, z[:d], {parameter: value}, problem.z_sizes[:d], problem.pace, values)
@@ -319,7 +327,8 @@ def _event(kept: KeptPoint, way: _Way, index: int) -> RestEvent | None:
     if np.abs((z - kept.point.w.vector[:count]) / problem.z_sizes).max() > 1e-3:
         return None  # another one
     model = with_parameters(problem.jets.model, {way.parameter: float(p[0])})
-    found = _recorded(problem, z, p, kept.point.arclength * way.sign, way.parameter)
+    values = eigenvalues(problem, z, p)
+    found = _recorded(problem, z, p, kept.point.arclength * way.sign, way.parameter, values)
     there = _Singular(extended, z, p, more, bars, kept.point.tangent)
     name, claimed, known = TOLD[kept.role](there)
     value = by_the_flow(model, z[:d], problem.z_sizes[:d], problem.pace, claimed)

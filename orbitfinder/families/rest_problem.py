@@ -15,7 +15,8 @@ goes through 0 the curve goes on, as one of neutral saddles. Sources: A. Griewan
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -28,7 +29,7 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.newton import Settings, Solver
 from orbitfinder.mechanics.scales import LEAST_SHARE, parameter_sizes
 
-SETTINGS = Settings(floor=1e-15, round_off=1e-9, converged=1e-10, most_evaluations=12, contraction=0.05)
+SETTINGS = Settings(floor=1e-15, round_off=1e-13, converged=1e-12, most_evaluations=12, contraction=0.05)
 """Rows are relative to the sizes and the pace of the equilibrium"""
 ROUND_OFF = 4 * float(np.finfo(float).eps)
 """What each row is known to, relative to the sizes of its terms"""
@@ -36,9 +37,10 @@ ROUND_OFF = 4 * float(np.finfo(float).eps)
 
 @dataclass(frozen=True, eq=False)
 class Stacked:
-    """Unknowns that are numbers only."""
+    """Unknowns that are numbers only, with what is known of them once it was asked for."""
 
     vector: np.ndarray
+    known: dict[str, Any] = field(default_factory=dict)
 
     def moved(self, step: np.ndarray) -> Stacked:
         """So much farther."""
@@ -83,7 +85,7 @@ class AtRest:
         """Components of z."""
         return self.jets.size + self.jets.extra
 
-    @property
+    @cached_property
     def sizes(self) -> np.ndarray:
         """Sizes of all unknowns: z, what is singular in units of z, the parameters last."""
         more = {"regular": 0, "fold": self.count, "hopf": 2 * self.count + 1, "branch_point": self.count + 1}
@@ -106,12 +108,12 @@ class AtRest:
             gp = np.vstack([gp, np.zeros((len(self.phase), gp.shape[1]))])
         return g, gz, gp
 
-    @property
+    @cached_property
     def row_sizes(self) -> np.ndarray:
         """What G is measured in: sizes of the state a unit of time, and what the rest changes by at unit steps."""
         return np.concatenate([self.z_sizes[: self.jets.size] * self.pace, self.kept_sizes])
 
-    @property
+    @cached_property
     def kept_sizes(self) -> np.ndarray:
         """What rows behind the rates are measured in."""
         d = self.jets.size
@@ -123,7 +125,7 @@ class AtRest:
     def _free(self) -> list[int]:
         return [self.jets.model.parameter_index(name) for name in self.jets.free]
 
-    @property
+    @cached_property
     def row_sizes_square(self) -> np.ndarray:
         """The same with those of the phases."""
         return np.append(self.row_sizes, np.ones(len(self.phase)))
@@ -201,7 +203,7 @@ class AtRest:
             np.concatenate([np.zeros(count + 1), self.c, np.zeros(p.size)]),
         ])  # fmt: skip
 
-    @property
+    @cached_property
     def mass(self) -> np.ndarray:
         """The diagonal of E (with the phases' zeros)."""
         return np.concatenate([np.ones(self.jets.size), np.zeros(self.jets.extra)])
