@@ -117,11 +117,13 @@ def test_units_change_nothing():
     assert abs(still.events[0].parameter - 12.107499918147065304) < 1e-12
 
 
-def test_folds_branch_points_and_neutral_saddles():
+def test_folds_branch_points_and_neutral_saddles(tmp_path):
     """A cubic's folds at +-2 / (3 sqrt 3); the pitchfork of Lorenz at 1; a saddle whose eigenvalues are +-a."""
     cubic = of.ode(lambda t, x, p: [p[0] + x[0] - x[0] ** 3], ["x"], parameters={"r": -1.0})
     found = of.follow_equilibria(cubic, [-1.3], "r", until=1.0)
     assert [event.kind for event in found.events] == ["fold", "fold"]
+    again = of.load_equilibria(of.save_equilibria(found, tmp_path / "equilibria.json"))  # all eigenvalues are real
+    assert all(a.eigenvalues == b.eigenvalues for a, b in zip(again.points, found.points, strict=True))
     for event, sign in zip(found.events, (1, -1), strict=True):
         assert abs(event.parameter - sign * 2 / 27**0.5) <= event.error < 1e-14
         assert abs(event.state[0] + sign / 3**0.5) < 1e-14 and event.check.passed
@@ -298,11 +300,12 @@ def test_no_cycles_elsewhere(tmp_path):
     """At folds and other numbers a sentence says where cycles are born; the command follows them."""
     model = of.systems.brusselator(rate=1.8)
     found = of.follow_equilibria(model, [1.0, 1.8], "rate", until=2.4)
-    with pytest.raises(InputError, match="event: no cycles are born at event 3; choose one of 0"):
+    with pytest.raises(InputError, match="event: nothing leaves these equilibria at event 3; choose one of 0"):
         of.switch_branch(found, 3)
-    origin = of.follow_equilibria(lorenz(0.2), [0.0, 0.0, 0.0], "rho", until=28.0)
-    with pytest.raises(InputError, match="no cycles are born at event 0; these equilibria have no Hopf point"):
-        of.switch_branch(origin, 0, model=lorenz(0.2))
+    wave = of.ode(lambda t, x, p: [p[0] + x[0] - x[0] ** 3], ["x"], parameters={"r": -1.0})
+    folds = of.follow_equilibria(wave, [-1.3], "r", until=1.0)
+    with pytest.raises(InputError, match="nothing leaves these equilibria at event 0; there is none at which"):
+        of.switch_branch(folds, 0, model=wave)
     file = str(of.save_equilibria(found, tmp_path / "equilibria.json"))
     words = ["continue", file, "--switch", "0", "--until", "2.5", "-o", str(tmp_path / "families"), "--no-figures"]
     done = CliRunner().invoke(cli, words)
@@ -311,3 +314,30 @@ def test_no_cycles_elsewhere(tmp_path):
     assert family.points[-1].value == 2.5 and family.source["kind_of_event"] == "hopf"
     done = CliRunner().invoke(cli, ["continue", file])
     assert done.exit_code == 2, done.output
+
+
+def test_other_equilibria_leave_at_branch_points(tmp_path):
+    """x = y = +-sqrt(8/3 (rho - 1)), z = rho - 1 of Lorenz, with both Hopf points; transcritical: x = r."""
+    model = lorenz(0.2)
+    origin = of.follow_equilibria(model, [0.0, 0.0, 0.0], "rho", until=28.0)
+    branch = of.switch_branch(origin, 0, model=model)
+    found = of.follow_equilibria(branch, until=28.0, out=tmp_path)
+    for point in found.points:
+        x, y, z = point.state
+        assert abs(z - (point.value - 1)) < 1e-12 and abs(x - y) < 1e-12 and abs(x**2 - 8 / 3 * z) < 1e-11
+    assert [event.kind for event in found.events] == ["hopf", "hopf"] and all(p.certified for p in found.points)
+    assert found.points[0].state[0] * found.points[-1].state[0] < 0 and [e.kind for e in found.ends] == ["target"] * 2
+    for event in found.events:
+        assert abs(event.parameter - 24.736842105263157895) <= event.error
+    hoop = of.follow_equilibria(of.systems.rotating_hoop(spin=2.0), [0.0, 0.0], "spin", until=5.0)
+    file = str(of.save_equilibria(hoop, tmp_path / "equilibria.json"))
+    done = CliRunner().invoke(cli, ["continue", file, "--switch", "0", "--until", "5", "-o", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    bent = of.load_equilibria(tmp_path / "equilibria-0" / "equilibria.json")
+    assert max(abs(np.cos(point.state[0]) - 9.8 / point.value**2) for point in bent.points) < 1e-12
+    crossing = of.ode(lambda t, x, p: [x[0] * (p[0] - x[0])], ["x"], parameters={"r": -1.0})
+    first = of.follow_equilibria(crossing, [0.0], "r", until=1.0)
+    other = of.follow_equilibria(of.switch_branch(first, 0, model=crossing), points=10)
+    assert max(abs(point.state[0] - point.value) for point in other.points) < 1e-13
+    with pytest.raises(InputError, match="state: missing; give follow_equilibria"):
+        of.follow_equilibria(crossing)

@@ -14,6 +14,7 @@ import orbitfinder as of
 from orbitfinder._runtime import interrupt
 from orbitfinder._runtime.keeping import kept
 from orbitfinder.cli.console import Display, Report, display
+from orbitfinder.cli.equilibria import followed_rest
 from orbitfinder.cli.jobs import folder_of, model_of, named_orbits, whole_family
 from orbitfinder.cli.options import FILES, FINITE, NUMBERS, finish, next_step, numbers, option, picked, text, usual
 from orbitfinder.errors import InputError, plural
@@ -86,6 +87,7 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
     narrowest = {} if chosen["resolve"] is None else {"narrowest": chosen["resolve"]}
     with display(f"{file}: reading") as shown:
         from orbitfinder.families.entries import SWITCHABLE
+        from orbitfinder.families.equilibria import RestBranch
         from orbitfinder.families.folder import parameter_of
 
         _asked_where(file, chosen, shown)
@@ -95,6 +97,8 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
         else:
             origin, model = curve_of(file, parameter, chosen), None
         family, places = None, list[int]()
+        if isinstance(origin, RestBranch):
+            return followed_rest(origin, parameter, chosen["until"], at, points, out, chosen["name"], shown)
         if getattr(origin, "guess", None) is None or getattr(origin, "control", None) is None:
             parameter = parameter or parameter_of(origin)
             name, steps = folder_of(out, chosen["name"] or origin.name, *NAMED).name, list[Batch]()
@@ -277,7 +281,8 @@ def _branch_of(file: Path, trust: bool, switch: int | str | None, branch: int) -
         raise InputError(f"{file}: a whole family; give one orbit of it, such as {file}#0")
     known = isinstance(switch, str) or (0 <= switch < len(family.events) and family.events[switch].kind in SWITCHABLE)
     try:
-        return of.switch_branch(file, switch, branch, model=model_of(family, file, trust))
+        leaving: Branch = of.switch_branch(file, switch, branch, model=model_of(family, file, trust))
+        return leaving
     except InputError as error:
         if known:
             raise

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 import orbitfinder as of
 from orbitfinder._runtime.keeping import kept
-from orbitfinder.cli.console import display
+from orbitfinder.cli.console import Display, display
 from orbitfinder.cli.jobs import folder_of
 from orbitfinder.cli.options import FILES, FINITE, finish, next_step, option, text, usual
 from orbitfinder.errors import InputError
@@ -41,10 +42,22 @@ def equilibria(
     loaded = load_problem_file(file, trust)
     if loaded.start is None:
         raise InputError(f"{file}: guess: missing; give the state near an equilibrium, [guess] or [simulate] state")
-    folder = folder_of(out, name or loaded.name)
-    with display(f"{folder.name}: equilibria of {file}") as shown, kept(folder / "equilibria.json", of.save_equilibria):
+    name = name or loaded.name
+    with display(f"{name}: equilibria of {file}") as shown:
+        followed_rest((loaded.model, loaded.start), parameter, until, at, points, out, name, shown)
+
+
+def followed_rest(
+    origin: Any, parameter: str | None, until: float | None, at: tuple[float, ...], points: int, out: Path,
+    name: str | None, shown: Display,
+) -> None:  # fmt: skip
+    """Follow equilibria from (model, state) or a branch of them, write and tell them."""
+    model, state = origin if isinstance(origin, tuple) else (origin, None)
+    parameter = parameter or origin.parameter
+    folder = folder_of(out, name or origin.name)
+    with kept(folder / "equilibria.json", of.save_equilibria):
         found = of.follow_equilibria(
-            loaded.model, loaded.start, parameter, until, at=at, points=points, name=folder.name, out=out,
+            model, state, parameter, until, at=at, points=points, name=folder.name, out=out,
             progress=lambda rest: shown.say(f"{parameter} {rest.value:.9g}, {rest.stability}"),
         )  # fmt: skip
         written = [of.save_equilibria(found, folder / "equilibria.json")]
@@ -56,9 +69,9 @@ def equilibria(
         if event.frequency > 0:
             line += f", period {event.period:.12g}, l1 = {event.lyapunov:.6g}"
         text(line)
-    if born := [k for k, event in enumerate(found.events) if event.frequency > 0]:
-        next_step("continue", written[0], "--switch", born[0])
+    if leaving := [k for k, event in enumerate(found.events) if event.direction.size]:
+        next_step("continue", written[0], "--switch", leaving[0])
     document = {"name": folder.name, "parameter": parameter, "points": len(found.points), "certified": sure,
                 "events": found.events, "ends": found.ends, "written": written}  # fmt: skip
-    arrived = until is None or found.points[-1].value == until
+    arrived = until is None or until in (found.points[0].value, found.points[-1].value)
     finish("equilibria", document, arrived and sure == len(found.points) and true == len(found.events))

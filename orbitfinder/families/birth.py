@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
-from orbitfinder.families.equilibrium import Equilibria, RestEvent, load_equilibria
+from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.families.equilibrium import Equilibria, RestEvent
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.start import FIRST_STEPS, Start, corrected, curve_at, unknown_parameters
 from orbitfinder.integrate.march import uniform
@@ -25,27 +24,17 @@ AMPLITUDES = (0.02, 0.005, 0.001, 0.05)
 
 
 def cycle_start(
-    equilibria: Any, number: Any, settings: FamilySettings, model: Model | None
-) -> tuple[Equilibria, int, Start, Event]:
-    """The equilibria (or their file), the event's number, the first cycle of the family born there, its birth.
+    equilibria: Equilibria, number: int, settings: FamilySettings, model: Model | None
+) -> tuple[Start, Event]:
+    """The first cycle of the family that is born at a Hopf point of this number, and its birth.
 
-    Raises `InputError` for other events, `ConvergenceError` where no cycle is found.
+    Raises `ConvergenceError` where none is found.
     """
-    if not isinstance(equilibria, Equilibria):
-        equilibria = load_equilibria(equilibria)
-    if isinstance(number, RestEvent):
-        number = next((k for k, event in enumerate(equilibria.events) if event is number), -1)
-    known = [k for k, event in enumerate(equilibria.events) if event.frequency > 0]
-    if number not in known:
-        choice = f"choose one of {', '.join(map(str, known))}" if known else "these equilibria have no Hopf point"
-        raise InputError(f"event: no cycles are born at event {number}; {choice}")
     born, name = equilibria.events[number], equilibria.parameter
     model = with_parameters(model or build_model(equilibria.system), {name: born.parameter})
-    settings = replace(settings, parameter=name)
-    unknown_parameters(model, settings)
+    unknown_parameters(model, replace(settings, parameter=name))
     start = _first(model, name, born, np.abs([point.state for point in equilibria.points]).max(axis=0))
-    event = Event(born.kind, number, born.arclength, born.parameter, born.state, born.period, float("nan"))
-    return equilibria, number, start, event
+    return start, Event(born.kind, number, born.arclength, born.parameter, born.state, born.period, float("nan"))
 
 
 def _first(model: Model, name: str, born: RestEvent, largest: np.ndarray) -> Start:

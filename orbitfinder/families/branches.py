@@ -9,7 +9,7 @@ Subharmonic branching in reversible systems, SIAM J. Math. Anal. 21 (1990) 954-9
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,8 @@ from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.birth import cycle_start
 from orbitfinder.families.critical import Critical
 from orbitfinder.families.entries import SWITCHABLE
-from orbitfinder.families.equilibrium import EQUILIBRIA, Equilibria, RestEvent
+from orbitfinder.families.equilibria import RestBranch, rest_branch
+from orbitfinder.families.equilibrium import EQUILIBRIA, Equilibria, RestEvent, load_equilibria
 from orbitfinder.families.motion import full_samples
 from orbitfinder.families.point import FamilySettings, parameter_value, shift_at, unknowns_of
 from orbitfinder.families.run import parameter_slopes
@@ -354,9 +355,9 @@ def switch_branch(
     *,
     settings: FamilySettings | None = None,
     model: Model | None = None,
-) -> Branch:
+) -> Any:
     """A branch that leaves a family at an event, the family that it joins, or the cycles that are born at a Hopf point
-    of equilibria; `of.follow_family` follows it.
+    of equilibria: `of.follow_family` follows it; at a branch point of theirs, for `of.follow_equilibria`, the others.
 
     Args:
         family: a Family or Equilibria, or the file of one.
@@ -367,7 +368,7 @@ def switch_branch(
         model: needed only for a system that no file describes.
 
     Returns:
-        A Branch, an origin for `of.follow_family`.
+        A Branch, an origin for `of.follow_family`, or a RestBranch for `of.follow_equilibria`.
 
     Raises:
         InputError: for an event that nothing leaves from (those that something does are named), and where there are
@@ -385,8 +386,8 @@ def switch_branch(
         'none'
     """
     if isinstance(family, Equilibria) or (not isinstance(family, Family) and held(family)[0] == EQUILIBRIA):
-        rest, number, start, birth = cycle_start(family, event, settings or FamilySettings(), model)
-        return Branch(start, rest.name, birth, number, 1, f"{rest.name}-{number}")
+        rest = family if isinstance(family, Equilibria) else load_equilibria(family)
+        return _beside_rest(rest, event, settings or FamilySettings(), model)
     if isinstance(event, RestEvent):
         raise InputError(f"event: a {event.kind} of equilibria; give the equilibria that it is of")
     if isinstance(event, str):
@@ -398,6 +399,29 @@ def switch_branch(
         at = leaving[0].number
         raise InputError(f"branch: {branch} asked for, {len(leaving)} found at event {at}; give 1 to {len(leaving)}")
     return leaving[branch - 1]
+
+
+def _beside_rest(
+    rest: Equilibria, event: int | str | Event | RestEvent, settings: FamilySettings, model: Model | None
+) -> Branch | RestBranch:
+    """What leaves equilibria at an event: cycles, or other equilibria."""
+    number = next((k for k, one in enumerate(rest.events) if one is event or k == event), event)
+    known = {k: LEAVING[one.kind] for k, one in enumerate(rest.events) if one.kind in LEAVING}
+    if not isinstance(number, int) or number not in known:
+        choice = f"choose one of {counted(list(known))}" if known else "there is none at which something does"
+        raise InputError(f"event: nothing leaves these equilibria at event {number}; {choice}")
+    return known[number](rest, number, settings, model)
+
+
+def _cycles(rest: Equilibria, number: int, settings: FamilySettings, model: Model | None) -> Branch:
+    start, birth = cycle_start(rest, number, settings, model)
+    return Branch(start, rest.name, birth, number, 1, f"{rest.name}-{number}")
+
+
+LEAVING: Mapping[str, Callable[[Equilibria, int, FamilySettings, Model | None], Branch | RestBranch]] = {
+    "hopf": _cycles, "branch_point": lambda rest, number, _, model: rest_branch(rest, number, model),
+}  # fmt: skip
+"""What leaves at each kind of event of equilibria"""
 
 
 def _joined(family: Family, which: str, settings: FamilySettings | None, model: Model | None) -> Branch:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,10 @@ from scipy.integrate import solve_ivp
 
 from orbitfinder._runtime import locks
 from orbitfinder._runtime.keeping import STOPPED, finished
+from orbitfinder._runtime.notebook import brief
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.continuation.follow import CurveJournal, Goals, KeptPoint, Pace, SolutionCurve, follow, rise, towards
-from orbitfinder.continuation.problem import Point, solved
+from orbitfinder.continuation.problem import Point, plane, solved
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
 from orbitfinder.families.rest_problem import (
@@ -47,28 +49,53 @@ NEUTRAL = 1e-9
 RESIDUAL, SLOPES, CRITICAL = 1e-12, 1e-7, 1e-8
 """What may be left of the rates, of the eigenvalues by differences and of a critical one by the flow, in the pace of
 the equilibrium and its sizes"""
+LEAVING = (0.01, 0.002, 0.0004, 0.05)
+"""How far from a branch point other equilibria are looked for; the first that succeeds is taken"""
 DIFFERENCE = 2e-3
 """Half of the widest of the differences that check slopes, in the sizes of the state"""
 FARTHEST = 1e3
 """How long a simulation to rest takes, in the times in which the state at its start would change by itself"""
 
 
+@dataclass(frozen=True)
+class RestBranch:
+    """The other equilibria at a branch point: of which curve and event, the Model there, its state, the direction over
+    (x, p), what is followed in, and a name."""
+
+    __repr__ = brief("name", "parameter")
+
+    equilibria: str
+    number: int
+    model: Model
+    state: np.ndarray
+    direction: np.ndarray
+    parameter: str
+    name: str
+
+
+def rest_branch(equilibria: Equilibria, number: int, model: Model | None = None) -> RestBranch:
+    """The other equilibria at a branch point of this number."""
+    event, name = equilibria.events[number], equilibria.parameter
+    there = with_parameters(model or build_model(equilibria.system), {name: event.parameter})
+    return RestBranch(equilibria.name, number, there, event.state, event.direction, name, f"{equilibria.name}-{number}")
+
+
 def follow_equilibria(
-    model: Model, state: Sequence[float] | np.ndarray, parameter: str, until: float | None = None, *,
-    at: Sequence[float] = (), points: int = PACE.points, pace: Pace = PACE, name: str = "equilibria",
-    out: str | Path | None = None, progress: Callable[[Equilibrium], None] | None = None,
+    model: Model | RestBranch, state: Sequence[float] | np.ndarray | None = None, parameter: str | None = None,
+    until: float | None = None, *, at: Sequence[float] = (), points: int = PACE.points, pace: Pace = PACE,
+    name: str | None = None, out: str | Path | None = None, progress: Callable[[Equilibrium], None] | None = None,
 ) -> Equilibria:  # fmt: skip
     """The equilibria f(x, p) = 0 of an autonomous system along a parameter, with folds, branch points, Hopf points.
 
     Args:
-        model: the system, at the parameter's first value.
-        state: near an equilibrium, or where a simulation to rest begins.
-        parameter: a physical parameter.
-        until: its value to stop at; without one both ways are gone.
+        model: the system, at the parameter's first value; or what `of.switch_branch` gives at a branch point.
+        state: near an equilibrium, or where a simulation to rest begins; none of a branch.
+        parameter: a physical parameter; none of a branch.
+        until: its value to stop at; without one, and of a branch, both ways are gone.
         at: values at which points are computed exactly.
         points: the most in each direction.
         pace: lengths of steps.
-        name: a word for files.
+        name: a word for files; "equilibria", or the branch's, without one.
         out: a folder: OUT/<name>/equilibria.jsonl keeps every point as it comes, and what was asked before goes on
             from there.
         progress: called with each point.
@@ -85,32 +112,36 @@ def follow_equilibria(
         >>> [(event.kind, event.criticality, round(event.parameter, 12)) for event in found.events]
         [('hopf', 'supercritical', 2.0)]
     """
+    branch = model if isinstance(model, RestBranch) else None
+    if isinstance(model, RestBranch):
+        state, parameter, model = model.state, model.parameter, model.model
+    if state is None or parameter is None:
+        missing = "state" if state is None else "parameter"
+        raise InputError(f"{missing}: missing; give follow_equilibria(model, state, parameter), or a branch alone")
     _refused(model, parameter)
     state = check_state(model, state)
     start = float(model.parameter_values[model.parameter_index(parameter)])
-    for label, value in (("until", until), *(("at", value) for value in at)):
-        if value is not None and not np.isfinite(value):
-            raise InputError(f"{label}: must be a finite value of {parameter}, got {value}")
-    if points < 1:
-        raise InputError(f"points: must be at least 1, got {points}")
-    if until == start:
-        raise InputError(f"until: {until!r} is where {parameter} begins; give another value")
-    problem, rest = first_equilibrium(model, state, parameter, None if until is None else until - start)
-    path = None if out is None else Path(out) / name
-    ways = [_Way(problem, rest, parameter, until, 1.0)]
-    if until is None:
-        ways.append(_Way(problem, rest, parameter, None, -1.0))
+    _check_goals(parameter, start, until, at, points)
+    span, label = None if until is None else until - start, name or (branch.name if branch else "equilibria")
+    if branch is None:
+        problem, rest = first_equilibrium(model, state, parameter, span)
+        ways = [_Way(problem, rest, parameter, until, 1.0)]
+        ways += [_Way(problem, rest, parameter, None, -1.0)] if until is None else []
+    else:
+        reach = None if span is None else np.array([span])
+        problem = regular(at_rest(model, (parameter,), state), state, np.array([start]), reach)
+        rest = np.concatenate([state, np.zeros(problem.jets.extra)])
+        ways = [_Way(problem, rest, parameter, until, sign, branch.direction) for sign in (1.0, -1.0)]
+    path = None if out is None else Path(out) / label
     runs: list[tuple[SolutionCurve, _Way]] = []
-
-    def record() -> Equilibria:
-        return _record(name, model, parameter, runs)
+    record = partial(_record, label, model, parameter, runs)
 
     with contextlib.nullcontext() if path is None else locks.alone_in(path):
         for k, way in enumerate(ways):
             curve = SolutionCurve()
             runs.append((curve, way))
             request = {"system": dict(model.system), "state": state, "parameter": parameter, "way": k, "until":
-                       until is not None}  # fmt: skip
+                       until is not None, "direction": None if branch is None else branch.direction}  # fmt: skip
             journal = CurveJournal(way, path and path / f"equilibria{k or ''}.jsonl", request, way.leads)
             goals = Goals(parameter, until, tuple(float(value) for value in at))
             for kept in follow(curve, journal, way.begin, goals, replace(pace, points=points), way.tests()):
@@ -118,6 +149,17 @@ def follow_equilibria(
                 if progress:
                     progress(kept.record)
     return record()
+
+
+def _check_goals(parameter: str, start: float, until: float | None, at: Sequence[float], points: int) -> None:
+    """`InputError` for goals that are none."""
+    for label, value in (("until", until), *(("at", value) for value in at)):
+        if value is not None and not np.isfinite(value):
+            raise InputError(f"{label}: must be a finite value of {parameter}, got {value}")
+    if points < 1:
+        raise InputError(f"points: must be at least 1, got {points}")
+    if until == start:
+        raise InputError(f"until: {until!r} is where {parameter} begins; give another value")
 
 
 def _refused(model: Model, parameter: str) -> None:
@@ -194,18 +236,38 @@ class _Way:
     parameter: str
     until: float | None
     sign: float
+    direction: np.ndarray | None = None
 
     def begin(self) -> Point:
         """The first point."""
+        if self.direction is not None:
+            return self._beside(self.direction)
         model = self.problem.jets.model
         start = float(model.parameter_values[model.parameter_index(self.parameter)])
         w = Stacked(np.append(self.rest, start))
         point = solved(self.problem, w, lambda w: self.problem.aim(w, self.parameter, start))
         return replace(point, tangent=point.tangent * self.sign * towards(point, self.parameter, self.until))
 
+    def _beside(self, direction: np.ndarray) -> Point:
+        """The first point of a branch, so far from where it leaves."""
+        model, d = self.problem.jets.model, self.problem.jets.size
+        w = Stacked(np.append(self.rest, model.parameter_values[model.parameter_index(self.parameter)]))
+        along = np.concatenate([direction[:d], np.zeros(self.problem.jets.extra), direction[d:]]) * self.sign
+        along = along / np.sqrt(float(along @ (self.problem.metric(w) * along)))
+        for length in LEAVING:
+            guess = w.moved(length * along)
+            try:
+                point = solved(self.problem, guess, plane(self.problem, guess, along))
+            except (ConvergenceError, IntegrationError):
+                continue
+            outwards = float(np.sum(self.problem.metric(w) * point.tangent * (point.w.vector - w.vector)))
+            return replace(point, tangent=point.tangent * np.sign(outwards), arclength=length)
+        raise ConvergenceError(f"no other equilibria were found beside the branch point at {self.parameter} = "
+                               f"{w.vector[-1]:.9g}")  # fmt: skip
+
     def leads(self, point: Point) -> bool:
         """Whether a journal's first point leads there."""
-        return self.until is None or towards(point, self.parameter, self.until) > 0
+        return self.direction is not None or self.until is None or towards(point, self.parameter, self.until) > 0
 
     def tests(self) -> Mapping[str, Callable[[Point], float]]:
         """What vanishes at events."""
@@ -412,7 +474,8 @@ def _record(name: str, model: Model, parameter: str, runs: list[tuple[SolutionCu
     events: list[RestEvent] = []
     for curve, way in reversed(runs):
         own = [kept.record for kept in curve.points]
-        points = own[::-1] if way.sign < 0 else [*points[: len(points) - bool(points)], *own]
+        twice = bool(points) and way.direction is None  # the first of both ways
+        points = own[::-1] if way.sign < 0 else [*points[: len(points) - twice], *own]
         ends.append(curve.end or End(STOPPED, "stopped"))
     lengths = np.array([point.arclength for point in points])
     for curve, way in runs:

@@ -320,7 +320,7 @@ def eigenvalues(problem: AtRest, z: np.ndarray, p: np.ndarray, slopes: np.ndarra
         _, values, right = np.linalg.svd(rows)
         basis = right[np.count_nonzero(values > 1e-9 * values.max(initial=0.0)) :]
         a = basis @ a @ basis.T
-    return np.asarray(np.linalg.eigvals(a) * problem.pace)
+    return np.asarray(np.linalg.eigvals(a) * problem.pace, complex)  # real ones too
 
 
 def singular(problem: AtRest, z: np.ndarray, p: np.ndarray, form: str) -> tuple[AtRest, Stacked]:
