@@ -251,7 +251,7 @@ def origin_of(file: Path, trust: bool, switch: int | str | None = None, branch: 
     if switch is not None and held(file)[0] == EQUILIBRIA:
         return of.switch_branch(file, switch, model=model_of(of.load_equilibria(file), file, trust)), None
     if switch is not None:
-        raise InputError(f"--switch: {file} is neither a family.json nor an equilibria.json; give the file that the "
+        raise InputError(f"--switch: {file} is not a family.json, nor an equilibria.json; give the file that the "
                          "event is in")  # fmt: skip
     ((_, orbit, model),) = named_orbits([file], trust, pictured=False)
     return orbit, model

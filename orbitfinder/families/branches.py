@@ -385,14 +385,14 @@ def switch_branch(
         >>> of.follow_family(branch, points=3).points[-1].symmetry
         'none'
     """
+    if isinstance(event, str) and event not in ("start", "end"):
+        raise InputError(f"event: families are joined at the start or the end, got {event!r}; or give its number")
     if isinstance(family, Equilibria) or (not isinstance(family, Family) and held(family)[0] == EQUILIBRIA):
         rest = family if isinstance(family, Equilibria) else load_equilibria(family)
         return _beside_rest(rest, event, settings or FamilySettings(), model)
     if isinstance(event, RestEvent):
         raise InputError(f"event: a {event.kind} of equilibria; give the equilibria that it is of")
     if isinstance(event, str):
-        if event not in ("start", "end"):
-            raise InputError(f"event: families are joined at the start or the end, got {event!r}; or give its number")
         return _joined(family if isinstance(family, Family) else load_family(family), event, settings, model)
     leaving = branches(family, event, settings, model)
     if not 1 <= branch <= len(leaving):
