@@ -40,7 +40,7 @@ int func(integer ndim, const doublereal *u, const integer *icp, const doublereal
   res[1] = dfdu; res[2] = dfdp;
   return slopes(arg, res, iw, w, 0);
 }}
-int stpnt(integer ndim, doublereal t, doublereal *u, doublereal *par) {{ par[0] = 0.0; return 0; }}
+int stpnt(integer ndim, doublereal t, doublereal *u, doublereal *par) {{ {start} return 0; }}
 """
 
 
@@ -110,13 +110,17 @@ class AutoFamily:
 
 
 def equations(folder: Path, start: Start) -> str:
-    """C code of the field and its derivatives as AUTO calls it; what CasADi writes is beside it."""
+    """C code of the field and its derivatives as AUTO calls it, the unfolding its parameter."""
     model = start.curve.equations.model
     field = vector_field(model, (), NONE.unfolded(model))
     x, s = ca.SX.sym("x", field.size1_in(1)), ca.SX.sym("s")
-    rate = field(0.0, x, s, ca.SX(0, 1))
-    slopes = [rate, ca.densify(ca.jacobian(rate, x)), ca.densify(ca.jacobian(rate, s))]
-    functions = ca.Function("field", [x, s], [ca.densify(rate)]), ca.Function("slopes", [x, s], ca.cse(slopes))
+    return written(folder, x, s, field(0.0, x, s, ca.SX(0, 1)), "par[0] = 0.0;")
+
+
+def written(folder: Path, x: ca.SX, par: ca.SX, rate: ca.SX, start: str) -> str:
+    """C code of rates and their derivatives by x and PAR(1), begun as `start` says; what CasADi writes is beside it."""
+    slopes = [rate, ca.densify(ca.jacobian(rate, x)), ca.densify(ca.jacobian(rate, par))]
+    functions = ca.Function("field", [x, par], [ca.densify(rate)]), ca.Function("slopes", [x, par], ca.cse(slopes))
     generator = ca.CodeGenerator("field.c")
     for one in functions:
         generator.add(one)
@@ -124,6 +128,7 @@ def equations(folder: Path, start: Start) -> str:
     return EQUATIONS.format(
         work=1 + max(one.sz_w() for one in functions), integers=1 + max(one.sz_iw() for one in functions),
         arguments=2 + max(one.sz_arg() for one in functions), results=3 + max(one.sz_res() for one in functions),
+        start=start,
     )  # fmt: skip
 
 
