@@ -28,7 +28,7 @@ def awkward_orbit(seed: int = 0) -> Orbit:
         pair_defect=2e-13, stability="elliptic", unfolding=(1e-17, -3e-16), nodes=random.normal(size=(3, 4)),
         times=np.sort(random.normal(size=5)), samples=random.normal(size=(5, 4)), tolerance=1e-12,
         expected={"period": (1.7, 1e-9)}, provenance={"wall_time": 0.1},
-        certificate=Certificate((Check("closure", 1e-17, 1e-12, True, "a note"),), 1.5, 3e-17),
+        certificate=Certificate((Check("closure", 1e-17, 1e-12, True, "a note"),), 1.5, 3e-17, 2e-13),
         title="Ungewöhnlich", source="test",
     )  # fmt: skip
 

@@ -163,7 +163,8 @@ def _judged(orbit: Orbit, model: Model, allowed: Tolerances, better: bool = Fals
         return orbit, Certificate((refused(verifier.missing, error),))
     orbit = _better_known(orbit, seen.floquet) if better and isinstance(seen, Evidence) else orbit
     trial = Trial(orbit, model, turns, allowed, seen, second)
-    return orbit, Certificate(tuple(check for check in verifier.checks(trial) if check), trial.scale, seen.closure)
+    checks, late = tuple(check for check in verifier.checks(trial) if check), seen.closes.period_error * orbit.period
+    return orbit, Certificate(checks, trial.scale, seen.closure, late)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,9 @@ which sees the shear that the multipliers do not. The distance to the true orbit
 (d, d tau) of state and period, in extents and periods, that closes the gap g to within round-off,
 
     |u . (g + (Phi - 1) d + f T d tau)| <= 30 eps A    along every left singular vector u.
+
+The error bar of the period is the largest d tau of such a correction across the flow, at the values that are kept,
+with the gap and what round-off may add to it of any signs.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.loops.symmetry import shifts_of
 from orbitfinder.mechanics.model import Model
 
@@ -34,21 +38,25 @@ ROUND_OFF = 30.0
 
 @dataclass(frozen=True)
 class Closure:
-    """The largest component of the gap in extents of the motion, A, the distance to the true orbit, and gap and A of
-    the `worst` part of the state that nothing else drives, which may be the whole."""
+    """The largest component of the gap in extents of the motion, A, the distance to the true orbit, gap and A of the
+    `worst` part of the state that nothing else drives, which may be the whole, and the relative error of the period."""
 
     gap: float
     amplification: float
     distance: float
     worst: tuple[float, float]
+    period_error: float = 0.0
 
 
-def closes(gap: np.ndarray, transitions: Sequence[np.ndarray], states: np.ndarray, rate: np.ndarray | None) -> Closure:
+def closes(
+    gap: np.ndarray, transitions: Sequence[np.ndarray], states: np.ndarray, rate: np.ndarray | None,
+    kept: np.ndarray | None = None,
+) -> Closure:  # fmt: skip
     """The `Closure` of a loop from its gap (m), the state-transition matrices of its pieces, its states (k x m), and
     f T (m) or None, or whatever else may be corrected (m x k).
 
     All in extents of the motion; `rate` is None where the period is prescribed. Components that nothing else drives
-    close by themselves, to their own A.
+    close by themselves, to their own A. With the gradients (k x m) of what is `kept` the period's error is told.
     """
     sizes = np.maximum(np.abs(states).max(axis=0), 1.0)  # of the components, R
     found = _together(gap, transitions, sizes, rate)
@@ -57,7 +65,21 @@ def closes(gap: np.ndarray, transitions: Sequence[np.ndarray], states: np.ndarra
         inner = [one[np.ix_(own, own)] for one in transitions]
         parts.append(_together(gap[own], inner, sizes[own], None if rate is None else rate[own]))
     worst = max(parts, key=lambda one: one.gap / min(one.amplification, LARGEST_SCALE))
-    return replace(found, distance=max(one.distance for one in parts), worst=worst.worst)
+    late = 0.0 if kept is None or rate is None else _late(gap, carried(transitions, sizes), rate, kept)
+    return replace(found, distance=max(one.distance for one in parts), worst=worst.worst, period_error=late)
+
+
+def _late(gap: np.ndarray, carried: tuple[np.ndarray, float], rate: np.ndarray, kept: np.ndarray) -> float:
+    """By what share of it the period of the true orbit may be another; infinite where none is isolated."""
+    monodromy, grown = carried
+    rows = np.vstack([rate, kept]) / nonzero(np.linalg.norm(np.vstack([rate, kept]), axis=1, keepdims=True))
+    bordered = np.vstack([
+        np.column_stack([monodromy - np.eye(gap.size), rate]), np.column_stack([rows, np.zeros(len(rows))]),
+    ])  # fmt: skip
+    if not np.isfinite(bordered).all():
+        return float("inf")
+    row = np.linalg.pinv(bordered)[-1, : gap.size]
+    return float(np.abs(row) @ (np.abs(gap) + ROUND_OFF * EPSILON * grown))
 
 
 def _together(

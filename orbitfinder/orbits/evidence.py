@@ -466,7 +466,8 @@ def _looped(model: Model, motion: Motion, units: np.ndarray, path: np.ndarray, p
     pieces, rate = in_extents(motion.transitions, units), None if model.forced else motion.rate * period / units
     missed = (path[-1] - path[0] - shift(motion.turns, units.size)) / units
     return Tour(
-        closes(missed, pieces, path / units, rate), pieces, motion.gradients * units, motion.directions / units,
+        closes(missed, pieces, path / units, rate, motion.gradients * units), pieces, motion.gradients * units,
+        motion.directions / units,
         symplectic(model), units,
         tangent_basis(motion.constraints * units) if motion.constraints.size else np.eye(units.size),
     )  # fmt: skip

@@ -160,7 +160,7 @@ def gather_hybrid(model: Model, state: np.ndarray, period: float, turns: np.ndar
     pieces = in_extents(variations, units)
     rate = automaton.field(arcs[0].mode)(0.0, np.asarray(state, float)) / units
     slopes = invariant_gradients(model)(state).full().reshape(-1, units.size) * units
-    found = closes((end - state - shift(turns, units.size)) / units, pieces, states / units, rate * period)
+    found = closes((end - state - shift(turns, units.size)) / units, pieces, states / units, rate * period, slopes)
     directions = np.vstack([rate, generated(model, state) / units])
     loop = Tour(found, pieces, slopes, directions, False, units, np.eye(units.size), motion=(times, states))
     drift, balance = _energies(model, arcs)

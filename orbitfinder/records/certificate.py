@@ -76,6 +76,8 @@ class Certificate(Shown):
         scale: A, how many times round-off grows until the end of the period, at most 1e6: what tolerances were
             multiplied by.
         closure: the largest component of the gap round the loop, in the model's units.
+        period_error: by how much the true orbit's period may differ from the recorded one, at the same energy where
+            there is one (s): from the gap and from what round-off can add; 0 where the period is prescribed.
 
     Examples:
         >>> certificate = of.certify(orbit)
@@ -84,11 +86,12 @@ class Certificate(Shown):
     """
 
     __repr__ = brief("passed", "failures", "closure")
-    _entries = ("passed", "scale", "closure", "checks")
+    _entries = ("passed", "scale", "closure", "period_error", "checks")
 
     checks: tuple[Check, ...]
     scale: float = 1.0
     closure: Unknown = float("nan")
+    period_error: Unknown = float("nan")
 
     @property
     def passed(self) -> bool:

@@ -54,8 +54,10 @@ def facts(orbit: Orbit, conserved: bool = True, names: Sequence[str] = ()) -> di
         verdict = f"as its file has it, not checked here: {verdict}"
     called = names or [f"q{k + 1}" for k in range(len(orbit.winding))]
     turns = [f"{name} {k}" for name, k in zip(called, orbit.winding, strict=False) if k]
+    late = math.nan if certificate is None else certificate.period_error
     return {
         "period": with_unit(number(orbit.period, 12), unit["time"]),
+        **({"period known to": with_unit(number(late, 1), unit["time"])} if late > 0 else {}),
         "frequency": with_unit(number(1.0 / orbit.period, 8), unit["time"] and "1/s"),
         "energy" if conserved else "energy, not conserved": energy if level else "none is conserved",
         "action": with_unit(number(orbit.action, 10), unit["action"] if level else ""),
