@@ -1,4 +1,4 @@
-"""Equilibria and cycles of the systems that AUTO's users know: cost of a point beside AUTO-07p's, and one whole diagram.
+"""Equilibria and cycles that AUTO's users know: cost of a point beside AUTO-07p's, and one whole diagram.
 
 Cycles from one orbit to another value of the parameter, by shooting and by collocation, events located, as
 `of.follow_family` does without the second integrator and with default settings; AUTO-07p on the coarsest mesh that
@@ -33,7 +33,7 @@ import orbitfinder as of
 from orbitfinder.families.start import begin, full_samples
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from benchmarks import brute_systems as brute  # noqa: E402
+from benchmarks import brute_systems as brute
 
 REPEATS = 3
 MESHES = ((20, 4), (50, 4), (100, 4), (100, 7))
@@ -162,7 +162,8 @@ def closure(case: Case, row: np.ndarray) -> float:
     jacobian = ca.Function("j", [x], [ca.densify(ca.jacobian(ca.vertcat(*case.rates(x, value)), x))])
 
     def field(t: float, y: np.ndarray) -> np.ndarray:
-        return np.concatenate([case.plain(t, y[:d], value, 0.0), (jacobian(y[:d]).full() @ y[d:].reshape(d, d)).ravel()])
+        turned = jacobian(y[:d]).full() @ y[d:].reshape(d, d)
+        return np.concatenate([case.plain(t, y[:d], value, 0.0), turned.ravel()])
 
     start = np.concatenate([state, np.eye(d).ravel()])
     path = solve_ivp(field, (0.0, period), start, method="DOP853", rtol=1e-12, atol=1e-14).y
@@ -253,7 +254,8 @@ def cycles(case: Case, folder: Path, repeats: int) -> list[dict[str, Any]]:
     rows = []
     for name, given in taken.items():
         if isinstance(given, Unavailable):
-            rows.append({"case": case.name, "method": name, "run": Run(failed=str(given)), "ratio": np.nan, "met": None})
+            failed = Run(failed=str(given))
+            rows.append({"case": case.name, "method": name, "run": failed, "ratio": np.nan, "met": None})
             continue
         run = Run(seconds=given[0], points=len(given[1]), closure=worst(case, given[1]))
         ratio = np.nan if isinstance(peer, Unavailable) else given[0] / peer[0]
@@ -285,8 +287,12 @@ def equilibria(case: Case, folder: Path, repeats: int) -> dict[str, Any]:
 
     taken = in_turns({"ours": follow, AUTO: auto}, range(repeats))
     mine = taken["ours"]
-    told = {name: Run(failed=str(given)) if isinstance(given, Unavailable) else
-            Run(seconds=given[0], points=len(getattr(given[1], "points", given[1]))) for name, given in taken.items()}
+    told = {
+        name: Run(failed=str(given))
+        if isinstance(given, Unavailable)
+        else Run(seconds=given[0], points=len(getattr(given[1], "points", given[1])))
+        for name, given in taken.items()
+    }
     special = "" if isinstance(mine, Unavailable) else ", ".join(event.kind for event in mine[1].events)
     return {"case": case.name, "ours": told["ours"], "auto": told[AUTO], "events": special,
             "met": bool(told["ours"].seconds * 1e3 <= EQUILIBRIUM)}  # fmt: skip
@@ -356,8 +362,8 @@ located, multipliers and stability included. Closures are the worst of one point
 {cycle_lines}
 
 AUTO with NTST x NCOL, ISP = 2, ILP = 1, EPSL = EPSU = 1e-12, one thread, in about as many points. Wanted of AUTO that
-closes as well: shooting {WANTED[WITHOUT]:g}, collocation {WANTED[COLLOCATION]:g}. "Default" closes every point and every
-event by the second integrator.
+closes as well: shooting {WANTED[WITHOUT]:g}, collocation {WANTED[COLLOCATION]:g}. "Default" closes every point and
+every event by the second integrator.
 
 ## Equilibria
 

@@ -1,4 +1,4 @@
-"""The error bar of a period: references of 20 digits lie inside, it is small, and a displaced record's grows with it."""
+"""The error bar of a period: references of 20 digits lie inside, it is small, and a displaced record's is wider."""
 
 from dataclasses import replace
 
