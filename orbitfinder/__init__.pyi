@@ -41,6 +41,7 @@ from .loops.ipopt import SolveSettings as SolveSettings
 from .loops.problem import Guess as Guess
 from .loops.problem import Problem as Problem
 from .mechanics.constrained import constrained as constrained
+from .mechanics.equations import equations as equations
 from .mechanics.first_order import hamiltonian as hamiltonian
 from .mechanics.first_order import ode as ode
 from .mechanics.hybrid import Mode as Mode
