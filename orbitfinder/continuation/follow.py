@@ -15,9 +15,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from math import nan
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
+import numpy as np
 from scipy.optimize import brentq
 
 from orbitfinder._runtime import limit
@@ -30,6 +33,8 @@ from orbitfinder.records.reading import typed
 
 LOCATED, LOOKS = 1e-12, 60
 """An event is located to this share of a step, in so many looks at most"""
+CLOSER, NEARLY = 6, 0.5
+"""So often a test is looked at within a step where a parabola through what is known turns below this share of that"""
 
 
 class Block(Protocol):
@@ -119,6 +124,7 @@ class Pace:
         bend: the least cosine between the tangents of a step.
         quick: a step in at most so many iterations of the corrector is followed by one `growth` as long.
         slow: one in more by one `shrinkage` as long.
+        located: events are, to this share of a step.
     """
 
     first: float = 0.02
@@ -130,6 +136,7 @@ class Pace:
     slow: int = 9
     growth: float = 1.5
     shrinkage: float = 0.6
+    located: float = LOCATED
 
     def next(self, step: float, iterations: int) -> float:
         """The length after a step that took so many iterations."""
@@ -226,15 +233,57 @@ def exactly(before: Point, after: Point, name: str, value: float) -> Point:
     return replace(there, tangent=tangent, arclength=before.arclength + share * length)
 
 
-def located(before: Point, after: Point, test: Test) -> Point:
-    """Where a test vanishes within a step. Raises `ConvergenceError` or `IntegrationError`."""
+def between(before: Point, after: Point, share: float) -> Point:
+    """The point at a share of a step on the cubic along the tangents at its ends, its own the curve's there."""
+    length, first, s = after.arclength - before.arclength, after.problem.carried(before.w, after.w), share
+    chord, (a, b) = after.w.vector - first.vector, (before.tangent, after.tangent)
+    moved = s**2 * (3 - 2 * s) * chord + length * s * (1 - s) * ((1 - s) * a - s * b)
+    slope = 6 * s * (1 - s) * (chord / length) + (1 - s) * (1 - 3 * s) * a + s * (3 * s - 2) * b
+    return Point(after.problem, first.moved(moved), slope, before.arclength + s * length).sharp
+
+
+def located(before: Point, after: Point, test: Test, within: tuple[float, float], tolerance: float) -> Point | None:
+    """Where a test vanishes between two shares of a step; None where it does not change its sign on the curve itself.
+
+    Raises `ConvergenceError` or `IntegrationError`.
+    """
     length = after.arclength - before.arclength
-    ends = {0.0: before.sharp, length: after.sharp}
+    ends = {0.0: before.sharp, 1.0: after.sharp}
 
     def at(share: float) -> Point:
-        return ends[share] if share in ends else advanced(before, share).sharp
+        return ends[share] if share in ends else advanced(before, share * length).sharp
 
-    return at(zero(lambda share: test(at(share)), 0.0, length, LOCATED * length))
+    if (test(at(within[0])) < 0) == (test(at(within[1])) < 0):
+        return None
+    return at(zero(lambda share: test(at(share)), *within, tolerance))
+
+
+def changes(look: Callable[[float], float], known: Mapping[float, float]) -> list[tuple[float, float]]:
+    """Between which shares of a step a test changes its sign, of which three values are known.
+
+    Where the parabola through them turns towards 0 it is looked at more closely: two events may lie within the step.
+    """
+    values, crossed = dict(known), list[tuple[float, float]]()
+    for _ in range(CLOSER):
+        shares = sorted(values)
+        crossed = [(a, b) for a, b in pairwise(shares) if (values[a] < 0) != (values[b] < 0)]
+        least = min(shares, key=lambda share: abs(values[share]))
+        k = min(max(shares.index(least), 1), len(shares) - 2)
+        turn, there = turning(*((share, values[share]) for share in shares[k - 1 : k + 2]))
+        near = not crossed and shares[k - 1] < turn < shares[k + 1] and min(abs(turn - s) for s in shares) > 1e-3
+        if not near or there * np.sign(values[least]) > NEARLY * abs(values[least]):
+            break
+        values[turn] = look(turn)
+    return crossed
+
+
+def turning(first: tuple[float, float], second: tuple[float, float], third: tuple[float, float]) -> tuple[float, float]:
+    """Where the parabola through three places and values turns, and its value there; nan where it does not."""
+    (a, f), (b, g), (c, h) = first, second, third
+    slope = (g - f) / (b - a)
+    bend = ((h - g) / (c - b) - slope) / (c - a)
+    turn = (a + b) / 2 - slope / (2 * bend) if bend else nan
+    return turn, f + slope * (turn - a) + bend * (turn - a) * (turn - b)
 
 
 @dataclass(frozen=True)
@@ -387,10 +436,19 @@ class _Arclength:
         step = self.pace.next(length, after.iterations)
         after = replace(after, problem=problem, w=w, tangent=tangent, step=step)
         _, fresh = self.trace.exactly(point, after, self.goals)
-        crossed = [(name, test) for name, test in self.tests.items() if test(point.sharp) * test(after.sharp) < 0]
-        events = [self.trace.kept(name, located(point, after, test)) for name, test in crossed]
-        events.sort(key=lambda event: event.point.arclength)
+        events = sorted(self._events(point, after), key=lambda event: event.point.arclength)
         return self.trace.add(self.trace.kept("step", after), events, fresh)
+
+    def _events(self, before: Point, after: Point) -> Iterator[KeptPoint]:
+        """What tests change their signs at within a step, by both ends and the middle."""
+        if not self.tests:
+            return
+        looks = {0.0: before.sharp, 0.5: between(before, after, 0.5), 1.0: after.sharp}
+        for name, test in self.tests.items():
+            known = {share: test(point) for share, point in looks.items()}
+            for within in changes(lambda share, test=test: test(between(before, after, share)), known):  # type: ignore[misc]
+                if (event := located(before, after, test, within, self.pace.located)) is not None:
+                    yield self.trace.kept(name, event)
 
     def failed(self, reason: str) -> _Line:
         return self.trace.add(end=End("step underflow", reason))
