@@ -11,7 +11,7 @@ from click.testing import CliRunner
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
-from orbitfinder.families.equilibria import verified
+from orbitfinder.families.rest_certificate import verified
 from orbitfinder.families.rest_problem import Stacked, regular, singular
 from orbitfinder.integrate.jets import at_rest
 from orbitfinder.show.equilibria import stretched

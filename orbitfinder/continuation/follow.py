@@ -15,9 +15,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from math import nan
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
+import numpy as np
 from scipy.optimize import brentq
 
 from orbitfinder._runtime import limit
@@ -30,6 +33,10 @@ from orbitfinder.records.reading import typed
 
 LOCATED, LOOKS = 1e-12, 60
 """An event is located to this share of a step, in so many looks at most"""
+LEAST, SAME = 4, 1e-6
+"""A curve of at least so many points is closed where it is as near to its start as this share of a step"""
+CLOSER, NEARLY = 6, 0.5
+"""So often a test is looked at within a step where a parabola through what is known turns below this share of that"""
 
 
 class Block(Protocol):
@@ -119,6 +126,8 @@ class Pace:
         bend: the least cosine between the tangents of a step.
         quick: a step in at most so many iterations of the corrector is followed by one `growth` as long.
         slow: one in more by one `shrinkage` as long.
+        located: events are, to this share of a step.
+        closed: whether a curve that comes back to its start ends there.
     """
 
     first: float = 0.02
@@ -130,6 +139,8 @@ class Pace:
     slow: int = 9
     growth: float = 1.5
     shrinkage: float = 0.6
+    located: float = LOCATED
+    closed: bool = False
 
     def next(self, step: float, iterations: int) -> float:
         """The length after a step that took so many iterations."""
@@ -226,15 +237,57 @@ def exactly(before: Point, after: Point, name: str, value: float) -> Point:
     return replace(there, tangent=tangent, arclength=before.arclength + share * length)
 
 
-def located(before: Point, after: Point, test: Test) -> Point:
-    """Where a test vanishes within a step. Raises `ConvergenceError` or `IntegrationError`."""
+def between(before: Point, after: Point, share: float) -> Point:
+    """The point at a share of a step on the cubic along the tangents at its ends, its own the curve's there."""
+    length, first, s = after.arclength - before.arclength, after.problem.carried(before.w, after.w), share
+    chord, (a, b) = after.w.vector - first.vector, (before.tangent, after.tangent)
+    moved = s**2 * (3 - 2 * s) * chord + length * s * (1 - s) * ((1 - s) * a - s * b)
+    slope = 6 * s * (1 - s) * (chord / length) + (1 - s) * (1 - 3 * s) * a + s * (3 * s - 2) * b
+    return Point(after.problem, first.moved(moved), slope, before.arclength + s * length).sharp
+
+
+def located(before: Point, after: Point, test: Test, within: tuple[float, float], tolerance: float) -> Point | None:
+    """Where a test vanishes between two shares of a step; None where it does not change its sign on the curve itself.
+
+    Raises `ConvergenceError` or `IntegrationError`.
+    """
     length = after.arclength - before.arclength
-    ends = {0.0: before.sharp, length: after.sharp}
+    ends = {0.0: before.sharp, 1.0: after.sharp}
 
     def at(share: float) -> Point:
-        return ends[share] if share in ends else advanced(before, share).sharp
+        return ends[share] if share in ends else advanced(before, share * length).sharp
 
-    return at(zero(lambda share: test(at(share)), 0.0, length, LOCATED * length))
+    if (test(at(within[0])) < 0) == (test(at(within[1])) < 0):
+        return None
+    return at(zero(lambda share: test(at(share)), *within, tolerance))
+
+
+def changes(look: Callable[[float], float], known: Mapping[float, float]) -> list[tuple[float, float]]:
+    """Between which shares of a step a test changes its sign, of which three values are known.
+
+    Where the parabola through them turns towards 0 it is looked at more closely: two events may lie within the step.
+    """
+    values, crossed = dict(known), list[tuple[float, float]]()
+    for _ in range(CLOSER):
+        shares = sorted(values)
+        crossed = [(a, b) for a, b in pairwise(shares) if (values[a] < 0) != (values[b] < 0)]
+        least = min(shares, key=lambda share: abs(values[share]))
+        k = min(max(shares.index(least), 1), len(shares) - 2)
+        turn, there = turning(*((share, values[share]) for share in shares[k - 1 : k + 2]))
+        near = not crossed and shares[k - 1] < turn < shares[k + 1] and min(abs(turn - s) for s in shares) > 1e-3
+        if not near or there * np.sign(values[least]) > NEARLY * abs(values[least]):
+            break
+        values[turn] = look(turn)
+    return crossed
+
+
+def turning(first: tuple[float, float], second: tuple[float, float], third: tuple[float, float]) -> tuple[float, float]:
+    """Where the parabola through three places and values turns, and its value there; nan where it does not."""
+    (a, f), (b, g), (c, h) = first, second, third
+    slope = (g - f) / (b - a)
+    bend = ((h - g) / (c - b) - slope) / (c - a)
+    turn = (a + b) / 2 - slope / (2 * bend) if bend else nan
+    return turn, f + slope * (turn - a) + bend * (turn - a) * (turn - b)
 
 
 @dataclass(frozen=True)
@@ -332,10 +385,12 @@ def follow(
     yield trace.steps[0]
     ahead = walked(_Arclength(trace, goals, pace, tests or {}), pace.points)
     for index in range(1, pace.points):
+        if index == len(trace.steps) and trace.end is None:
+            next(ahead)
+        if index == len(trace.steps):
+            curve.end = trace.end
+            return
         try:
-            end = trace.end or next(ahead).end if index == len(trace.steps) else None
-            if end is not None:
-                raise ConvergenceError(end.reason)
             before, after = (step.point for step in trace.steps[index - 1 : index + 1])
             points, fresh = trace.exactly(before, after, goals)
         except (ConvergenceError, IntegrationError) as error:
@@ -383,14 +438,39 @@ class _Arclength:
         """By one step, with what lies before its end."""
         point = self.point
         after = advanced(point, length, self.pace.bend)
+        home = self._home(point, after)
+        after = after if home is None else home
         problem, w, tangent = after.problem.at(after.w, after.tangent)
         step = self.pace.next(length, after.iterations)
         after = replace(after, problem=problem, w=w, tangent=tangent, step=step)
         _, fresh = self.trace.exactly(point, after, self.goals)
-        crossed = [(name, test) for name, test in self.tests.items() if test(point.sharp) * test(after.sharp) < 0]
-        events = [self.trace.kept(name, located(point, after, test)) for name, test in crossed]
-        events.sort(key=lambda event: event.point.arclength)
-        return self.trace.add(self.trace.kept("step", after), events, fresh)
+        events = sorted(self._events(point, after), key=lambda event: event.point.arclength)
+        end = None if home is None else End("returned", "the curve is closed")
+        return self.trace.add(self.trace.kept("step", after), events, fresh, end)
+
+    def _home(self, before: Point, after: Point) -> Point | None:
+        """The curve's first point, where a step comes to it again along it."""
+        first = self.trace.steps[0].point
+        if not self.pace.closed or len(self.trace.steps) < LEAST or first.w.vector.size != before.w.vector.size:
+            return None
+        away = first.w.vector - before.w.vector
+        length = before.inner(away)
+        if not 0 < length <= after.arclength - before.arclength or after.inner(first.tangent) <= 0:
+            return None
+        there = advanced(before, length)
+        gap = there.w.vector - first.w.vector
+        return there if before.problem.metric(there.w) @ gap**2 < (SAME * length) ** 2 else None
+
+    def _events(self, before: Point, after: Point) -> Iterator[KeptPoint]:
+        """What tests change their signs at within a step, by both ends and the middle."""
+        if not self.tests:
+            return
+        looks = {0.0: before.sharp, 0.5: between(before, after, 0.5), 1.0: after.sharp}
+        for name, test in self.tests.items():
+            known = {share: test(point) for share, point in looks.items()}
+            for within in changes(lambda share, test=test: test(between(before, after, share)), known):  # type: ignore[misc]
+                if (event := located(before, after, test, within, self.pace.located)) is not None:
+                    yield self.trace.kept(name, event)
 
     def failed(self, reason: str) -> _Line:
         return self.trace.add(end=End("step underflow", reason))

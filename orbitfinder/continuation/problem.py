@@ -83,8 +83,8 @@ class Point:
         """The same with its tangent by the derivatives there, where the corrector's are those of a place nearby."""
         metric = self.problem.metric(self.w)
         rows = np.vstack([self.problem.phases(self.w), metric * self.tangent])
-        solver = self.problem.linearise(self.w)[1].closed(rows)
-        return replace(self, tangent=_tangent(solver, self.problem.rows(self.w).size + len(rows), metric))
+        known, linear = self.problem.linearise(self.w)
+        return replace(self, tangent=_tangent(linear.closed(rows), known.size + len(rows), metric))
 
     def inner(self, tangent: np.ndarray) -> float:
         """<tangent, another>, in this one's metric."""

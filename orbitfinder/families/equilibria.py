@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,8 @@ from orbitfinder.continuation.follow import CurveJournal, Goals, KeptPoint, Pace
 from orbitfinder.continuation.problem import Point, plane, solved
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
+from orbitfinder.families.registry import end_kind
+from orbitfinder.families.rest_certificate import CRITICAL, RESIDUAL, SLOPES, Judge, stability
 from orbitfinder.families.rest_problem import (
     AtRest,
     Stacked,
@@ -29,30 +31,18 @@ from orbitfinder.families.rest_problem import (
     regular,
     singular,
     solve_square,
-    state_sizes,
     without_noise,
 )
-from orbitfinder.integrate.dop853 import SECOND, integrate_in
-from orbitfinder.integrate.equations import with_variations
-from orbitfinder.integrate.field import vector_field
 from orbitfinder.integrate.jets import at_rest
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model, check_state
 from orbitfinder.mechanics.newton import Settings, equilibrium
-from orbitfinder.records.certificate import Certificate, at_most, equal
 from orbitfinder.records.family import End, Reading
 
-PACE = Pace(first=0.01, shortest=1e-9, longest=0.05, points=400, bend=0.95, quick=4, slow=7)
-"""Lengths are in the sizes of the state and of the parameter"""
-NEUTRAL = 1e-9
-"""Eigenvalues whose real parts are this share of the largest are on the imaginary axis"""
-RESIDUAL, SLOPES, CRITICAL = 1e-12, 1e-7, 1e-8
-"""What may be left of the rates, of the eigenvalues by differences and of a critical one by the flow, in the pace of
-the equilibrium and its sizes"""
+PACE = Pace(first=0.01, shortest=1e-9, longest=0.05, points=400, bend=0.95, quick=4, slow=7, located=1e-3, closed=True)
+"""Lengths are in the sizes of the state and of the parameter; events are solved for from where they are located"""
 LEAVING = (0.01, 0.002, 0.0004, 0.05)
 """How far from a branch point other equilibria are looked for; the first that succeeds is taken"""
-DIFFERENCE = 2e-3
-"""Half of the widest of the differences that check slopes, in the sizes of the state"""
 FARTHEST = 1e3
 """How long a simulation to rest takes, in the times in which the state at its start would change by itself"""
 
@@ -123,15 +113,15 @@ def follow_equilibria(
     start = float(model.parameter_values[model.parameter_index(parameter)])
     _check_goals(parameter, start, until, at, points)
     span, label = None if until is None else until - start, name or (branch.name if branch else "equilibria")
+    judge = Judge(model, parameter)
     if branch is None:
         problem, rest = first_equilibrium(model, state, parameter, span)
-        ways = [_Way(problem, rest, parameter, until, 1.0)]
-        ways += [_Way(problem, rest, parameter, None, -1.0)] if until is None else []
+        ways = [_Way(problem, rest, parameter, until, sign, judge) for sign in (1.0, -1.0)[: 1 + (until is None)]]
     else:
         reach = None if span is None else np.array([span])
         problem = regular(at_rest(model, (parameter,), state), state, np.array([start]), reach)
         rest = np.concatenate([state, np.zeros(problem.jets.extra)])
-        ways = [_Way(problem, rest, parameter, until, sign, branch.direction) for sign in (1.0, -1.0)]
+        ways = [_Way(problem, rest, parameter, until, sign, judge, branch.direction) for sign in (1.0, -1.0)]
     path = None if out is None else Path(out) / label
     runs: list[tuple[SolutionCurve, _Way]] = []
     record = partial(_record, label, model, parameter, runs)
@@ -148,6 +138,8 @@ def follow_equilibria(
                 finished(record)
                 if progress:
                     progress(kept.record)
+            if curve.end and end_kind(curve.end.kind).closed:
+                break
     return record()
 
 
@@ -236,6 +228,7 @@ class _Way:
     parameter: str
     until: float | None
     sign: float
+    judge: Judge
     direction: np.ndarray | None = None
 
     def begin(self) -> Point:
@@ -281,19 +274,20 @@ class _Way:
     def record(self, point: Point) -> Equilibrium:
         """Certified."""
         z, p, _ = point.problem.parts(point.w)
-        return _recorded(point.problem, z, p, point.arclength * self.sign, self.parameter, _eigenvalues(point))
+        return _recorded(self.judge, point.problem, z, p, point.arclength * self.sign, _eigenvalues(point))
 
     def write(self, point: Point, record: Equilibrium) -> Mapping[str, Any]:  # noqa: ARG002 - made again when read
         """Both in plain numbers."""
         return {"w": point.w.vector, "tangent": point.tangent, "arclength": point.arclength, "step": point.step,
-                "sizes": point.problem.z_sizes}  # fmt: skip
+                "sizes": point.problem.sizes}  # fmt: skip
 
     def read(self, entry: Mapping[str, Any]) -> tuple[Point, Equilibrium]:
         """Both from what was written."""
         w, tangent = np.array(entry["w"], float), np.array(entry["tangent"], float)
-        if w.shape != tangent.shape or w.size != self.rest.size + 1:
+        sizes, count = np.array(entry["sizes"], float), self.rest.size
+        if not w.shape == tangent.shape == sizes.shape == (count + 1,):
             raise ValueError("a point of another size")
-        problem = replace(self.problem, z_sizes=np.array(entry["sizes"], float))
+        problem = replace(self.problem, z_sizes=sizes[:count], p_sizes=sizes[count:])
         problem = problem.at(Stacked(w), tangent)[0]
         point = Point(problem, Stacked(w), tangent, float(entry["arclength"]), float(entry["step"]))
         return point, self.record(point)
@@ -302,76 +296,40 @@ class _Way:
 def _border(point: Point) -> float:
     """The determinant of the equations and their tangent, 0 where two curves cross: its sign, a root of its size."""
     problem = point.problem
-    matrix = problem.linearise(point.w)[1].matrix
-    row = problem.metric(point.w) * point.tangent * problem.sizes
-    sign, size = np.linalg.slogdet(np.vstack([matrix, row]))
-    return float(sign * np.exp(size / len(matrix)))
+    return float(problem.linearise(point.w)[1].determinant(problem.metric(point.w) * point.tangent))
 
 
 def _eigenvalues(point: Point) -> np.ndarray:
     """Those of a point, remembered with it."""
     if "eigenvalues" not in point.w.known:
         z, p, _ = point.problem.parts(point.w)
-        point.w.known["eigenvalues"] = eigenvalues(point.problem, z, p)
+        slopes = point.problem.linearise(point.w)[1].matrix[:, : z.size]
+        point.w.known["eigenvalues"] = eigenvalues(point.problem, z, p, slopes)
     return np.asarray(point.w.known["eigenvalues"])
 
 
 def _pair(point: Point) -> float:
     """The product of all sums of two eigenvalues: its sign, and the least of them in size."""
     values = _eigenvalues(point) / point.problem.pace
-    i, j = np.triu_indices(values.size, 1)
+    i, j = _pairs(values.size)
     sums = values[i] + values[j]
-    return float(np.prod(np.sign(np.prod(sums / nonzero(np.abs(sums))).real)) * np.abs(sums).min(initial=1.0))
+    sizes = np.abs(sums)
+    return float(np.sign(np.prod(sums / nonzero(sizes)).real) * sizes.min(initial=1.0))
+
+
+_pairs = lru_cache(maxsize=16)(partial(np.triu_indices, k=1))
+"""The places of all pairs of so many"""
 
 
 def _recorded(
-    problem: AtRest, z: np.ndarray, p: np.ndarray, arclength: float, parameter: str, values: np.ndarray
+    judge: Judge, problem: AtRest, z: np.ndarray, p: np.ndarray, arclength: float, values: np.ndarray
 ) -> Equilibrium:
-    d, model = problem.jets.size, problem.jets.model
-    values = values[np.lexsort((-values.imag, -values.real))]
-    value = float(p[problem.jets.free.index(parameter)])
-    residual, slopes = by_differences(model, z[:d], {parameter: value}, problem.z_sizes[:d], problem.pace, values)
+    d, value, values = problem.jets.size, float(p[0]), values[np.lexsort((-values.imag, -values.real))]
+    residual, slopes = judge.left(z[:d], value, problem.z_sizes[:d], problem.pace, values)
     return Equilibrium(
         z[:d], value, values, stability(values, problem.pace), arclength, residual,
         bool(residual <= RESIDUAL and slopes <= SLOPES),
     )  # fmt: skip
-
-
-def stability(values: np.ndarray, pace: float) -> str:
-    """The verdict on eigenvalues: stable | unstable | neutral."""
-    least = NEUTRAL * max(pace, float(np.abs(values).max(initial=0.0)))
-    largest = float(values.real.max(initial=-np.inf))
-    return "unstable" if largest > least else "stable" if largest < -least else "neutral"
-
-
-def by_differences(
-    model: Model, state: np.ndarray, values: Mapping[str, float], sizes: np.ndarray, pace: float, claimed: np.ndarray
-) -> tuple[float, float]:
-    """By the rates alone: the largest in sizes and pace, and how far the claimed eigenvalues are from those of their
-    differences of the sixth order, as the least singular value of A - lambda relative to the pace."""
-    numbers = model.parameter_values.copy()
-    for name, value in values.items():
-        numbers[model.parameter_index(name)] = value
-    steps = DIFFERENCE * np.array([-3, -2, -1, 1, 2, 3]) / 3.0
-    columns = state[:, None] + np.concatenate([np.zeros((state.size, 1)), *(h * np.diag(sizes) for h in steps)], axis=1)
-    rates = np.asarray(model.rate(0.0, columns, numbers).full()) / sizes[:, None] / pace
-    weights = np.array([-1.0, 9.0, -45.0, 45.0, -9.0, 1.0]) / 60.0 / (DIFFERENCE / 3.0)
-    slopes = sum(w * block for w, block in zip(weights, np.split(rates[:, 1:], 6, axis=1), strict=True))
-    shifted, left = slopes - (claimed / pace)[:, None, None] * np.eye(state.size), float(np.abs(rates[:, 0]).max())
-    if not np.isfinite(shifted).all():
-        return left, np.inf
-    return left, float(np.linalg.svd(shifted, compute_uv=False)[:, -1].max(initial=0.0))
-
-
-def by_the_flow(model: Model, state: np.ndarray, sizes: np.ndarray, pace: float, claimed: complex) -> float:
-    """How far an eigenvalue is from one of the flow, DOP853's of the variations over 1 / pace: the least singular value
-    of Phi - exp(lambda t)."""
-    d = state.size
-    start = np.concatenate([state, np.eye(d).ravel(), [0.0]])
-    units = np.concatenate([sizes, np.outer(sizes, 1.0 / sizes).T.ravel(), [1.0]])
-    end = integrate_in(units, vector_field(with_variations(model)), start, np.array([0.0, 1.0 / pace]), SECOND)[-1]
-    phi = end[d:-1].reshape(d, d).T * sizes / sizes[:, None]
-    return float(np.linalg.svd(phi - np.exp(claimed / pace) * np.eye(d), compute_uv=False)[-1])
 
 
 def _event(kept: KeptPoint, way: _Way, index: int) -> RestEvent | None:
@@ -388,12 +346,10 @@ def _event(kept: KeptPoint, way: _Way, index: int) -> RestEvent | None:
     z, p, more = extended.parts(w)
     if np.abs((z - kept.point.w.vector[:count]) / problem.z_sizes).max() > 1e-3:
         return None  # another one
-    model = with_parameters(problem.jets.model, {way.parameter: float(p[0])})
-    values = eigenvalues(problem, z, p)
-    found = _recorded(problem, z, p, kept.point.arclength * way.sign, way.parameter, values)
+    found = _recorded(way.judge, problem, z, p, kept.point.arclength * way.sign, eigenvalues(problem, z, p))
     there = _Singular(extended, z, p, more, bars, kept.point.tangent)
     name, claimed, known = TOLD[kept.role](there)
-    value = by_the_flow(model, z[:d], problem.z_sizes[:d], problem.pace, claimed)
+    value = way.judge.flow(z[:d], float(p[0]), problem.z_sizes[:d], problem.pace, claimed)
     check = Reading(value, CRITICAL, bool(value <= CRITICAL and found.residual <= RESIDUAL))
     return RestEvent(
         name, index, found.arclength, float(p[0]), float(bars[-1]), z[:d], found.eigenvalues, check, critical=claimed,
@@ -503,28 +459,3 @@ def _apart(events: list[RestEvent]) -> list[RestEvent]:
 
     groups["fold"] = [fold for fold in groups["fold"] if not crossed(fold)]
     return sorted((event for group in groups.values() for event in group), key=lambda event: event.arclength)
-
-
-def verified(equilibria: Equilibria, model: Model | None = None) -> Certificate:
-    """Every equilibrium from its record alone: rates, eigenvalues from their differences, critical ones by the flow."""
-    model = model or build_model(equilibria.system)
-    worst, wrong, everywhere = [0.0, 0.0, 0.0], 0, np.array([point.state for point in equilibria.points])
-    sizes = state_sizes(model, np.abs(everywhere).max(axis=0))
-    every: tuple[Equilibrium | RestEvent, ...] = (*equilibria.points, *equilibria.events)
-    for point in every:
-        value = point.value if isinstance(point, Equilibrium) else point.parameter
-        state, size = point.state, float(np.abs(point.eigenvalues).max(initial=0.0)) or 1.0
-        residual, slopes = by_differences(model, state, {equilibria.parameter: value}, sizes, size, point.eigenvalues)
-        worst[:2] = max(worst[0], residual), max(worst[1], slopes)
-        if isinstance(point, Equilibrium):
-            wrong += point.stability != stability(point.eigenvalues, size)
-            continue
-        there = with_parameters(model, {equilibria.parameter: value})
-        wrong += not point.consistent
-        worst[2] = max(worst[2], by_the_flow(there, state, sizes, size, point.critical))
-    return Certificate((
-        at_most("rates", worst[0], RESIDUAL, "largest rate, in the sizes and the pace of its equilibrium"),
-        at_most("eigenvalues", worst[1], SLOPES, "from differences of the rates"),
-        at_most("critical eigenvalues", worst[2], CRITICAL, "at the events, by the flow of the variations"),
-        equal("verdicts", float(wrong), 0.0, "on stability and events, which eigenvalues do not bear out"),
-    ))  # fmt: skip

@@ -17,10 +17,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import isfinite
 from typing import Any, Self
 
 import numpy as np
-from scipy.linalg.lapack import dgetrf, dgetrs
+from scipy.linalg.lapack import dgeev, dgetrf, dgetrs
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError
@@ -55,11 +56,22 @@ class Dense:
 
     def closed(self, rows: np.ndarray) -> Solver:
         """See `continuation.problem.Linear`."""
-        whole = np.vstack([self.matrix, rows * self.sizes])
-        factors, pivots, fault = dgetrf(whole)
+        factors, pivots, fault = self._factorised(rows)
         if fault:
             raise ConvergenceError("the equations of rest are singular")
         return lambda right: np.asarray(-dgetrs(factors, pivots, right)[0] * self.sizes)
+
+    def determinant(self, rows: np.ndarray) -> float:
+        """Of the same matrix: its sign, a root of its size."""
+        factors, pivots, fault = self._factorised(rows)
+        if fault:
+            return 0.0
+        diagonal, moved = factors.diagonal(), np.count_nonzero(pivots != np.arange(pivots.size))
+        odd = (moved + np.count_nonzero(diagonal < 0)) % 2
+        return float((-1.0 if odd else 1.0) * np.exp(np.log(np.abs(diagonal)).mean()))
+
+    def _factorised(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+        return dgetrf(np.vstack([self.matrix, rows * self.sizes]))  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +92,7 @@ class AtRest:
     c: np.ndarray
     settings: Settings = SETTINGS
 
-    @property
+    @cached_property
     def count(self) -> int:
         """Components of z."""
         return self.jets.size + self.jets.extra
@@ -99,14 +111,20 @@ class AtRest:
     def scaled(self, z: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """G with its phases, its slopes in z (square) and in p, all in units."""
         rows, by_z, by_p = self.jets.first(z, p, self.kept)
-        sizes, units = self.row_sizes, self.z_sizes
-        g, gz, gp = rows.ravel() / sizes, by_z.T * units / sizes[:, None], by_p.T * self.p_sizes / sizes[:, None]
+        units, (along_z, along_p) = self.z_sizes, self._slopes
+        g, gz, gp = rows.ravel() / self.row_sizes, by_z.T * along_z, by_p.T * along_p
         if len(self.phase):
             d = self.jets.size
             g = np.append(g, self.phase @ ((z[:d] - self.origin) / units[:d]))
             gz = np.vstack([gz, np.pad(self.phase, ((0, 0), (0, units.size - d)))])
             gp = np.vstack([gp, np.zeros((len(self.phase), gp.shape[1]))])
         return g, gz, gp
+
+    @cached_property
+    def _slopes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Units of z and of p, in those of each row."""
+        rows = self.row_sizes[:, None]
+        return self.z_sizes / rows, self.p_sizes / rows
 
     @cached_property
     def row_sizes(self) -> np.ndarray:
@@ -130,6 +148,11 @@ class AtRest:
         """The same with those of the phases."""
         return np.append(self.row_sizes, np.ones(len(self.phase)))
 
+    def moving(self, z: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """What each parameter changes by where the state moves by its sizes."""
+        _, gz, gp = self.scaled(z, p)
+        return np.asarray(self.p_sizes / nonzero(np.abs(np.linalg.lstsq(gz, gp)[0]).max(axis=0)))
+
     def second(self, z: np.ndarray, p: np.ndarray, v: np.ndarray) -> np.ndarray:
         """The slopes in (z, p) of G_z v, in units, with rows of 0 for the phases."""
         units = np.concatenate([self.z_sizes, self.p_sizes])
@@ -141,17 +164,21 @@ class AtRest:
         return self._assembled(w, False)[0]
 
     def linearise(self, w: Stacked) -> tuple[np.ndarray, Dense]:
-        """F(w) and its derivatives."""
-        rows, matrix = self._assembled(w, True)
-        return rows, Dense(matrix, self.sizes)
+        """F(w) and its derivatives, remembered with w."""
+        problem, *found = w.known.get("linear", (None,))
+        if problem is not self:
+            rows, matrix = self._assembled(w, True)
+            found = [rows, Dense(matrix, self.sizes)]
+            w.known["linear"] = (self, *found)
+        return found[0], found[1]
 
     def _assembled(self, w: Stacked, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
         z, p, more = self.parts(w)
         g, gz, gp = self.scaled(z, p)
-        if not (np.isfinite(g).all() and np.isfinite(gz).all()):
+        if not isfinite(float(g.sum()) + float(gz.sum())):
             raise ConvergenceError("the equations of rest leave the numbers")
         if self.form == "regular":
-            return g, np.hstack([gz, gp])
+            return g, np.hstack([gz, gp]) if slopes else gz
         return getattr(self, f"_{self.form}")(z, p, more, (g, gz, gp), slopes)  # type: ignore[no-any-return]
 
     def _fold(
@@ -212,11 +239,15 @@ class AtRest:
         """None: they are rows."""
         return np.zeros((0, w.vector.size))
 
-    def metric(self, w: Stacked) -> np.ndarray:
-        """The mean square of the state's components, and of each parameter; of kappa where it is one."""
-        d, metric = self.jets.size, np.zeros(w.vector.size)
+    def metric(self, w: Stacked) -> np.ndarray:  # noqa: ARG002 - of the protocol
+        """The mean square of the state's components, and of each parameter."""
+        return self._metric
+
+    @cached_property
+    def _metric(self) -> np.ndarray:
+        d, metric = self.jets.size, np.zeros(self.sizes.size)
         metric[:d] = 1.0 / (d * self.z_sizes[:d] ** 2)
-        metric[w.vector.size - self.p_sizes.size :] = self.p_sizes**-2.0
+        metric[metric.size - self.p_sizes.size :] = self.p_sizes**-2.0
         return metric
 
     def value(self, w: Stacked, name: str) -> float:
@@ -233,11 +264,13 @@ class AtRest:
     def at(self, w: Stacked, tangent: np.ndarray) -> tuple[Self, Stacked, np.ndarray]:
         """With references and sizes of an accepted w."""
         z, p, more = self.parts(w)
-        renewed = self.seen(z)
+        renewed = self.seen(z, p)
         if self.form == "regular":
-            z = np.where(np.abs(z) <= ROUND_OFF * renewed.z_sizes, 0.0, z)
-            w = Stacked(np.concatenate([z, p]))
-            renewed = replace(renewed, origin=z[: self.jets.size], phase=_phase(self.jets, z, p, renewed.z_sizes))
+            noise = (np.abs(z) <= ROUND_OFF * renewed.z_sizes) & (z != 0.0)
+            w = Stacked(np.concatenate([np.where(noise, 0.0, z), p])) if noise.any() else w
+            if len(self.phase):
+                z = w.vector[: self.count]
+                renewed = replace(renewed, origin=z[: self.jets.size], phase=_phase(self.jets, z, p, renewed.z_sizes))
         elif self.form in ("fold", "hopf"):  # a reference that stays along the vector
             a, count = more[: self.count], self.count
             c = a / (a @ a)
@@ -253,11 +286,13 @@ class AtRest:
         metric = renewed.metric(w)
         return renewed, w, tangent / np.sqrt(float(tangent @ (metric * tangent)))
 
-    def seen(self, z: np.ndarray) -> Self:
+    def seen(self, z: np.ndarray, p: np.ndarray) -> Self:
         """With sizes no smaller than those of another equilibrium."""
-        d = self.jets.size
-        sizes = np.append(np.maximum(self.z_sizes[:d], np.abs(z[:d])), self.z_sizes[d:])
-        return self if self.form != "regular" else replace(self, z_sizes=sizes)
+        d, old = self.jets.size, self.sizes
+        if self.form != "regular":
+            return self
+        sizes = np.maximum(old, np.abs(np.concatenate([z[:d], np.zeros(self.jets.extra), p])))
+        return self if (sizes == old).all() else replace(self, z_sizes=sizes[: z.size], p_sizes=sizes[z.size :])
 
     def carried(self, w: Stacked, onto: Stacked) -> Stacked:  # noqa: ARG002 - of the protocol
         """Itself: there is no mesh."""
@@ -285,9 +320,11 @@ def regular(jets: Jets, state: np.ndarray, values: np.ndarray, span: np.ndarray 
         sizes[n:] = sizes[:n] * pace
     pushes = np.abs(by_z[:d, d:] / sizes[:, None]).max(axis=0, initial=0.0) / pace
     z_sizes = np.concatenate([sizes, 1.0 / nonzero(pushes)])
-    return AtRest(
+    problem = AtRest(
         jets, "regular", z_sizes, p_sizes, pace, kept, _phase(jets, z, values, z_sizes), state, np.zeros(0)
     )  # fmt: skip
+    unknown = (values == 0.0) & [span is None and name not in model.scales for name in jets.free]
+    return replace(problem, p_sizes=np.where(unknown, problem.moving(z, values), p_sizes)) if any(unknown) else problem
 
 
 def state_sizes(model: Model, largest: np.ndarray) -> np.ndarray:
@@ -320,7 +357,10 @@ def eigenvalues(problem: AtRest, z: np.ndarray, p: np.ndarray, slopes: np.ndarra
         _, values, right = np.linalg.svd(rows)
         basis = right[np.count_nonzero(values > 1e-9 * values.max(initial=0.0)) :]
         a = basis @ a @ basis.T
-    return np.asarray(np.linalg.eigvals(a) * problem.pace, complex)  # real ones too
+    real, imaginary, *_, fault = dgeev(a, compute_vl=False, compute_vr=False)
+    if fault:
+        raise ConvergenceError("the eigenvalues of an equilibrium do not converge")
+    return np.asarray((real + 1j * imaginary) * problem.pace)
 
 
 def singular(problem: AtRest, z: np.ndarray, p: np.ndarray, form: str) -> tuple[AtRest, Stacked]:

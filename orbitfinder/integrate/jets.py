@@ -37,12 +37,12 @@ class Jets:
     free: tuple[str, ...]
     unfolded: tuple[Invariant, ...] = ()
 
-    @property
+    @cached_property
     def size(self) -> int:
         """d, the components of a state."""
         return len(self.model.state_names)
 
-    @property
+    @cached_property
     def extra(self) -> int:
         """How many s there are."""
         constraint = self.model.constraint

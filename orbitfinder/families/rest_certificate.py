@@ -1,0 +1,115 @@
+"""What an equilibrium is judged by: rates, eigenvalues from differences of them, critical ones by the flow.
+
+Nothing here has been used to find it: no derivative of the rates, and of a mechanical system not even those, but
+Hamilton's equations, which are derived from its energies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
+from orbitfinder.families.rest_problem import state_sizes
+from orbitfinder.integrate.dop853 import SECOND, integrate_in
+from orbitfinder.integrate.equations import hamilton
+from orbitfinder.integrate.evaluate import Buffered
+from orbitfinder.integrate.field import vector_field
+from orbitfinder.mechanics.kind import build_model, with_parameters
+from orbitfinder.mechanics.model import Model
+from orbitfinder.records.certificate import Certificate, at_most, equal
+
+NEUTRAL = 1e-9
+"""Eigenvalues whose real parts are this share of the largest are on the imaginary axis"""
+RESIDUAL, SLOPES, CRITICAL = 1e-12, 1e-7, 1e-8
+"""What may be left of the rates, of the eigenvalues by differences and of a critical one by the flow, in the pace of
+the equilibrium and its sizes"""
+DIFFERENCE = 2e-3
+"""Half of the widest of the differences that check slopes, in the sizes of the state"""
+STEPS, WEIGHTS = np.array([-3, -2, -1, 1, 2, 3]) / 3.0, np.array([-1.0, 9.0, -45.0, 45.0, -9.0, 1.0]) / 20.0
+"""Of the sixth order, in `DIFFERENCE`s"""
+
+
+def stability(values: np.ndarray, pace: float) -> str:
+    """The verdict on eigenvalues: stable | unstable | neutral."""
+    least = NEUTRAL * max(pace, float(np.abs(values).max(initial=0.0)))
+    largest = float(values.real.max(initial=-np.inf))
+    return "unstable" if largest > least else "stable" if largest < -least else "neutral"
+
+
+@dataclass(frozen=True, eq=False)
+class Judge:
+    """Of equilibria of a model along a parameter: Hamilton's equations in y = (q, momentum), or first-order rates."""
+
+    model: Model
+    parameter: str
+
+    @cached_property
+    def _equations(self) -> tuple[Buffered, Buffered, np.ndarray, np.ndarray]:
+        """(x, value) -> y and its slopes in x; y and states beside it -> their rates; which of a state are in x; where
+        those beside it are, in sizes."""
+        known = hamilton(self.model, (self.parameter,))
+        chosen, k = known.coordinates.chosen, known.coordinates.size
+        x, y, p = (ca.MX.sym(name, size) for name, size in (("x", chosen.size), ("y", chosen.size), ("p", 1)))
+        canonical = [ca.vertcat(x[:k], known.momentum(x[:k], x[k:], p)), known.lift(x[:k], x[k:], p)]
+        there = Buffered(ca.Function("there", [x, p], [ca.densify(part) for part in canonical]))
+        rates = ca.Function("rates", [y, p], [ca.densify(known.field(0.0, y, p))])
+        beside = DIFFERENCE * np.vstack([np.zeros((1, chosen.size)), np.kron(STEPS[:, None], np.eye(chosen.size))])
+        return there, Buffered(rates.map(len(beside))), chosen, beside
+
+    def _canonical(self, state: np.ndarray, value: float, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """y, and what it is measured in."""
+        there, _, chosen, _ = self._equations
+        (y,), slopes = there(state[chosen], value)
+        return y, sizes[chosen] @ np.abs(slopes)
+
+    def left(
+        self, state: np.ndarray, value: float, sizes: np.ndarray, pace: float, claimed: np.ndarray
+    ) -> tuple[float, float]:
+        """The largest rate in sizes and pace, and how far the claimed eigenvalues are from those of differences of the
+        sixth order, as the least singular value of A - lambda relative to the pace."""
+        y, units = self._canonical(state, value, sizes)
+        _, rates_of, _, beside = self._equations
+        rates, d = rates_of(y + units * beside, value)[0] / (units * pace), y.size
+        slopes = (WEIGHTS @ rates[1:].reshape(6, d * d)).reshape(d, d).T / DIFFERENCE
+        upper = claimed[claimed.imag >= 0] / pace  # of a pair either will do
+        shifted, largest = slopes - upper[:, None, None] * np.eye(d), float(np.abs(rates[0]).max())
+        if not np.isfinite(shifted).all():
+            return largest, np.inf
+        return largest, float(np.linalg.svd(shifted, compute_uv=False)[:, -1].max(initial=0.0))
+
+    def flow(self, state: np.ndarray, value: float, sizes: np.ndarray, pace: float, claimed: complex) -> float:
+        """How far an eigenvalue is from that of the flow, DOP853's of the variations over 1 / pace: the least singular
+        value of Phi - exp(lambda t)."""
+        y, sizes = self._canonical(state, value, sizes)
+        d, field = y.size, hamilton(with_parameters(self.model, {self.parameter: value})).variational
+        start, units = np.concatenate([y, np.eye(d).ravel(), [0.0]]), np.outer(sizes, 1.0 / sizes).T.ravel()
+        units = np.concatenate([sizes, units, [1.0]])
+        end = integrate_in(units, vector_field(field), start, np.array([0.0, 1.0 / pace]), SECOND)[-1]
+        phi = end[d:-1].reshape(d, d).T * sizes / sizes[:, None]
+        return float(np.linalg.svd(phi - np.exp(claimed / pace) * np.eye(d), compute_uv=False)[-1])
+
+
+def verified(equilibria: Equilibria, model: Model | None = None) -> Certificate:
+    """Every equilibrium from its record alone: rates, eigenvalues from their differences, critical ones by the flow."""
+    judge, worst, wrong = Judge(model or build_model(equilibria.system), equilibria.parameter), np.zeros(3), 0
+    sizes = state_sizes(judge.model, np.abs([point.state for point in equilibria.points]).max(axis=0))
+    every: tuple[Equilibrium | RestEvent, ...] = (*equilibria.points, *equilibria.events)
+    for point in every:
+        pace, flow = float(np.abs(point.eigenvalues).max(initial=0.0)) or 1.0, 0.0
+        if isinstance(point, Equilibrium):
+            value, fault = point.value, point.stability != stability(point.eigenvalues, pace)
+        else:
+            value, fault = point.parameter, not point.consistent
+            flow = judge.flow(point.state, value, sizes, pace, point.critical)
+        left = judge.left(point.state, value, sizes, pace, point.eigenvalues)
+        worst, wrong = np.maximum(worst, [*left, flow]), wrong + fault
+    return Certificate((
+        at_most("rates", worst[0], RESIDUAL, "largest rate, in the sizes and the pace of its equilibrium"),
+        at_most("eigenvalues", worst[1], SLOPES, "from differences of the rates"),
+        at_most("critical eigenvalues", worst[2], CRITICAL, "at the events, by the flow of the variations"),
+        equal("verdicts", float(wrong), 0.0, "on stability and events, which eigenvalues do not bear out"),
+    ))  # fmt: skip
