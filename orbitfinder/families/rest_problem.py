@@ -335,7 +335,7 @@ def without_noise(problem: AtRest, z: np.ndarray, p: np.ndarray) -> np.ndarray:
     except np.linalg.LinAlgError:
         return z
     bars = inverse @ (ROUND_OFF * (gz @ np.abs(z / problem.z_sizes))) * problem.z_sizes
-    return np.where(np.abs(z) <= bars, 0.0, z)
+    return np.where(np.abs(z) <= np.maximum(bars, ROUND_OFF * problem.z_sizes), 0.0, z)
 
 
 def eigenvalues(problem: AtRest, z: np.ndarray, p: np.ndarray, slopes: np.ndarray | None = None) -> np.ndarray:
