@@ -33,6 +33,8 @@ from orbitfinder.records.reading import typed
 
 LOCATED, LOOKS = 1e-12, 60
 """An event is located to this share of a step, in so many looks at most"""
+LEAST, SAME = 4, 1e-6
+"""A curve of at least so many points is closed where it is as near to its start as this share of a step"""
 CLOSER, NEARLY = 6, 0.5
 """So often a test is looked at within a step where a parabola through what is known turns below this share of that"""
 
@@ -125,6 +127,7 @@ class Pace:
         quick: a step in at most so many iterations of the corrector is followed by one `growth` as long.
         slow: one in more by one `shrinkage` as long.
         located: events are, to this share of a step.
+        closed: whether a curve that comes back to its start ends there.
     """
 
     first: float = 0.02
@@ -137,6 +140,7 @@ class Pace:
     growth: float = 1.5
     shrinkage: float = 0.6
     located: float = LOCATED
+    closed: bool = False
 
     def next(self, step: float, iterations: int) -> float:
         """The length after a step that took so many iterations."""
@@ -381,10 +385,12 @@ def follow(
     yield trace.steps[0]
     ahead = walked(_Arclength(trace, goals, pace, tests or {}), pace.points)
     for index in range(1, pace.points):
+        if index == len(trace.steps) and trace.end is None:
+            next(ahead)
+        if index == len(trace.steps):
+            curve.end = trace.end
+            return
         try:
-            end = trace.end or next(ahead).end if index == len(trace.steps) else None
-            if end is not None:
-                raise ConvergenceError(end.reason)
             before, after = (step.point for step in trace.steps[index - 1 : index + 1])
             points, fresh = trace.exactly(before, after, goals)
         except (ConvergenceError, IntegrationError) as error:
@@ -432,12 +438,28 @@ class _Arclength:
         """By one step, with what lies before its end."""
         point = self.point
         after = advanced(point, length, self.pace.bend)
+        home = self._home(point, after)
+        after = after if home is None else home
         problem, w, tangent = after.problem.at(after.w, after.tangent)
         step = self.pace.next(length, after.iterations)
         after = replace(after, problem=problem, w=w, tangent=tangent, step=step)
         _, fresh = self.trace.exactly(point, after, self.goals)
         events = sorted(self._events(point, after), key=lambda event: event.point.arclength)
-        return self.trace.add(self.trace.kept("step", after), events, fresh)
+        end = None if home is None else End("returned", "the curve is closed")
+        return self.trace.add(self.trace.kept("step", after), events, fresh, end)
+
+    def _home(self, before: Point, after: Point) -> Point | None:
+        """The curve's first point, where a step comes to it again along it."""
+        first = self.trace.steps[0].point
+        if not self.pace.closed or len(self.trace.steps) < LEAST or first.w.vector.size != before.w.vector.size:
+            return None
+        away = first.w.vector - before.w.vector
+        length = before.inner(away)
+        if not 0 < length <= after.arclength - before.arclength or after.inner(first.tangent) <= 0:
+            return None
+        there = advanced(before, length)
+        gap = there.w.vector - first.w.vector
+        return there if before.problem.metric(there.w) @ gap**2 < (SAME * length) ** 2 else None
 
     def _events(self, before: Point, after: Point) -> Iterator[KeptPoint]:
         """What tests change their signs at within a step, by both ends and the middle."""

@@ -20,6 +20,7 @@ from orbitfinder.continuation.follow import CurveJournal, Goals, KeptPoint, Pace
 from orbitfinder.continuation.problem import Point, plane, solved
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
+from orbitfinder.families.registry import end_kind
 from orbitfinder.families.rest_certificate import CRITICAL, RESIDUAL, SLOPES, Judge, stability
 from orbitfinder.families.rest_problem import (
     AtRest,
@@ -38,7 +39,7 @@ from orbitfinder.mechanics.model import Model, check_state
 from orbitfinder.mechanics.newton import Settings, equilibrium
 from orbitfinder.records.family import End, Reading
 
-PACE = Pace(first=0.01, shortest=1e-9, longest=0.05, points=400, bend=0.95, quick=4, slow=7, located=1e-3)
+PACE = Pace(first=0.01, shortest=1e-9, longest=0.05, points=400, bend=0.95, quick=4, slow=7, located=1e-3, closed=True)
 """Lengths are in the sizes of the state and of the parameter; events are solved for from where they are located"""
 LEAVING = (0.01, 0.002, 0.0004, 0.05)
 """How far from a branch point other equilibria are looked for; the first that succeeds is taken"""
@@ -137,6 +138,8 @@ def follow_equilibria(
                 finished(record)
                 if progress:
                     progress(kept.record)
+            if curve.end and end_kind(curve.end.kind).closed:
+                break
     return record()
 
 
@@ -276,14 +279,15 @@ class _Way:
     def write(self, point: Point, record: Equilibrium) -> Mapping[str, Any]:  # noqa: ARG002 - made again when read
         """Both in plain numbers."""
         return {"w": point.w.vector, "tangent": point.tangent, "arclength": point.arclength, "step": point.step,
-                "sizes": point.problem.z_sizes}  # fmt: skip
+                "sizes": point.problem.sizes}  # fmt: skip
 
     def read(self, entry: Mapping[str, Any]) -> tuple[Point, Equilibrium]:
         """Both from what was written."""
         w, tangent = np.array(entry["w"], float), np.array(entry["tangent"], float)
-        if w.shape != tangent.shape or w.size != self.rest.size + 1:
+        sizes, count = np.array(entry["sizes"], float), self.rest.size
+        if not w.shape == tangent.shape == sizes.shape == (count + 1,):
             raise ValueError("a point of another size")
-        problem = replace(self.problem, z_sizes=np.array(entry["sizes"], float))
+        problem = replace(self.problem, z_sizes=sizes[:count], p_sizes=sizes[count:])
         problem = problem.at(Stacked(w), tangent)[0]
         point = Point(problem, Stacked(w), tangent, float(entry["arclength"]), float(entry["step"]))
         return point, self.record(point)

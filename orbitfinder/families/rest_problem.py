@@ -148,6 +148,11 @@ class AtRest:
         """The same with those of the phases."""
         return np.append(self.row_sizes, np.ones(len(self.phase)))
 
+    def moving(self, z: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """What each parameter changes by where the state moves by its sizes."""
+        _, gz, gp = self.scaled(z, p)
+        return np.asarray(self.p_sizes / nonzero(np.abs(np.linalg.lstsq(gz, gp)[0]).max(axis=0)))
+
     def second(self, z: np.ndarray, p: np.ndarray, v: np.ndarray) -> np.ndarray:
         """The slopes in (z, p) of G_z v, in units, with rows of 0 for the phases."""
         units = np.concatenate([self.z_sizes, self.p_sizes])
@@ -259,7 +264,7 @@ class AtRest:
     def at(self, w: Stacked, tangent: np.ndarray) -> tuple[Self, Stacked, np.ndarray]:
         """With references and sizes of an accepted w."""
         z, p, more = self.parts(w)
-        renewed = self.seen(z)
+        renewed = self.seen(z, p)
         if self.form == "regular":
             noise = (np.abs(z) <= ROUND_OFF * renewed.z_sizes) & (z != 0.0)
             w = Stacked(np.concatenate([np.where(noise, 0.0, z), p])) if noise.any() else w
@@ -281,12 +286,13 @@ class AtRest:
         metric = renewed.metric(w)
         return renewed, w, tangent / np.sqrt(float(tangent @ (metric * tangent)))
 
-    def seen(self, z: np.ndarray) -> Self:
+    def seen(self, z: np.ndarray, p: np.ndarray) -> Self:
         """With sizes no smaller than those of another equilibrium."""
-        d = self.jets.size
-        if self.form != "regular" or (np.abs(z[:d]) <= self.z_sizes[:d]).all():
+        d, old = self.jets.size, self.sizes
+        if self.form != "regular":
             return self
-        return replace(self, z_sizes=np.append(np.maximum(self.z_sizes[:d], np.abs(z[:d])), self.z_sizes[d:]))
+        sizes = np.maximum(old, np.abs(np.concatenate([z[:d], np.zeros(self.jets.extra), p])))
+        return self if (sizes == old).all() else replace(self, z_sizes=sizes[: z.size], p_sizes=sizes[z.size :])
 
     def carried(self, w: Stacked, onto: Stacked) -> Stacked:  # noqa: ARG002 - of the protocol
         """Itself: there is no mesh."""
@@ -314,9 +320,11 @@ def regular(jets: Jets, state: np.ndarray, values: np.ndarray, span: np.ndarray 
         sizes[n:] = sizes[:n] * pace
     pushes = np.abs(by_z[:d, d:] / sizes[:, None]).max(axis=0, initial=0.0) / pace
     z_sizes = np.concatenate([sizes, 1.0 / nonzero(pushes)])
-    return AtRest(
+    problem = AtRest(
         jets, "regular", z_sizes, p_sizes, pace, kept, _phase(jets, z, values, z_sizes), state, np.zeros(0)
     )  # fmt: skip
+    unknown = (values == 0.0) & [span is None and name not in model.scales for name in jets.free]
+    return replace(problem, p_sizes=np.where(unknown, problem.moving(z, values), p_sizes)) if any(unknown) else problem
 
 
 def state_sizes(model: Model, largest: np.ndarray) -> np.ndarray:
