@@ -40,6 +40,7 @@ from orbitfinder.families import equilibria as rest
 from orbitfinder.families import rest_certificate
 from orbitfinder.families import rest_problem as equations
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
+from orbitfinder.families.registry import end_kind
 from orbitfinder.families.rest_certificate import CRITICAL, RESIDUAL, SLOPES, Judge, stability
 from orbitfinder.families.rest_problem import AtRest, Stacked
 from orbitfinder.integrate.jets import at_rest
@@ -52,6 +53,8 @@ FORMS = {"fold": "fold", "hopf": "hopf", "neutral_saddle": "hopf"}
 """The equations of the curve through each kind of event"""
 PAIRS = {"hopf": 1, "neutral_saddle": 1, "generalised_hopf": 1, "fold_hopf": 1, "double_hopf": 2}
 """How many critical pairs each kind has; those with folds in their names and cusps have an eigenvalue 0"""
+NEAR = 10
+"""So many points of the equilibria on either side of an event say what it is measured in"""
 UNMOVED = 100 * equations.ROUND_OFF
 """A frequency squared, in the pace, that is not known from 0"""
 SLOPE, UNKNOWN = 1e-4, 1e-6
@@ -304,8 +307,6 @@ def follow_rest_curve(
     record = partial(_record, label, model, curve, runs)
     with contextlib.nullcontext() if path is None else locks.alone_in(path):
         for k, sign in enumerate((1.0, -1.0) if until is None else (1.0,)):
-            if runs and runs[0][0].end and runs[0][0].end.kind == "returned":
-                break
             track = _Track(start, judge, until, sign)
             runs.append((SolutionCurve(), track))
             request = {"system": dict(model.system), "start": start.w.vector, "curve": curve, "way": k, "until":
@@ -318,9 +319,8 @@ def follow_rest_curve(
                 finished(record)
                 if progress:
                     progress(kept.record)
-                if _returned(start, kept.point):
-                    runs[-1][0].end = End("returned", "the curve is closed")
-                    break
+            if (end := runs[-1][0].end) and end_kind(end.kind).closed:
+                break
     return record()
 
 
@@ -344,12 +344,12 @@ def _start(
     """The event as the first point of its curve, along which the parameter that is not the equilibria's grows."""
     values = np.array([model.parameter_values[model.parameter_index(name)] for name in names])
     problem = equations.regular(at_rest(model, names, event.state), event.state, values)
-    beside, d = equilibria.points[max(event.index, 0) : event.index + 2], problem.jets.size
+    beside, d = equilibria.points[max(event.index - NEAR, 0) : event.index + NEAR + 2], problem.jets.size
     pace = size_of(np.concatenate([event.eigenvalues, *(point.eigenvalues for point in beside)]))
-    sizes = equations.state_sizes(model, np.abs([point.state for point in equilibria.points]).max(axis=0))
+    sizes = equations.state_sizes(model, np.abs([point.state for point in beside]).max(axis=0))
     if model.rates is None:
         sizes[d // 2 :] = sizes[: d // 2] * pace
-    met = {equilibria.parameter: max(abs(point.value) for point in equilibria.points)}
+    met = {equilibria.parameter: max(abs(point.value) for point in beside)}
     p_sizes = np.array(
         [model.scales.get(name, max(abs(value), met.get(name, 0.0))) for name, value in zip(names, values)]
     )
@@ -372,13 +372,6 @@ def _start(
     except ConvergenceError as error:
         raise ConvergenceError(f"the {event.words} at {equilibria.parameter} = {event.parameter:.9g} does not move with "
                                f"{' and '.join(names)}: {error}") from error  # fmt: skip
-
-
-def _returned(start: Point, point: Point) -> bool:
-    """Whether a curve is where it began, after more than a few steps."""
-    away, metric = start.w.vector - point.w.vector, point.problem.metric(point.w)
-    gap = float(np.sqrt(away @ (metric * away)))
-    return point.arclength > 5 * rest.PACE.longest and gap < point.step and point.inner(away) < 0.5 * gap
 
 
 def _record(label: str, model: Model, curve: Mapping[str, Any], runs: list[tuple[SolutionCurve, _Track]]) -> Equilibria:
