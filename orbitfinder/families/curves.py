@@ -6,7 +6,7 @@ multipliers (`critical.Critical`); they are followed, journalled and certified a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,8 +16,10 @@ from orbitfinder.errors import ConvergenceError, InputError, closest
 from orbitfinder.families.branches import Branch, described, opened, with_nodes
 from orbitfinder.families.critical import Critical
 from orbitfinder.families.entries import FOLLOWED, KINDS
+from orbitfinder.families.equilibrium import EQUILIBRIA, Equilibria, Equilibrium, RestEvent, load_equilibria
 from orbitfinder.families.folder import Progress, follow_family, parameter_of
 from orbitfinder.families.point import FamilySettings, parameter_value, unknowns_of
+from orbitfinder.families.rest_curves import follow_rest_curve
 from orbitfinder.families.start import corrected, curve_of, released
 from orbitfinder.loops.conditions import pinned
 from orbitfinder.loops.continued import TESTED, Curve, at_place, scaled
@@ -26,11 +28,12 @@ from orbitfinder.loops.symmetry import momenta_of
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Event, Family
+from orbitfinder.records.registry import held
 
 
 def follow_curve(
-    family: Family | str | Path,
-    event: int | Event,
+    family: Family | Equilibria | str | Path,
+    event: int | Event | RestEvent,
     parameters: Sequence[str],
     *,
     until: float | None = None,
@@ -40,19 +43,19 @@ def follow_curve(
     name: str | None = None,
     points: int | None = None,
     model: Model | None = None,
-    progress: Progress | None = None,
-) -> Family:
-    """The curve along which an event of a family happens while two parameters vary.
+    progress: Progress | Callable[[Equilibrium], None] | None = None,
+) -> Family | Equilibria:
+    """The curve along which an event of a family, or of equilibria, happens while two parameters vary.
 
-    Its points are orbits at the bifurcation, its events points of codimension two (cusps, strong resonances, ...).
+    Its points are at the bifurcation, its events points of codimension two (cusps, strong resonances, ...).
 
     Args:
-        family: a Family, or its family.json.
+        family: a Family, Equilibria, or the file of either.
         event: one of its events, or its number, from 0.
         parameters: the two that vary: physical ones, in a conservative system also energy or period in place of one.
         until: value of the first parameter to stop at.
         at: values of the first at which points are computed exactly.
-        settings: steps, directions.
+        settings: steps, directions; of equilibria only how many points.
         out: a folder to write to, as for `of.follow_family`.
         name: of the curve.
         points: the most in each direction.
@@ -60,7 +63,7 @@ def follow_curve(
         progress: called with each point and event.
 
     Returns:
-        A Family whose `parameters` are two and whose `places` are their values.
+        A Family, or Equilibria, whose `parameters` are two and whose `places` are their values.
 
     Raises:
         InputError: for an event or parameters that no curve belongs to.
@@ -75,6 +78,13 @@ def follow_curve(
         >>> curve.parameters, fold.kind, round(fold.parameter, 8)
         (('force', 'frequency'), 'fold', 1.77971952)
     """
+    if isinstance(family, Equilibria) or (not isinstance(family, Family) and held(family)[0] == EQUILIBRIA):
+        rest = family if isinstance(family, Equilibria) else load_equilibria(family)
+        model, most = model or build_model(rest.system), points or (settings or FamilySettings()).points
+        names = _parameters(model, parameters, ())
+        return follow_rest_curve(rest, event, names, until, at, most, out, name, model, progress)  # type: ignore[arg-type]
+    if isinstance(event, RestEvent):
+        raise InputError(f"event: a {event.kind} of equilibria; give the equilibria that it is of")
     start = curve_start(family, event, parameters, settings, model)
     return follow_family(
         start, parameter_of(start), until=until, at=at, settings=settings, out=out, name=name, points=points,
@@ -141,19 +151,19 @@ def _event(family: Family, event: int, where: str) -> Event:
     return with_nodes(chosen, where, "follow its event")
 
 
-def _parameters(model: Model, names: Sequence[str]) -> tuple[str, str]:
+def _parameters(model: Model, names: Sequence[str], own: tuple[str, ...] = ("energy", "period")) -> tuple[str, str]:
     """The two names. `InputError` unless they are two different ones, at least one of them physical."""
     if len(names) != 2:
         raise InputError(f"parameters: two names are needed, got {len(names)} ({', '.join(names)}); give a,b")
     first, second = names
-    own = ("energy", "period") if model.conservative else ()
+    own = own if model.conservative else ()
     known = [*own, *model.parameter_names]
     for name in names:
         if name not in known:
             raise InputError(f"parameters: unknown {name!r}{closest(name, known)}; use two of {', '.join(known[:20])}")
     if first == second:
         raise InputError(f"parameters: {first!r} twice; give two different ones of {', '.join(known[:20])}")
-    if {first, second} == set(own):
+    if {first, second} == {*own}:
         raise InputError(
             "parameters: energy and period are the family's own, of one orbit one follows from the other; give one of "
             f"them and a physical parameter ({', '.join(model.parameter_names[:20]) or 'this system has none'})"

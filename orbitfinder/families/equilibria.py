@@ -111,9 +111,9 @@ def follow_equilibria(
     _refused(model, parameter)
     state = check_state(model, state)
     start = float(model.parameter_values[model.parameter_index(parameter)])
-    _check_goals(parameter, start, until, at, points)
+    check_goals(parameter, start, until, at, points)
     span, label = None if until is None else until - start, name or (branch.name if branch else "equilibria")
-    judge = Judge(model, parameter)
+    judge = Judge(model, (parameter,))
     if branch is None:
         problem, rest = first_equilibrium(model, state, parameter, span)
         ways = [_Way(problem, rest, parameter, until, sign, judge) for sign in (1.0, -1.0)[: 1 + (until is None)]]
@@ -143,7 +143,7 @@ def follow_equilibria(
     return record()
 
 
-def _check_goals(parameter: str, start: float, until: float | None, at: Sequence[float], points: int) -> None:
+def check_goals(parameter: str, start: float, until: float | None, at: Sequence[float], points: int) -> None:
     """`InputError` for goals that are none."""
     for label, value in (("until", until), *(("at", value) for value in at)):
         if value is not None and not np.isfinite(value):

@@ -26,6 +26,9 @@ class Equilibrium(Shown):
         arclength: along the curve.
         residual: largest rate by other equations, in the equilibrium's own sizes and pace.
         certified: whether that, and the eigenvalues from differences of those, agree.
+        kind: along a curve in two parameters: fold | hopf | neutral_saddle.
+        values: of both parameters there.
+        normal_form: "a" of a fold, <p, B(q, q)> / 2 with <q, q> = <p, q> = 1; "l1" of a Hopf point.
 
     Examples:
         >>> rest = equilibria.points[0]
@@ -34,6 +37,7 @@ class Equilibrium(Shown):
     """
 
     __repr__ = brief("value", "stability", "certified")
+    _sparse = ("kind", "values", "normal_form")
     state: np.ndarray
     value: float
     eigenvalues: Complexes
@@ -41,13 +45,17 @@ class Equilibrium(Shown):
     arclength: float = 0.0
     residual: Unknown = float("nan")
     certified: bool = False
+    kind: str = ""
+    values: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    normal_form: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class RestEvent(Shown):
     """Something that happens between two equilibria, solved for.
 
-    `kind`: fold | branch_point | hopf | neutral_saddle (eigenvalues +-a that cross nothing).
+    `kind`: fold | branch_point | hopf | neutral_saddle (eigenvalues +-a that cross nothing); along a curve in two
+    parameters cusp | bogdanov_takens | generalised_hopf | fold_hopf | double_hopf.
 
     Args:
         kind: what.
@@ -67,6 +75,9 @@ class RestEvent(Shown):
         criticality: supercritical | subcritical | "" where the coefficient is not known from 0.
         critical: the eigenvalue that it is told by.
         direction: of branch points the other branch's, over (x, p); of Hopf points Re q and Im q.
+        values: of both parameters, along a curve in two.
+        errors: their error bars.
+        normal_form: of a cusp c of w' = c w^3, of Bogdanov-Takens points a and b of w'' = a w^2 + b w w'.
 
     Examples:
         >>> equilibria.events[0].kind, equilibria.events[0].criticality
@@ -74,7 +85,7 @@ class RestEvent(Shown):
     """
 
     __repr__ = brief("kind", "parameter", "frequency", "criticality", "index")
-    _sparse = ("check", "direction", "criticality")
+    _sparse = ("check", "direction", "criticality", "values", "errors", "normal_form")
 
     kind: str
     index: int
@@ -92,6 +103,9 @@ class RestEvent(Shown):
     criticality: str = ""
     critical: complex = 0.0 + 0.0j
     direction: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    values: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    errors: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    normal_form: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def consistent(self) -> bool:
@@ -115,7 +129,7 @@ CRITICAL: dict[str, Callable[[RestEvent], bool]] = {
 
 @dataclass(frozen=True)
 class Equilibria(Shown):
-    """Equilibria along a parameter.
+    """Equilibria along a parameter, or folds or Hopf points of equilibria along two.
 
     Args:
         name: a word for files.
@@ -124,6 +138,7 @@ class Equilibria(Shown):
         points: in order.
         events: by arclength.
         ends: why it ends, before the first point and behind the last.
+        curve: of a curve in two parameters: the test that vanishes along it, both parameters, the pace of its rates.
 
     Examples:
         >>> equilibria.parameter, [event.kind for event in equilibria.events], equilibria.ends[-1].kind
@@ -131,12 +146,24 @@ class Equilibria(Shown):
     """
 
     __repr__ = brief("name", "parameter", "points", "events", "ends")
+    _sparse = ("curve",)
     name: str
     system: Mapping[str, Any]
     parameter: str
     points: tuple[Equilibrium, ...]
     events: tuple[RestEvent, ...] = ()
     ends: tuple[End, ...] = ()
+    curve: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """What varies: a parameter, or two."""
+        return tuple(self.curve.get("parameters", (self.parameter,)))
+
+    @property
+    def places(self) -> np.ndarray:
+        """Of a curve in two parameters: their values (k x 2) at the points and then at the events."""
+        return np.array([each.values for each in (*self.points, *self.events)])
 
     def _check(self) -> None:
         if len({point.state.shape for point in self.points}) != 1:

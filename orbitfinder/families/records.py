@@ -3,4 +3,4 @@
 from orbitfinder.families.equilibrium import EQUILIBRIA, load_equilibria
 from orbitfinder.records.registry import KINDS, Kind
 
-KINDS[EQUILIBRIA] = Kind("equilibria", load_equilibria, verify="families.rest_certificate:verified")
+KINDS[EQUILIBRIA] = Kind("equilibria", load_equilibria, verify="families.rest_curves:verified")

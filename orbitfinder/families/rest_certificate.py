@@ -42,32 +42,33 @@ def stability(values: np.ndarray, pace: float) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """Of equilibria of a model along a parameter: Hamilton's equations in y = (q, momentum), or first-order rates."""
+    """Of equilibria of a model along a parameter, or two: Hamilton's equations in y = (q, momentum), or first-order
+    rates; `value` is the parameter's, or both."""
 
     model: Model
-    parameter: str
+    parameters: tuple[str, ...]
 
     @cached_property
     def _equations(self) -> tuple[Buffered, Buffered, np.ndarray, np.ndarray]:
         """(x, value) -> y and its slopes in x; y and states beside it -> their rates; which of a state are in x; where
         those beside it are, in sizes."""
-        known = hamilton(self.model, (self.parameter,))
+        known = hamilton(self.model, self.parameters)
         chosen, k = known.coordinates.chosen, known.coordinates.size
-        x, y, p = (ca.MX.sym(name, size) for name, size in (("x", chosen.size), ("y", chosen.size), ("p", 1)))
+        x, y, p = map(ca.MX.sym, "xyp", (chosen.size, chosen.size, len(self.parameters)))
         canonical = [ca.vertcat(x[:k], known.momentum(x[:k], x[k:], p)), known.lift(x[:k], x[k:], p)]
         there = Buffered(ca.Function("there", [x, p], [ca.densify(part) for part in canonical]))
         rates = ca.Function("rates", [y, p], [ca.densify(known.field(0.0, y, p))])
         beside = DIFFERENCE * np.vstack([np.zeros((1, chosen.size)), np.kron(STEPS[:, None], np.eye(chosen.size))])
         return there, Buffered(rates.map(len(beside))), chosen, beside
 
-    def _canonical(self, state: np.ndarray, value: float, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _canonical(self, state: np.ndarray, value: float | np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """y, and what it is measured in."""
         there, _, chosen, _ = self._equations
         (y,), slopes = there(state[chosen], value)
         return y, sizes[chosen] @ np.abs(slopes)
 
     def left(
-        self, state: np.ndarray, value: float, sizes: np.ndarray, pace: float, claimed: np.ndarray
+        self, state: np.ndarray, value: float | np.ndarray, sizes: np.ndarray, pace: float, claimed: np.ndarray
     ) -> tuple[float, float]:
         """The largest rate in sizes and pace, and how far the claimed eigenvalues are from those of differences of the
         sixth order, as the least singular value of A - lambda relative to the pace."""
@@ -81,11 +82,12 @@ class Judge:
             return largest, np.inf
         return largest, float(np.linalg.svd(shifted, compute_uv=False)[:, -1].max(initial=0.0))
 
-    def flow(self, state: np.ndarray, value: float, sizes: np.ndarray, pace: float, claimed: complex) -> float:
+    def flow(self, state: np.ndarray, value: float | np.ndarray, sizes: np.ndarray, pace: float, claimed: complex) -> float:
         """How far an eigenvalue is from that of the flow, DOP853's of the variations over 1 / pace: the least singular
         value of Phi - exp(lambda t)."""
         y, sizes = self._canonical(state, value, sizes)
-        d, field = y.size, hamilton(with_parameters(self.model, {self.parameter: value})).variational
+        known = dict(zip(self.parameters, np.ravel(value).tolist(), strict=True))
+        d, field = y.size, hamilton(with_parameters(self.model, known)).variational
         start, units = np.concatenate([y, np.eye(d).ravel(), [0.0]]), np.outer(sizes, 1.0 / sizes).T.ravel()
         units = np.concatenate([sizes, units, [1.0]])
         end = integrate_in(units, vector_field(field), start, np.array([0.0, 1.0 / pace]), SECOND)[-1]
@@ -95,7 +97,7 @@ class Judge:
 
 def verified(equilibria: Equilibria, model: Model | None = None) -> Certificate:
     """Every equilibrium from its record alone: rates, eigenvalues from their differences, critical ones by the flow."""
-    judge, worst, wrong = Judge(model or build_model(equilibria.system), equilibria.parameter), np.zeros(3), 0
+    judge, worst, wrong = Judge(model or build_model(equilibria.system), (equilibria.parameter,)), np.zeros(3), 0
     sizes = state_sizes(judge.model, np.abs([point.state for point in equilibria.points]).max(axis=0))
     every: tuple[Equilibrium | RestEvent, ...] = (*equilibria.points, *equilibria.events)
     for point in every:

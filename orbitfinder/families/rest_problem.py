@@ -275,7 +275,11 @@ class AtRest:
             a, count = more[: self.count], self.count
             c = a / (a @ a)
             renewed, vector = replace(renewed, c=c), w.vector.copy()
-            if self.form == "hopf":  # a + i omega b turned so that c.b = 0
+            if self.form == "hopf" and more[-1] > 0:  # turned so that a is the longest, which goes on where kappa is 0
+                a, b = _longest(a + 1j * np.sqrt(more[-1]) * more[count:-1], float(more[-1]))
+                vector[count : 2 * count], vector[2 * count : 3 * count] = a, b
+                renewed, w = replace(renewed, c=a / (a @ a)), Stacked(vector)
+            elif self.form == "hopf":  # turned so that c.b = 0
                 b, kappa = more[count : 2 * count], more[-1]
                 share = float(c @ b)
                 turned, other = a + kappa * share * b, b - share * a
@@ -343,7 +347,7 @@ def without_noise(problem: AtRest, z: np.ndarray, p: np.ndarray) -> np.ndarray:
     except np.linalg.LinAlgError:
         return z
     bars = inverse @ (ROUND_OFF * (gz @ np.abs(z / problem.z_sizes))) * problem.z_sizes
-    return np.where(np.abs(z) <= bars, 0.0, z)
+    return np.where(np.abs(z) <= np.maximum(bars, ROUND_OFF * problem.z_sizes), 0.0, z)
 
 
 def eigenvalues(problem: AtRest, z: np.ndarray, p: np.ndarray, slopes: np.ndarray | None = None) -> np.ndarray:
@@ -379,15 +383,21 @@ def singular(problem: AtRest, z: np.ndarray, p: np.ndarray, form: str) -> tuple[
     kappa = float(abs(values[i] * values[j])) * (1.0 if turning else -1.0)
     if kappa > 0:  # q = a + i omega b
         q = vectors[:, i] if values[i].imag > 0 else vectors[:, i].conj()
-        q = q * np.exp(-0.5j * np.angle(np.sum(q**2)))  # Re q and Im q across each other, the first the longer
-        a, b = q.real, q.imag / np.sqrt(kappa)
+        a, b = _longest(q, kappa)
     else:
         u, v = vectors[:, i].real, vectors[:, j].real
+        v = v if u @ v >= 0 else -v
         first, second = values[i].real, values[j].real
         a, b = u + v, u / first + v / second
     c = a / (a @ a)
     b = b - (c @ b) * a if kappa <= 0 else b
     return replace(problem, form=form, c=c), Stacked(np.concatenate([z, a, b, [kappa], p]))
+
+
+def _longest(q: np.ndarray, kappa: float) -> tuple[np.ndarray, np.ndarray]:
+    """a and b of q turned so that Re q and Im q are across each other, the first the longer."""
+    q = q * np.exp(-0.5j * np.angle(np.sum(q**2)))
+    return q.real, q.imag / np.sqrt(kappa)
 
 
 def _pencil(gz: np.ndarray, mass: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

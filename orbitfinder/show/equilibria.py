@@ -11,6 +11,7 @@ import numpy as np
 
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
 from orbitfinder.mechanics.model import Model
+from orbitfinder.show.plot import two_parameters
 from orbitfinder.show.style import dress, new_figure, save_all
 from orbitfinder.show.svg import COLOURS, axis
 
@@ -21,7 +22,9 @@ MOST = 6
 
 
 def save_equilibria_figure(equilibria: Equilibria, folder: str | Path, model: Model) -> list[Path]:
-    """Write `equilibria.png`; returns its path."""
+    """Write `equilibria.png`, of a curve in two parameters `two_parameters.png`; returns its path."""
+    if equilibria.curve:
+        return save_all({"two_parameters": two_parameters([equilibria])}, folder)
     both: tuple[Equilibrium | RestEvent, ...] = (*equilibria.points, *equilibria.events)
     places = sorted(both, key=lambda place: place.arclength)
     values = np.array([place.value if isinstance(place, Equilibrium) else place.parameter for place in places])

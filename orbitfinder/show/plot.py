@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.atlas.report import discovery
 from orbitfinder.atlas.store import Atlas, AtlasRow, Filter
 from orbitfinder.errors import InputError, plural
+from orbitfinder.families.equilibrium import Equilibria
 from orbitfinder.families.members import MemberMotion, amplitudes, motions, whole
 from orbitfinder.loops.control import history
 from orbitfinder.mechanics.kind import build_model
@@ -404,10 +406,11 @@ def _called(families: Sequence[Family]) -> str:
     return ", ".join(family.name for family in families)
 
 
-def two_parameters(families: Sequence[Family], title: str | None = None) -> Figure:
+def two_parameters(families: Sequence[Family | Equilibria], title: str | None = None) -> Figure:
     """Curves of bifurcations in the plane of their two parameters, with a mark at each point of codimension two.
 
-    Curves of the same two parameters are drawn together. Raises `InputError` for families in one parameter.
+    Curves of the same two parameters are drawn together, neutral saddles dotted. Raises `InputError` for families in
+    one parameter.
     """
     names = families[0].parameters
     for family in families:
@@ -416,19 +419,26 @@ def two_parameters(families: Sequence[Family], title: str | None = None) -> Figu
                 f"{family.name}: varies {', '.join(family.parameters)}; give curves in {' and '.join(names)} alone"
             )
     figure = new_figure(8.0, 5.6, title or f"{_called(families)}: bifurcations in two parameters")
-    axes, shown = figure.subplots(), dict[str, Any]()
+    axes, shown, labels = figure.subplots(), dict[str, Any](), dict[tuple[float, ...], str]()
     for k, curve in enumerate(families):
-        drawn = Diagram(curve, names[:2], curve.places if curve.parameters == names else curve.places[:, ::-1])  # type: ignore[arg-type]
-        test = curve.curve["test"]
-        line = axes.plot(*drawn.points.T, color=COLOURS[k % len(COLOURS)], linewidth=1.8)[0]
-        shown.setdefault(f"{test['kind']} {test['detail']}".replace("_", " ").strip(), line)
-        for event, place in zip(curve.events, drawn.events, strict=True):
+        places = curve.places if curve.parameters == names else curve.places[:, ::-1]
+        points, events = places[: len(curve.points)], places[len(curve.points) :]
+        test, kinds = curve.curve["test"], [getattr(point, "kind", "") for point in curve.points]
+        cuts = [j for j in range(1, len(kinds)) if kinds[j] != kinds[j - 1]]
+        for start, stop in pairwise([0, *cuts, len(kinds)]):
+            path = points[max(start - 1, 0) : stop]
+            beyond = kinds[start] == "neutral_saddle"
+            style = {"linestyle": ":" if beyond else "-", "color": COLOURS[k % len(COLOURS)], "linewidth": 1.8}
+            called = kinds[start] if beyond else f"{test['kind']} {test['detail']}"
+            shown.setdefault(called.replace("_", " ").strip(), axes.plot(*path.T, **style)[0])
+        for event, place in zip(curve.events, events, strict=True):
             style = {"marker": mark_of(event).marker, "markersize": 7.0, "linestyle": "none", "color": "black"}
             shown.setdefault(event.kind.replace("_", " "), axes.plot(*place, **style)[0])
-            axes.annotate(event.words, place, fontsize=9, xytext=(7, 7), textcoords="offset points", parse_math=False)
+            labels.setdefault(tuple(np.round(place, 12)), event.words)
     dress(axes, *names)
     axes.margins(0.08)
     legend(figure, shown, "lower center", ncols=3)
+    place_labels(figure, axes, [(words, *place) for place, words in labels.items()])  # type: ignore[misc]
     return figure
 
 
