@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,33 +17,12 @@ from orbitfinder.families.passages import LOCATION
 from orbitfinder.families.point import LEAST, extents, freed, parameter_value
 from orbitfinder.families.rest import RestPoint, can_rest, rest_of, vanishing
 from orbitfinder.families.run import Interval, Run, Walked, portrait
+from orbitfinder.families.saddles import SLOW, blown_up, near_saddle, rest_near, slowness
 from orbitfinder.families.start import return_gaps
 from orbitfinder.loops.conditions import hyperplane
 from orbitfinder.loops.continued import Curve, Solution, correct
 from orbitfinder.loops.symmetry import NONE, beside, named, recognise
-from orbitfinder.mechanics.newton import Settings, equilibrium
 from orbitfinder.records.family import End, FamilyPoint
-
-
-@dataclass(frozen=True)
-class Slow:
-    """When a slow orbit counts as nearly homoclinic."""
-
-    slow: float = 0.1
-    """a motion slower than this share of its fastest is near an equilibrium"""
-    share: float = 0.4
-    """... and an orbit that spends this share of its period there is nearly homoclinic to it,"""
-    near: float = 0.1
-    """... if within this share of the motion's extents an equilibrium is"""
-    grown: float = 1.5
-    grown_share: float = 0.25
-    """a step underflow with the period this much above the shortest, and slow for this share, is read as homoclinic"""
-    undecided: float = 1e11
-    """beyond this multiplier the closure that double precision can hold says nothing about the orbit,"""
-    settled: float = 1e-3
-    """and a nearly homoclinic family ends once its energy changes by less than this share of what it has by then"""
-    step: float = 1e-2
-    """steps of a nearly homoclinic family are not made shorter than this"""
 
 
 @dataclass(frozen=True)
@@ -100,9 +79,7 @@ class Meeting:
     """a closed family, and a canard, has at least so many steps"""
 
 
-AT_REST = Settings(floor=1e-6, round_off=1e-6, converged=1e-6, most_evaluations=12, cutoff=1e-9)
-"""How an equilibrium beside an orbit is looked for, in its extents"""
-SLOW, SHRINKING, MEETING = Slow(), Shrinking(), Meeting()
+SHRINKING, MEETING = Shrinking(), Meeting()
 
 
 def end_at(run: Run, before: Walked, after: Walked) -> End | None:
@@ -119,16 +96,13 @@ def end_at(run: Run, before: Walked, after: Walked) -> End | None:
         raise ConvergenceError("another family is joined within one step")
     if curve.equations.model.forced:
         return None
-    share, state = slowness(curve, solution)
-    if share <= SLOW.share:
+    if slowness(curve, solution)[0] <= SLOW.share:
         return None
-    grown, more = after.stretch, None
-    if grown > run.settings.longest_period:
-        more = ""
-    elif not curve.equations.physical and _settled(run.origin, before.point, after.point):
-        more = f", multiplier {after.point.scale:.2g}, while the energy stands still"
-    saddle = more is not None and near_saddle(curve, solution, state)
-    return _homoclinic(curve, solution, state, grown, str(more)) if saddle else None
+    if after.stretch > run.settings.longest_period:
+        return blown_up(run, after)
+    if not curve.equations.physical and _settled(run.origin, before.point, after.point):
+        return blown_up(run, after, f", multiplier {after.point.scale:.2g}, while the energy stands still")
+    return None
 
 
 def approach(run: Run, before: Walked, length: float, seen: dict[Invariance, Join]) -> tuple[float, End | None]:
@@ -250,14 +224,11 @@ def end_of_failure(run: Run, step: Walked, failure: str) -> End:
             return met
     except IntegrationError:
         pass
-    share, state = slowness(curve, solution)
-    grown = step.stretch
-    slow = grown > SLOW.grown and share > SLOW.grown_share and not curve.equations.model.forced
-    if slow and near_saddle(curve, solution, state):
-        return _homoclinic(curve, solution, state, grown, f"; then {failure}")
-    if slow and grown > run.settings.longest_period:  # near a saddle-node that is not there yet, say: no canard
-        end = _homoclinic(curve, solution, state, grown, f", where no saddle is at this value; {failure}")
-        return replace(end, kind="step underflow")
+    slow = step.stretch > SLOW.grown and slowness(curve, solution)[0] > SLOW.grown_share
+    if slow and not curve.equations.model.forced and (end := blown_up(run, step, f"; then {failure}")) is not None:
+        return end
+    if slow and step.stretch > run.settings.longest_period:  # no canard
+        return End("step underflow", f"the period is {step.stretch:.3g} times the shortest, no saddle near; {failure}")
     dead = dead_point(curve.equations.model, solution.march.states, freed(curve, solution.place))
     if dead:
         return End("dead point", f"{dead}, where the coordinates of this family end; {failure}")
@@ -320,15 +291,6 @@ def _settled(origin: FamilyPoint, before: FamilyPoint, after: FamilyPoint) -> bo
     return after.scale > SLOW.undecided and stretch > 0 and change < SLOW.settled * abs(after.energy - origin.energy)
 
 
-def near_saddle(curve: Curve, solution: Solution, state: np.ndarray) -> bool:
-    """Whether a state is near an equilibrium with a growing direction, relative to the extents of its motion.
-
-    Without one, a slow and long orbit is no nearly homoclinic one.
-    """
-    eigenvalues = _at_rest(curve, solution, state, SLOW.near)
-    return eigenvalues.size > 0 and bool(eigenvalues.real.max() * solution.place.period > 1.0)
-
-
 def linear(curve: Curve, solution: Solution, within: float) -> bool:
     """Whether an orbit is a linear oscillation about an equilibrium: its period is, to this share, that of a pair i w.
 
@@ -338,27 +300,8 @@ def linear(curve: Curve, solution: Solution, within: float) -> bool:
     if p.links or p.model.forced or p.symmetry.relative:
         return False
     middle = np.concatenate([centre(curve, solution), np.zeros(p.size - n)])
-    turns = np.abs(_at_rest(curve, solution, middle, 1.0).imag) * solution.place.period / (2 * np.pi)
+    turns = np.abs(rest_near(curve, solution, middle, 1.0)[1].imag) * solution.place.period / (2 * np.pi)
     return bool(np.any(np.abs(turns - 1.0) < within))
-
-
-def _at_rest(curve: Curve, solution: Solution, state: np.ndarray, near: float) -> np.ndarray:
-    """The eigenvalues of the equations at the equilibrium within a share of the motion's extents; none without one."""
-    p, place = curve.equations, solution.place
-    n, units = p.model.degrees_of_freedom, extents(curve, solution.march.states)
-    still = np.zeros(p.size - n)
-
-    def linearised(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        x = np.append(q, still)
-        if np.any(np.abs(x - state) > near * units):
-            return np.full(n, np.nan), np.eye(n)
-        # at rest the first rates, which are the velocities, are 0; a first-order system's are all to be solved for
-        return p.march.rates(x[None], place.tail)[0][-n:], p.march.arcs[0].slopes(x, place.tail)[-n:, :n]
-
-    rest = equilibrium(linearised, state[:n], units[:n], AT_REST)
-    if not rest.converged:
-        return np.zeros(0)
-    return np.asarray(np.linalg.eigvals(p.march.arcs[0].slopes(np.append(rest.w, still), place.tail)))
 
 
 def _singular(curve: Curve, solution: Solution, failure: str) -> End | None:
@@ -377,32 +320,6 @@ def _singular(curve: Curve, solution: Solution, failure: str) -> End | None:
         f"the motion comes near a singularity at q = {where} (a collision, say), where its {what} is "
         f"{speed.max() / usual:.3g} times the median; {failure}",
     )
-
-
-def _homoclinic(curve: Curve, solution: Solution, state: np.ndarray, grown: float, more: str) -> End:
-    energy = parameter_value(curve, solution.place, "energy")
-    n = curve.equations.model.degrees_of_freedom
-    where = np.array2string(state[:n], precision=4, suppress_small=True)
-    level = f" at energy {energy:.9g} J" if np.isfinite(energy) else ""
-    return End(
-        "homoclinic",
-        f"the period blows up ({solution.place.period:.6g} s, {grown:.3g} times the shortest){level}, "
-        f"slowest near q = {where}{more}",
-    )
-
-
-def slowness(curve: Curve, solution: Solution) -> tuple[float, np.ndarray]:
-    """Share of the period spent slower than `SLOW.slow` times the fastest rate, and the slowest state.
-
-    Turning points are not slow in this sense: the speed includes the scaled acceleration.
-    """
-    p, place = curve.equations, solution.place
-    states = solution.march.states
-    slopes = p.march.rates(states, place.tail, place.mesh * place.period)
-    speed = np.sqrt(slopes**2 @ curve.weights[: p.size])
-    weights = np.diff(place.mesh)
-    slow = 0.5 * (speed[1:] + speed[:-1]) < SLOW.slow * speed.max()
-    return float(weights[slow].sum() / weights.sum()), states[np.argmin(speed)]
 
 
 def centre(curve: Curve, solution: Solution) -> np.ndarray:

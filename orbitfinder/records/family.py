@@ -170,10 +170,12 @@ class End:
     """Why a family stopped in a direction: a short name and the sentence.
 
     Of what was solved for there, a Hopf point or a join, the family's parameter, the period and the error bar of the
-    parameter; `joined` is the orbit of the family that is joined: state, period, symmetry, winding, free.
+    parameter; `joined` is the orbit of the family that is joined: state, period, symmetry, winding, free. Where the
+    period grows without bound the parameter is that at an infinite one, `period` the last orbit's, and `saddles` are
+    the equilibria that orbits come near: state and eigenvalues (1/s, as pairs of real and imaginary part).
     """
 
-    _sparse = ("parameter", "period", "error", "joined")
+    _sparse = ("parameter", "period", "error", "joined", "saddles")
 
     kind: str
     reason: str
@@ -181,6 +183,7 @@ class End:
     period: float | None = None
     error: float | None = None
     joined: Mapping[str, Any] | None = None
+    saddles: tuple[Mapping[str, Any], ...] = ()
 
 
 def reached(name: str, value: float) -> str:
