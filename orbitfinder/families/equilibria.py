@@ -459,13 +459,20 @@ def _turning(
 
 
 def _other(problem: AtRest, z: np.ndarray, p: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-    """The direction over (x, p) across a tangent in which G does not change either."""
-    _, gz, gp = problem.scaled(z, p)
-    kernel = np.linalg.svd(np.hstack([gz, gp]))[2][-2:]
-    own = kernel @ (tangent / problem.sizes)
-    across = np.array([-own[1], own[0]]) @ kernel * problem.sizes
-    d = problem.jets.size
-    return np.asarray(np.append(across[:d], across[z.size :]) / np.linalg.norm(own))
+    """The direction over (x, p) of the other curve: u = a own + b across in the kernel of the slopes, 0 as well to
+    second order, psi G''(u, u) = 0, where psi is in the kernel of their transpose and psi G''(own, own) = 0."""
+    left, _, rows = np.linalg.svd(np.hstack(problem.scaled(z, p)[1:]))
+    share = rows[-2:] @ (tangent / problem.sizes)
+    own, across = share @ rows[-2:], np.array([-share[1], share[0]]) @ rows[-2:]
+
+    def bent(along: np.ndarray) -> Any:
+        ends = [np.split(sign * 1e-4 * along * problem.sizes, [z.size]) for sign in (-1.0, 1.0)]
+        before, after = (left[:, -1] @ np.hstack(problem.scaled(z + dz, p + dp)[1:]) for dz, dp in ends)
+        return (after - before) @ across
+
+    other = 2.0 * bent(own) * across - bent(across) * own
+    other, d = other / np.linalg.norm(other) * problem.sizes, problem.jets.size
+    return np.asarray(np.append(other[:d], other[z.size :]))
 
 
 def _record(name: str, model: Model, parameter: str, runs: list[tuple[SolutionCurve, _Way]]) -> Equilibria:
