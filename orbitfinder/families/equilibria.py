@@ -79,7 +79,10 @@ def rest_branch(equilibria: Equilibria, number: int, model: Model | None = None)
     event, name = equilibria.events[number], equilibria.parameter
     there = with_parameters(model or build_model(equilibria.system), {name: event.parameter})
     largest = np.abs([point.state for point in equilibria.points]).max(axis=0)
-    state, called = np.where(np.abs(event.state) <= event.error * largest, 0.0, event.state), f"{equilibria.name}-{number}"
+    state, called = (
+        np.where(np.abs(event.state) <= event.error * largest, 0.0, event.state),
+        f"{equilibria.name}-{number}",
+    )
     return RestBranch(equilibria.name, number, there, state, event.direction, name, called, largest)
 
 
@@ -462,8 +465,8 @@ def _turning(
 
 
 def _other(problem: AtRest, z: np.ndarray, p: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-    """The direction u over (x, p) of the other curve: of those in the kernel of the slopes with psi G''(u, u) = 0, where
-    psi is in that of their transpose, the farther from a chord of the curve itself."""
+    """The direction u over (x, p) of the other curve: of those in the kernel of the slopes with psi G''(u, u) = 0, psi
+    in that of their transpose, the farther from a chord of the curve itself."""
     left, _, rows = np.linalg.svd(np.hstack(problem.scaled(z, p)[1:]))
     share = rows[-2:] @ (tangent / problem.sizes)
     both = np.array([share, [-share[1], share[0]]]) @ rows[-2:] / np.linalg.norm(share)

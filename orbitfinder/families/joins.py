@@ -267,7 +267,8 @@ def end_of(join: Join, more: str = "") -> End:
     orbit = join.regular.place if alone else place  # at the join itself both families meet in one formulation
     joined = {
         "state": orbit.nodes[0].tolist(), "period": float(orbit.period), "symmetry": curve.equations.symmetry.name,
-        "winding": list(curve.turns), "free": freed(curve, orbit), "energy": finite(parameter_value(curve, orbit, "energy")),
+        "winding": list(curve.turns), "free": freed(curve, orbit),
+        "energy": finite(parameter_value(curve, orbit, "energy")),
     }  # fmt: skip
     reason = f"joins a family {what} at {where}, period {period:.12g} s{more}"
     return End("merged", reason, join.value, float(period), float(join.error), joined)
