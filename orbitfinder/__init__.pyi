@@ -25,6 +25,10 @@ from .control.optimum import save_optima as save_optima
 from .exports.write import export_orbit as export_orbit
 from .families.branches import switch_branch as switch_branch
 from .families.curves import follow_curve as follow_curve
+from .families.diagram import BifurcationDiagram as BifurcationDiagram
+from .families.diagram import diagram as diagram
+from .families.diagram import load_diagram as load_diagram
+from .families.diagram import save_diagram as save_diagram
 from .families.equilibria import follow_equilibria as follow_equilibria
 from .families.equilibrium import Equilibria as Equilibria
 from .families.equilibrium import Equilibrium as Equilibrium

@@ -91,6 +91,7 @@ MADE_BY = {
     "Family": "follow_family(origin) makes one, load_family(path) reads one",
     "Event": "family.events[k] is one",
     "Equilibria": "follow_equilibria(model, state, parameter) makes some, load_equilibria(path) reads some",
+    "BifurcationDiagram": "diagram(model, state, parameter, until) makes one, load_diagram(path) reads one",
     "RestEvent": "equilibria.events[k] is one",
     "RestBranch": "switch_branch(equilibria, k) makes one at a branch point",
     "Optima": "follow_optima(problem) makes some, load_optima(path) reads some",

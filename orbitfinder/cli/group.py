@@ -18,6 +18,7 @@ import click
 from orbitfinder._runtime import __version__, interrupt, keeping
 from orbitfinder.cli.atlas import atlas
 from orbitfinder.cli.continue_ import continue_
+from orbitfinder.cli.diagram import diagram
 from orbitfinder.cli.doctor import completion, doctor
 from orbitfinder.cli.equilibria import equilibria
 from orbitfinder.cli.export import animate, export, page, plot
@@ -47,7 +48,7 @@ from orbitfinder.errors import InputError, OrbitfinderError
 LIMITS = {
     **dict.fromkeys(("run", "simulate", "guess"), 600.0), **dict.fromkeys(("prove", "continue"), 86_400.0),
     **dict.fromkeys(("verify", "sweep", "refine", "stabilise", "torus", "section", "manifold", "connect"), 3600.0),
-    "equilibria": 3600.0,
+    "equilibria": 3600.0, "diagram": 3600.0,
 }  # fmt: skip
 """s after which a command stops unless --limit says otherwise: the slowest search that we ship, 100 links, takes 46,
 the longest proof an hour. `search` has its budget; the others go on for as long as they are let."""
@@ -55,7 +56,7 @@ the longest proof an hour. `search` has its budget; the others go on for as long
 
 PURPOSES = {
     "Find": ("problems", "init", "guess", "run", "simulate", "sweep", "search", "atlas", "section"),
-    "Follow": ("equilibria", "continue", "torus", "manifold", "connect"),
+    "Follow": ("equilibria", "diagram", "continue", "torus", "manifold", "connect"),
     "Prove": ("verify", "prove", "refine"),
     "Use": ("stabilise", "export"),
     "Look": ("show", "studio", "plot", "animate", "page", "reproduce"),
@@ -74,7 +75,7 @@ class Commands(click.Group):
             options_named(single)
             single.help = fitted(single.help or "")
         if not isinstance(cmd, click.Group):
-            parts = {"run": "each search", "sweep": "the sweep"}
+            parts = {"run": "each search", "sweep": "the sweep", "diagram": "following"}
             cmd.params.append(limit_option(LIMITS.get(cmd.name or ""), parts.get(cmd.name or "", "")))
         super().add_command(cmd, name)
 
@@ -166,7 +167,8 @@ def cli() -> None:
 
 
 for command in (
-    problems, run, verify, simulate, init, guess, sweep, equilibria, continue_, section, manifold, connect, torus,
-    stabilise, search, atlas, prove, refine, export, show, plot, animate, page, studio, reproduce, doctor, completion,
+    problems, run, verify, simulate, init, guess, sweep, equilibria, diagram, continue_, section, manifold, connect,
+    torus, stabilise, search, atlas, prove, refine, export, show, plot, animate, page, studio, reproduce, doctor,
+    completion,
 ):  # fmt: skip
     cli.add_command(command)

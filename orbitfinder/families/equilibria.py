@@ -50,7 +50,7 @@ FARTHEST = 1e3
 @dataclass(frozen=True)
 class RestBranch:
     """The other equilibria at a branch point: of which curve and event, the Model there, its state, the direction over
-    (x, p), what is followed in, and a name."""
+    (x, p), what is followed in, a name, and how large components are on the curve."""
 
     __repr__ = brief("name", "parameter")
 
@@ -61,13 +61,19 @@ class RestBranch:
     direction: np.ndarray
     parameter: str
     name: str
+    largest: np.ndarray
 
 
 def rest_branch(equilibria: Equilibria, number: int, model: Model | None = None) -> RestBranch:
     """The other equilibria at a branch point of this number."""
     event, name = equilibria.events[number], equilibria.parameter
     there = with_parameters(model or build_model(equilibria.system), {name: event.parameter})
-    return RestBranch(equilibria.name, number, there, event.state, event.direction, name, f"{equilibria.name}-{number}")
+    largest = np.abs([point.state for point in equilibria.points]).max(axis=0)
+    state, called = (
+        np.where(np.abs(event.state) <= event.error * largest, 0.0, event.state),
+        f"{equilibria.name}-{number}",
+    )
+    return RestBranch(equilibria.name, number, there, state, event.direction, name, called, largest)
 
 
 def follow_equilibria(
@@ -119,7 +125,7 @@ def follow_equilibria(
         ways = [_Way(problem, rest, parameter, until, sign, judge) for sign in (1.0, -1.0)[: 1 + (until is None)]]
     else:
         reach = None if span is None else np.array([span])
-        problem = regular(at_rest(model, (parameter,), state), state, np.array([start]), reach)
+        problem = regular(at_rest(model, (parameter,), state), state, np.array([start]), reach).seen(branch.largest)
         rest = np.concatenate([state, np.zeros(problem.jets.extra)])
         ways = [_Way(problem, rest, parameter, until, sign, judge, branch.direction) for sign in (1.0, -1.0)]
     path = None if out is None else Path(out) / label
@@ -415,13 +421,21 @@ def _turning(
 
 
 def _other(problem: AtRest, z: np.ndarray, p: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-    """The direction over (x, p) across a tangent in which G does not change either."""
-    _, gz, gp = problem.scaled(z, p)
-    kernel = np.linalg.svd(np.hstack([gz, gp]))[2][-2:]
-    own = kernel @ (tangent / problem.sizes)
-    across = np.array([-own[1], own[0]]) @ kernel * problem.sizes
-    d = problem.jets.size
-    return np.asarray(np.append(across[:d], across[z.size :]) / np.linalg.norm(own))
+    """The direction u over (x, p) of the other curve: of those in the kernel of the slopes with psi G''(u, u) = 0, psi
+    in that of their transpose, the farther from a chord of the curve itself."""
+    left, _, rows = np.linalg.svd(np.hstack(problem.scaled(z, p)[1:]))
+    share = rows[-2:] @ (tangent / problem.sizes)
+    both = np.array([share, [-share[1], share[0]]]) @ rows[-2:] / np.linalg.norm(share)
+
+    def bent(along: np.ndarray) -> Any:
+        ends = [np.split(sign * 1e-4 * along * problem.sizes, [z.size]) for sign in (-1.0, 1.0)]
+        before, after = (left[:, -1] @ np.hstack(problem.scaled(z + dz, p + dp)[1:]) for dz, dp in ends)
+        return (after - before) @ both.T
+
+    (own, mixed), (_, across) = map(bent, both)
+    lean = across / (mixed + np.copysign(np.sqrt(max(mixed**2 - own * across, 0.0)), mixed) or 1.0)
+    other, d = (both[1] - lean * both[0]) / np.hypot(1.0, lean) * problem.sizes, problem.jets.size
+    return np.asarray(np.append(other[:d], other[z.size :]))
 
 
 def _record(name: str, model: Model, parameter: str, runs: list[tuple[SolutionCurve, _Way]]) -> Equilibria:
@@ -437,7 +451,10 @@ def _record(name: str, model: Model, parameter: str, runs: list[tuple[SolutionCu
     for curve, way in runs:
         for kept in curve.events:
             index = int(np.searchsorted(lengths, kept.point.arclength * way.sign)) - 1
-            event = _event(kept, way, max(index, 0))
+            sides = [other.point for other in curve.points if other.point.arclength < kept.point.arclength][-1:]
+            sides += [other.point for other in curve.points if other.point.arclength > kept.point.arclength][:1]
+            secant = sides[-1].w.vector - sides[0].w.vector if len(sides) > 1 else kept.point.tangent
+            event = _event(replace(kept, point=replace(kept.point, tangent=secant)), way, max(index, 0))
             if event is not None:
                 events.append(event)
     events.sort(key=lambda event: event.arclength)

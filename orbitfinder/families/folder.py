@@ -76,6 +76,7 @@ def follow_family(
     progress: Progress | None = None,
     watch: Mapping[str, str | Number] | None = None,
     stop: Mapping[str, float] | None = None,
+    between: tuple[float, float] | None = None,
 ) -> Family:
     """Follow the family of an orbit in a parameter.
 
@@ -100,6 +101,7 @@ def follow_family(
             name. A motion is known at 960 equal times at least, to the fourth order of their distance; max() and min()
             are its own, between them.
         stop: values of watched numbers at which the family ends.
+        between: two values of the parameter, at either of which it ends.
 
     Returns:
         A Family: points, events, and why it ended.
@@ -156,7 +158,7 @@ def follow_family(
         goals, away = (until, tuple(map(float, at))), int(journal.header.get("away", 1))
         curve, check = in_scales(curve, journal.origin), _independent(curve, settings)
         runs = [
-            Run(curve, settings, sign, journal.origin, check, value, exact, stop)
+            Run(curve, settings, sign, journal.origin, check, value, exact, stop, between or ())
             for sign, value, exact in directions(journal.origin, settings, goals, away, born)
         ]
         if folder is not None:
@@ -264,16 +266,16 @@ def _model_of(origin: Any, journal: Journal, model: Model | None) -> Model:
     return model
 
 
-def _reopened(folder: Path, journal: Journal, stops: Mapping[int, Mapping[str, float]]) -> Journal:
+def _reopened(folder: Path, journal: Journal, stops: Mapping[int, Sequence[tuple[str, float]]]) -> Journal:
     """The journal as far as it leads to where each direction shall stop, which may be elsewhere than before."""
     kept, last = list[Batch](), dict[int, FamilyPoint].fromkeys(stops, journal.origin)
     for batch in journal.batches:
-        side, goals = batch.direction, stops.get(batch.direction, {})
+        side, goals = batch.direction, stops.get(batch.direction, [])
         met = [point for point in batch.points if point.role != "at"]
-        there = batch.end is not None and batch.end.reason in [reached(*goal) for goal in goals.items()]
+        there = batch.end is not None and batch.end.reason in [reached(*goal) for goal in goals]
         passed = side in last and any(
             (number_of(last[side], name) - value) * (number_of(member, name) - value) <= 0
-            for name, value in goals.items() for many in (met, batch.events) for member in many
+            for name, value in goals for many in (met, batch.events) for member in many
         )  # fmt: skip
         ended = batch.end is not None and end_kind(batch.end.kind).asked
         if side not in last or ((ended or passed) and not there):

@@ -224,7 +224,7 @@ def _exactly(
     name = run.settings.parameter
     wanted = (value for value in run.at if value != run.origin.value)
     points = [point for value in wanted for point in exact_points(run, before, interval, (name, value), events, "at")]
-    return points, [(goal, each) for goal in run.goals.items()
+    return points, [(goal, each) for goal in run.goals
                     for each in exact_points(run, before, interval, goal, events, "end")[:1]]  # fmt: skip
 
 

@@ -30,6 +30,7 @@ from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.symmetry import Involution, called, involutions, named
 from orbitfinder.mechanics.model import wrapped
 from orbitfinder.records.family import End
+from orbitfinder.records.reading import finite
 
 EVEN = (2, 4, 6)
 """So many times shorter may be the period of a family about which another one is its own mirror image: behind one of an
@@ -266,7 +267,8 @@ def end_of(join: Join, more: str = "") -> End:
     orbit = join.regular.place if alone else place  # at the join itself both families meet in one formulation
     joined = {
         "state": orbit.nodes[0].tolist(), "period": float(orbit.period), "symmetry": curve.equations.symmetry.name,
-        "winding": list(curve.turns), "free": freed(curve, orbit), "energy": parameter_value(curve, orbit, "energy"),
+        "winding": list(curve.turns), "free": freed(curve, orbit),
+        "energy": finite(parameter_value(curve, orbit, "energy")),
     }  # fmt: skip
     reason = f"joins a family {what} at {where}, period {period:.12g} s{more}"
     return End("merged", reason, join.value, float(period), float(join.error), joined)

@@ -135,12 +135,19 @@ def amplitudes(family: Family, model: Model) -> np.ndarray:
 
     Without family.npz their states alone are integrated. Raises `InputError`.
     """
+    return np.asarray(np.diff(extents(family, model)[:, :2, :-1], axis=1)[:, 0] / 2)
+
+
+def extents(family: Family, model: Model) -> np.ndarray:
+    """The least value, the greatest and the root mean square (k x 3 x n + 1) over a period of every coordinate, and of
+    the length of the state, of each point and then of each event."""
     curve = curve_in(family, model)
     mesh, n = uniform(curve.equations.symmetry.fraction, 1, MOTION), model.degrees_of_freedom
 
-    def range_of(member: FamilyPoint | Event) -> np.ndarray:
+    def extent(member: FamilyPoint | Event) -> np.ndarray:
         known = member if member.mesh.size else replace(member, shooting_nodes=member.state[None], mesh=mesh)
         states = full_samples(curve, at_place(curve, unknowns_of(curve, known)), SAMPLES)[1]
-        return np.asarray(np.ptp(states[:, :n], axis=0) / 2)
+        rows = np.column_stack([states[:, :n], np.linalg.norm(states, axis=1)])
+        return np.array([rows.min(axis=0), rows.max(axis=0), np.sqrt((rows[1:] ** 2).mean(axis=0))])
 
-    return np.array([range_of(member) for member in family.members])
+    return np.array([extent(member) for member in family.members])

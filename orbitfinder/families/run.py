@@ -53,11 +53,13 @@ class Run:
     until: float | None = None
     at: tuple[float, ...] = ()
     stop: Mapping[str, float] = field(default_factory=dict)
+    between: tuple[float, ...] = ()
 
     @property
-    def goals(self) -> dict[str, float]:
-        """Where it ends: the value of the parameter and those of watched numbers, by name."""
-        return ({} if self.until is None else {self.settings.parameter: self.until}) | dict(self.stop)
+    def goals(self) -> list[tuple[str, float]]:
+        """Where it ends: values of the parameter and of watched numbers, each with its name."""
+        values = self.between if self.until is None else (self.until, *self.between)
+        return [*((self.settings.parameter, value) for value in values), *self.stop.items()]
 
 
 @dataclass(frozen=True)

@@ -1,54 +1,151 @@
-"""Pictures of equilibria: their components along the parameter, solid where stable, with what happens there."""
+"""Pictures along a parameter as the field draws them: equilibria and cycles, solid where stable, with what happens."""
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.lines import Line2D
 
+from orbitfinder.families.diagram import NORM, BifurcationDiagram
+from orbitfinder.families.entries import KINDS
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
+from orbitfinder.families.members import extents
+from orbitfinder.families.registry import Look, kind_of
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import units as units_of
+from orbitfinder.records.family import Family
+from orbitfinder.show.diagram import Diagram
 from orbitfinder.show.plot import two_parameters
-from orbitfinder.show.style import dress, new_figure, save_all
+from orbitfinder.show.style import bare, dress, legend, new_figure, place_labels, save_all
 from orbitfinder.show.svg import COLOURS, axis
 
-MARKS = {"hopf": "o", "fold": "s", "branch_point": "D", "neutral_saddle": "x"}
-"""Matplotlib's markers of events"""
-MOST = 6
-"""Components that are drawn, the first"""
+RESTS = {"hopf": Look(size=6.0), "neutral_saddle": Look("x", colour="#8C8C8C")}
+"""How events of equilibria look that families have not"""
+OTHER = Look("*", size=9.0)
+"""How an end of cycles looks, such as a homoclinic orbit"""
+ORDINARY = ("target", "point limit", "hopf", "merged", "returned", "stopped", "equilibrium")
+"""Ends that are not marked: where something is marked anyway, or nothing happens"""
+NAMES = ("cycles", "cycles born on cycles")
+"""Curves of cycles, by where they are born"""
+MOST, LABELLED, LONG = 6, 14, 30.0
+"""Components that are drawn, the first; events whose parameters are written; ratio of periods drawn in logarithms"""
+ROBUST, ROOM, MARGIN = (2.0, 98.0), 0.3, 0.05
+"""Percentiles of what is drawn, the share of their distance that is seen beyond them, and that which is left empty"""
+
+
+class Panel:
+    """Axes on which curves are drawn by one number of each point; `shown` is the legend of all panels."""
+
+    def __init__(self, axes: Any, shown: dict[str, Any]) -> None:
+        self.axes, self.shown = axes, shown
+        self.labels, self.heights = dict[str, tuple[str, float, float]](), list[np.ndarray]()
+
+    def line(self, stretches: Sequence[tuple[bool, np.ndarray]], colour: str, name: str) -> None:
+        """A curve: places (k x 2) that are stable or not."""
+        for stable, path in stretches:
+            style = {"linestyle": "-" if stable else "--", "linewidth": 1.8 if stable else 1.2}
+            self.axes.plot(*path.T, color=colour, **style)
+            self.shown.setdefault("stable" if stable else "unstable", Line2D([], [], color="0.3", **style))
+            self.heights.append(path[:, 1])
+        self.shown.setdefault(name, Line2D([], [], color=colour, linewidth=2.4))
+
+    def mark(self, kind: str, place: Sequence[float]) -> None:
+        """Something that happens at a place, with the parameter there."""
+        look: Look = RESTS.get(kind) or (KINDS[kind].look if kind in KINDS else OTHER)
+        style = {"marker": look.marker, "markersize": look.size, "linestyle": "none", "color": look.colour, "zorder": 4}
+        drawn = self.axes.plot(*place, markerfacecolor="white" if look.hollow else look.colour, **style)
+        self.shown.setdefault(kind.replace("_", " ").replace("hopf", "Hopf"), drawn[0])
+        if kind != "neutral_saddle":
+            self.labels.setdefault(name := f"{place[0]:.5g}", (name, float(place[0]), float(place[1])))
+
+    def rest(self, rest: Equilibria, height: Callable[[np.ndarray], float]) -> None:
+        """Equilibria by a number of their states."""
+        both: tuple[Equilibrium | RestEvent, ...] = (*rest.points, *rest.events)
+        places = sorted(both, key=lambda place: place.arclength)
+        values = [place.value if isinstance(place, Equilibrium) else place.parameter for place in places]
+        line = np.column_stack([values, [height(place.state) for place in places]])
+        self.line([(stable, line[part]) for part, stable in stretched(places)], COLOURS[0], "equilibria")
+        for event in rest.events:
+            self.mark(event.kind, (event.parameter, height(event.state)))
+
+    def cycles(self, family: Family, heights: np.ndarray, name: str) -> None:
+        """Cycles by a number of each point and then of each event."""
+        drawn = Diagram(family, (family.parameter, ""), np.column_stack([family.places[:, 0], heights]))
+        self.line(drawn.stretches, COLOURS[NAMES.index(name) + 2], name)
+        for event, place in zip(family.events, drawn.events, strict=True):
+            if kind_of(event.kind).critical and event.kind != "turn":
+                self.mark(event.kind, place)
+        last = int(np.argmax([abs(point.arclength) for point in family.points]))
+        for end, k in zip(family.ends, (last,) if len(family.ends) == 1 else (0, -1), strict=False):
+            if end.kind not in ORDINARY:
+                self.mark(end.kind, drawn.points[k])
+
+    def window(self) -> None:
+        """What is seen: everything, unless little of it runs far off."""
+        known = np.concatenate(self.heights)
+        low, high = np.percentile(known, ROBUST)
+        low, high = max(known.min(), low - ROOM * (high - low)), min(known.max(), high + ROOM * (high - low))
+        margin = MARGIN * ((high - low) or abs(high) or 1.0)
+        self.axes.set_ylim(low - margin, high + margin)
+
+
+def save_diagram_figure(diagram: BifurcationDiagram, folder: str | Path, model: Model) -> list[Path]:
+    """Write `diagram.png`: equilibria with the least and greatest values of cycles, and below their periods."""
+    families = [curve for curve in diagram.curves if isinstance(curve.record, Family)]
+    number = (*model.state_names[: model.degrees_of_freedom], NORM).index(diagram.coordinate)
+    norm = number == model.degrees_of_freedom
+    figure = new_figure(8.0, 6.8 if families else 4.8, diagram.name, diagram.counts)
+    axes = figure.subplots(
+        2 if families else 1, 1, sharex=True, squeeze=False, height_ratios=(2.2, 1)[: 1 + bool(families)]
+    )
+    shown: dict[str, Any] = {}
+    upper, *below = (Panel(each, shown) for each in axes.ravel())
+    for curve in diagram.curves:
+        if isinstance(curve.record, Equilibria):
+            upper.rest(curve.record, lambda state: float(np.linalg.norm(state) if norm else state[number]))
+            for event in (event for event in curve.record.events if below and event.kind == "hopf"):
+                below[0].mark(event.kind, (event.parameter, event.period))
+    for curve in families:
+        name, sizes = NAMES[curve.parent.endswith("family.json")], extents(curve.record, model)[:, :, number]
+        for column in (2,) if norm else (1, 0):
+            upper.cycles(curve.record, sizes[:, column], name)
+        below[0].cycles(curve.record, np.array([member.period for member in curve.record.members]), name)
+    dress(upper.axes, "" if below else diagram.parameter, NORM if norm else axis(model, number))
+    for panel in below:
+        periods = np.concatenate(panel.heights)
+        panel.axes.set_yscale("log" if periods.max() > LONG * periods.min() else "linear")
+        dress(panel.axes, diagram.parameter, "period (s)")
+    upper.window()
+    legend(figure, shown, "lower center", ncols=4)
+    room = MARGIN / 2 * (diagram.between[1] - diagram.between[0])
+    upper.axes.set_xlim(*sorted((diagram.between[0] - room, diagram.between[1] + room)))
+    if len(upper.labels) <= LABELLED:
+        place_labels(figure, upper.axes, list(upper.labels.values()), 8.0)
+    return save_all({"diagram": bare(figure) if not units_of(diagram.system)["time"] else figure}, folder)
 
 
 def save_equilibria_figure(equilibria: Equilibria, folder: str | Path, model: Model) -> list[Path]:
-    """Write `equilibria.png`, of a curve in two parameters `two_parameters.png`; returns its path."""
+    """Write `equilibria.png`, a panel for each component, of a curve in two parameters `two_parameters.png`."""
     if equilibria.curve:
         return save_all({"two_parameters": two_parameters([equilibria])}, folder)
-    both: tuple[Equilibrium | RestEvent, ...] = (*equilibria.points, *equilibria.events)
-    places = sorted(both, key=lambda place: place.arclength)
-    values = np.array([place.value if isinstance(place, Equilibrium) else place.parameter for place in places])
-    states, stretches = np.array([place.state for place in places]), stretched(places)
-    count = min(states.shape[1] if model.rates is not None else model.degrees_of_freedom, MOST)
+    size = equilibria.points[0].state.size
+    count = min(size if model.rates is not None else model.degrees_of_freedom, MOST)
     columns = min(count, 3)
     rows = -(-count // columns)
-    words = f"{len(equilibria.points)} equilibria along {equilibria.parameter}; solid: stable, dashed: unstable"
-    figure = new_figure(3.6 * columns + 1.0, 3.2 * rows + 0.8, equilibria.name, words)
+    words = f"{len(equilibria.points)} equilibria along {equilibria.parameter}"
+    figure, shown = new_figure(3.6 * columns + 1.0, 3.2 * rows + 1.0, equilibria.name, words), dict[str, Any]()
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    for k, panel in enumerate(panels):
+    for k, axes in enumerate(panels):
         if k >= count:
-            panel.set_visible(False)
+            axes.set_visible(False)
             continue
-        for part, stable in stretches:
-            panel.plot(values[part], states[part, k], "-" if stable else "--", color=COLOURS[0], linewidth=1.6)
-        marked = defaultdict[str, list[tuple[float, float]]](list)
-        for event in equilibria.events:
-            marked[event.kind].append((event.parameter, event.state[k]))
-        for kind, marks in marked.items():
-            panel.plot(*np.array(marks).T, MARKS.get(kind, "."), color=COLOURS[1], label=kind.replace("_", " "))
-        dress(panel, equilibria.parameter, axis(model, k))
-    if equilibria.events:
-        panels[0].legend(loc="best", frameon=False, fontsize=8)
+        Panel(axes, shown).rest(equilibria, lambda state, k=k: float(state[k]))  # type: ignore[misc]
+        dress(axes, equilibria.parameter, axis(model, k))
+    legend(figure, shown, "lower center", ncols=4)
     return save_all({"equilibria": figure}, folder)
 
 

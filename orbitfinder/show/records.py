@@ -5,3 +5,4 @@ from orbitfinder.records.registry import answers
 answers("orbit", plot="show.plot:save_figures", animate="show.animate:orbit_clip")
 answers("family", plot="show.plot:save_figures")
 answers("equilibria", plot="show.equilibria:save_equilibria_figure")
+answers("diagram", plot="show.equilibria:save_diagram_figure")

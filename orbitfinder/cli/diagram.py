@@ -1,0 +1,66 @@
+"""The command `diagram`: equilibria, cycles, doublings and branches along a parameter as one tree."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+import orbitfinder as of
+from orbitfinder.cli.console import display
+from orbitfinder.cli.jobs import folder_of
+from orbitfinder.cli.options import FILES, FINITE, finish, next_step, option, text, usual
+from orbitfinder.errors import InputError, plural
+from orbitfinder.records.registry import answer
+
+
+@click.command()
+@click.argument("file", type=FILES)
+@option("parameter", "The physical parameter to follow in, from its value in the file.", required=True)
+@option("until", "Its other bound.", kind=FINITE, required=True)
+@option("depth", "0: equilibria; 1: what is born on them; 2: what is born on that; and so on.", 2, (0, 20))
+@option("points", "The most of each curve, each way.", 400, (1, 100_000))
+@option("across coordinate", "The coordinate that is drawn, or norm.  [default: the first]", metavar="COORDINATE")
+@option("name", "Name of the diagram; the file's when left out.")
+@usual("Folder for DIR/<name>/diagram.json.", "diagrams", figures="Draw it.")
+def diagram(
+    file: Path, parameter: str, until: float, name: str | None, out: Path, figures: bool, trust: bool, **chosen: Any
+) -> None:
+    """The whole bifurcation diagram of the system of a problem FILE in one picture: equilibria, other equilibria at
+    branch points, the cycles born at every Hopf point, their doublings and branches, to a depth.
+
+    Everything is followed between the parameter's value in the file and --until, nothing twice. A run that was
+    killed goes on where it stopped when the same command is given again. Exit code 0: nothing failed, and nothing was
+    left for want of time or --points; what is deeper than --depth is listed.
+
+    \b
+    Examples:
+      orbitfinder diagram problems/gallery/brusselator.toml --parameter rate --until 1.5
+    """
+    from orbitfinder.problemfile.read import load_problem_file
+
+    loaded = load_problem_file(file, trust)
+    if loaded.start is None:
+        raise InputError(f"{file}: guess: missing; give the state near an equilibrium, [guess] or [simulate] state")
+    folder = folder_of(out, name or loaded.name)
+    with display(f"{folder.name}: diagram of {file}") as shown:
+
+        def report(curve: Any) -> None:
+            record = curve.record
+            what = f"{plural(len(record.points), 'point')}, {plural(len(record.events), 'event')}"
+            shown.say(f"{curve.file}: {what}; ended: {record.ends[-1].reason}")
+
+        made = of.diagram(
+            loaded.model, loaded.start, parameter, until, name=folder.name, out=out, progress=report, **chosen
+        )
+    written = [folder / "diagram.json"]
+    written += answer("plot", written[0])(made, folder, loaded.model) if figures else []
+    text(f"{written[0]}: {made.counts}")
+    for one in made.branchings:
+        text(f"  {one.file} {one.words}; {one.became} {', '.join(one.leads)}".rstrip())
+    next_step("verify", written[0])
+    fine = all(one.became in ("followed", "joined", "depth") for one in made.branchings)
+    document = {"name": made.name, "parameter": parameter, "between": made.between, "curves": made.curves,
+                "branchings": made.branchings, "undone": made.undone, "written": written}  # fmt: skip
+    finish("diagram", document, fine and not any(" stops: " in line for line in made.undone))

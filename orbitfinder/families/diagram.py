@@ -1,0 +1,423 @@
+"""The whole bifurcation diagram along a parameter: equilibria, what leaves them, what leaves that, as one tree."""
+
+from __future__ import annotations
+
+import contextlib
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from orbitfinder._runtime import locks
+from orbitfinder._runtime.keeping import kept
+from orbitfinder._runtime.limit import limited
+from orbitfinder._runtime.notebook import Shown, brief
+from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, LimitError, closest, plural
+from orbitfinder.families.branches import LEAVING, branches, switch_branch
+from orbitfinder.families.entries import kind_of
+from orbitfinder.families.equilibria import RestBranch, follow_equilibria
+from orbitfinder.families.equilibrium import EQUILIBRIA, Equilibria, RestEvent, load_equilibria, save_equilibria
+from orbitfinder.families.folder import follow_family
+from orbitfinder.families.point import FamilySettings
+from orbitfinder.families.registry import end_kind
+from orbitfinder.mechanics.model import Model
+from orbitfinder.records.certificate import Certificate, Check, at_most, equal
+from orbitfinder.records.codec import Codec
+from orbitfinder.records.family import End, Event, Family, load_family, reached, save_family
+from orbitfinder.records.registry import kinds, loaded
+
+NORM = "norm"
+"""What is drawn instead of a coordinate: the length of the state, of a cycle its root mean square"""
+SAME, NEAR = 1e-6, 0.2
+"""Shares of the range, and of a period, by which parameters and periods of one event differ at most where no error bar
+says it; and in which a curve begins near the event that it is born at"""
+FILES = {"equilibria.json": load_equilibria, "family.json": load_family}
+"""What reads a curve, by its file's name"""
+
+
+@dataclass(frozen=True)
+class DiagramCurve:
+    """A curve of a diagram: its file beside diagram.json, how often was switched to come there, of which curve and
+    event it is born, and its record."""
+
+    __repr__ = brief("file", "depth")
+    _entries = ("file", "depth", "parent", "event")
+
+    file: str
+    depth: int
+    parent: str = ""
+    event: int = -1
+    record: Any = None
+
+    def _check(self) -> None:
+        if PurePosixPath(self.file).name not in FILES or PurePosixPath(self.file).parts[::2] in ((), ("/",), ("..",)):
+            raise ValueError(f"file: {self.file!r} is not NAME/{' or NAME/'.join(FILES)}")
+
+
+@dataclass(frozen=True)
+class Branching:
+    """An event of a curve at which something leaves, what `became` of it (followed | joined | depth | budget | failed)
+    in words, and the files of the curves that are born there, or that come there from elsewhere."""
+
+    __repr__ = brief("file", "event", "became", "words")
+
+    file: str
+    event: int
+    became: str
+    words: str
+    leads: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class BifurcationDiagram(Shown):
+    """Equilibria along a parameter, what is born on them, what is born on that.
+
+    Args:
+        name: a word for files.
+        system: plain description that rebuilds the model.
+        parameter: what is followed in.
+        between: its first and last value.
+        depth: how often is switched at most.
+        coordinate: what is drawn: a coordinate, or "norm".
+        curves: each with its record, Equilibria or a Family.
+        branchings: every event at which something leaves, and what became of it.
+
+    Examples:
+        >>> tree.counts
+        '1 curve of equilibria, 1 of cycles; events: 1 followed'
+        >>> tree.curves[1].record.ends[0].kind, tree.undone
+        ('target', ())
+    """
+
+    __repr__ = brief("name", "parameter", "curves", "branchings")
+    name: str
+    system: Mapping[str, Any]
+    parameter: str
+    between: tuple[float, float]
+    depth: int
+    coordinate: str
+    curves: tuple[DiagramCurve, ...]
+    branchings: tuple[Branching, ...] = ()
+
+    @property
+    def undone(self) -> tuple[str, ...]:
+        """What was left undone and why, a sentence each."""
+        left = [f"{one.file}, {one.words}" for one in self.branchings if one.became not in ("followed", "joined")]
+        ends = [(curve.file, end) for curve in self.curves for end in curve.record.ends]
+        return (*left, *(f"{file} stops: {end.reason}" for file, end in ends if end_kind(end.kind).lengthened))
+
+    @property
+    def counts(self) -> str:
+        """How many curves there are, and what became of the events."""
+        rest = sum(isinstance(curve.record, Equilibria) for curve in self.curves)
+        made = [one.became for one in self.branchings]
+        became = ", ".join(f"{made.count(word)} {word}" for word in dict.fromkeys(made)) or "none"
+        curves = plural(rest, "curve") + f" of equilibria, {len(self.curves) - rest} of cycles"
+        return f"{curves}; events: {became}"
+
+
+CODEC = Codec(BifurcationDiagram, "diagram", "`orbitfinder diagram`", "make the diagram again")
+
+
+def save_diagram(diagram: BifurcationDiagram, path: str | Path) -> Path:
+    """Write a diagram.json, and beside it those of its curves that are not there yet.
+
+    Args:
+        diagram: a BifurcationDiagram.
+        path: where.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: where it cannot be written.
+
+    Examples:
+        >>> of.save_diagram(tree, "diagram.json").name
+        'diagram.json'
+    """
+    for curve in diagram.curves:
+        if not (file := Path(path).parent / curve.file).exists():
+            _write(curve, file)
+    return CODEC.save(diagram, path)
+
+
+def _write(curve: DiagramCurve, file: Path) -> None:
+    rest = isinstance(curve.record, Equilibria)
+    save_equilibria(curve.record, file) if rest else save_family(curve.record, file.parent)
+
+
+def load_diagram(path: str | Path) -> BifurcationDiagram:
+    """Read a diagram.json and the curves beside it.
+
+    Args:
+        path: of the diagram.json.
+
+    Returns:
+        A BifurcationDiagram.
+
+    Raises:
+        InputError: on anything unreadable, and where a curve's file is missing.
+
+    Examples:
+        >>> _ = of.save_diagram(tree, "diagram.json")
+        >>> [curve.file for curve in of.load_diagram("diagram.json").curves]
+        ['equilibria/equilibria.json', 'equilibria-0/family.json']
+    """
+    bare, home = CODEC.load(path), Path(path).parent
+    read = [replace(curve, record=FILES[Path(curve.file).name](home / curve.file)) for curve in bare.curves]
+    return replace(bare, curves=tuple(read))
+
+
+def leaving(record: Equilibria | Family) -> list[int]:
+    """The numbers of the events at which a diagram goes on: where cycles or other equilibria are born, or cycles of the
+    same or twice the period."""
+    if isinstance(record, Equilibria):
+        return [k for k, event in enumerate(record.events) if event.kind in LEAVING]
+    kinds = [kind_of(event.kind) for event in record.events]
+    return [k for k, kind in enumerate(kinds) if kind.branches and kind.critical]
+
+
+def diagram(
+    model: Model, state: Sequence[float] | np.ndarray, parameter: str, until: float, *, depth: int = 2,
+    points: int = 400, coordinate: str | None = None, limit: float | None = None, name: str = "diagram",
+    out: str | Path | None = None, progress: Callable[[DiagramCurve], None] | None = None,
+) -> BifurcationDiagram:  # fmt: skip
+    """The whole bifurcation diagram between two values of a parameter: equilibria, and breadth first what is born at
+    their branch points and Hopf points, at doublings and branch points of those cycles, and so on.
+
+    Nothing is followed twice: of a family that ends at a Hopf point, or at a doubling of the family that it comes from,
+    it is said that it joins there.
+
+    Args:
+        model: the system, at the parameter's first value.
+        state: near an equilibrium there, or where a simulation to rest begins.
+        parameter: a physical parameter.
+        until: its last value; every curve ends at either.
+        depth: 0: the equilibria; 1: what leaves them; 2: what leaves that; ...
+        points: the most of each curve, each way.
+        coordinate: what is drawn, the first unless said; "norm" for the length of the state.
+        limit: s after which nothing more is followed, which `undone` says.
+        name: a word for files.
+        out: a folder: everything goes to OUT/<name>/, and what is finished there is not followed again.
+        progress: called with each curve.
+
+    Returns:
+        A BifurcationDiagram.
+
+    Raises:
+        InputError: for a system that cannot rest, a parameter or a coordinate that it has not.
+        ConvergenceError: where no equilibrium is found near the state.
+
+    Examples:
+        >>> tree = of.diagram(of.systems.brusselator(rate=1.8), [1.0, 1.8], "rate", 2.4)
+        >>> [(one.became, one.leads) for one in tree.branchings]
+        [('followed', ('equilibria-0/family.json',))]
+    """
+    names = (*model.state_names[: model.degrees_of_freedom], NORM)
+    if coordinate is not None and coordinate not in names:
+        raise InputError(f"coordinate: unknown {coordinate!r}{closest(coordinate, names)}; this system has "
+                         f"{', '.join(names[:20])}")  # fmt: skip
+    if depth < 0:
+        raise InputError(f"depth: must be at least 0, got {depth}")
+    follow = partial(follow_equilibria, model, state, parameter)
+    first = dict(zip(model.parameter_names, map(float, model.parameter_values), strict=True)).get(parameter, until)
+    empty = BifurcationDiagram(name, model.system, parameter, (first, until), depth, coordinate or names[0], ())
+    tree = _Tree(empty, model, points, None if out is None else Path(out) / name, progress or (lambda curve: None))
+    with contextlib.nullcontext() if tree.folder is None else locks.alone_in(tree.folder), limited(limit):
+        try:
+            tree.add(DiagramCurve("equilibria/equilibria.json", 0, record=tree.rest(follow, "equilibria")))
+            tree.grow()
+        except LimitError as error:
+            if not tree.curves:
+                raise
+            tree.stopped = str(error)
+    return tree.made()
+
+
+class _Tree:
+    """A diagram in the making: its curves, and what became of their events so far."""
+
+    def __init__(
+        self, empty: BifurcationDiagram, model: Model | None = None, points: int = 0, folder: Path | None = None,
+        report: Callable[[DiagramCurve], None] = lambda curve: None,
+    ) -> None:  # fmt: skip
+        self.empty, self.model, self.points, self.folder, self.report = empty, model, points, folder, report
+        self.curves, self.branchings, self.stopped = list(empty.curves), list[Branching](), "not reached yet"
+
+    def made(self) -> BifurcationDiagram:
+        """What there is, written where there is a folder; events that were not come to are said to be undone."""
+        known = {(one.file, one.event) for one in self.branchings}
+        rest = [Branching(curve.file, k, "budget", f"{_told(curve, k)}: {self.stopped}")
+                for curve in self.curves for k in leaving(curve.record) if (curve.file, k) not in known]  # fmt: skip
+        made = replace(self.empty, curves=tuple(self.curves), branchings=(*self.branchings, *rest))
+        if self.folder is not None:
+            save_diagram(made, self.folder / "diagram.json")
+        return made
+
+    def add(self, curve: DiagramCurve) -> None:
+        """Another curve, finished."""
+        if self.folder is not None:
+            _write(curve, self.folder / curve.file)
+        self.curves.append(curve)
+        self.made()
+        self.report(curve)
+
+    def grow(self) -> None:
+        """Breadth first."""
+        waiting = deque(self.curves)
+        while waiting:
+            curve = waiting.popleft()
+            for k in leaving(curve.record):
+                count = len(self.curves)
+                self.branchings.append(self.left(curve, k))
+                waiting.extend(self.curves[count:])
+
+    def left(self, curve: DiagramCurve, k: int) -> Branching:
+        """What becomes of an event: it is known from elsewhere, too deep, followed, or that fails."""
+        if known := self.known(curve, curve.record.events[k]):
+            return Branching(curve.file, k, "joined", _told(curve, k), (known.file,))
+        if curve.depth >= self.empty.depth:
+            return Branching(curve.file, k, "depth", f"{_told(curve, k)}: deeper than {self.empty.depth}")
+        count, became, words = len(self.curves), "followed", _told(curve, k)
+        try:
+            for file, follow in self.beside(curve, k):
+                self.add(DiagramCurve(file, curve.depth + 1, curve.file, k, follow()))
+        except (ConvergenceError, IntegrationError) as error:
+            became, words = "failed", f"{words}: {error}"
+        return Branching(curve.file, k, became, words, tuple(born.file for born in self.curves[count:]))
+
+    def beside(self, curve: DiagramCurve, k: int) -> Iterator[tuple[str, Callable[[], Equilibria | Family]]]:
+        """The files of what leaves at an event, and what follows each."""
+        settings = FamilySettings(parameter=self.empty.parameter, directions="away", points=self.points)
+        begin = branches if isinstance(curve.record, Family) else switch_branch
+        starts = begin(curve.record, k, settings=settings, model=self.model)
+        for start in starts if isinstance(starts, list) else [starts]:
+            if isinstance(start, RestBranch):
+                yield f"{start.name}/equilibria.json", partial(self.rest, partial(follow_equilibria, start), start.name)
+                continue
+            follow = partial(follow_family, start, settings=settings, out=self.folder, name=start.name)
+            yield f"{start.name}/family.json", partial(follow, model=self.model, between=self.empty.between)
+
+    def rest(self, follow: Callable[..., Equilibria], name: str) -> Equilibria:
+        """Equilibria between the bounds."""
+        first, until = self.empty.between
+        file = None if self.folder is None else self.folder / name / "equilibria.json"
+        with contextlib.nullcontext() if file is None else kept(file, save_equilibria):
+            record = follow(until=until, at=[first], points=self.points, name=name, out=self.folder)
+        return within(record, self.empty.between)
+
+    def known(self, curve: DiagramCurve, event: RestEvent | Event) -> DiagramCurve | None:
+        """The curve that ends at an event, or that it is an event of as well."""
+        rests = [other for other in self.curves if isinstance(other.record, Equilibria)]
+        every = [event] if isinstance(event, Event) else [one for rest in rests for one in rest.record.events]
+        for other in (other for other in self.curves if isinstance(other.record, Family)):
+            for end in other.record.ends:
+                met = [one for one in every if self.meets(end, one)]
+                if (other.parent == curve.file or not isinstance(event, Event)) and event in _nearest(
+                    met, other.record
+                ):
+                    return other
+        if isinstance(event, Event):
+            return None
+        return next(
+            (rest for rest in rests if rest is not curve and any(_alike(one, event) for one in rest.record.events)),
+            None,
+        )
+
+    def meets(self, end: End, event: RestEvent | Event) -> bool:
+        """Whether a family ends at an event: parameters within error bars, or round-off, and periods agree."""
+        if end.parameter is None or end.period is None:
+            return False
+        low, high = sorted(self.empty.between)
+        near = SAME * (high - low) if isinstance(event, Event) else 10 * ((end.error or 0.0) + event.error)
+        turns = {1, getattr(event, "order", 1)}
+        off = min(abs(end.period / (event.period * count) - 1) for count in turns)
+        return abs(end.parameter - event.parameter) <= near and off <= 1e3 * SAME
+
+
+def _told(curve: DiagramCurve, k: int) -> str:
+    event = curve.record.events[k]
+    return f"event {k}, {event.words} at {curve.record.parameter} {event.parameter:.9g}"
+
+
+def _alike(one: RestEvent, other: RestEvent) -> bool:
+    """Whether two events of equilibria are the same."""
+    near = one.kind == other.kind and abs(one.parameter - other.parameter) <= 10 * (one.error + other.error)
+    return near and bool(np.abs(one.state - other.state).max() <= SAME * nonzero(np.abs(one.state).max()))
+
+
+def _nearest(events: Sequence[Any], family: Family) -> list[Any]:
+    """The event about which the last orbit of a family goes, of those that share parameter and period."""
+    last = max(family.points, key=lambda point: abs(point.arclength))
+    middle = np.vstack([last.state, *last.shooting_nodes]).mean(axis=0)
+    size = nonzero(np.abs(np.vstack([middle, *(event.state for event in events)])).max(axis=0))
+    return sorted(events, key=lambda event: float(np.abs((event.state - middle) / size).max()))[:1]
+
+
+def within(rest: Equilibria, between: tuple[float, float]) -> Equilibria:
+    """The part of equilibria about their first that is between two values of the parameter."""
+    low, high = sorted(between)
+    beyond = [k for k, point in enumerate(rest.points) if not low <= point.value <= high]
+    start = int(np.argmin([abs(point.arclength) for point in rest.points]))
+    first = max((k + 1 for k in beyond if k < start), default=0)
+    last = min((k for k in beyond if k > start), default=len(rest.points))
+    points, ends = rest.points[first:last], list(rest.ends)
+    for k, cut in ((0, first > 0), (-1, last < len(rest.points))):
+        ends[k] = End("target", reached(rest.parameter, points[k].value)) if cut else ends[k]
+    events = tuple(replace(event, index=event.index - first) for event in rest.events
+                   if points[0].arclength <= event.arclength <= points[-1].arclength)  # fmt: skip
+    return replace(rest, points=points, events=events, ends=tuple(ends))
+
+
+def verified(diagram: BifurcationDiagram, model: Model) -> Certificate:
+    """Every curve by its own checks; that each is between the bounds and begins where it is said to be born, that what
+    is said to be joined is, and that no event is left out."""
+    tree, (low, high) = _Tree(diagram), sorted(diagram.between)
+    values = np.array([point.value for curve in diagram.curves for point in curve.record.points])
+    wanted = sorted((curve.file, k) for curve in diagram.curves for k in leaving(curve.record))
+    listed = sorted((one.file, one.event) for one in diagram.branchings)
+    astray = [one.words for one in diagram.branchings if not _true(tree, one)]
+    children = [file for one in diagram.branchings if one.became != "joined" for file in one.leads]
+    lost = sorted(curve.file for curve in diagram.curves if curve.parent) != sorted(children)
+    return Certificate((
+        *(check for curve in diagram.curves for check in _checks(curve, model)),
+        at_most("range", max(low - values.min(), values.max() - high, 0.0) / (high - low), 1e-9, "beyond the bounds"),
+        equal("branchings", float(len(astray) + lost), 0.0, f"that are not so: {'; '.join(astray) or 'none'}"),
+        equal("events", float(listed != wanted), 0.0, "at which something leaves, each listed once"),
+    ))  # fmt: skip
+
+
+def _checks(curve: DiagramCurve, model: Model) -> Iterator[Check]:
+    """The checks of a curve, each with where it is made."""
+    made = loaded(kinds()[EQUILIBRIA if isinstance(curve.record, Equilibria) else "family"].verify)(curve.record, model)
+    placed = [("", check) for check in made.checks] if isinstance(made, Certificate) else made
+    for where, check in placed:
+        yield replace(check, note=f"{curve.file} {where}: {check.note}".replace(" :", ":"))
+
+
+def _true(tree: _Tree, one: Branching) -> bool:
+    """Whether what is said of an event is so."""
+    curves = {curve.file: curve for curve in tree.curves}
+    if one.file not in curves or one.event not in leaving(curves[one.file].record) or not {*one.leads} <= {*curves}:
+        return False
+    own, leads = curves[one.file], [curves[file] for file in one.leads]
+    event = own.record.events[one.event]
+    if one.became == "joined":
+        return tree.known(own, event) in leads
+    return bool(leads) >= (one.became == "followed") and all(_born(lead, own, one.event, tree) for lead in leads)
+
+
+def _born(curve: DiagramCurve, own: DiagramCurve, number: int, tree: _Tree) -> bool:
+    """Whether a curve begins at an event of another."""
+    event, (low, high) = own.record.events[number], sorted(tree.empty.between)
+    first = min(curve.record.points, key=lambda point: abs(point.arclength))
+    period = getattr(event, "order", 1) * event.period
+    near = np.isnan(period) or abs(getattr(first, "period", np.nan) / period - 1) <= NEAR
+    said = (curve.parent, curve.event, curve.depth) == (own.file, number, own.depth + 1)
+    return bool(said and near and abs(first.value - event.parameter) <= NEAR * (high - low))
