@@ -17,7 +17,7 @@ from orbitfinder.integrate.march import QUANTUM
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.orbits.floquet import AREA, Floquet, analyse, complement, generated, judged, symplectic_unit
-from orbitfinder.orbits.product import Product, product
+from orbitfinder.orbits.product import Product, merged, product
 from orbitfinder.records.family import METHODS
 
 SPREAD = 1e8
@@ -166,7 +166,7 @@ def _chain(curve: Curve, solution: Solution) -> RootFactors:
     each = gcd(w.steps, QUANTUM)
     states = p.march.states(w.nodes, w.mesh, w.tail)[::each]
     matrices = p.march.varied(states[:-1], w.mesh, w.tail).transitions * units / units[:, None]
-    matrices, places = _merged(matrices)
+    matrices, places = merged(matrices)
     states, last, symmetry = states[places], len(matrices), p.symmetry
     there = list(range(1, last + 1))
     if symmetry.reverses:  # out, turned, back, turned
@@ -192,23 +192,6 @@ def _chain(curve: Curve, solution: Solution) -> RootFactors:
             for factor, (a, b) in zip(reduced, pairwise(stops[: last + 1]), strict=False)
         )
     return RootFactors(product(reduced), missed)
-
-
-def _merged(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Matrices (p x d x d) multiplied two by two for as long as none stretches much; and where the products begin and
-    end, in numbers of the first ones.
-    """
-    places = np.arange(len(matrices) + 1)
-    while len(matrices) > 1:
-        pairs = matrices[1::2] @ matrices[: len(matrices) // 2 * 2 : 2]
-        sizes = np.linalg.norm(pairs, axis=(1, 2)) * np.linalg.norm(np.linalg.inv(pairs), axis=(1, 2))
-        # condition of a factor up to which steps are multiplied out
-        if sizes.max() > 1e4:
-            break
-        alone = len(matrices) % 2
-        matrices = np.concatenate([pairs, matrices[len(matrices) - alone :]])
-        places = np.append(places[:-1:2], places[-1])
-    return matrices, places
 
 
 def asymplectic(matrix: np.ndarray, before: np.ndarray, after: np.ndarray) -> float:

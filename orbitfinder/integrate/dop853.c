@@ -18,12 +18,13 @@
 
 enum { DONE = 1, WAITING = 0, TOO_MANY = -2, TOO_SHORT = -3, STIFF = -4, NO_MEMORY = -5 };
 
-/* Where an integration stands between two calls; `units`, `freed`, y and k (12 rows) belong to the caller. */
+/* Where an integration stands between two calls; `units`, `freed`, y and k (12 rows) belong to the caller. One that is
+   `patient` goes on at the limit of stability, where dop853.f gives up. */
 typedef struct {
   ptrdiff_t size, left, accepted;
   const double *units, *freed;
   double *y, *k, t, end, h, longest, relative, absolute;
-  ptrdiff_t begun, rejected, stiff, calm;
+  ptrdiff_t begun, rejected, stiff, calm, patient;
 } Standing;
 
 typedef struct {
@@ -151,7 +152,7 @@ int dop853(Standing *at, ptrdiff_t room, double *moments, double *states) {
     }
     at->accepted++;
     rates_at(&call, t + h, next, k4);
-    if (at->accepted % LOOKED_AT == 0 || at->stiff > 0) {
+    if (!at->patient && (at->accepted % LOOKED_AT == 0 || at->stiff > 0)) {
       double change = 0.0, apart = 0.0, steep = 0.0;
       EACH change += (k4[i] - k3[i]) * (k4[i] - k3[i]), apart += (next[i] - v[i]) * (next[i] - v[i]);
       if (apart > 0.0) steep = fabs(h) * sqrt(change / apart);

@@ -36,8 +36,11 @@ REMEMBERED = 64
 """Functions of which is known what they took"""
 AT_A_TIME = 256
 """Steps between two looks at the limit of time"""
-DONE, WAITING, NO_MEMORY = 1, 0, -5
+DONE, WAITING, TOO_MANY, STIFF, NO_MEMORY = 1, 0, -2, -4, -5
 """What `dop853.c` answers, besides SciPy's codes"""
+PATIENT = 300
+"""Times as many steps as any other integration may take that of a stiff field may, whose steps are at the limit of
+stability: some microseconds each"""
 SPOT_CHECKED = 7
 """Integrations between two whose ends are compared with the interpreter's: an orbit's certificate has eighteen"""
 AGREEMENT = 1e-12
@@ -53,7 +56,7 @@ class _Standing(ctypes.Structure):
         *((name, ctypes.c_ssize_t) for name in ("size", "left", "accepted")),
         *((name, ctypes.c_void_p) for name in ("units", "freed", "y", "k")),
         *((name, ctypes.c_double) for name in ("t", "end", "h", "longest", "relative", "absolute")),
-        *((name, ctypes.c_ssize_t) for name in ("begun", "rejected", "stiff", "calm")),
+        *((name, ctypes.c_ssize_t) for name in ("begun", "rejected", "stiff", "calm", "patient")),
     ]  # fmt: skip
 
 
@@ -90,14 +93,14 @@ class Library:
 
     def integrated(
         self, span: tuple[float, float], start: np.ndarray, units: Any, free: Any, tolerances: tuple[float, float],
-        longest: float, most: int, noted: bool,
+        longest: float, most: int, noted: bool, patient: bool = False,
     ) -> Steps:  # fmt: skip
         """The steps of DOP853 from a start (n) in `units` over a span, at `most` so many; relative and absolute
-        `tolerances`."""
+        `tolerances`. One that is `patient` goes on where the field is stiff."""
         y, k = np.array(start, float), np.empty(12 * start.size)
         at = _Standing(
             size=y.size, left=most, units=_place(units), freed=_place(free), y=y.ctypes.data, k=k.ctypes.data,
-            t=span[0], end=span[1], longest=longest, relative=tolerances[0], absolute=tolerances[1],
+            t=span[0], end=span[1], longest=longest, relative=tolerances[0], absolute=tolerances[1], patient=patient,
         )  # fmt: skip
         moments, states, code = [np.array(span[:noted])], [y.copy()[None][:noted]], WAITING
         while code == WAITING:
@@ -125,7 +128,7 @@ class _Work:
         self.dense = function
         if not function.sparsity_out(0).is_dense():
             self.dense = ca.Function("dense", (a := function.mx_in()), [ca.densify(function(*a))])
-        self.spent, self._next = 0.0, LOOKED_FOR
+        self.spent, self._next, self.stiff = 0.0, LOOKED_FOR, False
         self._unasked = 0
         self._library: Library | None = None
 
@@ -330,10 +333,31 @@ class CasadiField:
         self, span: tuple[float, float], start: np.ndarray, tolerances: tuple[float, float], longest: float,
         most: int, noted: bool, interpreted: Callable[[], Steps],
     ) -> Steps:  # fmt: skip
-        """The steps of DOP853 from a start (n) over a span, `interpreted` where there is no library."""
+        """The steps of DOP853 from a start (n) over a span, `interpreted` where there is no library.
+
+        A field that is too stiff for it is integrated at the limit of stability, by a library alone.
+        """
+        steps = self._integrated(span, start, tolerances, longest, most, noted, interpreted)
+        reached = (steps.time - span[0]) / (span[1] - span[0])
+        if not (steps.code == STIFF or (steps.code == TOO_MANY and PATIENT * reached > 1.0)):
+            return steps
+        self._work.spent, self._work.stiff = np.inf, True
         fast = self.library()
+        return steps if fast is None else self._patient(fast, span, start, tolerances, longest, most, noted)
+
+    def _patient(self, fast: Library, span: tuple[float, float], *given: Any) -> Steps:
+        start, tolerances, longest, most, noted = given
+        most *= PATIENT
+        return fast.integrated(span, start, self._units, self._free, tolerances, longest, most, noted, True)
+
+    def _integrated(
+        self, span: tuple[float, float], start: np.ndarray, tolerances: tuple[float, float], longest: float,
+        most: int, noted: bool, interpreted: Callable[[], Steps],
+    ) -> Steps:  # fmt: skip
+        fast, given = self.library(), (tolerances, longest, most, noted)
         if fast is not None:
-            steps = fast.integrated(span, start, self._units, self._free, tolerances, longest, most, noted)
+            steps = (self._patient(fast, span, start, *given) if self._work.stiff else
+                     fast.integrated(span, start, self._units, self._free, *given))  # fmt: skip
             if not self._work.asked() or self._agrees(
                 fast, np.array([span[0], steps.time]), np.array([start, steps.state])
             ):

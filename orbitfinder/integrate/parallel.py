@@ -38,7 +38,7 @@ class Lanes:
     """
 
     def __init__(self, alone: bool = False) -> None:
-        self._alone = alone
+        self.alone = alone
         self._along = lru_cache(maxsize=256)(_along)
         self._across = lru_cache(maxsize=64)(_across)
         self._single = lru_cache(maxsize=64)(Buffered)
@@ -53,7 +53,7 @@ class Lanes:
         `starts` (N x ...) of the segments, `parameters` (M x ...) of the steps.
         """
         count, steps = len(starts), len(parameters) // len(starts)
-        lanes = 1 if self._alone else _lanes(step, count, steps * STAGES)
+        lanes = 1 if self.alone else _lanes(step, count, steps * STAGES)
         if lanes == 1:
             return self._along(step, steps, count, path, 0)(starts, parameters)[0]
         edges = np.arange(lanes + 1) * count // lanes
@@ -74,7 +74,7 @@ class Lanes:
         if count <= FEW:
             return self._across(function, count, 0)(*arguments)[0]
         begins = range(0, count, width)
-        lanes = 1 if self._alone else _lanes(function, len(begins), width * stages)
+        lanes = 1 if self.alone else _lanes(function, len(begins), width * stages)
         maps = [self._across(function, width, lane) for lane in range(lanes)]
 
         def filled(lane: int) -> list[np.ndarray]:

@@ -16,7 +16,7 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.linalg.lapack import dgecon, dgetrf, dgetrs, dlange, dtrtrs
-from scipy.sparse import csc_matrix
+from scipy.sparse import csc_matrix, hstack, vstack
 from scipy.sparse.linalg import splu
 
 from orbitfinder.mechanics.newton import Solver, least_squares
@@ -59,6 +59,23 @@ class Linearised:
         matrix[total - size :, total:] = closing[:, total:] @ self.columns[-1] + tail
         return matrix
 
+    def sparse(self) -> csc_matrix:
+        """The same for many segments, of which most of it is 0."""
+        (count, size, _), (rows, nodes) = self.transitions.shape, self.first.shape
+        total, cut = count * size, (count - 1) * size
+        closing = np.zeros((rows, total))
+        closing[:, :nodes] = self.first
+        closing[:, cut:] += self.last @ self.transitions[-1]
+        block, own = np.arange(cut).reshape(-1, size), np.broadcast_to(np.arange(size), (count - 1, size, size))
+        places = [
+            (np.repeat(block[:, :, None], size, axis=2), block[:, :1, None] + own, self.transitions[:-1]),
+            (block, block + size, np.full(block.shape, -1.0)),
+        ]
+        flat = [np.concatenate([part.ravel() for part in parts]) for parts in zip(*places, strict=True)]
+        links = csc_matrix((flat[2], (flat[0], flat[1])), shape=(cut, total))
+        tail = np.concatenate([self.columns[:-1].reshape(cut, -1), self.last @ self.columns[-1] + self.tail])
+        return csc_matrix(hstack([vstack([links, csc_matrix(closing)]), csc_matrix(tail)]))
+
     def _links(self) -> np.ndarray:
         """The derivatives of x_0 and of x_{k+1} - Phi_k x_k by x_0 .. x_N, the last of which is where the loop ends."""
         count, size, _ = self.transitions.shape
@@ -77,6 +94,21 @@ class Linearised:
             tail = np.concatenate([tail, by_tail])
             closing.reshape(-1, count + 1, size)[np.arange(len(places)) + rows, places] = slopes
         return closing, tail
+
+
+def pivoted(system: Linearised) -> Solver:
+    """Newton's step by the sparse matrix of all segments, pivoted: of so many no product tells anything.
+
+    Raises `LinAlgError` where it is singular, or not square.
+    """
+    matrix = system.sparse()
+    if matrix.shape[0] != matrix.shape[1] or not np.all(np.isfinite(matrix.data)):
+        raise np.linalg.LinAlgError("not square or not finite")
+    try:
+        factors = splu(matrix)
+    except RuntimeError as error:
+        raise np.linalg.LinAlgError(str(error)) from None
+    return lambda rows: -np.asarray(factors.solve(rows))
 
 
 def eliminated(system: Linearised) -> Solver:

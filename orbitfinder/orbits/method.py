@@ -31,6 +31,8 @@ METHODS = Registry(Method)
 """Every method by its name; others may join (`method_of` asks them all)"""
 SHOOTING = "shooting"
 """The method for what suits no other"""
+COLLOCATION = "collocation"
+"""The method for what is stiff"""
 
 
 def method_of(problem: Problem) -> Method:

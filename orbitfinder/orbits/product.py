@@ -132,3 +132,20 @@ def product(factors: Sequence[np.ndarray] | np.ndarray) -> Product:
     upper[-1] = seam @ upper[-1]
     kept = np.flatnonzero(below <= max(worst, SETTLED)) + 1
     return Product(np.array(frames[:-1]), np.array(upper), (0, *map(int, kept), size), worst)
+
+
+def merged(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Matrices (p x d x d) multiplied two by two for as long as none stretches much; and where the products begin and
+    end, in numbers of the first ones.
+    """
+    places = np.arange(len(matrices) + 1)
+    while len(matrices) > 1:
+        pairs = matrices[1::2] @ matrices[: len(matrices) // 2 * 2 : 2]
+        sizes = np.linalg.norm(pairs, axis=(1, 2)) * np.linalg.norm(np.linalg.inv(pairs), axis=(1, 2))
+        # condition of a factor up to which steps are multiplied out
+        if sizes.max() > 1e4:
+            break
+        alone = len(matrices) % 2
+        matrices = np.concatenate([pairs, matrices[len(matrices) - alone :]])
+        places = np.append(places[:-1:2], places[-1])
+    return matrices, places

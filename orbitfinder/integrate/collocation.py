@@ -1,0 +1,255 @@
+"""The flow on a mesh by collocation: every step of it is a step of an implicit Runge-Kutta method, all solved at once.
+
+    Z_i = h sum_j a_ij f(x + Z_j),    x(h) = x + sum_j d_j Z_j,    d = b A^-1
+
+The points are Radau's (IIA, m of them, order 2 m - 1 at the ends of steps) or Gauss' (order 2 m). Radau's, the last of
+which is the end of the step, damp what decays fast within a step to 0, where Gauss' leave it as it is, of another sign or
+not; so stiff multipliers come out small. Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II (1996),
+sections IV.3, IV.5 and IV.8.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.errors import IntegrationError
+from orbitfinder.integrate.compiled import compiled
+from orbitfinder.integrate.march import March, Varied
+
+POINTS = 5
+"""Collocation points in a step"""
+SOLVED, MOST_ITERATIONS = 1e-10, 12
+"""A change of the stages, in extents of the motion, after which one more would be round-off; and the most changes"""
+REMEMBERED = 8
+"""Meshes whose last stages are kept to begin with"""
+
+
+@dataclass(frozen=True)
+class Tableau:
+    """Points (m) in a step, the weights a (m x m), d (m) of the end and b (m) of an integral, and those (m + 1) of the
+    m-th divided difference of x, x + Z."""
+
+    points: np.ndarray
+    inner: np.ndarray
+    end: np.ndarray
+    weights: np.ndarray
+    difference: np.ndarray
+
+    def basis(self, places: np.ndarray) -> np.ndarray:
+        """Lagrange's polynomials (k x m) of the stages, 0 where the step begins, at places (k) in it from 0 to 1."""
+        nodes = np.append(0.0, self.points)
+        others = [np.delete(nodes, r) for r in range(1, nodes.size)]
+        return np.array([np.prod((places[:, None] - own) / (node - own), axis=1)
+                         for node, own in zip(self.points, others, strict=True)]).T  # fmt: skip
+
+
+@lru_cache(maxsize=8)
+def tableau(points: int = POINTS, kind: str = "radau") -> Tableau:
+    """The `Tableau` of so many points, of kind "radau" or "legendre" (Gauss)."""
+    places = np.array(ca.collocation_points(points, kind))
+    powers = places[:, None] ** np.arange(points)
+    by_power = np.arange(1, points + 1)
+    inner = (places[:, None] * powers / by_power) @ np.linalg.inv(powers)
+    weights = np.linalg.solve(powers.T, 1.0 / by_power)
+    end = np.linalg.solve(inner.T, weights)
+    if kind == "radau":  # to the last bit
+        end = np.eye(points)[-1]
+    nodes = np.append(0.0, places)
+    difference = np.array([1.0 / np.prod(node - np.delete(nodes, k)) for k, node in enumerate(nodes)])
+    return Tableau(places, inner, end, weights, difference)
+
+
+@dataclass(frozen=True)
+class Stages:
+    """Steps that were solved: their beginnings (P x d), parameters (P x (h, T, s, free)), stages Z (P x m x d), how these
+    change with the beginnings and with (T, s, free) (P x m d x (d + 1 + ...)), the integrals (P)."""
+
+    nodes: np.ndarray
+    tails: np.ndarray
+    stages: np.ndarray
+    slopes: np.ndarray
+    integrals: np.ndarray
+
+    def moved(self, nodes: np.ndarray, tails: np.ndarray) -> np.ndarray:
+        """The stages (P x m x d) of beginnings and parameters nearby, to first order."""
+        change = np.concatenate([nodes - self.nodes, tails - self.tails], axis=1)
+        return self.stages + (self.slopes @ change[:, :, None])[:, :, 0].reshape(self.stages.shape)
+
+
+class Collocation(March):
+    """The segments of a loop by collocation, side by side: a `March` each of whose steps is implicit.
+
+    A step begins with the stages that it had last on the same mesh, moved along with the nodes, else with straight lines.
+    """
+
+    def __init__(self, march: March, points: int = POINTS, kind: str = "radau") -> None:
+        super().__init__(march.field, march.forced, march.integrand, march._lanes.alone, march._effort)
+        self.tableau = tableau(points, kind)
+        self._known: dict[Any, Stages] = {}
+
+    @property
+    def together(self) -> bool:
+        """No multiple of a width is needed."""
+        return False
+
+    def build(self) -> None:
+        """Derive and compile now what is evaluated."""
+        assert self._linear
+
+    @cached_property
+    def _linear(self) -> ca.Function:
+        """f, its derivatives by x, (t, s, free), and the integrand, in a column, as a function of (t, x, s, free)."""
+        f, symbol = self.field, ca.SX.sym if self.field.is_a("SXFunction") else ca.MX.sym
+        inputs = [symbol(name, f.size1_in(k)) for k, name in enumerate(("t", "x", "s", "free"))]
+        rate = f(*inputs)
+        others = ca.vertcat(*[inputs[k] for k in ((0, 2, 3) if self.forced else (2, 3))])
+        parts = [rate, ca.vec(ca.jacobian(rate, inputs[1])), ca.vec(ca.jacobian(rate, others))]
+        added = [] if self.integrand is None else [self.integrand(*inputs)]
+        whole = ca.Function("collocated", inputs, [ca.densify(ca.vertcat(*parts, *added))])
+        return compiled(whole, effort=self._effort)
+
+    def _evaluated(self, times: np.ndarray, states: np.ndarray, tails: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Rates (K x d), slopes by x (K x d x d) and by the rest (K x d x r), the integrand (K) at K points."""
+        size, cut = self.size, 1 + self.unfolding
+        rows = self._lanes.evaluated(self._linear, 1, times[:, None], states, tails[:, 1:cut], tails[:, cut:])
+        rates, slopes = rows[:, :size], rows[:, size : size + size**2].reshape(len(rows), size, size).swapaxes(1, 2)
+        count = self.columns - size + self.forced
+        others = rows[:, size + size**2 : size * (1 + size + count)].reshape(len(rows), count, size).swapaxes(1, 2)
+        return rates, slopes, others, rows[:, size * (1 + size + count) :].sum(axis=1)
+
+    def decays(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """The fastest rate at which anything decays (k) at states (k x d) and times (k), 0 where nothing does."""
+        slopes = self._evaluated(times * self.forced, states, np.repeat(tail[None], len(states), axis=0))[1]
+        return np.asarray(np.maximum(-np.linalg.eigvals(slopes).real.min(axis=1), 0.0))
+
+    def _solved(self, key: Any, nodes: np.ndarray, steps: np.ndarray, begins: np.ndarray, tails: np.ndarray) -> Stages:
+        """P steps of lengths `steps` that begin at shares `begins` of the period, solved by Newton's method."""
+        known, points = self._known.get(key), self.tableau.points
+        fits = known is not None and known.tails.shape == tails.shape
+        z = known.moved(nodes, tails) if known is not None and fits else _straight(nodes, steps, points)
+        places, size = np.repeat(tails, points.size, axis=0), self.size
+        moments = (begins[:, None] + steps[:, None] * points).ravel()
+        units = nonzero(np.abs(nodes).max(axis=0))
+        for _ in range(MOST_ITERATIONS):
+            states = (nodes[:, None] + z).reshape(-1, size)
+            found = self._evaluated(moments * places[:, 0] * self.forced, states, places)
+            changes, integrand = self._newton(z, steps, moments, tails, found), found[3].reshape(len(nodes), -1)
+            z = z + changes[:, :, 0].reshape(z.shape)
+            change = np.abs(changes[:, :, 0].reshape(-1, size) / units).max()
+            if not change < 1e6:
+                break
+            if change < SOLVED:
+                integrals = steps * tails[:, 0] * (integrand @ self.tableau.weights)
+                solved = Stages(nodes, tails, z, changes[:, :, 1:], integrals)
+                self._known[key] = solved
+                while len(self._known) > REMEMBERED:
+                    self._known.pop(next(iter(self._known)))
+                return solved
+        self._known.pop(key, None)
+        raise IntegrationError("the equations of collocation do not converge; start nearer, or with a finer mesh")
+
+    def _newton(
+        self, z: np.ndarray, steps: np.ndarray, moments: np.ndarray, tails: np.ndarray, found: tuple[np.ndarray, ...]
+    ) -> np.ndarray:
+        """Newton's change of the stages and their derivatives by nodes and by (T, s, free) (P x m d x 1 + d + ...)."""
+        count, m, size = z.shape
+        a, duration = self.tableau.inner, steps * tails[:, 0]
+        rates, slopes, others = (each.reshape(count, m, *each.shape[1:]) for each in found[:3])
+        across = duration[:, None, None, None, None] * a[:, None, :, None] * slopes.swapaxes(1, 2)[:, None]
+        matrix = np.eye(m * size) - across.reshape(count, m * size, m * size)
+        right = np.empty((count, m, size, 1 + size + tails.shape[1]))
+        carried = np.einsum("ij,pjar->piar", a, np.concatenate([rates[..., None], others], axis=3))
+        carried *= duration[:, None, None, None]
+        right[..., 0] = carried[..., 0] - z
+        right[..., 1 : 1 + size] = across.sum(axis=3)
+        right[..., 1 + size] = carried[..., 0] / tails[:, :1, None]
+        if self.forced:  # a longer period moves every moment
+            late = others[..., 0] * moments.reshape(count, m, 1)
+            right[..., 1 + size] += duration[:, None, None] * np.einsum("ij,pja->pia", a, late)
+        right[..., 2 + size :] = carried[..., 1 + self.forced :]
+        try:
+            return np.linalg.solve(matrix, right.reshape(count, m * size, -1))
+        except np.linalg.LinAlgError:
+            return np.full((count, m * size, right.shape[3]), np.nan)
+
+    def varied_each(self, nodes: np.ndarray, mesh: np.ndarray, tails: np.ndarray, states: bool = False) -> list[Varied]:
+        """The integration of several loops on one mesh, of nodes (B x N x d) and tails (B x m), beside each other."""
+        (loops, count, size), each = nodes.shape, (mesh.size - 1) // nodes.shape[1]
+        now, tail = nodes.reshape(-1, size), np.repeat(tails, count, axis=0)
+        grown, integrals = np.broadcast_to(np.eye(size, size + tails.shape[1]), (len(now), size, size + tails.shape[1])), 0
+        path = []
+        for k in range(each):
+            steps, begins = (np.tile(part[k::each], loops) for part in (np.diff(mesh), mesh[:-1]))
+            key = (loops, k, mesh.tobytes())
+            done = self._solved(key, now, steps, begins, tail)
+            changed = np.einsum("i,piar->par", self.tableau.end, done.slopes.reshape(len(now), -1, size, grown.shape[2]))
+            added = changed[:, :, :size] @ grown + grown
+            added[:, :, size:] += changed[:, :, size:]
+            path.append(now)
+            now, grown = now + np.einsum("i,pia->pa", self.tableau.end, done.stages), added
+            integrals = integrals + done.integrals
+        ends = now.reshape(loops, count, size)
+        grown = grown.reshape(loops, count, size, -1)
+        whole = nodes
+        if states:
+            inner = np.stack(path, axis=1).reshape(loops, -1, size)
+            whole = np.concatenate([inner, ends[:, -1:]], axis=1)
+        totals = [float(one) for one in np.reshape(integrals, (loops, -1)).sum(axis=1)]
+        return list(map(Varied, ends, grown[..., :size], grown[..., size:], whole, totals))
+
+    def ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
+        """States (N x d) at the ends of the segments from their nodes (N x d). Raises `IntegrationError`."""
+        return self.varied(nodes, mesh, tail).ends
+
+    def states(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
+        """States (M + 1 x d) at the mesh."""
+        return self.varied(nodes, mesh, tail, states=True).states
+
+    def stages(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
+        """Stages Z (N x m x d) of segments of one step each."""
+        self.varied(nodes, mesh, tail)
+        return self._known[1, 0, mesh.tobytes()].stages
+
+    def begin(self, nodes: np.ndarray, stages: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> None:
+        """Begin with these stages (N x m x d) where segments of one step each are next integrated on a mesh."""
+        tails = np.repeat(tail[None], len(nodes), axis=0)
+        none = np.zeros((len(nodes), stages[0].size, self.size + tail.size))
+        self._known[1, 0, mesh.tobytes()] = Stages(nodes, tails, stages, none, np.zeros(len(nodes)))
+
+
+def along(rule: Tableau, nodes: np.ndarray, stages: np.ndarray, mesh: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """States (k x d) at places (k, in periods) of the polynomials of nodes (N x d) and stages (N x m x d) on a mesh."""
+    step = np.clip(np.searchsorted(mesh, places, side="right") - 1, 0, len(nodes) - 1)
+    basis = rule.basis((places - mesh[step]) / (mesh[step + 1] - mesh[step]))
+    return np.asarray(nodes[step] + np.einsum("km,kmd->kd", basis, stages[step]))
+
+
+def curvatures(rule: Tableau, nodes: np.ndarray, stages: np.ndarray, mesh: np.ndarray, units: np.ndarray) -> np.ndarray:
+    """The (m + 1)-th derivative, divided by (m + 1)!, over each step (N), the largest of its components in `units` (d).
+
+    From how the m-th divided differences change between the middles of neighbouring steps, of a closed motion.
+    """
+    steps = np.diff(mesh)
+    lower = np.einsum("m,nmd->nd", rule.difference[1:], stages) / steps[:, None] ** rule.points.size
+    apart = 0.5 * (steps + np.roll(steps, -1))
+    change = np.abs(np.roll(lower, -1, axis=0) - lower) / apart[:, None] / (rule.points.size + 1)
+    return np.asarray((0.5 * (change + np.roll(change, 1, axis=0)) / units).max(axis=1))
+
+
+def _straight(nodes: np.ndarray, steps: np.ndarray, points: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Stages (P x m x d) on the straight lines from each node to the next, the last one like the line before it."""
+    ahead = np.diff(nodes, axis=0)
+    last = ahead[-1:] * (steps[-1] / steps[-2]) if len(ahead) else np.zeros_like(nodes)
+    return np.asarray(np.concatenate([ahead, last])[:, None] * np.asarray(points)[:, None])
+
+
+def collocated(march: March) -> Collocation:
+    """The same equations, by collocation."""
+    return Collocation(march)

@@ -1,0 +1,123 @@
+"""Where a motion settles: a simulation by BDF until it comes back to itself, for starts of stiff systems."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from orbitfinder._runtime import limit
+from orbitfinder._runtime.quiet import captured
+from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.integrate.equations import accelerations
+from orbitfinder.integrate.field import rates_of, vector_field
+from orbitfinder.loops.problem import Guess
+from orbitfinder.mechanics.model import Model
+
+RELATIVE, ABSOLUTE = 1e-8, 1e-10
+"""Tolerances of the simulation, the second in extents of the motion"""
+BACK, NEAR = 1e-3, 0.1
+"""A motion has come back when it is this near, in extents, to where it was; a guess that comes as near is a cycle"""
+LAPS, LONGEST = 12, 2.0
+"""Guessed periods after which what has not come back does not, and how long a period may be"""
+
+
+@dataclass(frozen=True)
+class Course:
+    """A simulated motion: its steps (k), the states there (k x d), and states at any times between."""
+
+    times: np.ndarray
+    states: np.ndarray
+    at: Callable[[np.ndarray], np.ndarray]
+
+
+def simulated(model: Model, state: np.ndarray, duration: float, units: np.ndarray | None = None) -> Course:
+    """The motion from a state (d) for a time, by BDF where it is stiff (LSODA), measured in `units` (d).
+
+    Raises `IntegrationError` where it cannot be integrated.
+    """
+    field = vector_field(accelerations(model))
+    size = np.where(state != 0.0, np.abs(state), np.abs(state).max(initial=0.0) or 1.0) if units is None else units
+
+    def rate(t: float, x: np.ndarray) -> np.ndarray:
+        limit.check()
+        return np.asarray(field(t, x * size) / size)
+
+    with np.errstate(all="ignore"), captured():
+        found = solve_ivp(rate, (0.0, duration), state / size, method="LSODA", rtol=RELATIVE, atol=ABSOLUTE,
+                          dense_output=True)  # fmt: skip
+    if not found.success or not np.isfinite(found.y).all():
+        raise IntegrationError("the motion cannot be simulated", time=float(found.t[-1]), state=state)
+    return Course(found.t, found.y.T * size, lambda times: np.asarray(found.sol(times).T * size))
+
+
+def cycle(model: Model, guess: Guess) -> Guess:
+    """A guess whose trajectory is one lap of a cycle: its own, its motion where that comes back, or what it settles on.
+
+    Raises `ConvergenceError` where the motion settles on nothing that comes back after about the guess's period.
+    """
+    if guess.trajectory is not None:
+        return guess
+    course = simulated(model, np.asarray(guess.state, float), 1.25 * guess.period)
+    units = nonzero(np.ptp(course.states, axis=0))
+    lap = _lap(model, course, units, 0.0, guess.period)
+    if lap is not None and lap[1] <= NEAR and model.forced:
+        return lap[0]
+    away = np.inf
+    for _ in range(LAPS):
+        course = simulated(model, course.states[-1], (1.0 + 2 * LONGEST) * guess.period, units)
+        units = nonzero(np.ptp(course.states, axis=0))
+        lap = _lap(model, course, units, course.times[-1] - (0.5 + LONGEST) * guess.period, guess.period)
+        if lap is not None and lap[1] <= BACK:
+            return lap[0]
+        away = min(away, np.inf if lap is None else lap[1])
+    raise ConvergenceError(
+        f"the motion from guess.state does not come back after about guess.period = {guess.period:g} (to {away:.2g} of its "
+        f"extent at best, in {LAPS * (1 + 2 * LONGEST):g} periods); give a state near the cycle and its period"
+    )
+
+
+def paces(model: Model, times: np.ndarray, states: np.ndarray, units: np.ndarray) -> np.ndarray:
+    """How fast a motion (k x d) is, in `units` (d) a unit of time."""
+    rates = rates_of(vector_field(accelerations(model)))[0](times, states)
+    return np.linalg.norm(rates / units, axis=1)
+
+
+def _lap(model: Model, course: Course, units: np.ndarray, earliest: float, period: float) -> tuple[Guess, float] | None:
+    """The lap that begins after a time where the motion is slow, and by how much it does not close, in `units`.
+
+    Of all returns through the plane there, normal to the motion, the first as near as any but for a tenth.
+    """
+    own = np.flatnonzero((course.times >= earliest) & (course.times <= course.times[-1] - LONGEST * period))
+    if not own.size:
+        own = np.array([0])
+    fast = paces(model, course.times[own], course.states[own], units)
+    begin = own[int(np.argmin(np.abs(np.log(nonzero(fast) * period))))]
+    start, now = course.states[begin], course.times[begin]
+    normal = rates_of(vector_field(accelerations(model)))[0](np.array([now]), start[None])[0] / units**2
+    times = np.linspace(now, course.times[-1], 20001)[1:]
+    times = np.unique(np.concatenate([times, course.times[course.times > now]]))
+    heights = (course.at(times) - start) @ normal
+    crossed = np.flatnonzero((heights[:-1] < 0) & (heights[1:] >= 0))
+    if not crossed.size:
+        return None
+    moments = np.array([_root(lambda t: float((course.at(np.array([t]))[0] - start) @ normal), *times[k : k + 2])
+                        for k in crossed])  # fmt: skip
+    apart = np.abs((course.at(moments) - start) / units).max(axis=1)
+    least = apart.min()
+    first = int(np.argmax(apart <= max(2 * least, BACK / 10)))
+    lasts = moments[first] - now
+    inside = course.times[(course.times > now) & (course.times < moments[first])] - now
+    steps = np.concatenate([[0.0], inside, [lasts]])
+    return Guess(start, float(lasts), steps, course.at(now + steps)), float(apart[first])
+
+
+def _root(height: Callable[[float], float], low: float, high: float) -> float:
+    """Where a height that changes its sign is 0."""
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if height(middle) < 0 else (low, middle)
+    return high
