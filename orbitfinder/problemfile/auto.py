@@ -61,7 +61,7 @@ def from_auto(path: str | Path, label: int | None = None, parameters: Mapping[st
     at, head = heads[chosen]
     numbers = _numbers(source, lines[at + 1 : at + 1 + head[ROWS]])
     rows, par = numbers[: head[POINTS] * head[WIDTH]], numbers[-head[PARAMETERS] :]
-    if rows.size < head[POINTS] * head[WIDTH] or par.size < max(PERIOD, head[PARAMETERS]):
+    if at + head[ROWS] >= len(lines) or min(rows.size - head[POINTS] * head[WIDTH], par.size - PERIOD) < 0:
         raise InputError(f"{source}: line {at + 1}: label {chosen} is cut off; copy the file again")
     if head[POINTS] < 2:
         where = ", ".join(f"{value:.6g}" for value in rows[1:])
