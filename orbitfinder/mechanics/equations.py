@@ -64,7 +64,7 @@ def equations(
         hamiltonian: H of coordinates and momenta, instead of rates.
         kinetic: T of coordinates and their velocities (q and qdot), instead of rates.
         potential: V of the coordinates, 0 when left out.
-        forces: generalized forces, in the order of the coordinates or by their names, of coordinates, velocities and time.
+        forces: generalized forces in the order of the coordinates or by their names, of these, velocities and time.
         coordinates: names of q, for hamiltonian and kinetic.
         momenta: names of p in the same order, for hamiltonian.
         invariants: first integrals by name, which keep their value along motions; the energy of others is known.
