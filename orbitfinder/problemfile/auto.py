@@ -128,21 +128,14 @@ def _guess(source: Path, numbers: np.ndarray, count: int, period: float, free: d
 
 
 def _values(source: Path, wanted: Mapping[str, int] | Sequence[str], par: np.ndarray) -> dict[str, float]:
-    """Values of parameters by name."""
-    places = dict(wanted) if isinstance(wanted, Mapping) else _named(source, wanted)
+    """Values of parameters by name: places in PAR are given, or b.NAME names them."""
+    beside = source.with_name("fort.7" if source.name == "fort.8" else f"b.{source.name[2:]}")
+    said = "\n".join(_lines(beside)) if wanted and beside.is_file() else ""
+    names = "".join(re.findall(r"parnames\s*=\s*\{([^}]*)\}", said)[:1])
+    known = {name: int(place) for place, name in re.findall(r"(\d{1,6})\s*:\s*'([^']*)'", names)}
+    places = wanted if isinstance(wanted, Mapping) else {name: known.get(name, 0) for name in wanted}
     for name, place in places.items():
         if not 1 <= place <= par.size:
-            raise InputError(f"parameters.{name}: {source} has PAR(1) to PAR({par.size}), got {place}")
+            raise InputError(f"parameters.{name}: no place in PAR(1) to PAR({par.size}){closest(name, known)}; "
+                             f"{beside.name} names {', '.join(known) or 'none'}, or give {{'{name}': 1}}")  # fmt: skip
     return {name: float(par[place - 1]) for name, place in places.items()}
-
-
-def _named(source: Path, wanted: Sequence[str]) -> dict[str, int]:
-    """Places of parameters in PAR by their names in b.NAME."""
-    beside = source.with_name("fort.7" if source.name == "fort.8" else f"b.{source.name[2:]}")
-    said = re.search(r"parnames\s*=\s*\{([^}]*)\}", "\n".join(_lines(beside))) if wanted and beside.is_file() else None
-    known = {name: int(place) for place, name in re.findall(r"(\d{1,6})\s*:\s*'([^']*)'", said[1] if said else "")}
-    for name in wanted:
-        if name not in known:
-            raise InputError(f"parameters: {name!r} has no place{closest(name, known)}; {beside.name} names "
-                             f"{', '.join(known) or 'none'}, so give places in PAR, {{'{name}': 1}}")  # fmt: skip
-    return {name: known[name] for name in wanted}

@@ -6,19 +6,19 @@ Source: B. Ermentrout, Simulating, Analyzing, and Animating Dynamical Systems, S
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from orbitfinder.errors import InputError, closest, shortened
-from orbitfinder.mechanics.expression import FUNCTIONS
+from orbitfinder.errors import InputError, shortened
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, altered
 from orbitfinder.records.reading import file_bytes
 
 WORD = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-VALUE = re.compile(rf"([A-Za-z_]\w*)\s*=\s*({NUMBER})\s*(?:,|\s|$)\s*")
+VALUE = rf"([A-Za-z_]\w*) ?= ?({NUMBER})(?: ?, ?| |$)"
 LISTS = {**dict.fromkeys(("p", "par", "param", "params", "parameter", "parameters"), "parameters"),
          **dict.fromkeys(("n", "num", "number"), "let"), **dict.fromkeys(("i", "init"), "start")}  # fmt: skip
 LEFT_OUT = {"a", "aux", "set", "options", "only", "export"}
@@ -26,11 +26,27 @@ LEFT_OUT = {"a", "aux", "set", "options", "only", "export"}
 OWN = {"heav": ("heav(u)", "if(u >= 0, 1, 0)"), "ln": ("ln(u)", "log(u)"), "log10": ("log10(u)", "log(u)/log(10)")}
 """XPPAUT's functions that are written out in ours"""
 FORMS = {
-    r"([A-Za-z_]\w*)\s*'\s*=([^=].*)": "rates", r"d([A-Za-z_]\w*)\s*/\s*dt\s*=([^=].*)": "rates",
-    r"([A-Za-z_]\w*)\s*\(\s*0\s*\)\s*=([^=].*)": "start", r"!?\s*([A-Za-z_]\w*)\s*=([^=].*)": "let",
-    r"([A-Za-z_]\w*\s*\((?!\s*t\s*[+)])[\sA-Za-z_0-9,]+\))\s*=([^=].*)": "let",
+    r"([A-Za-z_]\w*) ?' ?=([^=].*)": "rates", r"d([A-Za-z_]\w*) ?/ ?dt ?=([^=].*)": "rates",
+    rf"([A-Za-z_]\w*) ?\( ?0 ?\) ?= ?({NUMBER})": "start", r"!? ?([A-Za-z_]\w*) ?=([^=].*)": "let",
+    r"([A-Za-z_]\w* ?\((?! ?t ?[+)]) ?[A-Za-z_][ \w,]*\)) ?=([^=].*)": "let",
 }  # fmt: skip
-"""Lines that define something, by how they begin"""
+"""Lines that define something"""
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """What a line defines: a text or number in a table of the system, or where its simulation starts and ends."""
+
+    table: str
+    name: str
+    text: str
+    number: int
+    where: str
+
+    @property
+    def word(self) -> str:
+        """Its name alone, in small letters: XPPAUT does not tell them from capitals."""
+        return self.name.partition("(")[0].strip().lower()
 
 
 def from_xpp(path: str | Path, period: str | float | None = None) -> Model:
@@ -71,39 +87,34 @@ def from_xpp(path: str | Path, period: str | float | None = None) -> Model:
 
 def xpp_document(path: Path, period: str | float | None = None) -> dict[str, Any]:
     """The problem file that an XPPAUT file stands for: its equations, and where its simulation starts."""
-    tables, lines = _tables(path)
-    spelled = {_word(name).lower(): _word(name) for key in ("rates", "let", "parameters") for name in tables[key]}
-    for name in tables["start"]:
-        if spelled.get(name.lower()) not in tables["rates"]:
-            raise _fault(
-                path, *lines[f"start {name}".lower()], f"no equation gives the rate of {name}; add {name}'=..."
-            )
-    system: dict[str, Any] = {"kind": "equations"} | ({} if period is None else {"period": period})
-    for key in ("let", "rates"):
-        said = {name: _translated(text, name, spelled, path, lines) for name, text in tables[key].items()}
-        system[key] = {name: text for name, (text, _) in said.items()}
-        system["let"] = system.get("let", {}) | dict(pair for _, used in said.values() for pair in used)
-    system["parameters"] = {name: float(value) for name, value in tables["parameters"].items()}
+    seen: dict[tuple[str, str], _Entry] = {}
+    for entry in _entries(path):
+        key = (entry.table if entry.table in ("start", "total") else "", entry.word)
+        if key in seen:
+            raise InputError(f"{entry.where}: {entry.name} is defined in line {seen[key].number} too; keep one of them")
+        seen[key] = entry
+    tables = {key: [entry for entry in seen.values() if entry.table == key] for key in ("rates", "let", "parameters")}
+    if not tables["rates"]:
+        raise InputError(f"{path}: no equations x'=... or dx/dt=...; give an XPPAUT file of differential equations")
+    spelled = {entry.word: entry.name.partition("(")[0].strip() for each in tables.values() for entry in each}
+    system: dict[str, Any] = {
+        "kind": "equations", "parameters": {entry.name: float(entry.text) for entry in tables["parameters"]},
+        **{key: {entry.name: _translated(entry, spelled) for entry in tables[key]} for key in ("rates", "let")},
+    }  # fmt: skip
+    used = {word.lower() for key in ("rates", "let") for entry in tables[key] for word in WORD.findall(entry.text)}
+    system["let"] |= {head: text for word, (head, text) in OWN.items() if word in used and word not in spelled}
+    system |= {} if period is None else {"period": period}
     try:
         build_model(system)
     except InputError as error:
-        words = [word.lower() for word in re.findall(r"\w+", error.field)[2:]]
-        known = next((lines[word] for word in words if word in lines), None)
-        raise (InputError(f"{path}: {error}") if known is None else _fault(path, *known, str(error))) from error
-    starts = {spelled[name.lower()]: float(value) for name, value in tables["start"].items()}
-    state = [starts.get(name, 0.0) for name in tables["rates"]]
-    return {
-        "system": system,
-        "simulate": {"state": state} | {key: float(each) for key, each in tables["total"].items()},
-    }
-
-
-def _fault(path: Path, number: int, line: str, why: str) -> InputError:
-    return InputError(f"{path}: line {number}: {shortened(repr(line))}: {why}")
-
-
-def _word(name: str) -> str:
-    return name.partition("(")[0].strip()
+        named = [seen["", word.lower()] for word in re.findall(r"\w+", error.field)[2:3] if ("", word.lower()) in seen]
+        raise InputError(f"{named[0].where if named else path}: {error}") from error
+    starts = {word: entry for (table, word), entry in seen.items() if table == "start"}
+    for word in starts.keys() - {entry.word for entry in tables["rates"]}:
+        raise InputError(f"{starts[word].where}: nothing gives the rate of {word}; add {word}'=...")
+    state = [float(starts[entry.word].text) if entry.word in starts else 0.0 for entry in tables["rates"]]
+    total = {"duration": float(seen["total", "duration"].text)} if ("total", "duration") in seen else {}
+    return {"system": system, "simulate": {"state": state, **total}}
 
 
 def _logical(path: Path) -> Iterator[tuple[int, str]]:
@@ -118,69 +129,41 @@ def _logical(path: Path) -> Iterator[tuple[int, str]]:
         begun += "" if row.lstrip().startswith('"') else row.partition("#")[0].strip()
         if begun.endswith("\\") and number < len(rows):
             begun = begun[:-1]
+        elif begun.lower() in ("d", "done"):
+            return
         elif begun:
-            if begun.lower() in ("d", "done"):
-                return
-            yield first, begun
+            yield first, " ".join(begun.split())
             begun = ""
 
 
-def _tables(path: Path) -> tuple[dict[str, dict[str, str]], dict[str, tuple[int, str]]]:
-    """Texts and numbers by what they are and by name; the line of each name, in small letters."""
-    tables: dict[str, dict[str, str]] = {key: {} for key in ("rates", "let", "parameters", "start", "total")}
-    lines: dict[str, tuple[int, str]] = {}
+def _entries(path: Path) -> Iterator[_Entry]:
+    """What the lines define, in their order. Raises `InputError` for a line that is not understood."""
     for number, line in _logical(path):
-        for key, name, text in _defined(path, number, line):
-            called = f"start {name}".lower() if key == "start" else _word(name).lower()
-            if called in lines:
-                raise _fault(path, number, line, f"{name} is defined in line {lines[called][0]} too; keep one of them")
-            lines[called], tables[key][name] = (number, line), text
-    if not tables["rates"]:
-        raise InputError(f"{path}: no equations x'=... or dx/dt=...; give an XPPAUT file of differential equations")
-    return tables, lines
+        where, defined = f"{path}: line {number}: {shortened(repr(line))}", _defined(line)
+        if defined is None:
+            raise InputError(f"{where}: is not understood; read are par a=1, number a=1, init x=1, x(0)=1, x'=, "
+                             "dx/dt=, f(x)=, a=, !a=, aux and @; write it by these, or leave it out")  # fmt: skip
+        yield from (_Entry(table, name.strip(), text.strip(), number, where) for table, name, text in defined)
 
 
-def _defined(path: Path, number: int, line: str) -> Iterator[tuple[str, str, str]]:
-    """(table, name, text) of what a line defines. Raises `InputError` for a line that is not understood."""
+def _defined(line: str) -> list[tuple[str, str, str]] | None:
+    """(table, name, text) of what a line defines, None where it is not understood."""
     if line.startswith("@"):
-        total = re.search(rf"\btotal\s*=\s*({NUMBER})", line, re.IGNORECASE)
-        yield from [("total", "duration", total[1])] if total and float(total[1]) > 0 else []
-        return
-    listed = re.fullmatch(r"([A-Za-z]\w*)\s+(?![=(/'])(.*)", line)
+        total = re.search(rf"\btotal ?= ?({NUMBER})", line, re.IGNORECASE)
+        return [("total", "duration", total[1])] if total and float(total[1]) > 0 else []
+    listed = re.fullmatch(r"([A-Za-z]\w*) (?![=(/'])(.*)", line)
     command = listed[1].lower() if listed else ""
     if listed and command in LISTS:
-        values, end = list(VALUE.finditer(listed[2])), 0
-        for value in values:
-            end = value.end() if value.start() == end else end
-        if end < len(listed[2]):
-            raise _fault(path, number, line, "give NAME=NUMBER, with commas between; derive others by !NAME=EXPRESSION")
-        yield from ((LISTS[command], value[1], value[2]) for value in values)
-    elif command not in LEFT_OUT:
-        matches = ((key, re.fullmatch(form, line, re.IGNORECASE)) for form, key in FORMS.items())
-        key, match = next((pair for pair in matches if pair[1]), ("", None))
-        if match is None or (key == "start" and not re.fullmatch(NUMBER, match[2].strip())):
-            raise _fault(path, number, line, "is not understood: read are par, number, init, x'=, dx/dt=, f(x)=, a=, "
-                         "!a=, aux, x(0)=NUMBER and @; write it by these, or leave it out")  # fmt: skip
-        yield key, match[1].strip(), match[2].strip()
+        whole = re.fullmatch(f"(?:{VALUE})+", listed[2])
+        return [(LISTS[command], name, text) for name, text in re.findall(VALUE, listed[2])] if whole else None
+    matches = ((table, re.fullmatch(form, line, re.IGNORECASE)) for form, table in FORMS.items())
+    defined = [(table, match[1], match[2]) for table, match in matches if match]
+    return [] if command in LEFT_OUT else defined or None
 
 
-def _translated(
-    text: str, name: str, spelled: dict[str, str], path: Path, lines: dict[str, tuple[int, str]]
-) -> tuple[str, list[tuple[str, str]]]:
-    """A right-hand side as our expressions are written, and the definitions of XPPAUT's own functions in it."""
-    own = {word.lower(): word for word in WORD.findall(name)[1:]}
-    plain = {word: word for word in (*FUNCTIONS, *OWN, "t", "pi", "not")}
-    known: dict[str, str] = plain | spelled | own
-    used: list[tuple[str, str]] = []
-
-    def word(match: re.Match[str]) -> str:
-        if (small := match[0].lower()) not in known:
-            raise _fault(path, *lines[_word(name).lower()], f"{match[0]!r} is not understood"
-                         f"{closest(small, known)}; define it in the file, or leave it out")  # fmt: skip
-        used.extend([OWN[small]] if small in OWN and small not in spelled else [])
-        return known[small]
-
-    for between in ("then", "else"):
-        text = re.sub(rf"\)\s*{between}\s*\(", ", ", text, flags=re.IGNORECASE)
-    text = WORD.sub(word, text)
-    return re.sub(r"\|\|?", " or ", re.sub("&&?", " and ", text)), used
+def _translated(entry: _Entry, spelled: Mapping[str, str]) -> str:
+    """A right-hand side as our expressions are written."""
+    known = {**spelled, **{word.lower(): word for word in WORD.findall(entry.name)[1:]}}
+    text = re.sub(r"\) ?(?:then|else) ?\(", ", ", entry.text, flags=re.IGNORECASE)
+    text = WORD.sub(lambda match: known.get(match[0].lower(), match[0].lower()), text)
+    return re.sub(r"\|\|?", " or ", re.sub("&&?", " and ", text))
