@@ -72,7 +72,9 @@ from .orbits.find import find_orbit as find_orbit
 from .orbits.refine import Refiner as Refiner
 from .orbits.simulate import simulate as simulate
 from .orbits.sweep import sweep as sweep
+from .problemfile.auto import from_auto as from_auto
 from .problemfile.read import load_problem as load_problem
+from .problemfile.xpp import from_xpp as from_xpp
 from .proof.theorem import prove as prove
 from .records.certificate import Certificate as Certificate
 from .records.family import Family as Family

@@ -44,7 +44,7 @@ def equations(
     hamiltonian: str | None = None,
     kinetic: str | None = None,
     potential: str | None = None,
-    forces: Mapping[str, str] | None = None,
+    forces: Mapping[str, str] | Sequence[str] | None = None,
     coordinates: Sequence[str] = (),
     momenta: Sequence[str] = (),
     invariants: Mapping[str, str] | None = None,
@@ -64,7 +64,7 @@ def equations(
         hamiltonian: H of coordinates and momenta, instead of rates.
         kinetic: T of coordinates and their velocities (q and qdot), instead of rates.
         potential: V of the coordinates, 0 when left out.
-        forces: generalized forces by coordinate, of coordinates, velocities and time.
+        forces: generalized forces in the order of the coordinates or by their names, of these, velocities and time.
         coordinates: names of q, for hamiltonian and kinetic.
         momenta: names of p in the same order, for hamiltonian.
         invariants: first integrals by name, which keep their value along motions; the energy of others is known.
@@ -92,6 +92,10 @@ def equations(
     names = [*(states or rates or ())] if form == "rates" else [*coordinates, *momenta]
     if form == "rates":
         given["states"] = names  # whoever sorts keys keeps the order
+    if isinstance(acting := given.get("forces", {}), list):
+        if len(acting) != len(names):
+            raise InputError(f"forces: {len(acting)} for {len(names)} coordinates; give one each, '0' where none acts")
+        given["forces"] = dict(zip(names, acting, strict=True))
     _check_names(given, form, names)
     _check_time(given, form)
     return {"rates": _first_order, "hamiltonian": _hamiltonian, "kinetic": _lagrange}[form](given, names)

@@ -39,6 +39,7 @@ from orbitfinder.problemfile.schema import (
     sentence,
     systems,
 )
+from orbitfinder.problemfile.xpp import xpp_document
 from orbitfinder.records.orbit import SHIFT
 from orbitfinder.records.reading import bounded, file_bytes
 
@@ -109,7 +110,7 @@ def load_problem_file(path: str | Path, trust: bool = False) -> ProblemFile:
     source = Path(path)
     if source.suffix == ".py":
         return _load_python(source, trust)
-    document = read_toml(source)
+    document = xpp_document(source) if source.suffix == ".ode" else read_toml(source)
     table = parse(document, str(source))
     with _located(source):
         return _build(source, document, table, trust)

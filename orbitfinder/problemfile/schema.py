@@ -84,6 +84,7 @@ TYPES: dict[str, Any] = {
     "Sequence[str] | str": Names | Literal["all"] | None,
     "Mapping[str, float] | float | None": float | dict[str, float] | None,
     "Mapping[str, float] | None": dict[str, float] | None, "Mapping[str, str] | None": dict[str, str] | None,
+    "Mapping[str, str] | Sequence[str] | None": dict[str, str] | Names | None,
     "Sequence[str]": Names | None, "str | None": str | None, "str | float | None": Entry | None,
     "Mapping[str, float] | Sequence[str]": dict[str, float] | Names | None,
     "Sequence[float] | float | None": float | list[float] | None,
