@@ -32,6 +32,8 @@ from orbitfinder.mechanics.scales import LEAST_SHARE, parameter_sizes
 
 SETTINGS = Settings(floor=1e-15, round_off=1e-13, converged=1e-12, most_evaluations=12, contraction=0.05)
 """Rows are relative to the sizes and the pace of the equilibrium"""
+AHEAD = 1.25
+"""Sizes that are outgrown become so much larger than what outgrew them"""
 ROUND_OFF = 4 * float(np.finfo(float).eps)
 """What each row is known to, relative to the sizes of its terms"""
 
@@ -68,7 +70,7 @@ class Dense:
             return 0.0
         diagonal, moved = factors.diagonal(), np.count_nonzero(pivots != np.arange(pivots.size))
         odd = (moved + np.count_nonzero(diagonal < 0)) % 2
-        return float((-1.0 if odd else 1.0) * np.exp(np.log(np.abs(diagonal)).mean()))
+        return float((-1.0 if odd else 1.0) * np.exp(np.log(np.abs(diagonal)).sum() / pivots.size))
 
     def _factorised(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
         return dgetrf(np.vstack([self.matrix, rows * self.sizes]))  # type: ignore[no-any-return]
@@ -135,6 +137,8 @@ class AtRest:
     def kept_sizes(self) -> np.ndarray:
         """What rows behind the rates are measured in."""
         d = self.jets.size
+        if not self.jets.extra:
+            return np.zeros(0)
         z = np.concatenate([self.origin, np.zeros(self.jets.extra)])
         by_z = self.jets.first(z, self.jets.model.parameter_values[self._free], self.kept)[1].T[d:]
         return np.asarray(nonzero(np.abs(by_z * self.z_sizes).max(axis=1, initial=0.0)))
@@ -287,12 +291,15 @@ class AtRest:
         return renewed, w, tangent / np.sqrt(float(tangent @ (metric * tangent)))
 
     def seen(self, z: np.ndarray, p: np.ndarray) -> Self:
-        """With sizes no smaller than those of another equilibrium."""
+        """With sizes no smaller than those of another equilibrium, and somewhat larger where those are."""
         d, old = self.jets.size, self.sizes
         if self.form != "regular":
             return self
-        sizes = np.maximum(old, np.abs(np.concatenate([z[:d], np.zeros(self.jets.extra), p])))
-        return self if (sizes == old).all() else replace(self, z_sizes=sizes[: z.size], p_sizes=sizes[z.size :])
+        largest = np.abs(np.concatenate([z[:d], np.zeros(self.jets.extra), p]))
+        if not (grown := largest > old).any():
+            return self
+        sizes = np.where(grown, AHEAD * largest, old)
+        return replace(self, z_sizes=sizes[: z.size], p_sizes=sizes[z.size :])
 
     def carried(self, w: Stacked, onto: Stacked) -> Stacked:  # noqa: ARG002 - of the protocol
         """Itself: there is no mesh."""
