@@ -408,6 +408,12 @@ def _pencil(gz: np.ndarray, mass: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return shift + 1.0 / inverse[finite], right[:, finite]
 
 
+def nearest(gz: np.ndarray, mass: np.ndarray, value: complex) -> np.ndarray:
+    """The vector of the eigenvalue that is nearest to a value."""
+    values, vectors = _pencil(gz, mass)
+    return np.asarray(vectors[:, np.argmin(np.abs(values - value))])
+
+
 def critical_pair(values: np.ndarray) -> tuple[int, int]:
     """The two eigenvalues whose sum is the least, of those that are not both 0."""
     sums = np.abs(values[:, None] + values[None, :])
@@ -468,25 +474,16 @@ def lyapunov(problem: AtRest, z: np.ndarray, p: np.ndarray, omega: float) -> tup
 
     l1 = Re [<p, C(q, q, q*)> - 2 <p, B(q, A^-1 B(q, q*))> + <p, B(q*, (2 i omega - A)^-1 B(q, q))>] / 2 omega.
     """
-    jets, d = problem.jets, problem.jets.size
-    a = jets.first(z, p, problem.kept)[1].T
-    if len(problem.phase):
-        a = np.vstack([a, np.pad(problem.phase / problem.z_sizes[:d], ((0, 0), (0, z.size - d)))])
-    units = problem.z_sizes  # conditioned, and back
-    mass = np.diag(problem.mass)
-    values, vectors = _pencil(a * units / problem.row_sizes_square[:, None], problem.mass)
-    q = units * vectors[:, np.argmin(np.abs(values - 1j * omega / problem.pace))]
-    left_values, left = _pencil((a * units / problem.row_sizes_square[:, None]).T, problem.mass)
-    weight = left[:, np.argmin(np.abs(left_values - 1j * omega / problem.pace))].conj() / problem.row_sizes_square
+    d, gz, mass = problem.jets.size, problem.scaled(z, p)[1], np.diag(problem.mass)
+    units, rows, turn = problem.z_sizes, problem.row_sizes_square, 1j * omega / problem.pace
+    q, weight = units * nearest(gz, problem.mass, turn), nearest(gz.T, problem.mass, turn).conj() / rows
     q = q / np.linalg.norm(q[:d])
     weight = weight / np.conj(weight.conj() @ (mass @ q))
-    second, third = forms(jets, z, p)
-    none = np.zeros(len(problem.phase))
+    second, third = forms(problem.jets, z, p)
 
     def solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-        scales = problem.row_sizes_square
-        return np.asarray(units * np.linalg.solve(matrix * units / scales[:, None], np.append(right, none) / scales))
+        return np.asarray(units * np.linalg.solve(matrix, np.append(right, np.zeros(len(problem.phase))) / rows))
 
-    mean, double = solved(a, second(q, q.conj())), solved(2j * omega * mass - a, second(q, q))
+    mean, double = solved(gz, second(q, q.conj())), solved(2 * turn * mass - gz, second(q, q))
     terms = third(q, q, q.conj()) - 2 * second(q, mean) + second(q.conj(), double)
     return float((weight.conj()[: terms.size] @ terms).real / (2 * omega)), q[:d]
