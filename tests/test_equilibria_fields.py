@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import orbitfinder as of
+from orbitfinder.errors import ConvergenceError
 
 FINER = 25
 
@@ -68,7 +69,7 @@ def agreed(seed):
     """How many events of a field agree; each of one list has its own of the other."""
     try:
         found = of.follow_equilibria(field(seed), [0.1, 0.1, 0.1], "p", points=100)
-    except of.ConvergenceError:
+    except ConvergenceError:
         return 0  # of some fields a motion from there goes on for ever
     assert all(point.certified for point in found.points) and all(event.check.passed for event in found.events)
     wanted = by_brute_force(seed, np.array([[*point.state, point.value] for point in found.points]))

@@ -34,6 +34,8 @@ SETTINGS = Settings(floor=1e-15, round_off=1e-13, converged=1e-12, most_evaluati
 """Rows are relative to the sizes and the pace of the equilibrium"""
 AHEAD = 1.25
 """Sizes that are outgrown become so much larger than what outgrew them"""
+UNDAMPED = 1e-7
+"""Real parts below this share of the largest eigenvalue are none, imaginary ones the round-off of a double 0"""
 ROUND_OFF = 4 * float(np.finfo(float).eps)
 """What each row is known to, relative to the sizes of its terms"""
 
@@ -412,6 +414,16 @@ def nearest(gz: np.ndarray, mass: np.ndarray, value: complex) -> np.ndarray:
     """The vector of the eigenvalue that is nearest to a value."""
     values, vectors = _pencil(gz, mass)
     return np.asarray(vectors[:, np.argmin(np.abs(values - value))])
+
+
+def oscillations(problem: AtRest, z: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The frequencies (k, rad/s, slowest first) of what turns about an equilibrium for ever, and q (d x k) of each."""
+    values, vectors = _pencil(problem.scaled(z, p)[1], problem.mass)
+    least = UNDAMPED * float(np.abs(values).max(initial=0.0))
+    kept = np.flatnonzero((np.abs(values.real) <= least) & (values.imag > least))
+    kept = kept[np.argsort(values.imag[kept])]
+    shapes = problem.z_sizes[:, None] * vectors[:, kept]
+    return values.imag[kept] * problem.pace, shapes[: problem.jets.size]
 
 
 def critical_pair(values: np.ndarray) -> tuple[int, int]:
