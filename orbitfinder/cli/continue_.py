@@ -66,7 +66,8 @@ class Switch(click.ParamType):  # type: ignore[type-arg]
 def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: int, out: Path, **chosen: Any) -> None:
     """Follow the family of orbits through an ORBIT.json, the orbit of a problem FILE, or from an event of a FAMILY.json
     a branch (--switch), or the event itself in two parameters (--curve); --switch start|end goes on along the family
-    that is joined at that end. From a Hopf point of an EQUILIBRIA.json --switch follows the cycles that are born there.
+    that is joined at that end. From a Hopf point of an EQUILIBRIA.json --switch follows the cycles that are born there,
+    with start|end the normal mode --branch about that equilibrium of a system with an energy.
 
     Both ways along the family unless --until, --at or --direction say where to go; a branch away from its birth.
     Folds, branch points, period doublings, tori, resonances, collisions and stability changes are located. A run
@@ -249,7 +250,7 @@ def origin_of(file: Path, trust: bool, switch: int | str | None = None, branch: 
     from orbitfinder.families.equilibrium import EQUILIBRIA
 
     if switch is not None and held(file)[0] == EQUILIBRIA:
-        return of.switch_branch(file, switch, model=model_of(of.load_equilibria(file), file, trust)), None
+        return of.switch_branch(file, switch, branch, model=model_of(of.load_equilibria(file), file, trust)), None
     if switch is not None:
         raise InputError(f"--switch: {file} is not a family.json, nor an equilibria.json; give the file that the "
                          "event is in")  # fmt: skip
