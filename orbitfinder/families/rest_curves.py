@@ -149,7 +149,7 @@ def _normal_form(problem: AtRest, w: Stacked, kind: str) -> dict[str, float]:
     """The coefficients of the normal form, with <q, q> = <p, q> = 1 in the model's units; b, c up to the sign of q."""
     if kind == "hopf" and w.vector[3 * problem.count] > UNMOVED:
         return {"l1": _first(problem, w) / _length(problem, w) ** 2}
-    if kind not in ("fold", "cusp", "bogdanov_takens"):
+    if kind not in ("fold", "cusp", "bogdanov_takens") or problem.jets.model.conservative:
         return {}
     psi, a, bordered = _left(problem, w)
     size, mass, z, p = float(np.linalg.norm(a)) * _length(problem, w), problem.mass, *problem.parts(w)[:2]
@@ -301,8 +301,8 @@ def follow_rest_curve(
              "fixed": fixed}  # fmt: skip
     judge, label = Judge(model, names), name or f"{equilibria.name}-{number}-{'-'.join(names)}"
     path = None if out is None else Path(out) / label
-    tests = {role: lambda point, test=test: test(point.problem, point.w)
-             for role, test in TESTS[start.problem.form].items()}  # fmt: skip
+    tests = {role: lambda point, test=test: test(point.problem, point.w) for role, test in
+             TESTS[start.problem.form].items() if role == "cusp" or not model.conservative}  # fmt: skip
     runs: list[tuple[SolutionCurve, _Track]] = []
     record = partial(_record, label, model, curve, runs)
     with contextlib.nullcontext() if path is None else locks.alone_in(path):
