@@ -282,7 +282,9 @@ def curve_of(file: Path, parameter: str | None, chosen: Mapping[str, Any]) -> Br
     if resting:
         rest = of.load_equilibria(file)
         name = chosen["name"] or f"{rest.name}-{chosen['curve']}-{'-'.join(names)}"
-        return partial(of.follow_curve, rest, chosen["curve"], names, name=name, model=model_of(rest, file, chosen["trust"]))  # type: ignore[arg-type]
+        return partial(
+            of.follow_curve, rest, chosen["curve"], names, name=name, model=model_of(rest, file, chosen["trust"])
+        )  # type: ignore[arg-type]
     family = of.load_family(file)
     return curve_start(family, chosen["curve"], names, model=model_of(family, file, chosen["trust"]))
 

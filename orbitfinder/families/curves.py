@@ -83,7 +83,9 @@ def follow_curve(
         rest = family if isinstance(family, Equilibria) else load_equilibria(family)
         model, most = model or build_model(rest.system), settings.points if settings else PACE.points
         names = _parameters(model, parameters, ())
-        return follow_rest_curve(rest, event, names, until, at, most if points is None else points, out, name, model, progress)  # type: ignore[arg-type]
+        return follow_rest_curve(
+            rest, event, names, until, at, most if points is None else points, out, name, model, progress
+        )  # type: ignore[arg-type]
     if isinstance(event, RestEvent):
         raise InputError(f"event: a {event.kind} of equilibria; give the equilibria that it is of")
     start = curve_start(family, event, parameters, settings, model)

@@ -61,7 +61,9 @@ class Judge:
         beside = DIFFERENCE * np.vstack([np.zeros((1, chosen.size)), np.kron(STEPS[:, None], np.eye(chosen.size))])
         return there, Buffered(rates.map(len(beside))), chosen, beside
 
-    def _canonical(self, state: np.ndarray, value: float | np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _canonical(
+        self, state: np.ndarray, value: float | np.ndarray, sizes: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """y, and what it is measured in."""
         there, _, chosen, _ = self._equations
         (y,), slopes = there(state[chosen], value)
@@ -82,7 +84,9 @@ class Judge:
             return largest, np.inf
         return largest, float(np.linalg.svd(shifted, compute_uv=False)[:, -1].max(initial=0.0))
 
-    def flow(self, state: np.ndarray, value: float | np.ndarray, sizes: np.ndarray, pace: float, claimed: complex) -> float:
+    def flow(
+        self, state: np.ndarray, value: float | np.ndarray, sizes: np.ndarray, pace: float, claimed: complex
+    ) -> float:
         """How far an eigenvalue is from that of the flow, DOP853's of the variations over 1 / pace: the least singular
         value of Phi - exp(lambda t)."""
         y, sizes = self._canonical(state, value, sizes)

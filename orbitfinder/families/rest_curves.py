@@ -402,7 +402,9 @@ def verified(equilibria: Equilibria, model: Model | None = None) -> Certificate:
     judge, pace = Judge(model, equilibria.parameters), curve["pace"]
     sizes = equations.state_sizes(model, np.abs([each.state for each in every]).max(axis=0))
     judged = np.max([_judged(judge, pace, each, sizes) for each in every], axis=0)
-    again = [(each, *_again(judge, curve, each, sizes)) for each in every if each.normal_form or each in equilibria.events]
+    again = [
+        (each, *_again(judge, curve, each, sizes)) for each in every if each.normal_form or each in equilibria.events
+    ]
     off, left = 0.0, 0.0
     for each, problem, w in again:
         if isinstance(each, RestEvent):
