@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -67,7 +68,8 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
     """Follow the family of orbits through an ORBIT.json, the orbit of a problem FILE, or from an event of a FAMILY.json
     a branch (--switch), or the event itself in two parameters (--curve); --switch start|end goes on along the family
     that is joined at that end. From a Hopf point of an EQUILIBRIA.json --switch follows the cycles that are born there,
-    with start|end the normal mode --branch about that equilibrium of a system with an energy.
+    with start|end the normal mode --branch about that equilibrium of a system with an energy. --curve also follows a
+    fold or a Hopf point of one in two parameters.
 
     Both ways along the family unless --until, --at or --direction say where to go; a branch away from its birth.
     Folds, branch points, period doublings, tori, resonances, collisions and stability changes are located. A run
@@ -82,6 +84,7 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
       orbitfinder continue problems/control/maintained-oscillator.toml --parameter damping --until 0.1
       orbitfinder continue families/triple-mode-2/family.json --switch 10 --until -36
       orbitfinder continue equilibria/brusselator/equilibria.json --switch 0
+      orbitfinder continue equilibria/brusselator/equilibria.json --curve 0 --parameters feed,rate
       orbitfinder continue families/duffing-resonance/family.json --curve 0 --parameters force,frequency
     """
     directions = chosen["direction"] or ("away" if isinstance(chosen["event"], int) else "both")
@@ -98,8 +101,9 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
         else:
             origin, model = curve_of(file, parameter, chosen), None
         family, places = None, list[int]()
-        if isinstance(origin, RestBranch):
-            return followed_rest(origin, parameter, chosen["until"], at, points, out, chosen["name"], shown)
+        if isinstance(origin, (RestBranch, partial)):
+            return followed_rest(origin, parameter, chosen["until"], at, points, out, chosen["name"], shown,
+                                 chosen["figures"])  # fmt: skip
         if getattr(origin, "guess", None) is None or getattr(origin, "control", None) is None:
             parameter = parameter or parameter_of(origin)
             name, steps = folder_of(out, chosen["name"] or origin.name, *NAMED).name, list[Batch]()
@@ -258,18 +262,30 @@ def origin_of(file: Path, trust: bool, switch: int | str | None = None, branch: 
     return orbit, model
 
 
-def curve_of(file: Path, parameter: str | None, chosen: Mapping[str, Any]) -> Branch:
-    """The start of a curve of bifurcations from a family.json. `InputError` for options that do not go together."""
-    from orbitfinder.families.curves import curve_start
+def curve_of(file: Path, parameter: str | None, chosen: Mapping[str, Any]) -> Branch | partial[of.Equilibria]:
+    """The start of a curve of bifurcations from a family.json, or what follows the curve from an equilibria.json.
 
-    if not whole_family(file):
-        raise InputError(f"--curve: {file} is not a family.json; give the family.json that the event is in")
+    `InputError` for options that do not go together.
+    """
+    from orbitfinder.families.curves import curve_start
+    from orbitfinder.families.equilibrium import EQUILIBRIA
+
+    resting = held(file)[0] == EQUILIBRIA
+    if not (resting or whole_family(file)):
+        raise InputError(f"--curve: {file} is not a family.json, nor an equilibria.json; give the file that the event "
+                         "is in")  # fmt: skip
     if chosen["curve"] is None or chosen["parameters"] is None:
         missing, given = ("--curve", "--parameters") if chosen["curve"] is None else ("--parameters", "--curve")
         raise InputError(f"{missing}: missing beside {given}; give --curve EVENT --parameters A,B")
     if parameter is not None or chosen["event"] is not None:
         raise InputError("--curve: goes without --parameter and --switch; name the two parameters in --parameters A,B")
     names = tuple(part.strip() for part in chosen["parameters"].split(",") if part.strip())
+    if resting:
+        rest = of.load_equilibria(file)
+        name = chosen["name"] or f"{rest.name}-{chosen['curve']}-{'-'.join(names)}"
+        return partial(
+            of.follow_curve, rest, chosen["curve"], names, name=name, model=model_of(rest, file, chosen["trust"])
+        )  # type: ignore[arg-type]
     family = of.load_family(file)
     return curve_start(family, chosen["curve"], names, model=model_of(family, file, chosen["trust"]))
 

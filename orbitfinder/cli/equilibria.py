@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from orbitfinder.cli.console import Display, display
 from orbitfinder.cli.jobs import folder_of
 from orbitfinder.cli.options import FILES, FINITE, finish, next_step, option, text, usual
 from orbitfinder.errors import InputError
+from orbitfinder.records.registry import answer
 
 
 @click.command()
@@ -49,24 +51,33 @@ def equilibria(
 
 def followed_rest(
     origin: Any, parameter: str | None, until: float | None, at: tuple[float, ...], points: int, out: Path,
-    name: str | None, shown: Display,
+    name: str | None, shown: Display, figures: bool = False,
 ) -> None:  # fmt: skip
-    """Follow equilibria from (model, state) or a branch of them, write and tell them."""
-    model, state = origin if isinstance(origin, tuple) else (origin, None)
-    parameter = parameter or origin.parameter
+    """Follow equilibria from (model, state) or a branch of them, or a curve of them in two parameters, write and tell
+    them."""
+    if isinstance(origin, partial):
+        follow, name, parameter = origin, origin.keywords["name"], origin.args[2][0]
+    else:
+        given = origin if isinstance(origin, tuple) else (origin, None)
+        parameter = parameter or origin.parameter
+        follow = partial(of.follow_equilibria, *given, parameter)
     folder = folder_of(out, name or origin.name)
     with kept(folder / "equilibria.json", of.save_equilibria):
-        found = of.follow_equilibria(
-            model, state, parameter, until, at=at, points=points, name=folder.name, out=out,
-            progress=lambda rest: shown.say(f"{parameter} {rest.value:.9g}, {rest.stability}"),
+        found = follow(
+            until=until, at=at, points=points, name=folder.name, out=out,
+            progress=lambda rest: shown.say(f"{parameter} {rest.value:.9g}, {rest.kind or rest.stability}"),
         )  # fmt: skip
         written = [of.save_equilibria(found, folder / "equilibria.json")]
+    written += answer("plot", written[0])(found, folder, None) if figures and found.curve else []
     sure = sum(point.certified for point in found.points)
     true = sum(event.check is not None and event.check.passed for event in found.events)
     text(f"{written[0]}: {len(found.points)} equilibria, {sure} certified; {found.ends[-1].reason}")
     for k, event in enumerate(found.events):
         line = f"  {k} {event.words} at {parameter} = {event.parameter:.12g} +- {event.error:.1g}"
-        if event.frequency > 0:
+        if found.curve:
+            line += f", {found.parameters[1]} = {event.values[1]:.12g} +- {event.errors[1]:.1g}"
+            line += "".join(f", {name} = {value:.6g}" for name, value in event.normal_form.items())
+        if event.period > 0:
             line += f", period {event.period:.12g}, l1 = {event.lyapunov:.6g}"
         text(line)
     if leaving := [k for k, event in enumerate(found.events) if event.direction.size]:

@@ -16,6 +16,7 @@ from orbitfinder.errors import ConvergenceError, InputError, closest
 from orbitfinder.families.branches import Branch, described, opened, with_nodes
 from orbitfinder.families.critical import Critical
 from orbitfinder.families.entries import FOLLOWED, KINDS
+from orbitfinder.families.equilibria import PACE
 from orbitfinder.families.equilibrium import EQUILIBRIA, Equilibria, Equilibrium, RestEvent, load_equilibria
 from orbitfinder.families.folder import Progress, follow_family, parameter_of
 from orbitfinder.families.point import FamilySettings, parameter_value, unknowns_of
@@ -80,9 +81,11 @@ def follow_curve(
     """
     if isinstance(family, Equilibria) or (not isinstance(family, Family) and held(family)[0] == EQUILIBRIA):
         rest = family if isinstance(family, Equilibria) else load_equilibria(family)
-        model, most = model or build_model(rest.system), points or (settings or FamilySettings()).points
+        model, most = model or build_model(rest.system), settings.points if settings else PACE.points
         names = _parameters(model, parameters, ())
-        return follow_rest_curve(rest, event, names, until, at, most, out, name, model, progress)  # type: ignore[arg-type]
+        return follow_rest_curve(
+            rest, event, names, until, at, most if points is None else points, out, name, model, progress
+        )  # type: ignore[arg-type]
     if isinstance(event, RestEvent):
         raise InputError(f"event: a {event.kind} of equilibria; give the equilibria that it is of")
     start = curve_start(family, event, parameters, settings, model)

@@ -115,7 +115,7 @@ class RestEvent(Shown):
     @property
     def words(self) -> str:
         """What happens, for reading."""
-        return f"{self.criticality} {self.kind}".strip().replace("_", " ")
+        return f"{self.criticality} {self.kind}".strip().replace("_", " ").replace("bogdanov takens", "Bogdanov-Takens")
 
 
 CRITICAL: dict[str, Callable[[RestEvent], bool]] = {

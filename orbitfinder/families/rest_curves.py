@@ -125,10 +125,11 @@ def _double(problem: AtRest, w: Stacked) -> float:
 
 def _first(problem: AtRest, w: Stacked) -> float:
     """l1 of a motion in the sizes of the state; 0 of neutral saddles, and where it is infinite."""
-    kappa, length = w.vector[3 * problem.count], _length(problem, w)
-    if kappa <= UNMOVED:
-        return 0.0
-    return length**2 * equations.lyapunov(problem, *problem.parts(w)[:2], float(np.sqrt(kappa) * problem.pace))[0]
+    kappa, (z, p, _) = w.vector[3 * problem.count], problem.parts(w)
+    with contextlib.suppress(np.linalg.LinAlgError):
+        if kappa > UNMOVED:
+            return _length(problem, w) ** 2 * equations.lyapunov(problem, z, p, float(np.sqrt(kappa) * problem.pace))[0]
+    return 0.0
 
 
 TESTS: Mapping[str, Mapping[str, Vanishing]] = {
@@ -147,9 +148,9 @@ def _length(problem: AtRest, w: Stacked) -> float:
 
 def _normal_form(problem: AtRest, w: Stacked, kind: str) -> dict[str, float]:
     """The coefficients of the normal form, with <q, q> = <p, q> = 1 in the model's units; b, c up to the sign of q."""
-    if kind == "hopf" and w.vector[3 * problem.count] > UNMOVED:
-        return {"l1": _first(problem, w) / _length(problem, w) ** 2}
-    if kind not in ("fold", "cusp", "bogdanov_takens"):
+    if kind == "hopf" and (first := _first(problem, w)):
+        return {"l1": first / _length(problem, w) ** 2}
+    if kind not in ("fold", "cusp", "bogdanov_takens") or problem.jets.model.conservative:
         return {}
     psi, a, bordered = _left(problem, w)
     size, mass, z, p = float(np.linalg.norm(a)) * _length(problem, w), problem.mass, *problem.parts(w)[:2]
@@ -229,15 +230,14 @@ class _Track:
 
     def write(self, point: Point, record: Equilibrium) -> Mapping[str, Any]:  # noqa: ARG002 - made again when read
         return {"w": point.w.vector, "tangent": point.tangent, "arclength": point.arclength, "step": point.step,
-                "sizes": point.problem.p_sizes}  # fmt: skip
+                "sizes": point.problem.p_sizes, "c": point.problem.c}  # fmt: skip
 
     def read(self, entry: Mapping[str, Any]) -> tuple[Point, Equilibrium]:
-        w, tangent = Stacked(np.array(entry["w"], float)), np.array(entry["tangent"], float)
-        if not w.vector.size == tangent.size == self.start.w.vector.size:
+        w, tangent, sizes, c = (np.array(entry[name], float) for name in ("w", "tangent", "sizes", "c"))
+        if not w.size == tangent.size == self.start.w.vector.size:
             raise ValueError("a point of another size")
-        problem = replace(self.start.problem, p_sizes=np.array(entry["sizes"], float))
-        problem, w, tangent = problem.at(w, tangent)
-        point = Point(problem, w, tangent, float(entry["arclength"]), float(entry["step"]))
+        problem = replace(self.start.problem, p_sizes=sizes, c=c)
+        point = Point(problem, Stacked(w), tangent, float(entry["arclength"]), float(entry["step"]))
         return point, self.record(point)
 
     def special(self, kept: KeptPoint, index: int) -> RestEvent | None:
@@ -247,8 +247,10 @@ class _Track:
             for _ in range(3):
                 point = advanced(point, -test(point.problem, point.w) / _slope(point, test)).sharp
             errors = _errors(point, test)
-        except (ConvergenceError, IntegrationError, np.linalg.LinAlgError):
+        except (ConvergenceError, IntegrationError, ArithmeticError, np.linalg.LinAlgError):
             return None
+        if abs(point.arclength - kept.point.arclength) > SLOPE:
+            return None  # where a test jumps
         there, problem = self.record(point), point.problem
         claims = _claims(kept.role, there.eigenvalues)
         if not (errors <= UNKNOWN * problem.p_sizes).all() or not _consistent(kept.role, claims):
@@ -263,8 +265,8 @@ class _Track:
 
 
 def _quiet(numbers: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-    """With 0 for what is round-off of the sizes."""
-    return np.where(np.abs(numbers) <= equations.ROUND_OFF * sizes, 0.0, numbers)
+    """With 0 for what the corrector leaves of the sizes."""
+    return np.where(np.abs(numbers) <= equations.SETTINGS.round_off * sizes, 0.0, numbers)
 
 
 def _slope(point: Point, test: Vanishing) -> float:
@@ -301,8 +303,8 @@ def follow_rest_curve(
              "fixed": fixed}  # fmt: skip
     judge, label = Judge(model, names), name or f"{equilibria.name}-{number}-{'-'.join(names)}"
     path = None if out is None else Path(out) / label
-    tests = {role: lambda point, test=test: test(point.problem, point.w)
-             for role, test in TESTS[start.problem.form].items()}  # fmt: skip
+    tests = {role: lambda point, test=test: test(point.problem, point.w) for role, test in
+             TESTS[start.problem.form].items() if role == "cusp" or not model.conservative}  # fmt: skip
     runs: list[tuple[SolutionCurve, _Track]] = []
     record = partial(_record, label, model, curve, runs)
     with contextlib.nullcontext() if path is None else locks.alone_in(path):

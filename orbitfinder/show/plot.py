@@ -406,11 +406,15 @@ def _called(families: Sequence[Family]) -> str:
     return ", ".join(family.name for family in families)
 
 
+FAR = 4.0
+"""Curves this many times as wide as their special points lie apart are drawn about those only"""
+
+
 def two_parameters(families: Sequence[Family | Equilibria], title: str | None = None) -> Figure:
     """Curves of bifurcations in the plane of their two parameters, with a mark at each point of codimension two.
 
-    Curves of the same two parameters are drawn together, neutral saddles dotted. Raises `InputError` for families in
-    one parameter.
+    Curves of the same two parameters are drawn together, neutral saddles dotted; of those that go far off what is about
+    their special points. Raises `InputError` for families in one parameter.
     """
     names = families[0].parameters
     for family in families:
@@ -433,10 +437,15 @@ def two_parameters(families: Sequence[Family | Equilibria], title: str | None = 
             shown.setdefault(called.replace("_", " ").strip(), axes.plot(*path.T, **style)[0])
         for event, place in zip(curve.events, events, strict=True):
             style = {"marker": mark_of(event).marker, "markersize": 7.0, "linestyle": "none", "color": "black"}
-            shown.setdefault(event.kind.replace("_", " "), axes.plot(*place, **style)[0])
+            shown.setdefault(event.words, axes.plot(*place, **style)[0])
             labels.setdefault(tuple(np.round(place, 12)), event.words)
     dress(axes, *names)
     axes.margins(0.08)
+    for k, frame in enumerate((axes.set_xlim, axes.set_ylim) if labels else ()):
+        low, high = np.min([*labels], axis=0)[k], np.max([*labels], axis=0)[k]
+        drawn = np.ptp([end for line in axes.lines for end in line.get_xydata()[:, k]])
+        if drawn > FAR * (high - low) > 0:
+            frame(low - 0.5 * (high - low), high + 0.5 * (high - low))
     legend(figure, shown, "lower center", ncols=3)
     place_labels(figure, axes, [(words, *place) for place, words in labels.items()])  # type: ignore[misc]
     return figure
