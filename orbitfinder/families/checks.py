@@ -23,7 +23,7 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.changes import margins_called
 from orbitfinder.families.codimension_two import is_centre
 from orbitfinder.families.critical import Critical, discriminant, levelled, torus_pair
-from orbitfinder.families.doubling import bending
+from orbitfinder.families.doubling import bending, born
 from orbitfinder.families.motion import parameters_at
 from orbitfinder.families.passages import index_levels, multiplier_levels
 from orbitfinder.families.point import freed, parameter_value, shift_at
@@ -166,8 +166,9 @@ class Sides:
     outer: Sequence[Probe] = ()
     """the orbits twice as far on both sides, where a parabola through the nearer ones is not enough"""
 
-    def zero(self, measure: Measure, sharp: bool = True) -> Reading:
-        """What a measure says: it is to vanish here and to change its sign, if it is `sharp` to tell where."""
+    def zero(self, measure: Measure, sharp: bool = True, within: float = SHARP) -> Reading:
+        """What a measure says: it is to vanish here, `within` so much of a step, and to change its sign, if it is
+        `sharp` to tell where."""
         low, value, high = measure(self.before), measure(self.here), measure(self.after)
         check("Sides.zero, value of its measure", "float", value)
         slope = abs(high - low) * self.step / (2 * self.apart)
@@ -177,7 +178,7 @@ class Sides:
             if noise > most and not self.here.curve.equations.links:
                 noise = abs(measure(_as(self.here, self.here.coarser)) - value)
         sure = low * high < 0 and noise <= most
-        return Reading(value, noise + SHARP * slope, bool(sure and abs(value) <= noise + SHARP * slope))
+        return Reading(value, noise + within * slope, bool(sure and abs(value) <= noise + within * slope))
 
     def values(self, name: str) -> tuple[float, float, float]:
         """A quantity before, at and after the event."""
@@ -249,9 +250,32 @@ def check_fold(sides: Sides, event: Event) -> Reading:
 
 
 def _turned(sides: Sides, parameter: str) -> Reading:
-    """A root at the level of mu = 1, which is sharp by the turn of a parameter if not by itself."""
-    passage = sides.zero(_level(2.0 if sides.here.about.conservative else 1.0), sharp=False)
-    return replace(passage, passed=passage.passed and sides.turning(parameter).passed)
+    """A root at the level of mu = 1, which is sharp by the turn of a parameter if not by itself.
+
+    Where the parameter hardly moves beyond its round-off, as in a canard, it is by itself, and the parameter turns.
+    """
+    level = _level(2.0 if sides.here.about.conservative else 1.0)
+    passage = sides.zero(level, sharp=False)
+    if passage.passed and sides.turning(parameter).passed:
+        return passage
+    passage = sides.zero(level, within=DOUBTFUL)
+    return replace(passage, passed=passage.passed and sides.turns(parameter))
+
+
+def fold_side(sides: Sides, event: Event) -> str:
+    """Whether the two orbits of a fold are at larger values of its parameter (supercritical) or at smaller ones.
+
+    Source: P. Glendinning, Stability, Instability and Chaos (1994), section 8.2.
+    """
+    if sides.here.about.conservative or not sides.turns(event.detail):
+        return ""
+    low, middle, _ = sides.values(event.detail)
+    return "supercritical" if low > middle else "subcritical"
+
+
+def birth_side(sides: Sides, event: Event) -> str:
+    """To which side the doubled orbit or the torus is born (`doubling.born`)."""
+    return born(sides.here.curve, sides.here.solution, event.multiplier)
 
 
 def check_turn(sides: Sides, event: Event) -> Reading:

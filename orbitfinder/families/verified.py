@@ -86,7 +86,7 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float) -> Readi
             said = ConvergenceError(str(error))
             continue
         if result.passed:
-            return result
+            return replace(result, criticality=kind.side(sides, event))
     if result is None:
         raise said
     return result
@@ -213,6 +213,8 @@ def _event(family: Family, curve: Curve, event: Event) -> Check:
         old = event.check
         if old is not None and not (old.passed and abs(old.value - again.value) <= old.error + again.error):
             raise ConvergenceError(f"recorded as {old.value:.3g} +- {old.error:.1g}, found {again.value:.3g}")
+        if old is not None and old.criticality and old.criticality != again.criticality:
+            raise ConvergenceError(f"recorded as {old.criticality}, found {again.criticality or 'neither'}")
     except (ConvergenceError, IntegrationError) as error:
         return refused(event.kind, error, float("nan"))
     return at_most(event.kind, abs(again.value), again.error, event.detail, again.passed)
