@@ -15,12 +15,14 @@ Applied Bifurcation Theory (2004), sections 5.4, 8.4, 9.4 and 9.5.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.errors import IntegrationError
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.orbits.closure import shift
@@ -44,8 +46,10 @@ def born(curve: Curve, solution: Solution, multiplier: complex) -> str:
     p = curve.equations
     if p.links or p.model.conservative or p.symmetry.relative or p.symmetry.fraction != 1.0 or curve.test:
         return ""
-    sign = 1.0 if multiplier.imag == 0.0 else -1.0
-    known = [sign * coefficient(curve, solution, multiplier, STEP * share) for share in FINER]
+    sign, known = 1.0 if multiplier.imag == 0.0 else -1.0, list[float]()
+    for share in FINER:
+        with suppress(IntegrationError, np.linalg.LinAlgError):  # what is so far beside an orbit may not come back
+            known.append(sign * coefficient(curve, solution, multiplier, STEP * share))
     for one, other in pairwise(known):
         if abs(one - other) < AGREED * min(abs(one), abs(other)):
             return "supercritical" if one > 0 else "subcritical"
