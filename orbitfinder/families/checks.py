@@ -213,6 +213,17 @@ class Sides:
         return bool(min(low - middle, high - middle) > known or max(low - middle, high - middle) < -known)
 
 
+    def bends(self, name: str) -> bool:
+        """Whether a quantity goes as a parabola through four orbits beside this, however little it does."""
+        if not self.outer:
+            return False
+        low, middle, high = self.values(name)
+        first, last = (probe.value(name) for probe in self.outer)
+        near, far = np.array([low, high]) - middle, np.array([first, last]) - middle
+        # a parabola's is 4, and round-off has none
+        return bool(abs(np.sign([*near, *far]).sum()) == 4 and 2.0 < far.sum() / near.sum() < 8.0)
+
+
 def _as(look: Probe, about: Any) -> Probe:
     """The same orbit with another map."""
     other = replace(look)
@@ -259,7 +270,7 @@ def _turned(sides: Sides, parameter: str) -> Reading:
     if passage.passed and sides.turning(parameter).passed:
         return passage
     passage = sides.zero(level, within=DOUBTFUL)
-    return replace(passage, passed=passage.passed and sides.turns(parameter))
+    return replace(passage, passed=passage.passed and sides.bends(parameter))
 
 
 def fold_side(sides: Sides, event: Event) -> str:
@@ -267,10 +278,10 @@ def fold_side(sides: Sides, event: Event) -> str:
 
     Source: P. Glendinning, Stability, Instability and Chaos (1994), section 8.2.
     """
-    if sides.here.about.conservative or not sides.turns(event.detail):
+    if sides.here.about.conservative or not (sides.turns(event.detail) or sides.bends(event.detail)):
         return ""
-    low, middle, _ = sides.values(event.detail)
-    return "supercritical" if low > middle else "subcritical"
+    low, middle, high = sides.values(event.detail)
+    return "supercritical" if low + high > 2 * middle else "subcritical"
 
 
 def birth_side(sides: Sides, event: Event) -> str:

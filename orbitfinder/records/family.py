@@ -184,7 +184,8 @@ class End:
     Of what was solved for there, a Hopf point or a join, the family's parameter, the period and the error bar of the
     parameter; `joined` is the orbit of the family that is joined: state, period, symmetry, winding, free. Where the
     period grows without bound the parameter is that at an infinite one, `period` the last orbit's, and `saddles` are
-    the equilibria that orbits come near: state and eigenvalues (1/s, as pairs of real and imaginary part).
+    the equilibria that orbits come near, in the order and as often as they do: state and eigenvalues (1/s, as pairs of
+    real and imaginary part).
     """
 
     _sparse = ("parameter", "period", "error", "joined", "saddles")
