@@ -29,7 +29,7 @@ from orbitfinder.families.passages import index_levels, multiplier_levels
 from orbitfinder.families.point import freed, parameter_value, shift_at
 from orbitfinder.families.registry import KINDS
 from orbitfinder.integrate.dop853 import ReferenceSettings
-from orbitfinder.loops.continued import Curve, Solution
+from orbitfinder.loops.continued import CORRECTOR, Curve, Solution
 from orbitfinder.loops.symmetry import turned
 from orbitfinder.loops.watch import arcs, numbers, unsure
 from orbitfinder.mechanics.kind import with_parameters
@@ -68,7 +68,9 @@ class Probe:
         model = with_parameters(p.model, freed(self.curve, w))
         if p.links:
             return hybrid_tour(model, w.nodes[0], w.period, turns)
-        beside = p.symmetry.whole(w.mesh, self.solution.march.states, self.curve.constant)
+        states, still = self.solution.march.states, self.solution.stepped < CORRECTOR.unmoved
+        states = states if still else p.march.states(w.nodes, w.mesh, w.tail)  # those of before the last step
+        beside = p.symmetry.whole(w.mesh, states, self.curve.constant)
         return tour(model, w.nodes[0], w.period, turns, p.symmetry.forward, beside, varied)
 
     @cached_property
@@ -211,7 +213,6 @@ class Sides:
         low, middle, high = self.values(name)
         known = 8 * np.finfo(float).eps * abs(middle)
         return bool(min(low - middle, high - middle) > known or max(low - middle, high - middle) < -known)
-
 
     def bends(self, name: str) -> bool:
         """Whether a quantity goes as a parabola through four orbits beside this, however little it does."""

@@ -51,7 +51,7 @@ PIECES = 16
 """State-transition matrices in a period, where an error may be made that is carried to the end"""
 GROWN = 1e-11
 """A motion from its start alone closes to this, in extents, or its linearisation is not that of the orbit; pieces of
-another one join to as much, relative to what each makes of an error"""
+another one join to as much, relative to the most that any of them makes of an error"""
 VARIED = ReferenceSettings(relative_tolerance=1e-13, absolute_tolerance=1e-14)
 COARSER = ReferenceSettings(relative_tolerance=1e-12, absolute_tolerance=1e-13)
 """For the state-transition matrices: of orbits with multipliers of 5e5, 1e-12 leaves the trivial ones wrong by 2e-8;
@@ -528,10 +528,10 @@ def tour(
     units, half = known_in(motion.path, motion.masses, period, model.angular), None
     loop, equations = _looped(model, motion, units, motion.path, period), Hamiltonian(model)
     if beside is not None and loop.closes.gap > GROWN and not own:
-        told, apart, gap = _beside(equations, motion, units, *beside, varied)
-        if apart <= GROWN:
-            largest = max(float(np.linalg.norm(piece)) for piece in in_extents(told.transitions, units))
-            motion, loop = told, replace(loop, closes=Closure(gap, largest, gap, (gap, largest)))
+        told, joins = _beside(equations, motion, units, *beside, varied)
+        motion, loop = (
+            (told, replace(loop, closes=joins)) if joins.gap <= GROWN * joins.amplification else (motion, loop)
+        )
     flows = None if model.forced or own else np.array([equations.field(0.0, y) for y in motion.begins]) / units
     if forward is not None:
         n = motion.turns.size
@@ -547,9 +547,9 @@ def tour(
 def _beside(
     equations: Hamiltonian, motion: Motion, units: np.ndarray, times: np.ndarray, states: np.ndarray,
     varied: ReferenceSettings,
-) -> tuple[Motion, float, float]:  # fmt: skip
-    """The motion in pieces that begin at `states` (k x 2n; k `times` from 0 to 1) of the same orbit; the largest gap
-    between two of them, the last and the first too, relative to what a piece makes of an error, and in extents.
+) -> tuple[Motion, Closure]:  # fmt: skip
+    """The motion in pieces that begin at `states` (k x 2n; k `times` from 0 to 1) of the same orbit, and how well they
+    join, the last and the first too: their largest gap and the most that a piece makes of an error.
 
     From its start alone an unstable orbit is known to fewer and fewer digits, and so is its linearisation.
     """
@@ -564,11 +564,11 @@ def _beside(
         path.append(integrate_in(units, equations.field, begins[-1], inside, VARIED)[:each])
     pieces, nodes, _ = _pieces(equations, np.array(begins), units, period, varied)
     first = begins[0] + shift(motion.turns, units.size)
-    apart = np.abs((nodes[1:] - [*begins[1:], first]) / units).max(axis=1)
-    sizes = [np.linalg.norm(piece) for piece in in_extents(pieces, units)]
+    apart = float(np.abs((nodes[1:] - [*begins[1:], first]) / units).max())
+    largest = max(float(np.linalg.norm(piece)) for piece in in_extents(pieces, units))
     whole = np.vstack([*path, first])
     told = replace(motion, transitions=pieces, begins=np.array(begins), path=whole, states=equations.states(whole))
-    return told, float(np.max(apart / sizes)), float(apart.max())
+    return told, Closure(apart, largest, apart, (apart, largest))
 
 
 def _divergence(equations: Hamiltonian, motion: Motion, units: np.ndarray) -> tuple[float, float]:
