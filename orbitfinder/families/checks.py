@@ -23,13 +23,13 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.changes import margins_called
 from orbitfinder.families.codimension_two import is_centre
 from orbitfinder.families.critical import Critical, discriminant, levelled, torus_pair
-from orbitfinder.families.doubling import bending
+from orbitfinder.families.doubling import bending, born
 from orbitfinder.families.motion import parameters_at
 from orbitfinder.families.passages import index_levels, multiplier_levels
 from orbitfinder.families.point import freed, parameter_value, shift_at
 from orbitfinder.families.registry import KINDS
 from orbitfinder.integrate.dop853 import ReferenceSettings
-from orbitfinder.loops.continued import Curve, Solution
+from orbitfinder.loops.continued import CORRECTOR, Curve, Solution
 from orbitfinder.loops.symmetry import turned
 from orbitfinder.loops.watch import arcs, numbers, unsure
 from orbitfinder.mechanics.kind import with_parameters
@@ -68,7 +68,9 @@ class Probe:
         model = with_parameters(p.model, freed(self.curve, w))
         if p.links:
             return hybrid_tour(model, w.nodes[0], w.period, turns)
-        beside = p.symmetry.whole(w.mesh, self.solution.march.states, self.curve.constant)
+        states, still = self.solution.march.states, self.solution.stepped < CORRECTOR.unmoved
+        states = states if still else p.march.states(w.nodes, w.mesh, w.tail)  # those of before the last step
+        beside = p.symmetry.whole(w.mesh, states, self.curve.constant)
         return tour(model, w.nodes[0], w.period, turns, p.symmetry.forward, beside, varied)
 
     @cached_property
@@ -166,8 +168,9 @@ class Sides:
     outer: Sequence[Probe] = ()
     """the orbits twice as far on both sides, where a parabola through the nearer ones is not enough"""
 
-    def zero(self, measure: Measure, sharp: bool = True) -> Reading:
-        """What a measure says: it is to vanish here and to change its sign, if it is `sharp` to tell where."""
+    def zero(self, measure: Measure, sharp: bool = True, within: float = SHARP) -> Reading:
+        """What a measure says: it is to vanish here, `within` so much of a step, and to change its sign, if it is
+        `sharp` to tell where."""
         low, value, high = measure(self.before), measure(self.here), measure(self.after)
         check("Sides.zero, value of its measure", "float", value)
         slope = abs(high - low) * self.step / (2 * self.apart)
@@ -177,7 +180,7 @@ class Sides:
             if noise > most and not self.here.curve.equations.links:
                 noise = abs(measure(_as(self.here, self.here.coarser)) - value)
         sure = low * high < 0 and noise <= most
-        return Reading(value, noise + SHARP * slope, bool(sure and abs(value) <= noise + SHARP * slope))
+        return Reading(value, noise + within * slope, bool(sure and abs(value) <= noise + within * slope))
 
     def values(self, name: str) -> tuple[float, float, float]:
         """A quantity before, at and after the event."""
@@ -210,6 +213,16 @@ class Sides:
         low, middle, high = self.values(name)
         known = 8 * np.finfo(float).eps * abs(middle)
         return bool(min(low - middle, high - middle) > known or max(low - middle, high - middle) < -known)
+
+    def bends(self, name: str) -> bool:
+        """Whether a quantity goes as a parabola through four orbits beside this, however little it does."""
+        if not self.outer:
+            return False
+        low, middle, high = self.values(name)
+        first, last = (probe.value(name) for probe in self.outer)
+        near, far = np.array([low, high]) - middle, np.array([first, last]) - middle
+        # a parabola's is 4, and round-off has none
+        return bool(abs(np.sign([*near, *far]).sum()) == 4 and 2.0 < far.sum() / near.sum() < 8.0)
 
 
 def _as(look: Probe, about: Any) -> Probe:
@@ -249,9 +262,32 @@ def check_fold(sides: Sides, event: Event) -> Reading:
 
 
 def _turned(sides: Sides, parameter: str) -> Reading:
-    """A root at the level of mu = 1, which is sharp by the turn of a parameter if not by itself."""
-    passage = sides.zero(_level(2.0 if sides.here.about.conservative else 1.0), sharp=False)
-    return replace(passage, passed=passage.passed and sides.turning(parameter).passed)
+    """A root at the level of mu = 1, which is sharp by the turn of a parameter if not by itself.
+
+    Where the parameter hardly moves beyond its round-off, as in a canard, it is by itself, and the parameter turns.
+    """
+    level = _level(2.0 if sides.here.about.conservative else 1.0)
+    passage = sides.zero(level, sharp=False)
+    if passage.passed and sides.turning(parameter).passed:
+        return passage
+    passage = sides.zero(level, within=DOUBTFUL)
+    return replace(passage, passed=passage.passed and sides.bends(parameter))
+
+
+def fold_side(sides: Sides, event: Event) -> str:
+    """Whether the two orbits of a fold are at larger values of its parameter (supercritical) or at smaller ones.
+
+    Source: P. Glendinning, Stability, Instability and Chaos (1994), section 8.2.
+    """
+    if sides.here.about.conservative or not (sides.turns(event.detail) or sides.bends(event.detail)):
+        return ""
+    low, middle, high = sides.values(event.detail)
+    return "supercritical" if low + high > 2 * middle else "subcritical"
+
+
+def birth_side(sides: Sides, event: Event) -> str:
+    """To which side the doubled orbit or the torus is born (`doubling.born`)."""
+    return born(sides.here.curve, sides.here.solution, event.multiplier)
 
 
 def check_turn(sides: Sides, event: Event) -> Reading:

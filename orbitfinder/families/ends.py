@@ -9,19 +9,22 @@ import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.continuation.follow import zero
-from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.errors import ConvergenceError, IntegrationError, plural
 from orbitfinder.families.joins import EVEN, Invariance, Join, agrees, approaching, end_of, passed, solved
 from orbitfinder.families.minimal import dead_point
 from orbitfinder.families.motion import full_samples
 from orbitfinder.families.passages import LOCATION
 from orbitfinder.families.point import LEAST, extents, freed, parameter_value
 from orbitfinder.families.rest import RestPoint, can_rest, rest_of, vanishing
+from orbitfinder.families.rest_problem import lyapunov, regular
 from orbitfinder.families.run import Interval, Run, Walked, portrait
 from orbitfinder.families.saddles import SLOW, blown_up, near_saddle, rest_near, slowness
 from orbitfinder.families.start import return_gaps
+from orbitfinder.integrate.jets import at_rest
 from orbitfinder.loops.conditions import hyperplane
 from orbitfinder.loops.continued import Curve, Solution, correct
 from orbitfinder.loops.symmetry import NONE, beside, named, recognise
+from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.records.family import End, FamilyPoint
 
 
@@ -181,9 +184,21 @@ def _hopf(run: Run, rest: RestPoint, more: str = "") -> End:
     name, where = run.settings.parameter, np.array2string(rest.state, precision=6)
     reason = (
         f"the orbits shrink to the Hopf point at {name} {rest.value:.12g} (+- {rest.error:.1g}), period "
-        f"{rest.period:.12g} s, of the equilibrium {where}{more}"
+        f"{rest.period:.12g} s, of the branch of equilibria through {where}, {_leaving(run, rest)}{more}"
     )
     return End("hopf", reason, rest.value, rest.period, rest.error)
+
+
+def _leaving(run: Run, rest: RestPoint) -> str:
+    """How cycles leave a branch of equilibria at a Hopf point, in words."""
+    name, values = run.settings.parameter, np.array([rest.value])
+    model = with_parameters(run.curve.equations.model, {**run.origin.free, name: rest.value})
+    problem = regular(at_rest(model, (name,), rest.state), rest.state, values)
+    z = np.append(rest.state, np.zeros(problem.jets.extra))
+    coefficient, _ = lyapunov(problem, z, values, 2 * np.pi / rest.period)
+    grown = int(np.count_nonzero(rest.others.real > 0))
+    beside = f" beside {plural(grown, 'eigenvalue')} that grow" if grown else ""
+    return f"{'super' if coefficient < 0 else 'sub'}critical (l1 = {coefficient:.6g}){beside}"
 
 
 def _turned_over(curve: Curve, before: Solution, solution: Solution) -> bool:

@@ -24,7 +24,7 @@ KINDS.update({
         checks.check_fold,
         "a multiplier is +1 and the parameter turns back: two orbits come together and vanish",
         Look("v", "triangle-down", "#7B3294", pixels=11),
-        extremal=True, critical=True, followed=Followed(at_level, beside_level, folds_turn),
+        extremal=True, critical=True, followed=Followed(at_level, beside_level, folds_turn), side=checks.fold_side,
     ),
     "turn": EventKind(
         checks.check_turn, "the period or a momentum is extremal, and no multiplier is +1",
@@ -42,7 +42,7 @@ KINDS.update({
     "period_doubling": EventKind(
         checks.check_passage, "a multiplier is -1: a family of twice the period is born",
         Look("s", "square", "#B2182B", series=3, pixels=9, numbered=True, across=True),
-        critical=True, branches=True, followed=Followed(at_level, beside_level, doublings_turn),
+        critical=True, branches=True, followed=Followed(at_level, beside_level, doublings_turn), side=checks.birth_side,
     ),
     "resonance": EventKind(
         checks.check_passage, "a pair of multipliers is at a root of unity: a family of q times the period is born",
@@ -53,6 +53,7 @@ KINDS.update({
         checks.check_torus, "a complex pair crosses the unit circle (Neimark and Sacker): tori are born",
         Look("P", "cross", "#01665E", series=4), critical=True,
         followed=Followed(pair_at_circle, along_circle, refused=neutral, beyond="a neutral saddle"),
+        side=checks.birth_side,
     ),
     "collision": EventKind(
         checks.check_collision, "two pairs of multipliers meet and leave the circle, or come back to it (Krein)",

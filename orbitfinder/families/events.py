@@ -102,11 +102,21 @@ def bifurcations(interval: Interval, most: int) -> list[tuple[Sample, Test]]:
 
 def find_events(interval: Interval, settings: FamilySettings) -> list[tuple[Sample, Test]]:
     """What happens in an interval, each with the orbit there."""
-    turned = [*zeros(interval, folds(interval))]
+    turned = [*zeros(interval, (test for test in folds(interval) if _moves(interval, test)))]
     seen = sorted(turned + bifurcations(interval, settings.resonances), key=lambda pair: pair[0].distance)
     turns = [sample.distance for sample, test in turned if test.detail != "period"]
     seen = [(p, t) for p, t in seen if not KINDS[t.kind].crosses or (_apart(p.distance, turns) and _told(interval))]
     return seen + _changes(interval, seen)
+
+
+def _moves(interval: Interval, test: Test) -> bool:
+    """Whether what may turn moves within a step by more than its round-off, as in the midst of a canard it does not."""
+    ends, steepest = (
+        (interval.first, interval.last),
+        max(abs(test.measure(end)) for end in (interval.first, interval.last)),
+    )
+    value = max(abs(parameter_value(interval.curve, end.solution.place, test.detail)) for end in ends)
+    return bool(steepest * interval.length > FLAT * np.finfo(float).eps * value)
 
 
 def _told(interval: Interval) -> bool:
@@ -172,6 +182,8 @@ def _changes(interval: Interval, events: list[tuple[Sample, Test]]) -> list[tupl
 # Source: Yu. A. Kuznetsov, Elements of Applied Bifurcation Theory (2004), sections 5.3 and 10.2.
 
 
+FLAT = 4.0
+"""Round-offs that a number has to change by within a step to turn there"""
 GRAZED = 0.1
 """A modulus within this share of 1 at one of the two points may have passed it and come back."""
 DEEPEST = 6

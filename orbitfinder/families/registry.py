@@ -76,7 +76,8 @@ class EventKind:
     `crosses`: two families cross, by a multiplier at +1 that every fold has too. `critical`: the verdict on stability
     may change there. `verdict`: it does, and the detail says how. `branches`: other families leave there
     (`of.switch_branch`). `followed`: how a curve in two parameters leads through it (`of.follow_curve`). `second`: it
-    is met on such curves only, and a pair that comes to +1 or -1 there `leaves` the unit circle.
+    is met on such curves only, and a pair that comes to +1 or -1 there `leaves` the unit circle. `side` says whether it
+    is supercritical or subcritical, where that can be told.
     """
 
     check: Callable[[Any, Event], Reading]
@@ -91,6 +92,7 @@ class EventKind:
     followed: Followed | None = None
     second: bool = False
     leaves: bool = False
+    side: Callable[[Any, Event], str] = lambda sides, event: ""
 
 
 KINDS = Registry(EventKind)

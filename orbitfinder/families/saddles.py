@@ -155,7 +155,7 @@ def blown_up(run: Run, step: Walked, more: str = "") -> End | None:
     reason = (
         f"{grown} towards a {kind} {what} {named} at {run.settings.parameter} {value:.12g} (+- {error:.1g}){settles}"
     )
-    return _end(step, kind, reason + more, (value, error), saddles)
+    return _end(step, kind, reason + more, (value, error), known)
 
 
 def _end(step: Walked, kind: str, reason: str, limit: Limit, saddles: Sequence[Saddle]) -> End:
@@ -258,6 +258,11 @@ def _powers(rate: complex) -> Term:
     return term
 
 
+def saddle_node_limit(periods: np.ndarray, values: np.ndarray) -> Limit:
+    """The value at an infinite period and its error, of orbits that slow down at a saddle-node."""
+    return extrapolated(periods, values, [_inverse(power) for power in (2.0, 3.0, 4.0)])
+
+
 def _inverse(power: float) -> Term:
     """T^-power, as a column."""
     return lambda periods: (periods**-power)[:, None]
@@ -319,7 +324,7 @@ def _saddle_node(run: Run, step: Walked, state: np.ndarray, grown: str, more: st
         return None
     z, p, _ = problem.parts(solved)
     x, value = z[: state.size], float(p[0])
-    towards, bar = extrapolated(periods, values, [_inverse(power) for power in (2.0, 3.0, 4.0)])
+    towards, bar = saddle_node_limit(periods, values)
     near = np.all(np.abs(x - state) <= SLOW.near * extents(curve, step.solution.march.states))
     if not near or abs(towards - value) > SLOW.alike * abs(values[-1] - value) + bar:
         return None

@@ -4,7 +4,7 @@ point claims of the family."""
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,6 +18,7 @@ from orbitfinder.families.checks import ALIKE, Probe, Sides, check_known
 from orbitfinder.families.critical import Critical, levelled
 from orbitfinder.families.entries import kind_of
 from orbitfinder.families.point import unknowns_of
+from orbitfinder.families.saddles import homoclinic_limit, saddle_node_limit
 from orbitfinder.families.start import curve_in, fitted
 from orbitfinder.integrate.equations import hamilton
 from orbitfinder.integrate.field import vector_field
@@ -51,7 +52,9 @@ SAME_STEP = 1e-6
 """... or this share of how much it changes in the step, if that is more"""
 GROWN = 1.5
 """A family that ends homoclinic has a period this many times its shortest"""
-SHARES = ((3e-3, 0), (3e-4, 0), (5e-2, 1), (2e-1, 1))
+SETTLED = 1e-6
+"""Equilibria and eigenvalues at such an end are known to this, relative"""
+SHARES = ((3e-3, 0), (3e-4, 0), (5e-2, 1), (2e-1, 1), (5e-1, 1))
 """How far the orbits on both sides are, in steps of the family, and whether there are others twice as far: the nearer
 ones where two events share a step, the farthest where a parameter hardly moves beyond its round-off, as in a canard"""
 STEPS = 480
@@ -86,7 +89,7 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float) -> Readi
             said = ConvergenceError(str(error))
             continue
         if result.passed:
-            return result
+            return replace(result, criticality=kind.side(sides, event))
     if result is None:
         raise said
     return result
@@ -213,6 +216,8 @@ def _event(family: Family, curve: Curve, event: Event) -> Check:
         old = event.check
         if old is not None and not (old.passed and abs(old.value - again.value) <= old.error + again.error):
             raise ConvergenceError(f"recorded as {old.value:.3g} +- {old.error:.1g}, found {again.value:.3g}")
+        if old is not None and old.criticality and old.criticality != again.criticality:
+            raise ConvergenceError(f"recorded as {old.criticality}, found {again.criticality or 'neither'}")
     except (ConvergenceError, IntegrationError) as error:
         return refused(event.kind, error, float("nan"))
     return at_most(event.kind, abs(again.value), again.error, event.detail, again.passed)
@@ -273,10 +278,47 @@ def _target(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
     return at_most(end.kind, off, ROUNDED * abs(wanted), end.reason)
 
 
-def _homoclinic(family: Family, _: Curve, end: End, at: FamilyPoint) -> Check:
-    """The period has grown."""
+def _blown_up(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
+    """The period has grown; what orbits come near are equilibria with these eigenvalues at the parameter, to which the
+    family's own orbits go."""
     grown = at.period / float(family.values("period").min())
-    return at_most(end.kind, GROWN / grown, 1.0, "shortest period over the last one, times 1.5")
+    off = [GROWN / grown]
+    value, free = float(end.parameter or 0.0), dict(at.free)
+    if end.saddles and family.parameter in free:
+        step = 1 if at is family.points[-1] else -1
+        periods, values = family.values("period")[::step], family.values("value")[::step]
+        known = [np.array(saddle["eigenvalues"]) @ [1, 1j] for saddle in end.saddles]
+        limit = (
+            saddle_node_limit(periods, values)
+            if end.kind == "saddle-node"
+            else homoclinic_limit(periods, values, known)
+        )
+        off.append(abs(limit[0] - value) / (limit[1] + float(end.error or 0.0)))
+        free[family.parameter] = value
+    model = with_parameters(curve.equations.model, free)
+    equations = hamilton(model)
+    linearised = _linearised(equations)
+    for saddle in end.saddles:
+        x = np.array(saddle["state"])[equations.coordinates.chosen]
+        if model.rates is None:
+            x[equations.coordinates.size :] = 0.0
+        rest = equilibrium(linearised, x, max(1.0, float(np.abs(x).max())))
+        again, told = np.linalg.eigvals(linearised(rest.w)[1]), np.array(saddle["eigenvalues"]) @ [1, 1j]
+        gaps = np.abs(again[:, None] - told)
+        off += [float(np.abs(rest.w - x).max()) / (SETTLED * max(1.0, float(np.abs(x).max()))),
+                float(gaps[linear_sum_assignment(gaps)].max()) / (SETTLED * float(np.abs(told).max()))]  # fmt: skip
+    return at_most(end.kind, max(off), 1.0, "of the period's growth, the saddles and the parameter, the most wrong")
+
+
+def _linearised(equations: Any) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """The rates and their slopes by canonical equations."""
+    variational = vector_field(equations.variational)
+
+    def linearised(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        varied = variational(0.0, np.concatenate([y, np.eye(y.size).ravel(), [0.0]]))
+        return varied[: y.size], varied[y.size : -1].reshape(y.size, y.size, order="F")
+
+    return linearised
 
 
 def _rest(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
@@ -289,12 +331,7 @@ def _rest(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
     y = 0.5 * (states.max(axis=0) + states.min(axis=0))[equations.coordinates.chosen]
     if model.rates is None:
         y[equations.coordinates.size :] = 0.0
-    size, variational = y.size, vector_field(equations.variational)
-
-    def linearised(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        varied = variational(0.0, np.concatenate([y, np.eye(size).ravel(), [0.0]]))
-        return varied[:size], varied[size:-1].reshape(size, size, order="F")
-
+    linearised = _linearised(equations)
     rest = equilibrium(linearised, y, max(1.0, float(np.abs(y).max())))
     turning = np.abs(np.linalg.eigvals(linearised(rest.w)[1]).imag)
     # an orbit beside an equilibrium has the period of its linear oscillation to this share
@@ -320,7 +357,8 @@ def _joined(_: Family, curve: Curve, end: End, __: FamilyPoint) -> Check:
     return at_most(end.kind, max(off, apart), ALIKE, end.reason, gap <= 1.0)
 
 
-SOLVED = {"target": _target, "equilibrium": _rest, "hopf": _rest, "homoclinic": _homoclinic}
+BLOWN_UP = dict.fromkeys(("homoclinic", "heteroclinic", "saddle-node"), _blown_up)
+SOLVED = {"target": _target, "equilibrium": _rest, "hopf": _rest, **BLOWN_UP}
 """The checks of what was solved for at an end, by its kind"""
 
 

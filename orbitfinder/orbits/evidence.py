@@ -51,7 +51,7 @@ PIECES = 16
 """State-transition matrices in a period, where an error may be made that is carried to the end"""
 GROWN = 1e-11
 """A motion from its start alone closes to this, in extents, or its linearisation is not that of the orbit; pieces of
-another one join to as much, relative to what each makes of an error"""
+another one join to as much, relative to the most that any of them makes of an error"""
 VARIED = ReferenceSettings(relative_tolerance=1e-13, absolute_tolerance=1e-14)
 COARSER = ReferenceSettings(relative_tolerance=1e-12, absolute_tolerance=1e-13)
 """For the state-transition matrices: of orbits with multipliers of 5e5, 1e-12 leaves the trivial ones wrong by 2e-8;
@@ -297,6 +297,8 @@ class Tour:
     divergence: Callable[[], tuple[float, float]] = lambda: (0.0, 0.0)
     motion: tuple[np.ndarray, np.ndarray] = (np.zeros(0), np.zeros((0, 0)))
     """times (k) and states (k x d) of the period"""
+    flows: np.ndarray | None = None
+    """rates where pieces begin (k x m, in extents), of autonomous systems: what errors along them would lead astray"""
 
     @property
     def root(self) -> int:
@@ -305,13 +307,17 @@ class Tour:
 
     def map(self, noise: np.random.Generator | None = None, share: float = 0.0) -> np.ndarray:
         """The root map without trivial multipliers (r x r), each piece with an error that is a `share` of its norm."""
-        return reduce_monodromy(self.inner(noise, share), *self._framed)
+        return reduce_monodromy(self.inner(noise, share, self.flows), *self._framed)
 
-    def inner(self, noise: np.random.Generator | None = None, share: float = 0.0) -> np.ndarray:
-        """The same with them, on what constraints leave."""
+    def inner(
+        self, noise: np.random.Generator | None = None, share: float = 0.0, flows: np.ndarray | None = None
+    ) -> np.ndarray:
+        """The same with them, on what constraints leave; without what is along `flows` where pieces begin."""
         whole = np.eye(self.units.size)
-        for piece in self.pieces[: len(self.pieces) // self.root]:
+        for k, piece in enumerate(self.pieces[: len(self.pieces) // self.root]):
             error = 0.0 if noise is None else share * np.linalg.norm(piece, 2) * noise.normal(size=piece.shape)
+            if k and flows is not None:
+                whole = whole - np.outer(flows[k], flows[k] @ whole) / (flows[k] @ flows[k])
             whole = (piece + error) @ whole
         whole = whole if self.half is None else self.half @ whole
         return np.asarray(self.basis.T @ whole @ self.basis)
@@ -521,39 +527,49 @@ def tour(
     given = model, state, period, turns, evenly(period), TIGHTEST
     motion = own(*given) if own else canonical_motion(*given, varied)
     units, half = known_in(motion.path, motion.masses, period, model.angular), None
-    loop = _looped(model, motion, units, motion.path, period)
+    loop, equations = _looped(model, motion, units, motion.path, period), Hamiltonian(model)
     if beside is not None and loop.closes.gap > GROWN and not own:
-        told, apart = _beside(Hamiltonian(model), motion, units, *beside, varied)
-        motion = told if apart <= GROWN else motion
+        told, joins = _beside(equations, motion, units, *beside, varied)
+        motion, loop = (
+            (told, replace(loop, closes=joins)) if joins.gap <= GROWN * joins.amplification else (motion, loop)
+        )
+    flows = None if model.forced or own else np.array([equations.field(0.0, y) for y in motion.begins]) / units
     if forward is not None:
         n = motion.turns.size
         places = forward.places(n) * (units[None, :n] / units[:n, None])
         half = places if n == units.size else np.kron(np.eye(2), forward.places(n)) * units[None, :] / units[:, None]
     return replace(
         loop, pieces=in_extents(motion.transitions, units), half=half,
-        divergence=partial(_divergence, Hamiltonian(model), motion, units), motion=(motion.times, motion.states),
+        divergence=partial(_divergence, equations, motion, units), motion=(motion.times, motion.states),
+        flows=flows,
     )  # fmt: skip
 
 
 def _beside(
     equations: Hamiltonian, motion: Motion, units: np.ndarray, times: np.ndarray, states: np.ndarray,
     varied: ReferenceSettings,
-) -> tuple[Motion, float]:  # fmt: skip
-    """The motion with transitions of pieces that begin at `states` (k x 2n; k `times` from 0 to 1) of the same orbit,
-    and the largest gap between two of them, relative to what a piece makes of an error.
+) -> tuple[Motion, Closure]:  # fmt: skip
+    """The motion in pieces that begin at `states` (k x 2n; k `times` from 0 to 1) of the same orbit, and how well they
+    join, the last and the first too: their largest gap and the most that a piece makes of an error.
 
     From its start alone an unstable orbit is known to fewer and fewer digits, and so is its linearisation.
     """
-    edges = motion.times[:: SAMPLES // PIECES]
-    period, begins = float(edges[-1]), []
-    for now in edges[:-1]:
+    each = SAMPLES // PIECES
+    edges = motion.times[::each]
+    period, begins, path = float(edges[-1]), [], []
+    for k, now in enumerate(edges[:-1]):
         near = int(np.searchsorted(times * period, now, side="right")) - 1
         span = np.array([times[near] * period, now])
         begins.append(integrate_in(units, equations.field, equations.start(states[near]), span, VARIED)[-1])
+        inside = motion.times[k * each : (k + 1) * each + 1]
+        path.append(integrate_in(units, equations.field, begins[-1], inside, VARIED)[:each])
     pieces, nodes, _ = _pieces(equations, np.array(begins), units, period, varied)
-    apart = np.abs((nodes[1:-1] - begins[1:]) / units).max(axis=1)
-    sizes = [np.linalg.norm(piece) for piece in in_extents(pieces, units)]
-    return replace(motion, transitions=pieces, begins=np.array(begins)), float(np.max(apart / sizes[:-1]))
+    first = begins[0] + shift(motion.turns, units.size)
+    apart = float(np.abs((nodes[1:] - [*begins[1:], first]) / units).max())
+    largest = max(float(np.linalg.norm(piece)) for piece in in_extents(pieces, units))
+    whole = np.vstack([*path, first])
+    told = replace(motion, transitions=pieces, begins=np.array(begins), path=whole, states=equations.states(whole))
+    return told, Closure(apart, largest, apart, (apart, largest))
 
 
 def _divergence(equations: Hamiltonian, motion: Motion, units: np.ndarray) -> tuple[float, float]:

@@ -113,11 +113,15 @@ class FamilyPoint(Orbit):
 
 @dataclass(frozen=True)
 class Reading:
-    """What the check of an event read: a `value` that is 0 at such an event, its `error`, and whether it `passed`."""
+    """What the check of an event read: a `value` that is 0 at such an event, its `error`, and whether it `passed`; and
+    whether the event is supercritical or subcritical, where that was told."""
+
+    _sparse = ("criticality",)
 
     value: float
     error: float
     passed: bool
+    criticality: str = ""
 
 
 @dataclass(frozen=True)
@@ -135,7 +139,8 @@ class Event(Shown):
 
     __repr__ = brief("kind", "detail", "parameter", "period", "index")
     _called = FamilyPoint._called
-    _sparse = ("check", "watch")
+    _entries = (..., "criticality")
+    _sparse = ("check", "watch", "criticality")
 
     kind: str
     index: int
@@ -160,9 +165,16 @@ class Event(Shown):
     _check = _check_place
 
     @property
+    def criticality(self) -> str:
+        """supercritical or subcritical: of a doubling or a torus by what is born there, which is stable where the orbit
+        is not, or unstable where it is stable; of a fold by where its orbits are, at larger or at smaller values of the
+        parameter. "" where that is not told."""
+        return self.check.criticality if self.check else ""
+
+    @property
     def words(self) -> str:
-        """What happens, for reading: its kind and detail."""
-        return f"{self.kind.replace('_', ' ')} {self.detail}".strip()
+        """What happens, for reading: whether it is super- or subcritical, its kind and detail."""
+        return f"{self.criticality} {self.kind.replace('_', ' ')} {self.detail}".strip()
 
 
 @dataclass(frozen=True)
@@ -172,7 +184,8 @@ class End:
     Of what was solved for there, a Hopf point or a join, the family's parameter, the period and the error bar of the
     parameter; `joined` is the orbit of the family that is joined: state, period, symmetry, winding, free. Where the
     period grows without bound the parameter is that at an infinite one, `period` the last orbit's, and `saddles` are
-    the equilibria that orbits come near: state and eigenvalues (1/s, as pairs of real and imaginary part).
+    the equilibria that orbits come near, in the order and as often as they do: state and eigenvalues (1/s, as pairs of
+    real and imaginary part).
     """
 
     _sparse = ("parameter", "period", "error", "joined", "saddles")
