@@ -49,6 +49,8 @@ NEUTRAL = 1e-9
 RESIDUAL, SLOPES, CRITICAL = 1e-12, 1e-7, 1e-8
 """What may be left of the rates, of the eigenvalues by differences and of a critical one by the flow, in the pace of
 the equilibrium and its sizes"""
+NOISE = 1e-14
+"""Components so small, in their sizes, are 0"""
 LEAVING = (0.01, 0.002, 0.0004, 0.05)
 """How far from a branch point other equilibria are looked for; the first that succeeds is taken"""
 DIFFERENCE = 2e-3
@@ -333,8 +335,8 @@ def _pair(point: Point) -> float:
 def _recorded(
     problem: AtRest, z: np.ndarray, p: np.ndarray, arclength: float, parameter: str, values: np.ndarray
 ) -> Equilibrium:
-    d, model = problem.jets.size, problem.jets.model
-    values = values[np.lexsort((-values.imag, -values.real))]
+    d, model, noise = problem.jets.size, problem.jets.model, NOISE * problem.z_sizes
+    z, values = np.where(np.abs(z) <= noise, 0.0, z), values[np.lexsort((-values.imag, -values.real))]
     value = float(p[problem.jets.free.index(parameter)])
     residual, slopes = by_differences(model, z[:d], {parameter: value}, problem.z_sizes[:d], problem.pace, values)
     return Equilibrium(
@@ -402,7 +404,7 @@ def _event(kept: KeptPoint, way: _Way, index: int) -> RestEvent | None:
     value = by_the_flow(model, z[:d], problem.z_sizes[:d], problem.pace, claimed)
     check = Reading(value, CRITICAL, bool(value <= CRITICAL and found.residual <= RESIDUAL))
     return RestEvent(
-        name, index, found.arclength, float(p[0]), float(bars[-1]), z[:d], found.eigenvalues, check, critical=claimed,
+        name, index, found.arclength, float(p[0]), float(bars[-1]), found.state, found.eigenvalues, check, critical=claimed,
         **known,
     )  # fmt: skip
 
