@@ -15,6 +15,7 @@ FIRST = {
     "linkage": ("length",),
     "mechanism": ("bodies", "joints"),
     "robot": ("file",),
+    "equations": (),
 }
 """What each function that makes a system takes first; the rest is given by name"""
 BEYOND = ("controls", "limits", "cycle", "scales")

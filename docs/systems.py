@@ -111,7 +111,8 @@ class Entry:
     def record(self) -> Path | None:
         """Its orbit.json; None of a search, of a file that a family begins with, and where none is found."""
         folder, stem = self.path.parent.name, self.path.stem
-        if folder == "families" or "guess" not in self.document or self.name in STIFF:
+        resting = "guess" not in self.document or list(self.document["guess"]) == ["state"]
+        if folder == "families" or resting or self.name in STIFF:
             return None
         shipped = ROOT / "results" / RESULTS.get(folder, "none") / stem / "orbit.json"
         return shipped if shipped.is_file() else RECORDS / f"{self.name}.json"
@@ -141,8 +142,10 @@ def kind_of(entry: Entry) -> str:
     system, function = entry.system, str(entry.system.get("function", ""))
     if "control" in entry.document:
         return "control"
-    if entry.program:
+    if entry.program or system["kind"] == "equations":
         model = loaded(entry).model
+        if model.rates is None and not model.hybrid:
+            return "forced"
         return "hybrid" if model.hybrid else "fields" if model.hamiltonian else "first-order"
     if system["kind"] != "python":
         return f"{system['kind']}s"

@@ -45,6 +45,7 @@ from .loops.ipopt import SolveSettings as SolveSettings
 from .loops.problem import Guess as Guess
 from .loops.problem import Problem as Problem
 from .mechanics.constrained import constrained as constrained
+from .mechanics.equations import equations as equations
 from .mechanics.first_order import hamiltonian as hamiltonian
 from .mechanics.first_order import ode as ode
 from .mechanics.hybrid import Mode as Mode
@@ -71,7 +72,9 @@ from .orbits.find import find_orbit as find_orbit
 from .orbits.refine import Refiner as Refiner
 from .orbits.simulate import simulate as simulate
 from .orbits.sweep import sweep as sweep
+from .problemfile.auto import from_auto as from_auto
 from .problemfile.read import load_problem as load_problem
+from .problemfile.xpp import from_xpp as from_xpp
 from .proof.theorem import prove as prove
 from .records.certificate import Certificate as Certificate
 from .records.family import Family as Family

@@ -6,84 +6,146 @@ Text is what files can carry, so that a cost can be recomputed from an orbit.jso
 from __future__ import annotations
 
 import ast
+import keyword
 import math
+import re
+import warnings
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import casadi as ca
 
-from orbitfinder.errors import InputError, closest
+from orbitfinder.errors import InputError, closest, shortened
+
+
+def _either(condition: Any, this: Any, that: Any) -> Any:
+    """What holds under a condition, else what does not; a condition of numbers alone is settled here."""
+    return (this if condition else that) if isinstance(condition, float) else ca.if_else(condition, this, that)
+
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {
     "sin": ca.sin, "cos": ca.cos, "tan": ca.tan, "sqrt": ca.sqrt, "exp": ca.exp, "log": ca.log, "tanh": ca.tanh,
-    "atan2": ca.atan2,
+    "sinh": ca.sinh, "cosh": ca.cosh, "asin": ca.asin, "acos": ca.acos, "atan": ca.atan, "atan2": ca.atan2,
+    "abs": ca.fabs, "min": lambda *each: reduce(ca.fmin, each), "max": lambda *each: reduce(ca.fmax, each),
+    "if": _either,
 }  # fmt: skip
 """What may be called in an expression."""
+COUNTS = {"atan2": (2, 2), "if": (3, 3), "min": (2, 20), "max": (2, 20)}
+"""The fewest and the most arguments of those that do not take 1"""
 LONGEST, DEEPEST = 2000, 60
 """Letters of an expression, and how deeply it may be nested"""
+OWN, MARK = sorted({*keyword.kwlist} - {"and", "or", "not", "True", "False", "None"}), "\u01c1"
+WORDS = re.compile(rf"\b({'|'.join(OWN)})\b(?!\s*:)")
+"""Python's own words, which are names here, such as `lambda` and `if`, by a letter after them"""
 
 _OPERATIONS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: lambda a, b: a + b, ast.Sub: lambda a, b: a - b, ast.Mult: lambda a, b: a * b,
     ast.Div: lambda a, b: a / b, ast.Pow: lambda a, b: a**b, ast.USub: lambda a: -a, ast.UAdd: lambda a: a,
+    ast.Lt: ca.lt, ast.LtE: ca.le, ast.Gt: ca.gt, ast.GtE: ca.ge, ast.Eq: ca.eq, ast.NotEq: ca.ne,
+    ast.And: ca.logic_and, ast.Or: ca.logic_or, ast.Not: ca.logic_not,
 }  # fmt: skip
 
 
 def expression(
-    text: str, known: Mapping[str, Any], where: str, calls: Mapping[str, Callable[[Any], Any]] | None = None
+    text: str, known: Mapping[str, Any], where: str, calls: Mapping[str, Callable[..., Any]] | None = None
 ) -> Any:
-    """The value of a text in these names (numbers or symbols) and with further `calls` of one argument; `InputError`
-    begins with `where`."""
-    if not isinstance(text, str) or not text.strip() or len(text) > LONGEST:
-        raise InputError(f"{where}: must be an expression as text, such as 'torque1**2', got {str(text)[:40]!r}")
+    """The value of a text in these names (numbers or symbols) and with further `calls`, of 1 argument or as many as
+    their attribute `count` says; `InputError` begins with `where`."""
+    if not isinstance(text, str) or not text.strip() or len(text) > LONGEST or "#" in text:
+        raise InputError(f"{where}: must be an expression as text, such as 'torque1**2', of at most {LONGEST} letters, "
+                         f"without comments, got {str(text)[:40]!r}")  # fmt: skip
+    source = WORDS.sub(rf"\1{MARK}", " ".join(text.replace("^", "**").split()))
     try:
-        tree = ast.parse(text.strip().replace("^", "**"), mode="eval")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Python's advice on its own programs
+            tree = ast.parse(source, mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise InputError(f"{where}: {text!r} is no expression ({error}); write it as 'torque1**2 + theta1'") from None
-    return _value(tree.body, known, where, 0, FUNCTIONS | dict(calls or {}))
+        said = str(error).replace(MARK, "").replace(" (<unknown>, line 1)", "")
+        shown = shortened(repr(text), 120)
+        raise InputError(f"{where}: {shown} is no expression ({said}); write it as 'torque1**2 + theta1'") from None
+    return _Reading(source, known, where, FUNCTIONS | dict(calls or {}), calls or {}).value(tree.body)
 
 
-def _value(
-    node: ast.AST, known: Mapping[str, Any], where: str, depth: int, calls: Mapping[str, Callable[..., Any]]
-) -> Any:
-    """The value of a part of the text, a real and finite one where it is a number."""
-    if depth > DEEPEST:
-        raise InputError(f"{where}: nested too deeply; write it in fewer brackets")
-    try:
-        value = _worked_out(node, known, where, depth, calls)
-    except InputError:
-        raise
-    except (ArithmeticError, ValueError):
-        value = math.nan
-    if isinstance(value, complex) or (isinstance(value, float) and not math.isfinite(value)):
-        raise InputError(f"{where}: {ast.unparse(node)[:60]!r} is no finite real number; write a smaller one, no root "
-                         "of a negative one and nothing divided by 0")  # fmt: skip
-    return value
+@dataclass(frozen=True)
+class _Reading:
+    """A text that is worked out, with what its names and calls mean."""
 
+    source: str
+    known: Mapping[str, Any]
+    where: str
+    calls: Mapping[str, Callable[..., Any]]
+    own: Mapping[str, Callable[..., Any]]
 
-def _worked_out(
-    node: ast.AST, known: Mapping[str, Any], where: str, depth: int, calls: Mapping[str, Callable[..., Any]]
-) -> Any:
-    def value(part: ast.AST) -> Any:
-        return _value(part, known, where, depth + 1, calls)
+    def value(self, node: ast.AST, depth: int = 0) -> Any:
+        """The value of a part of the text, a real and finite one where it is a number."""
+        if depth > DEEPEST:
+            raise InputError(f"{self.where}: nested too deeply; write it in fewer brackets")
+        try:
+            return self._sound(self._worked_out(node, depth + 1), node)
+        except InputError:
+            raise
+        except (ArithmeticError, ValueError):
+            return self._sound(math.nan, node)
 
-    if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)) and not isinstance(node.value, bool):
-        return float(node.value)
-    if isinstance(node, ast.Name):
-        if node.id == "pi":
-            return 3.141592653589793
-        if node.id not in known:
-            listed = ", ".join(known)
-            raise InputError(f"{where}: unknown name {node.id!r}{closest(node.id, known)}; known are {listed}")
-        return known[node.id]
-    if isinstance(node, ast.BinOp) and type(node.op) in _OPERATIONS:
-        return _OPERATIONS[type(node.op)](value(node.left), value(node.right))
-    if isinstance(node, ast.UnaryOp) and type(node.op) in _OPERATIONS:
-        return _OPERATIONS[type(node.op)](value(node.operand))
-    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
-        name = node.func.id
-        if name in calls and len(node.args) == 1 + (name == "atan2"):
-            return calls[name](*map(value, node.args))
-    raise InputError(
-        f"{where}: {ast.unparse(node)[:60]!r} is not allowed; use numbers, names, + - * / **, brackets and "
-        f"{', '.join(calls)}"
-    )
+    def _sound(self, value: Any, node: ast.AST) -> Any:
+        if isinstance(value, complex) or (isinstance(value, float) and not math.isfinite(value)):
+            raise InputError(f"{self.where}: {self._shown(node)} is no finite real number; write a smaller one, no "
+                             "root of a negative one and nothing divided by 0")  # fmt: skip
+        return value
+
+    def _shown(self, node: ast.AST) -> str:
+        return repr(shortened((ast.get_source_segment(self.source, node) or "").replace(MARK, "")))
+
+    def _worked_out(self, node: ast.AST, depth: int) -> Any:
+        if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)) and not isinstance(node.value, bool):
+            return float(node.value)
+        if isinstance(node, ast.Name):
+            return self._named(node.id.removesuffix(MARK))
+        if isinstance(node, ast.BinOp) and type(node.op) in _OPERATIONS:
+            return self._chain(node, depth)
+        if isinstance(node, ast.UnaryOp) and type(node.op) in _OPERATIONS:
+            return _OPERATIONS[type(node.op)](self.value(node.operand, depth))
+        if isinstance(node, ast.BoolOp):
+            return reduce(_OPERATIONS[type(node.op)], (self.value(part, depth) for part in node.values))
+        if isinstance(node, ast.Compare) and all(type(sign) in _OPERATIONS for sign in node.ops):
+            sides = [self.value(part, depth) for part in (node.left, *node.comparators)]
+            pairs = zip(node.ops, sides, sides[1:], strict=False)
+            return reduce(ca.logic_and, [_OPERATIONS[type(sign)](left, right) for sign, left, right in pairs])
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
+            name = node.func.id.removesuffix(MARK)
+            if name in self.calls and self._suits(name, len(node.args)):
+                return self.calls[name](*(self.value(part, depth) for part in node.args))
+        name = node.func.id if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) else ""
+        raise InputError(
+            f"{self.where}: {self._shown(node)} is not allowed{'' if name in self.calls else closest(name, self.calls)}"
+            f"; use numbers, names, + - * / **, brackets and {', '.join(self.calls)}"
+        )
+
+    def _named(self, name: str) -> Any:
+        if name == "pi":
+            return math.pi
+        if name not in self.known:
+            listed = shortened(", ".join(self.known), 300)
+            raise InputError(f"{self.where}: unknown name {name!r}{closest(name, self.known)}; known are {listed}")
+        return self.known[name]
+
+    def _chain(self, node: ast.BinOp, depth: int) -> Any:
+        """a + b + c + ..., from the left: as long as it may be, it is not nested."""
+        terms: list[ast.BinOp] = []
+        part: ast.expr = node
+        while isinstance(part, ast.BinOp) and type(part.op) in _OPERATIONS:
+            terms.append(part)
+            part = part.left
+        value = self.value(part, depth)
+        for term in reversed(terms):
+            value = self._sound(_OPERATIONS[type(term.op)](value, self.value(term.right, depth)), term)
+        return value
+
+    def _suits(self, name: str, count: int) -> bool:
+        """Whether a function takes so many arguments."""
+        fewest, most = COUNTS.get(name, (1, 1))
+        if name in self.own:
+            fewest = most = getattr(self.own[name], "count", 1)
+        return fewest <= count <= most

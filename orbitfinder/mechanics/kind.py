@@ -74,7 +74,7 @@ def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model
         kind = system_kind(system)
         if trusted is not None or not kind.described:
             return _built(kind, system, trusted)
-        return _models((json.dumps(system, sort_keys=True), get_ident()), lambda: _built(kind, system, trusted))
+        return _models((json.dumps(system), get_ident()), lambda: _built(kind, system, trusted))
     except InputError:
         raise
     except (TypeError, ValueError, KeyError, IndexError, OverflowError, AttributeError) as error:

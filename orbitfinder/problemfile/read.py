@@ -39,6 +39,7 @@ from orbitfinder.problemfile.schema import (
     sentence,
     systems,
 )
+from orbitfinder.problemfile.xpp import xpp_document
 from orbitfinder.records.orbit import SHIFT
 from orbitfinder.records.reading import bounded, file_bytes
 
@@ -71,6 +72,8 @@ class ProblemFile:
     def wanted(self) -> Problem:
         """The Problem; `InputError` when the file has no guess."""
         if self.problem is None:
+            if self.document.get("guess"):
+                raise InputError(f"{self.path}: guess: state goes with period; alone it is where `equilibria` starts")
             raise InputError(
                 f"{self.path}: guess: missing; add a [guess] table with state and period, mode and amplitude, or csv"
             )
@@ -107,7 +110,7 @@ def load_problem_file(path: str | Path, trust: bool = False) -> ProblemFile:
     source = Path(path)
     if source.suffix == ".py":
         return _load_python(source, trust)
-    document = read_toml(source)
+    document = xpp_document(source) if source.suffix == ".ode" else read_toml(source)
     table = parse(document, str(source))
     with _located(source):
         return _build(source, document, table, trust)
@@ -167,7 +170,7 @@ def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust
         robot_of(system, source.parent) if "file" in system else build_model(system, source.parent if trust else None)
     )
     problem = None
-    if table.guess is not None:
+    if table.guess is not None and not _resting(table.guess, model):
         guess = replace(guess_from_table(table.guess, model, source.parent), free=table.guess.free)
         problem = _problem(name, model, guess, table)
         problem.check_count()
@@ -177,6 +180,11 @@ def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust
         duration=table.simulate.duration or ProblemFile.duration, start=_start(table, model, problem),
         starts=table.find.starts, seed=table.find.seed,
     )  # fmt: skip
+
+
+def _resting(given: GuessTable, model: Model) -> bool:
+    """Whether a guess is a state alone, which equilibria start from: no period is given and nothing drives it."""
+    return given.state is not None and given.period is given.duration is model.forcing_period is None
 
 
 def robot_of(system: Mapping[str, Any], folder: Path) -> Model:
@@ -221,15 +229,17 @@ def _expected(table: ProblemTable, model: Model) -> dict[str, tuple[float, float
 
 
 def _start(table: ProblemTable, model: Model, problem: Problem | None) -> np.ndarray | None:
-    if table.simulate.state is None:
+    where, state, size = "simulate.state", table.simulate.state, len(model.state_names)
+    if state is None and problem is None and table.guess is not None:
+        where, state = "guess.state", table.guess.state
+    if state is None:
         return None if problem is None else np.asarray(problem.guess.state, float)
-    size = len(model.state_names)
-    if len(table.simulate.state) != size:
+    if len(state) != size:
         raise InputError(
-            f"simulate.state: {plural(len(table.simulate.state), 'number')} for {plural(size // 2, 'coordinate')}; "
+            f"{where}: {plural(len(state), 'number')} for {plural(size // 2, 'coordinate')}; "
             f"give {size} (angles, then rates)"
         )
-    return np.asarray(table.simulate.state, float)
+    return np.asarray(state, float)
 
 
 def checked_name(name: str, where: str = "name", remedy: str = "rename it or give a name") -> str:
@@ -273,6 +283,7 @@ def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
     loops, state = loops_of(model.system), np.asarray(given.state or [], float)
     looped = model.constraint is not None or (system_kind(model.system).drawn and given.angles is not None)
     looped &= loops.minimal is not None
+    forced = None if model.forcing_period is None else float(model.forcing_period(model.parameter_values))
     linkage_keys = [key for key in ("angles", "branch", "rates") if getattr(given, key) is not None]
     if linkage_keys and not looped:
         raise InputError(
@@ -294,10 +305,9 @@ def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
             state = loops.state(model, given.angles, given.rates, branch=given.branch)
         elif constraint_of(model).lift is not None and state.size == 2 * (model.degrees_of_freedom // 3):
             state = maximal_states(model, state)
-        forced = None if model.forcing_period is None else float(model.forcing_period(model.parameter_values))
         return Guess(state, given.period or forced or first_return(model, state, given.duration))
     if given.duration is None:
-        return Guess(state, float(given.period or 0.0))
+        return Guess(state, float(given.period or forced or 0.0))
     passes = recurrences(model, state, given.duration, 1)
     if not passes:
         raise InputError(

@@ -63,6 +63,7 @@ Positive = Annotated[float, Field(gt=0)]
 Range = Annotated[list[float], AfterValidator(_increasing)]
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Names = list[Line]
+Entry = Annotated[float | str, BeforeValidator(lambda value: float(value) if isinstance(value, int) else value)]
 Limits = dict[str, Positive | Pair]
 
 
@@ -82,7 +83,9 @@ TYPES: dict[str, Any] = {
     "Sequence[int]": list[int] | None, "Limits | None": Limits | None,
     "Sequence[str] | str": Names | Literal["all"] | None,
     "Mapping[str, float] | float | None": float | dict[str, float] | None,
-    "Mapping[str, float] | None": dict[str, float] | None,
+    "Mapping[str, float] | None": dict[str, float] | None, "Mapping[str, str] | None": dict[str, str] | None,
+    "Mapping[str, str] | Sequence[str] | None": dict[str, str] | Names | None,
+    "Sequence[str]": Names | None, "str | None": str | None, "str | float | None": Entry | None,
     "Mapping[str, float] | Sequence[str]": dict[str, float] | Names | None,
     "Sequence[float] | float | None": float | list[float] | None,
 }  # fmt: skip
@@ -106,7 +109,6 @@ def table_of(kind: str, build: Callable[..., Any]) -> type[Table]:
     return create_model(f"{kind.title()}System", __base__=Table, __doc__=text.partition("\nArgs:")[0], **fields)
 
 
-Entry = Annotated[float | str, BeforeValidator(lambda value: float(value) if isinstance(value, int) else value)]
 Entries = list[Entry]
 TWO_POINTS = "the two points in m, one in each body's own axes, at their origins when left out"
 
@@ -299,7 +301,10 @@ class GuessTable(Table):
     """Where the search starts: `state` and `period`, `state` and `duration`, `mode` and `amplitude`, or `csv`."""
 
     state: list[float] | None = key("state at t = 0: the n angles in rad, then the n rates in rad/s")
-    period: Positive | None = key("period in s, positive; goes with state")
+    period: Positive | None = key(
+        "period in s, positive; goes with state; without it a state is where `equilibria` starts, and the period of a "
+        "forced system is its forcing's"
+    )
     duration: Positive | None = key(
         "instead of period: simulate from state this long in s and start from the closest return"
     )
@@ -347,7 +352,7 @@ class GuessTable(Table):
             raise PydanticCustomError("guess", "duration goes with state and takes the place of period")
         timed = "period" if self.duration is None else "duration"
         for name, partner in (("state", timed), ("mode", "amplitude")):
-            if partner == "period" and self.angles is not None:
+            if partner == "period" and (self.angles is not None or self.state is not None):
                 continue
             if (getattr(self, name) is None) != (getattr(self, partner) is None):
                 raise PydanticCustomError("guess", "{a} goes with {b}; give both or neither", {"a": name, "b": partner})

@@ -17,6 +17,7 @@ KINDS = {
     "report": "the four orbits of the report that this began with",
     "examples": "small chains: modes, pins, symmetries, objectives",
     "gallery": "an orbit of most built-in systems",
+    "equations": "equations as text: neurons, chemical clocks, convection, flutter",
     "linkages": "four-, five- and six-bars in any pose",
     "mechanisms": "mechanisms as drawn, in the plane and in space",
     "robots": "robots read from URDF files",
@@ -51,6 +52,8 @@ class Shipped:
     @property
     def command(self) -> str:
         """The command that it is for."""
+        if self.kind == "equations" and "period" not in read_toml(self.path)["guess"]:
+            return "equilibria"
         return {"families": "continue", "search": "search"}.get(self.kind, "run")
 
     def files(self) -> Iterator[Path]:

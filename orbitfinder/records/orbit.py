@@ -197,6 +197,8 @@ def system_at(system: Mapping[str, Any], values: Mapping[str, float]) -> Mapping
         return {**system, "arguments": {**system.get("arguments", {}), **physical}}
     if "bodies" in system:
         return {**system, "values": {**system.get("values", {}), **physical}}
+    if "parameters" in system:
+        return {**system, "parameters": {**system["parameters"], **physical}}
     changed = dict(system)
     for name, value in physical.items():
         entry = name.rstrip("0123456789")

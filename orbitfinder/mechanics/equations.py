@@ -1,0 +1,283 @@
+"""Systems whose equations are text, as a kind of [system]: parsed, never executed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder._runtime.arguments import checked
+from orbitfinder.errors import InputError, closest, shortened
+from orbitfinder.mechanics.expression import FUNCTIONS, expression
+from orbitfinder.mechanics.first_order import Named, hamiltonian, ode
+from orbitfinder.mechanics.kind import KINDS, SystemKind
+from orbitfinder.mechanics.lagrange import Symbols, lagrange
+from orbitfinder.mechanics.model import Model
+
+Reader = Callable[[str, str], Any]
+"""(text, its field) -> its value in symbols"""
+FORMS = {
+    "rates": {"states", "invariants"}, "hamiltonian": {"coordinates", "momenta", "invariants"},
+    "kinetic": {"coordinates", "potential", "forces"},
+}  # fmt: skip
+"""What says the equations, with the keys that only some have"""
+RESERVED = {"t", "pi", "and", "or", "not", "True", "False", "None", *FUNCTIONS}
+HEAD, WORD = re.compile(r"(\w+)\s*(?:\(([\w\s,]*)\))?"), re.compile(r"\b[^\W\d]\w*")
+MOST = 200_000
+"""Letters of all texts, and operations that functions become where they are called"""
+
+
+@checked
+def equations(
+    rates: Mapping[str, str] | None = None,
+    parameters: Mapping[str, float] | None = None,
+    *,
+    let: Mapping[str, str] | None = None,
+    states: Sequence[str] = (),
+    hamiltonian: str | None = None,
+    kinetic: str | None = None,
+    potential: str | None = None,
+    forces: Mapping[str, str] | Sequence[str] | None = None,
+    coordinates: Sequence[str] = (),
+    momenta: Sequence[str] = (),
+    invariants: Mapping[str, str] | None = None,
+    angles: Sequence[str] = (),
+    period: str | float | None = None,
+) -> Model:
+    """The Model of equations as text: x' = f(t, x, p), Hamilton's of H(q, p), or Lagrange's of T - V with forces.
+
+    Of names, numbers, pi, the time t, + - * / ^ **, comparisons, `and`, `or`, `not`, and sin, cos, tan, asin, acos,
+    atan, atan2, sinh, cosh, tanh, exp, log, sqrt, abs, min, max, if(condition, then, else). Nothing is executed.
+
+    Args:
+        rates: x' by the name of each state.
+        parameters: physical parameters with their values.
+        let: quantities that several texts use, by name, and functions as "ramp(u)"; in any order.
+        states: the order of the states; that of the rates when left out.
+        hamiltonian: H of coordinates and momenta, instead of rates.
+        kinetic: T of coordinates and their velocities (q and qdot), instead of rates.
+        potential: V of the coordinates, 0 when left out.
+        forces: generalized forces in the order of the coordinates or by their names, of these, velocities and time.
+        coordinates: names of q, for hamiltonian and kinetic.
+        momenta: names of p in the same order, for hamiltonian.
+        invariants: first integrals by name, which keep their value along motions; the energy of others is known.
+        angles: states or coordinates that may turn.
+        period: of the explicit dependence on the time, a number or a text of parameters such as "2*pi/omega".
+
+    Returns:
+        A Model, which files describe by its text.
+
+    Raises:
+        InputError: naming the text, what is wrong in it and what is known.
+
+    Examples:
+        >>> clock = of.equations({"x": "a + x^2*y - (b + 1)*x", "y": "b*x - x^2*y"}, {"a": 1.0, "b": 1.8})
+        >>> rest = of.follow_equilibria(clock, [1.0, 1.8], "b", until=2.5)
+        >>> [round(event.parameter, 12) for event in rest.events]
+        [2.0]
+
+    See Also:
+        `of.ode`, `of.hamiltonian` and `of.lagrange` from Python functions, `of.from_xpp` for XPPAUT's files.
+    """
+    given = {key: _plain(value) for key, value in locals().items() if value is not None and value != ()}
+    given = {"kind": "equations", "parameters": {}} | given
+    form = _form(given)
+    names = [*(states or rates or ())] if form == "rates" else [*coordinates, *momenta]
+    if form == "rates":
+        given["states"] = names  # whoever sorts keys keeps the order
+    if isinstance(acting := given.get("forces", {}), list):
+        if len(acting) != len(names):
+            raise InputError(f"forces: {len(acting)} for {len(names)} coordinates; give one each, '0' where none acts")
+        given["forces"] = dict(zip(names, acting, strict=True))
+    _check_names(given, form, names)
+    _check_time(given, form)
+    return {"rates": _first_order, "hamiltonian": _hamiltonian, "kinetic": _lagrange}[form](given, names)
+
+
+def _plain(value: Any) -> Any:
+    """A value as JSON has it, numbers as floats."""
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    return value if isinstance(value, str) else float(value) if np.ndim(value) == 0 else list(value)
+
+
+def _form(given: Mapping[str, Any]) -> str:
+    """What says the equations; `InputError` for several, for none and for what has no meaning then."""
+    forms = [form for form in FORMS if form in given]
+    if len(forms) != 1:
+        raise InputError(f"rates: {' and '.join(forms) or 'nothing'} given; give rates, or hamiltonian with "
+                         "coordinates and momenta, or kinetic and potential with coordinates")  # fmt: skip
+    for key in sorted(set(given) & set[str]().union(*FORMS.values()) - FORMS[forms[0]]):
+        raise InputError(f"{key}: has no meaning beside {forms[0]}; leave it out")
+    if "coordinates" in FORMS[forms[0]] and "coordinates" not in given:
+        raise InputError(f"coordinates: missing; name those that {forms[0]} is written in")
+    return forms[0]
+
+
+def _check_names(given: Mapping[str, Any], form: str, names: Sequence[str]) -> None:
+    """`InputError` for names that texts cannot have, and for those of two things."""
+    if form == "rates" and sorted(names) != sorted(given["rates"]):
+        raise InputError(f"states: {', '.join(names)}, but rates of {', '.join(given['rates'])}; name each state once")
+    called = [(name, "coordinates" if form != "rates" else "rates") for name in names]
+    called += [(f"{name}dot", "coordinates") for name in names if form == "kinetic"]
+    called += [(name, key) for key in ("parameters", "let") for name in given.get(key, ())]
+    seen: dict[str, str] = {}
+    for name, key in called:
+        word, arguments = _head(name) if key == "let" else (name, ())
+        for part in (word, *(arguments or ())):
+            if not part.isidentifier() or not part.isascii() or part in RESERVED:
+                raise InputError(f"{key}.{name}: {part!r} is no name that is free; use letters, digits and _, such as "
+                                 f"{re.sub('[^A-Za-z0-9_]', '', part) or 'x'}_1")  # fmt: skip
+        if word in seen:
+            raise InputError(f"{key}.{name}: {word!r} is in {seen[word]} too; give each thing a name of its own")
+        seen[word] = key
+    for key in ("angles", "forces"):
+        if strange := [name for name in given.get(key, ()) if name not in names]:
+            raise InputError(f"{key}: {strange[0]!r} is none{closest(strange[0], names)}; known are {', '.join(names)}")
+    for name, value in given["parameters"].items():
+        if not np.isfinite(value):
+            raise InputError(f"parameters.{name}: must be a finite number, got {value}; check the value")
+
+
+def _head(name: str) -> tuple[str, list[str] | None]:
+    """f and [u, v] of "f(u, v)", x and None of "x"."""
+    found = HEAD.fullmatch(name.strip())
+    if found is None:
+        return name, None
+    return found[1], None if found[2] is None else [part.strip() for part in found[2].split(",")]
+
+
+def _check_time(given: Mapping[str, Any], form: str) -> None:
+    """`InputError` for texts that are too long, for a dependence on time without its period, and the reverse."""
+    tables = {f"{key}.{name}": text for key in ("rates", "let", "forces", "invariants")
+              for name, text in given.get(key, {}).items()}  # fmt: skip
+    texts = tables | {key: given[key] for key in ("hamiltonian", "kinetic", "potential") if key in given}
+    if (letters := sum(map(len, texts.values()))) > MOST:
+        raise InputError(f"{form}: {letters} letters of text, at most {MOST} are read; use of.ode for such a system")
+    timed = [where for where, text in texts.items() if "t" in WORD.findall(text)]
+    if timed and "period" not in given:
+        raise InputError(f"{timed[0]}: {shortened(repr(texts[timed[0]]))} depends on the time t; give the period of "
+                         "that, period = '2*pi/omega'")  # fmt: skip
+    if "period" in given and not timed:
+        raise InputError("period: nothing depends on the time t; leave it out, an orbit's period belongs to the guess")
+
+
+@dataclass(frozen=True)
+class _Defined:
+    """A function of the user's, written out where it is called."""
+
+    where: str
+    inputs: tuple[Any, ...]
+    body: Any
+    spent: list[int]
+
+    @property
+    def count(self) -> int:
+        """How many arguments it takes."""
+        return len(self.inputs)
+
+    def __call__(self, *given: Any) -> Any:
+        """Its value. Raises `InputError` where functions of functions become too large."""
+        self.spent.append(ca.n_nodes(self.body))
+        if sum(self.spent) > MOST:
+            raise InputError(f"{self.where}: more than {MOST} operations where functions are written out; call fewer, "
+                             "or name what they have in common")  # fmt: skip
+        return ca.substitute(self.body, ca.vertcat(*self.inputs), ca.vertcat(*given))
+
+
+def _reader(given: Mapping[str, Any], t: Any, *named: Named) -> Reader:
+    """What reads texts in these symbols and in what is defined by them."""
+    values, calls, spent = {"t": t}, dict[str, _Defined](), list[int]()
+    for each in named:
+        values |= dict(zip(each.names, each, strict=True))
+    let = given.get("let", {})
+    for name in _ordered(let):
+        word, arguments = _head(name)
+        inputs = {part: ca.SX.sym(part) for part in arguments or ()}
+        body = expression(let[name], values | inputs, f"let.{name}", calls)
+        if arguments is None:
+            values[word] = body
+        else:
+            calls[word] = _Defined(f"let.{name}", tuple(inputs.values()), ca.SX(body), spent)
+    return lambda text, where: expression(text, values, where, calls)
+
+
+def _ordered(let: Mapping[str, str]) -> Iterable[str]:
+    """Definitions, each after those that it uses. Raises `InputError` where there is no such order."""
+    heads = {_head(name)[0]: name for name in let}
+    uses = {name: {heads[word] for word in WORD.findall(text) if word in heads and word not in (_head(name)[1] or ())}
+            for name, text in let.items()}  # fmt: skip
+    try:
+        return list(TopologicalSorter(uses).static_order())
+    except CycleError as error:
+        circle = shortened(" -> ".join(reversed(error.args[1])))
+        raise InputError(f"let.{error.args[1][0]}: is defined by itself ({circle}); break the circle") from None
+
+
+def _clock(given: Mapping[str, Any]) -> Callable[[Named], Any] | float | None:
+    """The period of the forcing as Models take it."""
+    period = given.get("period")
+    if not isinstance(period, str):
+        return period
+    return lambda p: expression(period, dict(zip(p.names, p, strict=True)), "period")
+
+
+def _first_order(given: Mapping[str, Any], names: Sequence[str]) -> Model:
+    def field(t: Any, x: Named, p: Named) -> list[Any]:
+        read = _reader(given, t, x, p)
+        return [read(given["rates"][name], f"rates.{name}") for name in names]
+
+    return ode(field, names, given["parameters"], **_common(given))
+
+
+def _common(given: Mapping[str, Any]) -> dict[str, Any]:
+    """What states say beside their equations."""
+    invariants = {name: partial(_integral, given, name, text) for name, text in given.get("invariants", {}).items()}
+    return dict(invariants=invariants, angles=given.get("angles", ()), forcing_period=_clock(given), system=given)
+
+
+def _integral(given: Mapping[str, Any], name: str, text: str, x: Named, p: Named) -> Any:
+    return _reader(given, ca.SX.sym("t"), x, p)(text, f"invariants.{name}")
+
+
+def _hamiltonian(given: Mapping[str, Any], names: Sequence[str]) -> Model:
+    def energy(*at: Any) -> Any:
+        return _reader(given, *(ca.SX.sym("t"), *at)[-3:])(given["hamiltonian"], "hamiltonian")
+
+    coordinates = given["coordinates"]
+    return hamiltonian(energy, coordinates, names[len(coordinates) :], given["parameters"], **_common(given))
+
+
+def _lagrange(given: Mapping[str, Any], names: Sequence[str]) -> Model:
+    t, parameters = ca.SX.sym("t"), given["parameters"]
+    rates = [f"{name}dot" for name in names]
+    q, v, p = (ca.vertcat(*map(ca.SX.sym, each)) for each in (names, rates, parameters))
+    known = [Named.of(tuple(each), column) for each, column in ((names, q), (rates, v), (parameters, p))]
+    read, clock, forces = _reader(given, t, *known), _clock(given), given.get("forces", {})
+    symbols = Symbols(
+        q, v, p if parameters else None, tuple(parameters), tuple(parameters.values()), None if clock is None else t,
+        clock(known[2]) if callable(clock) else clock,
+    )  # fmt: skip
+    acting = [read(forces[name], f"forces.{name}") if name in forces else 0.0 for name in names]
+    return lagrange(
+        ca.SX(read(given["kinetic"], "kinetic")), ca.SX(read(given.get("potential", "0"), "potential")), symbols,
+        forces=ca.vertcat(*acting) if forces else None, names=names,
+        angles=[name in given.get("angles", ()) for name in names], system=given,
+    )  # fmt: skip
+
+
+def _build(system: Mapping[str, Any], _: Path | None) -> Model:
+    try:
+        return equations(**{key: value for key, value in system.items() if key != "kind"})
+    except InputError as error:
+        raise InputError(f"system.{error}") from error
+
+
+KINDS["equations"] = SystemKind(_build, lambda system: "system of equations", takes=equations)

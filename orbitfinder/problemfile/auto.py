@@ -1,0 +1,148 @@
+"""Orbits that AUTO-07p has written, as starts.
+
+A solution file has, for each label, a head of whole numbers (branch, point, type, label, free parameters, ISW, points,
+numbers a point, lines to the next head, intervals, collocation points, parameters, ...), a line (t, U) a point with t
+from 0 to 1, indices and directions, and PAR at the end; PAR(11) is the period. Source: E. J. Doedel, B. E. Oldeman,
+AUTO-07P manual (2012), section "Description of the output-files".
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from orbitfinder.errors import InputError, closest, shortened
+from orbitfinder.loops.problem import Guess
+from orbitfinder.records.reading import file_bytes
+
+PERIOD = 11
+"""The period's place in PAR"""
+LABEL, POINTS, WIDTH, ROWS, PARAMETERS = 3, 6, 7, 8, 11
+"""Places in the head of a solution"""
+
+
+def from_auto(path: str | Path, label: int | None = None, parameters: Mapping[str, int] | Sequence[str] = ()) -> Guess:
+    """A periodic solution that AUTO-07p has written, as a Guess: profile, period, and values of parameters.
+
+    The equations are the user's own; states are in AUTO's order.
+
+    Args:
+        path: s.NAME (or fort.8), or a folder with only such; NAME.dat of columns t, U(1), ... over a period.
+        label: of the solution; the last cycle when left out.
+        parameters: whose values are wanted as `guess.free`: names that b.NAME beside says (`parnames`), or places in
+            PAR by name, {"I": 1}.
+
+    Returns:
+        A Guess. `Problem(model, guess, free=["I"], pin=pin(I=guess.free["I"]))` is at AUTO's value.
+
+    Raises:
+        InputError: for a file that is none, a label that is missing or an equilibrium, a parameter without a place.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> _ = Path("swing.dat").write_text("0 0.3 0.0\\n0.5 0.0 -0.9\\n1 -0.3 0.0\\n1.5 0.0 0.9\\n2 0.3 0.0\\n")
+        >>> of.from_auto("swing.dat").period
+        2.0
+    """
+    source = _source(Path(path))
+    lines = _lines(source)
+    if source.suffix == ".dat":
+        if parameters or label is not None:
+            raise InputError(f"{source}: a .dat file has no labels and no parameters; give s.NAME")
+        return _guess(source, _numbers(source, lines), len(lines), 1.0, {})
+    heads = _heads(source, lines)
+    cycles = [name for name, (_, head) in heads.items() if head[POINTS] > 1]
+    chosen = label if label is not None else cycles[-1] if cycles else next(iter(heads))
+    if chosen not in heads:
+        raise InputError(f"label: {chosen} is not in {source}; it has {shortened(', '.join(map(str, heads)), 200)}")
+    at, head = heads[chosen]
+    numbers = _numbers(source, lines[at + 1 : at + 1 + head[ROWS]])
+    rows, par = numbers[: head[POINTS] * head[WIDTH]], numbers[-head[PARAMETERS] :]
+    if at + head[ROWS] >= len(lines) or min(rows.size - head[POINTS] * head[WIDTH], par.size - PERIOD) < 0:
+        raise InputError(f"{source}: line {at + 1}: label {chosen} is cut off; copy the file again")
+    if head[POINTS] < 2:
+        where = ", ".join(f"{value:.6g}" for value in rows[1:])
+        raise InputError(f"label: {chosen} is an equilibrium; give follow_equilibria the state [{where}], or a label "
+                         f"of a cycle ({shortened(', '.join(map(str, cycles))) or 'there is none'})")  # fmt: skip
+    return _guess(source, rows, head[POINTS], float(par[PERIOD - 1]), _values(source, parameters, par))
+
+
+def _source(path: Path) -> Path:
+    """The file that is meant: of a folder the only s.NAME in it, else the only NAME.dat; of b.NAME its s.NAME."""
+    if not path.is_dir():
+        return path.with_name(f"s.{path.name[2:]}") if path.name.startswith("b.") else path
+    files = sorted(path.glob("s.*")) or sorted(path.glob("fort.8")) or sorted(path.glob("*.dat"))
+    if len(files) != 1:
+        listed = shortened(", ".join(file.name for file in files)) or "none"
+        raise InputError(f"path: {path} has {listed}; give a single file s.NAME of AUTO-07p")
+    return files[0]
+
+
+def _lines(source: Path) -> list[str]:
+    try:
+        return file_bytes(source, "AUTO file").decode("ascii").splitlines()
+    except UnicodeDecodeError as error:
+        raise InputError(f"{source}: no file of AUTO's, which are plain numbers; give s.NAME") from error
+
+
+def _heads(source: Path, lines: Sequence[str]) -> dict[int, tuple[int, list[int]]]:
+    """Where each label's solution begins, and its head."""
+    heads, at = dict[int, tuple[int, list[int]]](), 0
+    while at < len(lines):
+        words = lines[at].split()
+        whole = len(words) in (12, 16) and all(re.fullmatch(r"[+-]?\d{1,9}", word) for word in words)
+        head = [int(word) for word in words] if whole else [0] * 12
+        if min(head[POINTS], head[WIDTH] - 1, head[ROWS], head[PARAMETERS]) < 1:
+            raise InputError(f"{source}: line {at + 1}: {shortened(repr(lines[at]))} is no head of a solution (12 or "
+                             "16 whole numbers); give s.NAME or fort.8 of AUTO-07p")  # fmt: skip
+        heads[head[LABEL]] = (at, head)
+        at += 1 + head[ROWS]
+    if not heads:
+        raise InputError(f"{source}: is empty; give s.NAME or fort.8 of AUTO-07p")
+    return heads
+
+
+def _numbers(source: Path, lines: Sequence[str]) -> np.ndarray:
+    """All numbers of some lines; Fortran leaves out the E of exponents of three digits, and writes D."""
+    text = re.sub(r"(?<=\d)[dD]?([+-]\d{3})\b", r"E\1", " ".join(lines)).replace("D", "E")
+    try:
+        numbers = np.array([float(word) for word in text.split()])
+    except ValueError as error:
+        raise InputError(f"{source}: {error}; give s.NAME, fort.8 or NAME.dat of AUTO-07p") from error
+    return numbers
+
+
+def _guess(source: Path, numbers: np.ndarray, count: int, period: float, free: dict[str, float]) -> Guess:
+    """A Guess of rows (t, U), t in units of a period."""
+    if count < 2 or numbers.size % count or numbers.size < 2 * count or not np.isfinite(numbers).all():
+        raise InputError(f"{source}: no rows t, U(1), ... of finite numbers over a period; give s.NAME or NAME.dat")
+    rows = numbers.reshape(count, -1)
+    times = (rows[:, 0] - rows[0, 0]) * period
+    if not np.all(np.diff(times) > 0):
+        raise InputError(f"{source}: times do not increase, or PAR({PERIOD}) = {period:g} is no period; give a cycle "
+                         "of a run with IPS = 2, or with PAR(11) as its period")  # fmt: skip
+    return Guess(rows[0, 1:].copy(), float(times[-1]), times, rows[:, 1:].copy(), free)
+
+
+def _values(source: Path, wanted: Mapping[str, int] | Sequence[str], par: np.ndarray) -> dict[str, float]:
+    """Values of parameters by name."""
+    places = dict(wanted) if isinstance(wanted, Mapping) else _named(source, wanted)
+    for name, place in places.items():
+        if not 1 <= place <= par.size:
+            raise InputError(f"parameters.{name}: {source} has PAR(1) to PAR({par.size}), got {place}")
+    return {name: float(par[place - 1]) for name, place in places.items()}
+
+
+def _named(source: Path, wanted: Sequence[str]) -> dict[str, int]:
+    """Places of parameters in PAR by their names in b.NAME."""
+    beside = source.with_name("fort.7" if source.name == "fort.8" else f"b.{source.name[2:]}")
+    said = re.search(r"parnames\s*=\s*\{([^}]*)\}", "\n".join(_lines(beside))) if wanted and beside.is_file() else None
+    known = {name: int(place) for place, name in re.findall(r"(\d{1,6})\s*:\s*'([^']*)'", said[1] if said else "")}
+    for name in wanted:
+        if name not in known:
+            raise InputError(f"parameters: {name!r} has no place{closest(name, known)}; {beside.name} names "
+                             f"{', '.join(known) or 'none'}, so give places in PAR, {{'{name}': 1}}")  # fmt: skip
+    return {name: known[name] for name in wanted}
