@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,6 +36,8 @@ NORM = "norm"
 SAME, NEAR = 1e-6, 0.2
 """Shares of the range, and of a period, by which parameters and periods of one event differ at most where no error bar
 says it; and in which a curve begins near the event that it is born at"""
+BECAME = ("followed", "joined", "depth", "budget", "failed")
+"""What may become of an event at which something leaves"""
 FILES = {"equilibria.json": load_equilibria, "family.json": load_family}
 """What reads a curve, by its file's name"""
 
@@ -55,14 +57,15 @@ class DiagramCurve:
     record: Any = None
 
     def _check(self) -> None:
-        if PurePosixPath(self.file).name not in FILES or PurePosixPath(self.file).parts[::2] in ((), ("/",), ("..",)):
+        folder, _, name = self.file.partition("/")
+        if name not in FILES or folder in ("", ".", ".."):
             raise ValueError(f"file: {self.file!r} is not NAME/{' or NAME/'.join(FILES)}")
 
 
 @dataclass(frozen=True)
 class Branching:
-    """An event of a curve at which something leaves, what `became` of it (followed | joined | depth | budget | failed)
-    in words, and the files of the curves that are born there, or that come there from elsewhere."""
+    """An event of a curve at which something leaves, what `became` of it (see `BECAME`) in words, and the files of the
+    curves that are born there, or that come there from elsewhere."""
 
     __repr__ = brief("file", "event", "became", "words")
 
@@ -71,6 +74,10 @@ class Branching:
     became: str
     words: str
     leads: tuple[str, ...] = ()
+
+    def _check(self) -> None:
+        if self.became not in BECAME:
+            raise ValueError(f"became: {self.became!r} is none of {', '.join(BECAME)}")
 
 
 @dataclass(frozen=True)
@@ -310,7 +317,11 @@ class _Tree:
         file = None if self.folder is None else self.folder / name / "equilibria.json"
         with contextlib.nullcontext() if file is None else kept(file, save_equilibria):
             record = follow(until=until, at=[first], points=self.points, name=name, out=self.folder)
-        return within(record, self.empty.between)
+        record = within(record, self.empty.between)
+        before = load_equilibria(file) if file and file.exists() else record  # in which events have the same last digits
+        states = [[(point.value, *point.state) for point in one.points] for one in (record, before)]
+        same = states[0] == states[1] and len(record.events) == len(before.events)
+        return before if same and all(map(_alike, record.events, before.events)) else record
 
     def known(self, curve: DiagramCurve, event: RestEvent | Event) -> DiagramCurve | None:
         """The curve that ends at an event, or that it is an event of as well."""
@@ -410,7 +421,8 @@ def _true(tree: _Tree, one: Branching) -> bool:
     event = own.record.events[one.event]
     if one.became == "joined":
         return tree.known(own, event) in leads
-    return bool(leads) >= (one.became == "followed") and all(_born(lead, own, one.event, tree) for lead in leads)
+    deep, wanted = own.depth >= tree.empty.depth, one.became == "followed"
+    return (one.became == "depth") <= deep and bool(leads) >= wanted and all(_born(lead, own, one.event, tree) for lead in leads)
 
 
 def _born(curve: DiagramCurve, own: DiagramCurve, number: int, tree: _Tree) -> bool:

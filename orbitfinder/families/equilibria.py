@@ -42,6 +42,8 @@ from orbitfinder.records.family import End, Reading
 
 PACE = Pace(first=0.01, shortest=1e-9, longest=0.05, points=400, bend=0.95, quick=4, slow=7, located=1e-3, closed=True)
 """Lengths are in the sizes of the state and of the parameter; events are solved for from where they are located"""
+NOISE = 1e-14
+"""Components so small, in their sizes, are 0"""
 LEAVING = (0.01, 0.002, 0.0004, 0.05)
 """How far from a branch point other equilibria are looked for; the first that succeeds is taken"""
 FARTHEST = 1e3
@@ -126,7 +128,7 @@ def follow_equilibria(
         ways = [_Way(problem, rest, parameter, until, sign, judge) for sign in (1.0, -1.0)[: 1 + (until is None)]]
     else:
         reach = None if span is None else np.array([span])
-        problem = regular(at_rest(model, (parameter,), state), state, np.array([start]), reach).seen(branch.largest)
+        problem = regular(at_rest(model, (parameter,), state), state, np.array([start]), reach).seen(branch.largest, np.zeros(1))
         rest = np.concatenate([state, np.zeros(problem.jets.extra)])
         ways = [_Way(problem, rest, parameter, until, sign, judge, branch.direction) for sign in (1.0, -1.0)]
     path = None if out is None else Path(out) / label
@@ -326,7 +328,8 @@ def _pair(point: Point) -> float:
 def _recorded(
     judge: Judge, problem: AtRest, z: np.ndarray, p: np.ndarray, arclength: float, values: np.ndarray
 ) -> Equilibrium:
-    d, value = problem.jets.size, float(p[0])
+    d, value, noise = problem.jets.size, float(p[0]), NOISE * problem.z_sizes
+    z = np.where(np.abs(z) <= noise, 0.0, z)
     values = np.array(sorted(values.tolist(), key=lambda one: (-one.real, -one.imag)), complex)
     residual, slopes = judge.left(z[:d], value, problem.z_sizes[:d], problem.pace, values)
     return Equilibrium(
@@ -355,7 +358,7 @@ def _event(kept: KeptPoint, way: _Way, index: int) -> RestEvent | None:
     value = way.judge.flow(z[:d], float(p[0]), problem.z_sizes[:d], problem.pace, claimed)
     check = Reading(value, CRITICAL, bool(value <= CRITICAL and found.residual <= RESIDUAL))
     return RestEvent(
-        name, index, found.arclength, float(p[0]), float(bars[-1]), z[:d], found.eigenvalues, check, critical=claimed,
+        name, index, found.arclength, float(p[0]), float(bars[-1]), found.state, found.eigenvalues, check, critical=claimed,
         **known,
     )  # fmt: skip
 
