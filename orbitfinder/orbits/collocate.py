@@ -42,7 +42,8 @@ LONGEST = 0.1
 AGREED, SETTLED = 3e-13, 1e-10
 """Relative difference of the periods of two meshes that is as good as none, and one that is small: what then no longer
 shrinks is round-off"""
-NEWTON = Settings(floor=1e-12, round_off=1e-8, converged=1e-8, most_evaluations=40, longest=0.3, halving=True)
+NEWTON = Settings(floor=1e-12, round_off=1e-8, converged=1e-8, most_evaluations=40, longest=0.3, halving=True,
+                  patience=12)  # fmt: skip
 """Of the rows and steps in extents of the motion"""
 EVEN = 512
 """Intervals at which a symmetry is looked for"""

@@ -12,15 +12,17 @@ from orbitfinder._runtime import limit
 from orbitfinder._runtime.quiet import captured
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.integrate.equations import accelerations
+from orbitfinder.integrate.equations import acceleration_slopes, accelerations
 from orbitfinder.integrate.field import rates_of, vector_field
 from orbitfinder.loops.problem import Guess
 from orbitfinder.mechanics.model import Model
 
-RELATIVE, ABSOLUTE = 1e-8, 1e-10
+RELATIVE, ABSOLUTE = 1e-10, 1e-12
 """Tolerances of the simulation, the second in extents of the motion"""
 BACK, NEAR = 1e-3, 0.1
 """A motion has come back when it is this near, in extents, to where it was; a guess that comes as near is a cycle"""
+BETWEEN = 6
+"""Samples of a lap in each step of its simulation"""
 LAPS, LONGEST = 12, 2.0
 """Guessed periods after which what has not come back does not, and how long a period may be"""
 
@@ -39,16 +41,19 @@ def simulated(model: Model, state: np.ndarray, duration: float, units: np.ndarra
 
     Raises `IntegrationError` where it cannot be integrated.
     """
-    field = vector_field(accelerations(model))
+    field, slopes = vector_field(accelerations(model)), acceleration_slopes(model)
     size = np.where(state != 0.0, np.abs(state), np.abs(state).max(initial=0.0) or 1.0) if units is None else units
 
     def rate(t: float, x: np.ndarray) -> np.ndarray:
         limit.check()
         return np.asarray(field(t, x * size) / size)
 
+    def steepness(t: float, x: np.ndarray) -> np.ndarray:  # without it, or with differences, it takes a stiff field for none
+        return np.asarray(slopes(t, x * size)) * size / size[:, None]
+
     with np.errstate(all="ignore"), captured():
         found = solve_ivp(rate, (0.0, duration), state / size, method="LSODA", rtol=RELATIVE, atol=ABSOLUTE,
-                          dense_output=True)  # fmt: skip
+                          jac=steepness, dense_output=True)  # fmt: skip
     if not found.success or not np.isfinite(found.y).all():
         raise IntegrationError("the motion cannot be simulated", time=float(found.t[-1]), state=state)
     return Course(found.t, found.y.T * size, lambda times: np.asarray(found.sol(times).T * size))
@@ -112,6 +117,7 @@ def _lap(model: Model, course: Course, units: np.ndarray, earliest: float, perio
     lasts = moments[first] - now
     inside = course.times[(course.times > now) & (course.times < moments[first])] - now
     steps = np.concatenate([[0.0], inside, [lasts]])
+    steps = np.interp(np.arange(BETWEEN * (steps.size - 1) + 1) / BETWEEN, np.arange(steps.size), steps)
     return Guess(start, float(lasts), steps, course.at(now + steps)), float(apart[first])
 
 
