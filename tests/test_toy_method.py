@@ -64,7 +64,7 @@ def test_it_finds_what_suits_it_and_nothing_else(known, tmp_path):
     assert abs(orbit.period - 2 * np.pi) < 1e-12 and [event.stage for event in told] == ["closed form", "certificate"]
     (tmp_path / "other.toml").write_text(FILE.replace("cubic = 0.0", "cubic = 1.0").replace("0.08", "0.0864"))
     other = of.load_problem(tmp_path / "other.toml")
-    assert method_of(other) is METHODS["shooting"] and "method" not in of.find_orbit(other).provenance
+    assert method_of(other)[1] is METHODS["shooting"] and "method" not in of.find_orbit(other).provenance
 
 
 def test_its_orbits_go_everywhere(known, tmp_path):

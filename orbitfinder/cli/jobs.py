@@ -49,6 +49,7 @@ class ProblemJob:
     """s of the limit that the reading of the file has taken"""
     loaded: ProblemFile | None = None
     """the file as read in this process"""
+    method: str | None = None
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ class Outcome:
 
 
 def prepare(
-    files: Sequence[Path], out: Path, figures: bool, trust: bool, limit: float | None = None
+    files: Sequence[Path], out: Path, figures: bool, trust: bool, limit: float | None = None, method: str | None = None
 ) -> list[ProblemJob]:
     """Jobs for problem files, everything that can be checked before computing checked."""
     jobs: dict[str, ProblemJob] = {}
@@ -92,7 +93,7 @@ def prepare(
         name = loaded.wanted.name
         if name in jobs:
             raise InputError(f"name: {name!r} is used by both {jobs[name].file} and {file}; rename one of them")
-        jobs[name] = ProblemJob(file, name, out, figures, trust, limit, time.monotonic() - began, loaded)
+        jobs[name] = ProblemJob(file, name, out, figures, trust, limit, time.monotonic() - began, loaded, method)
     check_writable(out)
     for name in jobs:
         if (out / name).exists():
@@ -146,7 +147,7 @@ def run_job(job: ProblemJob, shown: Display | None = None) -> Outcome:
     try:
         with limited(job.limit, job.spent):
             loaded = job.loaded or load_problem_file(job.file, job.trust)
-            problem = loaded.wanted
+            problem = replace(loaded.wanted, method=job.method or loaded.wanted.method)
             orbit = solve(problem, loaded.starts, loaded.seed, report)
     except InputError:
         raise

@@ -18,8 +18,12 @@ from orbitfinder.records.reading import write_atomically
 @click.command()
 @click.argument("files", nargs=-1, required=True, type=FILES, metavar="FILE...")
 @option("jobs", "Processes side by side.", 1, (1, 256))
+@option("method", "shooting, or collocation for what is stiff.  [default: by a measured stiffness]",
+        kind=("shooting", "collocation"))  # fmt: skip
 @usual("Folder for DIR/<name>/orbit.json.", "orbits", figures="Draw the certified orbits.", compiled=True)
-def run(files: tuple[Path, ...], out: Path, jobs: int, figures: bool, limit: float | None, trust: bool) -> None:
+def run(
+    files: tuple[Path, ...], out: Path, jobs: int, method: str | None, figures: bool, limit: float | None, trust: bool
+) -> None:
     """Find and certify the orbit of each problem FILE.
 
     Writes DIR/<name>/orbit.json, orbit.npz and figures. A result that fails its certificate is
@@ -32,7 +36,7 @@ def run(files: tuple[Path, ...], out: Path, jobs: int, figures: bool, limit: flo
     """
     outcomes = []
     with display(f"{files[0].stem}: reading {plural(len(files), 'file')}") as shown:
-        todo = prepare(files, out, figures, trust, limit)
+        todo = prepare(files, out, figures, trust, limit, method)
         for outcome in run_jobs(todo, jobs, shown):
             outcomes.append(outcome)
             count = f"[{len(outcomes)}/{len(todo)}] " if len(todo) > 1 else ""

@@ -183,13 +183,18 @@ class Collocation(March):
         """The integration of several loops on one mesh, of nodes (B x N x d) and tails (B x m), beside each other."""
         (loops, count, size), each = nodes.shape, (mesh.size - 1) // nodes.shape[1]
         now, tail = nodes.reshape(-1, size), np.repeat(tails, count, axis=0)
-        grown, integrals = np.broadcast_to(np.eye(size, size + tails.shape[1]), (len(now), size, size + tails.shape[1])), 0
+        grown, integrals = (
+            np.broadcast_to(np.eye(size, size + tails.shape[1]), (len(now), size, size + tails.shape[1])),
+            0,
+        )
         path = []
         for k in range(each):
             steps, begins = (np.tile(part[k::each], loops) for part in (np.diff(mesh), mesh[:-1]))
             key = (loops, k, mesh.tobytes())
             done = self._solved(key, now, steps, begins, tail)
-            changed = np.einsum("i,piar->par", self.tableau.end, done.slopes.reshape(len(now), -1, size, grown.shape[2]))
+            changed = np.einsum(
+                "i,piar->par", self.tableau.end, done.slopes.reshape(len(now), -1, size, grown.shape[2])
+            )
             added = changed[:, :, :size] @ grown + grown
             added[:, :, size:] += changed[:, :, size:]
             path.append(now)

@@ -91,6 +91,15 @@ def accelerations(model: Model, free: tuple[str, ...]) -> ca.Function:
 
 
 @_at_values
+def acceleration_slopes(model: Model, free: tuple[str, ...]) -> ca.Function:
+    """df/dx (d x d) of the equations of motion x' = f(t, x) of a Model with its parameter values."""
+    field = vector_field(model, free, ())
+    t, x, p = ca.MX.sym("t"), ca.MX.sym("x", len(model.state_names)), ca.MX.sym("p", len(free))
+    slopes = ca.densify(ca.jacobian(field(t, x, ca.DM(0, 1), p), x))
+    return ca.Function("slopes", [t, x, *([p] if free else [])], [slopes])
+
+
+@_at_values
 def with_variations(model: Model, free: tuple[str, ...]) -> ca.Function:
     """The field of (x, vec Y, S): the motion of a Model with its parameter values, its variations, its action."""
     flow, size = vector_field(model, free), len(model.state_names)

@@ -288,6 +288,11 @@ class CasadiField:
         """The rate (n) at a time and a state (n)."""
         return self.rate(t, y)
 
+    @property
+    def stiff(self) -> bool:
+        """Whether it has been integrated at the limit of stability."""
+        return self._work.stiff
+
     def library(self) -> Library | None:
         """What it is compiled to, if it is."""
         return self._work.library()

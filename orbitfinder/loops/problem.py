@@ -144,6 +144,7 @@ class Problem(Shown):
         control: how the model's controls vary in time, and at what cost: `of.find_orbit` then finds the motion that
             costs least.
         watch: numbers of each orbit of its family by name (see `of.follow_family`).
+        method: shooting | collocation; None: by a measured stiffness.
 
     Raises:
         InputError: for names that the model has not and values that cannot be; the count is checked when it is
@@ -180,6 +181,7 @@ class Problem(Shown):
     relative: tuple[str, ...] = ()
     control: Control | None = None
     watch: Mapping[str, str | Number] = field(default_factory=dict)
+    method: str | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -14,7 +14,7 @@ import numpy as np
 
 from orbitfinder._runtime import limit
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.collocation import Collocation, along, collocated, curvatures
 from orbitfinder.integrate.equations import invariant_gradients
 from orbitfinder.integrate.march import March
@@ -28,7 +28,7 @@ from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.newton import Settings, Solver, full
 from orbitfinder.orbits.floquet import Floquet, complement, generated, judged
-from orbitfinder.orbits.guesses.settled import cycle
+from orbitfinder.orbits.guesses.settled import cycle, lap
 from orbitfinder.orbits.measure import provenance, recorded
 from orbitfinder.orbits.product import merged, product
 from orbitfinder.records.orbit import Orbit
@@ -42,11 +42,12 @@ LONGEST = 0.1
 AGREED, SETTLED = 3e-13, 1e-10
 """Relative difference of the periods of two meshes that is as good as none, and one that is small: what then no longer
 shrinks is round-off"""
-NEWTON = Settings(floor=1e-12, round_off=1e-8, converged=1e-8, most_evaluations=40, longest=0.3, halving=True)
+NEWTON = Settings(floor=1e-12, round_off=1e-8, converged=1e-8, most_evaluations=40, longest=0.3, halving=True,
+                  patience=12)  # fmt: skip
 """Of the rows and steps in extents of the motion"""
 EVEN = 512
 """Intervals at which a symmetry is looked for"""
-STIFF = 2000.0
+STIFF = 2e4
 """Fastest decay on the way times the period from which on explicit steps are limited by stability, not by accuracy"""
 QUIET = 1e-3
 """What a rate of decay counts beside a pace where it is chosen where t = 0 lies: both make the certificate's gap"""
@@ -63,8 +64,8 @@ class Meshed:
     action: float
 
 
-def suits(problem: Problem) -> str:
-    """Why collocation can not be the method for a problem, or nothing."""
+def refused(problem: Problem) -> str:
+    """Why collocation cannot be the method for a problem, or nothing."""
     if problem.control is not None or not problem.model.smooth:
         return "it has controls or impacts"
     if problem.constraints or problem.bounds or problem.phase_condition or problem.objective != "nearest":
@@ -78,14 +79,32 @@ def suits(problem: Problem) -> str:
     return ""
 
 
+def settles(problem: Problem) -> bool:
+    """Whether a motion of a problem may settle on its orbit, so that a simulation is a start."""
+    model = problem.model
+    return not refused(problem) and model.rates is not None and not model.invariants and not model.conservative
+
+
+def stiff(problem: Problem) -> str:
+    """Why a problem is stiff, or nothing: what decays, measured along a lap of its guess or of a simulation."""
+    if not settles(problem):
+        return ""
+    try:
+        with np.errstate(all="ignore"):
+            guess = lap(problem.model, problem.guess)
+            decays = stiffness(collocated_equations(problem), guess)
+    except (ConvergenceError, IntegrationError, np.linalg.LinAlgError):
+        return ""
+    return f"stiff: what decays fastest does so {decays:.2g} times in a period" if decays > STIFF else ""
+
+
 def found(problem: Problem, settings: SolveSettings, report: Callback | None, began: float) -> tuple[Orbit, Model]:
     """The orbit of a smooth system, by collocation."""
-    refused = suits(problem)
-    if refused:
-        raise InputError(f"method: collocation is not for this problem, {refused}; leave method out, or say shooting")
     problem = at_forcing_period(problem)
-    guess = cycle(problem.model, problem.guess)
     equations = collocated_equations(problem)
+    guess = lap(problem.model, problem.guess)
+    if settles(problem):
+        guess = cycle(problem.model, problem.guess, stiffness(equations, guess) > STIFF)
     free = np.array([{**problem.guess.free, **{pin.name: pin.value for pin in problem.pin}}.get(name, value)
                      for name, value in zip(equations.free, equations.numbers, strict=True)])  # fmt: skip
     told = (lambda event: None) if report is None else report
@@ -169,7 +188,7 @@ def closed(problem: Problem, equations: Equations, start: Meshed) -> Meshed:
     """The orbit on the mesh of a start, by Newton's method. Raises `ConvergenceError`, `IntegrationError`."""
     march, w = _march(equations), start.w
     march.begin(w.nodes, start.stages, w.mesh, w.tail)
-    last = w.nodes[-1] + start.stages[-1] .T @ march.tableau.end
+    last = w.nodes[-1] + start.stages[-1].T @ march.tableau.end
     loop = loop_of(problem, equations, w, last, problem.pin)
     units = nonzero(np.ptp(w.nodes, axis=0))
     free = np.where(w.free != 0.0, np.abs(w.free), 1.0)

@@ -35,7 +35,7 @@ from orbitfinder.integrate.dop853 import (
     integrate_in,
 )
 from orbitfinder.integrate.equations import accelerations, hamilton, invariant_gradients
-from orbitfinder.integrate.field import VectorField, vector_field
+from orbitfinder.integrate.field import VectorField, expect, vector_field
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
 from orbitfinder.loops.symmetry import Involution, symplectic
 from orbitfinder.mechanics.constrained import tangent_basis
@@ -93,6 +93,12 @@ class Motion:
     formulation: str = HAMILTON
     constraints: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     begins: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    reach: np.ndarray | None = None
+    """of a stiff first-order motion its least and largest y (2 x m), which no equal times see"""
+
+    def reaching(self, path: np.ndarray) -> np.ndarray:
+        """A path (k x m), as far as the motion goes."""
+        return path if self.reach is None else np.vstack([path, self.reach])
 
 
 class Hamiltonian:
@@ -186,6 +192,8 @@ def canonical_motion(
         units, equations.field, start, moments, settings, period / STEPS_PER_PERIOD, traces := list[Trace]()
     )
     half = start.size // 2
+    if equations.field.stiff:  # nor does the interpreter follow its variations
+        expect(equations.equations.variational, None)
     transitions, nodes, action = _pieces(equations, start[None], units, period, varied)
     if not first_order:  # a gap dq adds p.dq: however large p is, the action of a small orbit is not that round-off
         missed = nodes[-1] - start - shift(turns[chosen[: masses.size]], start.size)
@@ -195,8 +203,13 @@ def canonical_motion(
     return Motion(
         moments, equations.states(path), path, transitions, action, equations.field(0.0, start), gradients, directions,
         masses, own, drifting(traces[0], own, units), GIVEN if first_order else HAMILTON, constraints,
-        nodes[:-1],
+        nodes[:-1], _reach(traces[0], units) if first_order and equations.field.stiff else None,
     )  # fmt: skip
+
+
+def _reach(trace: Trace, units: np.ndarray) -> np.ndarray:
+    """The least and the largest of a motion in `units` (m)."""
+    return np.array([trace.states.min(axis=0), trace.states.max(axis=0)]) * units
 
 
 def drifting(trace: Trace, turns: np.ndarray, units: np.ndarray) -> Trace:
@@ -442,7 +455,8 @@ def gather(
     motion = motion_of(model, state, period, turns, np.unique(np.append(evenly(period), moments)), settings)
     at = np.searchsorted(motion.times, evenly(period))
     path, states = motion.path[at], motion.states[at]
-    loop = _looped(model, motion, in_momenta(np.ptp(path, axis=0), motion.masses, period), path, period)
+    moved = np.ptp(motion.reaching(path), axis=0)
+    loop = _looped(model, motion, in_momenta(moved, motion.masses, period), path, period)
     monodromy, growth, varied = _products(loop.pieces)
     kinetic, potential = energies(model, states)
     total = kinetic + potential
@@ -452,7 +466,7 @@ def gather(
     return Evidence(
         times=motion.times[at],
         states=states,
-        extents=extents_of(model, states, period),
+        extents=extents_of(model, motion.reaching(states), period),
         tour=loop,
         closure=gap(np.asarray(state, float), states[-1], turns),
         action=motion.action,
@@ -526,7 +540,7 @@ def tour(
     own = system_kind(model.system).motion(model)
     given = model, state, period, turns, evenly(period), TIGHTEST
     motion = own(*given) if own else canonical_motion(*given, varied)
-    units, half = known_in(motion.path, motion.masses, period, model.angular), None
+    units, half = known_in(motion.reaching(motion.path), motion.masses, period, model.angular), None
     loop, equations = _looped(model, motion, units, motion.path, period), Hamiltonian(model)
     if beside is not None and loop.closes.gap > GROWN and not own:
         told, joins = _beside(equations, motion, units, *beside, varied)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from orbitfinder._runtime.arguments import Registry, shown
 from orbitfinder._runtime.rooms import filled
-from orbitfinder.errors import InputError
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.loops.ipopt import Callback, SolveSettings
 from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.model import Model
@@ -20,11 +20,15 @@ from orbitfinder.records.orbit import Orbit
 class Method:
     """A method of finding orbits."""
 
-    suits: Callable[[Problem], bool]
-    """(problem) -> whether it is for this one"""
+    suits: Callable[[Problem], str | bool]
+    """(problem) -> whether it is for this one, or why"""
     find: Callable[[Problem, SolveSettings, Callback | None, float], tuple[Orbit, Model]]
     """(problem, settings, what is told of progress, when the search began) -> the orbit without its certificate and its
     Model; raises `ConvergenceError`, `IntegrationError` and `InputError` with a sentence to act on"""
+    refuses: Callable[[Problem], str] | None = None
+    """(problem) -> why it cannot be asked for, or nothing; without it, where it suits alone"""
+    rescues: Callable[[Problem], bool] = lambda problem: False
+    """(problem) -> whether it is tried where another method has failed"""
 
 
 METHODS = Registry(Method)
@@ -35,19 +39,40 @@ COLLOCATION = "collocation"
 """The method for what is stiff"""
 
 
-def method_of(problem: Problem) -> Method:
-    """The method for a Problem: the latest entry that it suits, shooting where none does."""
+def method_of(problem: Problem, asked: str | None = None) -> tuple[str, Method, str]:
+    """The method for a Problem, its name, and why: the one `asked` for, else the latest entry that it suits, shooting
+    where none does. Raises `InputError` for one that is unknown or not for this problem."""
     filled("methods")
-    special = (method for name, method in reversed(METHODS.items()) if name != SHOOTING and method.suits(problem))
-    return next(special, METHODS[SHOOTING])
+    if asked is None:
+        for name, method in reversed(METHODS.items()):
+            if name != SHOOTING and (why := method.suits(problem)):
+                return name, method, why if isinstance(why, str) else ""
+        return SHOOTING, METHODS[SHOOTING], ""
+    if asked not in METHODS:
+        raise InputError(f"method: unknown {asked!r}{closest(asked, METHODS)}; use {SHOOTING} or {COLLOCATION}")
+    method = METHODS[asked]
+    refused = method.refuses(problem) if method.refuses else "" if method.suits(problem) else "it is not of its kind"
+    if refused:
+        raise InputError(f"method: {asked} is not for this problem, {refused}; leave method out")
+    return asked, method, "asked for"
 
 
 def solved(problem: Problem, settings: SolveSettings, progress: Callback | None, began: float) -> tuple[Orbit, Model]:
     """What the method for a Problem finds. Raises `InputError` for a method that gives anything but it should."""
-    method = method_of(problem)
-    given = method.find(problem, settings, progress, began)
+    asked = settings.method or problem.method
+    name, method, why = method_of(problem, asked)
+    try:
+        given = method.find(problem, settings, progress, began)
+    except (ConvergenceError, IntegrationError) as error:
+        other = next((key for key, each in METHODS.items() if key != name and each.rescues(problem)), None)
+        if asked is not None or other is None:
+            raise
+        try:
+            given = METHODS[other].find(problem, settings, progress, began)
+        except (ConvergenceError, IntegrationError):
+            raise error from None
+        name, method, why = other, METHODS[other], f"{name} failed: {error}"
     kinds = [type(part) for part in given] if isinstance(given, tuple) else []
-    name = next(name for name, each in METHODS.items() if each is method)
     if kinds != [Orbit, Model]:
         raise InputError(f"Method {name!r}, find: expected (Orbit, Model), got {shown(given)}; return both, the Model "
                          "without them being `problem.model`")  # fmt: skip
@@ -55,4 +80,5 @@ def solved(problem: Problem, settings: SolveSettings, progress: Callback | None,
     if np.shape(orbit.state) != (size,) or np.shape(orbit.nodes)[1:] != (size,):
         raise InputError(f"Method {name!r}, find: expected a state ({size}) and nodes (N x {size}), got shapes "
                          f"{np.shape(orbit.state)} and {np.shape(orbit.nodes)}; `measure` makes them")  # fmt: skip
-    return orbit, given[1]
+    told = {"method": name, "method_reason": why} if why else {}
+    return replace(orbit, provenance=orbit.provenance | told), given[1]

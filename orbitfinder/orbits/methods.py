@@ -6,4 +6,4 @@ from orbitfinder.orbits.shoot import found, found_hybrid
 
 METHODS[SHOOTING] = Method(lambda problem: problem.control is None and problem.model.smooth, found)
 METHODS["impacts"] = Method(lambda problem: problem.control is None and not problem.model.smooth, found_hybrid)
-METHODS[COLLOCATION] = Method(lambda problem: False, collocate.found)
+METHODS[COLLOCATION] = Method(collocate.stiff, collocate.found, collocate.refused, collocate.settles)

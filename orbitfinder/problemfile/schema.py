@@ -379,6 +379,9 @@ class FindTable(Table):
         "room for one pin more, such as its momentum, momentum_phi",
         [],
     )
+    method: str | None = key(
+        "shooting, or collocation for what is stiff; when left out, chosen by a measured stiffness"
+    )
     segments: int | None = key("shooting segments, at least 1; chosen automatically when left out", ge=1, le=1000)
     tolerance: float = key(
         "closure that the certificate asks for, in extents of the motion, times what errors grow by; larger than 1e-12"

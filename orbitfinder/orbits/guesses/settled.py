@@ -12,15 +12,17 @@ from orbitfinder._runtime import limit
 from orbitfinder._runtime.quiet import captured
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.integrate.equations import accelerations
+from orbitfinder.integrate.equations import acceleration_slopes, accelerations
 from orbitfinder.integrate.field import rates_of, vector_field
 from orbitfinder.loops.problem import Guess
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, wrapped
 
-RELATIVE, ABSOLUTE = 1e-8, 1e-10
+RELATIVE, ABSOLUTE = 1e-10, 1e-12
 """Tolerances of the simulation, the second in extents of the motion"""
 BACK, NEAR = 1e-3, 0.1
 """A motion has come back when it is this near, in extents, to where it was; a guess that comes as near is a cycle"""
+BETWEEN = 6
+"""Samples of a lap in each step of its simulation"""
 LAPS, LONGEST = 12, 2.0
 """Guessed periods after which what has not come back does not, and how long a period may be"""
 
@@ -39,45 +41,83 @@ def simulated(model: Model, state: np.ndarray, duration: float, units: np.ndarra
 
     Raises `IntegrationError` where it cannot be integrated.
     """
-    field = vector_field(accelerations(model))
+    field, slopes = vector_field(accelerations(model)), acceleration_slopes(model)
     size = np.where(state != 0.0, np.abs(state), np.abs(state).max(initial=0.0) or 1.0) if units is None else units
 
     def rate(t: float, x: np.ndarray) -> np.ndarray:
         limit.check()
         return np.asarray(field(t, x * size) / size)
 
+    def steepness(
+        t: float, x: np.ndarray
+    ) -> np.ndarray:  # without it, or with differences, it takes a stiff field for none
+        return np.asarray(slopes(t, x * size)) * size / size[:, None]
+
     with np.errstate(all="ignore"), captured():
         found = solve_ivp(rate, (0.0, duration), state / size, method="LSODA", rtol=RELATIVE, atol=ABSOLUTE,
-                          dense_output=True)  # fmt: skip
+                          jac=steepness, dense_output=True)  # fmt: skip
     if not found.success or not np.isfinite(found.y).all():
         raise IntegrationError("the motion cannot be simulated", time=float(found.t[-1]), state=state)
     return Course(found.t, found.y.T * size, lambda times: np.asarray(found.sol(times).T * size))
 
 
-def cycle(model: Model, guess: Guess) -> Guess:
-    """A guess whose trajectory is one lap of a cycle: its own, its motion where that comes back, or what it settles on.
+def cycle(model: Model, guess: Guess, stiff: bool) -> Guess:
+    """A guess whose trajectory is one lap of a cycle: its own, or its motion where that comes back, or what it settles on.
 
-    Raises `ConvergenceError` where the motion settles on nothing that comes back after about the guess's period.
+    A stiff one, whose jumps would not be where they belong, is what it settles on first. Raises `ConvergenceError` where
+    it settles on nothing that comes back after about the guess's period.
     """
-    if guess.trajectory is not None:
-        return guess
-    course = simulated(model, np.asarray(guess.state, float), 1.25 * guess.period)
-    units = nonzero(np.ptp(course.states, axis=0))
-    lap = _lap(model, course, units, 0.0, guess.period)
-    if lap is not None and lap[1] <= NEAR and model.forced:
-        return lap[0]
-    away = np.inf
+    own = lap(model, guess)
+    if guess.trajectory is not None or _apart(model, own) <= (0.0 if stiff else NEAR):
+        return own
+    if model.forced:
+        laps = LAPS * guess.period
+        course = simulated(model, np.asarray(guess.state, float), laps + guess.period)
+        return _between(course, laps, guess.period)
+    try:
+        return _settled(model, guess)
+    except ConvergenceError:
+        if _apart(model, own) <= NEAR:
+            return own
+        raise
+
+
+def _settled(model: Model, guess: Guess) -> Guess:
+    state, units, away = np.asarray(guess.state, float), None, np.inf
     for _ in range(LAPS):
-        course = simulated(model, course.states[-1], (1.0 + 2 * LONGEST) * guess.period, units)
-        units = nonzero(np.ptp(course.states, axis=0))
-        lap = _lap(model, course, units, course.times[-1] - (0.5 + LONGEST) * guess.period, guess.period)
-        if lap is not None and lap[1] <= BACK:
-            return lap[0]
-        away = min(away, np.inf if lap is None else lap[1])
+        course = simulated(model, state, (1.0 + 2 * LONGEST) * guess.period, units)
+        units, state = nonzero(np.ptp(course.states, axis=0)), course.states[-1]
+        found = _lap(model, course, units, course.times[-1] - (0.5 + LONGEST) * guess.period, guess.period)
+        if found is not None and found[1] <= BACK:
+            return found[0]
+        away = min(away, np.inf if found is None else found[1])
     raise ConvergenceError(
         f"the motion from guess.state does not come back after about guess.period = {guess.period:g} (to {away:.2g} of its "
         f"extent at best, in {LAPS * (1 + 2 * LONGEST):g} periods); give a state near the cycle and its period"
     )
+
+
+def _apart(model: Model, guess: Guess) -> float:
+    """How far a guess's trajectory is from coming back, in its extents, whole turns aside."""
+    states = np.asarray(guess.states)
+    moved = wrapped((states[-1] - states[0])[None], model.angles)[0]
+    return float(np.abs(moved / nonzero(np.ptp(states, axis=0))).max())
+
+
+def _between(course: Course, begin: float, lasts: float) -> Guess:
+    """The part of a simulation from a time on, sampled closely."""
+    inside = course.times[(course.times > begin) & (course.times < begin + lasts)] - begin
+    steps = np.concatenate([[0.0], inside, [lasts]])
+    steps = np.interp(np.arange(BETWEEN * (steps.size - 1) + 1) / BETWEEN, np.arange(steps.size), steps)
+    states = course.at(begin + steps)
+    return Guess(states[0], float(lasts), steps, states)
+
+
+def lap(model: Model, guess: Guess) -> Guess:
+    """A guess with a trajectory for its period: its own, or its motion. Raises `IntegrationError`."""
+    if guess.trajectory is not None:
+        return guess
+    return _between(simulated(model, np.asarray(guess.state, float), guess.period), 0.0, guess.period)
 
 
 def paces(model: Model, times: np.ndarray, states: np.ndarray, units: np.ndarray) -> np.ndarray:
@@ -109,10 +149,7 @@ def _lap(model: Model, course: Course, units: np.ndarray, earliest: float, perio
     apart = np.abs((course.at(moments) - start) / units).max(axis=1)
     least = apart.min()
     first = int(np.argmax(apart <= max(2 * least, BACK / 10)))
-    lasts = moments[first] - now
-    inside = course.times[(course.times > now) & (course.times < moments[first])] - now
-    steps = np.concatenate([[0.0], inside, [lasts]])
-    return Guess(start, float(lasts), steps, course.at(now + steps)), float(apart[first])
+    return _between(course, float(now), float(moments[first] - now)), float(apart[first])
 
 
 def _root(height: Callable[[float], float], low: float, high: float) -> float:
