@@ -159,9 +159,9 @@ def test_messages(cycle):
     """What has no phase, and why."""
     ball, swing = of.systems.bouncing_ball(), of.systems.henon_heiles()
     for model, words in (
-        (of.systems.forced_duffing(), "model: is forced, so that its phase is that of the forcing"),
+        (of.systems.forced_duffing(), "model: is forced, so that its phase is the forcing's"),
         (ball, "model: jumps; phase responses are of"), (of.chain_dae(1), "model: is under constraints; take its min"),
-        (swing, "model: keeps an integral or a symmetry, so that a kick leads to another orbit"),
+        (swing, "model: keeps an integral, so that a kick leads to another orbit"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=words):
             of.phase_response(cycle, model)

@@ -48,7 +48,7 @@ def phase_plane(files: tuple[Path, ...], ranges: tuple[str, ...], out: Path, tru
     \b
     Examples:
       orbitfinder phase-plane orbits/brusselator/orbit.json
-      orbitfinder phase-plane problems/gallery/brusselator.toml --range x=0:4 --range y=0:5
+      orbitfinder phase-plane problems/gallery/brusselator.toml --range u=0:5 --range v=0:5
     """
     from orbitfinder.problemfile.read import load_problem_file
     from orbitfinder.show.style import save_all

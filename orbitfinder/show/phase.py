@@ -60,8 +60,8 @@ def phase_plane(
         InputError: for other systems, and ranges that are none.
 
     Examples:
-        >>> of.phase_plane(clock, {"x": (0.0, 4.0), "y": (0.0, 5.0)}, orbits=[cycle]).axes[0].get_xlabel()
-        'x'
+        >>> of.phase_plane(clock, {"u": (0.0, 4.0), "v": (0.0, 5.0)}, orbits=[cycle]).axes[0].get_xlabel()
+        'u'
     """
     low, high = _view(model, ranges or {}, orbits)
     figure, room = new_figure(7.4, 6.2, title), (high - low) / (2 * ARROWS)

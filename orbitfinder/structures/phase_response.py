@@ -91,10 +91,9 @@ class PhaseResponse(Shown):
         return CODEC.save(self, path)
 
     def _check(self) -> None:
-        rows = (
-            self.states.ndim == 2 and self.states.shape == self.response.shape and len(self.states) == len(self.times)
-        )
-        if not rows or self.times[0] != 0 or not np.all(np.diff(self.times, append=self.period) > 0):
+        count = self.times.size
+        fit = self.states.shape == self.response.shape == (count, self.states.size // max(1, count))
+        if not fit or self.times[0] != 0 or not np.all(np.diff(self.times, append=self.period) > 0):
             raise ValueError("times: expected as many as states and rows of the response, from 0 to before the period")
 
 
@@ -122,11 +121,9 @@ def phase_response(orbit: Orbit, model: Model | None = None, *, name: str | None
     """
     model = model or build_model(orbit.system)
     refuse_controlled(orbit, "orbit")
-    what = ("is forced, so that its phase is that of the forcing" if model.forced else "jumps" if not model.smooth
-            else "is under constraints; take its minimal form" if model.constraint is not None
-            else "keeps an integral or a symmetry, so that a kick leads to another orbit"
-            if model.invariants or orbit.shift else "")  # fmt: skip
-    if what:
+    what = "keeps an integral, so that a kick leads to another orbit" if model.invariants or orbit.shift else ""
+    what = "is under constraints; take its minimal form" if model.constraint is not None else what
+    if what := "is forced, so that its phase is the forcing's" if model.forced else what if model.smooth else "jumps":
         raise InputError(f"model: {what}; phase responses are of cycles of autonomous, smooth, dissipative systems")
     march, tail, mesh = March(unfolded_field(model)), np.array([orbit.period]), _mesh(model, orbit)
     states = march.states(orbit.nodes, mesh, tail)
@@ -140,10 +137,8 @@ def phase_response(orbit: Orbit, model: Model | None = None, *, name: str | None
     rates = march.rates(starts, tail)
     response = _adjoint(factors, rates * orbit.period / units) * orbit.period / units
     off = float(np.abs((response * rates).sum(axis=1) - 1).max())
-    times, known = orbit.period * mesh[:-1:2], (floquet.multipliers, floquet.stability)
-    curve = PhaseResponse(
-        name or orbit.name, dict(orbit.system), orbit.period, orbit.winding, times, starts, response, off, *known
-    )
+    whose, times = (name or orbit.name, dict(orbit.system), orbit.period, orbit.winding), orbit.period * mesh[:-1:2]
+    curve = PhaseResponse(*whose, times, starts, response, off, floquet.multipliers, floquet.stability)
     return replace(curve, certificate=certify_phase_response(curve, model))
 
 
@@ -217,11 +212,8 @@ def _kicked(curve: PhaseResponse, field: Any, units: np.ndarray, sizes: np.ndarr
     periods = int(np.ceil(np.log(DECAYED) / np.log(rate))) * (-1 if back else 1) if settled else 1
     random, lengths = np.random.default_rng(0), (SIZES if settled else SIZES / max(1.0, largest))[:, None, None]
     chosen, ways = random.choice(len(curve.states), KICKS), random.normal(size=(KICKS, units.size))
-    x, z, ways = (
-        curve.states[chosen] / units,
-        curve.response[chosen] * units,
-        ways / np.linalg.norm(ways, axis=1)[:, None],
-    )
+    x, z = curve.states[chosen] / units, curve.response[chosen] * units
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
     starts = np.array([x + lengths * ways, x - lengths * ways])
 
     def together(_: float, y: np.ndarray) -> np.ndarray:
