@@ -86,11 +86,14 @@ from .show.animate import orbit_clip as orbit_clip
 from .show.animate import save_animation as save_animation
 from .show.animate import simulation_clip as simulation_clip
 from .show.optima import save_optima_figure as save_optima_figure
+from .show.phase import phase_plane as phase_plane
 from .show.plot import save_figures as save_figures
 from .structures.connections import connect as connect
 from .structures.frequencies import FrequencyMap as FrequencyMap
 from .structures.frequencies import frequency_map as frequency_map
 from .structures.manifolds import manifold as manifold
+from .structures.phase_response import PhaseResponse as PhaseResponse
+from .structures.phase_response import phase_response as phase_response
 from .structures.sections import section as section
 from .structures.tori import TorusSettings as TorusSettings
 from .structures.tori import follow_tori as follow_tori

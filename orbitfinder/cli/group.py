@@ -33,6 +33,7 @@ from orbitfinder.cli.options import (
     options_named,
     print_json,
 )
+from orbitfinder.cli.phase import phase, phase_plane
 from orbitfinder.cli.problems import problems
 from orbitfinder.cli.run import reproduce, run, simulate
 from orbitfinder.cli.search import search
@@ -48,7 +49,7 @@ from orbitfinder.errors import InputError, OrbitfinderError
 LIMITS = {
     **dict.fromkeys(("run", "simulate", "guess"), 600.0), **dict.fromkeys(("prove", "continue"), 86_400.0),
     **dict.fromkeys(("verify", "sweep", "refine", "stabilise", "torus", "section", "manifold", "connect"), 3600.0),
-    "equilibria": 3600.0, "diagram": 3600.0,
+    **dict.fromkeys(("equilibria", "diagram", "phase"), 3600.0),
 }  # fmt: skip
 """s after which a command stops unless --limit says otherwise: the slowest search that we ship, 100 links, takes 46,
 the longest proof an hour. `search` has its budget; the others go on for as long as they are let."""
@@ -58,8 +59,8 @@ PURPOSES = {
     "Find": ("problems", "init", "guess", "run", "simulate", "sweep", "search", "atlas", "section"),
     "Follow": ("equilibria", "diagram", "continue", "torus", "manifold", "connect"),
     "Prove": ("verify", "prove", "refine"),
-    "Use": ("stabilise", "export"),
-    "Look": ("show", "studio", "plot", "animate", "page", "reproduce"),
+    "Use": ("stabilise", "phase", "export"),
+    "Look": ("show", "studio", "plot", "phase-plane", "animate", "page", "reproduce"),
     "This program": ("doctor", "completion"),
 }
 """The commands by what they are for, in the order in which they are used"""
@@ -168,7 +169,7 @@ def cli() -> None:
 
 for command in (
     problems, run, verify, simulate, init, guess, sweep, equilibria, diagram, continue_, section, manifold, connect,
-    torus, stabilise, search, atlas, prove, refine, export, show, plot, animate, page, studio, reproduce, doctor,
-    completion,
+    torus, stabilise, phase, search, atlas, prove, refine, export, show, plot, phase_plane, animate, page, studio,
+    reproduce, doctor, completion,
 ):  # fmt: skip
     cli.add_command(command)

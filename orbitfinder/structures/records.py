@@ -6,6 +6,7 @@ from typing import Any
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.registry import KINDS, Kind, loaded
 from orbitfinder.structures.manifold import load_connection, load_manifold
+from orbitfinder.structures.phase_response import CODEC as PHASE
 from orbitfinder.structures.section import load_section
 from orbitfinder.structures.torus import Tori, load_tori
 
@@ -27,4 +28,8 @@ KINDS["manifold"] = Kind("a manifold", load_manifold, plot="show.figures:section
 KINDS["connection"] = Kind(
     "a connection", load_connection, verify="structures.connections:certify_connection",
     plot="show.figures:section_figures", page="laid",
+)  # fmt: skip
+KINDS[PHASE.name] = Kind(
+    "a phase response", PHASE.load, verify="structures.phase_response:certify_phase_response",
+    plot="show.phase:save_phase_figure",
 )  # fmt: skip
