@@ -13,20 +13,20 @@ from orbitfinder.cli.console import Report, display
 from orbitfinder.cli.jobs import check_writable, named_orbits
 from orbitfinder.cli.options import FILES, FINITE, SYSTEM_TRUST, option, orbit_files, out_option, text, usual
 from orbitfinder.errors import InputError, plural
-from orbitfinder.exports.formats import FORMATS
+from orbitfinder.exports.formats import FORMATS, TABLES
 from orbitfinder.records.registry import answer
 
 
 @click.command()
 @orbit_files
-@option("to", "What to write.", kind=tuple(FORMATS), required=True)
+@option("to", "What to write.", kind=tuple(dict.fromkeys((*FORMATS, *TABLES))), required=True)
 @usual("Folder for the files; default: beside each ORBIT.json.", trust=SYSTEM_TRUST, json=False)
 def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> None:
     """Write each ORBIT.json for another program.
 
     csv: times and states, as `csv` in [guess] reads them. auto: NAME.f90, c.NAME and NAME.dat for AUTO-07p
     (then: @r NAME). julia: NAME.jl for BifurcationKit.jl. c: the right-hand side in plain C.
-    Of a controller.json csv are its gains, c itself in C and Python.
+    Of a controller.json csv are its gains, c itself in C and Python; of an equilibria.json csv and json its points.
     FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas.
 
     \b

@@ -44,7 +44,7 @@ def _followed(facts: Mapping[str, Any]) -> None:
     from orbitfinder.families.entries import FOLLOWED, SWITCHABLE
 
     for k, event in enumerate(facts.get("events", ())):
-        ways = {f"--switch {k}": SWITCHABLE, f"--curve {k} --parameters A,B": FOLLOWED}
+        ways = {f"--switch {k}": [*SWITCHABLE, "hopf"], f"--curve {k} --parameters A,B": FOLLOWED}
         event["follow"] = [way for way, kinds in ways.items() if event["kind"] in kinds]
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
+from orbitfinder.families.equilibrium import Equilibria
 from orbitfinder.mechanics.model import Model
+from orbitfinder.show.rest import in_order, stretched, value_of
 from orbitfinder.show.style import dress, new_figure, save_all
 from orbitfinder.show.svg import COLOURS, axis
 
@@ -22,9 +21,8 @@ MOST = 6
 
 def save_equilibria_figure(equilibria: Equilibria, folder: str | Path, model: Model) -> list[Path]:
     """Write `equilibria.png`; returns its path."""
-    both: tuple[Equilibrium | RestEvent, ...] = (*equilibria.points, *equilibria.events)
-    places = sorted(both, key=lambda place: place.arclength)
-    values = np.array([place.value if isinstance(place, Equilibrium) else place.parameter for place in places])
+    places = in_order(equilibria)
+    values = np.array([value_of(place) for place in places])
     states, stretches = np.array([place.state for place in places]), stretched(places)
     count = min(states.shape[1] if model.rates is not None else model.degrees_of_freedom, MOST)
     columns = min(count, 3)
@@ -36,6 +34,8 @@ def save_equilibria_figure(equilibria: Equilibria, folder: str | Path, model: Mo
         if k >= count:
             panel.set_visible(False)
             continue
+        if len(places) == 1:
+            panel.plot(values, states[:, k], "o", color=COLOURS[0])
         for part, stable in stretches:
             panel.plot(values[part], states[part, k], "-" if stable else "--", color=COLOURS[0], linewidth=1.6)
         marked = defaultdict[str, list[tuple[float, float]]](list)
@@ -47,14 +47,3 @@ def save_equilibria_figure(equilibria: Equilibria, folder: str | Path, model: Mo
     if equilibria.events:
         panels[0].legend(loc="best", frameon=False, fontsize=8)
     return save_all({"equilibria": figure}, folder)
-
-
-def stretched(places: Sequence[Equilibrium | RestEvent]) -> list[tuple[slice, bool]]:
-    """Equilibria and events in their order as stretches of one stability, with the places where they meet in both."""
-    stretches: list[tuple[slice, bool]] = []
-    for k, pair in enumerate(pairwise(places)):
-        verdicts = [place.stability for place in pair if isinstance(place, Equilibrium)]
-        stable = bool(verdicts) and verdicts[-1] != "unstable"
-        start = stretches.pop()[0].start if stretches and stretches[-1][1] == stable else k
-        stretches.append((slice(start, k + 2), stable))
-    return stretches

@@ -56,12 +56,14 @@ class Axes:
     names: tuple[str, str]
     width: int = SIZE + LEFT - 28
     height: int = SIZE
+    left: int = LEFT
+    below: int = BELOW
 
     def place(self, points: np.ndarray) -> np.ndarray:
         """Points (..., 2) of the plane as pixels."""
-        room = np.array([self.width - LEFT - AROUND, self.height - BELOW - AROUND])
+        room = np.array([self.width - self.left - AROUND, self.height - self.below - AROUND])
         share = (points - self.low) / nonzero(self.high - self.low)
-        return np.asarray([LEFT, self.height - BELOW] + share * room * [1, -1])
+        return np.asarray([self.left, self.height - self.below] + share * room * [1, -1])
 
     @property
     def frame(self) -> str:
@@ -281,13 +283,24 @@ def plane_of(drawn: Diagram) -> Axes:
 
 def diagram(drawn: Diagram) -> str:
     """The curve of a family: solid where stable, dashed where not, a dot that names itself at each event."""
-    axes, lines = plane_of(drawn), []
-    for stable, run in drawn.stretches:
-        dash = "" if stable else ' stroke-dasharray="5 4"'
+    marks = [(f"{event.kind.replace('_', ' ')} at {event.parameter:.6g} {event.detail}", place)
+             for event, place in zip(drawn.family.events, drawn.events, strict=True)]  # fmt: skip
+    said = " against ".join(drawn.names[::-1]) + (" of the family" if len(drawn.family.parameters) < 2 else "")
+    return drawn_curve(plane_of(drawn), drawn.stretches, marks, said)
+
+
+def drawn_curve(
+    axes: Axes, stretches: Sequence[tuple[bool, np.ndarray]], marks: Sequence[tuple[str, np.ndarray]], said: str,
+    framed: bool = True,
+) -> str:  # fmt: skip
+    """A curve in stretches (k x 2) that are stable or not, and named marks on it; larger, where it is not `framed`."""
+    lines, thick = [axes.frame] if framed else [], 2 if framed else 6
+    for stable, run in stretches:
+        dash = "" if stable else f' stroke-dasharray="{2.5 * thick:g} {2 * thick:g}"'
         line = path(axes.place(run))
-        lines.append(f'<polyline points="{line}" fill="none" stroke="{COLOURS[0]}" stroke-width="2"{dash}/>')
-    for event, (x, y) in zip(drawn.family.events, axes.place(drawn.events), strict=True):
-        name = escape(f"{event.kind.replace('_', ' ')} at {event.parameter:.6g} {event.detail}")
-        lines.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{COLOURS[1]}"><title>{name}</title></circle>')
-    said = " against ".join(axes.names[::-1]) + (" of the family" if len(drawn.family.parameters) < 2 else "")
-    return picture("".join([axes.frame, *lines]), said, WIDTH, HEIGHT)
+        lines.append(f'<polyline points="{line}" fill="none" stroke="{COLOURS[0]}" stroke-width="{thick}"{dash}/>')
+    for name, point in marks:
+        x, y = axes.place(point)
+        lines.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{1.5 + thick}" fill="{COLOURS[1]}">'
+                     f"<title>{escape(name)}</title></circle>")  # fmt: skip
+    return picture("".join(lines), said, axes.width, axes.height)

@@ -1,0 +1,53 @@
+"""Equilibria as every picture draws them: in order with what happens on the way, in stretches of one stability."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
+from orbitfinder.show.svg import AROUND, HEIGHT, SIZE, WIDTH, Axes, drawn_curve, ranged
+
+Rest = Equilibrium | RestEvent
+
+
+def in_order(equilibria: Equilibria) -> list[Rest]:
+    """Points and events along the curve."""
+    return sorted((*equilibria.points, *equilibria.events), key=lambda rest: rest.arclength)
+
+
+def value_of(rest: Rest) -> float:
+    """The parameter's value there."""
+    return rest.value if isinstance(rest, Equilibrium) else rest.parameter
+
+
+def most_moved(equilibria: Equilibria) -> int:
+    """The component that changes most, in its own size."""
+    states = np.array([point.state for point in equilibria.points])
+    return int((np.ptp(states, axis=0) / nonzero(np.abs(states).max(axis=0))).argmax())
+
+
+def stretched(places: Sequence[Rest]) -> list[tuple[slice, bool]]:
+    """Equilibria and events in their order as stretches of one stability, with the places where they meet in both."""
+    stretches: list[tuple[slice, bool]] = []
+    for k, pair in enumerate(pairwise(places)):
+        verdicts = [place.stability for place in pair if isinstance(place, Equilibrium)]
+        stable = bool(verdicts) and verdicts[-1] != "unstable"
+        start = stretches.pop()[0].start if stretches and stretches[-1][1] == stable else k
+        stretches.append((slice(start, k + 2), stable))
+    return stretches
+
+
+def rest_svg(equilibria: Equilibria, name: str, small: bool = False) -> str:
+    """The component that moves most along the parameter, by its `name`; `small`: for a card, without axes."""
+    every, component = in_order(equilibria), most_moved(equilibria)
+    places = np.array([[value_of(rest), rest.state[component]] for rest in every])
+    size = (SIZE, SIZE, AROUND, AROUND) if small else (WIDTH, HEIGHT)
+    axes = Axes(*ranged(places), (equilibria.parameter, name), *size)
+    marks = [(f"{rest.words} at {rest.parameter:.6g}", places[k]) for k, rest in enumerate(every)
+             if isinstance(rest, RestEvent)]  # fmt: skip
+    stretches = [(stable, places[part]) for part, stable in stretched(every)]
+    return drawn_curve(axes, stretches, marks, f"{name} of the equilibria against {equilibria.parameter}", not small)
