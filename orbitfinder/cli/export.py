@@ -125,12 +125,12 @@ SPEAK_EVERY = 2.0
 def page(
     paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int, verify: bool, trust: bool, **options: Any
 ) -> None:
-    """Make a static site from any mixture of orbits, families and atlases.
+    """Make a static site from any mixture of orbits, families, equilibria and atlases.
 
-    PATH is an orbit.json, a family.json, an atlas (database or JSON export), an optima.json, a section.json and
-    what lies in it (manifolds, connections, tori), or a folder that holds such files; FILE#K is one point of a
-    family (from 0) or orbit of an atlas. --stability, --symmetry, --energy and --period choose orbits of atlas
-    databases. The site opens from disk: no network, no server.
+    PATH is an orbit.json, a family.json, an equilibria.json, an atlas (database or JSON export), an optima.json, a
+    section.json and what lies in it (manifolds, connections, tori), or a folder that holds such files; FILE#K is one
+    point of a family (from 0) or orbit of an atlas. --stability, --symmetry, --energy and --period choose orbits of
+    atlas databases. The site opens from disk: no network, no server.
 
     \b
     Examples:
@@ -158,6 +158,7 @@ def page(
         "family": summary.families,
         "atlas": summary.atlases,
         "section": summary.sections,
+        "equilibrium curve": summary.equilibria,
     }
     parts = [plural(count, name) for name, count in counts.items() if count]
     text(f"{out / 'index.html'}: {', '.join(parts)}, {size(summary.size)}")

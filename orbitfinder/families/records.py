@@ -2,8 +2,10 @@
 
 from dataclasses import replace
 
-from orbitfinder.families.equilibrium import EQUILIBRIA, Equilibria, Equilibrium, load_equilibria
+from orbitfinder.families.equilibrium import EQUILIBRIA, Equilibria, load_equilibria
 from orbitfinder.records.registry import KINDS, Kind
+
+__all__ = ["EQUILIBRIA"]
 
 
 def _each(equilibria: Equilibria) -> list[Equilibria]:
@@ -11,10 +13,7 @@ def _each(equilibria: Equilibria) -> list[Equilibria]:
             for k, point in enumerate(equilibria.points)]  # fmt: skip
 
 
-def _facts(equilibria: Equilibria) -> Equilibria | Equilibrium:
-    return equilibria if equilibria.ends or len(equilibria.points) > 1 else equilibria.points[0]
-
-
 KINDS[EQUILIBRIA] = Kind(
-    "equilibria", load_equilibria, _each, holds=EQUILIBRIA, facts=_facts, verify="families.equilibria:verified",
+    "equilibria", load_equilibria, _each, holds=EQUILIBRIA, verify="families.equilibria:verified",
+    facts=lambda rest: rest if rest.ends else rest.points[0],
 )  # fmt: skip

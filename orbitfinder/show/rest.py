@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.errors import OrbitfinderError
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
-from orbitfinder.show.svg import AROUND, HEIGHT, SIZE, WIDTH, Axes, drawn_curve, ranged
+from orbitfinder.mechanics.kind import build_model
+from orbitfinder.mechanics.model import Model, check_state
+from orbitfinder.show.svg import HEIGHT, WIDTH, Axes, drawn_curve, greek, ranged
 
 Rest = Equilibrium | RestEvent
 
@@ -41,13 +45,23 @@ def stretched(places: Sequence[Rest]) -> list[tuple[slice, bool]]:
     return stretches
 
 
-def rest_svg(equilibria: Equilibria, name: str, small: bool = False) -> str:
-    """The component that moves most along the parameter, by its `name`; `small`: for a card, without axes."""
+def names_of(equilibria: Equilibria, model_of: Callable[[Mapping[str, Any]], Model] = build_model) -> Sequence[str]:
+    """What the components of their states are called; numbered where no file describes the system."""
+    try:
+        model = model_of(equilibria.system)
+    except OrbitfinderError:
+        return [f"x{k + 1}" for k in range(equilibria.points[0].state.size)]
+    check_state(model, equilibria.points[0].state)
+    return model.state_names
+
+
+def rest_svg(equilibria: Equilibria, names: Sequence[str]) -> str:
+    """The component that moves most along the parameter; `names` are those of all components."""
     every, component = in_order(equilibria), most_moved(equilibria)
+    name = greek(names[component])
     places = np.array([[value_of(rest), rest.state[component]] for rest in every])
-    size = (SIZE, SIZE, AROUND, AROUND) if small else (WIDTH, HEIGHT)
-    axes = Axes(*ranged(places), (equilibria.parameter, name), *size)
-    marks = [(f"{rest.words} at {rest.parameter:.6g}", places[k]) for k, rest in enumerate(every)
+    marks = [(f"{rest.words} at {rest.parameter:.6g}", place) for rest, place in zip(every, places, strict=True)
              if isinstance(rest, RestEvent)]  # fmt: skip
+    axes = Axes(*ranged(places), (equilibria.parameter, name), WIDTH, HEIGHT)
     stretches = [(stable, places[part]) for part, stable in stretched(every)]
-    return drawn_curve(axes, stretches, marks, f"{name} of the equilibria against {equilibria.parameter}", not small)
+    return drawn_curve(axes, stretches, marks, f"{name} of the equilibria against {equilibria.parameter}")

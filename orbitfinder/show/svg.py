@@ -56,14 +56,12 @@ class Axes:
     names: tuple[str, str]
     width: int = SIZE + LEFT - 28
     height: int = SIZE
-    left: int = LEFT
-    below: int = BELOW
 
     def place(self, points: np.ndarray) -> np.ndarray:
         """Points (..., 2) of the plane as pixels."""
-        room = np.array([self.width - self.left - AROUND, self.height - self.below - AROUND])
+        room = np.array([self.width - LEFT - AROUND, self.height - BELOW - AROUND])
         share = (points - self.low) / nonzero(self.high - self.low)
-        return np.asarray([self.left, self.height - self.below] + share * room * [1, -1])
+        return np.asarray([LEFT, self.height - BELOW] + share * room * [1, -1])
 
     @property
     def frame(self) -> str:
@@ -290,17 +288,16 @@ def diagram(drawn: Diagram) -> str:
 
 
 def drawn_curve(
-    axes: Axes, stretches: Sequence[tuple[bool, np.ndarray]], marks: Sequence[tuple[str, np.ndarray]], said: str,
-    framed: bool = True,
-) -> str:  # fmt: skip
-    """A curve in stretches (k x 2) that are stable or not, and named marks on it; larger, where it is not `framed`."""
-    lines, thick = [axes.frame] if framed else [], 2 if framed else 6
+    axes: Axes, stretches: Sequence[tuple[bool, np.ndarray]], marks: Sequence[tuple[str, np.ndarray]], said: str
+) -> str:
+    """A curve in stretches (k x 2) that are stable or not, and named marks on it."""
+    lines = [axes.frame]
     for stable, run in stretches:
-        dash = "" if stable else f' stroke-dasharray="{2.5 * thick:g} {2 * thick:g}"'
+        dash = "" if stable else ' stroke-dasharray="5 4"'
         line = path(axes.place(run))
-        lines.append(f'<polyline points="{line}" fill="none" stroke="{COLOURS[0]}" stroke-width="{thick}"{dash}/>')
+        lines.append(f'<polyline points="{line}" fill="none" stroke="{COLOURS[0]}" stroke-width="2"{dash}/>')
     for name, point in marks:
         x, y = axes.place(point)
-        lines.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{1.5 + thick}" fill="{COLOURS[1]}">'
-                     f"<title>{escape(name)}</title></circle>")  # fmt: skip
-    return picture("".join(lines), said, axes.width, axes.height)
+        title = f"<title>{escape(name)}</title>"
+        lines.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{COLOURS[1]}">{title}</circle>')
+    return picture("".join(lines), said, WIDTH, HEIGHT)
