@@ -12,7 +12,7 @@ import numpy as np
 from orbitfinder.errors import InputError
 from orbitfinder.exports.formats import TABLES
 from orbitfinder.families.equilibrium import Equilibria
-from orbitfinder.mechanics.model import Model, check_state
+from orbitfinder.mechanics.model import Model
 from orbitfinder.records.reading import finite, json_bytes, write_atomically
 from orbitfinder.records.registry import kind_of
 
@@ -33,7 +33,6 @@ def export_equilibria(equilibria: Equilibria, to: str, folder: Path, model: Mode
         raise InputError(f"to: {to} files hold orbits, and these are equilibria; use one of {', '.join(TABLES)}")
     if target.exists() and kind_of(target):
         raise InputError(f"--out: {target} is a record, which a table would replace; give another folder")
-    check_state(model, points[0].state)
     states, values = (np.array([getattr(point, name) for point in points]).T for name in ("state", "eigenvalues"))
     columns = {"index": range(len(points)), equilibria.parameter: [point.value for point in points]}
     columns |= dict(zip(model.state_names, states, strict=True))

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from orbitfinder.families.equilibrium import Equilibria
+from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
 from orbitfinder.mechanics.model import Model
-from orbitfinder.show.rest import in_order, stretched, value_of
+from orbitfinder.show.rest import stretched
 from orbitfinder.show.style import dress, new_figure, save_all
 from orbitfinder.show.svg import COLOURS, axis
 
@@ -21,8 +21,9 @@ MOST = 6
 
 def save_equilibria_figure(equilibria: Equilibria, folder: str | Path, model: Model) -> list[Path]:
     """Write `equilibria.png`; returns its path."""
-    places = in_order(equilibria)
-    values = np.array([value_of(place) for place in places])
+    both: tuple[Equilibrium | RestEvent, ...] = (*equilibria.points, *equilibria.events)
+    places = sorted(both, key=lambda place: place.arclength)
+    values = np.array([place.value if isinstance(place, Equilibrium) else place.parameter for place in places])
     states, stretches = np.array([place.state for place in places]), stretched(places)
     count = min(states.shape[1] if model.rates is not None else model.degrees_of_freedom, MOST)
     columns = min(count, 3)
@@ -34,8 +35,6 @@ def save_equilibria_figure(equilibria: Equilibria, folder: str | Path, model: Mo
         if k >= count:
             panel.set_visible(False)
             continue
-        if len(places) == 1:
-            panel.plot(values, states[:, k], "o", color=COLOURS[0])
         for part, stable in stretches:
             panel.plot(values[part], states[part, k], "-" if stable else "--", color=COLOURS[0], linewidth=1.6)
         marked = defaultdict[str, list[tuple[float, float]]](list)

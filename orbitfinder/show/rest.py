@@ -9,23 +9,11 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.errors import OrbitfinderError
+from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
 from orbitfinder.mechanics.kind import build_model
-from orbitfinder.mechanics.model import Model, check_state
+from orbitfinder.mechanics.model import Model, counted
 from orbitfinder.show.svg import HEIGHT, WIDTH, Axes, drawn_curve, greek, ranged
-
-Rest = Equilibrium | RestEvent
-
-
-def in_order(equilibria: Equilibria) -> list[Rest]:
-    """Points and events along the curve."""
-    return sorted((*equilibria.points, *equilibria.events), key=lambda rest: rest.arclength)
-
-
-def value_of(rest: Rest) -> float:
-    """The parameter's value there."""
-    return rest.value if isinstance(rest, Equilibrium) else rest.parameter
 
 
 def most_moved(equilibria: Equilibria) -> int:
@@ -34,7 +22,7 @@ def most_moved(equilibria: Equilibria) -> int:
     return int((np.ptp(states, axis=0) / nonzero(np.abs(states).max(axis=0))).argmax())
 
 
-def stretched(places: Sequence[Rest]) -> list[tuple[slice, bool]]:
+def stretched(places: Sequence[Equilibrium | RestEvent]) -> list[tuple[slice, bool]]:
     """Equilibria and events in their order as stretches of one stability, with the places where they meet in both."""
     stretches: list[tuple[slice, bool]] = []
     for k, pair in enumerate(pairwise(places)):
@@ -51,17 +39,19 @@ def names_of(equilibria: Equilibria, model_of: Callable[[Mapping[str, Any]], Mod
         model = model_of(equilibria.system)
     except OrbitfinderError:
         return [f"x{k + 1}" for k in range(equilibria.points[0].state.size)]
-    check_state(model, equilibria.points[0].state)
+    if (size := equilibria.points[0].state.size) != len(model.state_names):
+        raise InputError(f"{equilibria.name}: state: {size} numbers for {counted(model)}; compute the equilibria again")
     return model.state_names
 
 
 def rest_svg(equilibria: Equilibria, names: Sequence[str]) -> str:
     """The component that moves most along the parameter; `names` are those of all components."""
-    every, component = in_order(equilibria), most_moved(equilibria)
-    name = greek(names[component])
-    places = np.array([[value_of(rest), rest.state[component]] for rest in every])
-    marks = [(f"{rest.words} at {rest.parameter:.6g}", place) for rest, place in zip(every, places, strict=True)
-             if isinstance(rest, RestEvent)]  # fmt: skip
-    axes = Axes(*ranged(places), (equilibria.parameter, name), WIDTH, HEIGHT)
+    both: tuple[Equilibrium | RestEvent, ...] = (*equilibria.points, *equilibria.events)
+    every, component = sorted(both, key=lambda rest: rest.arclength), most_moved(equilibria)
+    values = [rest.value if isinstance(rest, Equilibrium) else rest.parameter for rest in every]
+    places = np.column_stack([values, [rest.state[component] for rest in every]])
+    marks = [(f"{event.words} at {event.parameter:.6g}", np.array([event.parameter, event.state[component]]))
+             for event in equilibria.events]  # fmt: skip
+    axes = Axes(*ranged(places), (equilibria.parameter, greek(names[component])), WIDTH, HEIGHT)
     stretches = [(stable, places[part]) for part, stable in stretched(every)]
-    return drawn_curve(axes, stretches, marks, f"{name} of the equilibria against {equilibria.parameter}")
+    return drawn_curve(axes, stretches, marks, f"{axes.names[1]} of the equilibria against {equilibria.parameter}")

@@ -23,7 +23,7 @@ from orbitfinder.records.orbit import level
 from orbitfinder.show.facts import number, with_unit
 from orbitfinder.show.rest import rest_svg
 from orbitfinder.show.scene import evenly
-from orbitfinder.site.equilibria import born_at_hopf, equilibria_data
+from orbitfinder.site.equilibria import equilibria_data
 from orbitfinder.site.gather import AtlasFile, Gathered, Verdict, judged, recorded
 from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import Simulator, framed, packed
@@ -258,14 +258,12 @@ def _relatives(family: Family, named: Named) -> dict[str, Any]:
     def words(event: Any) -> str:
         return f"{str(event.get('kind_of_event', 'event')).replace('_', ' ')} {event.get('event')}"
 
-    parents = [
-        (f"{page}.html#event={source.get('event')}", f"{other.name}, {words(source)}")
-        for other, page in named
-        if other.name == source.get("family") and isinstance(other, Equilibria) == born_at_hopf(family)
-    ]
-    children = [(f"{page}.html", f"{other.name}, from {words(other.source)}", other.source.get("event"))
-                for other, page in named if isinstance(other, Family) and other.source.get("family") == family.name
-                and not born_at_hopf(other)]  # fmt: skip
+    kind, at = Equilibria if source.get("kind_of_event") == "hopf" else Family, source.get("event")
+    parents = [(f"{page}.html#event={at}", f"{other.name}, {words(source)}") for other, page in named
+               if other.name == source.get("family") and isinstance(other, kind)]  # fmt: skip
+    children = [(f"{page}.html", f"{name}, from {words(other)}", other.get("event")) for name, other, page in
+                [(other.name, other.source, page) for other, page in named if isinstance(other, Family)]
+                if other.get("family") == family.name and other.get("kind_of_event") != "hopf"]  # fmt: skip
     origin = (
         f"Started from {source.get('kind', 'a problem')} {source.get('name') or source.get('family') or ''}".strip()
     )
@@ -296,7 +294,7 @@ def _add_equilibria(
     """The page of equilibria; returns its link."""
     data, path, words = equilibria_data(rest, gathered), f"equilibria/{slug}.html", mechanism(rest.system)
     born = [(f"../families/{page}.html", family.name, family.source.get("event")) for family, page in named
-            if born_at_hopf(family) and family.source.get("family") == rest.name]  # fmt: skip
+            if (family.source.get("family"), family.source.get("kind_of_event")) == (rest.name, "hopf")]  # fmt: skip
     values = data | {"title": f"Equilibria {rest.name}", "rest": rest, "born": born, "words": words}
     values["unit"] = units(rest.system)["time"]
     site.add("equilibria", path, values, ("equilibria", data), f"Equilibria of {article(words)}.")

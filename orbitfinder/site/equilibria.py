@@ -6,7 +6,6 @@ from typing import Any
 
 from orbitfinder.families.equilibrium import Equilibria
 from orbitfinder.records.codec import entries_of
-from orbitfinder.records.family import Family
 from orbitfinder.show.rest import most_moved, names_of
 from orbitfinder.show.scene import evenly
 from orbitfinder.site.gather import Gathered
@@ -27,8 +26,3 @@ def equilibria_data(equilibria: Equilibria, gathered: Gathered) -> dict[str, Any
         "points": [entries_of(points[k]) | {"number": k} for k in sorted(chosen) if k < len(points)],
         "events": [entries_of(event) | {"words": event.words} for event in equilibria.events],
     }  # fmt: skip
-
-
-def born_at_hopf(family: Family) -> bool:
-    """Whether a family begins at a Hopf point of equilibria, which are what its source names."""
-    return family.source.get("kind_of_event") == "hopf"

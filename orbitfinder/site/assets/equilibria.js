@@ -10,7 +10,7 @@
 
   // Points and events in order along the curve, and its stretches of one stability, which meet at both ends.
   it.points.forEach(function (one) { one.key = "point=" + one.number; one.words = one.stability; });
-  it.events.forEach(function (one, k) { one.key = "event=" + k; one.number = k; one.value = one.parameter; });
+  it.events.forEach(function (one, k) { one.key = "event=" + k; one.number = k; one.value = one.parameter; one.words = one.words.replace("hopf", "Hopf point"); });
   var items = it.points.concat(it.events).sort(function (a, b) { return a.arclength - b.arclength; }), stretches = [];
   items.slice(1).forEach(function (one, k) {
     var last = stretches[stretches.length - 1], known = [one, items[k]].find(function (each) { return each.stability; });
@@ -84,7 +84,8 @@
 
   plots.plot(part("plane"), function () {
     var c = orbitfinder.colours(), pairs = picked < 0 ? [] : items[picked].eigenvalues;
-    function half(m) { return 1.25 * pairs.reduce(function (most, pair) { return Math.max(most, Math.abs(pair[m])); }, 0) || 1; }
+    var size = pairs.reduce(function (most, pair) { return Math.max(most, Math.hypot(pair[0], pair[1])); }, 0) || 1;
+    function half(m) { return 1.25 * pairs.reduce(function (most, pair) { return Math.max(most, Math.abs(pair[m])); }, size / 10); } // round-off is no axis
     function side(right) {
       var some = pairs.filter(function (pair) { return (pair[0] > 0) === right; });
       return { x: some.map(function (pair) { return pair[0]; }), y: some.map(function (pair) { return pair[1]; }), mode: "markers", cliponaxis: false,
