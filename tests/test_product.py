@@ -51,20 +51,21 @@ SHIPPED = {
     "atlas#": Path(f"{RESULTS / 'atlas' / 'rossler.sqlite'}#1"),
 }
 MADE = ("export", "export#", "empty export", "optima", "optima#", "tori", "tori#", "section", "manifold", "connection",
-        "controller", "equilibria", "journal", "text")  # fmt: skip
+        "controller", "equilibria", "equilibria#", "journal", "text")  # fmt: skip
+RESTING = {"equilibria", "equilibria#"}
 KINDS = (*SHIPPED, *MADE)
 ORBITS = {kind for kind in (*SHIPPED, "export#", "optima#") if kind not in ("branch-proof", "family", "atlas")}
 TAKEN = {
-    "verify": ORBITS | {"family", "optima", "tori", "tori#", "connection", "controller", "equilibria"},
-    "plot": ORBITS | {"family", "atlas", "optima", "tori", "tori#", "section", "manifold", "connection", "controller",
-                      "equilibria"},
-    "animate": ORBITS, "export": ORBITS | {"controller"}, "studio": ORBITS | {"family", "atlas"},
-    "page": {*KINDS} - {"branch-proof", "controller", "equilibria", "journal", "text"},
+    "verify": ORBITS | {"family", "optima", "tori", "tori#", "connection", "controller"} | RESTING,
+    "plot": ORBITS | {"family", "atlas", "optima", "tori", "tori#", "section", "manifold", "connection",
+                      "controller"} | RESTING,
+    "animate": ORBITS, "export": ORBITS | {"controller"} | RESTING, "studio": ORBITS | {"family", "atlas"},
+    "page": {*KINDS} - {"branch-proof", "controller", "journal", "text"},
 }  # fmt: skip
 """What a verb answers; of anything else it says in one sentence what takes it"""
 PAGES = {"orbit", "forced", "first-order", "hybrid", "mechanism", "control", "proof", "family", "family#", "atlas",
-         "atlas#", "export", "export#", "optima", "optima#", "section"}  # fmt: skip
-"""What a page can be made of, and the studio opens but for exports and sections"""
+         "atlas#", "export", "export#", "optima", "optima#", "section"} | RESTING  # fmt: skip
+"""What a page can be made of, and the studio opens but for exports, sections and equilibria"""
 
 
 def connection(orbit):
@@ -100,7 +101,7 @@ def records(tmp_path_factory):
     (folder / "text.txt").write_text("no record\n")
     names = {"optima": "optima.json", "tori": "tori.json", "section": "section.json", "manifold": "manifold.json",
              "connection": "connection.json", "controller": "held.json", "equilibria": "equilibria.json",
-             "journal": "family.jsonl", "text": "text.txt", "export": "export.json",
+             "equilibria#": "equilibria.json#2", "journal": "family.jsonl", "text": "text.txt", "export": "export.json",
              "empty export": "empty.json", "export#": "export.json#0",
              "optima#": "optima.json#1", "tori#": "tori.json#0"}  # fmt: skip
     return SHIPPED | {kind: folder / name for kind, name in names.items()}
@@ -114,8 +115,9 @@ DEAR = ("families.folder.follow_family", "families.branches.switch_branch", "str
 COMMANDS = {
     "show": "show FILE", "verify": "verify FILE", "plot": "plot FILE -o OUT",
     "animate": "animate FILE -o OUT --size 64 --fps 1",
-    "csv": "export FILE --to csv -o OUT", "auto": "export FILE --to auto -o OUT",
-    "julia": "export FILE --to julia -o OUT", "c": "export FILE --to c -o OUT",
+    "csv": "export FILE --to csv -o OUT", "json": "export FILE --to json -o OUT",
+    "auto": "export FILE --to auto -o OUT", "julia": "export FILE --to julia -o OUT",
+    "c": "export FILE --to c -o OUT",
     "page": "page FILE -o OUT --no-verify --atlas-pages 1", "continue": "continue FILE --points 1 -o OUT",
     "prove": "prove FILE --no-record", "refine": "refine FILE --digits 20", "stabilise": "stabilise FILE -o OUT",
     "section": "section FILE -o OUT", "manifold": "manifold FILE -o OUT", "connect": "connect FILE -o OUT",
@@ -180,12 +182,13 @@ def test_a_verb_answers_or_says_what_the_record_is_for(kind, records):
 def test_a_page_and_the_studio_have_something_to_show_or_say_what_they_take(kind, records):
     if kind in PAGES:
         site, summary = build_site(gather.gather([records[kind]]), SiteSettings(atlas_pages=1, verify=False))
-        assert summary.orbits + summary.families + summary.atlases + summary.sections and len(site.pages) > 1
+        assert summary.orbits + summary.families + summary.atlases + summary.sections + summary.equilibria
+        assert len(site.pages) > 1
     else:
         with pytest.raises(InputError) as caught:
             gather.gather([records[kind]])
         assert "\n" not in str(caught.value) and len(str(caught.value)) > 40
-    if kind in PAGES - {"export", "optima", "section"}:
+    if kind in PAGES - {"export", "optima", "section"} - RESTING:
         assert opened(records[kind]).state.size
     else:
         with pytest.raises(InputError):
@@ -204,7 +207,8 @@ def test_every_reader_takes_its_own_files_and_refuses_the_others(records):
                 read[kind] = load(file)
             except InputError as error:
                 assert "\n" not in str(error) and len(str(error)) > 30
-    assert set(KINDS) - set(read) == {"branch-proof", "atlas", "export", "empty export", "tori#", "journal", "text"}
+    files = {"branch-proof", "atlas", "export", "empty export", "tori#", "equilibria#", "journal", "text"}
+    assert set(KINDS) - set(read) == files
 
 
 @pytest.mark.parametrize("kind", ["optima", "tori", "section", "manifold", "connection", "controller", "equilibria"])
@@ -235,14 +239,15 @@ GIVEN = {
 OWN = {
     "orbit": ("certify", "stabilise", "section", "torus", "connect", "follow_family", "prove", "follow_tori",
               "manifold", "export_orbit", "save_orbit", "save_figures", "frequency_map", "sweep", "search"),
-    "family": ("switch_branch", "follow_curve", "save_figures"), "optima": ("save_optima",), "tori": ("save_tori",),
+    "family": ("switch_branch", "follow_curve", "save_figures"), "equilibria": ("switch_branch",),
+    "optima": ("save_optima",), "tori": ("save_tori",),
     "controller": ("basin", "recovery", "save_controller", "export_controller"),
 }  # fmt: skip
 """What takes which record; tried where the commands are"""
 
 
 @pytest.mark.parametrize(
-    "kind", ["orbit", "family", "optima", "tori", "section", "manifold", "connection", "controller"]
+    "kind", ["orbit", "family", "optima", "tori", "section", "manifold", "connection", "controller", "equilibria"]
 )
 def test_public_functions_refuse_records_that_they_do_not_take(kind, records, tmp_path):
     load = next(one for one in LOADERS if one.__name__ == f"load_{kind}")

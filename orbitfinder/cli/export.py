@@ -13,20 +13,20 @@ from orbitfinder.cli.console import Report, display
 from orbitfinder.cli.jobs import check_writable, named_orbits
 from orbitfinder.cli.options import FILES, FINITE, SYSTEM_TRUST, option, orbit_files, out_option, text, usual
 from orbitfinder.errors import InputError, plural
-from orbitfinder.exports.formats import FORMATS
+from orbitfinder.exports.formats import FORMATS, TABLES
 from orbitfinder.records.registry import answer
 
 
 @click.command()
 @orbit_files
-@option("to", "What to write.", kind=tuple(FORMATS), required=True)
+@option("to", "What to write.", kind=tuple(dict.fromkeys((*FORMATS, *TABLES))), required=True)
 @usual("Folder for the files; default: beside each ORBIT.json.", trust=SYSTEM_TRUST, json=False)
 def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> None:
     """Write each ORBIT.json for another program.
 
     csv: times and states, as `csv` in [guess] reads them. auto: NAME.f90, c.NAME and NAME.dat for AUTO-07p
     (then: @r NAME). julia: NAME.jl for BifurcationKit.jl. c: the right-hand side in plain C.
-    Of a controller.json csv are its gains, c itself in C and Python.
+    Of a controller.json csv are its gains, c itself in C and Python; of an equilibria.json csv and json its points.
     FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas.
 
     \b
@@ -125,12 +125,12 @@ SPEAK_EVERY = 2.0
 def page(
     paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int, verify: bool, trust: bool, **options: Any
 ) -> None:
-    """Make a static site from any mixture of orbits, families and atlases.
+    """Make a static site from any mixture of orbits, families, equilibria and atlases.
 
-    PATH is an orbit.json, a family.json, an atlas (database or JSON export), an optima.json, a section.json and
-    what lies in it (manifolds, connections, tori), or a folder that holds such files; FILE#K is one point of a
-    family (from 0) or orbit of an atlas. --stability, --symmetry, --energy and --period choose orbits of atlas
-    databases. The site opens from disk: no network, no server.
+    PATH is an orbit.json, a family.json, an equilibria.json, an atlas (database or JSON export), an optima.json, a
+    section.json and what lies in it (manifolds, connections, tori), or a folder that holds such files; FILE#K is one
+    point of a family (from 0) or orbit of an atlas. --stability, --symmetry, --energy and --period choose orbits of
+    atlas databases. The site opens from disk: no network, no server.
 
     \b
     Examples:
@@ -158,6 +158,7 @@ def page(
         "family": summary.families,
         "atlas": summary.atlases,
         "section": summary.sections,
+        "equilibrium curve": summary.equilibria,
     }
     parts = [plural(count, name) for name, count in counts.items() if count]
     text(f"{out / 'index.html'}: {', '.join(parts)}, {size(summary.size)}")

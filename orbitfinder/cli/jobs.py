@@ -225,11 +225,15 @@ def orbit_and_model(
     `pictured`: with samples, also where an orbit of a file has none of its own. `read=load`: whatever record it is.
     `InputError` names the file.
     """
+    from orbitfinder.families.equilibrium import Equilibria
     from orbitfinder.families.members import whole
+    from orbitfinder.mechanics.model import check_state
 
     try:
         record = read(file)
         model: Any = model_of(record, file, trust) if hasattr(record, "system") else None  # it may be of no system
+        if isinstance(record, Equilibria):
+            check_state(model, record.points[0].state)
         if isinstance(record, Orbit):
             check_consistent(record, model)
             record = whole(record, model) if pictured and not file.exists() else record

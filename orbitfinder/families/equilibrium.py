@@ -166,8 +166,8 @@ class Equilibria(Shown):
         return np.array([each.values for each in (*self.points, *self.events)])
 
     def _check(self) -> None:
-        if len({point.state.shape for point in self.points}) != 1:
-            raise ValueError("points: expected one at least, all of one number of components")
+        if len({(point.state.shape, point.eigenvalues.shape) for point in self.points}) != 1:
+            raise ValueError("points: expected one at least, all of one number of components and eigenvalues")
 
 
 EQUILIBRIA = "equilibria"

@@ -224,7 +224,8 @@ def load_orbit(path: str | Path) -> Orbit:
     file, number = member(path)
     if number is None and file.suffix in DATABASES and file.is_file():
         raise InputError(f"{path}: an atlas database; give one orbit of it by its id: {path}#1")
-    if number is not None and held(path)[0] != "orbit":
-        raise InputError(f"{path}: {held(path)[1].words}, not an orbit; give an orbit.json")
+    kind = kinds().get(kind_of(file), KINDS["orbit"])
+    if kind.holds != "orbit" and kind.parts:
+        raise InputError(f"{path}: {kind.words}, not an orbit; give an orbit.json")
     found: Orbit = read_orbit(file) if number is None else load(path)
     return found

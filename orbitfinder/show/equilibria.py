@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from orbitfinder.mechanics.scales import units as units_of
 from orbitfinder.records.family import Family
 from orbitfinder.show.diagram import Diagram
 from orbitfinder.show.plot import two_parameters
+from orbitfinder.show.rest import stretched
 from orbitfinder.show.style import bare, dress, legend, new_figure, place_labels, save_all
 from orbitfinder.show.svg import COLOURS, axis
 
@@ -147,14 +147,3 @@ def save_equilibria_figure(equilibria: Equilibria, folder: str | Path, model: Mo
         dress(axes, equilibria.parameter, axis(model, k))
     legend(figure, shown, "lower center", ncols=4)
     return save_all({"equilibria": figure}, folder)
-
-
-def stretched(places: Sequence[Equilibrium | RestEvent]) -> list[tuple[slice, bool]]:
-    """Equilibria and events in their order as stretches of one stability, with the places where they meet in both."""
-    stretches: list[tuple[slice, bool]] = []
-    for k, pair in enumerate(pairwise(places)):
-        verdicts = [place.stability for place in pair if isinstance(place, Equilibrium)]
-        stable = bool(verdicts) and verdicts[-1] != "unstable"
-        start = stretches.pop()[0].start if stretches and stretches[-1][1] == stable else k
-        stretches.append((slice(start, k + 2), stable))
-    return stretches

@@ -16,6 +16,7 @@ from orbitfinder._runtime.notebook import Shown, facts
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.control.optimum import Optima
 from orbitfinder.errors import OrbitfinderError, plural
+from orbitfinder.families.equilibrium import Equilibria
 from orbitfinder.families.members import STEADY
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.loops.problem import Count, Problem
@@ -31,6 +32,7 @@ from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.diagram import diagram_of
 from orbitfinder.show.facts import conserves, numbers, verdict_of
+from orbitfinder.show.rest import names_of, rest_svg
 from orbitfinder.show.scene import Scene, cuts_of, equal_times, evenly
 from orbitfinder.show.svg import axis, curves, diagram, greek, moving_mechanism, moving_portrait, ranged, unit_circle
 from orbitfinder.structures.torus import Tori
@@ -120,6 +122,12 @@ def sweep_html(sweep: Sweep) -> str:
         values = (f"{row.values[name]:.9g}" for name in sweep.parameters)
         rows.append((*values, *solved, "yes" if row.certified else "no", row.reason))
     return _listed("Sweep", "row", rows, (*sweep.parameters, "period (s)", "stability", "certified", "why not"))
+
+
+def equilibria_html(equilibria: Equilibria) -> str:
+    """Their curve, what happens on it, and what its one line names."""
+    rows = [(event.words, f"{equilibria.parameter} = {event.parameter:.9g}") for event in equilibria.events]
+    return plain_html(equilibria, rows, [rest_svg(equilibria, names_of(equilibria))])
 
 
 def optima_html(optima: Optima) -> str:
@@ -307,6 +315,6 @@ def atlas_html(atlas: Atlas) -> str:
 MAKERS: dict[type, Callable[[Any], str]] = {
     Orbit: orbit_html, Certificate: certificate_html, Family: family_html, Atlas: atlas_html, Model: model_html,
     Problem: problem_html, Count: count_html, Simulation: simulation_html, Sweep: sweep_html,
-    Optima: optima_html, Tori: tori_html, Shown: plain_html,
+    Optima: optima_html, Tori: tori_html, Equilibria: equilibria_html, Shown: plain_html,
 }  # fmt: skip
 """By class: what draws it; the last takes what is none of the others"""

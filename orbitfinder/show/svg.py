@@ -281,13 +281,23 @@ def plane_of(drawn: Diagram) -> Axes:
 
 def diagram(drawn: Diagram) -> str:
     """The curve of a family: solid where stable, dashed where not, a dot that names itself at each event."""
-    axes, lines = plane_of(drawn), []
-    for stable, run in drawn.stretches:
+    marks = [(f"{event.kind.replace('_', ' ')} at {event.parameter:.6g} {event.detail}", place)
+             for event, place in zip(drawn.family.events, drawn.events, strict=True)]  # fmt: skip
+    said = " against ".join(drawn.names[::-1]) + (" of the family" if len(drawn.family.parameters) < 2 else "")
+    return drawn_curve(plane_of(drawn), drawn.stretches, marks, said)
+
+
+def drawn_curve(
+    axes: Axes, stretches: Sequence[tuple[bool, np.ndarray]], marks: Sequence[tuple[str, np.ndarray]], said: str
+) -> str:
+    """A curve in stretches (k x 2) that are stable or not, and named marks on it."""
+    lines = [axes.frame]
+    for stable, run in stretches:
         dash = "" if stable else ' stroke-dasharray="5 4"'
         line = path(axes.place(run))
         lines.append(f'<polyline points="{line}" fill="none" stroke="{COLOURS[0]}" stroke-width="2"{dash}/>')
-    for event, (x, y) in zip(drawn.family.events, axes.place(drawn.events), strict=True):
-        name = escape(f"{event.kind.replace('_', ' ')} at {event.parameter:.6g} {event.detail}")
-        lines.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{COLOURS[1]}"><title>{name}</title></circle>')
-    said = " against ".join(axes.names[::-1]) + (" of the family" if len(drawn.family.parameters) < 2 else "")
-    return picture("".join([axes.frame, *lines]), said, WIDTH, HEIGHT)
+    for name, point in marks:
+        x, y = axes.place(point)
+        title = f"<title>{escape(name)}</title>"
+        lines.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{COLOURS[1]}">{title}</circle>')
+    return picture("".join(lines), said, WIDTH, HEIGHT)

@@ -16,11 +16,14 @@ from orbitfinder._runtime import __version__
 from orbitfinder._runtime.caches import Kept
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import plural
+from orbitfinder.families.equilibrium import Equilibria
 from orbitfinder.mechanics.scales import units
 from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import level
 from orbitfinder.show.facts import number, with_unit
+from orbitfinder.show.rest import rest_svg
 from orbitfinder.show.scene import evenly
+from orbitfinder.site.equilibria import cycles_data, equilibria_data
 from orbitfinder.site.gather import AtlasFile, Gathered, Verdict, judged, recorded
 from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import Simulator, framed, packed
@@ -53,10 +56,12 @@ WEIGHT = "@@WEIGHT@@"
 SCRIPTS = {
     "gallery": ("gallery.js",),
     **{kind: ("plotly-basic.min.js", "plots.js", f"{script}.js")
-       for kind, script in (("orbit", "orbit"), ("family", "explorer"), ("atlas", "explorer"), ("section", "section"))},
+       for kind, script in (("orbit", "orbit"), ("family", "explorer"), ("atlas", "explorer"), ("section", "section"),
+                                                               ("equilibria", "equilibria"))},
 }  # fmt: skip
 """What each kind of page loads besides core.js and its data"""
 Progress = Callable[[str], None]
+Named = Sequence[tuple[Family | Equilibria, str]]
 
 
 @dataclass(frozen=True)
@@ -77,6 +82,7 @@ class SiteSummary:
     families: int
     atlases: int
     sections: int
+    equilibria: int
     size: int
 
 
@@ -103,6 +109,8 @@ class Card:
     """what orbits of the same system have too, see `same`"""
     curve: tuple[tuple[str, float, float, float], ...] = ()
     """address, energy, period and action of the points that can be picked"""
+    picture: str = ""
+    """where nothing moves: an SVG"""
 
     @property
     def search(self) -> str:
@@ -161,11 +169,14 @@ def build_site(
         tell(f"orbit {len(entries)} of {len(gathered.orbits)} drawn")
     links: list[Card] = []
     motions: dict[str, Any] = {}
-    families = slug_maker()
+    families, curves = slug_maker(), slug_maker()
     named = [(family, families(family.name)) for family in gathered.families]
+    resting = [(rest, curves(rest.name)) for rest in gathered.equilibria]
+    links += [_add_equilibria(site, rest, own, simulator, (gathered, named)) for rest, own in resting]
+    everything: Named = [*named, *((rest, f"../equilibria/{own}") for rest, own in resting)]
     for k, (family, own) in enumerate(named, 1):
         tell(f"family {k} of {len(named)}, {family.name}: {plural(len(family.points), 'point')}")
-        links.append(_add_family(site, family, own, simulator, motions, named))
+        links.append(_add_family(site, family, own, simulator, motions, everything))
     atlases = slug_maker()
     for k, atlas in enumerate(gathered.atlases, 1):
         tell(f"atlas {k} of {len(gathered.atlases)}, {atlas.name}: {atlas.counted('orbit')}")
@@ -184,7 +195,7 @@ def build_site(
         _add_orbit(site, entry, entries[k - 1 : k] + entries[k + 1 : k + 2], k > 0)
     _add_gallery(site, entries, links, motions)
     counts = [len(records) for records in (gathered.families, gathered.atlases, gathered.sections)]
-    return site, SiteSummary(len(entries), counts[0], counts[1], counts[2], site.finish())
+    return site, SiteSummary(len(entries), counts[0], counts[1], counts[2], len(resting), site.finish())
 
 
 def _judged(entries: Sequence[SiteOrbit], judge: Callable[..., Verdict], tell: Progress) -> list[SiteOrbit]:
@@ -240,17 +251,19 @@ def _add_orbit(site: Site, entry: SiteOrbit, beside: Sequence[SiteOrbit], before
     site.add("orbit", f"orbits/{entry.slug}.html", values, ("orbit", orbit_data(entry)), about)
 
 
-def _relatives(family: Family, named: Sequence[tuple[Family, str]]) -> dict[str, Any]:
-    """The family that this one branched from, and those that branched from it, with addresses and words."""
+def _relatives(family: Family, named: Named) -> dict[str, Any]:
+    """What this family branched from, and the families that branched from it, with addresses and words."""
     source = family.source
 
     def words(event: Any) -> str:
         return f"{str(event.get('kind_of_event', 'event')).replace('_', ' ')} {event.get('event')}"
 
-    parents = [(f"{slug}.html#event={source.get('event')}", f"{other.name}, {words(source)}") for other, slug in named
-               if other.name == source.get("family")]  # fmt: skip
-    children = [(f"{slug}.html", f"{other.name}, from {words(other.source)}", other.source.get("event"))
-                for other, slug in named if other.source.get("family") == family.name]  # fmt: skip
+    kind, at = Equilibria if source.get("kind_of_event") == "hopf" else Family, source.get("event")
+    parents = [(f"{page}.html#event={at}", f"{other.name}, {words(source)}") for other, page in named
+               if other.name == source.get("family") and isinstance(other, kind)]  # fmt: skip
+    children = [(f"{page}.html", f"{name}, from {words(other)}", other.get("event")) for name, other, page in
+                [(other.name, other.source, page) for other, page in named if isinstance(other, Family)]
+                if other.get("family") == family.name and other.get("kind_of_event") != "hopf"]  # fmt: skip
     origin = (
         f"Started from {source.get('kind', 'a problem')} {source.get('name') or source.get('family') or ''}".strip()
     )
@@ -259,7 +272,7 @@ def _relatives(family: Family, named: Sequence[tuple[Family, str]]) -> dict[str,
 
 def _add_family(
     site: Site, family: Family, slug: str, simulator: Simulator, motions: dict[str, Any],
-    named: Sequence[tuple[Family, str]],
+    named: Named,
 ) -> Card:  # fmt: skip
     data, path, words = family_data(family, simulator), f"families/{slug}.html", mechanism(family.system)
     values = family_values(family, data["items"]) | {"title": f"Family {family.name}", "moved": data["moved"]}
@@ -273,6 +286,23 @@ def _add_family(
                   if item["action"] is not None)  # fmt: skip
     cover = _cover(f"family/{slug}", data, motions)
     return Card("Family", path, family.name, words, note, cover, same(family.system), curve)
+
+
+def _add_equilibria(
+    site: Site, rest: Equilibria, slug: str, simulator: Simulator, known: tuple[Gathered, Sequence[tuple[Family, str]]]
+) -> Card:
+    """The page of equilibria; returns its link."""
+    data, path, words = equilibria_data(rest, known[0]), f"equilibria/{slug}.html", mechanism(rest.system)
+    own = [(family, f"../families/{page}.html") for family, page in known[1]
+           if (family.source.get("family"), family.source.get("kind_of_event")) == (rest.name, "hopf")]  # fmt: skip
+    born = [(page, family.name, family.source.get("event")) for family, page in own]
+    data["cycles"] = [cycles_data(family, page, simulator) for family, page in own]
+    values = data | {"title": f"Equilibria {rest.name}", "rest": rest, "born": born, "words": words}
+    values["unit"] = units(rest.system)["time"]
+    site.add("equilibria", path, values, ("equilibria", data), f"Equilibria of {article(words)}.")
+    note = ", ".join(event.words.replace("hopf", "Hopf") for event in rest.events) or plural(len(rest.points), "point")
+    svg = rest_svg(rest, data["names"])
+    return Card("Equilibria", path, rest.name, words, f"{rest.parameter}: {note}", "", picture=svg)
 
 
 def _add_section(site: Site, section: Section, slug: str, gathered: Gathered, motions: dict[str, Any]) -> Card:
