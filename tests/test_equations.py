@@ -386,6 +386,13 @@ def test_functions_conditions_and_abbreviations_of_xppaut():
     assert build_model(model.system).system == model.system
 
 
+def test_not_of_xppaut_is_a_function(tmp_path):
+    """not(x>1)*3 is 3 times the opposite, not the opposite of a product."""
+    (tmp_path / "not.ode").write_text("x'=not(x>1)*3-NOT(x<1|x>2)*LOG10(100)\n")
+    model = of.from_xpp(tmp_path / "not.ode")
+    assert [float(model.rates(0, [x], [])) for x in (0.5, 1.5, 3.0)] == pytest.approx([3.0, -2.0, 0.0])
+
+
 def test_a_forced_xppaut_file_takes_its_period_from_the_call(tmp_path):
     file = tmp_path / "forced.ode"
     file.write_text("par w=2\nx'=-x+cos(w*t)\n")

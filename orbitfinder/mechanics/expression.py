@@ -65,7 +65,8 @@ def expression(
         said = str(error).replace(MARK, "").replace(" (<unknown>, line 1)", "")
         shown = shortened(repr(text), 120)
         raise InputError(f"{where}: {shown} is no expression ({said}); write it as 'torque1**2 + theta1'") from None
-    return _Reading(source, known, where, FUNCTIONS | dict(calls or {}), calls or {}).value(tree.body)
+    counts = COUNTS | {name: (count := getattr(call, "count", 1), count) for name, call in (calls or {}).items()}
+    return _Reading(source, known, where, FUNCTIONS | dict(calls or {}), counts).value(tree.body)
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ class _Reading:
     known: Mapping[str, Any]
     where: str
     calls: Mapping[str, Callable[..., Any]]
-    own: Mapping[str, Callable[..., Any]]
+    counts: Mapping[str, tuple[int, int]]
 
     def value(self, node: ast.AST, depth: int = 0) -> Any:
         """The value of a part of the text, a real and finite one where it is a number."""
@@ -99,6 +100,7 @@ class _Reading:
         return repr(shortened((ast.get_source_segment(self.source, node) or "").replace(MARK, "")))
 
     def _worked_out(self, node: ast.AST, depth: int) -> Any:
+        meant = ""
         if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)) and not isinstance(node.value, bool):
             return float(node.value)
         if isinstance(node, ast.Name):
@@ -115,12 +117,13 @@ class _Reading:
             return reduce(ca.logic_and, [_OPERATIONS[type(sign)](left, right) for sign, left, right in pairs])
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
             name = node.func.id.removesuffix(MARK)
-            if name in self.calls and self._suits(name, len(node.args)):
+            fewest, most = self.counts.get(name, (1, 1))
+            if name in self.calls and fewest <= len(node.args) <= most:
                 return self.calls[name](*(self.value(part, depth) for part in node.args))
-        name = node.func.id if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) else ""
+            meant = "" if name in self.calls else closest(name, self.calls)
         raise InputError(
-            f"{self.where}: {self._shown(node)} is not allowed{'' if name in self.calls else closest(name, self.calls)}"
-            f"; use numbers, names, + - * / **, brackets and {', '.join(self.calls)}"
+            f"{self.where}: {self._shown(node)} is not allowed{meant}; use numbers, names, + - * / **, brackets "
+            f"and {', '.join(self.calls)}"
         )
 
     def _named(self, name: str) -> Any:
@@ -142,10 +145,3 @@ class _Reading:
         for term in reversed(terms):
             value = self._sound(_OPERATIONS[type(term.op)](value, self.value(term.right, depth)), term)
         return value
-
-    def _suits(self, name: str, count: int) -> bool:
-        """Whether a function takes so many arguments."""
-        fewest, most = COUNTS.get(name, (1, 1))
-        if name in self.own:
-            fewest = most = getattr(self.own[name], "count", 1)
-        return fewest <= count <= most

@@ -83,7 +83,7 @@ def _source(path: Path) -> Path:
 
 def _lines(source: Path) -> list[str]:
     try:
-        return file_bytes(source, "AUTO file").decode("ascii").splitlines()
+        return file_bytes(source, "AUTO file").decode("ascii").rstrip().splitlines()
     except UnicodeDecodeError as error:
         raise InputError(f"{source}: no file of AUTO's, which are plain numbers; give s.NAME") from error
 

@@ -52,9 +52,8 @@ class Shipped:
     @property
     def command(self) -> str:
         """The command that it is for."""
-        if self.kind == "equations" and "period" not in read_toml(self.path)["guess"]:
-            return "equilibria"
-        return {"families": "continue", "search": "search"}.get(self.kind, "run")
+        resting = self.path.suffix == ".toml" and list(read_toml(self.path).get("guess", ())) == ["state"]
+        return {"families": "continue", "search": "search"}.get(self.kind, "equilibria" if resting else "run")
 
     def files(self) -> Iterator[Path]:
         """The file itself, then those beside it that it names, such as the description of a robot."""

@@ -23,7 +23,8 @@ LISTS = {**dict.fromkeys(("p", "par", "param", "params", "parameter", "parameter
          **dict.fromkeys(("n", "num", "number"), "let"), **dict.fromkeys(("i", "init"), "start")}  # fmt: skip
 LEFT_OUT = {"a", "aux", "set", "options", "only", "export"}
 """What changes no equation: columns of tables, choices of a window"""
-OWN = {"heav": ("heav(u)", "if(u >= 0, 1, 0)"), "ln": ("ln(u)", "log(u)"), "log10": ("log10(u)", "log(u)/log(10)")}
+OWN = {"heav": ("heav(u)", "if(u >= 0, 1, 0)"), "ln": ("ln(u)", "log(u)"), "log10": ("log10(u)", "log(u)/log(10)"),
+       "not": ("not_(u)", "if(u, 0, 1)")}  # fmt: skip
 """XPPAUT's functions that are written out in ours"""
 FORMS = {
     r"([A-Za-z_]\w*) ?' ?=([^=].*)": "rates", r"d([A-Za-z_]\w*) ?/ ?dt ?=([^=].*)": "rates",
@@ -163,7 +164,7 @@ def _defined(line: str) -> list[tuple[str, str, str]] | None:
 
 def _translated(entry: _Entry, spelled: Mapping[str, str]) -> str:
     """A right-hand side as our expressions are written."""
-    known = {**spelled, **{word.lower(): word for word in WORD.findall(entry.name)[1:]}}
+    known = {"not": "not_", **spelled, **{word.lower(): word for word in WORD.findall(entry.name)[1:]}}
     text = re.sub(r"\) ?(?:then|else) ?\(", ", ", entry.text, flags=re.IGNORECASE)
     text = WORD.sub(lambda match: known.get(match[0].lower(), match[0].lower()), text)
     return re.sub(r"\|\|?", " or ", re.sub("&&?", " and ", text))
