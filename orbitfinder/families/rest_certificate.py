@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg.lapack import dgeev
 
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
-from orbitfinder.families.rest_problem import state_sizes
+from orbitfinder.families.rest_problem import AtRest, state_sizes
 from orbitfinder.integrate.dop853 import SECOND, integrate_in
 from orbitfinder.integrate.equations import hamilton
 from orbitfinder.integrate.evaluate import Buffered
@@ -69,6 +69,16 @@ class Judge:
         there, _, chosen, _ = self._equations
         (y,), slopes = there(state[chosen], value)
         return y, sizes[chosen] @ np.abs(slopes)
+
+    def record(
+        self, problem: AtRest, z: np.ndarray, p: np.ndarray, arclength: float, values: np.ndarray
+    ) -> Equilibrium:
+        """An equilibrium with these eigenvalues, certified."""
+        d, value = problem.jets.size, float(p[0])
+        values = np.array(sorted(values.tolist(), key=lambda one: (-one.real, -one.imag)), complex)
+        residual, slopes = self.left(z[:d], value, problem.z_sizes[:d], problem.pace, values)
+        sure = bool(residual <= RESIDUAL and slopes <= SLOPES)
+        return Equilibrium(z[:d], value, values, stability(values, problem.pace), arclength, residual, sure)
 
     def left(
         self, state: np.ndarray, value: float, sizes: np.ndarray, pace: float, claimed: np.ndarray
