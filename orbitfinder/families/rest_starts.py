@@ -146,11 +146,13 @@ def find_equilibria(
     problem, known, there = replace(problem, z_sizes=sizes), list[np.ndarray](), list[Equilibrium]()
     middle = np.pad(centre, (0, jets.extra))
     for start in random.uniform(low, high, (starts, low.size)):
-        for _ in range(MOST):
-            z = _newton(problem, start, value, known, ANYWHERE)
-            if z is None or any(np.abs(_apart(problem, z, other)).max() <= SAME for other in known):
+        for tried in range(MOST):  # first as if none were known
+            z = _newton(problem, start, value, known if tried else (), ANYWHERE)
+            fresh = z is not None and all(np.abs(_apart(problem, z, other)).max() > SAME for other in known)
+            if z is not None and fresh:
+                known.append(z)
+            elif tried:
                 break
-            known.append(z)
     for z in known:
         away = (_apart(problem, z, middle) * sizes)[: low.size]
         if (np.abs(away) <= (1 + SAME) * sizes[: low.size]).all():
