@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg.lapack import dgeev
 
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
-from orbitfinder.families.rest_problem import state_sizes
+from orbitfinder.families.rest_problem import AtRest, state_sizes
 from orbitfinder.integrate.dop853 import SECOND, integrate_in
 from orbitfinder.integrate.equations import hamilton
 from orbitfinder.integrate.evaluate import Buffered
@@ -33,6 +33,8 @@ DIFFERENCE = 2e-3
 """Half of the widest of the differences that check slopes, in the sizes of the state"""
 STEPS, WEIGHTS = np.array([-3, -2, -1, 1, 2, 3]) / 3.0, np.array([-1.0, 9.0, -45.0, 45.0, -9.0, 1.0]) / 20.0
 """Of the sixth order, in `DIFFERENCE`s"""
+NOISE = 1e-14
+"""Components so small, in their sizes, are 0"""
 
 
 def stability(values: np.ndarray, pace: float) -> str:
@@ -72,6 +74,17 @@ class Judge:
         there, _, chosen, _ = self._equations
         (y,), slopes = there(state[chosen], value)
         return y, sizes[chosen] @ np.abs(slopes)
+
+    def record(
+        self, problem: AtRest, z: np.ndarray, p: np.ndarray, arclength: float, values: np.ndarray
+    ) -> Equilibrium:
+        """An equilibrium with these eigenvalues, certified."""
+        d, value = problem.jets.size, float(p[0])
+        z = np.where(np.abs(z) <= NOISE * problem.z_sizes, 0.0, z)
+        values = np.array(sorted(values.tolist(), key=lambda one: (-one.real, -one.imag)), complex)
+        residual, slopes = self.left(z[:d], value, problem.z_sizes[:d], problem.pace, values)
+        sure = bool(residual <= RESIDUAL and slopes <= SLOPES)
+        return Equilibrium(z[:d], value, values, stability(values, problem.pace), arclength, residual, sure)
 
     def left(
         self, state: np.ndarray, value: float | np.ndarray, sizes: np.ndarray, pace: float, claimed: np.ndarray
