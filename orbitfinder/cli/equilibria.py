@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import click
 
@@ -60,7 +60,7 @@ def followed_rest(
     else:
         given = origin if isinstance(origin, tuple) else (origin, None)
         parameter = parameter or origin.parameter
-        follow = partial(of.follow_equilibria, *given, parameter)
+        follow = partial(cast(Any, of.follow_equilibria), *given, parameter)
     folder = folder_of(out, name or origin.name)
     with kept(folder / "equilibria.json", of.save_equilibria):
         found = follow(

@@ -35,6 +35,8 @@ LOCATED, LOOKS = 1e-12, 60
 """An event is located to this share of a step, in so many looks at most"""
 LEAST, SAME = 4, 1e-6
 """A curve of at least so many points is closed where it is as near to its start as this share of a step"""
+BESIDE = 0.05
+"""A change of sign that looks within a step bound is on the curve so much farther, in what they bound, at most"""
 CLOSER, NEARLY = 6, 0.5
 """So often a test is looked at within a step where a parabola through what is known turns below this share of that"""
 
@@ -247,19 +249,20 @@ def between(before: Point, after: Point, share: float) -> Point:
 
 
 def located(before: Point, after: Point, test: Test, within: tuple[float, float], tolerance: float) -> Point | None:
-    """Where a test vanishes between two shares of a step; None where it does not change its sign on the curve itself.
+    """Where a test vanishes between two shares of a step, or just beside; None where it does not on the curve itself.
 
     Raises `ConvergenceError` or `IntegrationError`.
     """
-    length = after.arclength - before.arclength
-    ends = {0.0: before.sharp, 1.0: after.sharp}
+    (low, high), length = within, after.arclength - before.arclength
+    ends, beside = {0.0: before.sharp, 1.0: after.sharp}, BESIDE * (high - low)
 
     def at(share: float) -> Point:
         return ends[share] if share in ends else advanced(before, share * length).sharp
 
-    if (test(at(within[0])) < 0) == (test(at(within[1])) < 0):
-        return None
-    return at(zero(lambda share: test(at(share)), *within, tolerance))
+    for a, b in ((low, high), (max(low - beside, 0.0), high), (low, min(high + beside, 1.0))):
+        if (test(at(a)) < 0) != (test(at(b)) < 0):
+            return at(zero(lambda share: test(at(share)), a, b, tolerance))
+    return None
 
 
 def changes(look: Callable[[float], float], known: Mapping[float, float]) -> list[tuple[float, float]]:
@@ -420,6 +423,8 @@ class _Arclength:
     goals: Goals
     pace: Pace
     tests: Mapping[str, Test]
+    last: dict[str, float] = field(default_factory=dict)
+    """of each test, at the point where it stands"""
 
     @property
     def point(self) -> Point:
@@ -444,7 +449,8 @@ class _Arclength:
         step = self.pace.next(length, after.iterations)
         after = replace(after, problem=problem, w=w, tangent=tangent, step=step)
         _, fresh = self.trace.exactly(point, after, self.goals)
-        events = sorted(self._events(point, after), key=lambda event: event.point.arclength)
+        events, tested = self._events(point, after)
+        self.last.update(tested)
         end = None if home is None else End("returned", "the curve is closed")
         return self.trace.add(self.trace.kept("step", after), events, fresh, end)
 
@@ -461,16 +467,18 @@ class _Arclength:
         gap = there.w.vector - first.w.vector
         return there if before.problem.metric(there.w) @ gap**2 < (SAME * length) ** 2 else None
 
-    def _events(self, before: Point, after: Point) -> Iterator[KeptPoint]:
-        """What tests change their signs at within a step, by both ends and the middle."""
-        if not self.tests:
-            return
-        looks = {0.0: before.sharp, 0.5: between(before, after, 0.5), 1.0: after.sharp}
+    def _events(self, before: Point, after: Point) -> tuple[list[KeptPoint], dict[str, float]]:
+        """Where tests change their signs within a step, by both ends and the middle, and their values at its end."""
+        events, tested = list[KeptPoint](), dict[str, float]()
+        middle = between(before, after, 0.5) if self.tests else after
         for name, test in self.tests.items():
-            known = {share: test(point) for share, point in looks.items()}
+            tested[name] = test(after.sharp)
+            begun = self.last[name] if name in self.last else test(before.sharp)
+            known = {0.0: begun, 0.5: test(middle), 1.0: tested[name]}
             for within in changes(lambda share, test=test: test(between(before, after, share)), known):  # type: ignore[misc]
-                if (event := located(before, after, test, within, self.pace.located)) is not None:
-                    yield self.trace.kept(name, event)
+                event = located(before, after, test, within, self.pace.located)
+                events += [] if event is None else [self.trace.kept(name, event)]
+        return sorted(events, key=lambda event: event.point.arclength), tested
 
     def failed(self, reason: str) -> _Line:
         return self.trace.add(end=End("step underflow", reason))

@@ -1,4 +1,7 @@
-"""Cycles that are born at a Hopf point: the first of their family, x0 + a Re(q e^(i omega t)) corrected."""
+"""Cycles that leave an equilibrium: the first of their family, x0 + a Re(q e^(i omega t)) corrected.
+
+They are born at a Hopf point, or are about one without damping the motions of each of its modes.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +9,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.equilibrium import Equilibria, RestEvent
 from orbitfinder.families.point import FamilySettings
-from orbitfinder.families.start import FIRST_STEPS, Start, corrected, curve_at, unknown_parameters
+from orbitfinder.families.rest_problem import oscillations, regular
+from orbitfinder.families.start import FIRST_STEPS, Start, begin, corrected, curve_at, unknown_parameters
+from orbitfinder.integrate.equations import hamilton
+from orbitfinder.integrate.jets import at_rest
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.continued import advanced, plane
 from orbitfinder.loops.loop import Equations
+from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import NONE, named
-from orbitfinder.mechanics.kind import build_model, with_parameters
+from orbitfinder.mechanics.kind import build_model, loops_of, with_parameters
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import energy as energy_of
 from orbitfinder.mechanics.scales import LEAST_SHARE
 from orbitfinder.records.family import Event
 
@@ -35,6 +43,35 @@ def cycle_start(
     unknown_parameters(model, replace(settings, parameter=name))
     start = _first(model, name, born, np.abs([point.state for point in equilibria.points]).max(axis=0))
     return start, Event(born.kind, number, born.arclength, born.parameter, born.state, born.period, float("nan"))
+
+
+def mode_start(
+    equilibria: Equilibria, which: str, mode: int, settings: FamilySettings, model: Model | None
+) -> tuple[Start, Event]:
+    """The first motion of a normal mode (from 1, slowest first) about the first or the last equilibrium, and its birth.
+
+    Raises `InputError` where there is no such mode, `ConvergenceError` where no motion is found.
+    """
+    rest, name = equilibria.points[0 if which == "start" else -1], equilibria.parameter
+    model, value = with_parameters(model or build_model(equilibria.system), {name: rest.value}), np.array([rest.value])
+    if not model.conservative:
+        raise InputError(f"event: no energy is kept, so that nothing leaves the equilibrium at the {which}; cycles "
+                         "leave at Hopf points, by their numbers")  # fmt: skip
+    problem = regular(at_rest(model, (name,), rest.state), rest.state, value)
+    frequencies, shapes = oscillations(problem, np.pad(rest.state, (0, problem.jets.extra)), value)
+    if not 1 <= mode <= frequencies.size:
+        raise InputError(f"branch: {mode} asked for, {frequencies.size} modes oscillate at the {which}; the slowest "
+                         "is 1")  # fmt: skip
+    omega, q, n = float(frequencies[mode - 1]), shapes[:, mode - 1], model.degrees_of_freedom
+    largest = (q / problem.z_sizes[: q.size])[:n]
+    largest = largest[np.abs(largest).argmax()]  # at rest where it is largest
+    state, period = rest.state + AMPLITUDES[0] * (q / largest).real, 2 * np.pi / omega
+    if model.constraint is not None:
+        own = hamilton(model).coordinates
+        state = loops_of(model.system).state(model, near=state[own.chosen[: own.size]])
+    start = begin(Problem(model, Guess(state, period)), settings)
+    energy = float(energy_of(model, rest.state))
+    return start, Event("mode", -1, rest.arclength, energy, rest.state, period, energy)
 
 
 def _first(model: Model, name: str, born: RestEvent, largest: np.ndarray) -> Start:

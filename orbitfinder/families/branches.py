@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from orbitfinder._runtime.notebook import brief
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
-from orbitfinder.families.birth import cycle_start
+from orbitfinder.families.birth import cycle_start, mode_start
 from orbitfinder.families.critical import Critical
 from orbitfinder.families.entries import SWITCHABLE
 from orbitfinder.families.equilibria import RestBranch, rest_branch
@@ -362,8 +362,8 @@ def switch_branch(
     Args:
         family: a Family or Equilibria, or the file of one.
         event: one of its events, or its number in order along the family, from 0; "start" or "end" for the family that
-            is joined at that end.
-        branch: which of those that leave there, from 1.
+            is joined at that end, or a normal mode about the first or last equilibrium of a system with an energy.
+        branch: which of those that leave there, from 1; of modes the slowest is 1.
         settings: how it will be followed.
         model: needed only for a system that no file describes.
 
@@ -389,7 +389,7 @@ def switch_branch(
         raise InputError(f"event: families are joined at the start or the end, got {event!r}; or give its number")
     if isinstance(family, Equilibria) or (not isinstance(family, Family) and held(family)[0] == EQUILIBRIA):
         rest = family if isinstance(family, Equilibria) else load_equilibria(family)
-        return _beside_rest(rest, event, settings or FamilySettings(), model)
+        return _beside_rest(rest, event, branch, settings or FamilySettings(), model)
     if isinstance(event, RestEvent):
         raise InputError(f"event: a {event.kind} of equilibria; give the equilibria that it is of")
     if isinstance(event, str):
@@ -402,9 +402,12 @@ def switch_branch(
 
 
 def _beside_rest(
-    rest: Equilibria, event: int | str | Event | RestEvent, settings: FamilySettings, model: Model | None
+    rest: Equilibria, event: int | str | Event | RestEvent, mode: int, settings: FamilySettings, model: Model | None
 ) -> Branch | RestBranch:
-    """What leaves equilibria at an event: cycles, or other equilibria."""
+    """What leaves equilibria at an event: cycles, or other equilibria; at the first or the last, a normal mode."""
+    if isinstance(event, str):
+        start, birth = mode_start(rest, event, mode, settings, model)
+        return Branch(start, rest.name, birth, event, mode, f"{rest.name}-{event}-{mode}")
     number = next((k for k, one in enumerate(rest.events) if one is event or k == event), event)
     known = {k: LEAVING[one.kind] for k, one in enumerate(rest.events) if one.kind in LEAVING}
     if not isinstance(number, int) or number not in known:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import partial
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -181,7 +182,8 @@ def first_equilibrium(
         z = _newton(problem, start, value)
         if z is not None:
             z = without_noise(problem, z, value)
-            jets = at_rest(model, (parameter,), z[: jets.size])
+            there = at_rest(model, (parameter,), z[: jets.size])
+            jets = jets if jets.unfolded == there.unfolded else there
             return regular(jets, z[: jets.size], value, None if span is None else np.array([span])), z
     raise ConvergenceError("no equilibrium: Newton's method finds none near the state, and a simulation from there "
                            "does not come to rest; give a state nearer to one")  # fmt: skip
@@ -310,21 +312,16 @@ def _eigenvalues(point: Point) -> np.ndarray:
 
 def _pair(point: Point) -> float:
     """The product of all sums of two eigenvalues: its sign, and the least of them in size."""
-    values = _eigenvalues(point) / point.problem.pace
-    i, j = _pairs(values.size)
-    sums = values[i] + values[j]
-    sizes = np.abs(sums)
-    return float(np.sign(np.prod(sums / nonzero(sizes)).real) * sizes.min(initial=1.0))
-
-
-_pairs = lru_cache(maxsize=16)(partial(np.triu_indices, k=1))
-"""The places of all pairs of so many"""
+    sums = [a + b for a, b in combinations(_eigenvalues(point).tolist(), 2)]
+    odd = sum(one.imag == 0.0 and one.real < 0.0 for one in sums) % 2  # the others come in pairs
+    return (-1.0 if odd else 1.0) * min(map(abs, sums), default=1.0) / float(point.problem.pace)
 
 
 def _recorded(
     judge: Judge, problem: AtRest, z: np.ndarray, p: np.ndarray, arclength: float, values: np.ndarray
 ) -> Equilibrium:
-    d, value, values = problem.jets.size, float(p[0]), values[np.lexsort((-values.imag, -values.real))]
+    d, value = problem.jets.size, float(p[0])
+    values = np.array(sorted(values.tolist(), key=lambda one: (-one.real, -one.imag)), complex)
     residual, slopes = judge.left(z[:d], value, problem.z_sizes[:d], problem.pace, values)
     return Equilibrium(
         z[:d], value, values, stability(values, problem.pace), arclength, residual,

@@ -163,7 +163,7 @@ class Equilibria(Shown):
     @property
     def places(self) -> np.ndarray:
         """Of a curve in two parameters: their values (k x 2) at the points and then at the events."""
-        return np.array([each.values for each in (*self.points, *self.events)])
+        return np.array([*(point.values for point in self.points), *(event.values for event in self.events)])
 
     def _check(self) -> None:
         if len({point.state.shape for point in self.points}) != 1:

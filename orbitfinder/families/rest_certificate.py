@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import isfinite
 
 import casadi as ca
 import numpy as np
+from scipy.linalg.lapack import dgeev
 
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
 from orbitfinder.families.rest_problem import state_sizes
@@ -65,6 +67,8 @@ class Judge:
         self, state: np.ndarray, value: float | np.ndarray, sizes: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """y, and what it is measured in."""
+        if self.model.rates is not None:
+            return state, sizes
         there, _, chosen, _ = self._equations
         (y,), slopes = there(state[chosen], value)
         return y, sizes[chosen] @ np.abs(slopes)
@@ -73,16 +77,20 @@ class Judge:
         self, state: np.ndarray, value: float | np.ndarray, sizes: np.ndarray, pace: float, claimed: np.ndarray
     ) -> tuple[float, float]:
         """The largest rate in sizes and pace, and how far the claimed eigenvalues are from those of differences of the
-        sixth order, as the least singular value of A - lambda relative to the pace."""
+        sixth order, relative to the pace: the least singular value of A - lambda, or the distance, which is larger."""
         y, units = self._canonical(state, value, sizes)
         _, rates_of, _, beside = self._equations
         rates, d = rates_of(y + units * beside, value)[0] / (units * pace), y.size
         slopes = (WEIGHTS @ rates[1:].reshape(6, d * d)).reshape(d, d).T / DIFFERENCE
-        upper = claimed[claimed.imag >= 0] / pace  # of a pair either will do
-        shifted, largest = slopes - upper[:, None, None] * np.eye(d), float(np.abs(rates[0]).max())
-        if not np.isfinite(shifted).all():
+        upper, largest = claimed[claimed.imag >= 0] / pace, float(np.abs(rates[0]).max())  # of a pair either will do
+        if not isfinite(float(slopes.sum())):
             return largest, np.inf
-        return largest, float(np.linalg.svd(shifted, compute_uv=False)[:, -1].max(initial=0.0))
+        real, imaginary, *_ = dgeev(slopes, compute_vl=False, compute_vr=False)
+        bound = float(np.abs(upper[:, None] - (real + 1j * imaginary)).min(axis=1).max(initial=0.0))
+        if bound <= SLOPES:
+            return largest, bound
+        shifted = slopes - upper[:, None, None] * np.eye(d)
+        return largest, float(np.linalg.svd(shifted, compute_uv=False)[:, -1].max())
 
     def flow(
         self, state: np.ndarray, value: float | np.ndarray, sizes: np.ndarray, pace: float, claimed: complex

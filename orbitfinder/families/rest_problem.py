@@ -32,6 +32,10 @@ from orbitfinder.mechanics.scales import LEAST_SHARE, parameter_sizes
 
 SETTINGS = Settings(floor=1e-15, round_off=1e-13, converged=1e-12, most_evaluations=12, contraction=0.05)
 """Rows are relative to the sizes and the pace of the equilibrium"""
+AHEAD = 1.25
+"""Sizes that are outgrown become so much larger than what outgrew them"""
+UNDAMPED = 1e-7
+"""Real parts below this share of the largest eigenvalue are none, imaginary ones the round-off of a double 0"""
 ROUND_OFF = 4 * float(np.finfo(float).eps)
 """What each row is known to, relative to the sizes of its terms"""
 
@@ -68,7 +72,7 @@ class Dense:
             return 0.0
         diagonal, moved = factors.diagonal(), np.count_nonzero(pivots != np.arange(pivots.size))
         odd = (moved + np.count_nonzero(diagonal < 0)) % 2
-        return float((-1.0 if odd else 1.0) * np.exp(np.log(np.abs(diagonal)).mean()))
+        return float((-1.0 if odd else 1.0) * np.exp(np.log(np.abs(diagonal)).sum() / pivots.size))
 
     def _factorised(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
         return dgetrf(np.vstack([self.matrix, rows * self.sizes]))  # type: ignore[no-any-return]
@@ -135,6 +139,8 @@ class AtRest:
     def kept_sizes(self) -> np.ndarray:
         """What rows behind the rates are measured in."""
         d = self.jets.size
+        if not self.jets.extra:
+            return np.zeros(0)
         z = np.concatenate([self.origin, np.zeros(self.jets.extra)])
         by_z = self.jets.first(z, self.jets.model.parameter_values[self._free], self.kept)[1].T[d:]
         return np.asarray(nonzero(np.abs(by_z * self.z_sizes).max(axis=1, initial=0.0)))
@@ -291,12 +297,15 @@ class AtRest:
         return renewed, w, tangent / np.sqrt(float(tangent @ (metric * tangent)))
 
     def seen(self, z: np.ndarray, p: np.ndarray) -> Self:
-        """With sizes no smaller than those of another equilibrium."""
+        """With sizes no smaller than those of another equilibrium, and somewhat larger where those are."""
         d, old = self.jets.size, self.sizes
         if self.form != "regular":
             return self
-        sizes = np.maximum(old, np.abs(np.concatenate([z[:d], np.zeros(self.jets.extra), p])))
-        return self if (sizes == old).all() else replace(self, z_sizes=sizes[: z.size], p_sizes=sizes[z.size :])
+        largest = np.abs(np.concatenate([z[:d], np.zeros(self.jets.extra), p]))
+        if not (grown := largest > old).any():
+            return self
+        sizes = np.where(grown, AHEAD * largest, old)
+        return replace(self, z_sizes=sizes[: z.size], p_sizes=sizes[z.size :])
 
     def carried(self, w: Stacked, onto: Stacked) -> Stacked:  # noqa: ARG002 - of the protocol
         """Itself: there is no mesh."""
@@ -411,6 +420,22 @@ def _pencil(gz: np.ndarray, mass: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return shift + 1.0 / inverse[finite], right[:, finite]
 
 
+def nearest(gz: np.ndarray, mass: np.ndarray, value: complex) -> np.ndarray:
+    """The vector of the eigenvalue that is nearest to a value."""
+    values, vectors = _pencil(gz, mass)
+    return np.asarray(vectors[:, np.argmin(np.abs(values - value))])
+
+
+def oscillations(problem: AtRest, z: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The frequencies (k, rad/s, slowest first) of what turns about an equilibrium for ever, and q (d x k) of each."""
+    values, vectors = _pencil(problem.scaled(z, p)[1], problem.mass)
+    least = UNDAMPED * float(np.abs(values).max(initial=0.0))
+    kept = np.flatnonzero((np.abs(values.real) <= least) & (values.imag > least))
+    kept = kept[np.argsort(values.imag[kept])]
+    shapes = problem.z_sizes[:, None] * vectors[:, kept]
+    return values.imag[kept] * problem.pace, shapes[: problem.jets.size]
+
+
 def critical_pair(values: np.ndarray) -> tuple[int, int]:
     """The two eigenvalues whose sum is the least, of those that are not both 0."""
     sums = np.abs(values[:, None] + values[None, :])
@@ -419,10 +444,12 @@ def critical_pair(values: np.ndarray) -> tuple[int, int]:
     return int(i), int(j)
 
 
-def error_bars(problem: AtRest, w: Stacked) -> np.ndarray:
-    """Of all unknowns of a square problem: what round-off of its terms, and what is left of its rows, moves them by."""
+def error_bars(problem: AtRest, w: Stacked, across: np.ndarray | None = None) -> np.ndarray:
+    """Of all unknowns of a square problem, or of a curve's in the plane `across`: what round-off of its terms, and what
+    is left of its rows, moves them by."""
     rows, linear = problem.linearise(w)
-    inverse = np.abs(np.linalg.inv(linear.matrix))
+    matrix = linear.matrix if across is None else np.vstack([linear.matrix, across * problem.sizes])
+    inverse = np.abs(np.linalg.inv(matrix))[:, : rows.size]
     terms = np.abs(linear.matrix) @ np.abs(w.vector / problem.sizes)
     return np.asarray(inverse @ (np.abs(rows) + ROUND_OFF * terms) * problem.sizes)
 
@@ -471,25 +498,16 @@ def lyapunov(problem: AtRest, z: np.ndarray, p: np.ndarray, omega: float) -> tup
 
     l1 = Re [<p, C(q, q, q*)> - 2 <p, B(q, A^-1 B(q, q*))> + <p, B(q*, (2 i omega - A)^-1 B(q, q))>] / 2 omega.
     """
-    jets, d = problem.jets, problem.jets.size
-    a = jets.first(z, p, problem.kept)[1].T
-    if len(problem.phase):
-        a = np.vstack([a, np.pad(problem.phase / problem.z_sizes[:d], ((0, 0), (0, z.size - d)))])
-    units = problem.z_sizes  # conditioned, and back
-    mass = np.diag(problem.mass)
-    values, vectors = _pencil(a * units / problem.row_sizes_square[:, None], problem.mass)
-    q = units * vectors[:, np.argmin(np.abs(values - 1j * omega / problem.pace))]
-    left_values, left = _pencil((a * units / problem.row_sizes_square[:, None]).T, problem.mass)
-    weight = left[:, np.argmin(np.abs(left_values - 1j * omega / problem.pace))].conj() / problem.row_sizes_square
+    d, gz, mass = problem.jets.size, problem.scaled(z, p)[1], np.diag(problem.mass)
+    units, rows, turn = problem.z_sizes, problem.row_sizes_square, 1j * omega / problem.pace
+    q, weight = units * nearest(gz, problem.mass, turn), nearest(gz.T, problem.mass, turn).conj() / rows
     q = q / np.linalg.norm(q[:d])
     weight = weight / np.conj(weight.conj() @ (mass @ q))
-    second, third = forms(jets, z, p)
-    none = np.zeros(len(problem.phase))
+    second, third = forms(problem.jets, z, p)
 
     def solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-        scales = problem.row_sizes_square
-        return np.asarray(units * np.linalg.solve(matrix * units / scales[:, None], np.append(right, none) / scales))
+        return np.asarray(units * np.linalg.solve(matrix, np.append(right, np.zeros(len(problem.phase))) / rows))
 
-    mean, double = solved(a, second(q, q.conj())), solved(2j * omega * mass - a, second(q, q))
+    mean, double = solved(gz, second(q, q.conj())), solved(2 * turn * mass - gz, second(q, q))
     terms = third(q, q, q.conj()) - 2 * second(q, mean) + second(q.conj(), double)
     return float((weight.conj()[: terms.size] @ terms).real / (2 * omega)), q[:d]

@@ -165,9 +165,10 @@ def chord(
     while count < settings.most_evaluations and size > settings.floor:
         trial, before, count = moved(w, solver(rows)), size, count + 1
         found = rows_of(trial)
-        slow = largest(found) > settings.contraction * before
-        if largest(found) < before:
-            w, rows, size, fresh = trial, found, largest(found), False
+        left = largest(found)
+        slow = left > settings.contraction * before
+        if left < before:
+            w, rows, size, fresh = trial, found, left, False
         elif fresh:
             break  # nothing else leads on from here
         if settings.ended(size, before):
