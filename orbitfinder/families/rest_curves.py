@@ -45,7 +45,8 @@ from orbitfinder.records.family import End, Reading
 FORMS = {"fold": "fold", "hopf": "hopf", "neutral_saddle": "hopf"}
 """The equations of the curve through each kind of event"""
 PAIRS = {"hopf": 1, "neutral_saddle": 1, "generalised_hopf": 1, "fold_hopf": 1, "double_hopf": 2}
-"""How many critical pairs each kind has; those with folds in their names and cusps have an eigenvalue 0"""
+ZERO, REAL, AGAIN = ("fold", "cusp", "bogdanov_takens", "fold_hopf"), ("neutral_saddle",), {"bogdanov_takens": "fold"}
+"""How many critical pairs each kind has; which have an eigenvalue 0, or a real pair; which are recomputed otherwise"""
 NEAR, SLOPE, KNOWN = 10, 1e-4, 1e-6
 """So many points on either side of an event say what it is measured in; half of a central difference along a curve; a
 special point is known this well at least, in the sizes there"""
@@ -140,35 +141,57 @@ def _length(problem: AtRest, w: Stacked) -> float:
     return float(np.linalg.norm((a * problem.z_sizes)[: problem.jets.size]) / np.linalg.norm(a))
 
 
-def _normal_form(problem: AtRest, w: Stacked, kind: str) -> dict[str, float]:
-    """The coefficients of the normal form, with <q, q> = <p, q> = 1 in the model's units; b, c up to the sign of q."""
-    if kind == "hopf" and (first := _first(problem, w)):
-        return {"l1": first / _length(problem, w) ** 2}
-    if kind not in ("fold", "cusp", "bogdanov_takens") or problem.jets.model.conservative:
-        return {}
+def _lyapunov(problem: AtRest, w: Stacked) -> dict[str, float]:
+    first = _first(problem, w)
+    return {"l1": first / _length(problem, w) ** 2} if first else {}
+
+
+def _vectors(problem: AtRest, w: Stacked) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
+    """psi, a, the bordered matrix, B(a, a), and the length of a in the model's units."""
     psi, a, bordered = _left(problem, w)
-    size, mass, z, p = float(np.linalg.norm(a)) * _length(problem, w), problem.mass, *problem.parts(w)[:2]
-    square = _quadratic(problem, w, a, a)
-    if kind == "fold":
-        share = float(psi @ (mass * a))
-        return {"a": problem.pace * float(psi @ square) / share / (2 * size)} if share else {}
-    if kind == "cusp":  # <p, C(q, q, q) + 3 B(q, h)> / 6,  A h = -B(q, q)
-        v, h = a * problem.z_sizes, np.linalg.solve(bordered, -np.append(square, 0.0))[:-1]
-        third = np.append(problem.jets.third(z, p, v, v) @ v / problem.row_sizes, np.zeros(len(problem.phase)))
-        whole = psi @ (third + 3 * _quadratic(problem, w, a, h)) / (psi @ (mass * a))
-        return {"c": problem.pace * float(whole) / (6 * size**2)}
-    b = np.linalg.solve(bordered, np.append(mass * a, 0.0))[:-1]  # a = <p1, B(q0, q0)> / 2, b = <p0, B(q0, q0)> + ...
-    psi = psi / (psi @ (mass * b))
-    phi = np.linalg.solve(bordered.T, np.append(mass * psi, 0.0))[:-1]
-    phi = phi - (phi @ (mass * b)) * psi
+    return psi, a, bordered, _quadratic(problem, w, a, a), float(np.linalg.norm(a)) * _length(problem, w)
+
+
+def _bend(problem: AtRest, w: Stacked) -> dict[str, float]:
+    """<p, B(q, q)> / 2."""
+    psi, a, _, square, size = _vectors(problem, w)
+    share = float(psi @ (problem.mass * a))
+    return {"a": problem.pace * float(psi @ square) / share / (2 * size)} if share else {}
+
+
+def _cubic(problem: AtRest, w: Stacked) -> dict[str, float]:
+    """<p, C(q, q, q) + 3 B(q, h)> / 6, A h = -B(q, q)."""
+    psi, a, bordered, square, size = _vectors(problem, w)
+    v, h = a * problem.z_sizes, np.linalg.solve(bordered, -np.append(square, 0.0))[:-1]
+    third = problem.jets.third(*problem.parts(w)[:2], v, v) @ v / problem.row_sizes
+    whole = psi @ (np.append(third, np.zeros(len(problem.phase))) + 3 * _quadratic(problem, w, a, h))
+    return {"c": problem.pace * float(whole / (psi @ (problem.mass * a))) / (6 * size**2)}
+
+
+def _takens(problem: AtRest, w: Stacked) -> dict[str, float]:
+    """a = <p1, B(q0, q0)> / 2, b = <p0, B(q0, q0)> + <p1, B(q0, q1)>."""
+    psi, a, bordered, square, size = _vectors(problem, w)
+    b = np.linalg.solve(bordered, np.append(problem.mass * a, 0.0))[:-1]
+    psi = psi / (psi @ (problem.mass * b))
+    phi = np.linalg.solve(bordered.T, np.append(problem.mass * psi, 0.0))[:-1]
+    phi = phi - (phi @ (problem.mass * b)) * psi
     mixed = phi @ square + psi @ _quadratic(problem, w, a, b)
     return {"a": problem.pace**2 * float(psi @ square) / (2 * size), "b": problem.pace * float(mixed) / size}
+
+
+NORMAL = {"hopf": _lyapunov, "fold": _bend, "cusp": _cubic, "bogdanov_takens": _takens}
+"""Coefficients of normal forms with <q, q> = <p, q> = 1 in the model's units"""
+
+
+def _normal_form(problem: AtRest, w: Stacked, kind: str) -> dict[str, float]:
+    """The coefficients; of a conservative system, whose eigenvalues 0 are double, none."""
+    return NORMAL[kind](problem, w) if kind in NORMAL and not problem.jets.model.conservative else {}
 
 
 def _claims(kind: str, values: np.ndarray) -> list[complex]:
     """The critical eigenvalues of a kind by all that there are, of pairs the first."""
     claims: list[complex] = []
-    if kind not in PAIRS or kind == "fold_hopf":
+    if kind in ZERO:
         claims, values = [0.0 + 0.0j], np.delete(values, np.argmin(np.abs(values)))
     for _ in range(PAIRS.get(kind, 0)):
         i, j = equations.critical_pair(values)
@@ -180,7 +203,7 @@ def _claims(kind: str, values: np.ndarray) -> list[complex]:
 def _consistent(kind: str, values: np.ndarray) -> bool:
     """Whether critical pairs are imaginary, those of neutral saddles real."""
     claims = _claims(kind, values)
-    return all((claim.imag > 0) == (kind != "neutral_saddle") for claim in claims[len(claims) - PAIRS.get(kind, 0) :])
+    return all((claim.imag > 0) == (kind not in REAL) for claim in claims[len(claims) - PAIRS.get(kind, 0) :])
 
 
 def _judged(judge: Judge, least: float, each: Equilibrium | RestEvent, sizes: np.ndarray) -> np.ndarray:
@@ -281,12 +304,12 @@ def follow_rest_curve(
     start = _start(equilibria, chosen, names, until, model)
     rest.check_goals(names[0], start.value(names[0]), until, at, points)
     fixed = {} if equilibria.parameter in names else {equilibria.parameter: chosen.parameter}
-    curve = {"test": {"kind": start.problem.form, "detail": ""}, "parameters": names, "pace": start.problem.pace,
-             "fixed": fixed}  # fmt: skip
+    form, slowest = start.problem.form, start.problem.pace
+    curve = {"test": {"kind": form, "detail": ""}, "form": form, "parameters": names, "pace": slowest, "fixed": fixed}
     judge, label = Judge(model, names), name or f"{equilibria.name}-{number}-{'-'.join(names)}"
     path, pace = None if out is None else Path(out) / label, replace(rest.PACE, points=points, located=driver.LOCATED)
     tests = {role: lambda point, test=test: test(point.problem, point.w) for role, test in
-             TESTS[start.problem.form].items() if role == "cusp" or not model.conservative}  # fmt: skip
+             TESTS[form].items() if role == "cusp" or not model.conservative}  # fmt: skip
     goals, runs = Goals(names[0], until, tuple(map(float, at))), list[tuple[SolutionCurve, _Track]]()
     record = partial(_record, label, model, curve, runs)
     with contextlib.nullcontext() if path is None else locks.alone_in(path):
@@ -387,8 +410,8 @@ def verified(equilibria: Equilibria, model: Model | None = None) -> Certificate:
     for each, problem, w in known:
         if isinstance(each, RestEvent):
             test: Vanishing = TESTS[problem.form].get(each.kind, lambda problem, w: np.inf)
-            alike = [abs(test(there, v)) for point, there, v in known if point.kind == curve["test"]["kind"]]
-            usual = 1.0 if each.kind == "bogdanov_takens" else float(np.median(alike))
+            alike = [abs(test(there, v)) for point, there, v in known if point.kind in (curve["form"],)]
+            usual = 1.0 if each.kind in AGAIN else float(np.median(alike))
             left = max(left, abs(test(problem, w)) / nonzero(usual))
         for name, value in each.normal_form.items():
             mine = _normal_form(problem, w, each.kind).get(name, np.inf)
@@ -410,5 +433,5 @@ def _again(
     """The singular problem at a recorded state, and what is singular there."""
     problem = equations.regular(jets, each.state, each.values)
     problem = replace(problem, z_sizes=np.append(sizes, problem.z_sizes[jets.size :]), pace=curve["pace"])
-    form = "fold" if each.kind == "bogdanov_takens" else curve["test"]["kind"]
+    form = AGAIN.get(each.kind, curve["form"])
     return equations.singular(problem, np.append(each.state, np.zeros(jets.extra)), each.values, form)
