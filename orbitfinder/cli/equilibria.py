@@ -76,7 +76,8 @@ def followed_rest(
         line = f"  {k} {event.words} at {parameter} = {event.parameter:.12g} +- {event.error:.1g}"
         if found.curve:
             line += f", {found.parameters[1]} = {event.values[1]:.12g} +- {event.errors[1]:.1g}"
-            line += "".join(f", {name} = {value:.6g}" for name, value in event.normal_form.items())
+            numbers = [f"{name} = {value:.6g}" for name, value in event.normal_form.items()]
+            line += f"; normal form: {', '.join(numbers)}" if numbers else ""
         if event.period > 0:
             line += f", period {event.period:.12g}, l1 = {event.lyapunov:.6g}"
         text(line)

@@ -169,14 +169,15 @@ def _cubic(problem: AtRest, w: Stacked) -> dict[str, float]:
 
 
 def _takens(problem: AtRest, w: Stacked) -> dict[str, float]:
-    """a = <p1, B(q0, q0)> / 2, b = <p0, B(q0, q0)> + <p1, B(q0, q1)>."""
+    """a = <p1, B(q0, q0)> / 2 > 0, b = <p0, B(q0, q0)> + <p1, B(q0, q1)>."""
     psi, a, bordered, square, size = _vectors(problem, w)
     b = np.linalg.solve(bordered, np.append(problem.mass * a, 0.0))[:-1]
     psi = psi / (psi @ (problem.mass * b))
     phi = np.linalg.solve(bordered.T, np.append(problem.mass * psi, 0.0))[:-1]
     phi = phi - (phi @ (problem.mass * b)) * psi
+    first, size = float(psi @ square), size * float(np.sign(psi @ square))
     mixed = phi @ square + psi @ _quadratic(problem, w, a, b)
-    return {"a": problem.pace**2 * float(psi @ square) / (2 * size), "b": problem.pace * float(mixed) / size}
+    return {"a": problem.pace**2 * first / (2 * size), "b": problem.pace * float(mixed) / size} if first else {}
 
 
 NORMAL = {"hopf": _lyapunov, "fold": _bend, "cusp": _cubic, "bogdanov_takens": _takens}
