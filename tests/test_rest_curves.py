@@ -1,4 +1,4 @@
-"""Folds and Hopf points of equilibria in two parameters: closed forms, other arithmetic, units, planted faults, files."""
+"""Folds and Hopf points of equilibria in two parameters: closed forms, other programs, units, faults, files."""
 
 import json
 from dataclasses import replace
@@ -21,7 +21,7 @@ def curve_of(field, states, start, values, along, to, parameters, kind, points=4
     """A model, its equilibria along a parameter, and the curve through an event of a kind."""
     model = of.ode(field, states, parameters=values)
     found = of.follow_equilibria(model, start, along, until=to, points=150)
-    number = [k for k, event in enumerate(found.events) if event.kind == kind][0]
+    number = next(k for k, event in enumerate(found.events) if event.kind == kind)
     return model, found, of.follow_curve(found, number, parameters, points=points, model=model, **more)
 
 
@@ -199,7 +199,7 @@ def test_units_change_nothing(known, units):
 
 
 def test_morris_lecar_in_current_and_half_activation():
-    """Its Hopf curve: the trace is 0 by slopes written by hand; Bogdanov-Takens points solved for by another program."""
+    """Its Hopf curve: the trace is 0 by slopes written by hand; Bogdanov-Takens points by another program."""
 
     def parts(x, shift, tanh=np.tanh, cosh=np.cosh):
         v, w = x[0], x[1]
@@ -280,7 +280,7 @@ def test_a_pendulum_under_torque_and_one_on_a_rod():
 
 def test_planted_faults_are_seen(known):
     """A state that does not rest, a point or an event elsewhere on its curve, another kind, another coefficient."""
-    model, fold, hopf = known
+    model, _, hopf = known
     far = {event.kind: replace(event, index=event.index // 5) for event in hopf.events}
     hopf = replace(hopf, points=hopf.points[::5], events=tuple(far.values()))
     takens, bent, first, other = far["bogdanov_takens"], far["generalised_hopf"], hopf.points[0], hopf.points[1]
@@ -332,7 +332,7 @@ def test_labels_do_not_overlap(known):
 
 
 @pytest.mark.parametrize("change, message", [
-    ({"event": 3}, "event: no curve leads through event 3 of equilibria; choose one of 0: supercritical hopf at rate 2"),
+    ({"event": 3}, "event: no curve leads through event 3 of equilibria; choose one of 0: supercritical hopf at ra"),
     ({"parameters": ("feed",)}, r"parameters: two names are needed, got 1 \(feed\); give a,b"),
     ({"parameters": ("feed", "rat")}, "parameters: unknown 'rat'.* did you mean 'rate'"),
     ({"parameters": ("rate", "rate")}, "parameters: 'rate' twice"),
@@ -366,7 +366,7 @@ def test_what_no_curve_belongs_to(known):
 
 
 def test_the_command(tmp_path):
-    """It writes record and picture, which are verified, shown and plotted; on the way b = 1 + a^2; options that miss."""
+    """It writes record and picture, which are verified, shown and plotted; b = 1 + a^2 on the way; missing options."""
     file = tmp_path / "own.toml"
     table = 'system = { kind = "python", function = "brusselator", arguments = { rate = 1.8 } }\n'
     file.write_text(table + "simulate = { state = [1.0, 1.8] }\n")

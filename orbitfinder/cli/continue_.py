@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 
@@ -26,7 +26,7 @@ from orbitfinder.records.registry import held, member
 if TYPE_CHECKING:
     from orbitfinder.families.branches import Branch
 
-    Origin = of.Orbit | of.Problem | Branch
+    Origin = of.Orbit | of.Problem | Branch | partial[of.Equilibria]
     Modelled = tuple[Origin, of.Model | None]
 
 
@@ -68,8 +68,8 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
     """Follow the family of orbits through an ORBIT.json, the orbit of a problem FILE, or from an event of a FAMILY.json
     a branch (--switch), or the event itself in two parameters (--curve); --switch start|end goes on along the family
     that is joined at that end. From a Hopf point of an EQUILIBRIA.json --switch follows the cycles that are born there,
-    with start|end the normal mode --branch about that equilibrium of a system with an energy. --curve also follows a
-    fold or a Hopf point of one in two parameters.
+    with start|end the normal mode --branch about that equilibrium of a system with an energy; --curve follows a fold or
+    a Hopf point in two parameters.
 
     Both ways along the family unless --until, --at or --direction say where to go; a branch away from its birth.
     Folds, branch points, period doublings, tori, resonances, collisions and stability changes are located. A run
@@ -284,9 +284,8 @@ def curve_of(file: Path, parameter: str | None, chosen: Mapping[str, Any]) -> Br
     if resting:
         rest = of.load_equilibria(file)
         name = chosen["name"] or f"{rest.name}-{chosen['curve']}-{'-'.join(names)}"
-        return partial(
-            of.follow_curve, rest, chosen["curve"], names, name=name, model=model_of(rest, file, chosen["trust"])
-        )  # type: ignore[arg-type]
+        model = model_of(rest, file, chosen["trust"])
+        return partial(cast(Any, of.follow_curve), rest, chosen["curve"], names, name=name, model=model)
     family = of.load_family(file)
     return curve_start(family, chosen["curve"], names, model=model_of(family, file, chosen["trust"]))
 

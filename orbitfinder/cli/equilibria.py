@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import click
 
@@ -106,7 +106,7 @@ def followed_rest(
     else:
         given = origin if isinstance(origin, tuple) else (origin, None)
         parameter = parameter or origin.parameter
-        follow = partial(of.follow_equilibria, *given, parameter)
+        follow = partial(cast(Any, of.follow_equilibria), *given, parameter)
     folder = folder_of(out, name or origin.name)
     with kept(folder / "equilibria.json", of.save_equilibria):
         found = follow(
@@ -122,7 +122,8 @@ def followed_rest(
         line = f"  {k} {event.words} at {parameter} = {event.parameter:.12g} +- {event.error:.1g}"
         if found.curve:
             line += f", {found.parameters[1]} = {event.values[1]:.12g} +- {event.errors[1]:.1g}"
-            line += "".join(f", {name} = {value:.6g}" for name, value in event.normal_form.items())
+            numbers = [f"{name} = {value:.6g}" for name, value in event.normal_form.items()]
+            line += f"; normal form: {', '.join(numbers)}" if numbers else ""
         if event.period > 0:
             line += f", period {event.period:.12g}, l1 = {event.lyapunov:.6g}"
         text(line)

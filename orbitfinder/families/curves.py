@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 
@@ -82,16 +83,15 @@ def follow_curve(
     if isinstance(family, Equilibria) or (not isinstance(family, Family) and held(family)[0] == EQUILIBRIA):
         rest = family if isinstance(family, Equilibria) else load_equilibria(family)
         model, most = model or build_model(rest.system), settings.points if settings else PACE.points
-        names = _parameters(model, parameters, ())
-        return follow_rest_curve(
-            rest, event, names, until, at, most if points is None else points, out, name, model, progress
-        )  # type: ignore[arg-type]
+        most = most if points is None else points
+        names, chosen = _parameters(model, parameters, ()), cast(int | RestEvent, event)
+        return follow_rest_curve(rest, chosen, names, until, at, most, out, name, model, cast(Any, progress))
     if isinstance(event, RestEvent):
         raise InputError(f"event: a {event.kind} of equilibria; give the equilibria that it is of")
     start = curve_start(family, event, parameters, settings, model)
     return follow_family(
         start, parameter_of(start), until=until, at=at, settings=settings, out=out, name=name, points=points,
-        model=model, progress=progress,
+        model=model, progress=cast(Any, progress),
     )  # fmt: skip
 
 

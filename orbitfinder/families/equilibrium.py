@@ -77,7 +77,7 @@ class RestEvent(Shown):
         direction: of branch points the other branch's, over (x, p); of Hopf points Re q and Im q.
         values: of both parameters, along a curve in two.
         errors: their error bars.
-        normal_form: of a cusp c of w' = c w^3, of Bogdanov-Takens points a and b of w'' = a w^2 + b w w'.
+        normal_form: of a cusp c of w' = c w^3, of Bogdanov-Takens points a > 0 and b of w'' = a w^2 + b w w'.
 
     Examples:
         >>> equilibria.events[0].kind, equilibria.events[0].criticality
@@ -163,7 +163,7 @@ class Equilibria(Shown):
     @property
     def places(self) -> np.ndarray:
         """Of a curve in two parameters: their values (k x 2) at the points and then at the events."""
-        return np.array([each.values for each in (*self.points, *self.events)])
+        return np.array([*(point.values for point in self.points), *(event.values for event in self.events)])
 
     def _check(self) -> None:
         if len({(point.state.shape, point.eigenvalues.shape) for point in self.points}) != 1:

@@ -16,6 +16,7 @@ import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Self
 
@@ -24,26 +25,18 @@ import numpy as np
 from orbitfinder._runtime import locks
 from orbitfinder._runtime.keeping import STOPPED, finished
 from orbitfinder._runtime.sizes import nonzero, size_of
-from orbitfinder.continuation.follow import (
-    LOCATED,
-    CurveJournal,
-    Goals,
-    KeptPoint,
-    SolutionCurve,
-    advanced,
-    follow,
-    towards,
-)
+from orbitfinder.continuation import follow as driver
+from orbitfinder.continuation.follow import CurveJournal, Goals, KeptPoint, SolutionCurve, advanced, follow, towards
 from orbitfinder.continuation.problem import Point, solved
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families import equilibria as rest
-from orbitfinder.families import rest_certificate
+from orbitfinder.families import rest_certificate as certificate
 from orbitfinder.families import rest_problem as equations
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
 from orbitfinder.families.registry import end_kind
-from orbitfinder.families.rest_certificate import CRITICAL, RESIDUAL, SLOPES, Judge, stability
+from orbitfinder.families.rest_certificate import Judge
 from orbitfinder.families.rest_problem import AtRest, Stacked
-from orbitfinder.integrate.jets import at_rest
+from orbitfinder.integrate.jets import Jets, at_rest
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.certificate import Certificate, at_most, equal
@@ -52,15 +45,17 @@ from orbitfinder.records.family import End, Reading
 FORMS = {"fold": "fold", "hopf": "hopf", "neutral_saddle": "hopf"}
 """The equations of the curve through each kind of event"""
 PAIRS = {"hopf": 1, "neutral_saddle": 1, "generalised_hopf": 1, "fold_hopf": 1, "double_hopf": 2}
-"""How many critical pairs each kind has; those with folds in their names and cusps have an eigenvalue 0"""
-NEAR = 10
-"""So many points of the equilibria on either side of an event say what it is measured in"""
-UNMOVED = 100 * equations.ROUND_OFF
+ZERO, REAL, AGAIN = ("fold", "cusp", "bogdanov_takens", "fold_hopf"), ("neutral_saddle",), {"bogdanov_takens": "fold"}
+"""How many critical pairs each kind has; which have an eigenvalue 0, or a real pair; which are recomputed otherwise"""
+NEAR, SLOPE, KNOWN = 10, 1e-4, 1e-6
+"""So many points on either side of an event say what it is measured in; half of a central difference along a curve; a
+special point is known this well at least, in the sizes there"""
+STILL = 100 * equations.ROUND_OFF
 """A frequency squared, in the pace, that is not known from 0"""
-SLOPE, UNKNOWN = 1e-4, 1e-6
-"""Half of a central difference along a curve; a special point is known this well at least, in the sizes there"""
 VANISHED, SAME = 1e-6, 1e-5
-"""What vanishes is this share of what it is elsewhere at most, a coefficient is known from others by this share"""
+"""What vanishes is this share of what it is elsewhere at most; how well coefficients are recomputed"""
+ALLOWED = np.array([certificate.RESIDUAL, certificate.SLOPES, certificate.CRITICAL])
+"""Of rates, eigenvalues, critical eigenvalues"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +122,7 @@ def _first(problem: AtRest, w: Stacked) -> float:
     """l1 of a motion in the sizes of the state; 0 of neutral saddles, and where it is infinite."""
     kappa, (z, p, _) = w.vector[3 * problem.count], problem.parts(w)
     with contextlib.suppress(np.linalg.LinAlgError):
-        if kappa > UNMOVED:
+        if kappa > STILL:
             return _length(problem, w) ** 2 * equations.lyapunov(problem, z, p, float(np.sqrt(kappa) * problem.pace))[0]
     return 0.0
 
@@ -146,36 +141,58 @@ def _length(problem: AtRest, w: Stacked) -> float:
     return float(np.linalg.norm((a * problem.z_sizes)[: problem.jets.size]) / np.linalg.norm(a))
 
 
-def _normal_form(problem: AtRest, w: Stacked, kind: str) -> dict[str, float]:
-    """The coefficients of the normal form, with <q, q> = <p, q> = 1 in the model's units; b, c up to the sign of q."""
-    if kind == "hopf" and (first := _first(problem, w)):
-        return {"l1": first / _length(problem, w) ** 2}
-    if kind not in ("fold", "cusp", "bogdanov_takens") or problem.jets.model.conservative:
-        return {}
+def _lyapunov(problem: AtRest, w: Stacked) -> dict[str, float]:
+    first = _first(problem, w)
+    return {"l1": first / _length(problem, w) ** 2} if first else {}
+
+
+def _vectors(problem: AtRest, w: Stacked) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
+    """psi, a, the bordered matrix, B(a, a), and the length of a in the model's units."""
     psi, a, bordered = _left(problem, w)
-    size, mass, z, p = float(np.linalg.norm(a)) * _length(problem, w), problem.mass, *problem.parts(w)[:2]
-    square = _quadratic(problem, w, a, a)
-    if kind == "fold":
-        return {"a": problem.pace * float(psi @ square / nonzero(abs(psi @ (mass * a)))) / (2 * size)}
-    if kind == "cusp":  # <p, C(q, q, q) + 3 B(q, h)> / 6,  A h = -B(q, q)
-        v, h = a * problem.z_sizes, np.linalg.solve(bordered, -np.append(square, 0.0))[:-1]
-        third = np.append(problem.jets.third(z, p, v, v) @ v / problem.row_sizes, np.zeros(len(problem.phase)))
-        whole = psi @ (third + 3 * _quadratic(problem, w, a, h)) / (psi @ (mass * a))
-        return {"c": problem.pace * float(whole) / (6 * size**2)}
-    b = np.linalg.solve(bordered, np.append(mass * a, 0.0))[
-        :-1
-    ]  # <p1, B(q0, q0)> / 2, <p0, B(q0, q0)> + <p1, B(q0, q1)>
-    psi = psi / (psi @ (mass * b))
-    phi = np.linalg.solve(bordered.T, np.append(mass * psi, 0.0))[:-1]
-    phi = phi - (phi @ (mass * b)) * psi
+    return psi, a, bordered, _quadratic(problem, w, a, a), float(np.linalg.norm(a)) * _length(problem, w)
+
+
+def _bend(problem: AtRest, w: Stacked) -> dict[str, float]:
+    """<p, B(q, q)> / 2."""
+    psi, a, _, square, size = _vectors(problem, w)
+    share = float(psi @ (problem.mass * a))
+    return {"a": problem.pace * float(psi @ square) / share / (2 * size)} if share else {}
+
+
+def _cubic(problem: AtRest, w: Stacked) -> dict[str, float]:
+    """<p, C(q, q, q) + 3 B(q, h)> / 6, A h = -B(q, q)."""
+    psi, a, bordered, square, size = _vectors(problem, w)
+    v, h = a * problem.z_sizes, np.linalg.solve(bordered, -np.append(square, 0.0))[:-1]
+    third = problem.jets.third(*problem.parts(w)[:2], v, v) @ v / problem.row_sizes
+    whole = psi @ (np.append(third, np.zeros(len(problem.phase))) + 3 * _quadratic(problem, w, a, h))
+    return {"c": problem.pace * float(whole / (psi @ (problem.mass * a))) / (6 * size**2)}
+
+
+def _takens(problem: AtRest, w: Stacked) -> dict[str, float]:
+    """a = <p1, B(q0, q0)> / 2 > 0, b = <p0, B(q0, q0)> + <p1, B(q0, q1)>."""
+    psi, a, bordered, square, size = _vectors(problem, w)
+    b = np.linalg.solve(bordered, np.append(problem.mass * a, 0.0))[:-1]
+    psi = psi / (psi @ (problem.mass * b))
+    phi = np.linalg.solve(bordered.T, np.append(problem.mass * psi, 0.0))[:-1]
+    phi = phi - (phi @ (problem.mass * b)) * psi
+    first, size = float(psi @ square), size * float(np.sign(psi @ square))
     mixed = phi @ square + psi @ _quadratic(problem, w, a, b)
-    return {"a": problem.pace**2 * float(psi @ square) / (2 * size), "b": problem.pace * float(mixed) / size}
+    return {"a": problem.pace**2 * first / (2 * size), "b": problem.pace * float(mixed) / size} if first else {}
+
+
+NORMAL = {"hopf": _lyapunov, "fold": _bend, "cusp": _cubic, "bogdanov_takens": _takens}
+"""Coefficients of normal forms with <q, q> = <p, q> = 1 in the model's units"""
+
+
+def _normal_form(problem: AtRest, w: Stacked, kind: str) -> dict[str, float]:
+    """The coefficients; of a conservative system, whose eigenvalues 0 are double, none."""
+    return NORMAL[kind](problem, w) if kind in NORMAL and not problem.jets.model.conservative else {}
 
 
 def _claims(kind: str, values: np.ndarray) -> list[complex]:
     """The critical eigenvalues of a kind by all that there are, of pairs the first."""
     claims: list[complex] = []
-    if kind not in PAIRS or kind == "fold_hopf":
+    if kind in ZERO:
         claims, values = [0.0 + 0.0j], np.delete(values, np.argmin(np.abs(values)))
     for _ in range(PAIRS.get(kind, 0)):
         i, j = equations.critical_pair(values)
@@ -184,20 +201,18 @@ def _claims(kind: str, values: np.ndarray) -> list[complex]:
     return claims
 
 
-def _consistent(kind: str, claims: Sequence[complex]) -> bool:
-    """Whether pairs are imaginary, those of neutral saddles real."""
-    return all((claim.imag > 0) == (kind != "neutral_saddle") for claim in claims[len(claims) - PAIRS.get(kind, 0) :])
+def _consistent(kind: str, values: np.ndarray) -> bool:
+    """Whether critical pairs are imaginary, those of neutral saddles real."""
+    claims = _claims(kind, values)
+    return all((claim.imag > 0) == (kind not in REAL) for claim in claims[len(claims) - PAIRS.get(kind, 0) :])
 
 
 def _judged(judge: Judge, least: float, each: Equilibrium | RestEvent, sizes: np.ndarray) -> np.ndarray:
-    """What is left of the rates, what eigenvalues and critical ones are off by, in a pace that is no less than given."""
+    """Of rates, eigenvalues and critical ones what is left, in a pace that is no less than given."""
     pace = max(least, size_of(each.eigenvalues))
     left = judge.left(each.state, each.values, sizes, pace, each.eigenvalues)
     flows = [judge.flow(each.state, each.values, sizes, pace, claim) for claim in _claims(each.kind, each.eigenvalues)]
     return np.array([*left, max(flows)])
-
-
-ALLOWED = np.array([RESIDUAL, SLOPES, CRITICAL])
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,13 +233,15 @@ class _Track:
 
     def record(self, point: Point) -> Equilibrium:
         problem, w = point.problem, point.w
-        z, p, more = problem.parts(w)
-        z, p = _quiet(z, problem.z_sizes), _quiet(p, problem.p_sizes)
+        left = equations.SETTINGS.round_off * problem.sizes  # by the corrector
+        z, p, more = problem.parts(Stacked(np.where(np.abs(w.vector) <= left, 0.0, w.vector)))
         values, d = equations.eigenvalues(problem, z, p), problem.jets.size
         kind = "neutral_saddle" if problem.form == "hopf" and more[-1] <= 0 else problem.form
-        verdict = stability(_others(problem, w) * problem.pace, problem.pace)
-        known = Equilibrium(z[:d], float(p[0]), values[np.lexsort((-values.imag, -values.real))], verdict,
-                            point.arclength * self.sign, kind=kind, values=p, normal_form=_normal_form(problem, w, kind))  # fmt: skip
+        verdict = certificate.stability(_others(problem, w) * problem.pace, problem.pace)
+        known = Equilibrium(
+            z[:d], float(p[0]), values[np.lexsort((-values.imag, -values.real))], verdict, point.arclength * self.sign,
+            kind=kind, values=p, normal_form=_normal_form(problem, w, kind),
+        )  # fmt: skip
         judged = _judged(self.judge, self.start.problem.pace, known, problem.z_sizes[:d])
         return replace(known, residual=float(judged[0]), certified=bool((judged <= ALLOWED).all()))
 
@@ -241,7 +258,7 @@ class _Track:
         return point, self.record(point)
 
     def special(self, kept: KeptPoint, index: int) -> RestEvent | None:
-        """What is special near a located point, solved for; None where it is nothing."""
+        """What is special near a located point, solved for; None where it is nothing, and where a test jumps."""
         point, test = kept.point.sharp, TESTS[kept.point.problem.form][kept.role]
         try:
             for _ in range(3):
@@ -249,24 +266,18 @@ class _Track:
             errors = _errors(point, test)
         except (ConvergenceError, IntegrationError, ArithmeticError, np.linalg.LinAlgError):
             return None
-        if abs(point.arclength - kept.point.arclength) > SLOPE:
-            return None  # where a test jumps
         there, problem = self.record(point), point.problem
-        claims = _claims(kept.role, there.eigenvalues)
-        if not (errors <= UNKNOWN * problem.p_sizes).all() or not _consistent(kept.role, claims):
+        jumps = abs(point.arclength - kept.point.arclength) > SLOPE or not (errors <= KNOWN * problem.p_sizes).all()
+        if jumps or not _consistent(kept.role, there.eigenvalues):
             return None
+        critical = _claims(kept.role, there.eigenvalues)[-1]
         event = RestEvent(
             kept.role, index, there.arclength, there.value, float(errors[0]), there.state, there.eigenvalues,
-            frequency=claims[-1].imag or np.nan, critical=claims[-1], values=there.values, errors=errors,
+            frequency=critical.imag or np.nan, critical=critical, values=there.values, errors=errors,
             normal_form=_normal_form(problem, point.w, kept.role),
         )  # fmt: skip
         judged = _judged(self.judge, self.start.problem.pace, event, problem.z_sizes[: problem.jets.size])
-        return replace(event, check=Reading(float(judged[2]), CRITICAL, bool((judged <= ALLOWED).all())))
-
-
-def _quiet(numbers: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-    """With 0 for what the corrector leaves of the sizes."""
-    return np.where(np.abs(numbers) <= equations.SETTINGS.round_off * sizes, 0.0, numbers)
+        return replace(event, check=Reading(float(judged[2]), float(ALLOWED[2]), bool((judged <= ALLOWED).all())))
 
 
 def _slope(point: Point, test: Vanishing) -> float:
@@ -277,16 +288,11 @@ def _slope(point: Point, test: Vanishing) -> float:
 
 def _errors(point: Point, test: Vanishing) -> np.ndarray:
     """Error bars of both parameters: those across the curve, and along it by what the test is known to."""
-    problem, w, tangent = point.problem, point.w, point.tangent
-    rows, linear = problem.linearise(w)
-    matrix = np.vstack([linear.matrix, problem.metric(w) * tangent * problem.sizes])
-    terms = np.abs(linear.matrix) @ np.abs(w.vector / problem.sizes)
-    left = np.append(np.abs(rows) + equations.ROUND_OFF * terms, 0.0)
-    bars = np.abs(np.linalg.inv(matrix)) @ left * problem.sizes
-    value, random = test(problem, w), np.random.default_rng(0)
+    problem, w, tangent, random = point.problem, point.w, point.tangent, np.random.default_rng(0)
+    bars, value = equations.error_bars(problem, w, problem.metric(w) * tangent), test(problem, w)
     moved = [test(problem, w.moved(1e5 * bars * random.uniform(-1, 1, bars.size))) - value for _ in range(4)]
-    along = (abs(value) + 1e-4 * size_of(np.array(moved))) / abs(_slope(point, test)) + equations.ROUND_OFF
-    return np.asarray((bars + np.abs(tangent) * along)[-2:])
+    share = (abs(value) + 1e-4 * size_of(np.array(moved))) / abs(_slope(point, test)) + equations.ROUND_OFF
+    return np.asarray((bars + np.abs(tangent) * share)[-2:])
 
 
 def follow_rest_curve(
@@ -295,49 +301,47 @@ def follow_rest_curve(
 ) -> Equilibria:  # fmt: skip
     """The curve of an event of equilibria in two parameters (see `curves.follow_curve`)."""
     number, chosen = _chosen(equilibria, event)
-    fixed = {} if equilibria.parameter in names else {equilibria.parameter: chosen.parameter}
     model = with_parameters(model, {equilibria.parameter: chosen.parameter})
     start = _start(equilibria, chosen, names, until, model)
     rest.check_goals(names[0], start.value(names[0]), until, at, points)
-    curve = {"test": {"kind": FORMS[chosen.kind], "detail": ""}, "parameters": names, "pace": start.problem.pace,
-             "fixed": fixed}  # fmt: skip
+    fixed = {} if equilibria.parameter in names else {equilibria.parameter: chosen.parameter}
+    form, slowest = start.problem.form, start.problem.pace
+    curve = {"test": {"kind": form, "detail": ""}, "form": form, "parameters": names, "pace": slowest, "fixed": fixed}
     judge, label = Judge(model, names), name or f"{equilibria.name}-{number}-{'-'.join(names)}"
-    path = None if out is None else Path(out) / label
+    path, pace = None if out is None else Path(out) / label, replace(rest.PACE, points=points, located=driver.LOCATED)
     tests = {role: lambda point, test=test: test(point.problem, point.w) for role, test in
-             TESTS[start.problem.form].items() if role == "cusp" or not model.conservative}  # fmt: skip
-    runs: list[tuple[SolutionCurve, _Track]] = []
+             TESTS[form].items() if role == "cusp" or not model.conservative}  # fmt: skip
+    goals, runs = Goals(names[0], until, tuple(map(float, at))), list[tuple[SolutionCurve, _Track]]()
     record = partial(_record, label, model, curve, runs)
     with contextlib.nullcontext() if path is None else locks.alone_in(path):
-        for k, sign in enumerate((1.0, -1.0) if until is None else (1.0,)):
-            track = _Track(start, judge, until, sign)
-            runs.append((SolutionCurve(), track))
+        for k, sign in enumerate((1.0, -1.0)[: 1 + (until is None)]):
+            run, track = SolutionCurve(), _Track(start, judge, until, sign)
+            runs.append((run, track))
             request = {"system": dict(model.system), "start": start.w.vector, "curve": curve, "way": k, "until":
                        until is not None}  # fmt: skip
             journal = CurveJournal(track, path and path / f"equilibria{k or ''}.jsonl", request, track.leads)
-            goals = Goals(names[0], until, tuple(float(value) for value in at))
-            for kept in follow(
-                runs[-1][0], journal, track.begin, goals, replace(rest.PACE, points=points, located=LOCATED), tests
-            ):
+            for kept in follow(run, journal, track.begin, goals, pace, tests):
                 finished(record)
                 if progress:
                     progress(kept.record)
-            if (end := runs[-1][0].end) and end_kind(end.kind).closed:
+            if run.end and end_kind(run.end.kind).closed:
                 break
     return record()
 
 
 def _chosen(equilibria: Equilibria, event: int | RestEvent) -> tuple[int, RestEvent]:
     """The event and its number. `InputError` lists those that can be followed."""
+    known = [(k, each) for k, each in enumerate(equilibria.events) if each.kind in FORMS]
     if equilibria.curve:
         raise InputError(f"{equilibria.name}: is a curve in two parameters itself; give the equilibria that it was "
                          "started from")  # fmt: skip
-    known = {k: each for k, each in enumerate(equilibria.events) if each.kind in FORMS}
-    for k, each in known.items():
+    for k, each in known:
         if each is event or k == event:
             return k, each
-    listed = "; ".join(f"{k}: {each.words} at {equilibria.parameter} {each.parameter:.6g}" for k, each in known.items())
+    listed = "; ".join(f"{k}: {each.words} at {equilibria.parameter} {each.parameter:.6g}" for k, each in known)
+    choice = f"choose one of {listed}" if listed else "it has no fold or Hopf point"
     raise InputError(f"event: no curve leads through event {event if isinstance(event, int) else event.kind} of "
-                     f"{equilibria.name}; {'choose one of ' + listed if listed else 'it has no fold or Hopf point'}")  # fmt: skip
+                     f"{equilibria.name}; {choice}")  # fmt: skip
 
 
 def _start(
@@ -348,32 +352,30 @@ def _start(
     problem = equations.regular(at_rest(model, names, event.state), event.state, values)
     beside, d = equilibria.points[max(event.index - NEAR, 0) : event.index + NEAR + 2], problem.jets.size
     pace = size_of(np.concatenate([event.eigenvalues, *(point.eigenvalues for point in beside)]))
-    sizes = equations.state_sizes(model, np.abs([point.state for point in beside]).max(axis=0))
+    z_sizes, met = problem.z_sizes.copy(), max(abs(point.value) for point in beside)
+    z_sizes[:d] = equations.state_sizes(model, np.abs([point.state for point in beside]).max(axis=0))
     if model.rates is None:
-        sizes[d // 2 :] = sizes[: d // 2] * pace
-    met = {equilibria.parameter: max(abs(point.value) for point in beside)}
-    p_sizes = np.array(
-        [model.scales.get(name, max(abs(value), met.get(name, 0.0))) for name, value in zip(names, values)]
-    )
+        z_sizes[d // 2 : d] = z_sizes[: d // 2] * pace
+    p_sizes = np.maximum(np.abs(values), [met * (name == equilibria.parameter) for name in names])
     if until is not None:
         p_sizes[0] = max(p_sizes[0], abs(until - values[0]))
-    z_sizes, unknown = np.append(sizes, problem.z_sizes[d:]), p_sizes == 0.0
-    given = {part.name: getattr(problem, part.name) for part in fields(problem)}
+    p_sizes = np.array([model.scales.get(name, size) for name, size in zip(names, p_sizes, strict=True)])
+    unknown, given = p_sizes == 0.0, {part.name: getattr(problem, part.name) for part in fields(problem)}
     given |= {"z_sizes": z_sizes, "p_sizes": np.where(unknown, 1.0, p_sizes), "pace": pace}
-    extended, guess = equations.singular(_Curve(**given), problem.parts(Stacked(np.concatenate(
-        [event.state, np.zeros(problem.jets.extra), values])))[0], values, FORMS[event.kind])  # fmt: skip
+    z = np.concatenate([event.state, np.zeros(problem.jets.extra)])
+    extended, guess = equations.singular(_Curve(**given), z, values, FORMS[event.kind])
     held = names[0] if names[0] != equilibria.parameter else names[1]
     value = extended.value(guess, held)
     try:
         point = solved(extended, guess, lambda w: extended.aim(w, held, value))
-        moved = point.tangent[-2:]  # a parameter at 0 is measured by what moves as much as the rest
-        others = np.sqrt(extended.metric(guess)) * point.tangent * np.append(np.ones(guess.vector.size - 2), ~unknown)
-        sized = np.where(unknown, np.abs(moved) / nonzero(float(np.linalg.norm(others))), extended.p_sizes)
+        lengths = np.sqrt(extended.metric(guess)) * point.tangent  # a parameter at 0 moves as much as the others
+        others = np.linalg.norm(lengths * np.append(np.ones(guess.vector.size - 2), ~unknown))
+        sized = np.where(unknown, np.abs(point.tangent[-2:]) / nonzero(float(others)), extended.p_sizes)
         extended = replace(extended, p_sizes=np.where(sized > 0.0, sized, 1.0))
         return solved(extended, point.w, lambda w: extended.aim(w, held, value))
     except ConvergenceError as error:
-        raise ConvergenceError(f"the {event.words} at {equilibria.parameter} = {event.parameter:.9g} does not move with "
-                               f"{' and '.join(names)}: {error}") from error  # fmt: skip
+        raise ConvergenceError(f"the {event.words} at {equilibria.parameter} = {event.parameter:.9g} does not move "
+                               f"with {' and '.join(names)}: {error}") from error  # fmt: skip
 
 
 def _record(label: str, model: Model, curve: Mapping[str, Any], runs: list[tuple[SolutionCurve, _Track]]) -> Equilibria:
@@ -381,45 +383,45 @@ def _record(label: str, model: Model, curve: Mapping[str, Any], runs: list[tuple
     for run, track in runs:
         own = [kept.record for kept in run.points]
         points = [*points, *own] if track.sign > 0 else [*own[:0:-1], *points]
-    lengths = np.array([point.arclength for point in points])
-    located = [(kept, track) for run, track in runs for kept in run.events]
-    indices = [max(int(np.searchsorted(lengths, kept.point.arclength * track.sign)) - 1, 0) for kept, track in located]
-    events = [track.special(kept, k) for (kept, track), k in zip(located, indices, strict=True)]
-    ends = [run.end or End(STOPPED, "stopped") for run, _ in reversed(runs)]
-    known = sorted((event for event in events if event is not None), key=lambda event: event.arclength)
-    return Equilibria(
-        label, dict(model.system), curve["parameters"][0], tuple(points), tuple(known), tuple(ends), curve
-    )
+    lengths, events = [point.arclength for point in points], list[RestEvent]()
+    for run, track in runs:
+        for kept in run.events:
+            index = max(int(np.searchsorted(lengths, kept.point.arclength * track.sign)) - 1, 0)
+            events += [event] if (event := track.special(kept, index)) else []
+    ends = tuple(run.end or End(STOPPED, "stopped") for run, _ in reversed(runs))
+    known = tuple(sorted(events, key=attrgetter("arclength")))
+    return Equilibria(label, dict(model.system), curve["parameters"][0], tuple(points), known, ends, curve)
 
 
 def verified(equilibria: Equilibria, model: Model | None = None) -> Certificate:
     """Every point of a curve from its record alone: rates, eigenvalues, critical ones by the flow, coefficients, and
-    that special points are such; of equilibria in one parameter see `equilibria.verified`."""
+    that special points are such; of equilibria in one parameter see `rest_certificate.verified`."""
     if not equilibria.curve:
-        return rest_certificate.verified(equilibria, model)
-    every, curve = (*equilibria.points, *equilibria.events), equilibria.curve
+        return certificate.verified(equilibria, model)
+    every: tuple[Equilibrium | RestEvent, ...] = (*equilibria.points, *equilibria.events)
+    curve, names = equilibria.curve, tuple(equilibria.parameters)
     model = with_parameters(model or build_model(equilibria.system), curve["fixed"])
-    judge, pace = Judge(model, equilibria.parameters), curve["pace"]
     sizes = equations.state_sizes(model, np.abs([each.state for each in every]).max(axis=0))
-    judged = np.max([_judged(judge, pace, each, sizes) for each in every], axis=0)
-    again = [
-        (each, *_again(judge, curve, each, sizes)) for each in every if each.normal_form or each in equilibria.events
-    ]
-    off, left = 0.0, 0.0
-    for each, problem, w in again:
+    judge, jets = Judge(model, names), at_rest(model, names, every[0].state)
+    judged = np.max([_judged(judge, curve["pace"], each, sizes) for each in every], axis=0)
+    told = [each for each in every if each.normal_form or isinstance(each, RestEvent)]
+    known: list[tuple[Equilibrium | RestEvent, AtRest, Stacked]]
+    known = [(each, *_again(jets, curve, each, sizes)) for each in told]
+    off = left = 0.0
+    for each, problem, w in known:
         if isinstance(each, RestEvent):
-            test = TESTS[problem.form].get(each.kind, lambda problem, w: np.inf)
-            alike = [abs(test(*other)) for point, *other in again if point.kind == curve["test"]["kind"]]
-            usual = 1.0 if each.kind == "bogdanov_takens" else float(np.median(alike))
+            test: Vanishing = TESTS[problem.form].get(each.kind, lambda problem, w: np.inf)
+            alike = [abs(test(there, v)) for point, there, v in known if point.kind in (curve["form"],)]
+            usual = 1.0 if each.kind in AGAIN else float(np.median(alike))
             left = max(left, abs(test(problem, w)) / nonzero(usual))
         for name, value in each.normal_form.items():
             mine = _normal_form(problem, w, each.kind).get(name, np.inf)
             off = max(off, abs(abs(mine) - abs(value)) / size_of(np.array([mine, value])))
-    wrong = sum(not _consistent(each.kind, _claims(each.kind, each.eigenvalues)) for each in every)
+    wrong = sum(not _consistent(each.kind, each.eigenvalues) for each in every)
     return Certificate((
-        at_most("rates", judged[0], RESIDUAL, "largest rate, in the sizes and the pace of its equilibrium"),
-        at_most("eigenvalues", judged[1], SLOPES, "from differences of the rates"),
-        at_most("critical eigenvalues", judged[2], CRITICAL, "by the flow of the variations"),
+        at_most("rates", judged[0], ALLOWED[0], "largest rate, in the sizes and the pace of its equilibrium"),
+        at_most("eigenvalues", judged[1], ALLOWED[1], "from differences of the rates"),
+        at_most("critical eigenvalues", judged[2], ALLOWED[2], "by the flow of the variations"),
         at_most("special points", left, VANISHED, "what vanishes there, relative to its median along the curve"),
         at_most("coefficients", off, SAME, "of normal forms, from those of the equations at the recorded states"),
         equal("verdicts", float(wrong), 0.0, "on kinds, which eigenvalues do not bear out"),
@@ -427,12 +429,10 @@ def verified(equilibria: Equilibria, model: Model | None = None) -> Certificate:
 
 
 def _again(
-    judge: Judge, curve: Mapping[str, Any], each: Equilibrium | RestEvent, sizes: np.ndarray
-) -> tuple[AtRest, Stacked]:
+    jets: Jets, curve: Mapping[str, Any], each: Equilibrium | RestEvent, sizes: np.ndarray
+) -> tuple[AtRest, Stacked]:  # fmt: skip
     """The singular problem at a recorded state, and what is singular there."""
-    jets = at_rest(judge.model, judge.parameters, each.state)
     problem = equations.regular(jets, each.state, each.values)
     problem = replace(problem, z_sizes=np.append(sizes, problem.z_sizes[jets.size :]), pace=curve["pace"])
-    z = np.append(each.state, np.zeros(jets.extra))
-    form = "fold" if each.kind == "bogdanov_takens" else curve["test"]["kind"]
-    return equations.singular(problem, z, each.values, form)
+    form = AGAIN.get(each.kind, curve["form"])
+    return equations.singular(problem, np.append(each.state, np.zeros(jets.extra)), each.values, form)

@@ -444,10 +444,12 @@ def critical_pair(values: np.ndarray) -> tuple[int, int]:
     return int(i), int(j)
 
 
-def error_bars(problem: AtRest, w: Stacked) -> np.ndarray:
-    """Of all unknowns of a square problem: what round-off of its terms, and what is left of its rows, moves them by."""
+def error_bars(problem: AtRest, w: Stacked, across: np.ndarray | None = None) -> np.ndarray:
+    """Of all unknowns of a square problem, or of a curve's in the plane `across`: what round-off of its terms, and what
+    is left of its rows, moves them by."""
     rows, linear = problem.linearise(w)
-    inverse = np.abs(np.linalg.inv(linear.matrix))
+    matrix = linear.matrix if across is None else np.vstack([linear.matrix, across * problem.sizes])
+    inverse = np.abs(np.linalg.inv(matrix))[:, : rows.size]
     terms = np.abs(linear.matrix) @ np.abs(w.vector / problem.sizes)
     return np.asarray(inverse @ (np.abs(rows) + ROUND_OFF * terms) * problem.sizes)
 

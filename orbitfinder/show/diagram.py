@@ -9,6 +9,7 @@ import numpy as np
 
 from orbitfinder.errors import OrbitfinderError
 from orbitfinder.families.entries import LOOKS, kind_of
+from orbitfinder.families.equilibrium import RestEvent
 from orbitfinder.families.members import response
 from orbitfinder.families.registry import Look
 from orbitfinder.mechanics.kind import build_model
@@ -17,7 +18,7 @@ from orbitfinder.records.family import Event, Family
 __all__ = ["LOOKS", "Diagram", "diagram_of", "frequencies", "mark_of"]
 
 
-def mark_of(event: Event) -> Look:
+def mark_of(event: Event | RestEvent) -> Look:
     """How an event is drawn; one of a kind that nobody knows as a star."""
     look: Look = LOOKS.get(event.kind, Look("*", "star"))
     return look

@@ -18,7 +18,7 @@ from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.atlas.report import discovery
 from orbitfinder.atlas.store import Atlas, AtlasRow, Filter
 from orbitfinder.errors import InputError, plural
-from orbitfinder.families.equilibrium import Equilibria
+from orbitfinder.families.equilibrium import Equilibria, RestEvent
 from orbitfinder.families.members import MemberMotion, amplitudes, motions, whole
 from orbitfinder.loops.control import history
 from orbitfinder.mechanics.kind import build_model
@@ -26,7 +26,7 @@ from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.mechanics.scales import unit_names
 from orbitfinder.mechanics.scales import units as units_of
 from orbitfinder.orbits.course import Course, course_of
-from orbitfinder.records.family import Family
+from orbitfinder.records.family import Event, Family
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.diagram import Diagram, frequencies, mark_of
 from orbitfinder.show.facts import conserves, number
@@ -402,7 +402,7 @@ def frequency_energy(
     return figure
 
 
-def _called(families: Sequence[Family]) -> str:
+def _called(families: Sequence[Family | Equilibria]) -> str:
     return ", ".join(family.name for family in families)
 
 
@@ -435,7 +435,8 @@ def two_parameters(families: Sequence[Family | Equilibria], title: str | None = 
             style = {"linestyle": ":" if beyond else "-", "color": COLOURS[k % len(COLOURS)], "linewidth": 1.8}
             called = kinds[start] if beyond else f"{test['kind']} {test['detail']}"
             shown.setdefault(called.replace("_", " ").strip(), axes.plot(*path.T, **style)[0])
-        for event, place in zip(curve.events, events, strict=True):
+        special: Sequence[Event | RestEvent] = curve.events
+        for event, place in zip(special, events, strict=True):
             style = {"marker": mark_of(event).marker, "markersize": 7.0, "linestyle": "none", "color": "black"}
             shown.setdefault(event.words, axes.plot(*place, **style)[0])
             labels.setdefault(tuple(np.round(place, 12)), event.words)
