@@ -20,8 +20,9 @@ from orbitfinder.families.joins import Invariance, agrees
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.rest import can_rest, rest_of
 from orbitfinder.families.start import begin, full_samples
+from orbitfinder.families.verified import verified
 from orbitfinder.loops.symmetry import REFLECTION_MAP
-from orbitfinder.records.family import End, plain, save_family
+from orbitfinder.records.family import End, Reading, plain, save_family
 
 QUIET = FamilySettings(certify=False, events=False)
 DOWN, UP = (replace(QUIET, directions=one) for one in ("backward", "forward"))
@@ -341,3 +342,139 @@ def test_a_cycle_on_which_two_equilibria_are_born_is_no_canard():
     )
     (end,) = (one for one in family.ends if one.kind != "start")
     assert end.kind == "saddle-node" and abs(end.parameter - 1.0) <= end.error < 1e-13, end.reason
+
+
+def fitzhugh_nagumo():
+    """road.json's nerve, with both of its canards."""
+    return of.ode(
+        lambda _, x, p: [x.v - x.v**3 / 3 - x.w + p.I, 0.08 * (x.v + 0.7 - 0.8 * x.w)], ["v", "w"], {"I": 1.0}
+    )
+
+
+def reference(name, entry):
+    """An entry of a file of independent numbers."""
+    known = json.loads((Path(__file__).parent / "data" / name).read_text())
+    return next(one for one in (known["entries"] if isinstance(known, dict) else known) if one["id"] == entry)
+
+
+@pytest.mark.slow
+def test_both_canards_are_passed_from_the_relaxation_cycle(tmp_path):
+    """From a current of 1 to both Hopf points, through both folds, which verify from a file."""
+    model = fitzhugh_nagumo()
+    cycle = next(one for one in reference("road.json", "cyc-fhn")["values"] if one["parameter"] == 1.0)
+    problem = of.Problem(model, of.Guess([float(x) for x in cycle["state"]], float(cycle["period"])))
+    settings = FamilySettings(certify=False, points=600)
+    family = of.follow_family(problem, "I", settings=settings, model=model, out=tmp_path, name="nerve")
+    folds = sorted((one for one in family.events if one.kind == "fold"), key=lambda one: one.parameter)
+    known = reference("road.json", "loc-fhn-right")["values"][0]
+    wanted = [float(known["mirror"]), float(known["parameter"])]
+    assert [one.parameter for one in folds] == pytest.approx(wanted, abs=6e-11)
+    assert [one.criticality for one in folds] == ["supercritical", "subcritical"]
+    assert folds[0].words == "supercritical fold I"
+    for side, one in enumerate(reference("road.json", "eq-fhn")["values"]["hopf"]):
+        assert hopf(family, side) == (
+            pytest.approx(float(one["parameter"]), rel=1e-11),
+            pytest.approx(float(one["period"])),
+        )
+        assert f"subcritical (l1 = {float(one['l1']):.6g})" in family.ends[side].reason
+    known = of.load_family(tmp_path / "nerve" / "family.json")
+    assert all(check.passed for _, check in verified(known, model))
+
+
+@pytest.mark.slow
+def test_both_canards_are_passed_from_a_hopf_point():
+    """From the Hopf point at 1.4187 through both folds to that at 0.3313."""
+    model = fitzhugh_nagumo()
+    rest = of.follow_equilibria(model, [-1.2, -0.6], "I", until=2.0)
+    assert [one.kind for one in rest.events] == ["hopf"]
+    settings = FamilySettings(certify=False, points=600)
+    family = of.follow_family(of.switch_branch(rest, 0, model=model), settings=settings)
+    known = reference("road.json", "loc-fhn-right")["values"][0]
+    folds = [one.parameter for one in family.events if one.kind == "fold"]
+    assert sorted(folds) == pytest.approx([float(known["mirror"]), float(known["parameter"])], abs=6e-11)
+    assert sorted(hopf(family, side)[0] for side in (0, 1)) == pytest.approx([0.3312813374547458, 1.418718662545254])
+
+
+@pytest.mark.slow
+def test_the_folds_of_autos_demos():
+    """fhn: at +-0.43051824495, in a canard; tor: at -0.58433477187."""
+    model = of.ode(lambda _, x, p: [3 * (x.x - x.x**3 / 3 + x.y), -(x.x - p.a + 0.8 * x.y) / 3], ["x", "y"], {"a": 0.0})
+    settings = FamilySettings(certify=False)
+    family = of.follow_family(of.Problem(model, of.Guess([1.5, -1.0], 9.5365)), "a", settings=settings, model=model)
+    (known,) = reference("cycles.json", "fhn demo")["points"]
+    folds = [(one.parameter, one.period) for one in family.events if one.kind == "fold"]
+    assert [value for value, _ in folds] == pytest.approx([-known["a"], known["a"]], abs=6e-12)
+
+    def torus(_, x, p):
+        apart = 0.933578 * (x.y - x.x) ** 3
+        first = -(0.5 + p.nu) * x.x + 0.5 * x.y - 0.328578 * x.x**3 + apart
+        return [first / 0.6, 0.5 * x.x + 0.1 * x.y - x.z - apart, x.y]
+
+    model = of.ode(torus, ["x", "y", "z"], {"nu": -0.9})
+    rest = of.follow_equilibria(model, [0.0, 0.0, 0.0], "nu", until=-0.55)
+    family = of.follow_family(of.switch_branch(rest, 0, model=model), settings=replace(settings, points=60))
+    (known,) = reference("cycles.json", "tor, first fold")["points"]
+    fold = next(one for one in family.events if one.kind == "fold")
+    assert fold.parameter == pytest.approx(known["nu"], abs=6e-12)
+    assert fold.period == pytest.approx(known["period"], abs=6e-8)
+
+
+def turning(kind):
+    """A cycle r = 1, about which a doubling or a torus is born at a = 0, to the side of the sign of b."""
+
+    def field(_, x, p):
+        radius = ca.sqrt(x.x**2 + x.y**2)
+        if kind == "torus":
+            u, w, square = radius - 1, x.z, (radius - 1) ** 2 + x.z**2
+            out = p.a * u - 0.37 * w + p.b * square * u + 0.2 * u**2
+            up = p.a * w + 0.37 * u + p.b * square * w - 0.1 * u * w
+        else:
+            angle = ca.atan2(x.y, x.x) / 2
+            u = ca.cos(angle) * (radius - 1) + ca.sin(angle) * x.z
+            w = -ca.sin(angle) * (radius - 1) + ca.cos(angle) * x.z
+            out = ca.cos(angle) * (p.a * u + p.b * u**3) + ca.sin(angle) * w - x.z / 2
+            up = ca.sin(angle) * (p.a * u + p.b * u**3) - ca.cos(angle) * w + (radius - 1) / 2
+        return [out * x.x / radius - x.y, out * x.y / radius + x.x, up]
+
+    return lambda b: of.ode(field, ["x", "y", "z"], {"a": -0.05, "b": b})
+
+
+@pytest.mark.parametrize("kind", ["period_doubling", "torus"])
+def test_the_side_to_which_what_is_born_is_born(kind, tmp_path):
+    """Both signs, by exact normal forms; recorded, read and verified, and the other one rejected."""
+    for b, wanted in ((-0.5, "supercritical"), (0.5, "subcritical")):
+        model = turning(kind)(b)
+        problem = of.Problem(model, of.Guess([1.0, 0.0, 0.0], 2 * np.pi))
+        settings = FamilySettings(certify=False, directions="forward")
+        family = of.follow_family(problem, "a", until=0.05, settings=settings, model=model, out=tmp_path, name=wanted)
+        (event,) = (one for one in family.events if one.kind == kind)
+        assert event.criticality == wanted and event.words == f"{wanted} {kind.replace('_', ' ')}"
+    written = json.loads((tmp_path / wanted / "family.json").read_text())["events"]
+    assert [one.get("criticality") for one in written] == [wanted, None]
+    known = of.load_family(tmp_path / wanted / "family.json")
+    assert [one.criticality for one in known.events] == [wanted, ""]
+    assert all(check.passed for _, check in verified(known, model))
+    wrong = replace(event, check=replace(event.check, criticality="supercritical"))
+    checks = [check for name, check in verified(replace(family, events=(wrong,)), model) if name.startswith("event")]
+    assert not checks[0].passed and "recorded as supercritical, found subcritical" in checks[0].note
+
+
+@pytest.mark.slow
+def test_the_side_by_the_branch_itself():
+    """Lorenz' doubling at 229.4067: the doubled orbit is stable below, where the simple one is not."""
+    problem = of.load_problem(Path(__file__).parents[1] / "problems" / "families" / "lorenz-doubling.toml")
+    settings = FamilySettings(certify=False)
+    family = of.follow_family(problem, "rho", until=225.0, settings=settings)
+    k = next(k for k, one in enumerate(family.events) if one.kind == "period_doubling")
+    event = family.events[k]
+    assert event.criticality == "supercritical" and event.parameter == pytest.approx(229.4067085, abs=1e-7)
+    doubled = of.follow_family(of.switch_branch(family, k), points=2, settings=replace(settings, directions="away"))
+    assert all(one.value < event.parameter and one.stability != "unstable" for one in doubled.points)
+
+
+def test_where_no_side_is_told():
+    """Conservative families, and events that were read without it."""
+    family = of.follow_family(of.Problem(of.chain(2), of.Guess([0.3, 0.42, 0.0, 0.0], 2.2)), points=3,
+                              settings=FamilySettings(certify=False))  # fmt: skip
+    assert {one.criticality for one in family.events} <= {""}
+    assert Reading(0.0, 1e-9, True).criticality == "" and "criticality" not in plain(Reading(0.0, 1e-9, True))

@@ -212,7 +212,7 @@ def _event(family: Family, curve: Curve, event: Event) -> Check:
         before, after = _neighbours(family, event)
         _told(family, curve, event, abs(after.value - before.value), abs(after.energy - before.energy))
         along = (_head(after) - _head(before)) * (1.0 if event.arclength >= 0 else -1.0)
-        again = reading(curve, _alone(event), along, after.arclength - before.arclength)
+        again = _read_again(curve, event, along, after.arclength - before.arclength)
         old = event.check
         if old is not None and not (old.passed and abs(old.value - again.value) <= old.error + again.error):
             raise ConvergenceError(f"recorded as {old.value:.3g} +- {old.error:.1g}, found {again.value:.3g}")
@@ -221,6 +221,18 @@ def _event(family: Family, curve: Curve, event: Event) -> Check:
     except (ConvergenceError, IntegrationError) as error:
         return refused(event.kind, error, float("nan"))
     return at_most(event.kind, abs(again.value), again.error, event.detail, again.passed)
+
+
+def _read_again(curve: Curve, event: Event, along: np.ndarray, step: float) -> Reading:
+    """What an event's state alone says; of an orbit that is lost from its start alone what its nodes do, which join."""
+    try:
+        again = reading(curve, _alone(event), along, step)
+    except (ConvergenceError, IntegrationError):
+        if not event.mesh.size:
+            raise
+        again = Reading(np.nan, np.nan, False)
+    nodes = event.mesh.size > 0 and np.array_equal(event.state, event.shooting_nodes[0])
+    return again if again.passed or not nodes else reading(curve, event, along, step)
 
 
 def _alone(event: Event) -> Event:
