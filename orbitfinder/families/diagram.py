@@ -318,7 +318,9 @@ class _Tree:
         with contextlib.nullcontext() if file is None else kept(file, save_equilibria):
             record = follow(until=until, at=[first], points=self.points, name=name, out=self.folder)
         record = within(record, self.empty.between)
-        before = load_equilibria(file) if file and file.exists() else record  # in which events have the same last digits
+        before = (
+            load_equilibria(file) if file and file.exists() else record
+        )  # in which events have the same last digits
         states = [[(point.value, *point.state) for point in one.points] for one in (record, before)]
         same = states[0] == states[1] and len(record.events) == len(before.events)
         return before if same and all(map(_alike, record.events, before.events)) else record
@@ -422,7 +424,11 @@ def _true(tree: _Tree, one: Branching) -> bool:
     if one.became == "joined":
         return tree.known(own, event) in leads
     deep, wanted = own.depth >= tree.empty.depth, one.became == "followed"
-    return (one.became == "depth") <= deep and bool(leads) >= wanted and all(_born(lead, own, one.event, tree) for lead in leads)
+    return (
+        (one.became == "depth") <= deep
+        and bool(leads) >= wanted
+        and all(_born(lead, own, one.event, tree) for lead in leads)
+    )
 
 
 def _born(curve: DiagramCurve, own: DiagramCurve, number: int, tree: _Tree) -> bool:

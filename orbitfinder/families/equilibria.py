@@ -193,12 +193,13 @@ def first_equilibrium(
         start = _rested(model, state) if simulated else state
         jets = at_rest(model, (parameter,), start)
         value = np.array([model.parameter_values[model.parameter_index(parameter)]])
-        problem = regular(jets, start, value, None if span is None else np.array([span]))
+        problem = regular(jets, start, value, None if span is None else np.array([span])).seen(state)
         z = _newton(problem, start, value)
         if z is not None:
-            z = without_noise(problem, z, value)
+            z = np.where(np.abs(z) <= NOISE * problem.z_sizes, 0.0, without_noise(problem, z, value))
             jets = at_rest(model, (parameter,), z[: jets.size])
-            return regular(jets, z[: jets.size], value, None if span is None else np.array([span])), z
+            problem = regular(jets, z[: jets.size], value, None if span is None else np.array([span]))
+            return problem if z.any() else problem.seen(state), z  # where all is 0, the start alone has sizes
     raise ConvergenceError("no equilibrium: Newton's method finds none near the state, and a simulation from there "
                            "does not come to rest; give a state nearer to one")  # fmt: skip
 
@@ -404,8 +405,8 @@ def _event(kept: KeptPoint, way: _Way, index: int) -> RestEvent | None:
     value = by_the_flow(model, z[:d], problem.z_sizes[:d], problem.pace, claimed)
     check = Reading(value, CRITICAL, bool(value <= CRITICAL and found.residual <= RESIDUAL))
     return RestEvent(
-        name, index, found.arclength, float(p[0]), float(bars[-1]), found.state, found.eigenvalues, check, critical=claimed,
-        **known,
+        name, index, found.arclength, float(p[0]), float(bars[-1]), found.state, found.eigenvalues, check,
+        critical=claimed, **known,
     )  # fmt: skip
 
 
