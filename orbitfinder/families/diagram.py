@@ -36,6 +36,8 @@ NORM = "norm"
 SAME, NEAR = 1e-6, 0.2
 """Shares of the range, and of a period, by which parameters and periods of one event differ at most where no error bar
 says it; and in which a curve begins near the event that it is born at"""
+STEP = 0.25
+"""The longest step along cycles: what is drawn is smooth"""
 BECAME = ("followed", "joined", "depth", "budget", "failed")
 """What may become of an event at which something leaves"""
 FILES = {"equilibria.json": load_equilibria, "family.json": load_family}
@@ -301,7 +303,9 @@ class _Tree:
 
     def beside(self, curve: DiagramCurve, k: int) -> Iterator[tuple[str, Callable[[], Equilibria | Family]]]:
         """The files of what leaves at an event, and what follows each."""
-        settings = FamilySettings(parameter=self.empty.parameter, directions="away", points=self.points)
+        settings = FamilySettings(
+            parameter=self.empty.parameter, directions="away", points=self.points, longest_step=STEP
+        )
         begin = branches if isinstance(curve.record, Family) else switch_branch
         starts = begin(curve.record, k, settings=settings, model=self.model)
         for start in starts if isinstance(starts, list) else [starts]:
