@@ -1,4 +1,4 @@
-"""Whole bifurcation diagrams: what the field knows of four systems, nothing twice, resumed, doctored, messages, picture."""
+"""Whole bifurcation diagrams: what the field knows of four systems, nothing twice, resumed, doctored, pictures."""
 
 import json
 from dataclasses import replace
@@ -257,8 +257,12 @@ def test_equilibria_are_cut_at_the_bounds():
     cubic = of.ode(lambda t, x, p: [p[0] - x[0] ** 2], ["x"], parameters={"r": 1.0})
     tree = of.diagram(cubic, [1.0], "r", -1.0)
     (curve,) = tree.curves
-    assert [curve.record.points[k].value for k in (0, -1)] == [1.0, 1.0] and abs(curve.record.points[-1].state[0] + 1.0) < 1e-12
-    assert [event.kind for event in curve.record.events] == ["fold"] and curve.record.ends[-1].reason == "reached r = 1.0"
+    assert [curve.record.points[k].value for k in (0, -1)] == [1.0, 1.0] and abs(
+        curve.record.points[-1].state[0] + 1.0
+    ) < 1e-12
+    assert [event.kind for event in curve.record.events] == ["fold"] and curve.record.ends[
+        -1
+    ].reason == "reached r = 1.0"
     part = within(curve.record, (0.5, 1.0))
     assert len(part.points) < len(curve.record.points) and not part.events and min(p.value for p in part.points) >= 0.5
 
@@ -298,7 +302,9 @@ def test_the_command(tmp_path):
     assert document["undone"] == [] and document["written"] == [str(home / "diagram.json"), str(home / "diagram.png")]
     assert [curve["file"] for curve in document["curves"]] == [RESTS, "equilibria-0/family.json"]
     for command in ("verify", "show", "plot"):
-        done = CliRunner().invoke(cli, [command, str(home / "diagram.json")] + ["-o", str(tmp_path)] * (command == "plot"))
+        done = CliRunner().invoke(
+            cli, [command, str(home / "diagram.json")] + ["-o", str(tmp_path)] * (command == "plot")
+        )
         assert done.exit_code == 0, done.output
     done = CliRunner().invoke(cli, [*words, "--points", "15", "--no-figures", "--name", "few"])
     assert done.exit_code == 1 and "followed equilibria-0/family.json" in done.stdout

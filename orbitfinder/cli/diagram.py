@@ -17,7 +17,8 @@ from orbitfinder.records.registry import answer
 
 @click.command()
 @click.argument("file", type=FILES)
-@option("parameter", "The physical parameter to follow in, from its value in the file.", required=True)
+@option("parameter", "The physical parameter to follow in.", required=True)
+@option("from first", "One bound, where it begins.  [default: its value in the file]", kind=FINITE)
 @option("until", "Its other bound.", kind=FINITE, required=True)
 @option("depth", "0: equilibria; 1: what is born on them; 2: what is born on that; and so on.", 2, (0, 20))
 @option("points", "The most of each curve, each way.", 400, (1, 100_000))
@@ -25,12 +26,13 @@ from orbitfinder.records.registry import answer
 @option("name", "Name of the diagram; the file's when left out.")
 @usual("Folder for DIR/<name>/diagram.json.", "diagrams", figures="Draw it.")
 def diagram(
-    file: Path, parameter: str, until: float, name: str | None, out: Path, figures: bool, trust: bool, **chosen: Any
-) -> None:
+    file: Path, parameter: str, first: float | None, until: float, name: str | None, out: Path, figures: bool,
+    trust: bool, **chosen: Any,
+) -> None:  # fmt: skip
     """The whole bifurcation diagram of the system of a problem FILE in one picture: equilibria, other equilibria at
     branch points, the cycles born at every Hopf point, their doublings and branches, to a depth.
 
-    Everything is followed between the parameter's value in the file and --until, nothing twice. A run that was
+    Everything is followed between --from and --until, nothing twice. A run that was
     killed goes on where it stopped when the same command is given again. Exit code 0: nothing failed, and nothing was
     left for want of time or --points; what is deeper than --depth is listed.
 
@@ -38,11 +40,13 @@ def diagram(
     Examples:
       orbitfinder diagram problems/gallery/brusselator.toml --parameter rate --until 1.5
     """
+    from orbitfinder.mechanics.kind import with_parameters
     from orbitfinder.problemfile.read import load_problem_file
 
     loaded = load_problem_file(file, trust)
     if loaded.start is None:
         raise InputError(f"{file}: guess: missing; give the state near an equilibrium, [guess] or [simulate] state")
+    model = loaded.model if first is None else with_parameters(loaded.model, {parameter: first})
     folder = folder_of(out, name or loaded.name)
     with display(f"{folder.name}: diagram of {file}") as shown:
 
@@ -51,11 +55,9 @@ def diagram(
             what = f"{plural(len(record.points), 'point')}, {plural(len(record.events), 'event')}"
             shown.say(f"{curve.file}: {what}; ended: {record.ends[-1].reason}")
 
-        made = of.diagram(
-            loaded.model, loaded.start, parameter, until, name=folder.name, out=out, progress=report, **chosen
-        )
+        made = of.diagram(model, loaded.start, parameter, until, name=folder.name, out=out, progress=report, **chosen)
     written = [folder / "diagram.json"]
-    written += answer("plot", written[0])(made, folder, loaded.model) if figures else []
+    written += answer("plot", written[0])(made, folder, model) if figures else []
     text(f"{written[0]}: {made.counts}")
     for one in made.branchings:
         text(f"  {one.file} {one.words}; {one.became} {', '.join(one.leads)}".rstrip())

@@ -36,6 +36,8 @@ NORM = "norm"
 SAME, NEAR = 1e-6, 0.2
 """Shares of the range, and of a period, by which parameters and periods of one event differ at most where no error bar
 says it; and in which a curve begins near the event that it is born at"""
+STEP = 0.25
+"""The longest step along cycles: what is drawn is smooth"""
 BECAME = ("followed", "joined", "depth", "budget", "failed")
 """What may become of an event at which something leaves"""
 FILES = {"equilibria.json": load_equilibria, "family.json": load_family}
@@ -301,7 +303,9 @@ class _Tree:
 
     def beside(self, curve: DiagramCurve, k: int) -> Iterator[tuple[str, Callable[[], Equilibria | Family]]]:
         """The files of what leaves at an event, and what follows each."""
-        settings = FamilySettings(parameter=self.empty.parameter, directions="away", points=self.points)
+        settings = FamilySettings(
+            parameter=self.empty.parameter, directions="away", points=self.points, longest_step=STEP
+        )
         begin = branches if isinstance(curve.record, Family) else switch_branch
         starts = begin(curve.record, k, settings=settings, model=self.model)
         for start in starts if isinstance(starts, list) else [starts]:
@@ -318,7 +322,9 @@ class _Tree:
         with contextlib.nullcontext() if file is None else kept(file, save_equilibria):
             record = follow(until=until, at=[first], points=self.points, name=name, out=self.folder)
         record = within(record, self.empty.between)
-        before = load_equilibria(file) if file and file.exists() else record  # in which events have the same last digits
+        before = (
+            load_equilibria(file) if file and file.exists() else record
+        )  # in which events have the same last digits
         states = [[(point.value, *point.state) for point in one.points] for one in (record, before)]
         same = states[0] == states[1] and len(record.events) == len(before.events)
         return before if same and all(map(_alike, record.events, before.events)) else record
@@ -422,7 +428,11 @@ def _true(tree: _Tree, one: Branching) -> bool:
     if one.became == "joined":
         return tree.known(own, event) in leads
     deep, wanted = own.depth >= tree.empty.depth, one.became == "followed"
-    return (one.became == "depth") <= deep and bool(leads) >= wanted and all(_born(lead, own, one.event, tree) for lead in leads)
+    return (
+        (one.became == "depth") <= deep
+        and bool(leads) >= wanted
+        and all(_born(lead, own, one.event, tree) for lead in leads)
+    )
 
 
 def _born(curve: DiagramCurve, own: DiagramCurve, number: int, tree: _Tree) -> bool:

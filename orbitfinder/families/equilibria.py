@@ -272,8 +272,8 @@ def _event(kept: KeptPoint, way: _Way, index: int) -> RestEvent | None:
     value = way.judge.flow(z[:d], float(p[0]), problem.z_sizes[:d], problem.pace, claimed)
     check = Reading(value, CRITICAL, bool(value <= CRITICAL and found.residual <= RESIDUAL))
     return RestEvent(
-        name, index, found.arclength, float(p[0]), float(bars[-1]), found.state, found.eigenvalues, check, critical=claimed,
-        **known,
+        name, index, found.arclength, float(p[0]), float(bars[-1]), found.state, found.eigenvalues, check,
+        critical=claimed, **known,
     )  # fmt: skip
 
 

@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.families.equilibrium import Equilibrium
-from orbitfinder.families.rest_certificate import Judge
+from orbitfinder.families.rest_certificate import NOISE, Judge
 from orbitfinder.families.rest_problem import AtRest, eigenvalues, regular, without_noise
 from orbitfinder.integrate.jets import Jets, at_rest
 from orbitfinder.mechanics.model import Model
@@ -54,13 +54,14 @@ def first_equilibrium(
         start = _rested(model, state) if simulated else state
         jets = at_rest(model, (parameter,), start)
         value = np.array([model.parameter_values[model.parameter_index(parameter)]])
-        problem = regular(jets, start, value, None if span is None else np.array([span]))
+        problem = regular(jets, start, value, None if span is None else np.array([span])).seen(state, value)
         z = _newton(problem, start, value)
         if z is not None:
-            z = without_noise(problem, z, value)
+            z = np.where(np.abs(z) <= NOISE * problem.z_sizes, 0.0, without_noise(problem, z, value))
             there = at_rest(model, (parameter,), z[: jets.size])
             jets = jets if jets.unfolded == there.unfolded else there
-            return regular(jets, z[: jets.size], value, None if span is None else np.array([span])), z
+            problem = regular(jets, z[: jets.size], value, None if span is None else np.array([span]))
+            return problem if z.any() else problem.seen(state, value), z  # where all is 0, the start alone has sizes
     raise ConvergenceError("no equilibrium: Newton's method finds none near the state, and a simulation from there "
                            "does not come to rest; give a state nearer to one")  # fmt: skip
 

@@ -33,8 +33,8 @@ NAMES = ("cycles", "cycles born on cycles")
 """Curves of cycles, by where they are born"""
 MOST, LABELLED, LONG = 6, 14, 30.0
 """Components that are drawn, the first; events whose parameters are written; ratio of periods drawn in logarithms"""
-ROBUST, ROOM, MARGIN = (2.0, 98.0), 0.3, 0.05
-"""Percentiles of what is drawn, the share of their distance that is seen beyond them, and that which is left empty"""
+ROBUST, ROOM, MARGIN, CLOSE = (2.0, 98.0), 0.3, 0.05, 0.01
+"""Percentiles of what is drawn, shares: of their distance, seen beyond them; left empty; of labels that are close"""
 
 
 class Panel:
@@ -42,7 +42,7 @@ class Panel:
 
     def __init__(self, axes: Any, shown: dict[str, Any]) -> None:
         self.axes, self.shown = axes, shown
-        self.labels, self.heights = dict[str, tuple[str, float, float]](), list[np.ndarray]()
+        self.labels, self.heights = list[tuple[str, float, float]](), list[np.ndarray]()
 
     def line(self, stretches: Sequence[tuple[bool, np.ndarray]], colour: str, name: str) -> None:
         """A curve: places (k x 2) that are stable or not."""
@@ -60,7 +60,12 @@ class Panel:
         drawn = self.axes.plot(*place, markerfacecolor="white" if look.hollow else look.colour, **style)
         self.shown.setdefault(kind.replace("_", " ").replace("hopf", "Hopf"), drawn[0])
         if kind != "neutral_saddle":
-            self.labels.setdefault(name := f"{place[0]:.5g}", (name, float(place[0]), float(place[1])))
+            self.labels.append((f"{place[0]:.5g}", float(place[0]), float(place[1])))
+
+    def written(self, span: float) -> list[tuple[str, float, float]]:
+        """The labels, of those nearer to each other than a share of what is seen the first."""
+        apart = {round(label[1] / (CLOSE * span)): label for label in reversed(self.labels)}
+        return list(apart.values())[::-1][:LABELLED]
 
     def rest(self, rest: Equilibria, height: Callable[[np.ndarray], float]) -> None:
         """Equilibria by a number of their states."""
@@ -123,8 +128,7 @@ def save_diagram_figure(diagram: BifurcationDiagram, folder: str | Path, model: 
     legend(figure, shown, "lower center", ncols=4)
     room = MARGIN / 2 * (diagram.between[1] - diagram.between[0])
     upper.axes.set_xlim(*sorted((diagram.between[0] - room, diagram.between[1] + room)))
-    if len(upper.labels) <= LABELLED:
-        place_labels(figure, upper.axes, list(upper.labels.values()), 8.0)
+    place_labels(figure, upper.axes, upper.written(abs(diagram.between[1] - diagram.between[0])), 8.0)
     return save_all({"diagram": bare(figure) if not units_of(diagram.system)["time"] else figure}, folder)
 
 
