@@ -10,7 +10,6 @@ sections IV.3, IV.5 and IV.8.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -86,11 +85,14 @@ class Stages:
 class Collocation(March):
     """The segments of a loop by collocation, side by side: a `March` each of whose steps is implicit.
 
-    A step begins with the stages that it had last on the same mesh, moved along with the nodes, else with straight lines.
+    A step begins with the stages that it had last on the same mesh, moved along with the nodes, else with cubics.
     """
 
-    def __init__(self, march: March, points: int = POINTS, kind: str = "radau") -> None:
-        super().__init__(march.field, march.forced, march.integrand, march._lanes.alone, march._effort)
+    def __init__(
+        self, field: ca.Function, forced: bool = False, integrand: ca.Function | None = None, alone: bool = False,
+        points: int = POINTS, kind: str = "radau",
+    ) -> None:  # fmt: skip
+        super().__init__(field, forced, integrand, alone)
         self.tableau = tableau(points, kind)
         self._known: dict[Any, Stages] = {}
 
@@ -133,8 +135,8 @@ class Collocation(March):
         """P steps of lengths `steps` that begin at shares `begins` of the period, solved by Newton's method."""
         known, points = self._known.get(key), self.tableau.points
         fits = known is not None and known.tails.shape == tails.shape
-        z = known.moved(nodes, tails) if known is not None and fits else _straight(nodes, steps, points)
         places, size = np.repeat(tails, points.size, axis=0), self.size
+        z = known.moved(nodes, tails) if known is not None and fits else self._cubic(nodes, steps, begins, tails)
         moments = (begins[:, None] + steps[:, None] * points).ravel()
         units = nonzero(np.abs(nodes).max(axis=0))
         for _ in range(MOST_ITERATIONS):
@@ -154,6 +156,18 @@ class Collocation(March):
                 return solved
         self._known.pop(key, None)
         raise IntegrationError("the equations of collocation do not converge; start nearer, or with a finer mesh")
+
+    def _cubic(self, nodes: np.ndarray, steps: np.ndarray, begins: np.ndarray, tails: np.ndarray) -> np.ndarray:
+        """Stages (P x m x d) on the cubics through nodes and rates, the last of which ends where the first begins."""
+        moments = begins * tails[:, 0] * self.forced
+        slopes = (steps * tails[:, 0])[:, None] * self._evaluated(moments, nodes, tails)[0]
+        ahead = np.roll(nodes, -1, axis=0) - nodes
+        later = np.roll(slopes / steps[:, None], -1, axis=0) * steps[:, None]
+        if np.any(np.abs(ahead[-1]) > 0.5 * np.ptp(nodes, axis=0)):
+            ahead[-1] = later[-1] = slopes[-1]
+        s = self.tableau.points[:, None]
+        bent = (1 - s) * slopes[:, None] - s * later[:, None]
+        return np.asarray(s**2 * (3 - 2 * s) * ahead[:, None] + s * (1 - s) * bent)
 
     def _newton(
         self, z: np.ndarray, steps: np.ndarray, moments: np.ndarray, tails: np.ndarray, found: tuple[np.ndarray, ...]
@@ -219,21 +233,24 @@ class Collocation(March):
 
     def stages(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """Stages Z (N x m x d) of segments of one step each."""
-        self.varied(nodes, mesh, tail)
-        return self._known[1, 0, mesh.tobytes()].stages
+        key, tails = (1, 0, mesh.tobytes()), np.repeat(tail[None], len(nodes), axis=0)
+        known = self._known.get(key)
+        if known is None or not (np.array_equal(known.nodes, nodes) and np.array_equal(known.tails, tails)):
+            known = self._solved(key, nodes, np.diff(mesh), mesh[:-1], tails)
+        return known.stages
+
+    def sampled(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """States (k x d) at places (k, in periods) of the polynomials of segments of one step each."""
+        step = np.clip(np.searchsorted(mesh, places, side="right") - 1, 0, len(nodes) - 1)
+        basis = self.tableau.basis((places - mesh[step]) / (mesh[step + 1] - mesh[step]))
+        stages = self.stages(nodes, mesh, tail)
+        return np.asarray(nodes[step] + np.einsum("km,kmd->kd", basis, stages[step]))
 
     def begin(self, nodes: np.ndarray, stages: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> None:
         """Begin with these stages (N x m x d) where segments of one step each are next integrated on a mesh."""
         tails = np.repeat(tail[None], len(nodes), axis=0)
         none = np.zeros((len(nodes), stages[0].size, self.size + tail.size))
         self._known[1, 0, mesh.tobytes()] = Stages(nodes, tails, stages, none, np.zeros(len(nodes)))
-
-
-def along(rule: Tableau, nodes: np.ndarray, stages: np.ndarray, mesh: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """States (k x d) at places (k, in periods) of the polynomials of nodes (N x d) and stages (N x m x d) on a mesh."""
-    step = np.clip(np.searchsorted(mesh, places, side="right") - 1, 0, len(nodes) - 1)
-    basis = rule.basis((places - mesh[step]) / (mesh[step + 1] - mesh[step]))
-    return np.asarray(nodes[step] + np.einsum("km,kmd->kd", basis, stages[step]))
 
 
 def curvatures(rule: Tableau, nodes: np.ndarray, stages: np.ndarray, mesh: np.ndarray, units: np.ndarray) -> np.ndarray:
@@ -246,15 +263,3 @@ def curvatures(rule: Tableau, nodes: np.ndarray, stages: np.ndarray, mesh: np.nd
     apart = 0.5 * (steps + np.roll(steps, -1))
     change = np.abs(np.roll(lower, -1, axis=0) - lower) / apart[:, None] / (rule.points.size + 1)
     return np.asarray((0.5 * (change + np.roll(change, 1, axis=0)) / units).max(axis=1))
-
-
-def _straight(nodes: np.ndarray, steps: np.ndarray, points: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Stages (P x m x d) on the straight lines from each node to the next, the last one like the line before it."""
-    ahead = np.diff(nodes, axis=0)
-    last = ahead[-1:] * (steps[-1] / steps[-2]) if len(ahead) else np.zeros_like(nodes)
-    return np.asarray(np.concatenate([ahead, last])[:, None] * np.asarray(points)[:, None])
-
-
-def collocated(march: March) -> Collocation:
-    """The same equations, by collocation."""
-    return Collocation(march)
