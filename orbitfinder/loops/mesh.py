@@ -65,7 +65,7 @@ def needs_mesh(curve: Curve, solution: Solution) -> bool:
     """Whether the mesh is too coarse, or a segment too unstable, for what is asked of a point."""
     if isinstance(march := curve.equations.march, Collocation):
         work = worked(march, solution.place)
-        count, wanted = work.size, _intervals(work)
+        count, wanted = work.size, intervals(work)
         return bool(work.max() > MESH.lopsided * work.mean() or not count / MESH.slack < wanted < MESH.slack * count)
     some = _errors(curve, solution, MESH.sampled)
     allowed = _allowed(curve)
@@ -144,7 +144,7 @@ def remeshed(curve: Curve, solution: Solution) -> Unknowns:
     if curve.equations.links:
         return _remeshed_arcs(curve, solution)
     if isinstance(march := curve.equations.march, Collocation):
-        return regridded(march, place, _intervals(worked(march, place)))
+        return regridded(march, place, intervals(worked(march, place)))
     density = _spread(np.maximum(wanted_steps(curve, solution, _errors(curve, solution)), 0.15))
     growth = float(np.log(np.maximum(_growths(curve, solution), 1.5)).sum())
     count = int(np.clip(np.ceil(growth / np.log(MESH.growth)), _fewest(curve), MESH.most_segments))
@@ -289,9 +289,10 @@ def worked(march: Collocation, w: Unknowns) -> np.ndarray:
     return np.asarray(found ** (1.0 / (rule.points.size + 1)) * np.diff(w.mesh))
 
 
-def _intervals(work: np.ndarray) -> int:
-    """As many intervals as leave the error that is allowed, in tens."""
-    return int(np.clip(10 * np.ceil(0.1 * work.sum() / MESH.collocated ** (1 / 6)), MESH.fewest, MESH.most_steps))
+def intervals(work: np.ndarray) -> int:
+    """As many intervals as leave the error that is allowed, in tens, no more than twice as many as there are."""
+    most = min(2 * work.size, MESH.most_steps)
+    return int(np.clip(10 * np.ceil(0.1 * work.sum() / MESH.collocated ** (1 / 6)), MESH.fewest, most))
 
 
 def regridded(march: Collocation, w: Unknowns, count: int) -> Unknowns:
