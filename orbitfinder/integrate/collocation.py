@@ -165,13 +165,15 @@ class Collocation(March):
         raise IntegrationError("the equations of collocation do not converge; start nearer, or with a finer mesh")
 
     def _cubic(self, nodes: np.ndarray, steps: np.ndarray, begins: np.ndarray, tails: np.ndarray) -> np.ndarray:
-        """Stages (P x m x d) on the cubics through nodes and rates, the last of which ends where the first begins."""
+        """Stages (P x m x d) on the cubics through nodes and rates, the last of which ends where the first begins; on
+        straight lines where steps do not follow each other."""
         moments = begins * tails[:, 0] * self.forced
         slopes = (steps * tails[:, 0])[:, None] * self._evaluated(moments, nodes, tails)[0]
         ahead = np.roll(nodes, -1, axis=0) - nodes
         later = np.roll(slopes / steps[:, None], -1, axis=0) * steps[:, None]
-        if np.any(np.abs(ahead[-1]) > 0.5 * np.ptp(nodes, axis=0)):
-            ahead[-1] = later[-1] = slopes[-1]
+        jumps = np.append(begins[1:] - begins[:-1] > 1.5 * steps[:-1], False)
+        jumps[-1] = np.any(np.abs(ahead[-1]) > 0.5 * np.ptp(nodes, axis=0))
+        ahead[jumps] = later[jumps] = slopes[jumps]
         s = self.tableau.points[:, None]
         bent = (1 - s) * slopes[:, None] - s * later[:, None]
         return np.asarray(s**2 * (3 - 2 * s) * ahead[:, None] + s * (1 - s) * bent)

@@ -144,6 +144,8 @@ def remeshed(curve: Curve, solution: Solution) -> Unknowns:
     if curve.equations.links:
         return _remeshed_arcs(curve, solution)
     if isinstance(march := curve.equations.march, Collocation):
+        if place.steps > 1:  # of a first guess: each is an interval
+            place = replace(place, nodes=solution.march.states[:-1])
         return regridded(march, place, intervals(worked(march, place)))
     density = _spread(np.maximum(wanted_steps(curve, solution, _errors(curve, solution)), 0.15))
     growth = float(np.log(np.maximum(_growths(curve, solution), 1.5)).sum())
