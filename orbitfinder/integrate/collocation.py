@@ -2,10 +2,10 @@
 
     Z_i = h sum_j a_ij f(x + Z_j),    x(h) = x + sum_j d_j Z_j,    d = b A^-1
 
-The points are Radau's (IIA, m of them, order 2 m - 1 at the ends of steps) or Gauss' (order 2 m). Radau's, the last of
-which is the end of the step, damp what decays fast within a step to 0, where Gauss' leave it as it is, of another sign or
-not; so stiff multipliers come out small. Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II (1996),
-sections IV.3, IV.5 and IV.8.
+The points are Radau's (IIA, m of them, order 2 m - 1 at the ends of steps) or Gauss' (order 2 m). Radau's, whose last is
+the end of the step, damp to 0 what decays fast within a step, which Gauss' leave as large as it was; so multipliers of
+stiff cycles come out as small as they are.
+Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II (1996), sections IV.3, IV.5 and IV.8.
 """
 
 from __future__ import annotations
@@ -45,8 +45,9 @@ class Tableau:
         """Lagrange's polynomials (k x m) of the stages, 0 where the step begins, at places (k) in it from 0 to 1."""
         nodes = np.append(0.0, self.points)
         others = [np.delete(nodes, r) for r in range(1, nodes.size)]
-        return np.array([np.prod((places[:, None] - own) / (node - own), axis=1)
-                         for node, own in zip(self.points, others, strict=True)]).T  # fmt: skip
+        found = np.array([np.prod((places[:, None] - own) / (node - own), axis=1)
+                         for node, own in zip(self.points, others, strict=True)])  # fmt: skip
+        return np.asarray(found.T)
 
 
 @lru_cache(maxsize=8)
@@ -67,8 +68,9 @@ def tableau(points: int = POINTS, kind: str = "radau") -> Tableau:
 
 @dataclass(frozen=True)
 class Stages:
-    """Steps that were solved: their beginnings (P x d), parameters (P x (h, T, s, free)), stages Z (P x m x d), how these
-    change with the beginnings and with (T, s, free) (P x m d x (d + 1 + ...)), the integrals (P)."""
+    """Steps that were solved: their beginnings (P x d), parameters (P x (T, s, free)), stages Z (P x m x d), how these
+    change with the beginnings and the parameters (P x m d x (d + 1 + ...)), the integrals (P).
+    """
 
     nodes: np.ndarray
     tails: np.ndarray
@@ -84,7 +86,7 @@ class Stages:
     def moved(self, nodes: np.ndarray, tails: np.ndarray) -> np.ndarray:
         """The stages (P x m x d) of beginnings and parameters nearby, to first order."""
         change = np.concatenate([nodes - self.nodes, tails - self.tails], axis=1)
-        return self.stages + (self.slopes @ change[:, :, None])[:, :, 0].reshape(self.stages.shape)
+        return np.asarray(self.stages + (self.slopes @ change[:, :, None])[:, :, 0].reshape(self.stages.shape))
 
 
 class Collocation(March):
@@ -198,7 +200,7 @@ class Collocation(March):
             right[..., 1 + size] += duration[:, None, None] * np.einsum("ij,pja->pia", a, late)
         right[..., 2 + size :] = carried[..., 1 + self.forced :]
         try:
-            return np.linalg.solve(matrix, right.reshape(count, m * size, -1))
+            return np.asarray(np.linalg.solve(matrix, right.reshape(count, m * size, -1)))
         except np.linalg.LinAlgError:
             return np.full((count, m * size, right.shape[3]), np.nan)
 
@@ -206,10 +208,8 @@ class Collocation(March):
         """The integration of several loops on one mesh, of nodes (B x N x d) and tails (B x m), beside each other."""
         (loops, count, size), each = nodes.shape, (mesh.size - 1) // nodes.shape[1]
         now, tail = nodes.reshape(-1, size), np.repeat(tails, count, axis=0)
-        grown, integrals = (
-            np.broadcast_to(np.eye(size, size + tails.shape[1]), (len(now), size, size + tails.shape[1])),
-            0,
-        )
+        grown = np.broadcast_to(np.eye(size, size + tails.shape[1]), (len(now), size, size + tails.shape[1]))
+        integrals = np.zeros(len(now))
         path = []
         for k in range(each):
             steps, begins = (np.tile(part[k::each], loops) for part in (np.diff(mesh), mesh[:-1]))
@@ -259,7 +259,7 @@ class Collocation(March):
         self._known[1, 0, mesh.tobytes()] = Stages(nodes, tails, stages, none, np.zeros(len(nodes)), False)
 
 
-def curvatures(rule: Tableau, nodes: np.ndarray, stages: np.ndarray, mesh: np.ndarray, units: np.ndarray) -> np.ndarray:
+def curvatures(rule: Tableau, stages: np.ndarray, mesh: np.ndarray, units: np.ndarray) -> np.ndarray:
     """The (m + 1)-th derivative, divided by (m + 1)!, over each step (N), the largest of its components in `units` (d).
 
     From how the m-th divided differences change between the middles of neighbouring steps, of a closed motion.

@@ -46,7 +46,7 @@ class MeshSettings:
     """Half of a central difference along a family, in its metric"""
     most_segments: int = 60
     collocated: float = 1e-8
-    """Error of the polynomials of collocation in extents of the motion; at the ends of intervals it is 1e-6 times that"""
+    """Error of the polynomials of collocation in extents of the motion; where intervals end it is 1e-6 times that"""
     fewest: int = 20
     lopsided: float = 2.5
     """Times the mean work of an interval that one may have before a mesh is made anew"""
@@ -281,13 +281,13 @@ def settled(curve: Curve, solution: Solution, along: np.ndarray) -> Solution:
 
 
 def worked(march: Collocation, w: Unknowns) -> np.ndarray:
-    """The sixth root of the error of the polynomial over each interval of a collocated orbit (N), in its extents.
+    """The (m + 1)-th root of the error of the polynomial of m points over each interval of a collocated orbit (N).
 
-    The (m + 1)-th root for m points: a mesh is right where it is the same everywhere (U. Ascher, R. Mattheij, R. Russell,
-    Numerical Solution of Boundary Value Problems for Ordinary Differential Equations (1995), section 9.3).
+    In its extents. A mesh is right where it is the same everywhere (U. Ascher, R. Mattheij, R. Russell, Numerical
+    Solution of Boundary Value Problems for Ordinary Differential Equations (1995), section 9.3).
     """
     rule, units = march.tableau, nonzero(np.ptp(w.nodes, axis=0))
-    found = curvatures(rule, w.nodes, march.stages(w.nodes, w.mesh, w.tail), w.mesh, units)
+    found = curvatures(rule, march.stages(w.nodes, w.mesh, w.tail), w.mesh, units)
     return np.asarray(found ** (1.0 / (rule.points.size + 1)) * np.diff(w.mesh))
 
 

@@ -1,7 +1,7 @@
-"""The method of collocation: a cycle on a mesh that fits it, finer and finer until two meshes agree; for stiff systems.
+"""The method of collocation, for stiff systems: a cycle on meshes that fit it, finer until two of them agree.
 
-Each interval of the mesh is a segment of the loop (`integrate.collocation`), whose equations are solved whole, sparse and
-pivoted. It starts from a lap of a simulation (`guesses.settled`); its certificate is the explicit DOP853 of any orbit.
+Each interval of a mesh is a segment of the loop (`integrate.collocation`), whose equations are solved whole, sparse
+and pivoted. It starts from a lap of a simulation (`guesses.settled`); its certificate is any orbit's explicit DOP853.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.newton import Settings, Solver, full
 from orbitfinder.orbits.floquet import Floquet, complement, generated, judged
-from orbitfinder.orbits.guesses.settled import cycle, lap
+from orbitfinder.orbits.guesses.settled import cycles, lap
 from orbitfinder.orbits.measure import provenance, recorded
 from orbitfinder.orbits.product import merged, product
 from orbitfinder.records.orbit import Orbit
 
-COARSEST, FINEST = 50, 3200
-"""Intervals of the first mesh, and of the last that is tried"""
+COARSEST, QUICK, FINEST = 50, 400, 3200
+"""Half the intervals of the first mesh, those of the last that is tried of a motion that nearly closes, and of any"""
 FINER = 2
 """Times as many intervals of the next mesh"""
 AGREED, SETTLED = 3e-13, 1e-10
@@ -111,10 +111,24 @@ def on_meshes(problem: Problem, equations: Equations, report: Callback | None = 
     Raises `ConvergenceError` where none do.
     """
     guess = lap(problem.model, problem.guess)
-    if settles(problem):
-        guess = cycle(problem.model, problem.guess, stiffness(equations, guess) > STIFF)
+    if not settles(problem):
+        return _refined(problem, equations, guess, FINEST, report)
+    failed = ConvergenceError("the guess leads nowhere; give a state near the cycle and its period")
+    for near in cycles(problem.model, problem.guess, stiffness(equations, guess) > STIFF):
+        own = problem.guess.trajectory is None and np.array_equal(near.state, np.asarray(problem.guess.state, float))
+        try:
+            return _refined(problem, equations, near, min(QUICK, FINEST) if own else FINEST, report)
+        except ConvergenceError as error:
+            failed = error
+    raise failed
+
+
+def _refined(
+    problem: Problem, equations: Equations, guess: Guess, finest: int, report: Callback | None
+) -> list[Unknowns]:
+    """The same from a lap."""
     march, solved, count, failed, change = _march(equations), list[Unknowns](), FINER * COARSEST, "", np.inf
-    while count <= FINEST:
+    while count <= finest:
         limit.check()
         try:
             now = regridded(march, solved[-1], count) if solved else _begun(problem, equations, guess, count)
@@ -133,7 +147,7 @@ def on_meshes(problem: Problem, equations: Equations, report: Callback | None = 
         count *= FINER
     if change <= SETTLED:
         return solved
-    raise ConvergenceError(f"collocation on up to {FINEST} intervals found no orbit: {failed or 'meshes do not agree'}")
+    raise ConvergenceError(f"collocation on up to {finest} intervals found no orbit: {failed or 'meshes do not agree'}")
 
 
 def _begun(problem: Problem, equations: Equations, guess: Guess, count: int) -> Unknowns:
