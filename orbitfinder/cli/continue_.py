@@ -61,6 +61,8 @@ class Switch(click.ParamType):  # type: ignore[type-arg]
 @option("branch", "Which of the branches there.", 1, (1,))
 @option("resolve", "Follow avoided crossings this narrow instead of stepping over them.  [default: 0.02]",
         kind=click.FloatRange(1e-6, 0.15), metavar="ARCLENGTH")  # fmt: skip
+@option("method", "shooting, or collocation for what is stiff.  [default: as its orbit was found]",
+        kind=("shooting", "collocation"))  # fmt: skip
 @option("name", "Name of the family; the problem's, orbit's or branch's when left out.")
 @usual("Folder for DIR/<name>/family.json.", "families", figures="Draw the family.", compiled=True,
        trust="Execute Python problem files and modules; only what you have read.")  # fmt: skip
@@ -95,7 +97,7 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
         from orbitfinder.families.folder import parameter_of
 
         _asked_where(file, chosen, shown)
-        settings = of.FamilySettings(directions=directions, points=points, **narrowest)
+        settings = of.FamilySettings(directions=directions, points=points, method=chosen["method"], **narrowest)
         if chosen["curve"] is None and chosen["parameters"] is None:
             origin, model = origin_of(file, chosen["trust"], chosen["event"], chosen["branch"])
         else:

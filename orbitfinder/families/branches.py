@@ -132,7 +132,7 @@ def _cover(curve: Curve, event: Event, symmetry: Symmetry, share: float, setting
     model, symmetry = curve.equations.model, replace(symmetry, relative=curve.equations.symmetry.relative)
     free, held = unknown_parameters(model, settings, momenta_of(symmetry, model))
     place = _repeated(curve, event, symmetry, share)
-    equations = Equations(repeated(model, event.order), symmetry, free, action=True)
+    equations = Equations(repeated(model, event.order), symmetry, free, True, collocated=curve.equations.collocated)
     again = curve.equations.links.repeated(place.free, event.order)
     place = replace(place, unfolding=np.zeros(equations.march.unfolding), free=again)
     there = curve_at(equations, place, held, _turns(curve, event))

@@ -195,5 +195,5 @@ def _released(base: Curve, event: Event, names: tuple[str, str], held: tuple[str
     old, model = base.equations, base.equations.model
     free = tuple(name for name in names if name in model.parameter_names)
     fixed = {name: event.free[name] for name in old.physical if name not in free}
-    equations = Equations(with_parameters(model, fixed), old.symmetry, free, action=True, alone=True)
+    equations = Equations(with_parameters(model, fixed), old.symmetry, free, True, True, old.collocated)
     return released(base, unknowns_of(base, event), equations, held)

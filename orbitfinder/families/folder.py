@@ -309,7 +309,7 @@ def _request(
     else:
         guess, system = origin.guess, dict(origin.model.system)
         head, kind = [*map(float, guess.state), float(guess.period), plain(origin.pin), origin.symmetry], "problem"
-    chosen = {key: value for key, value in plain(settings).items() if key != "points"}
+    chosen = {key: value for key, value in plain(settings).items() if key != "points" and value is not None}
     more = {"watch": {name: as_recorded(number) for name, number in watch.items()}} if watch else {}
     request = {
         "origin": plain(head),

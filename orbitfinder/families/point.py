@@ -47,6 +47,7 @@ class FamilySettings:
         resonances: period-q resonances are looked for up to this q.
         events: whether bifurcations are looked for.
         certify: whether each point's closure is checked by the second integrator.
+        method: shooting | collocation; None: how its orbit was found.
 
     Examples:
         >>> coarse = of.FamilySettings(longest_step=0.5, events=False, directions="forward")
@@ -68,6 +69,7 @@ class FamilySettings:
     resonances: int = 6
     events: bool = True
     certify: bool = True
+    method: str | None = None
 
 
 def parameter_value(curve: Curve, place: Unknowns, name: str) -> float:

@@ -2,15 +2,14 @@
 
     Z_i = h sum_j a_ij f(x + Z_j),    x(h) = x + sum_j d_j Z_j,    d = b A^-1
 
-The points are Radau's (IIA, m of them, order 2 m - 1 at the ends of steps) or Gauss' (order 2 m). Radau's, the last of
-which is the end of the step, damp what decays fast within a step to 0, where Gauss' leave it as it is, of another sign or
-not; so stiff multipliers come out small. Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II (1996),
-sections IV.3, IV.5 and IV.8.
+The points are Radau's (IIA, m of them, order 2 m - 1 at the ends of steps) or Gauss' (order 2 m). Radau's, whose last is
+the end of the step, damp to 0 what decays fast within a step, which Gauss' leave as large as it was; so multipliers of
+stiff cycles come out as small as they are.
+Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II (1996), sections IV.3, IV.5 and IV.8.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -46,8 +45,9 @@ class Tableau:
         """Lagrange's polynomials (k x m) of the stages, 0 where the step begins, at places (k) in it from 0 to 1."""
         nodes = np.append(0.0, self.points)
         others = [np.delete(nodes, r) for r in range(1, nodes.size)]
-        return np.array([np.prod((places[:, None] - own) / (node - own), axis=1)
-                         for node, own in zip(self.points, others, strict=True)]).T  # fmt: skip
+        found = np.array([np.prod((places[:, None] - own) / (node - own), axis=1)
+                         for node, own in zip(self.points, others, strict=True)])  # fmt: skip
+        return np.asarray(found.T)
 
 
 @lru_cache(maxsize=8)
@@ -68,29 +68,38 @@ def tableau(points: int = POINTS, kind: str = "radau") -> Tableau:
 
 @dataclass(frozen=True)
 class Stages:
-    """Steps that were solved: their beginnings (P x d), parameters (P x (h, T, s, free)), stages Z (P x m x d), how these
-    change with the beginnings and with (T, s, free) (P x m d x (d + 1 + ...)), the integrals (P)."""
+    """Steps that were solved: their beginnings (P x d), parameters (P x (T, s, free)), stages Z (P x m x d), how these
+    change with the beginnings and the parameters (P x m d x (d + 1 + ...)), the integrals (P).
+    """
 
     nodes: np.ndarray
     tails: np.ndarray
     stages: np.ndarray
     slopes: np.ndarray
     integrals: np.ndarray
+    solved: bool = True
+
+    def fit(self, nodes: np.ndarray, tails: np.ndarray) -> bool:
+        """Whether these are the steps that were solved."""
+        return self.solved and np.array_equal(self.nodes, nodes) and np.array_equal(self.tails, tails)
 
     def moved(self, nodes: np.ndarray, tails: np.ndarray) -> np.ndarray:
         """The stages (P x m x d) of beginnings and parameters nearby, to first order."""
         change = np.concatenate([nodes - self.nodes, tails - self.tails], axis=1)
-        return self.stages + (self.slopes @ change[:, :, None])[:, :, 0].reshape(self.stages.shape)
+        return np.asarray(self.stages + (self.slopes @ change[:, :, None])[:, :, 0].reshape(self.stages.shape))
 
 
 class Collocation(March):
     """The segments of a loop by collocation, side by side: a `March` each of whose steps is implicit.
 
-    A step begins with the stages that it had last on the same mesh, moved along with the nodes, else with straight lines.
+    A step begins with the stages that it had last on the same mesh, moved along with the nodes, else with cubics.
     """
 
-    def __init__(self, march: March, points: int = POINTS, kind: str = "radau") -> None:
-        super().__init__(march.field, march.forced, march.integrand, march._lanes.alone, march._effort)
+    def __init__(
+        self, field: ca.Function, forced: bool = False, integrand: ca.Function | None = None, alone: bool = False,
+        points: int = POINTS, kind: str = "radau",
+    ) -> None:  # fmt: skip
+        super().__init__(field, forced, integrand, alone)
         self.tableau = tableau(points, kind)
         self._known: dict[Any, Stages] = {}
 
@@ -133,8 +142,10 @@ class Collocation(March):
         """P steps of lengths `steps` that begin at shares `begins` of the period, solved by Newton's method."""
         known, points = self._known.get(key), self.tableau.points
         fits = known is not None and known.tails.shape == tails.shape
-        z = known.moved(nodes, tails) if known is not None and fits else _straight(nodes, steps, points)
+        if known is not None and known.fit(nodes, tails):
+            return known
         places, size = np.repeat(tails, points.size, axis=0), self.size
+        z = known.moved(nodes, tails) if known is not None and fits else self._cubic(nodes, steps, begins, tails)
         moments = (begins[:, None] + steps[:, None] * points).ravel()
         units = nonzero(np.abs(nodes).max(axis=0))
         for _ in range(MOST_ITERATIONS):
@@ -154,6 +165,20 @@ class Collocation(March):
                 return solved
         self._known.pop(key, None)
         raise IntegrationError("the equations of collocation do not converge; start nearer, or with a finer mesh")
+
+    def _cubic(self, nodes: np.ndarray, steps: np.ndarray, begins: np.ndarray, tails: np.ndarray) -> np.ndarray:
+        """Stages (P x m x d) on the cubics through nodes and rates, the last of which ends where the first begins; on
+        straight lines where steps do not follow each other."""
+        moments = begins * tails[:, 0] * self.forced
+        slopes = (steps * tails[:, 0])[:, None] * self._evaluated(moments, nodes, tails)[0]
+        ahead = np.roll(nodes, -1, axis=0) - nodes
+        later = np.roll(slopes / steps[:, None], -1, axis=0) * steps[:, None]
+        jumps = np.append(begins[1:] - begins[:-1] > 1.5 * steps[:-1], False)
+        jumps[-1] = np.any(np.abs(ahead[-1]) > 0.5 * np.ptp(nodes, axis=0))
+        ahead[jumps] = later[jumps] = slopes[jumps]
+        s = self.tableau.points[:, None]
+        bent = (1 - s) * slopes[:, None] - s * later[:, None]
+        return np.asarray(s**2 * (3 - 2 * s) * ahead[:, None] + s * (1 - s) * bent)
 
     def _newton(
         self, z: np.ndarray, steps: np.ndarray, moments: np.ndarray, tails: np.ndarray, found: tuple[np.ndarray, ...]
@@ -175,7 +200,7 @@ class Collocation(March):
             right[..., 1 + size] += duration[:, None, None] * np.einsum("ij,pja->pia", a, late)
         right[..., 2 + size :] = carried[..., 1 + self.forced :]
         try:
-            return np.linalg.solve(matrix, right.reshape(count, m * size, -1))
+            return np.asarray(np.linalg.solve(matrix, right.reshape(count, m * size, -1)))
         except np.linalg.LinAlgError:
             return np.full((count, m * size, right.shape[3]), np.nan)
 
@@ -183,10 +208,8 @@ class Collocation(March):
         """The integration of several loops on one mesh, of nodes (B x N x d) and tails (B x m), beside each other."""
         (loops, count, size), each = nodes.shape, (mesh.size - 1) // nodes.shape[1]
         now, tail = nodes.reshape(-1, size), np.repeat(tails, count, axis=0)
-        grown, integrals = (
-            np.broadcast_to(np.eye(size, size + tails.shape[1]), (len(now), size, size + tails.shape[1])),
-            0,
-        )
+        grown = np.broadcast_to(np.eye(size, size + tails.shape[1]), (len(now), size, size + tails.shape[1]))
+        integrals = np.zeros(len(now))
         path = []
         for k in range(each):
             steps, begins = (np.tile(part[k::each], loops) for part in (np.diff(mesh), mesh[:-1]))
@@ -219,24 +242,24 @@ class Collocation(March):
 
     def stages(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """Stages Z (N x m x d) of segments of one step each."""
-        self.varied(nodes, mesh, tail)
-        return self._known[1, 0, mesh.tobytes()].stages
+        tails = np.repeat(tail[None], len(nodes), axis=0)
+        return self._solved((1, 0, mesh.tobytes()), nodes, np.diff(mesh), mesh[:-1], tails).stages
+
+    def sampled(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """States (k x d) at places (k, in periods) of the polynomials of segments of one step each."""
+        step = np.clip(np.searchsorted(mesh, places, side="right") - 1, 0, len(nodes) - 1)
+        basis = self.tableau.basis((places - mesh[step]) / (mesh[step + 1] - mesh[step]))
+        stages = self.stages(nodes, mesh, tail)
+        return np.asarray(nodes[step] + np.einsum("km,kmd->kd", basis, stages[step]))
 
     def begin(self, nodes: np.ndarray, stages: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> None:
         """Begin with these stages (N x m x d) where segments of one step each are next integrated on a mesh."""
         tails = np.repeat(tail[None], len(nodes), axis=0)
         none = np.zeros((len(nodes), stages[0].size, self.size + tail.size))
-        self._known[1, 0, mesh.tobytes()] = Stages(nodes, tails, stages, none, np.zeros(len(nodes)))
+        self._known[1, 0, mesh.tobytes()] = Stages(nodes, tails, stages, none, np.zeros(len(nodes)), False)
 
 
-def along(rule: Tableau, nodes: np.ndarray, stages: np.ndarray, mesh: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """States (k x d) at places (k, in periods) of the polynomials of nodes (N x d) and stages (N x m x d) on a mesh."""
-    step = np.clip(np.searchsorted(mesh, places, side="right") - 1, 0, len(nodes) - 1)
-    basis = rule.basis((places - mesh[step]) / (mesh[step + 1] - mesh[step]))
-    return np.asarray(nodes[step] + np.einsum("km,kmd->kd", basis, stages[step]))
-
-
-def curvatures(rule: Tableau, nodes: np.ndarray, stages: np.ndarray, mesh: np.ndarray, units: np.ndarray) -> np.ndarray:
+def curvatures(rule: Tableau, stages: np.ndarray, mesh: np.ndarray, units: np.ndarray) -> np.ndarray:
     """The (m + 1)-th derivative, divided by (m + 1)!, over each step (N), the largest of its components in `units` (d).
 
     From how the m-th divided differences change between the middles of neighbouring steps, of a closed motion.
@@ -246,15 +269,3 @@ def curvatures(rule: Tableau, nodes: np.ndarray, stages: np.ndarray, mesh: np.nd
     apart = 0.5 * (steps + np.roll(steps, -1))
     change = np.abs(np.roll(lower, -1, axis=0) - lower) / apart[:, None] / (rule.points.size + 1)
     return np.asarray((0.5 * (change + np.roll(change, 1, axis=0)) / units).max(axis=1))
-
-
-def _straight(nodes: np.ndarray, steps: np.ndarray, points: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Stages (P x m x d) on the straight lines from each node to the next, the last one like the line before it."""
-    ahead = np.diff(nodes, axis=0)
-    last = ahead[-1:] * (steps[-1] / steps[-2]) if len(ahead) else np.zeros_like(nodes)
-    return np.asarray(np.concatenate([ahead, last])[:, None] * np.asarray(points)[:, None])
-
-
-def collocated(march: March) -> Collocation:
-    """The same equations, by collocation."""
-    return Collocation(march)

@@ -28,6 +28,7 @@ import numpy as np
 
 from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.integrate.collocation import Collocation
 from orbitfinder.integrate.compiled import mode
 from orbitfinder.integrate.evaluate import Buffered
 from orbitfinder.integrate.march import March, Marches, Varied
@@ -157,7 +158,8 @@ class Equations:
     """Everything about a loop that depends on the equations alone: built once, used for any number of guesses.
 
     `quantities(x, free)` gives the `levels`: values, d/dx, d/dfree. `action` says whether the action is integrated with
-    the motion, `alone` whether that keeps to one processor.
+    the motion, `alone` whether that keeps to one processor, `collocated` whether each segment is an interval of
+    collocation.
     """
 
     model: Model
@@ -165,6 +167,7 @@ class Equations:
     free: tuple[str, ...] = ()
     action: bool = False
     alone: bool = False
+    collocated: bool = False
     given: InitVar[March | None] = None
     """what integrates the motion, where it is there already"""
     march: March | Marches = field(init=False)
@@ -182,7 +185,17 @@ class Equations:
         """What integrates the loop, or one of its arcs in periods of its own: once for loops of a thread that differ in
         their links alone."""
         unfolded = tuple(invariant.name for invariant in self.symmetry.unfolded(model))
-        key = (Same(self.model), self.free, unfolded, self.action, self.alone, arc, self.symmetry.parts, get_ident())
+        key = (
+            Same(self.model),
+            self.free,
+            unfolded,
+            self.action,
+            self.alone,
+            self.collocated,
+            arc,
+            self.symmetry.parts,
+            get_ident(),
+        )
         return _marches((key, mode()), lambda: self._derived(model, arc))
 
     def _derived(self, model: Model, arc: int | None) -> March:
@@ -190,7 +203,7 @@ class Equations:
         rate = _action_rate(model, flow, self.free) if self.action else None
         if arc is not None:
             flow, rate = self._paced(flow, arc), None if rate is None else self._paced(rate, arc)
-        return March(flow, model.forced, rate, self.alone)
+        return (Collocation if self.collocated else March)(flow, model.forced, rate, self.alone)
 
     def _paced(self, function: ca.Function, arc: int) -> ca.Function:
         """A rate in arc k of K in the period, of which a period of the mesh lasts K shares of the period."""

@@ -191,8 +191,8 @@ def curve(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Values and slopes (m x d) at increasing moments (m), each within a `step`, of the polynomials of degree seven
     through the values and slopes (k x d) at the four times about it."""
-    own, step = np.unique(step, return_inverse=True)  # of a stiff motion few steps are looked at
-    first = np.clip(own - 1, 0, len(times) - 4)[:, None] + np.repeat(np.arange(4), 2)
+    looked, step = np.unique(step, return_inverse=True)  # of a stiff motion few steps are
+    first = np.clip(looked - 1, 0, len(times) - 4)[:, None] + np.repeat(np.arange(4), 2)
     z, table, found = times[first], values[first], [values[first[:, 0]]]
     for order in range(1, 8):
         gap = (z[:, order:] - z[:, :-order])[:, :, None]

@@ -1,26 +1,24 @@
-"""The method of collocation: a cycle on a mesh that fits it, finer and finer until two meshes agree; for stiff systems.
+"""The method of collocation, for stiff systems: a cycle on meshes that fit it, finer until two of them agree.
 
-Each interval of the mesh is a segment of the loop (`integrate.collocation`), whose equations are solved whole, sparse and
-pivoted. It starts from a lap of a simulation (`guesses.settled`); its certificate is the explicit DOP853 of any orbit.
+Each interval of a mesh is a segment of the loop (`integrate.collocation`), whose equations are solved whole, sparse
+and pivoted. It starts from a lap of a simulation (`guesses.settled`); its certificate is any orbit's explicit DOP853.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 
 import numpy as np
 
 from orbitfinder._runtime import limit
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.integrate.collocation import Collocation, along, collocated, curvatures
+from orbitfinder.integrate.collocation import Collocation
 from orbitfinder.integrate.equations import invariant_gradients
-from orbitfinder.integrate.march import March
 from orbitfinder.loops.condensed import pivoted
 from orbitfinder.loops.ipopt import Callback, Progress, SolveSettings
 from orbitfinder.loops.loop import Equations, Unknowns
+from orbitfinder.loops.mesh import regridded
 from orbitfinder.loops.problem import Guess, Problem, at_forcing_period, loop_of
 from orbitfinder.loops.scales import Measures
 from orbitfinder.loops.symmetry import recognise, symplectic
@@ -28,17 +26,15 @@ from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.newton import Settings, Solver, full
 from orbitfinder.orbits.floquet import Floquet, complement, generated, judged
-from orbitfinder.orbits.guesses.settled import cycle, lap
+from orbitfinder.orbits.guesses.settled import cycles, lap
 from orbitfinder.orbits.measure import provenance, recorded
 from orbitfinder.orbits.product import merged, product
 from orbitfinder.records.orbit import Orbit
 
-COARSEST, FINEST = 50, 3200
-"""Intervals of the first mesh, and of the last that is tried"""
+COARSEST, QUICK, FINEST = 50, 400, 3200
+"""Half the intervals of the first mesh, those of the last that is tried of a motion that nearly closes, and of any"""
 FINER = 2
 """Times as many intervals of the next mesh"""
-LONGEST = 0.1
-"""Share of the mean density of a mesh that it has everywhere"""
 AGREED, SETTLED = 3e-13, 1e-10
 """Relative difference of the periods of two meshes that is as good as none, and one that is small: what then no longer
 shrinks is round-off"""
@@ -51,17 +47,6 @@ STIFF = 2e4
 """Fastest decay on the way times the period from which on explicit steps are limited by stability, not by accuracy"""
 QUIET = 1e-3
 """What a rate of decay counts beside a pace where it is chosen where t = 0 lies: both make the certificate's gap"""
-
-
-@dataclass(frozen=True)
-class Meshed:
-    """An orbit on a mesh of so many intervals: its unknowns, stages (N x m x d), ends and transitions, the integral."""
-
-    w: Unknowns
-    stages: np.ndarray
-    ends: np.ndarray
-    transitions: np.ndarray
-    action: float
 
 
 def refused(problem: Problem) -> str:
@@ -102,94 +87,89 @@ def found(problem: Problem, settings: SolveSettings, report: Callback | None, be
     """The orbit of a smooth system, by collocation."""
     problem = at_forcing_period(problem)
     equations = collocated_equations(problem)
-    guess = lap(problem.model, problem.guess)
-    if settles(problem):
-        guess = cycle(problem.model, problem.guess, stiffness(equations, guess) > STIFF)
-    free = np.array([{**problem.guess.free, **{pin.name: pin.value for pin in problem.pin}}.get(name, value)
-                     for name, value in zip(equations.free, equations.numbers, strict=True)])  # fmt: skip
-    told = (lambda event: None) if report is None else report
-    solved = refined(problem, equations, partial(begun, equations, guess, free), told)
-    values = dict(zip(equations.free, map(float, solved[-1].w.free), strict=True))
+    solved = on_meshes(problem, equations, report)
+    w = solved[-1]
+    values = dict(zip(equations.free, map(float, w.free), strict=True))
     model = with_parameters(problem.model, values)
-    orbit = measured(replace(problem, model=model), equations, solved[-1])
-    bar = abs(solved[-1].w.period - solved[-2].w.period) + 4 * np.spacing(orbit.period) * len(orbit.samples) ** 0.5
+    orbit = measured(replace(problem, model=model), equations, w)
+    bar = abs(w.period - solved[-2].period) + float(np.spacing(w.period)) * len(w.nodes) ** 0.5
     said = provenance(problem, settings, began) | {
-        "method": "collocation", "intervals": len(solved[-1].w.nodes), "period_error": float(bar),
-        "stiffness": stiffness(equations, guess),
+        "method": "collocation", "intervals": len(w.nodes), "period_error": float(bar),
+        "decays": float(_march(equations).decays(w.nodes, w.tail, w.mesh[:-1] * w.period).max() * w.period),
     }  # fmt: skip
     return replace(orbit, provenance=said | ({"free": values} if values else {})), model
 
 
 def collocated_equations(problem: Problem) -> Equations:
     """The equations of a problem, integrated by collocation."""
-    usual = Equations(problem.model, problem.boundary, problem.free, action=True)
-    assert isinstance(usual.march, March)
-    return Equations(problem.model, problem.boundary, problem.free, True, given=collocated(usual.march))
+    return Equations(problem.model, problem.boundary, problem.free, action=True, collocated=True)
 
 
-def begun(equations: Equations, guess: Guess, free: np.ndarray, count: int) -> Meshed:
-    """A guess's trajectory on a first mesh, which shares out its steps, its way and its time."""
-    assert guess.times is not None and guess.states is not None
-    times, states = np.asarray(guess.times, float) / guess.period, np.asarray(guess.states, float)
-    way = np.append(0.0, np.cumsum(np.abs(np.diff(states, axis=0) / nonzero(np.ptp(states, axis=0))).max(axis=1)))
-    work = np.linspace(0.0, 1.0, len(times)) + way / way[-1] + times
-    mesh = np.interp(np.linspace(0.0, work[-1], count + 1), work, times)
-    mesh[-1] = 1.0
-    points = _march(equations).tableau.points
-    inside = (mesh[:-1, None] + np.diff(mesh)[:, None] * points).ravel()
-    nodes, between = (np.array([np.interp(at, times, column) for column in states.T]).T for at in (mesh[:-1], inside))
-    stages = between.reshape(len(nodes), points.size, -1) - nodes[:, None]
-    size = nodes.shape[1]
-    w = equations.unknowns(nodes, guess.period, mesh, free)
-    return Meshed(w, stages, nodes[:0], np.zeros((0, size, size)), 0.0)
+def on_meshes(problem: Problem, equations: Equations, report: Callback | None = None) -> list[Unknowns]:
+    """The orbit of a problem on finer and finer meshes until two periods agree, the coarser first.
+
+    Raises `ConvergenceError` where none do.
+    """
+    guess = lap(problem.model, problem.guess)
+    if not settles(problem):
+        return _refined(problem, equations, guess, FINEST, report)
+    failed = ConvergenceError("the guess leads nowhere; give a state near the cycle and its period")
+    for near in cycles(problem.model, problem.guess, stiffness(equations, guess) > STIFF):
+        own = problem.guess.trajectory is None and np.array_equal(near.state, np.asarray(problem.guess.state, float))
+        try:
+            return _refined(problem, equations, near, min(QUICK, FINEST) if own else FINEST, report)
+        except ConvergenceError as error:
+            failed = error
+    raise failed
 
 
-def refined(
-    problem: Problem, equations: Equations, start: Callable[[int], Meshed], report: Callable[[Progress], None]
-) -> list[Meshed]:
-    """The orbit on finer and finer meshes until two periods agree. Raises `ConvergenceError` where none do."""
-    solved, count, failed, change = list[Meshed](), FINER * COARSEST, "", np.inf
-    while count <= FINEST:
+def _refined(
+    problem: Problem, equations: Equations, guess: Guess, finest: int, report: Callback | None
+) -> list[Unknowns]:
+    """The same from a lap."""
+    march, solved, count, failed, change = _march(equations), list[Unknowns](), FINER * COARSEST, "", np.inf
+    while count <= finest:
         limit.check()
         try:
-            now = start(count) if not solved else solved[-1]
+            now = regridded(march, solved[-1], count) if solved else _begun(problem, equations, guess, count)
             for _ in range(2):  # the mesh of an orbit that is known, and that of the better one
-                now = closed(problem, equations, regridded(equations, now, count) if now.ends.size else now)
+                now = regridded(march, closed(problem, equations, now), count)
+            now = closed(problem, equations, now)
         except (ConvergenceError, IntegrationError) as error:
             failed, count = str(error), FINER * count
             continue
         solved.append(now)
-        before, change = change, abs(now.w.period / solved[-2].w.period - 1) if len(solved) > 1 else np.inf
-        report(Progress(f"collocation, {count} intervals", len(solved) - 1, min(change, 1.0), now.w.period, 0.0))
+        before, change = change, abs(now.period / solved[-2].period - 1) if len(solved) > 1 else np.inf
+        if report:
+            report(Progress(f"collocation, {count} intervals", len(solved), min(change, 1.0), now.period, 0.0))
         if change <= AGREED or (change <= SETTLED and change > 0.5 * before):
             return solved
         count *= FINER
     if change <= SETTLED:
         return solved
-    raise ConvergenceError(f"collocation on up to {FINEST} intervals found no orbit: {failed or 'meshes do not agree'}")
+    raise ConvergenceError(f"collocation on up to {finest} intervals found no orbit: {failed or 'meshes do not agree'}")
 
 
-def regridded(equations: Equations, known: Meshed, count: int) -> Meshed:
-    """An orbit interpolated on a mesh of so many intervals that spreads the next derivative evenly."""
-    rule, w = _march(equations).tableau, known.w
-    units = nonzero(np.ptp(w.nodes, axis=0))
-    density = curvatures(rule, w.nodes, known.stages, w.mesh, units) ** (1.0 / (rule.points.size + 1))
-    steps = np.diff(w.mesh)
-    density = np.maximum(density, LONGEST * float(density @ steps))
-    work = np.append(0.0, np.cumsum(density * steps))
-    mesh = np.interp(np.linspace(0.0, work[-1], count + 1), work, w.mesh)
-    inside = (mesh[:-1, None] + np.diff(mesh)[:, None] * rule.points).ravel()
-    nodes, between = (along(rule, w.nodes, known.stages, w.mesh, at) for at in (mesh[:-1], inside))
-    stages = between.reshape(count, rule.points.size, -1) - nodes[:, None]
-    return replace(known, w=replace(w, nodes=nodes, mesh=mesh), stages=stages)
+def _begun(problem: Problem, equations: Equations, guess: Guess, count: int) -> Unknowns:
+    """A guess's trajectory on a first mesh, which shares out its steps, its way and its time."""
+    times, states = np.asarray(guess.times, float) / guess.period, np.asarray(guess.states, float)
+    way = np.append(0.0, np.cumsum(np.abs(np.diff(states, axis=0) / nonzero(np.ptp(states, axis=0))).max(axis=1)))
+    work = np.linspace(0.0, 1.0, len(times)) + way / way[-1] + times
+    mesh = np.interp(np.linspace(0.0, work[-1], count + 1), work, times)
+    mesh[-1] = 1.0
+    march = _march(equations)
+    inside = (mesh[:-1, None] + np.diff(mesh)[:, None] * march.tableau.points).ravel()
+    nodes, between = (np.array([np.interp(at, times, column) for column in states.T]).T for at in (mesh[:-1], inside))
+    known = {**problem.guess.free, **{pin.name: pin.value for pin in problem.pin}}
+    numbers = zip(equations.free, equations.numbers, strict=True)
+    w = equations.unknowns(nodes, guess.period, mesh, np.array([known.get(name, value) for name, value in numbers]))
+    march.begin(nodes, between.reshape(count, march.tableau.points.size, -1) - nodes[:, None], mesh, w.tail)
+    return w
 
 
-def closed(problem: Problem, equations: Equations, start: Meshed) -> Meshed:
-    """The orbit on the mesh of a start, by Newton's method. Raises `ConvergenceError`, `IntegrationError`."""
-    march, w = _march(equations), start.w
-    march.begin(w.nodes, start.stages, w.mesh, w.tail)
-    last = w.nodes[-1] + start.stages[-1].T @ march.tableau.end
-    loop = loop_of(problem, equations, w, last, problem.pin)
+def closed(problem: Problem, equations: Equations, w: Unknowns) -> Unknowns:
+    """The orbit on the mesh of a first guess, by Newton's method. Raises `ConvergenceError`, `IntegrationError`."""
+    loop = loop_of(problem, equations, w, equations.ends(w)[-1], problem.pin)
     units = nonzero(np.ptp(w.nodes, axis=0))
     free = np.where(w.free != 0.0, np.abs(w.free), 1.0)
     measures = Measures.of(loop, w, w.joined(units, w.period, 1.0 / w.period, free))
@@ -207,45 +187,40 @@ def closed(problem: Problem, equations: Equations, start: Meshed) -> Meshed:
         raise ConvergenceError("the equations are singular there") from None
     if not solved.converged:
         raise ConvergenceError(f"Newton's method stalled at a residual of {solved.size:.2g}; start nearer")
-    w = solved.w.moved(solved.solver(solved.rows) * measures.columns) if solved.size > NEWTON.floor else solved.w
-    path = equations.varied(w)
-    stages = march.stages(w.nodes, w.mesh, w.tail)
-    return Meshed(w, stages, path.ends, path.transitions, path.integral)
+    return solved.w.moved(solved.solver(solved.rows) * measures.columns)
 
 
-def measured(problem: Problem, equations: Equations, known: Meshed) -> Orbit:
+def measured(problem: Problem, equations: Equations, w: Unknowns) -> Orbit:
     """The Orbit (without certificate) on its mesh, begun where its certificate sees best."""
-    model = problem.model
-    known = known if model.forced or problem.pin else _turned(equations, known)
-    w, rule = known.w, _march(equations).tableau
-    even = along(rule, w.nodes, known.stages, w.mesh, np.linspace(0.0, 1.0, EVEN + 1))
-    states = np.vstack([w.nodes, known.ends[-1:]])
+    model, march = problem.model, _march(equations)
+    w = w if model.forced or problem.pin else turned(equations, w)
+    path, places = equations.varied(w, states=True), np.linspace(0.0, 1.0, EVEN + 1)
+    even = march.sampled(w.nodes, w.mesh, w.tail, places)
     return recorded(
-        problem, w.period, known.ends[-1], w.nodes[:1], w.mesh * w.period, states, w.unfolding, known.action,
-        multipliers(model, equations, known), recognise(np.linspace(0.0, w.period, EVEN + 1), even, model),
+        problem, w.period, path.ends[-1], w.nodes[:1], w.mesh * w.period, path.states, w.unfolding, path.integral,
+        _multipliers(model, equations, w, path.transitions), recognise(places * w.period, even, model),
     )  # fmt: skip
 
 
-def _turned(equations: Equations, known: Meshed) -> Meshed:
+def turned(equations: Equations, w: Unknowns) -> Unknowns:
     """The same orbit begun where neither its pace nor what decays makes much of errors."""
-    w, march = known.w, _march(equations)
+    march = _march(equations)
     units = nonzero(np.ptp(w.nodes, axis=0))
     paces = np.linalg.norm(march.rates(w.nodes, w.tail) / units, axis=1) * w.period
     decays = march.decays(w.nodes, w.tail, w.mesh[:-1] * w.period) * w.period
     k = int(np.argmin(paces + QUIET * decays / nonzero(paces)))
     mesh = np.append(w.mesh[k:-1] - w.mesh[k], 1.0 - w.mesh[k] + w.mesh[: k + 1])
-    turned = replace(w, nodes=np.roll(w.nodes, -k, axis=0), mesh=mesh)
-    rest = (np.roll(part, -k, axis=0) for part in (known.stages, known.ends, known.transitions))
-    return Meshed(turned, *rest, known.action)
+    later = replace(w, nodes=np.roll(w.nodes, -k, axis=0), mesh=mesh)
+    march.begin(later.nodes, np.roll(march.stages(w.nodes, w.mesh, w.tail), -k, axis=0), mesh, w.tail)
+    return later
 
 
-def multipliers(model: Model, equations: Equations, known: Meshed) -> Floquet:
+def _multipliers(model: Model, equations: Equations, w: Unknowns, transitions: np.ndarray) -> Floquet:
     """The non-trivial multipliers, of the transitions one after another that are never multiplied out."""
-    w, march = known.w, _march(equations)
     units = nonzero(np.ptp(w.nodes, axis=0))
-    matrices, places = merged(known.transitions * units / units[:, None])
+    matrices, places = merged(transitions * units / units[:, None])
     nodes = np.vstack([w.nodes, w.nodes[:1]])[places]
-    flows = [] if model.forced else [march.rates(nodes, w.tail)]
+    flows = [] if model.forced else [_march(equations).rates(nodes, w.tail)]
     directions = np.stack([*flows, *np.array([generated(model, x) for x in nodes]).swapaxes(0, 1)], axis=1)
     gradients = np.array([invariant_gradients(model)(x).full() for x in nodes])
     bases = complement(gradients * units, directions / units)

@@ -209,7 +209,7 @@ def canonical_motion(
 
 def _reach(trace: Trace, units: np.ndarray) -> np.ndarray:
     """The least and the largest of a motion in `units` (m)."""
-    return np.array([trace.states.min(axis=0), trace.states.max(axis=0)]) * units
+    return np.asarray(np.array([trace.states.min(axis=0), trace.states.max(axis=0)]) * units)
 
 
 def drifting(trace: Trace, turns: np.ndarray, units: np.ndarray) -> Trace:

@@ -81,4 +81,4 @@ def solved(problem: Problem, settings: SolveSettings, progress: Callback | None,
         raise InputError(f"Method {name!r}, find: expected a state ({size}) and nodes (N x {size}), got shapes "
                          f"{np.shape(orbit.state)} and {np.shape(orbit.nodes)}; `measure` makes them")  # fmt: skip
     told = {"method": name, "method_reason": why} if why else {}
-    return replace(orbit, provenance=orbit.provenance | told), given[1]
+    return replace(orbit, provenance={**orbit.provenance, **told}), given[1]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +21,8 @@ RELATIVE, ABSOLUTE = 1e-10, 1e-12
 """Tolerances of the simulation, the second in extents of the motion"""
 BACK, NEAR = 1e-3, 0.1
 """A motion has come back when it is this near, in extents, to where it was; a guess that comes as near is a cycle"""
+STILL = 1e-4
+"""Share of what a motion has moved at most that is none"""
 BETWEEN = 6
 """Samples of a lap in each step of its simulation"""
 LAPS, LONGEST = 12, 2.0
@@ -61,39 +63,41 @@ def simulated(model: Model, state: np.ndarray, duration: float, units: np.ndarra
     return Course(found.t, found.y.T * size, lambda times: np.asarray(found.sol(times).T * size))
 
 
-def cycle(model: Model, guess: Guess, stiff: bool) -> Guess:
-    """A guess whose trajectory is one lap of a cycle: its own, or its motion where that comes back, or what it settles on.
+def cycles(model: Model, guess: Guess, stiff: bool) -> Iterator[Guess]:
+    """Guesses whose trajectories are a lap of a cycle: its own, or its motion where that comes near its start and is
+    not stiff, so that its jumps are where they belong, and then what it settles on.
 
-    A stiff one, whose jumps would not be where they belong, is what it settles on first. Raises `ConvergenceError` where
-    it settles on nothing that comes back after about the guess's period.
+    Raises `ConvergenceError` where it settles on nothing that comes back after about the guess's period.
     """
     own = lap(model, guess)
-    if guess.trajectory is not None or _apart(model, own) <= (0.0 if stiff else NEAR):
-        return own
+    if guess.trajectory is not None or (not stiff and _apart(model, own) <= NEAR):
+        yield own
+    if guess.trajectory is not None:
+        return
     if model.forced:
         laps = LAPS * guess.period
-        course = simulated(model, np.asarray(guess.state, float), laps + guess.period)
-        return _between(course, laps, guess.period)
-    try:
-        return _settled(model, guess)
-    except ConvergenceError:
-        if _apart(model, own) <= NEAR:
-            return own
-        raise
+        yield _between(simulated(model, np.asarray(guess.state, float), laps + guess.period), laps, guess.period)
+    else:
+        yield _settled(model, guess)
 
 
 def _settled(model: Model, guess: Guess) -> Guess:
-    state, units, away = np.asarray(guess.state, float), None, np.inf
+    state, units, most, away = np.asarray(guess.state, float), None, np.zeros(len(model.state_names)), np.inf
     for _ in range(LAPS):
         course = simulated(model, state, (1.0 + 2 * LONGEST) * guess.period, units)
-        units, state = nonzero(np.ptp(course.states, axis=0)), course.states[-1]
+        moved, state = np.ptp(course.states, axis=0), course.states[-1]
+        units, most = nonzero(moved), np.maximum(most, moved)
+        if np.all(moved <= STILL * most):
+            raise ConvergenceError(
+                "the motion from guess.state comes to rest; give a state near a cycle and its period"
+            )
         found = _lap(model, course, units, course.times[-1] - (0.5 + LONGEST) * guess.period, guess.period)
         if found is not None and found[1] <= BACK:
             return found[0]
         away = min(away, np.inf if found is None else found[1])
     raise ConvergenceError(
-        f"the motion from guess.state does not come back after about guess.period = {guess.period:g} (to {away:.2g} of its "
-        f"extent at best, in {LAPS * (1 + 2 * LONGEST):g} periods); give a state near the cycle and its period"
+        f"the motion from guess.state does not come back after about guess.period = {guess.period:g} (to {away:.2g} of "
+        f"its extent at best, in {LAPS * (1 + 2 * LONGEST):g} periods); give a state near the cycle and its period"
     )
 
 
@@ -123,7 +127,7 @@ def lap(model: Model, guess: Guess) -> Guess:
 def paces(model: Model, times: np.ndarray, states: np.ndarray, units: np.ndarray) -> np.ndarray:
     """How fast a motion (k x d) is, in `units` (d) a unit of time."""
     rates = rates_of(vector_field(accelerations(model)))[0](times, states)
-    return np.linalg.norm(rates / units, axis=1)
+    return np.asarray(np.linalg.norm(rates / units, axis=1))
 
 
 def _lap(model: Model, course: Course, units: np.ndarray, earliest: float, period: float) -> tuple[Guess, float] | None:

@@ -1,0 +1,309 @@
+"""Collocation: order, derivatives, stiff cycles against the road's references, families, planted faults, messages."""
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicHermiteSpline
+
+import orbitfinder as of
+from orbitfinder.cli.group import cli
+from orbitfinder.errors import ConvergenceError, InputError
+from orbitfinder.integrate.collocation import Collocation, tableau
+from orbitfinder.integrate.march import uniform
+from orbitfinder.loops.condensed import Linearised, pivoted
+from orbitfinder.loops.loop import Equations
+from orbitfinder.loops.symmetry import NONE
+from orbitfinder.orbits import collocate
+
+ROAD = {entry["id"]: entry["values"] for entry in json.loads((Path(__file__).parent / "data/road.json").read_text())}
+COLLOCATION = of.SolveSettings(method="collocation")
+BARE = of.SolveSettings(method="collocation", with_certificate=False)
+
+
+def van_der_pol(mu, units=(1.0, 1.0)):
+    def field(t, x, p):
+        x, v = x[0] / units[0], x[1] / units[1]
+        return [units[0] * v, units[1] * (p[0] * (1 - x**2) * v - x)]
+
+    return of.ode(field, ["x", "v"], {"mu": float(mu)})
+
+
+def oregonator(f=1.0):
+    def field(t, x, p):
+        x, y, z = x[0], x[1], x[2]
+        return [77.27 * (y - x * y + x - 8.375e-6 * x**2), (-y - x * y + p[0] * z) / 77.27, 0.161 * (x - z)]
+
+    return of.ode(field, ["x", "y", "z"], {"f": f})
+
+
+def steinmetz_larter(units=(1.0, 1.0, 1.0, 1.0)):
+    def field(t, x, p):
+        a, b, x, y = (x[k] / units[k] for k in range(4))
+        chain, start = 0.1631021 * a * b * x, 0.046875 * a * b * y
+        rates = [-chain - start + 1.5 - p[0] * a, -chain - start + 0.75,
+                 chain - 2500 * x**2 + 2 * start - 20 * x + 0.001, -start + 2500 * x**2 - 1.104 * y]  # fmt: skip
+        return [rate * unit for rate, unit in zip(rates, units, strict=True)]
+
+    return of.ode(field, ["A", "B", "X", "Y"], {"km7": 0.1175})
+
+
+def hindmarsh_rose():
+    def field(t, x, p):
+        return [x[1] - x[0] ** 3 + 3 * x[0] ** 2 - x[2] + p[0], 1 - 5 * x[0] ** 2 - x[1],
+                0.005 * (4 * (x[0] + 1.6) - x[2])]  # fmt: skip
+
+    return of.ode(field, ["x", "y", "z"], {"I": 2.0})
+
+
+def brusselator(b=2.5):
+    return of.ode(lambda t, x, p: [1 + x[0] ** 2 * x[1] - (p[0] + 1) * x[0], p[0] * x[0] - x[0] ** 2 * x[1]],
+                  ["x", "y"], {"b": b})  # fmt: skip
+
+
+def lorenz(rho):
+    return of.ode(lambda t, x, p: [10 * (x[1] - x[0]), x[0] * (p[0] - x[2]) - x[1], x[0] * x[1] - 8 / 3 * x[2]],
+                  ["x", "y", "z"], {"rho": rho})  # fmt: skip
+
+
+def fitzhugh_nagumo():
+    return of.ode(lambda t, x, p: [x[0] - x[0] ** 3 / 3 - x[1] + p[0], 0.08 * (x[0] + 0.7 - 0.8 * x[1])],
+                  ["v", "w"], {"I": 0.5})  # fmt: skip
+
+
+@cache
+def found(name):
+    """A stiff cycle from a start of two digits, as anybody finds it."""
+    model, state, period = {
+        "vdp-100": (van_der_pol(100), [2.0, 0.0], 160.0),
+        "steinmetz-larter": (steinmetz_larter(), [2.5, 5.6, 0.024, 1.4], 16.0),
+        "hindmarsh-rose": (hindmarsh_rose(), [-1.0, -4.0, 1.8], 160.0),
+    }[name]
+    return of.find_orbit(of.Problem(model, of.Guess(state, period), name=name)), model
+
+
+def inside(orbit, period, most):
+    """The reference lies in the error bar, which is narrow."""
+    bar = orbit.provenance["period_error"]
+    return abs(orbit.period - float(period)) <= bar <= most * orbit.period
+
+
+@pytest.mark.parametrize(("kind", "points", "order"), [("radau", 3, 5), ("radau", 5, 9), ("legendre", 4, 8)])
+def test_steps_are_of_the_order_of_their_points(kind, points, order):
+    usual = Equations(van_der_pol(1), NONE, ("mu",), action=True).march
+    march = Collocation(usual.field, False, usual.integrand, False, points, kind)
+    nodes, tail = np.array([[2.0, 0.1]]), np.array([2.0, 1.0])
+    exact = usual.varied(nodes, uniform(1.0, 1, 400), tail)
+    errors = []
+    for steps in (4, 8, 16):
+        path = march.varied(nodes, uniform(1.0, 1, steps), tail)
+        errors.append(np.abs(path.ends - exact.ends).max())
+        assert steps < 16 or np.allclose(path.transitions, exact.transitions, atol=1e-6)
+    slopes = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert np.all(slopes > order - 0.9), slopes
+    rule = tableau(points, kind)
+    assert abs(rule.weights @ rule.points ** (order - 1) - 1 / order) < 1e-14
+
+
+def test_derivatives_are_those_of_differences():
+    """Of a forced system too, whose moments move with the period."""
+    model = of.ode(lambda t, x, p: [x[1], p[0] * np.cos(1.0) * t - x[0] ** 3 - 0.1 * x[1]], ["x", "v"], {"a": 0.3},
+                   forcing_period=lambda p: 6.0)  # fmt: skip
+    march = Equations(model, NONE, ("a",), action=True, collocated=True).march
+    random, mesh = np.random.default_rng(0), np.array([0.0, 0.2, 0.3, 0.6, 1.0])
+    nodes, tail = random.normal(size=(4, 2)), np.array([3.0, 0.3])
+    path, step = march.varied(nodes, mesh, tail), 1e-5
+    for k in range(2):
+        sides = [march.ends(nodes + s * np.eye(2)[k], mesh, tail) for s in (step, -step)]
+        assert np.allclose((sides[0] - sides[1]) / (2 * step), path.transitions[:, :, k], atol=1e-8)
+        sides = [march.ends(nodes, mesh, tail + s * np.eye(2)[k]) for s in (step, -step)]
+        assert np.allclose((sides[0] - sides[1]) / (2 * step), path.columns[:, :, k], atol=1e-8)
+
+
+def test_the_whole_matrix_is_the_dense_one():
+    random, (count, d, m) = np.random.default_rng(0), (7, 3, 2)
+    sizes = (count, d, d), (count, d, m), (d + m, count * d), (d + m, d), (d + m, m)
+    system = Linearised(*(random.normal(size=size) for size in sizes))
+    rows = random.normal(size=count * d + m)
+    assert np.abs(system.sparse().toarray() - system.matrix()).max() == 0.0
+    assert np.allclose(pivoted(system)(rows), -np.linalg.solve(system.matrix(), rows), atol=1e-12)
+    with pytest.raises(np.linalg.LinAlgError):
+        pivoted(replace(system, first=system.first[:-1], last=system.last[:-1], tail=system.tail[:-1]))
+
+
+@pytest.mark.parametrize(("name", "key"), [("vdp-100", "period_quad"), ("steinmetz-larter", "period_quad")])
+def test_stiff_cycles_of_the_road(name, key):
+    orbit, _ = found(name)
+    assert orbit.certificate.passed, orbit.certificate.failures
+    assert inside(orbit, ROAD[name][key], 1e-12)
+    assert orbit.provenance["method"] == "collocation"
+    assert orbit.provenance["method_reason"].startswith("stiff" if name == "vdp-100" else "shooting failed: ")
+
+
+def test_bursting_against_another_integrator():
+    orbit, _ = found("hindmarsh-rose")
+    assert orbit.certificate.passed, orbit.certificate.failures
+
+    def rates(t, x):
+        return [x[1] - x[0] ** 3 + 3 * x[0] ** 2 - x[2] + 2, 1 - 5 * x[0] ** 2 - x[1],
+                0.005 * (4 * (x[0] + 1.6) - x[2])]  # fmt: skip
+
+    normal = np.array(rates(0.0, orbit.state))
+
+    def back(t, x):
+        return (x - orbit.state) @ normal
+
+    back.direction = 1.0
+    path = solve_ivp(rates, (0.0, 1.01 * orbit.period), orbit.state, "Radau", events=back, rtol=1e-12, atol=1e-13)
+    moments, states = path.t_events[0], path.y_events[0]
+    near = moments[(np.abs(states - orbit.state).max(axis=1) < 1e-6) & (moments > 1.0)]
+    assert abs(near[0] / orbit.period - 1) < 1e-10
+    assert abs(orbit.period - 156.5755177223) < 1e-9
+
+
+def test_van_der_pol_at_10_and_1000():
+    """Periods, amplitudes and error bars; the certificate at 1000 takes some seconds, and is among the slow tests."""
+    for mu, period, amplitude in (
+        (10, "period_quad", "amplitude_quad"),
+        (1000, *("period_longdouble", "amplitude_longdouble")),
+    ):
+        orbit = of.find_orbit(of.Problem(van_der_pol(mu), of.Guess([2.0, 0.0], 1.6 * mu + 3)), BARE)
+        assert inside(orbit, ROAD[f"vdp-{mu}"][period], 1e-12)
+        x, v = orbit.samples.T
+        k = int(np.flatnonzero((v[:-1] > 0) & (v[1:] <= 0))[0])
+        peak = CubicHermiteSpline(orbit.times[k : k + 2], x[k : k + 2], v[k : k + 2])
+        top = max(peak(peak.derivative().roots(extrapolate=False)))
+        assert abs(top - float(ROAD[f"vdp-{mu}"][amplitude])) < 1e-6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("model", "state", "period", "reference"), [
+    (van_der_pol(1000), [2.0, 0.0], 1600.0, "1614.4011258083340251"),
+    (oregonator(), [4.0, 1.1, 4.0], 300.0, "302.85804402758"),
+])  # fmt: skip
+def test_the_stiffest_are_certified(model, state, period, reference):
+    orbit = of.find_orbit(of.Problem(model, of.Guess(state, period)))
+    assert orbit.certificate.passed, orbit.certificate.failures
+    assert inside(orbit, reference, 1e-12)
+
+
+@pytest.mark.parametrize(("model", "state", "period"), [
+    (brusselator(), [1.4, 3.0], 6.6), (van_der_pol(5), [2.0, 0.1], 11.6), (fitzhugh_nagumo(), [-0.3, -0.19], 39.5),
+    (lorenz(28.0), [-13.763610682134, -19.578751942451, 27.0], 1.5587),
+])  # fmt: skip
+def test_shooting_and_collocation_agree(model, state, period):
+    problem = of.Problem(model, of.Guess(state, period))
+    shot, collocated = of.find_orbit(problem, of.SolveSettings(method="shooting")), of.find_orbit(problem, COLLOCATION)
+    assert collocated.certificate.passed
+    assert abs(collocated.period / shot.period - 1) < 1e-12
+    assert np.allclose(shot.floquet_multipliers, collocated.floquet_multipliers, rtol=1e-8, atol=1e-9)
+
+
+def test_a_triple_pendulum_by_collocation():
+    state = [0.207821287890159, 0.230046723844060, -1.448527525250897,
+             -0.323636324707770, 0.146094757260416, 1.655339043727058]  # fmt: skip
+    orbit = of.find_orbit(of.Problem(of.chain(3), of.Guess(state, 1.655), of.pin(energy=-38.351)), COLLOCATION)
+    assert orbit.certificate.passed
+    assert (
+        abs(
+            orbit.period - of.find_orbit(of.Problem(of.chain(3), of.Guess(state, 1.655), of.pin(energy=-38.351))).period
+        )
+        < 1e-12
+    )
+
+
+def test_multipliers_keep_their_size():
+    """2.3e-17 beside nothing larger: a product of matrices has 1e-13 for it."""
+    orbit = of.find_orbit(of.Problem(fitzhugh_nagumo(), of.Guess([-0.3, -0.19], 39.5)), BARE)
+    told = float(next(one for one in ROAD["cyc-fhn"] if one["parameter"] == 0.5)["multipliers"][1])
+    assert abs(orbit.floquet_multipliers[0].real / told - 1) < 1e-6
+
+
+def test_units_do_not_matter():
+    plain = found("steinmetz-larter")[0]
+    for units in ((1e-6, 1e3, 1.0, 1e6), (1e3, 1.0, 1e-3, 1e2)):
+        state = np.array([2.5, 5.6, 0.024, 1.4]) * units
+        orbit = of.find_orbit(of.Problem(steinmetz_larter(units), of.Guess(list(state), 16.0)), COLLOCATION)
+        assert orbit.certificate.passed, orbit.certificate.failures
+        assert abs(orbit.period / plain.period - 1) < 1e-12
+        assert np.allclose(orbit.floquet_multipliers, plain.floquet_multipliers, rtol=1e-6, atol=1e-9)
+
+
+def test_planted_faults_are_rejected():
+    orbit, model = found("vdp-100")
+    late = of.certify(replace(orbit, period=orbit.period * (1 + 1e-9)), model)
+    assert "closure" in late.failures
+    off = replace(orbit, samples=orbit.samples * [1.0, 1.001])
+    assert "samples" in of.certify(off, model).failures
+
+
+def test_a_mesh_that_is_too_coarse_is_refused(monkeypatch):
+    monkeypatch.setattr(collocate, "FINEST", 100)
+    with pytest.raises(ConvergenceError, match="on up to 100 intervals found no orbit"):
+        of.find_orbit(of.Problem(van_der_pol(1000), of.Guess([2.0, 0.0], 1600.0)), COLLOCATION)
+
+
+def test_what_is_said():
+    problem = of.Problem(brusselator(), of.Guess([1.4, 3.0], 6.6))
+    with pytest.raises(InputError, match="method: unknown 'colocation', did you mean 'collocation'"):
+        of.find_orbit(replace(problem, method="colocation"))
+    with pytest.raises(InputError, match="collocation is not for this problem, its pins leave 1 to choose"):
+        of.find_orbit(of.Problem(of.chain(1), of.Guess([1.0, 0.0], 1.8)), COLLOCATION)
+    with pytest.raises(InputError, match="impacts is not for this problem"):
+        of.find_orbit(replace(problem, method="impacts"))
+    with pytest.raises(ConvergenceError, match="the motion from guess.state comes to rest"):
+        of.find_orbit(of.Problem(brusselator(1.5), of.Guess([1.4, 3.0], 6.6)), COLLOCATION)
+
+
+def test_a_family_is_followed_kept_and_verified(tmp_path):
+    problem = of.Problem(van_der_pol(1), of.Guess([2.0, 0.0], 6.7), name="relaxation", method="collocation")
+    settings = of.FamilySettings(directions="forward", longest_step=0.8)
+    family = of.follow_family(problem, "mu", until=10.0, at=[5.0], settings=settings, out=tmp_path)
+    assert family.ends[-1].kind == "target"
+    assert abs(family.points[-1].period - float(ROAD["vdp-10"]["period_quad"])) < 1e-11
+    five = next(point for point in family.points if point.value == 5.0)
+    assert abs(five.period - 11.612230667719588) < 1e-11
+    assert all(point.closure < 1e-10 for point in family.points)
+    loaded = of.load_family(tmp_path / "relaxation" / "family.json")
+    assert loaded.curve["method"] == "collocation"
+    again = of.follow_family(problem, "mu", until=10.0, at=[5.0], settings=settings, out=tmp_path)
+    assert [point.period for point in again.points] == [point.period for point in family.points]
+
+
+def test_a_doubling_and_the_branch_there():
+    model, state = lorenz(232.0), [2.32713547, -13.22001488, 191.94267052]
+    settings = of.FamilySettings(directions="backward", method="collocation")
+    family = of.follow_family(of.Problem(model, of.Guess(state, 0.478)), "rho", until=228.0, settings=settings)
+    event = next(event for event in family.events if event.kind == "period_doubling")
+    assert event.certified
+    assert abs(event.parameter - 229.4067085) < 1e-7
+    branch = of.follow_family(of.switch_branch(family, family.events.index(event), model=model), points=2, model=model)
+    assert branch.curve["method"] == "collocation"
+    assert all(abs(point.period / (2 * event.period) - 1) < 0.01 for point in branch.points)
+
+
+def test_files_and_commands(tmp_path):
+    (tmp_path / "p.py").write_text(
+        "import orbitfinder as of\n"
+        "def problem():\n"
+        "    model = of.ode(lambda t, x, p: [x[1], p[0] * (1 - x[0]**2) * x[1] - x[0]], ['x', 'v'], {'mu': 3.0})\n"
+        "    return of.Problem(model, of.Guess([2.0, 0.1], 8.9), name='p')\n"
+    )
+    run = CliRunner().invoke(
+        cli, ["run", str(tmp_path / "p.py"), "--trust", "--method", "collocation", "--no-figures",
+              "--out", str(tmp_path / "orbits")],
+    )  # fmt: skip
+    assert run.exit_code == 0, run.output
+    orbit = of.load_orbit(tmp_path / "orbits" / "p" / "orbit.json")
+    assert orbit.provenance["method"] == "collocation"
+    assert orbit.provenance["method_reason"] == "asked for"
+    (tmp_path / "q.toml").write_text(
+        '[system]\nkind = "chain"\nlinks = 1\n[guess]\nstate = [1.0, 0.0]\nperiod = 1.8\n'
+        '[find]\nmethod = "collocation"\npin = { energy = -1.0 }\n'
+    )
+    assert of.load_problem(tmp_path / "q.toml").method == "collocation"
