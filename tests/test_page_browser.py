@@ -7,7 +7,9 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
+from test_equilibria_page import folder  # noqa: F401
 from test_page import NASTY, SHIPPED, document, material, site  # noqa: F401  (fixtures)
 
 import orbitfinder as of
@@ -59,14 +61,17 @@ def pages(site):  # noqa: F811
     return {kind: site / path for kind, path in (KINDS | {"family": family}).items()}
 
 
-def go(browser, page, width=1400, theme="light", motion="no-preference"):
-    """Open a page at a width and in a theme, and wait until its clock runs."""
+RUNNING = "return orbitfinder.player.frames > (orbitfinder.player.playing ? 2 : 0)"
+
+
+def go(browser, page, width=1400, theme="light", motion="no-preference", ready=RUNNING):
+    """Open a page at a width and in a theme, and wait until its clock runs, or what else makes it `ready`."""
     size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 500}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     features = [{"name": "prefers-color-scheme", "value": theme}, {"name": "prefers-reduced-motion", "value": motion}]
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
     browser.get(page.as_uri())
-    wait(browser, "return orbitfinder.player.frames > (orbitfinder.player.playing ? 2 : 0)")
+    wait(browser, ready)
 
 
 def wait(browser, script, patience=15.0):
@@ -531,6 +536,80 @@ def test_motions_of_a_section_have_addresses_and_zoom(browser, potential):
     browser.get(page.as_uri() + "#motion=3")
     wait(browser, "return orbitfinder.picked && orbitfinder.picked().name === 'motion 3'")
     assert find(browser, "#lock").text == "Held"
+
+
+PICKED = "return orbitfinder.picked && orbitfinder.picked() && document.querySelector('#plot .main-svg')"
+
+
+@pytest.fixture(scope="module")
+def resting(folder, tmp_path_factory):  # noqa: F811
+    """The page of equilibria with the cycles from their Hopf point."""
+    out = tmp_path_factory.mktemp("resting")
+    write_site(build_site(gather([folder]))[0].files, out / "site")
+    return out / "site" / "equilibria" / "chemistry.html"
+
+
+@pytest.mark.parametrize("width", [360, 1400])
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_the_page_of_equilibria_is_whole(browser, resting, theme, width):
+    browser.get_log("browser")
+    go(browser, resting, width, theme, ready=PICKED)
+    assert browser.get_log("browser") == []
+    assert ask(browser, "overflow") == [] and ask(browser, "nameless") == []
+    found = ask(browser, "texts")
+    assert len(found) > 10 and [text for text in found if text[0] < 4.5] == []
+
+
+def test_equilibria_are_picked_by_slider_pointer_and_event(browser, resting):
+    go(browser, resting, ready=PICKED)
+    first = find(browser, "#picked").text
+    assert "rate\n1.8" in first and "Stability\nstable" in first
+    assert len(find(browser, "#eigenvalues").text.split()) == 4
+    browser.execute_script(
+        "const bar = document.getElementById('item'); bar.value = bar.max; bar.dispatchEvent(new Event('input'))"
+    )
+    wait(browser, "return document.getElementById('picked').textContent.includes('unstable')")
+    assert "verify equilibria/chemistry/equilibria.json#" in find(browser, "#command").text
+    find(browser, ".pick").click()
+    wait(browser, "return location.hash === '#event=0'")
+    assert "supercritical Hopf point" in find(browser, "#picked").text
+    assert find(browser, "#command").text.endswith("continue equilibria/chemistry/equilibria.json --switch 0")
+    assert find(browser, "#lock").text == "Held"
+    reach = browser.execute_script("return document.getElementById('plane')._fullLayout.xaxis.range")
+    assert reach[1] > 1e-3  # at a Hopf point the real parts are round-off, which is no axis
+
+
+def test_stability_is_seen_and_a_click_on_a_cycle_opens_it(browser, resting):
+    go(browser, resting, ready=PICKED)
+    data = """return document.getElementById('plot').data.filter(one => one.mode.startsWith('lines'))
+      .map(one => [one.name, one.line.dash, one.x[0], one.x[one.x.length - 1]])"""
+    cycles, rest = [], []
+    for name, *line in browser.execute_script(data):
+        (cycles if name.startswith("cycles") else rest).append(line)
+    assert [dash for dash, *_ in rest] == ["solid", "dash"]
+    assert np.allclose([ends for _, *ends in rest], [[1.8, 2.0], [2.0, 2.4]])
+    assert len(cycles) == 2 and all(dash == "solid" and low >= 2 for dash, low, _ in cycles)
+    browser.execute_script("""const up = document.getElementById('up');
+      up.value = '-2'; up.dispatchEvent(new Event('change'))""")
+    wait(
+        browser, "return document.getElementById('plot').data.every(one => !one.name || !one.name.startsWith('cycles'))"
+    )
+    crossed = browser.execute_script(
+        "return document.getElementById('plot').data[0].y.filter(y => Math.abs(y) > 1e-9)"
+        ".filter((y, k, all) => k && y * all[k - 1] < 0).length"
+    )
+    assert crossed == 1
+    browser.execute_script("""const up = document.getElementById('up');
+      up.value = '1'; up.dispatchEvent(new Event('change'));
+      const plot = document.getElementById('plot');
+      const cycle = plot.data.find(one => (one.name || '').startsWith('cycles'));
+      plot.emit('plotly_click', { points: [{ customdata: cycle.customdata[1] }] })""")
+    wait(browser, "return location.href.endsWith('/families/cycles.html#point=1')")
+    wait(browser, "return window.orbitfinder && orbitfinder.picked && orbitfinder.picked().key === 'point=1'")
+    back = find(browser, "#events-heading ~ .meta a")
+    assert back.text == "chemistry, hopf 0"
+    back.click()
+    wait(browser, "return location.href.endsWith('/equilibria/chemistry.html#event=0')")
 
 
 def test_lines_of_equal_potential_lie_under_a_motion(browser, potential):

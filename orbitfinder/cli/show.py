@@ -18,8 +18,8 @@ from orbitfinder.records.registry import answers_of, held, kinds, shown
 def show(files: tuple[Path, ...]) -> None:
     """Show what each FILE holds, whatever record it is: numbers, events with how each is followed, ends, counts.
 
-    An orbit, a family, an atlas, optima, tori, a section, a manifold, a connection, a controller, a proof of a branch.
-    FILE#K is one orbit or torus of it. Nothing is computed: it is what the file says, and `verify` checks it.
+    An orbit, a family, an atlas, optima, tori, equilibria, a section, a manifold, a connection, a controller, a proof
+    of a branch. FILE#K is one of those in it. Nothing is computed: it is what the file says, and `verify` checks it.
 
     \b
     Examples:

@@ -23,7 +23,7 @@ from orbitfinder.records.orbit import level
 from orbitfinder.show.facts import number, with_unit
 from orbitfinder.show.rest import rest_svg
 from orbitfinder.show.scene import evenly
-from orbitfinder.site.equilibria import equilibria_data
+from orbitfinder.site.equilibria import cycles_data, equilibria_data
 from orbitfinder.site.gather import AtlasFile, Gathered, Verdict, judged, recorded
 from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import Simulator, framed, packed
@@ -172,7 +172,7 @@ def build_site(
     families, curves = slug_maker(), slug_maker()
     named = [(family, families(family.name)) for family in gathered.families]
     resting = [(rest, curves(rest.name)) for rest in gathered.equilibria]
-    links += [_add_equilibria(site, rest, own, gathered, named) for rest, own in resting]
+    links += [_add_equilibria(site, rest, own, simulator, (gathered, named)) for rest, own in resting]
     everything: Named = [*named, *((rest, f"../equilibria/{own}") for rest, own in resting)]
     for k, (family, own) in enumerate(named, 1):
         tell(f"family {k} of {len(named)}, {family.name}: {plural(len(family.points), 'point')}")
@@ -289,12 +289,14 @@ def _add_family(
 
 
 def _add_equilibria(
-    site: Site, rest: Equilibria, slug: str, gathered: Gathered, named: Sequence[tuple[Family, str]]
+    site: Site, rest: Equilibria, slug: str, simulator: Simulator, known: tuple[Gathered, Sequence[tuple[Family, str]]]
 ) -> Card:
     """The page of equilibria; returns its link."""
-    data, path, words = equilibria_data(rest, gathered), f"equilibria/{slug}.html", mechanism(rest.system)
-    born = [(f"../families/{page}.html", family.name, family.source.get("event")) for family, page in named
-            if (family.source.get("family"), family.source.get("kind_of_event")) == (rest.name, "hopf")]  # fmt: skip
+    data, path, words = equilibria_data(rest, known[0]), f"equilibria/{slug}.html", mechanism(rest.system)
+    own = [(family, f"../families/{page}.html") for family, page in known[1]
+           if (family.source.get("family"), family.source.get("kind_of_event")) == (rest.name, "hopf")]  # fmt: skip
+    born = [(page, family.name, family.source.get("event")) for family, page in own]
+    data["cycles"] = [cycles_data(family, page, simulator) for family, page in own]
     values = data | {"title": f"Equilibria {rest.name}", "rest": rest, "born": born, "words": words}
     values["unit"] = units(rest.system)["time"]
     site.add("equilibria", path, values, ("equilibria", data), f"Equilibria of {article(words)}.")

@@ -246,7 +246,7 @@ def spread(points: Sequence[FamilyPoint], most: int) -> list[int]:
     """At most `most` points, equally far apart along the curve of energy, frequency and arclength, ends among them."""
     if len(points) <= most:
         return list(range(len(points)))
-    table = np.array([[point.energy, 1.0 / point.period, point.arclength] for point in points])
+    table = np.nan_to_num([[point.energy, 1.0 / point.period, point.arclength] for point in points])
     steps = np.linalg.norm(np.diff(table / nonzero(np.ptp(table, axis=0)), axis=0), axis=1)
     length = np.concatenate([[0.0], np.cumsum(steps)])
     wanted = np.linspace(0.0, length[-1], most)

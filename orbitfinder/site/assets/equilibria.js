@@ -56,6 +56,28 @@
       hovertemplate: "%{text}<extra></extra>", marker: { size: 4, color: c.series[0] } }];
   }
 
+  // The cycles that are born here: the least and the largest of a component; a click opens one on its family's page.
+  function cycles(chosen, c) {
+    var traces = [], named = false;
+    it.cycles.forEach(function (family) {
+      [family.low, family.high].forEach(function (side) {
+        for (var k = 0, from = 0; k <= side.length; k++) {
+          var stable = from < side.length && family.places[from][2] !== "unstable";
+          if (k < side.length && (family.places[k][2] !== "unstable") === stable) continue;
+          var start = Math.max(0, from - 1), run = family.places.slice(start, k);
+          traces.push({ x: run.map(function (one) { return one[0]; }), y: side.slice(start, k).map(function (one) { return one && one[chosen.y]; }),
+            customdata: run.map(function (one) { return one[1]; }), mode: "lines+markers", name: "cycles, least and largest", legendgroup: "cycles", showlegend: !named,
+            text: run.map(function (one) { return safe(family.name) + "<br>" + safe(it.parameter) + " " + figure(one[0], 7) + "<br>" + safe(one[2]); }),
+            hovertemplate: "%{text}<extra></extra>", marker: { size: stable ? 4 : 3.5, color: stable ? c.series[2] : c.surface, line: { width: stable ? 0 : 1, color: c.series[2] } },
+            line: { color: c.series[2], width: stable ? 2.6 : 1.4, dash: stable ? "solid" : "dash" } });
+          named = true;
+          from = k;
+        }
+      });
+    });
+    return traces;
+  }
+
   function events(chosen, c) {
     return Object.keys(SYMBOLS).concat(["other"]).map(function (kind) {
       var which = where(function (one) { return one.kind && (one.kind === kind || kind === "other" && !(one.kind in SYMBOLS)); });
@@ -70,6 +92,7 @@
       traces.push(marks(where(function (one) { return !one.kind && (one.words !== "unstable") === stable; }), chosen,
         { showlegend: false, marker: { size: stable ? 6 : 5, color: stable ? c.series[0] : c.surface, line: { width: stable ? 0 : 1.3, color: c.series[0] } } }));
     });
+    if (chosen.x === PARAMETER && chosen.y >= 0) traces = cycles(chosen, c).concat(traces);
     traces = traces.concat(events(chosen, c));
     if (picked >= 0) {
       var x = number(items[picked], chosen.x), own = many ? items[picked].eigenvalues.map(function (pair) { return pair[0]; }) : [number(items[picked], chosen.y)];
@@ -138,6 +161,7 @@
 
   var picker = plots.picker(plot, { items: items, pick: pick, picked: function () { return picked; },
     place: function (k) { var chosen = axes(); return [number(items[k], chosen.x), number(items[k], chosen.y)]; } });
+  plot.on("plotly_click", function (event) { if (typeof event.points[0].customdata === "string") location.href = event.points[0].customdata; });
   function step(to) { pick(to); picker.address(false); }
   slider.max = Math.max(0, items.length - 1);
   slider.addEventListener("input", function () { step(+slider.value); });
