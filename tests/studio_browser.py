@@ -122,6 +122,18 @@ class Tab:
         ActionChains(self.driver).send_keys(Keys.ESCAPE).perform()
         self.until("return !document.querySelector('.certificate')")
 
+    def slide(self, name, share):
+        """Click on the slider of a parameter at a share of its way."""
+        from selenium.webdriver.common.action_chains import ActionChains
+
+        slider = self.driver.find_element("css selector", f'#parameters [aria-label="{name}"]')
+        self.ask("arguments[0].scrollIntoView({block: 'center'})", slider)
+        before = None
+        while before != (before := slider.rect):  # the panel is still opening
+            time.sleep(0.2)
+        across = round((share - 0.5) * slider.rect["width"])
+        ActionChains(self.driver).move_to_element_with_offset(slider, across, 0).click().perform()
+
     def slid(self):
         """Milliseconds from a key on the slider to the next orbit on the stage."""
         from selenium.webdriver.common.action_chains import ActionChains

@@ -563,10 +563,8 @@ def test_the_page_of_equilibria_is_whole(browser, resting, theme, width):
 def test_equilibria_are_picked_by_slider_pointer_and_event(browser, resting):
     go(browser, resting, ready=PICKED)
     first = find(browser, "#picked").text
-    assert (
-        "rate\n1.8" in first and "Stability\nstable" in first
+    assert "rate\n1.8" in first and "Stability\nstable" in first
     assert len(find(browser, "#eigenvalues").text.split()) == 4
-    )
     browser.execute_script(
         "const bar = document.getElementById('item'); bar.value = bar.max; bar.dispatchEvent(new Event('input'))"
     )

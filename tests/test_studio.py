@@ -18,10 +18,13 @@ import pytest
 from click.testing import CliRunner
 from studio_browser import BROWSER, Server, Tab, children, shared
 
+import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.mechanics.model import energy, positions
 from orbitfinder.mechanisms.chain import chain
+from orbitfinder.mechanisms.library import brusselator, duffing, forced_duffing, van_der_pol
+from orbitfinder.mechanisms.machines import simplest_walker
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.problemfile.read import load_problem
@@ -30,7 +33,7 @@ from orbitfinder.records.registry import load_orbit
 from orbitfinder.studio.films import draggable, pose, pullable, view
 from orbitfinder.studio.plots import clicked, section_figure
 from orbitfinder.studio.serve import MOST_TABS, free_port, redirect
-from orbitfinder.studio.session import Session, leaving, opened, parameters
+from orbitfinder.studio.session import Session, leaving, opened, parameters, rests
 from orbitfinder.studio.tasks import Tasks
 from orbitfinder.studio.worker import RefusedError, StoppedError, TaskProcess
 
@@ -130,6 +133,45 @@ def test_an_orbit_follows_a_parameter_warm_and_back(tasks):
     assert tasks._refiner[1] is warm
     with pytest.raises(ConvergenceError, match="the orbit was lost on the way"):
         tasks.turned(orbit, "length2", 0.2)  # below the lowest energy that there is
+
+
+def test_a_parameter_slid_through_a_hopf_point_and_back_shows_the_cycle_appear(tasks):
+    """The Brusselator: amplitudes grow like a root beyond rate 2, below it everything comes to rest at (1, rate)."""
+    state, near, sizes, extents = [3.6, 1.3], [1.0, 2.0], np.zeros(2), {}
+    for rate in (2.08, 2.02, 1.95, 2.02, 2.08):
+        done = tasks.settled(dict(brusselator(rate=rate).system), state, "rate", 57.0, near, sizes)
+        state, near, sizes = done.state, done.rest.state.tolist(), done.sizes
+        assert done.still == (rate < 2)
+        assert np.allclose(near, [1.0, rate], rtol=1e-12)
+        assert done.rest.stability == ("stable" if rate < 2 else "unstable") and done.rest.value == rate
+        extents.setdefault(rate, []).append(np.ptp(done.path[:, 0]))
+    assert extents[1.95] == pytest.approx([0.0], abs=1e-3)
+    assert np.allclose(extents[2.08], 2 * np.array(extents[2.02]), rtol=0.05)
+    assert np.ptp(extents[2.02]) < 0.02 * extents[2.02][0]  # the same cycle from outside and from the equilibrium
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_an_equilibrium_at_zero_is_left_and_come_back_to_in_any_unit(tasks, unit):
+    """x'' + d (x^2 / u^2 - 1) x' + x = 0 goes round at 2 u, and with -d comes to rest inside of it."""
+    state, near, sizes = [0.5 * unit, 0.0], [0.0, 0.0], np.zeros(2)
+    for damping in (-0.5, 0.5):
+        model = of.ode(
+            lambda t, x, p: [x[1], p[0] * (1 - (x[0] / unit) ** 2) * x[1] - x[0]], ["x", "y"], parameters={"d": damping}
+        )
+        tasks.model = lambda _, model=model: model
+        try:
+            done = tasks.settled({}, state, "d", 40.0, near, sizes)
+        finally:
+            del tasks.model
+        state, near, sizes = done.state, done.rest.state.tolist(), done.sizes
+        assert done.rest.stability == ("stable" if damping < 0 else "unstable") and done.still == (damping < 0)
+        if damping > 0:
+            assert np.abs(done.path[:, 0]).max() == pytest.approx(2 * unit, rel=0.02)
+
+
+def test_systems_that_settle_by_themselves_are_those_without_clock_energy_or_control():
+    assert rests(brusselator()) and rests(van_der_pol())
+    assert not any(map(rests, (chain(2), duffing(), forced_duffing(), simplest_walker())))
 
 
 def _swing_at(orbit):
@@ -596,6 +638,38 @@ def test_joints_of_a_linkage_are_pulled_as_far_as_its_bars_reach(tmp_path):
         assert tab.driver.get_log("browser") == []
         tab.click("own")
         tab.said("certified", 150.0)
+    finally:
+        tab.driver.quit()
+        server.end(signal.SIGKILL)
+        server.log.close()
+
+
+@pytest.mark.needs("studio", "browser")
+@browsing
+@pytest.mark.slow
+def test_a_slider_goes_through_a_hopf_point_with_the_cycle_and_without(tmp_path):
+    server = Server(tmp_path, str(ROOT / "problems" / "gallery" / "brusselator.toml"))
+    tab = Tab(server.address, tmp_path / "profile")
+    words = "document.getElementById('rest-about').innerText"
+    seen = """const plot = document.getElementById('portrait');
+      const d = plot.querySelector('.js-plotly-plot') || plot, x = d.data[0].x;"""
+    try:
+        tab.ask("document.querySelector('#parameters .q-item').click()")
+        tab.until("return document.querySelector('#parameters [aria-label=rate]').offsetWidth > 0")
+        tab.slide("rate", 0.1)  # of 1.5 to 4.5
+        tab.until(f"return /rate = 1[.].*equilibrium stable.*; the motion comes to rest/.test({words})")
+        assert tab.ask(f"{seen} return Math.max(...x) - Math.min(...x)") < 1e-3
+        assert tab.ask(f"{seen} return d.data[1].marker.symbol") == "circle"
+        tab.slide("rate", 0.3)
+        tab.until(f"return /rate = 2[.].*equilibrium unstable.*; the motion does not come to rest/.test({words})")
+        assert tab.ask(f"{seen} return Math.max(...x) - Math.min(...x)") > 1.0
+        tab.click("find")
+        tab.said("certified")
+        tab.slide("rate", 0.25)
+        tab.said("the orbit follows")
+        tab.slide("rate", 0.1)  # where there is none
+        tab.until(f"return /rate = 1[.].*the motion comes to rest/.test({words})")
+        assert tab.text("about") == "" and tab.driver.get_log("browser") == []
     finally:
         tab.driver.quit()
         server.end(signal.SIGKILL)

@@ -141,7 +141,7 @@ def find_equilibria(
     low, high = _sides(model, box)
     centre, value = (low + high) / 2, model.parameter_values[[model.parameter_index(parameter)]]
     jets = at_rest(model, (parameter,), centre) if model.rates is None else Jets(model, (parameter,))
-    problem, random, judge = regular(jets, centre, value), np.random.default_rng(seed), Judge(model, parameter)
+    problem, random, judge = regular(jets, centre, value), np.random.default_rng(seed), Judge(model, (parameter,))
     sizes = problem.z_sizes.copy()
     sizes[: low.size] = np.where(high > low, (high - low) / 2, sizes[: low.size])
     problem, known, there = replace(problem, z_sizes=sizes), list[np.ndarray](), list[Equilibrium]()

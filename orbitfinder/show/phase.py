@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from orbitfinder.errors import InputError
-from orbitfinder.families.equilibria import stability
+from orbitfinder.families.rest_certificate import stability
 from orbitfinder.integrate.jets import Jets
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.newton import equilibrium

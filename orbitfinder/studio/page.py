@@ -23,10 +23,10 @@ from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.facts import told
 from orbitfinder.show.html import certificate_html
 from orbitfinder.studio import plots
-from orbitfinder.studio.beside import SearchPanel, SectionPanel
+from orbitfinder.studio.beside import RestPanel, SearchPanel, SectionPanel
 from orbitfinder.studio.desk import ROOMY, Desk, Staged, button
 from orbitfinder.studio.films import draggable, pullable
-from orbitfinder.studio.session import Item, Session, leaving, parameters
+from orbitfinder.studio.session import Item, Session, leaving, parameters, rests
 from orbitfinder.studio.tasks import Film, FilmedOrbit, FilmedStep, Simulated
 from orbitfinder.studio.worker import RefusedError, StoppedError
 
@@ -78,6 +78,7 @@ class Page(Desk):
             with ui.element("div"):
                 self._stage()
                 self._sliders()
+                self.rest = RestPanel(self) if rests(self.session.model) else None
                 self.section = SectionPanel(self, self._start_from)
                 self.background = SearchPanel(self, self._load_member, self._list)
             with ui.element("div"):
@@ -317,7 +318,7 @@ class Page(Desk):
         finally:
             del self.wanted[what]
 
-    async def _simulate(self, stay: bool = False) -> None:
+    async def _simulate(self, stay: bool = False, keep: bool = False) -> None:
         duration = plots.finite(self.duration.value or 0.0)
         run: Simulated = await self.quick.do("simulated", dict(self.session.model.system), self.state, duration)
         self.session.energy, self.returns, self.picked = run.energy, run.returns, None
@@ -327,7 +328,7 @@ class Page(Desk):
         if stay and self.shown:
             return
         self.source = Staged(dict(self.session.model.system), list(self.state), run.energy)
-        self._show(run.film, run.view)
+        self._show(run.film, run.view, keep)
 
     def _show(self, film: Film | None, view: Mapping[str, Any] | None = None, keep: bool = False) -> None:
         if film is not None:
@@ -533,15 +534,32 @@ class Page(Desk):
     async def _turn(self) -> None:
         """The orbit at another value of a parameter, or the motion where there is no orbit yet."""
         name, value = self.wanted_value
-        if self.orbit is None:
+        follows = self.orbit is not None and await self._follows(self.orbit, name, value)
+        if not follows:
             self.session.model = with_parameters(self.session.model, {name: value})
-            self._remount()
-            return await self._simulate()
-        turned: FilmedOrbit = await self.quick.do("turned", self.orbit, name, value)
+        self._remount()
+        if self.rest is not None:
+            start = self.state if self.orbit is None else [*map(float, self.orbit.state)]
+            settled = await self.rest.settle(start, name, plots.finite(self.duration.value or 0.0))
+            self._state(self.state if follows else settled)
+        if not follows:
+            await self._simulate(keep=self.rest is not None)
+
+    async def _follows(self, orbit: Orbit, name: str, value: float) -> bool:
+        """Whether an orbit goes along; where a cycle is lost, as at its Hopf point, what settles says what is left."""
+        try:
+            turned: FilmedOrbit = await self.quick.do("turned", orbit, name, value)
+        except RefusedError:
+            if self.rest is None:
+                raise
+            self.orbit = None
+            self.badge.set_visibility(False)
+            self.about.set_text("")
+            return False
         self._show_orbit(turned, keep=True)
         self.session.model = build_model(turned.orbit.system)
-        self._remount()
         self.say(f"{name} = {value:.6g}: the orbit follows")
+        return True
 
     def _remount(self) -> None:
         ui.run_javascript(f"stage.links({self._holds()})")
@@ -597,6 +615,8 @@ class Page(Desk):
         self.near.update_figure(plots.returns_figure(self.returns, self.picked, dark))
         self.plot.update_figure(self._figure())
         self.section.recolour()
+        if self.rest is not None:
+            self.rest.recolour()
         ui.run_javascript("setTimeout(stage.recolour, 50)")
 
 

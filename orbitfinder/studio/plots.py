@@ -12,7 +12,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.orbits.guesses.returns import CloseReturn
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.site.text import coordinate
-from orbitfinder.studio.tasks import Cut
+from orbitfinder.studio.tasks import Cut, Settled
 
 Trace = dict[str, Any]
 STABLE, UNSTABLE, MARK, OTHER = "#0072b2", "#d55e00", "#008060", "#8a94a0"
@@ -95,6 +95,23 @@ def section_figure(cut: Cut | None, dark: bool) -> dict[str, Any]:
     (x, y), (across_ring, up_ring) = made.points.T.tolist(), cut.crossings.T.tolist()
     data = [_dots(x, y, hover, marker=marker), _rings(across_ring, up_ring, 15)]
     return _figure(data, across, up, dark)
+
+
+def portrait_figure(
+    settled: Settled | None, names: Sequence[str], plane: tuple[int, int], box: np.ndarray, dark: bool
+) -> dict[str, Any]:
+    """What a motion has come to, and the equilibrium, full where stable, else open; `box`: what is seen (2 x 2)."""
+    across, up = plane
+    x, y = ([], []) if settled is None else settled.path[:, [across, up]].T.tolist()
+    rest = None if settled is None else settled.rest
+    look = {"size": 12, "color": STABLE, "symbol": "circle" if rest and rest.stability != "unstable" else "circle-open"}
+    known = [] if rest is None else [float(rest.state[across])], [] if rest is None else [float(rest.state[up])]
+    data = [_dots(x, y, mode="lines", line={"color": UNSTABLE, "width": 2.4}),
+            _dots(*known, [] if rest is None else [f"equilibrium, {rest.stability}"], marker=look)]  # fmt: skip
+    figure = _figure(data, coordinate(names[across]), coordinate(names[up]), dark)
+    for axis, side in zip(("xaxis", "yaxis"), box.T.tolist(), strict=True):
+        figure["layout"][axis]["range"] = side
+    return figure
 
 
 def clicked(event: Mapping[str, Any]) -> tuple[int, int] | None:

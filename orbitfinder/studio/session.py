@@ -353,3 +353,9 @@ def parameters(model: Model) -> Mapping[str, tuple[float, float, float]]:
         low, high = model.limits.get(name, (0.5 * value, 1.5 * value) if value else (-1.0, 1.0))
         ranges[name] = value, min(low, high), max(low, high)
     return ranges
+
+
+def rests(model: Model) -> bool:
+    """Whether a system settles by itself, on equilibria or cycles, which parameters change."""
+    by_itself = model.smooth and not model.forced and not model.controls and model.constraint is None
+    return bool(by_itself and not model.conservative and model.parameter_names)

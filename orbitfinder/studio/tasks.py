@@ -11,11 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.atlas.choose import solve
 from orbitfinder.atlas.search import SearchStatistics, search
 from orbitfinder.continuation.follow import Pace, reached
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.branches import branches
+from orbitfinder.families.equilibria import follow_equilibria
+from orbitfinder.families.equilibrium import Equilibrium
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.members import whole
 from orbitfinder.families.point import FamilySettings
@@ -43,6 +46,11 @@ Film = dict[str, Any]
 LEAST_SAMPLES, MOST_SAMPLES = 400, 3000
 SEEDS, CROSSINGS = 24, 60
 """Motions of a section, and how often each crosses it"""
+PUSHED, ALIKE, STILL = 0.02, 0.01, 1e-4
+"""Shares: how far from an unstable equilibrium a motion begins, what two stretches of one that has settled differ by in
+its extent, and the extent, in the size of the state, of one that rests"""
+STRETCHES = 60
+"""The most that a motion is given to settle"""
 SPEAK_EVERY = 0.25
 """s between two reports of a search"""
 
@@ -87,6 +95,18 @@ class Cut:
     crossings: np.ndarray
 
 
+@dataclass(frozen=True)
+class Settled:
+    """What a motion comes to: a stretch of it (k x d), from where it goes on, whether it is `still`; the equilibrium
+    near the last one (None where there is none), and the sizes (d) that the state has had."""
+
+    path: np.ndarray
+    state: list[float]
+    still: bool
+    rest: Equilibrium | None
+    sizes: np.ndarray
+
+
 class Tasks:
     """The tasks of one process, which keeps what the next one may use again; `say` tells how a task gets on."""
 
@@ -113,6 +133,32 @@ class Tasks:
         shown = film(model, run.times, run.states)
         change = run.change if energy is not None else float("nan")
         return Simulated(shown, view(model, run.states), energy, change, tuple(returns))
+
+    def settled(
+        self, system: Mapping[str, Any], state: list[float], name: str, duration: float, near: list[float],
+        sizes: np.ndarray,
+    ) -> Settled:  # fmt: skip
+        """What the motion from a state (d) comes to, stretch (s) by stretch, and the equilibrium `near` the last one.
+
+        The parameter of a name is what was changed. From an unstable equilibrium the motion is pushed away.
+        """
+        model, start, rest = self.model(system), np.asarray(state, float), None
+        with contextlib.suppress(ConvergenceError):
+            (rest,) = follow_equilibria(model, near, name, points=1, until=_beyond(model, name)).points[:1]
+        sizes = np.maximum(sizes, np.abs(start))
+        sizes = np.where(sizes > 0.0, sizes, sizes.max() or 1.0)
+        if rest is not None and rest.stability == "unstable" and np.abs((start - rest.state) / sizes).max() < PUSHED:
+            start = rest.state + PUSHED * sizes * np.cos(1.0 + np.arange(start.size))  # along no component alone
+        before = np.full((2, start.size), np.inf)
+        for _ in range(STRETCHES):
+            path = simulate(model, start, duration, 3 * LEAST_SAMPLES).states
+            start, box = path[-1], np.array([path.min(axis=0), path.max(axis=0)])
+            extent = nonzero(np.ptp(box, axis=0))
+            still = bool((extent / sizes).max() < STILL)
+            if still or (np.abs(box - before) / extent).max() < ALIKE:
+                break
+            before = box
+        return Settled(path, [*map(float, start)], still, rest, np.maximum(sizes, np.abs(path).max(axis=0)))
 
     def later(self, system: Mapping[str, Any], state: list[float], duration: float) -> list[float]:
         """The state (d) that a motion has come to after a time (s)."""
@@ -252,3 +298,9 @@ class Tasks:
     def _film(self, orbit: Orbit) -> Film | None:
         motion = self._simulator.of(orbit)
         return None if motion is None else packed(motion)
+
+
+def _beyond(model: Model, name: str) -> float:
+    """A value beside that of a parameter, towards which its equilibria may be followed."""
+    value = float(model.parameter_values[model.parameter_index(name)])
+    return value + 1e-3 * (abs(value) or 1.0)

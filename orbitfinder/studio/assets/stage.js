@@ -167,10 +167,19 @@ var stage = (function () {
     canvas.addEventListener("pointercancel", up);
   }
 
+  // The part of the plane that holds two.
+  function both(one, other) {
+    var sides = [0, 1].map(function (k) {
+      function side(of, sign) { return of.centre[k] + sign * of.spans[k] / 2; }
+      return [Math.min(side(one, -1), side(other, -1)), Math.max(side(one, 1), side(other, 1))];
+    });
+    return { centre: sides.map(function (s) { return (s[0] + s[1]) / 2; }), spans: sides.map(function (s) { return s[1] - s[0]; }) };
+  }
+
   // Another motion in the same window; on the same family it goes on at the same share of its period.
   function show(packed, window_, keep) {
     var motion = new orbitfinder.Motion(packed), before = scene && scene.motion;
-    if (window_) view = window_;
+    if (window_) view = keep && view ? both(view, window_) : window_;
     motion.centre = view.centre;
     motion.spans = view.spans;
     if (scene) scene.show(motion); else scene = player.add(canvas, motion);
