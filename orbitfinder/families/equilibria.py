@@ -121,7 +121,9 @@ def follow_equilibria(
         ways = [_Way(problem, rest, parameter, until, sign, judge) for sign in (1.0, -1.0)[: 1 + (until is None)]]
     else:
         reach = None if span is None else np.array([span])
-        problem = regular(at_rest(model, (parameter,), state), state, np.array([start]), reach).seen(branch.largest, np.zeros(1))
+        problem = regular(at_rest(model, (parameter,), state), state, np.array([start]), reach).seen(
+            branch.largest, np.zeros(1)
+        )
         rest = np.concatenate([state, np.zeros(problem.jets.extra)])
         ways = [_Way(problem, rest, parameter, until, sign, judge, branch.direction) for sign in (1.0, -1.0)]
     path = None if out is None else Path(out) / label
