@@ -386,6 +386,17 @@ def test_functions_conditions_and_abbreviations_of_xppaut():
     assert build_model(model.system).system == model.system
 
 
+def test_guess_writes_a_problem_file_of_an_xppaut_file(tmp_path):
+    """Its closest return is found again as the cycle of road.json."""
+    file, out = tmp_path / "spiking.ode", tmp_path / "spiking.toml"
+    file.write_text((DATA / "morris-lecar.ode").read_text().replace("par I=0", "par I=150"))
+    assert command("guess", file, "--out", out).exit_code == 0
+    assert command("run", out, "-o", tmp_path, "--no-figures").exit_code == 0
+    orbit = of.load_orbit(tmp_path / "spiking" / "orbit.json")
+    (wanted,) = (float(one["period"]) for one in ROAD["cyc-ml"]["values"] if one["parameter"] == 150)
+    assert orbit.period == pytest.approx(wanted, rel=1e-12)
+
+
 def test_not_of_xppaut_is_a_function(tmp_path):
     """not(x>1)*3 is 3 times the opposite, not the opposite of a product."""
     (tmp_path / "not.ode").write_text("x'=not(x>1)*3-NOT(x<1|x>2)*LOG10(100)\n")
