@@ -32,6 +32,7 @@ from .families.equilibrium import load_equilibria as load_equilibria
 from .families.equilibrium import save_equilibria as save_equilibria
 from .families.folder import follow_family as follow_family
 from .families.point import FamilySettings as FamilySettings
+from .families.rest_starts import find_equilibria as find_equilibria
 from .loops.conditions import Constraint as Constraint
 from .loops.conditions import Variables as Variables
 from .loops.conditions import pin as pin

@@ -102,8 +102,9 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
             origin, model = curve_of(file, parameter, chosen), None
         family, places = None, list[int]()
         if isinstance(origin, (RestBranch, partial)):
-            return followed_rest(origin, parameter, chosen["until"], at, points, out, chosen["name"], shown,
+            told = followed_rest(origin, parameter, chosen["until"], at, points, out, chosen["name"], shown,
                                  chosen["figures"])  # fmt: skip
+            return finish("equilibria", told[1], told[2])
         if getattr(origin, "guess", None) is None or getattr(origin, "control", None) is None:
             parameter = parameter or parameter_of(origin)
             name, steps = folder_of(out, chosen["name"] or origin.name, *NAMED).name, list[Batch]()

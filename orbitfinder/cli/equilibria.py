@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
@@ -13,7 +15,7 @@ from orbitfinder._runtime.keeping import kept
 from orbitfinder.cli.console import Display, display
 from orbitfinder.cli.jobs import folder_of
 from orbitfinder.cli.options import FILES, FINITE, finish, next_step, option, text, usual
-from orbitfinder.errors import InputError
+from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.records.registry import answer
 
 
@@ -23,38 +25,82 @@ from orbitfinder.records.registry import answer
 @option("until", "Its value to stop at; without one both ways are gone.", kind=FINITE)
 @option("at", "A value at which an equilibrium is computed exactly; may be given again.", kind=FINITE, multiple=True)
 @option("points", "The most in each direction.", 400, (1, 100_000))
+@option("box", "From where to where of each component equilibria are looked for, such as V=-80:40; each curve through "
+        "one is followed.", multiple=True, metavar="NAME=LOW:HIGH")  # fmt: skip
 @option("name", "Name of the curve; the file's when left out.")
 @usual("Folder for DIR/<name>/equilibria.json.", "equilibria")
 def equilibria(
-    file: Path, parameter: str, until: float | None, at: tuple[float, ...], points: int, name: str | None, out: Path,
-    trust: bool,
+    file: Path, parameter: str, until: float | None, at: tuple[float, ...], points: int, box: tuple[str, ...],
+    name: str | None, out: Path, trust: bool,
 ) -> None:  # fmt: skip
     """Follow the equilibria of the system of a problem FILE, with folds, branch points and Hopf points.
 
-    From the equilibrium near the state of its [guess] or [simulate], or where a simulation from there comes to rest.
-    Each is certified by differences of the rates, each event by the flow. Exit code 0: all certified and --until
-    reached. A run that was killed goes on where it stopped when the same command is given again.
+    From the equilibrium near the state of its [guess] or [simulate], or where a simulation from there comes to rest; or
+    from all that are met in a box (--box), which proves no completeness, the second curve as NAME-2. Each is certified
+    by differences of the rates, each event by the flow. Exit code 0: all certified and --until reached. A run that was
+    killed goes on where it stopped when the same command is given again.
 
     \b
     Examples:
       orbitfinder equilibria problems/gallery/brusselator.toml --parameter rate --until 1.5
+      orbitfinder equilibria wells.toml --parameter tilt --until 1 --box x=-2:2
     """
     from orbitfinder.problemfile.read import load_problem_file
 
     loaded = load_problem_file(file, trust)
-    if loaded.start is None:
+    if loaded.start is None and not box:
         raise InputError(f"{file}: guess: missing; give the state near an equilibrium, [guess] or [simulate] state")
     name = name or loaded.name
     with display(f"{name}: equilibria of {file}") as shown:
-        followed_rest((loaded.model, loaded.start), parameter, until, at, points, out, name, shown)
+        if box:
+            results = list(_from_a_box(loaded.model, box, parameter, until, at, points, out, name, shown))
+            document, whole = {"results": [told for told, _ in results]}, all(good for _, good in results)
+        else:
+            origin = loaded.model, loaded.start
+            _, document, whole = followed_rest(origin, parameter, until, at, points, out, name, shown)
+    finish("equilibria", document, whole)
+
+
+def _from_a_box(
+    model: of.Model, box: tuple[str, ...], parameter: str, until: float | None, at: tuple[float, ...], points: int,
+    out: Path, name: str, shown: Display,
+) -> Iterator[tuple[dict[str, Any], bool]]:  # fmt: skip
+    """Follow every curve through equilibria in a box, what is told of each and whether it is whole."""
+    import numpy as np
+
+    there = of.find_equilibria(model, dict(map(_side, box)), parameter)
+    if not there:
+        raise ConvergenceError("no equilibrium was met in the box; give a larger one")
+    begun, passed, curves = there[0].value, list[Any](), 0
+    size = np.abs([rest.state for rest in there]).max(axis=0)
+    met = "1 equilibrium was" if len(there) == 1 else f"{len(there)} equilibria were"
+    text(f"{met} met in the box at {parameter} = {begun:.9g}, which proves no completeness")
+    for rest in there:
+        if any((np.abs(rest.state - other) <= 1e-6 * size).all() for other in passed):
+            continue
+        curves += 1
+        label = name if curves == 1 else f"{name}-{curves}"
+        origin = model, rest.state
+        found, told, whole = followed_rest(origin, parameter, until, (*at, begun), points, out, label, shown)
+        passed += [point.state for point in found.points if point.value == begun]
+        yield told, whole
+
+
+def _side(given: str) -> tuple[str, tuple[float, float]]:
+    """NAME=LOW:HIGH. `InputError` for anything else."""
+    name, _, sides = given.partition("=")
+    with contextlib.suppress(ValueError):
+        low, high = map(float, sides.split(":"))
+        return name.strip(), (low, high)
+    raise InputError(f"--box: {given!r} is not NAME=LOW:HIGH; give a component and two numbers, such as V=-80:40")
 
 
 def followed_rest(
     origin: Any, parameter: str | None, until: float | None, at: tuple[float, ...], points: int, out: Path,
     name: str | None, shown: Display, figures: bool = False,
-) -> None:  # fmt: skip
+) -> tuple[of.Equilibria, dict[str, Any], bool]:  # fmt: skip
     """Follow equilibria from (model, state) or a branch of them, or a curve of them in two parameters, write and tell
-    them."""
+    them: what `--json` says of them, and whether all is certified and they arrived."""
     if isinstance(origin, partial):
         follow, name, parameter = origin, origin.keywords["name"], origin.args[2][0]
     else:
@@ -86,4 +132,4 @@ def followed_rest(
     document = {"name": folder.name, "parameter": parameter, "points": len(found.points), "certified": sure,
                 "events": found.events, "ends": found.ends, "written": written}  # fmt: skip
     arrived = until is None or until in (found.points[0].value, found.points[-1].value)
-    finish("equilibria", document, arrived and sure == len(found.points) and true == len(found.events))
+    return found, document, arrived and sure == len(found.points) and true == len(found.events)

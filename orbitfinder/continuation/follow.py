@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from math import nan
 from pathlib import Path
@@ -240,12 +241,16 @@ def exactly(before: Point, after: Point, name: str, value: float) -> Point:
 
 
 def between(before: Point, after: Point, share: float) -> Point:
-    """The point at a share of a step on the cubic along the tangents at its ends, its own the curve's there."""
+    """The point at a share of a step, as far along its first tangent, on the cubic along both; its own is sharp."""
     length, first, s = after.arclength - before.arclength, after.problem.carried(before.w, after.w), share
-    chord, (a, b) = after.w.vector - first.vector, (before.tangent, after.tangent)
+    chord, a, b = after.w.vector - first.vector, before.tangent, after.tangent / before.inner(after.tangent)
     moved = s**2 * (3 - 2 * s) * chord + length * s * (1 - s) * ((1 - s) * a - s * b)
     slope = 6 * s * (1 - s) * (chord / length) + (1 - s) * (1 - 3 * s) * a + s * (3 * s - 2) * b
     return Point(after.problem, first.moved(moved), slope, before.arclength + s * length).sharp
+
+
+def _looked(before: Point, after: Point, test: Test, share: float) -> float:
+    return test(between(before, after, share))
 
 
 def located(before: Point, after: Point, test: Test, within: tuple[float, float], tolerance: float) -> Point | None:
@@ -259,7 +264,7 @@ def located(before: Point, after: Point, test: Test, within: tuple[float, float]
     def at(share: float) -> Point:
         return ends[share] if share in ends else advanced(before, share * length).sharp
 
-    for a, b in ((low, high), (max(low - beside, 0.0), high), (low, min(high + beside, 1.0))):
+    for a, b in ((low, high), (max(low - beside, 0.0), high), (low, min(high + beside, 1.0)), (0.0, 1.0)):
         if (test(at(a)) < 0) != (test(at(b)) < 0):
             return at(zero(lambda share: test(at(share)), a, b, tolerance))
     return None
@@ -471,11 +476,11 @@ class _Arclength:
         """Where tests change their signs within a step, by both ends and the middle, and their values at its end."""
         events, tested = list[KeptPoint](), dict[str, float]()
         middle = between(before, after, 0.5) if self.tests else after
+        same = self.last if after.problem is before.problem else {}  # in the same metric
         for name, test in self.tests.items():
-            tested[name] = test(after.sharp)
-            begun = self.last[name] if name in self.last else test(before.sharp)
-            known = {0.0: begun, 0.5: test(middle), 1.0: tested[name]}
-            for within in changes(lambda share, test=test: test(between(before, after, share)), known):  # type: ignore[misc]
+            look, tested[name] = partial(_looked, before, after, test), test(after.sharp)
+            known = {0.0: same[name] if name in same else look(0.0), 0.5: test(middle), 1.0: tested[name]}
+            for within in changes(look, known):
                 event = located(before, after, test, within, self.pace.located)
                 events += [] if event is None else [self.trace.kept(name, event)]
         return sorted(events, key=lambda event: event.point.arclength), tested

@@ -11,18 +11,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from orbitfinder._runtime import locks
 from orbitfinder._runtime.keeping import STOPPED, finished
 from orbitfinder._runtime.notebook import brief
-from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.continuation.follow import CurveJournal, Goals, KeptPoint, Pace, SolutionCurve, follow, rise, towards
 from orbitfinder.continuation.problem import Point, plane, solved
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
 from orbitfinder.families.registry import end_kind
-from orbitfinder.families.rest_certificate import CRITICAL, RESIDUAL, SLOPES, Judge, stability
+from orbitfinder.families.rest_certificate import CRITICAL, RESIDUAL, Judge
 from orbitfinder.families.rest_problem import (
     AtRest,
     Stacked,
@@ -32,20 +30,17 @@ from orbitfinder.families.rest_problem import (
     regular,
     singular,
     solve_square,
-    without_noise,
 )
+from orbitfinder.families.rest_starts import first_equilibrium, refuse_moving
 from orbitfinder.integrate.jets import at_rest
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model, check_state
-from orbitfinder.mechanics.newton import Settings, equilibrium
 from orbitfinder.records.family import End, Reading
 
 PACE = Pace(first=0.01, shortest=1e-9, longest=0.05, points=400, bend=0.95, quick=4, slow=7, located=1e-3, closed=True)
 """Lengths are in the sizes of the state and of the parameter; events are solved for from where they are located"""
 LEAVING = (0.01, 0.002, 0.0004, 0.05)
 """How far from a branch point other equilibria are looked for; the first that succeeds is taken"""
-FARTHEST = 1e3
-"""How long a simulation to rest takes, in the times in which the state at its start would change by itself"""
 
 
 @dataclass(frozen=True)
@@ -109,7 +104,7 @@ def follow_equilibria(
     if state is None or parameter is None:
         missing = "state" if state is None else "parameter"
         raise InputError(f"{missing}: missing; give follow_equilibria(model, state, parameter), or a branch alone")
-    _refused(model, parameter)
+    refuse_moving(model, parameter)
     state = check_state(model, state)
     start = float(model.parameter_values[model.parameter_index(parameter)])
     check_goals(parameter, start, until, at, points)
@@ -153,72 +148,6 @@ def check_goals(parameter: str, start: float, until: float | None, at: Sequence[
         raise InputError(f"points: must be at least 1, got {points}")
     if until == start:
         raise InputError(f"until: {until!r} is where {parameter} begins; give another value")
-
-
-def _refused(model: Model, parameter: str) -> None:
-    """`InputError` for a system that cannot rest."""
-    what = "depends on time" if model.forced else "jumps" if not model.smooth else ""
-    if what:
-        raise InputError(f"model: {what}, so that it has no equilibria; give an autonomous, smooth system, or continue "
-                         "its orbits")  # fmt: skip
-    if parameter not in model.parameter_names:
-        known = model.parameter_names
-        raise InputError(f"parameter: unknown {parameter!r}{closest(parameter, known)}; this system has "
-                         f"{', '.join(known[:20]) or 'none'}")  # fmt: skip
-
-
-def first_equilibrium(
-    model: Model, state: np.ndarray, parameter: str, span: float | None = None
-) -> tuple[AtRest, np.ndarray]:
-    """The problem about the equilibrium near a state, or where a simulation from there comes to rest, and its z.
-
-    Raises `ConvergenceError`.
-    """
-    for simulated in (False, True):
-        start = _rested(model, state) if simulated else state
-        jets = at_rest(model, (parameter,), start)
-        value = np.array([model.parameter_values[model.parameter_index(parameter)]])
-        problem = regular(jets, start, value, None if span is None else np.array([span]))
-        z = _newton(problem, start, value)
-        if z is not None:
-            z = without_noise(problem, z, value)
-            there = at_rest(model, (parameter,), z[: jets.size])
-            jets = jets if jets.unfolded == there.unfolded else there
-            return regular(jets, z[: jets.size], value, None if span is None else np.array([span])), z
-    raise ConvergenceError("no equilibrium: Newton's method finds none near the state, and a simulation from there "
-                           "does not come to rest; give a state nearer to one")  # fmt: skip
-
-
-def _newton(problem: AtRest, state: np.ndarray, value: np.ndarray) -> np.ndarray | None:
-    """z at rest near a state; None where whole steps do not lead to it."""
-    z = np.concatenate([state, np.zeros(problem.jets.extra)])
-
-    def linearised(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        try:
-            rows, slopes, _ = problem.scaled(z, value)
-        except (ConvergenceError, IntegrationError):
-            return np.full(z.size, np.nan), np.eye(z.size)
-        return rows, slopes / problem.z_sizes
-
-    settings = Settings(floor=1e-14, round_off=1e-9, converged=1e-9, most_evaluations=40, farthest=1e3)
-    root = equilibrium(linearised, z, problem.z_sizes, settings)
-    left = float(np.abs(linearised(root.w)[0]).max())  # steps are 0 where slopes are, too
-    return root.w if root.converged and left <= settings.converged else None
-
-
-def _rested(model: Model, state: np.ndarray) -> np.ndarray:
-    """Where a motion is after a long time, by BDF; the state itself where it cannot be integrated."""
-    values = model.parameter_values
-
-    def rates(_: float, x: np.ndarray) -> np.ndarray:
-        return np.asarray(model.rate(0.0, x, values).full().ravel())
-
-    pace = float(np.abs(rates(0.0, state) / nonzero(np.abs(state))).max()) or 1.0
-    with np.errstate(all="ignore"), contextlib.suppress(ValueError, ArithmeticError):
-        least = 1e-9 * float(np.abs(state).max())
-        found = solve_ivp(rates, (0.0, FARTHEST / pace), state, method="BDF", rtol=1e-6, atol=least)
-        return np.asarray(found.y[:, -1]) if np.isfinite(found.y[:, -1]).all() else state
-    return state
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,12 +205,12 @@ class _Way:
     def record(self, point: Point) -> Equilibrium:
         """Certified."""
         z, p, _ = point.problem.parts(point.w)
-        return _recorded(self.judge, point.problem, z, p, point.arclength * self.sign, _eigenvalues(point))
+        return self.judge.record(point.problem, z, p, point.arclength * self.sign, _eigenvalues(point))
 
     def write(self, point: Point, record: Equilibrium) -> Mapping[str, Any]:  # noqa: ARG002 - made again when read
         """Both in plain numbers."""
         return {"w": point.w.vector, "tangent": point.tangent, "arclength": point.arclength, "step": point.step,
-                "sizes": point.problem.sizes}  # fmt: skip
+                "sizes": point.problem.sizes, "pace": point.problem.pace}  # fmt: skip
 
     def read(self, entry: Mapping[str, Any]) -> tuple[Point, Equilibrium]:
         """Both from what was written."""
@@ -289,7 +218,7 @@ class _Way:
         sizes, count = np.array(entry["sizes"], float), self.rest.size
         if not w.shape == tangent.shape == sizes.shape == (count + 1,):
             raise ValueError("a point of another size")
-        problem = replace(self.problem, z_sizes=sizes[:count], p_sizes=sizes[count:])
+        problem = replace(self.problem, z_sizes=sizes[:count], p_sizes=sizes[count:], pace=float(entry["pace"]))
         problem = problem.at(Stacked(w), tangent)[0]
         point = Point(problem, Stacked(w), tangent, float(entry["arclength"]), float(entry["step"]))
         return point, self.record(point)
@@ -317,18 +246,6 @@ def _pair(point: Point) -> float:
     return (-1.0 if odd else 1.0) * min(map(abs, sums), default=1.0) / float(point.problem.pace)
 
 
-def _recorded(
-    judge: Judge, problem: AtRest, z: np.ndarray, p: np.ndarray, arclength: float, values: np.ndarray
-) -> Equilibrium:
-    d, value = problem.jets.size, float(p[0])
-    values = np.array(sorted(values.tolist(), key=lambda one: (-one.real, -one.imag)), complex)
-    residual, slopes = judge.left(z[:d], value, problem.z_sizes[:d], problem.pace, values)
-    return Equilibrium(
-        z[:d], value, values, stability(values, problem.pace), arclength, residual,
-        bool(residual <= RESIDUAL and slopes <= SLOPES),
-    )  # fmt: skip
-
-
 def _event(kept: KeptPoint, way: _Way, index: int) -> RestEvent | None:
     """What is singular near a located point, solved for; None where it is nothing."""
     problem = kept.point.problem
@@ -343,7 +260,7 @@ def _event(kept: KeptPoint, way: _Way, index: int) -> RestEvent | None:
     z, p, more = extended.parts(w)
     if np.abs((z - kept.point.w.vector[:count]) / problem.z_sizes).max() > 1e-3:
         return None  # another one
-    found = _recorded(way.judge, problem, z, p, kept.point.arclength * way.sign, eigenvalues(problem, z, p))
+    found = way.judge.record(problem, z, p, kept.point.arclength * way.sign, eigenvalues(problem, z, p))
     there = _Singular(extended, z, p, more, bars, kept.point.tangent)
     name, claimed, known = TOLD[kept.role](there)
     value = way.judge.flow(z[:d], float(p[0]), problem.z_sizes[:d], problem.pace, claimed)

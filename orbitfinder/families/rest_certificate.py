@@ -10,16 +10,16 @@ from dataclasses import dataclass
 from functools import cached_property
 from math import isfinite
 
-import casadi as ca
 import numpy as np
 from scipy.linalg.lapack import dgeev
 
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
-from orbitfinder.families.rest_problem import state_sizes
+from orbitfinder.families.rest_problem import AtRest, state_sizes
 from orbitfinder.integrate.dop853 import SECOND, integrate_in
 from orbitfinder.integrate.equations import hamilton
 from orbitfinder.integrate.evaluate import Buffered
 from orbitfinder.integrate.field import vector_field
+from orbitfinder.integrate.jets import canonical_rates
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.certificate import Certificate, at_most, equal
@@ -52,16 +52,10 @@ class Judge:
 
     @cached_property
     def _equations(self) -> tuple[Buffered, Buffered, np.ndarray, np.ndarray]:
-        """(x, value) -> y and its slopes in x; y and states beside it -> their rates; which of a state are in x; where
-        those beside it are, in sizes."""
-        known = hamilton(self.model, self.parameters)
-        chosen, k = known.coordinates.chosen, known.coordinates.size
-        x, y, p = map(ca.MX.sym, "xyp", (chosen.size, chosen.size, len(self.parameters)))
-        canonical = [ca.vertcat(x[:k], known.momentum(x[:k], x[k:], p)), known.lift(x[:k], x[k:], p)]
-        there = Buffered(ca.Function("there", [x, p], [ca.densify(part) for part in canonical]))
-        rates = ca.Function("rates", [y, p], [ca.densify(known.field(0.0, y, p))])
+        """Those of `canonical_rates`, and where the states beside one are, in sizes."""
+        there, rates, chosen = canonical_rates(self.model, self.parameters, STEPS.size)
         beside = DIFFERENCE * np.vstack([np.zeros((1, chosen.size)), np.kron(STEPS[:, None], np.eye(chosen.size))])
-        return there, Buffered(rates.map(len(beside))), chosen, beside
+        return there, rates, chosen, beside
 
     def _canonical(
         self, state: np.ndarray, value: float | np.ndarray, sizes: np.ndarray
@@ -72,6 +66,16 @@ class Judge:
         there, _, chosen, _ = self._equations
         (y,), slopes = there(state[chosen], value)
         return y, sizes[chosen] @ np.abs(slopes)
+
+    def record(
+        self, problem: AtRest, z: np.ndarray, p: np.ndarray, arclength: float, values: np.ndarray
+    ) -> Equilibrium:
+        """An equilibrium with these eigenvalues, certified."""
+        d, value = problem.jets.size, float(p[0])
+        values = np.array(sorted(values.tolist(), key=lambda one: (-one.real, -one.imag)), complex)
+        residual, slopes = self.left(z[:d], value, problem.z_sizes[:d], problem.pace, values)
+        sure = bool(residual <= RESIDUAL and slopes <= SLOPES)
+        return Equilibrium(z[:d], value, values, stability(values, problem.pace), arclength, residual, sure)
 
     def left(
         self, state: np.ndarray, value: float | np.ndarray, sizes: np.ndarray, pace: float, claimed: np.ndarray

@@ -1,0 +1,177 @@
+"""Where the first equilibria come from: a state near one, a simulation to rest, or all of a box.
+
+In a box, from one seeded start after another, the zeros of G(z) prod_k (1 + 1 / |z - z_k|^2) are looked for, z_k those
+that are known (deflation). Source: P. E. Farrell, A. Birkisson, S. W. Funke, SIAM J. Sci. Comput. 37 (2015) A2026.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
+from orbitfinder.families.equilibrium import Equilibrium
+from orbitfinder.families.rest_certificate import Judge
+from orbitfinder.families.rest_problem import AtRest, eigenvalues, regular, without_noise
+from orbitfinder.integrate.jets import Jets, at_rest
+from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.newton import Settings, equilibrium
+
+FARTHEST = 1e3
+"""How long a simulation to rest takes, in the times in which the state at its start would change by itself"""
+NEAR = Settings(floor=1e-14, round_off=1e-9, converged=1e-9, most_evaluations=40, farthest=1e3)
+ANYWHERE = replace(NEAR, longest=1.0, patience=12, progress=0.9)
+"""Newton's whole steps near a state, and in a box, where none is longer than half its sides"""
+SAME, ZERO, MOST = 1e-6, 1e-12, 30
+"""Equilibria nearer than this in sizes of a box are the same, components are 0; from a start so many are looked for"""
+
+
+def refuse_moving(model: Model, parameter: str) -> None:
+    """`InputError` for a system that cannot rest."""
+    what = "depends on time" if model.forced else "jumps" if not model.smooth else ""
+    if what:
+        raise InputError(f"model: {what}, so that it has no equilibria; give an autonomous, smooth system, or continue "
+                         "its orbits")  # fmt: skip
+    if parameter not in model.parameter_names:
+        known = model.parameter_names
+        raise InputError(f"parameter: unknown {parameter!r}{closest(parameter, known)}; this system has "
+                         f"{', '.join(known[:20]) or 'none'}")  # fmt: skip
+
+
+def first_equilibrium(
+    model: Model, state: np.ndarray, parameter: str, span: float | None = None
+) -> tuple[AtRest, np.ndarray]:
+    """The problem about the equilibrium near a state, or where a simulation from there comes to rest, and its z.
+
+    Raises `ConvergenceError`.
+    """
+    for simulated in (False, True):
+        start = _rested(model, state) if simulated else state
+        jets = at_rest(model, (parameter,), start)
+        value = np.array([model.parameter_values[model.parameter_index(parameter)]])
+        problem = regular(jets, start, value, None if span is None else np.array([span]))
+        z = _newton(problem, start, value)
+        if z is not None:
+            z = without_noise(problem, z, value)
+            there = at_rest(model, (parameter,), z[: jets.size])
+            jets = jets if jets.unfolded == there.unfolded else there
+            return regular(jets, z[: jets.size], value, None if span is None else np.array([span])), z
+    raise ConvergenceError("no equilibrium: Newton's method finds none near the state, and a simulation from there "
+                           "does not come to rest; give a state nearer to one")  # fmt: skip
+
+
+def _newton(
+    problem: AtRest, state: np.ndarray, value: np.ndarray, known: Sequence[np.ndarray] = (), settings: Settings = NEAR
+) -> np.ndarray | None:
+    """z at rest near a state, none of those that are known; None where whole steps do not lead to it."""
+    z = np.concatenate([state, np.zeros(problem.jets.extra)])
+
+    def linearised(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        try:
+            rows, slopes, _ = problem.scaled(z, value)
+        except (ConvergenceError, IntegrationError):
+            return np.full(z.size, np.nan), np.eye(z.size)
+        slopes = slopes / problem.z_sizes
+        for other in known:
+            away = _apart(problem, z, other)
+            size = float(away @ away)
+            slopes -= np.outer(rows, 2 * away / problem.z_sizes / (size + size**2))
+        return rows, slopes
+
+    root = equilibrium(linearised, z, problem.z_sizes, settings)
+    left = float(np.abs(linearised(root.w)[0]).max())  # steps are 0 where slopes are, too
+    return root.w if root.converged and left <= settings.converged else None
+
+
+def _apart(problem: AtRest, z: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """How far z is from another in sizes, of angles the short way round."""
+    away, angles = z - other, np.flatnonzero(problem.jets.model.angular)
+    away[angles] -= 2 * np.pi * np.round(away[angles] / (2 * np.pi))
+    return np.asarray(away / problem.z_sizes)
+
+
+def _rested(model: Model, state: np.ndarray) -> np.ndarray:
+    """Where a motion is after a long time, by BDF; the state itself where it cannot be integrated."""
+    values = model.parameter_values
+
+    def rates(_: float, x: np.ndarray) -> np.ndarray:
+        return np.asarray(model.rate(0.0, x, values).full().ravel())
+
+    pace = float(np.abs(rates(0.0, state) / nonzero(np.abs(state))).max()) or 1.0
+    with np.errstate(all="ignore"), contextlib.suppress(ValueError, ArithmeticError):
+        least = 1e-9 * float(np.abs(state).max())
+        found = solve_ivp(rates, (0.0, FARTHEST / pace), state, method="BDF", rtol=1e-6, atol=least)
+        return np.asarray(found.y[:, -1]) if np.isfinite(found.y[:, -1]).all() else state
+    return state
+
+
+def find_equilibria(
+    model: Model, box: Mapping[str, Sequence[float]], parameter: str | None = None, starts: int = 100, seed: int = 0
+) -> list[Equilibrium]:
+    """Equilibria in a box of states, from seeded starts: those that were met, which proves no completeness.
+
+    Args:
+        model: the system.
+        box: from where to where, of each component; of mechanics of each coordinate.
+        parameter: what they are to be followed in, whose value they have; the system's first without one.
+        starts: how many, drawn evenly; from each those are looked for that are not known yet.
+        seed: of the starts.
+
+    Returns:
+        Those in the box, certified, in order of their components.
+
+    Raises:
+        InputError: for a system that cannot rest, and for a box that is none.
+
+    Examples:
+        >>> wells = of.ode(lambda t, x, p: [p[0] + x[0] - x[0] ** 3], ["x"], parameters={"r": 0.0})
+        >>> [round(float(rest.state[0]), 12) for rest in of.find_equilibria(wells, {"x": (-2.0, 2.0)})]
+        [-1.0, 0.0, 1.0]
+    """
+    parameter = parameter or (model.parameter_names or ("",))[0]
+    refuse_moving(model, parameter)
+    if starts < 1:
+        raise InputError(f"starts: must be at least 1, got {starts}; take 100")
+    low, high = _sides(model, box)
+    centre, value = (low + high) / 2, model.parameter_values[[model.parameter_index(parameter)]]
+    jets = at_rest(model, (parameter,), centre) if model.rates is None else Jets(model, (parameter,))
+    problem, random, judge = regular(jets, centre, value), np.random.default_rng(seed), Judge(model, (parameter,))
+    sizes = problem.z_sizes.copy()
+    sizes[: low.size] = np.where(high > low, (high - low) / 2, sizes[: low.size])
+    problem, known, there = replace(problem, z_sizes=sizes), list[np.ndarray](), list[Equilibrium]()
+    middle = np.pad(centre, (0, jets.extra))
+    for start in random.uniform(low, high, (starts, low.size)):
+        for tried in range(MOST):  # first as if none were known
+            z = _newton(problem, start, value, known if tried else (), ANYWHERE)
+            fresh = z is not None and all(np.abs(_apart(problem, z, other)).max() > SAME for other in known)
+            if z is not None and fresh:
+                known.append(z)
+            elif tried:
+                break
+    for z in known:
+        away = (_apart(problem, z, middle) * sizes)[: low.size]
+        if (np.abs(away) <= (1 + SAME) * sizes[: low.size]).all():
+            z = np.concatenate([centre + away, z[low.size :]])
+            z = without_noise(problem, np.where(np.abs(z) <= ZERO * sizes, 0.0, z), value)
+            own = regular(jets, z[: low.size], value)
+            there.append(judge.record(own, z, value, 0.0, eigenvalues(own, z, value)))
+    return sorted(there, key=lambda rest: tuple(rest.state))
+
+
+def _sides(model: Model, box: Mapping[str, Sequence[float]]) -> tuple[np.ndarray, np.ndarray]:
+    """The least and the largest state of a box, rates of mechanics 0; `InputError` where it is none."""
+    names = model.state_names[: model.degrees_of_freedom]
+    for name, sides in box.items():
+        if name not in names:
+            raise InputError(f"box: unknown {name!r}{closest(name, names)}; this system has {', '.join(names)}")
+        if len(sides) != 2 or not -np.inf < sides[0] < sides[1] < np.inf:
+            raise InputError(f"box: {name} from {sides!r}; give a number and a larger one")
+    if missing := [name for name in names if name not in box]:
+        raise InputError(f"box: {', '.join(missing)} missing; say from where to where of each component")
+    low, high = np.array([box[name] for name in names], float).T
+    return np.pad(low, (0, len(model.state_names) - low.size)), np.pad(high, (0, len(model.state_names) - high.size))
