@@ -394,7 +394,7 @@ def test_record_resume_and_figure(duffing, tmp_path):
     written = {path.name for path in save_figures(known, tmp_path)}
     assert "two_parameters.png" in written and "response.png" not in written
     labels = [text.get_text() for text in two_parameters([known, alone]).axes[0].texts]
-    assert labels == ["cusp", "cusp"] and "cusp" in known._repr_html_()
+    assert labels == ["cusp"] and "cusp" in known._repr_html_()
     with pytest.raises(InputError, match="varies frequency; give curves in"):
         two_parameters([duffing])
 

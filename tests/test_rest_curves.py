@@ -397,3 +397,22 @@ def test_the_command(tmp_path):
     ):  # fmt: skip
         done = run("continue", rest, *words)
         assert done.exit_code == 2 and message in done.stderr, done.output
+
+
+def test_folds_on_a_leaf_of_an_integral():
+    """x' = y (k + x^2) - c x = -y', x + y = 3: the cusp is at k = 1 / 3, c = 8 / 3, x = 1."""
+
+    def field(t, x, p):
+        rate = x[1] * (p[0] + x[0] ** 2) - p[1] * x[0]
+        return [rate, -rate]
+
+    model = of.ode(field, ["x", "y"], parameters={"k": 0.25, "c": 2.0}, invariants={"total": lambda x, p: x[0] + x[1]})
+    found = of.follow_equilibria(model, [2.6, 0.4], "c", until=3.0, points=200)
+    curve = of.follow_curve(found, 0, ("k", "c"), points=40, model=model)
+    assert all(abs(point.state.sum() - 3) < 1e-14 and point.certified for point in curve.points)
+    (cusp,) = curve.events
+    inside(cusp, 1 / 3, 8 / 3)
+    assert cusp.kind == "cusp" and np.allclose(cusp.state, [1.0, 2.0], rtol=1e-12)
+    # along (1, -1) / sqrt 2 the rate is -w^3 / 2 beside the cusp, w in units of length 1
+    assert cusp.normal_form["c"] == pytest.approx(-0.5, rel=1e-10)
+    assert verified(curve, model).passed

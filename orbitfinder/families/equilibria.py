@@ -218,7 +218,7 @@ class _Way:
     def write(self, point: Point, record: Equilibrium) -> Mapping[str, Any]:  # noqa: ARG002 - made again when read
         """Both in plain numbers."""
         return {"w": point.w.vector, "tangent": point.tangent, "arclength": point.arclength, "step": point.step,
-                "sizes": point.problem.sizes}  # fmt: skip
+                "sizes": point.problem.sizes, "pace": point.problem.pace}  # fmt: skip
 
     def read(self, entry: Mapping[str, Any]) -> tuple[Point, Equilibrium]:
         """Both from what was written."""
@@ -226,7 +226,7 @@ class _Way:
         sizes, count = np.array(entry["sizes"], float), self.rest.size
         if not w.shape == tangent.shape == sizes.shape == (count + 1,):
             raise ValueError("a point of another size")
-        problem = replace(self.problem, z_sizes=sizes[:count], p_sizes=sizes[count:])
+        problem = replace(self.problem, z_sizes=sizes[:count], p_sizes=sizes[count:], pace=float(entry["pace"]))
         problem = problem.at(Stacked(w), tangent)[0]
         point = Point(problem, Stacked(w), tangent, float(entry["arclength"]), float(entry["step"]))
         return point, self.record(point)

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from math import isfinite
 
-import casadi as ca
 import numpy as np
 from scipy.linalg.lapack import dgeev
 
@@ -20,6 +19,7 @@ from orbitfinder.integrate.dop853 import SECOND, integrate_in
 from orbitfinder.integrate.equations import hamilton
 from orbitfinder.integrate.evaluate import Buffered
 from orbitfinder.integrate.field import vector_field
+from orbitfinder.integrate.jets import canonical_rates
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.certificate import Certificate, at_most, equal
@@ -54,16 +54,10 @@ class Judge:
 
     @cached_property
     def _equations(self) -> tuple[Buffered, Buffered, np.ndarray, np.ndarray]:
-        """(x, value) -> y and its slopes in x; y and states beside it -> their rates; which of a state are in x; where
-        those beside it are, in sizes."""
-        known = hamilton(self.model, self.parameters)
-        chosen, k = known.coordinates.chosen, known.coordinates.size
-        x, y, p = map(ca.MX.sym, "xyp", (chosen.size, chosen.size, len(self.parameters)))
-        canonical = [ca.vertcat(x[:k], known.momentum(x[:k], x[k:], p)), known.lift(x[:k], x[k:], p)]
-        there = Buffered(ca.Function("there", [x, p], [ca.densify(part) for part in canonical]))
-        rates = ca.Function("rates", [y, p], [ca.densify(known.field(0.0, y, p))])
+        """Those of `canonical_rates`, and where the states beside one are, in sizes."""
+        there, rates, chosen = canonical_rates(self.model, self.parameters, STEPS.size)
         beside = DIFFERENCE * np.vstack([np.zeros((1, chosen.size)), np.kron(STEPS[:, None], np.eye(chosen.size))])
-        return there, Buffered(rates.map(len(beside))), chosen, beside
+        return there, rates, chosen, beside
 
     def _canonical(
         self, state: np.ndarray, value: float | np.ndarray, sizes: np.ndarray

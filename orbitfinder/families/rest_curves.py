@@ -13,6 +13,7 @@ Source: Yu. Kuznetsov, Elements of Applied Bifurcation Theory (2004), chapters 8
 from __future__ import annotations
 
 import contextlib
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -50,8 +51,8 @@ ZERO, REAL, AGAIN = ("fold", "cusp", "bogdanov_takens", "fold_hopf"), ("neutral_
 NEAR, SLOPE, KNOWN = 10, 1e-4, 1e-6
 """So many points on either side of an event say what it is measured in; half of a central difference along a curve; a
 special point is known this well at least, in the sizes there"""
-STILL = 100 * equations.ROUND_OFF
-"""A frequency squared, in the pace, that is not known from 0"""
+STILL, SIMPLE = 100 * equations.ROUND_OFF, 1e-9
+"""A frequency squared, in the pace, that is not known from 0; <p, q> of a simple eigenvalue is larger"""
 VANISHED, SAME = 1e-6, 1e-5
 """What vanishes is this share of what it is elsewhere at most; how well coefficients are recomputed"""
 ALLOWED = np.array([certificate.RESIDUAL, certificate.SLOPES, certificate.CRITICAL])
@@ -153,10 +154,10 @@ def _vectors(problem: AtRest, w: Stacked) -> tuple[np.ndarray, np.ndarray, np.nd
 
 
 def _bend(problem: AtRest, w: Stacked) -> dict[str, float]:
-    """<p, B(q, q)> / 2."""
+    """<p, B(q, q)> / 2; nothing where the eigenvalue 0 is double."""
     psi, a, _, square, size = _vectors(problem, w)
     share = float(psi @ (problem.mass * a))
-    return {"a": problem.pace * float(psi @ square) / share / (2 * size)} if share else {}
+    return {"a": problem.pace * float(psi @ square) / share / (2 * size)} if abs(share) > SIMPLE else {}
 
 
 def _cubic(problem: AtRest, w: Stacked) -> dict[str, float]:
@@ -165,7 +166,8 @@ def _cubic(problem: AtRest, w: Stacked) -> dict[str, float]:
     v, h = a * problem.z_sizes, np.linalg.solve(bordered, -np.append(square, 0.0))[:-1]
     third = problem.jets.third(*problem.parts(w)[:2], v, v) @ v / problem.row_sizes
     whole = psi @ (np.append(third, np.zeros(len(problem.phase))) + 3 * _quadratic(problem, w, a, h))
-    return {"c": problem.pace * float(whole / (psi @ (problem.mass * a))) / (6 * size**2)}
+    share = float(psi @ (problem.mass * a))
+    return {"c": problem.pace * float(whole) / share / (6 * size**2)} if abs(share) > SIMPLE else {}
 
 
 def _takens(problem: AtRest, w: Stacked) -> dict[str, float]:
@@ -180,13 +182,10 @@ def _takens(problem: AtRest, w: Stacked) -> dict[str, float]:
     return {"a": problem.pace**2 * first / (2 * size), "b": problem.pace * float(mixed) / size} if first else {}
 
 
-NORMAL = {"hopf": _lyapunov, "fold": _bend, "cusp": _cubic, "bogdanov_takens": _takens}
+NORMAL: Mapping[str, Callable[[AtRest, Stacked], dict[str, float]]] = defaultdict(
+    lambda: lambda problem, w: {}, hopf=_lyapunov, fold=_bend, cusp=_cubic, bogdanov_takens=_takens,
+)  # fmt: skip
 """Coefficients of normal forms with <q, q> = <p, q> = 1 in the model's units"""
-
-
-def _normal_form(problem: AtRest, w: Stacked, kind: str) -> dict[str, float]:
-    """The coefficients; of a conservative system, whose eigenvalues 0 are double, none."""
-    return NORMAL[kind](problem, w) if kind in NORMAL and not problem.jets.model.conservative else {}
 
 
 def _claims(kind: str, values: np.ndarray) -> list[complex]:
@@ -240,7 +239,7 @@ class _Track:
         verdict = certificate.stability(_others(problem, w) * problem.pace, problem.pace)
         known = Equilibrium(
             z[:d], float(p[0]), values[np.lexsort((-values.imag, -values.real))], verdict, point.arclength * self.sign,
-            kind=kind, values=p, normal_form=_normal_form(problem, w, kind),
+            kind=kind, values=p, normal_form=NORMAL[kind](problem, w),
         )  # fmt: skip
         judged = _judged(self.judge, self.start.problem.pace, known, problem.z_sizes[:d])
         return replace(known, residual=float(judged[0]), certified=bool((judged <= ALLOWED).all()))
@@ -274,7 +273,7 @@ class _Track:
         event = RestEvent(
             kept.role, index, there.arclength, there.value, float(errors[0]), there.state, there.eigenvalues,
             frequency=critical.imag or np.nan, critical=critical, values=there.values, errors=errors,
-            normal_form=_normal_form(problem, point.w, kept.role),
+            normal_form=NORMAL[kept.role](problem, point.w),
         )  # fmt: skip
         judged = _judged(self.judge, self.start.problem.pace, event, problem.z_sizes[: problem.jets.size])
         return replace(event, check=Reading(float(judged[2]), float(ALLOWED[2]), bool((judged <= ALLOWED).all())))
@@ -353,6 +352,7 @@ def _start(
     beside, d = equilibria.points[max(event.index - NEAR, 0) : event.index + NEAR + 2], problem.jets.size
     pace = size_of(np.concatenate([event.eigenvalues, *(point.eigenvalues for point in beside)]))
     z_sizes, met = problem.z_sizes.copy(), max(abs(point.value) for point in beside)
+    z_sizes[d:] *= pace / problem.pace
     z_sizes[:d] = equations.state_sizes(model, np.abs([point.state for point in beside]).max(axis=0))
     if model.rates is None:
         z_sizes[d // 2 : d] = z_sizes[: d // 2] * pace
@@ -404,7 +404,7 @@ def verified(equilibria: Equilibria, model: Model | None = None) -> Certificate:
     sizes = equations.state_sizes(model, np.abs([each.state for each in every]).max(axis=0))
     judge, jets = Judge(model, names), at_rest(model, names, every[0].state)
     judged = np.max([_judged(judge, curve["pace"], each, sizes) for each in every], axis=0)
-    told = [each for each in every if each.normal_form or isinstance(each, RestEvent)]
+    told = [each for each in every if each.kind not in REAL]
     known: list[tuple[Equilibrium | RestEvent, AtRest, Stacked]]
     known = [(each, *_again(jets, curve, each, sizes)) for each in told]
     off = left = 0.0
@@ -415,7 +415,7 @@ def verified(equilibria: Equilibria, model: Model | None = None) -> Certificate:
             usual = 1.0 if each.kind in AGAIN else float(np.median(alike))
             left = max(left, abs(test(problem, w)) / nonzero(usual))
         for name, value in each.normal_form.items():
-            mine = _normal_form(problem, w, each.kind).get(name, np.inf)
+            mine = NORMAL[each.kind](problem, w).get(name, np.inf)
             off = max(off, abs(abs(mine) - abs(value)) / size_of(np.array([mine, value])))
     wrong = sum(not _consistent(each.kind, each.eigenvalues) for each in every)
     return Certificate((
@@ -433,6 +433,7 @@ def _again(
 ) -> tuple[AtRest, Stacked]:  # fmt: skip
     """The singular problem at a recorded state, and what is singular there."""
     problem = equations.regular(jets, each.state, each.values)
-    problem = replace(problem, z_sizes=np.append(sizes, problem.z_sizes[jets.size :]), pace=curve["pace"])
+    extra = problem.z_sizes[jets.size :] * curve["pace"] / problem.pace
+    problem = replace(problem, z_sizes=np.append(sizes, extra), pace=curve["pace"])
     form = AGAIN.get(each.kind, curve["form"])
     return equations.singular(problem, np.append(each.state, np.zeros(jets.extra)), each.values, form)

@@ -305,7 +305,17 @@ class AtRest:
         if not (grown := largest > old).any():
             return self
         sizes = np.where(grown, AHEAD * largest, old)
-        return replace(self, z_sizes=sizes[: z.size], p_sizes=sizes[z.size :])
+        grown_up = replace(self, z_sizes=sizes[: z.size], p_sizes=sizes[z.size :])
+        faster = AHEAD * float(np.abs(np.linalg.eigvals(grown_up.scaled(z, p)[1][:d, :d])).max(initial=0.0))
+        return grown_up if faster <= AHEAD else grown_up.paced(faster * self.pace)
+
+    def paced(self, pace: float) -> Self:
+        """The same in another unit of time: of mechanics velocities too."""
+        model, z_sizes = self.jets.model, self.z_sizes.copy()
+        if model.rates is None:
+            n = model.degrees_of_freedom
+            z_sizes[n : 2 * n] = z_sizes[:n] * pace
+        return replace(self, z_sizes=z_sizes, pace=pace)
 
     def carried(self, w: Stacked, onto: Stacked) -> Stacked:  # noqa: ARG002 - of the protocol
         """Itself: there is no mesh."""

@@ -19,6 +19,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from orbitfinder.integrate.equations import hamilton
 from orbitfinder.integrate.evaluate import Buffered
 from orbitfinder.mechanics.model import Invariant, Model
 
@@ -151,3 +152,15 @@ def at_rest(model: Model, free: tuple[str, ...], state: np.ndarray) -> Jets:
         if np.linalg.svd(rows)[1][-1] > DEPENDENT:
             chosen, slopes = [*chosen, one], rows
     return Jets(model, free, tuple(chosen))
+
+
+def canonical_rates(model: Model, parameters: tuple[str, ...], beside: int) -> tuple[Buffered, Buffered, np.ndarray]:
+    """Hamilton's equations along parameters: (x, value) -> y = (q, momentum) and its slopes in x; y and `beside` y for
+    each of its components -> the rates of all; which components of a state x are. Of first order, y is the state."""
+    known = hamilton(model, parameters)
+    chosen, k = known.coordinates.chosen, known.coordinates.size
+    x, y, p = map(ca.MX.sym, "xyp", (chosen.size, chosen.size, len(parameters)))
+    canonical = [ca.vertcat(x[:k], known.momentum(x[:k], x[k:], p)), known.lift(x[:k], x[k:], p)]
+    there = Buffered(ca.Function("there", [x, p], [ca.densify(part) for part in canonical]))
+    rates = ca.Function("rates", [y, p], [ca.densify(known.field(0.0, y, p))])
+    return there, Buffered(rates.map(beside * chosen.size + 1)), chosen

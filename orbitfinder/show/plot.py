@@ -423,7 +423,7 @@ def two_parameters(families: Sequence[Family | Equilibria], title: str | None = 
                 f"{family.name}: varies {', '.join(family.parameters)}; give curves in {' and '.join(names)} alone"
             )
     figure = new_figure(8.0, 5.6, title or f"{_called(families)}: bifurcations in two parameters")
-    axes, shown, labels = figure.subplots(), dict[str, Any](), dict[tuple[float, ...], str]()
+    axes, shown, labels = figure.subplots(), dict[str, Any](), list[tuple[str, float, float]]()
     for k, curve in enumerate(families):
         places = curve.places if curve.parameters == names else curve.places[:, ::-1]
         points, events = places[: len(curve.points)], places[len(curve.points) :]
@@ -439,16 +439,18 @@ def two_parameters(families: Sequence[Family | Equilibria], title: str | None = 
         for event, place in zip(special, events, strict=True):
             style = {"marker": mark_of(event).marker, "markersize": 7.0, "linestyle": "none", "color": "black"}
             shown.setdefault(event.words, axes.plot(*place, **style)[0])
-            labels.setdefault(tuple(np.round(place, 12)), event.words)
+            if not any(words == event.words and np.allclose(place, at, rtol=1e-6) for words, *at in labels):
+                labels.append((event.words, *place))
     dress(axes, *names)
     axes.margins(0.08)
     for k, frame in enumerate((axes.set_xlim, axes.set_ylim) if labels else ()):
-        low, high = np.min([*labels], axis=0)[k], np.max([*labels], axis=0)[k]
+        ends = [name[1:][k] for name in labels]
+        low, high = min(ends), max(ends)
         drawn = np.ptp([end for line in axes.lines for end in line.get_xydata()[:, k]])
         if drawn > FAR * (high - low) > 0:
             frame(low - 0.5 * (high - low), high + 0.5 * (high - low))
     legend(figure, shown, "lower center", ncols=3)
-    place_labels(figure, axes, [(words, *place) for place, words in labels.items()])  # type: ignore[misc]
+    place_labels(figure, axes, labels)
     return figure
 
 
