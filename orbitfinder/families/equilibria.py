@@ -265,12 +265,11 @@ def _event(kept: KeptPoint, way: _Way, index: int) -> RestEvent | None:
         return None
     bars, count, d = error_bars(extended, w), extended.count, problem.jets.size
     w = Stacked(np.where(np.abs(w.vector) <= bars, 0.0, w.vector))  # what is 0 to its error bar
-    z, p, more = extended.parts(w)
+    z, p, _ = extended.parts(w)
     if np.abs((z - kept.point.w.vector[:count]) / problem.z_sizes).max() > 1e-3:
         return None  # another one
     found = way.judge.record(problem, z, p, kept.point.arclength * way.sign, eigenvalues(problem, z, p))
-    there = _Singular(extended, z, p, more, bars, kept.point.tangent)
-    name, claimed, known = TOLD[kept.role](there)
+    name, claimed, known = _told(kept.role, extended, w, bars, kept.point.tangent)
     value = way.judge.flow(z[:d], float(p[0]), problem.z_sizes[:d], problem.pace, claimed)
     check = Reading(value, CRITICAL, bool(value <= CRITICAL and found.residual <= RESIDUAL))
     return RestEvent(
@@ -279,41 +278,19 @@ def _event(kept: KeptPoint, way: _Way, index: int) -> RestEvent | None:
     )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class _Singular:
-    """A singular equilibrium as it is solved for: z, parameters, what is between them, error bars, tangent there."""
-
-    extended: AtRest
-    z: np.ndarray
-    p: np.ndarray
-    more: np.ndarray
-    bars: np.ndarray
-    tangent: np.ndarray
-
-
-Told = tuple[str, complex, dict[str, Any]]
-"""The kind of an event, its critical eigenvalue (1/s), what else is known of it"""
-
-
-def _fold(_: _Singular) -> Told:
-    return "fold", 0.0 + 0.0j, {}
-
-
-def _crossing(there: _Singular) -> Told:
-    problem = replace(there.extended, form="regular")
-    return "branch_point", 0.0 + 0.0j, {"direction": _other(problem, there.z, there.p, there.tangent)}
-
-
-def _opposite(there: _Singular) -> Told:
-    kappa = float(there.more[-1])
-    rate = float(np.sqrt(abs(kappa)) * there.extended.pace)
+def _told(
+    role: str, extended: AtRest, w: Stacked, bars: np.ndarray, tangent: np.ndarray
+) -> tuple[str, complex, dict[str, Any]]:
+    """The kind of an event, its critical eigenvalue (1/s), what else is known of it."""
+    z, p, more = extended.parts(w)
+    if role != "hopf":
+        crossing = role == "branch_point"
+        return role, 0.0 + 0.0j, {"direction": _other(extended, z, p, tangent)} if crossing else {}
+    kappa = float(more[-1])
+    rate = float(np.sqrt(abs(kappa)) * extended.pace)
     if kappa <= 0:
         return "neutral_saddle", complex(rate), {}
-    return "hopf", 1j * rate, _turning(there.extended, there.z, there.p, there.bars, rate, kappa)
-
-
-TOLD = {"fold": _fold, "branch_point": _crossing, "hopf": _opposite}
-"""By what vanishes: what is there"""
+    return "hopf", 1j * rate, _turning(extended, z, p, bars, rate, kappa)
 
 
 def _turning(
@@ -379,16 +356,13 @@ def _record(name: str, model: Model, parameter: str, runs: list[tuple[SolutionCu
 
 def _apart(events: list[RestEvent]) -> list[RestEvent]:
     """Without folds that are branch points: of a branch that turns where it crosses another."""
-    groups: dict[str, list[RestEvent]] = {"branch_point": [], "fold": []}
-    for event in events:
-        groups.setdefault(event.kind, []).append(event)
+    crossings = [event for event in events if event.kind == "branch_point"]
 
     def crossed(fold: RestEvent) -> bool:
         return any(
             abs(fold.parameter - other.parameter) <= 10 * (fold.error + other.error)
             or abs(fold.arclength - other.arclength) < 1e-6
-            for other in groups["branch_point"]
+            for other in crossings
         )
 
-    groups["fold"] = [fold for fold in groups["fold"] if not crossed(fold)]
-    return sorted((event for group in groups.values() for event in group), key=lambda event: event.arclength)
+    return [event for event in events if event.kind != "fold" or not crossed(event)]
