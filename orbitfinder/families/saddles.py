@@ -186,7 +186,17 @@ def _limit(run: Run, step: Walked, known: Sequence[Saddle]) -> tuple[float, floa
         value = parameter_value(curve, replace(place, nodes=known[0][0][None]), name)
         return value, ROUND_OFF * max(abs(value), abs(parameter_value(curve, place, name))), ""
     periods, values = step.portraits[:, 0], step.portraits[:, 1 + curve.equations.physical.index(name)]
-    return homoclinic_limit(periods, values, [eigenvalues for _, eigenvalues in known])
+    return homoclinic_limit(periods, values, [each for _, each in known], noise_of(curve, step.solution, name))
+
+
+def noise_of(curve: Curve, solution: Solution, name: str) -> float:
+    """What errors of the integration in all pieces of an orbit make of its parameter, at a fixed period."""
+    place, period = solution.place, np.zeros(solution.place.vector.size)
+    period[place.nodes.size] = 1.0
+    wanted = np.zeros(period.size)
+    wanted[place.vector.size - place.free.size + curve.equations.physical.index(name)] = 1.0
+    made = np.linalg.lstsq(np.vstack([solution.jacobian, period]).T, wanted, rcond=None)[0][: place.nodes.size]
+    return STEP_ERROR * float(np.abs(made) @ np.tile(extents(curve, solution.march.states), len(place.nodes)))
 
 
 def passage_rates(eigenvalues: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -211,28 +221,31 @@ def passage_rates(eigenvalues: Sequence[np.ndarray]) -> list[np.ndarray]:
 
 
 def homoclinic_limit(
-    periods: np.ndarray, values: np.ndarray, eigenvalues: Sequence[np.ndarray]
+    periods: np.ndarray, values: np.ndarray, eigenvalues: Sequence[np.ndarray], noise: float
 ) -> tuple[float, float, str]:
     """The value at an infinite period, its error and how it settles, of orbits in order of the period past saddles.
 
-    Where the rate is not the eigenvalues' the last orbits alone say it, and their distance from the limit is its error.
+    Values are known to `noise`. Where the rate is not the eigenvalues' the last orbits alone say it, and their distance
+    from the limit is its error.
     """
     known = passage_rates(eigenvalues)
-    rate, last = settling(periods, values)
+    rate, last = settling(periods, values, noise)
     rates = min(known, key=lambda rates: abs(rates[0].real - rate) if np.isfinite(rate) else rates[0].real)
     if known[0][0].imag or not np.isfinite(rate):
-        value, error = extrapolated(periods, values, list(map(_powers, known[0][:TERMS])), ABOUT / known[0][0].real)
+        value, error = extrapolated(
+            periods, values, list(map(_powers, known[0][:TERMS])), noise, ABOUT / known[0][0].real
+        )
         return value, error, f", settling with exp(-{known[0][0].real:.4g} T) as its eigenvalues say"
     settles = f", settling with exp(-{rate:.4g} T) where eigenvalues say {rates[0].real:.4g}"
     if abs(rate / rates[0].real - 1.0) < SLOW.alike:
-        return *extrapolated(periods, values, list(map(_powers, rates[:TERMS])), ABOUT / rates[0].real), settles
-    value, error = extrapolated(periods[: last + 1], values[: last + 1], [_powers(complex(rate))], ABOUT / rate)
+        return *extrapolated(periods, values, list(map(_powers, rates[:TERMS])), noise, ABOUT / rates[0].real), settles
+    value, error = extrapolated(periods[: last + 1], values[: last + 1], [_powers(complex(rate))], noise, ABOUT / rate)
     return value, abs(value - float(values[last])) + error, settles
 
 
-def settling(periods: np.ndarray, values: np.ndarray) -> tuple[float, int]:
+def settling(periods: np.ndarray, values: np.ndarray, noise: float) -> tuple[float, int]:
     """The rate at which values go to a limit exponentially, nan where none is seen, and the last orbit that says it."""
-    clear = np.flatnonzero(np.abs(values - values[-1]) > CLEAR * STEP_ERROR * np.abs(values).max())
+    clear = np.flatnonzero(np.abs(values - values[-1]) > CLEAR * noise)
     if clear.size < SEEN:
         return np.nan, len(values) - 1
     a, b, c = chosen = clear[[-SEEN, -(SEEN + 1) // 2, -1]]
@@ -258,9 +271,9 @@ def _powers(rate: complex) -> Term:
     return term
 
 
-def saddle_node_limit(periods: np.ndarray, values: np.ndarray) -> Limit:
+def saddle_node_limit(periods: np.ndarray, values: np.ndarray, noise: float) -> Limit:
     """The value at an infinite period and its error, of orbits that slow down at a saddle-node."""
-    return extrapolated(periods, values, [_inverse(power) for power in (2.0, 3.0, 4.0)])
+    return extrapolated(periods, values, [_inverse(power) for power in (2.0, 3.0, 4.0)], noise)
 
 
 def _inverse(power: float) -> Term:
@@ -268,13 +281,15 @@ def _inverse(power: float) -> Term:
     return lambda periods: (periods**-power)[:, None]
 
 
-def extrapolated(periods: np.ndarray, values: np.ndarray, terms: Sequence[Term], apart: float | None = None) -> Limit:
+def extrapolated(
+    periods: np.ndarray, values: np.ndarray, terms: Sequence[Term], noise: float, apart: float | None = None
+) -> Limit:
     """The value at an infinite period of a series in these terms, with its error, from orbits in order of the period.
 
     Exactly through as many orbits as there are terms, whose periods are so far `apart` or in the proportion e^(1/8);
-    the error is what the last term changes, here and one orbit before, and what the integration's error makes.
+    the error is what the last term changes, here and one orbit before, and what `noise` of the values makes.
     """
-    noise, best = STEP_ERROR * float(np.abs(values).max()), (float(values[-1]), np.inf)
+    best = float(values[-1]), np.inf
     for count in range(len(terms) + 1):
         before = np.inf
         for last in range(max(2, len(values) - LATEST), len(values)):
@@ -324,7 +339,7 @@ def _saddle_node(run: Run, step: Walked, state: np.ndarray, grown: str, more: st
         return None
     z, p, _ = problem.parts(solved)
     x, value = z[: state.size], float(p[0])
-    towards, bar = saddle_node_limit(periods, values)
+    towards, bar = saddle_node_limit(periods, values, noise_of(curve, step.solution, name))
     near = np.all(np.abs(x - state) <= SLOW.near * extents(curve, step.solution.march.states))
     if not near or abs(towards - value) > SLOW.alike * abs(values[-1] - value) + bar:
         return None

@@ -81,6 +81,8 @@ def begin(
     by_momentum = bool(problem.relative) and settings.parameter in momenta_of(problem.boundary, problem.model)
     if (free and problem.model.conservative) or by_momentum:
         return _freed(begin(problem, replace(settings, parameter="energy"), symmetry), free, held, settings.parameter)
+    if settings.beside:
+        return _freed(begin(problem, replace(settings, beside=""), symmetry), free, held, settings.parameter)
     wanted = problem.symmetry if symmetry == "auto" else symmetry
     base = replace(problem, symmetry=NONE.name) if wanted != problem.symmetry else problem
     chosen = bool(problem.free or problem.constraints) or problem.objective != "nearest" or problem.forcing_cycles > 1
@@ -131,6 +133,7 @@ def as_problem(origin: Problem | Orbit, model: Model | None = None) -> Problem:
     if isinstance(origin, Problem):
         return minimal_problem(origin)
     model = knowing(model or build_model(origin.system), origin.symmetry)
+    model = with_parameters(model, getattr(origin, "free", {}))  # a family's orbit is at its own values
     energy = next(iter(ungenerated(model)), None)
     problem = Problem(
         model, Guess(origin.state, origin.period), (Pin(energy, origin.energy),) if energy else (),
@@ -167,6 +170,13 @@ def unknown_parameters(
     if name not in model.parameter_names:
         known = [*(conserved if model.conservative else []), *model.parameter_names]
         raise InputError(f"parameter: unknown {name!r}{closest(name, known)}; use one of {', '.join(known[:20])}")
+    if settings.beside:
+        known = [each for each in model.parameter_names if each != name]
+        if model.conservative or model.forced or settings.beside not in known:
+            why = "this system keeps its energy; use hold" if model.conservative else "its forcing has the period"
+            why = why if model.conservative or model.forced else f"use one of {', '.join(known[:20]) or 'none'}"
+            raise InputError(f"beside: {settings.beside!r}: {why}")
+        return (name, settings.beside), ("period", *momenta)
     if not model.conservative:
         return (name,), momenta
     holds = [each for kind in QUANTITIES.values() if kind.held for each in kind.names(model)]
