@@ -303,7 +303,7 @@ def test_the_limit_at_a_saddle_node():
 
 def test_too_few_orbits_say_nothing():
     """Of one or two orbits the last value is the limit, with no bound on its error."""
-    assert extrapolated(PERIODS[:2], np.array([1.0, 0.9]), [], 1e-15) == (0.9, np.inf)
+    assert extrapolated(PERIODS[:2], np.array([1.0, 0.9]), np.array([1.0]), 1e-15) == (0.9, np.inf)
 
 
 @pytest.fixture(scope="module")
