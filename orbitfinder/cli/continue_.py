@@ -63,6 +63,9 @@ class Switch(click.ParamType):  # type: ignore[type-arg]
         kind=click.FloatRange(1e-6, 0.15), metavar="ARCLENGTH")  # fmt: skip
 @option("method", "shooting, or collocation for what is stiff.  [default: as its orbit was found]",
         kind=("shooting", "collocation"))  # fmt: skip
+@option(
+    "beside", "A second parameter that varies so that the period stays, of a system without an energy.", metavar="B"
+)
 @option("name", "Name of the family; the problem's, orbit's or branch's when left out.")
 @usual("Folder for DIR/<name>/family.json.", "families", figures="Draw the family.", compiled=True,
        trust="Execute Python problem files and modules; only what you have read.")  # fmt: skip
@@ -90,14 +93,15 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
       orbitfinder continue families/duffing-resonance/family.json --curve 0 --parameters force,frequency
     """
     directions = chosen["direction"] or ("away" if isinstance(chosen["event"], int) else "both")
-    narrowest = {} if chosen["resolve"] is None else {"narrowest": chosen["resolve"]}
+    more: dict[str, Any] = {"beside": chosen["beside"] or ""}
+    more |= {} if chosen["resolve"] is None else {"narrowest": chosen["resolve"]}
     with display(f"{file}: reading") as shown:
         from orbitfinder.families.entries import SWITCHABLE
         from orbitfinder.families.equilibria import RestBranch
         from orbitfinder.families.folder import parameter_of
 
         _asked_where(file, chosen, shown)
-        settings = of.FamilySettings(directions=directions, points=points, method=chosen["method"], **narrowest)
+        settings = of.FamilySettings(directions=directions, points=points, method=chosen["method"], **more)
         if chosen["curve"] is None and chosen["parameters"] is None:
             origin, model = origin_of(file, chosen["trust"], chosen["event"], chosen["branch"])
         else:

@@ -32,6 +32,7 @@ class FamilySettings:
     Args:
         parameter: energy | period | a state component | a physical parameter (then `hold` is kept).
         hold: what stays fixed while a physical parameter varies: energy | period.
+        beside: of systems without an energy, a second physical parameter that varies so that the period stays fixed.
         points: accepted points in each direction.
         directions: both | forward (parameter increasing at the start) | backward | away (from where a branch was
             born).
@@ -57,6 +58,7 @@ class FamilySettings:
 
     parameter: str = "energy"
     hold: str = "energy"
+    beside: str = ""
     points: int = 300
     directions: str = "both"
     first_step: float = 0.02

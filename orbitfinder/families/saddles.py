@@ -10,8 +10,9 @@ sections 6.2 and 7.1.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
 from scipy.optimize import brentq
@@ -62,12 +63,8 @@ LATEST, TERMS, SEEN = 60, 3, 5
 """Orbits of a family from whose last its limit is told, terms of its series at most, orbits that tell its rate"""
 CLEAR = 1e4
 """... which are so many times farther from the last than they are known"""
-ABOUT = 1.0
-"""How much a term changes between two orbits of which it is told, as a logarithm"""
-
 Limit = tuple[float, float]
 Saddle = tuple[np.ndarray, np.ndarray]
-Term = Callable[[np.ndarray], np.ndarray]
 
 
 def slowness(curve: Curve, solution: Solution) -> tuple[float, np.ndarray]:
@@ -168,10 +165,9 @@ def _told_apart(curve: Curve, solution: Solution, known: Sequence[Saddle]) -> li
     """Those of some saddles that are not the same, whole turns aside."""
     units, saddles = extents(curve, solution.march.states), list[Saddle]()
     angular = np.resize(curve.equations.model.angular, units.size)
-    for x, eigenvalues in known:
-        gaps = [np.where(angular, np.angle(np.exp(1j * (x - y))), x - y) / units for y, _ in saddles]
-        if all(np.abs(gap).max() > SLOW.passed for gap in gaps):
-            saddles.append((x, eigenvalues))
+    for x, by in known:
+        gaps = [np.abs(np.where(angular, np.exp(1j * (x - y)) - 1, (x - y) / units)).max() for y, _ in saddles]
+        saddles += [(x, by)] if all(gap > SLOW.passed for gap in gaps) else []
     return saddles
 
 
@@ -186,7 +182,17 @@ def _limit(run: Run, step: Walked, known: Sequence[Saddle]) -> tuple[float, floa
         value = parameter_value(curve, replace(place, nodes=known[0][0][None]), name)
         return value, ROUND_OFF * max(abs(value), abs(parameter_value(curve, place, name))), ""
     periods, values = step.portraits[:, 0], step.portraits[:, 1 + curve.equations.physical.index(name)]
-    return homoclinic_limit(periods, values, [eigenvalues for _, eigenvalues in known])
+    return homoclinic_limit(periods, values, [each for _, each in known], noise_of(curve, step.solution, name))
+
+
+def noise_of(curve: Curve, solution: Solution, name: str) -> float:
+    """What errors of the integration in all pieces of an orbit make of its parameter, at a fixed period."""
+    place, period = solution.place, np.zeros(solution.place.vector.size)
+    period[place.nodes.size] = 1.0
+    wanted = np.zeros(period.size)
+    wanted[place.vector.size - place.free.size + curve.equations.physical.index(name)] = 1.0
+    made = np.linalg.lstsq(np.vstack([solution.jacobian, period]).T, wanted, rcond=None)[0][: place.nodes.size]
+    return STEP_ERROR * float(np.abs(made) @ np.tile(extents(curve, solution.march.states), len(place.nodes)))
 
 
 def passage_rates(eigenvalues: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -211,28 +217,29 @@ def passage_rates(eigenvalues: Sequence[np.ndarray]) -> list[np.ndarray]:
 
 
 def homoclinic_limit(
-    periods: np.ndarray, values: np.ndarray, eigenvalues: Sequence[np.ndarray]
+    periods: np.ndarray, values: np.ndarray, eigenvalues: Sequence[np.ndarray], noise: float
 ) -> tuple[float, float, str]:
     """The value at an infinite period, its error and how it settles, of orbits in order of the period past saddles.
 
-    Where the rate is not the eigenvalues' the last orbits alone say it, and their distance from the limit is its error.
+    Values are known to `noise`. Where the rate is not the eigenvalues' the last orbits alone say it, and their distance
+    from the limit is its error.
     """
     known = passage_rates(eigenvalues)
-    rate, last = settling(periods, values)
-    rates = min(known, key=lambda rates: abs(rates[0].real - rate) if np.isfinite(rate) else rates[0].real)
+    rate, last = settling(periods, values, noise)
     if known[0][0].imag or not np.isfinite(rate):
-        value, error = extrapolated(periods, values, list(map(_powers, known[0][:TERMS])), ABOUT / known[0][0].real)
-        return value, error, f", settling with exp(-{known[0][0].real:.4g} T) as its eigenvalues say"
+        settles = f", settling with exp(-{known[0][0].real:.4g} T) as its eigenvalues say"
+        return *extrapolated(periods, values, known[0][:TERMS], noise), settles
+    rates = min(known, key=lambda rates: abs(rates[0].real - rate))[:TERMS]
     settles = f", settling with exp(-{rate:.4g} T) where eigenvalues say {rates[0].real:.4g}"
     if abs(rate / rates[0].real - 1.0) < SLOW.alike:
-        return *extrapolated(periods, values, list(map(_powers, rates[:TERMS])), ABOUT / rates[0].real), settles
-    value, error = extrapolated(periods[: last + 1], values[: last + 1], [_powers(complex(rate))], ABOUT / rate)
+        return *extrapolated(periods, values, rates, noise), settles
+    value, error = extrapolated(periods[: last + 1], values[: last + 1], np.array([rate]), noise)
     return value, abs(value - float(values[last])) + error, settles
 
 
-def settling(periods: np.ndarray, values: np.ndarray) -> tuple[float, int]:
+def settling(periods: np.ndarray, values: np.ndarray, noise: float) -> tuple[float, int]:
     """The rate at which values go to a limit exponentially, nan where none is seen, and the last orbit that says it."""
-    clear = np.flatnonzero(np.abs(values - values[-1]) > CLEAR * STEP_ERROR * np.abs(values).max())
+    clear = np.flatnonzero(np.abs(values - values[-1]) > CLEAR * noise)
     if clear.size < SEEN:
         return np.nan, len(values) - 1
     a, b, c = chosen = clear[[-SEEN, -(SEEN + 1) // 2, -1]]
@@ -248,62 +255,40 @@ def settling(periods: np.ndarray, values: np.ndarray) -> tuple[float, int]:
     return float(brentq(off, *ends)), int(c)
 
 
-def _powers(rate: complex) -> Term:
-    """exp(-rate T), of a complex rate both of its parts, as columns."""
-
-    def term(periods: np.ndarray) -> np.ndarray:
-        whole = np.exp(-rate * periods)
-        return np.stack([whole.real, whole.imag][: 2 if rate.imag else 1], axis=1)
-
-    return term
-
-
-def saddle_node_limit(periods: np.ndarray, values: np.ndarray) -> Limit:
+def saddle_node_limit(periods: np.ndarray, values: np.ndarray, noise: float) -> Limit:
     """The value at an infinite period and its error, of orbits that slow down at a saddle-node."""
-    return extrapolated(periods, values, [_inverse(power) for power in (2.0, 3.0, 4.0)])
+    return extrapolated(np.log(periods), values, np.array([2.0, 3.0, 4.0]), noise)
 
 
-def _inverse(power: float) -> Term:
-    """T^-power, as a column."""
-    return lambda periods: (periods**-power)[:, None]
+def extrapolated(clock: np.ndarray, values: np.ndarray, rates: np.ndarray, noise: float) -> Limit:
+    """The limit of a series in exp(-rate t) for large t, with its error, from values at a growing t.
 
-
-def extrapolated(periods: np.ndarray, values: np.ndarray, terms: Sequence[Term], apart: float | None = None) -> Limit:
-    """The value at an infinite period of a series in these terms, with its error, from orbits in order of the period.
-
-    Exactly through as many orbits as there are terms, whose periods are so far `apart` or in the proportion e^(1/8);
-    the error is what the last term changes, here and one orbit before, and what the integration's error makes.
+    Exactly through as many values as there are terms, over which the first changes e times from each to the next; the
+    error is what the last term changes, here and one value before, and what `noise` of the values makes.
     """
-    noise, best = STEP_ERROR * float(np.abs(values).max()), (float(values[-1]), np.inf)
-    for count in range(len(terms) + 1):
+    best = float(values[-1]), np.inf
+    for count in range(1, len(rates) + 1):
         before = np.inf
         for last in range(max(2, len(values) - LATEST), len(values)):
-            pair = [_through(periods[: last + 1], values[: last + 1], terms[:k], apart) for k in (count, count - 1)
-                    if k >= 0]  # fmt: skip
-            if len(pair) < 2 or any(one is None for one in pair):
-                continue
-            (value, blown), (less, _) = pair  # type: ignore[misc]
-            change = abs(value - less)
-            error = max(change, before) + noise * blown
-            before = change
-            best = min(best, (value, error), key=lambda one: one[1])
+            pair = [_through(clock[: last + 1], values[: last + 1], rates[:k]) for k in (count, count - 1)]
+            if None not in pair:
+                (value, blown), (less, _) = pair  # type: ignore[misc]
+                change = abs(value - less)
+                best = min(best, (value, max(change, before) + noise * blown), key=itemgetter(1))
+                before = change
     return best
 
 
-def _through(periods: np.ndarray, values: np.ndarray, terms: Sequence[Term], apart: float | None) -> Limit | None:
-    """The limit of a series through the last orbits and what it makes of errors; None where there are too few."""
-    wanted = 1 + sum(term(periods[-1:]).shape[1] for term in terms)
-    chosen = [len(periods) - 1]
-    for _ in range(wanted - 1):
-        now = periods[chosen[-1]]
-        most = now - apart if apart is not None else now * np.exp(-0.125)
-        earlier = np.flatnonzero(periods[: chosen[-1]] <= most)
+def _through(clock: np.ndarray, values: np.ndarray, rates: np.ndarray) -> Limit | None:
+    """The limit of a series through the last values, and what it makes of errors; None where there are too few."""
+    chosen, wanted = [len(clock) - 1], 1 + len(rates) + int(np.count_nonzero(np.imag(rates)))
+    while len(chosen) < wanted:
+        earlier = np.flatnonzero(clock[: chosen[-1]] <= clock[chosen[-1]] - 1.0 / rates[0].real)
         if not earlier.size:
             return None
         chosen.append(int(earlier[-1]))
-    own = periods[chosen]
-    columns = [np.ones((wanted, 1)), *(term(own - own[0] if apart is not None else own) for term in terms)]
-    matrix = np.hstack(columns)
+    powers = np.exp(-np.multiply.outer(clock[chosen] - clock[-1], rates))
+    matrix = np.hstack([np.ones((wanted, 1)), powers.real, powers.imag[:, np.imag(rates) != 0]])
     weights = np.linalg.lstsq((matrix / np.abs(matrix).max(axis=0)).T, np.eye(wanted)[0], rcond=None)[0]
     return float(weights @ values[chosen]), float(np.abs(weights).sum())
 
@@ -324,7 +309,7 @@ def _saddle_node(run: Run, step: Walked, state: np.ndarray, grown: str, more: st
         return None
     z, p, _ = problem.parts(solved)
     x, value = z[: state.size], float(p[0])
-    towards, bar = saddle_node_limit(periods, values)
+    towards, bar = saddle_node_limit(periods, values, noise_of(curve, step.solution, name))
     near = np.all(np.abs(x - state) <= SLOW.near * extents(curve, step.solution.march.states))
     if not near or abs(towards - value) > SLOW.alike * abs(values[-1] - value) + bar:
         return None

@@ -85,6 +85,8 @@ def begin(
     by_momentum = bool(problem.relative) and settings.parameter in momenta_of(problem.boundary, problem.model)
     if (free and problem.model.conservative) or by_momentum:
         return _freed(begin(problem, replace(settings, parameter="energy"), symmetry), free, held, settings.parameter)
+    if settings.beside:
+        return _freed(begin(problem, replace(settings, beside=""), symmetry), free, held, settings.parameter)
     if collocated:
         return _collocated(problem, free)
     wanted = problem.symmetry if symmetry == "auto" else symmetry
@@ -159,6 +161,7 @@ def as_problem(origin: Problem | Orbit, model: Model | None = None) -> Problem:
     if isinstance(origin, Problem):
         return minimal_problem(origin)
     model = knowing(model or build_model(origin.system), origin.symmetry)
+    model = with_parameters(model, getattr(origin, "free", {}))  # a family's orbit is at its own values
     energy = next(iter(ungenerated(model)), None)
     method = origin.provenance.get("method")
     method = method if method == COLLOCATION else None
@@ -198,6 +201,13 @@ def unknown_parameters(
     if name not in model.parameter_names:
         known = [*(conserved if model.conservative else []), *model.parameter_names]
         raise InputError(f"parameter: unknown {name!r}{closest(name, known)}; use one of {', '.join(known[:20])}")
+    if settings.beside:
+        known = [each for each in model.parameter_names if each != name]
+        if model.conservative or model.forced or settings.beside not in known:
+            why = "this system keeps its energy; use hold" if model.conservative else "its forcing has the period"
+            why = why if model.conservative or model.forced else f"use one of {', '.join(known[:20]) or 'none'}"
+            raise InputError(f"beside: {settings.beside!r}: {why}")
+        return (name, settings.beside), ("period", *momenta)
     if not model.conservative:
         return (name,), momenta
     holds = [each for kind in QUANTITIES.values() if kind.held for each in kind.names(model)]

@@ -18,7 +18,7 @@ from orbitfinder.families.checks import ALIKE, Probe, Sides, check_known
 from orbitfinder.families.critical import Critical, levelled
 from orbitfinder.families.entries import kind_of
 from orbitfinder.families.point import unknowns_of
-from orbitfinder.families.saddles import homoclinic_limit, saddle_node_limit
+from orbitfinder.families.saddles import homoclinic_limit, noise_of, saddle_node_limit
 from orbitfinder.families.start import curve_in, fitted
 from orbitfinder.integrate.equations import hamilton
 from orbitfinder.integrate.field import vector_field
@@ -300,11 +300,9 @@ def _blown_up(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
         step = 1 if at is family.points[-1] else -1
         periods, values = family.values("period")[::step], family.values("value")[::step]
         known = [np.array(saddle["eigenvalues"]) @ [1, 1j] for saddle in end.saddles]
-        limit = (
-            saddle_node_limit(periods, values)
-            if end.kind == "saddle-node"
-            else homoclinic_limit(periods, values, known)
-        )
+        noise = noise_of(curve, settled_on(curve, at), family.parameter)
+        node = end.kind == "saddle-node"
+        limit = saddle_node_limit(periods, values, noise) if node else homoclinic_limit(periods, values, known, noise)
         off.append(abs(limit[0] - value) / (limit[1] + float(end.error or 0.0)))
         free[family.parameter] = value
     model = with_parameters(curve.equations.model, free)
