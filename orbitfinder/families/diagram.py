@@ -31,17 +31,15 @@ from orbitfinder.records.codec import Codec
 from orbitfinder.records.family import End, Event, Family, load_family, reached, save_family
 from orbitfinder.records.registry import kinds, loaded
 
-NORM = "norm"
-"""What is drawn instead of a coordinate: the length of the state, of a cycle its root mean square"""
-SAME, NEAR = 1e-6, 0.2
-"""Shares of the range, and of a period, by which parameters and periods of one event differ at most where no error bar
-says it; and in which a curve begins near the event that it is born at"""
-STEP = 0.25
-"""The longest step along cycles: what is drawn is smooth"""
-BECAME = ("followed", "joined", "depth", "budget", "failed")
-"""What may become of an event at which something leaves"""
-FILES = {"equilibria.json": load_equilibria, "family.json": load_family}
-"""What reads a curve, by its file's name"""
+NORM, SAME, NEAR, STEP = "norm", 1e-6, 0.2, 0.25
+"""What is drawn instead of a coordinate, the length of the state or its root mean square; shares of the range and of a
+period in which parameters and periods of an event agree where no error bar says it, in which a curve begins near its
+event; the longest step along cycles, so that what is drawn is smooth"""
+BECAME, FILES = (
+    ("followed", "joined", "depth", "budget", "failed"),
+    {"equilibria.json": load_equilibria, "family.json": load_family},
+)
+"""What may become of an event at which something leaves; what reads a curve, by its file's name"""
 
 
 @dataclass(frozen=True)
@@ -365,7 +363,7 @@ def _told(curve: DiagramCurve, k: int) -> str:
 
 def _alike(one: RestEvent, other: RestEvent) -> bool:
     """Whether two events of equilibria are the same."""
-    near = one.kind == other.kind and abs(one.parameter - other.parameter) <= 10 * (one.error + other.error)
+    near = one.words == other.words and abs(one.parameter - other.parameter) <= 10 * (one.error + other.error)
     return near and bool(np.abs(one.state - other.state).max() <= SAME * nonzero(np.abs(one.state).max()))
 
 

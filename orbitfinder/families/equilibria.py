@@ -49,10 +49,8 @@ NEUTRAL = 1e-9
 RESIDUAL, SLOPES, CRITICAL = 1e-12, 1e-7, 1e-8
 """What may be left of the rates, of the eigenvalues by differences and of a critical one by the flow, in the pace of
 the equilibrium and its sizes"""
-NOISE = 1e-14
-"""Components so small, in their sizes, are 0"""
-LEAVING = (0.01, 0.002, 0.0004, 0.05)
-"""How far from a branch point other equilibria are looked for; the first that succeeds is taken"""
+LEAVING, NOISE = (0.01, 0.002, 0.0004, 0.05), 1e-14
+"""How far from a branch point other equilibria are looked for, the first that succeeds; components so small are 0"""
 DIFFERENCE = 2e-3
 """Half of the widest of the differences that check slopes, in the sizes of the state"""
 FARTHEST = 1e3
