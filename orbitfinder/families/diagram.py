@@ -260,8 +260,10 @@ class _Tree:
     def made(self) -> BifurcationDiagram:
         """What there is, written where there is a folder; events that were not come to are said to be undone."""
         known = {(one.file, one.event) for one in self.branchings}
-        rest = [Branching(curve.file, k, "budget", f"{_told(curve, k)}: {self.stopped}")
-                for curve in self.curves for k in leaving(curve.record) if (curve.file, k) not in known]  # fmt: skip
+        rest = [
+            self.over(curve, k, "budget", f"{_told(curve, k)}: {self.stopped}")
+            for curve in self.curves for k in leaving(curve.record) if (curve.file, k) not in known
+        ]  # fmt: skip
         made = replace(self.empty, curves=tuple(self.curves), branchings=(*self.branchings, *rest))
         if self.folder is not None:
             save_diagram(made, self.folder / "diagram.json")
@@ -291,13 +293,18 @@ class _Tree:
             return Branching(curve.file, k, "joined", _told(curve, k), (known.file,))
         if curve.depth >= self.empty.depth:
             return Branching(curve.file, k, "depth", f"{_told(curve, k)}: deeper than {self.empty.depth}")
-        count, became, words = len(self.curves), "followed", _told(curve, k)
+        became, words = "followed", _told(curve, k)
         try:
             for file, follow in self.beside(curve, k):
                 self.add(DiagramCurve(file, curve.depth + 1, curve.file, k, follow()))
         except (ConvergenceError, IntegrationError) as error:
             became, words = "failed", f"{words}: {error}"
-        return Branching(curve.file, k, became, words, tuple(born.file for born in self.curves[count:]))
+        return self.over(curve, k, became, words)
+
+    def over(self, curve: DiagramCurve, k: int, became: str, words: str) -> Branching:
+        """What became of an event, with the curves that are born there so far."""
+        born = [one.file for one in self.curves if (one.parent, one.event) == (curve.file, k)]
+        return Branching(curve.file, k, became, words, tuple(born))
 
     def beside(self, curve: DiagramCurve, k: int) -> Iterator[tuple[str, Callable[[], Equilibria | Family]]]:
         """The files of what leaves at an event, and what follows each."""
