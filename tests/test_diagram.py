@@ -184,6 +184,9 @@ def test_a_budget_is_kept():
     assert [one.became for one in tree.branchings] == ["budget"] * 2 and "stopped after 1 s (limit)" in tree.undone[0]
     with pytest.raises(LimitError):
         of.diagram(morris_lecar(), [-40.0, 0.05], "I", 250.0, limit=1e-9)
+    model = of.systems.brusselator(rate=1.8)
+    born = of.diagram(model, [1.0, 1.8], "rate", 2.5, progress=lambda curve: late(curve) if curve.depth else None)
+    assert became(born) == [(RESTS, 0, "budget", ("equilibria-0/family.json",))] and verified(born, model).passed
     few = of.diagram(of.systems.brusselator(rate=1.8), [1.0, 1.8], "rate", 2.5, points=15)
     assert [line for line in few.undone if "stops: 15 points were asked for" in line]
 

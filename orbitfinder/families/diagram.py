@@ -31,17 +31,15 @@ from orbitfinder.records.codec import Codec
 from orbitfinder.records.family import End, Event, Family, load_family, reached, save_family
 from orbitfinder.records.registry import kinds, loaded
 
-NORM = "norm"
-"""What is drawn instead of a coordinate: the length of the state, of a cycle its root mean square"""
-SAME, NEAR = 1e-6, 0.2
-"""Shares of the range, and of a period, by which parameters and periods of one event differ at most where no error bar
-says it; and in which a curve begins near the event that it is born at"""
-STEP = 0.25
-"""The longest step along cycles: what is drawn is smooth"""
-BECAME = ("followed", "joined", "depth", "budget", "failed")
-"""What may become of an event at which something leaves"""
-FILES = {"equilibria.json": load_equilibria, "family.json": load_family}
-"""What reads a curve, by its file's name"""
+NORM, SAME, NEAR, STEP = "norm", 1e-6, 0.2, 0.25
+"""What is drawn instead of a coordinate, the length of the state or its root mean square; shares of the range and of a
+period in which parameters and periods of an event agree where no error bar says it, in which a curve begins near its
+event; the longest step along cycles, so that what is drawn is smooth"""
+BECAME, FILES = (
+    ("followed", "joined", "depth", "budget", "failed"),
+    {"equilibria.json": load_equilibria, "family.json": load_family},
+)
+"""What may become of an event at which something leaves; what reads a curve, by its file's name"""
 
 
 @dataclass(frozen=True)
@@ -262,8 +260,10 @@ class _Tree:
     def made(self) -> BifurcationDiagram:
         """What there is, written where there is a folder; events that were not come to are said to be undone."""
         known = {(one.file, one.event) for one in self.branchings}
-        rest = [Branching(curve.file, k, "budget", f"{_told(curve, k)}: {self.stopped}")
-                for curve in self.curves for k in leaving(curve.record) if (curve.file, k) not in known]  # fmt: skip
+        rest = [
+            self.over(curve, k, "budget", f"{_told(curve, k)}: {self.stopped}")
+            for curve in self.curves for k in leaving(curve.record) if (curve.file, k) not in known
+        ]  # fmt: skip
         made = replace(self.empty, curves=tuple(self.curves), branchings=(*self.branchings, *rest))
         if self.folder is not None:
             save_diagram(made, self.folder / "diagram.json")
@@ -293,13 +293,18 @@ class _Tree:
             return Branching(curve.file, k, "joined", _told(curve, k), (known.file,))
         if curve.depth >= self.empty.depth:
             return Branching(curve.file, k, "depth", f"{_told(curve, k)}: deeper than {self.empty.depth}")
-        count, became, words = len(self.curves), "followed", _told(curve, k)
+        became, words = "followed", _told(curve, k)
         try:
             for file, follow in self.beside(curve, k):
                 self.add(DiagramCurve(file, curve.depth + 1, curve.file, k, follow()))
         except (ConvergenceError, IntegrationError) as error:
             became, words = "failed", f"{words}: {error}"
-        return Branching(curve.file, k, became, words, tuple(born.file for born in self.curves[count:]))
+        return self.over(curve, k, became, words)
+
+    def over(self, curve: DiagramCurve, k: int, became: str, words: str) -> Branching:
+        """What became of an event, with the curves that are born there so far."""
+        born = [one.file for one in self.curves if (one.parent, one.event) == (curve.file, k)]
+        return Branching(curve.file, k, became, words, tuple(born))
 
     def beside(self, curve: DiagramCurve, k: int) -> Iterator[tuple[str, Callable[[], Equilibria | Family]]]:
         """The files of what leaves at an event, and what follows each."""
@@ -365,7 +370,7 @@ def _told(curve: DiagramCurve, k: int) -> str:
 
 def _alike(one: RestEvent, other: RestEvent) -> bool:
     """Whether two events of equilibria are the same."""
-    near = one.kind == other.kind and abs(one.parameter - other.parameter) <= 10 * (one.error + other.error)
+    near = one.words == other.words and abs(one.parameter - other.parameter) <= 10 * (one.error + other.error)
     return near and bool(np.abs(one.state - other.state).max() <= SAME * nonzero(np.abs(one.state).max()))
 
 

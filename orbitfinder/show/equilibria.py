@@ -15,6 +15,7 @@ from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
 from orbitfinder.families.members import extents
 from orbitfinder.families.registry import Look, kind_of
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import unit_names
 from orbitfinder.mechanics.scales import units as units_of
 from orbitfinder.records.family import Family
 from orbitfinder.show.diagram import Diagram
@@ -23,16 +24,15 @@ from orbitfinder.show.rest import stretched
 from orbitfinder.show.style import bare, dress, legend, new_figure, place_labels, save_all
 from orbitfinder.show.svg import COLOURS, axis
 
-RESTS = {"hopf": Look(size=6.0), "neutral_saddle": Look("x", colour="#8C8C8C")}
-"""How events of equilibria look that families have not"""
-OTHER = Look("*", size=9.0)
-"""How an end of cycles looks, such as a homoclinic orbit"""
-ORDINARY = ("target", "point limit", "hopf", "merged", "returned", "stopped", "equilibrium")
-"""Ends that are not marked: where something is marked anyway, or nothing happens"""
-NAMES = ("cycles", "cycles born on cycles")
-"""Curves of cycles, by where they are born"""
-MOST, LABELLED, LONG = 6, 14, 30.0
-"""Components that are drawn, the first; events whose parameters are written; ratio of periods drawn in logarithms"""
+RESTS, OTHER = {"hopf": Look(size=6.0), "neutral_saddle": Look("x", colour="#8C8C8C")}, Look("*", size=9.0)
+"""How events of equilibria look that families have not, and ends of cycles, such as a homoclinic orbit"""
+ORDINARY, SILENT = (
+    ("target", "point limit", "hopf", "merged", "returned", "stopped", "equilibrium"),
+    ("turn", "neutral_saddle"),
+)
+"""Ends that are not marked, as nothing happens there or it is marked anyway; events whose parameters are not told"""
+MOST, LABELLED, LONG, NAMES = 6, 14, 30.0, ("cycles", "cycles born on cycles")
+"""Components that are drawn, the first; labels; ratio of periods drawn in logarithms; curves of cycles by birth"""
 ROBUST, ROOM, MARGIN, CLOSE = (2.0, 98.0), 0.3, 0.05, 0.01
 """Percentiles of what is drawn, shares: of their distance, seen beyond them; left empty; of labels that are close"""
 
@@ -59,7 +59,7 @@ class Panel:
         style = {"marker": look.marker, "markersize": look.size, "linestyle": "none", "color": look.colour, "zorder": 4}
         drawn = self.axes.plot(*place, markerfacecolor="white" if look.hollow else look.colour, **style)
         self.shown.setdefault(kind.replace("_", " ").replace("hopf", "Hopf"), drawn[0])
-        if kind != "neutral_saddle":
+        if kind not in SILENT:
             self.labels.append((f"{place[0]:.5g}", float(place[0]), float(place[1])))
 
     def written(self, span: float) -> list[tuple[str, float, float]]:
@@ -82,7 +82,7 @@ class Panel:
         drawn = Diagram(family, (family.parameter, ""), np.column_stack([family.places[:, 0], heights]))
         self.line(drawn.stretches, COLOURS[NAMES.index(name) + 2], name)
         for event, place in zip(family.events, drawn.events, strict=True):
-            if kind_of(event.kind).critical and event.kind != "turn":
+            if kind_of(event.kind).critical and event.kind not in SILENT:
                 self.mark(event.kind, place)
         last = int(np.argmax([abs(point.arclength) for point in family.points]))
         for end, k in zip(family.ends, (last,) if len(family.ends) == 1 else (0, -1), strict=False):
@@ -112,7 +112,7 @@ def save_diagram_figure(diagram: BifurcationDiagram, folder: str | Path, model: 
     for curve in diagram.curves:
         if isinstance(curve.record, Equilibria):
             upper.rest(curve.record, lambda state: float(np.linalg.norm(state) if norm else state[number]))
-            for event in (event for event in curve.record.events if below and event.kind == "hopf"):
+            for event in (event for event in curve.record.events if below and np.isfinite(event.period)):
                 below[0].mark(event.kind, (event.parameter, event.period))
     for curve in families:
         name, sizes = NAMES[curve.parent.endswith("family.json")], extents(curve.record, model)[:, :, number]
@@ -123,7 +123,7 @@ def save_diagram_figure(diagram: BifurcationDiagram, folder: str | Path, model: 
     for panel in below:
         periods = np.concatenate(panel.heights)
         panel.axes.set_yscale("log" if periods.max() > LONG * periods.min() else "linear")
-        dress(panel.axes, diagram.parameter, "period (s)")
+        dress(panel.axes, diagram.parameter, "period (s)" if any(unit_names(model)) else "period")
     upper.window()
     legend(figure, shown, "lower center", ncols=4)
     room = MARGIN / 2 * (diagram.between[1] - diagram.between[0])
