@@ -2,7 +2,7 @@
 
     Z_i = h sum_j a_ij f(x + Z_j),    x(h) = x + sum_j d_j Z_j,    d = b A^-1
 
-The points are Radau's (IIA, m of them, order 2 m - 1 at the ends of steps) or Gauss' (order 2 m). Radau's, whose last is
+The points are Radau's (IIA, m of them, order 2 m - 1 at the ends of steps) or Gauss' (order 2 m). Radau's, the last at
 the end of the step, damp to 0 what decays fast within a step, which Gauss' leave as large as it was; so multipliers of
 stiff cycles come out as small as they are.
 Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II (1996), sections IV.3, IV.5 and IV.8.
