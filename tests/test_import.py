@@ -162,6 +162,7 @@ def values():
         of.Equilibria("rest", {}, "b", (of.Equilibrium(np.zeros(2), 1.0, np.zeros(2, complex), "neutral"),)),
         of.Equilibrium(np.zeros(2), 1.0, np.zeros(2, complex), "neutral"),
         of.Optima("kept", "damping", (orbit,), np.zeros(1), (0,)),
+        of.PhaseResponse("clock", {}, 1.0, (0, 0), np.zeros(1), ring.curve[:1], ring.curve[:1], 0.0, np.zeros(0), ""),
     ]  # fmt: skip
     return {type(one).__name__: one for one in found}
 

@@ -139,7 +139,7 @@ def test_planted_faults_are_seen(curve, clock):
     twice = replace(curve, period=2 * curve.period, times=np.append(curve.times, curve.period + curve.times),
                     states=np.tile(curve.states, (2, 1)), response=np.tile(curve.response, (2, 1)))  # fmt: skip
     faults = {
-        "normalisation": replace(curve, response=curve.response * (1 + 1e-7)),
+        "normalisation": replace(curve, response=curve.response * (1 + 2e-7)),
         "adjoint": replace(curve, response=curve.response + 1e-6 * across),
         "kicks": replace(curve, response=curve.response + 1e-4 * across),
         "closure": replace(curve, states=curve.states * (1 + 1e-7 * np.sin(np.arange(curve.times.size))[:, None])),

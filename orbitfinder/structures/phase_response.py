@@ -24,7 +24,7 @@ from scipy.sparse.linalg import splu
 
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError, IntegrationError
-from orbitfinder.integrate.dop853 import SECOND, Trace, integrate_in
+from orbitfinder.integrate.dop853 import SECOND, ReferenceSettings, Trace, integrate_in
 from orbitfinder.integrate.equations import accelerations, with_variations
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.integrate.field import vector_field
@@ -34,14 +34,16 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.model import vector_field as unfolded_field
 from orbitfinder.mechanics.scales import extents_of
 from orbitfinder.orbits.closure import shift
-from orbitfinder.orbits.evidence import VARIED, varied_end
+from orbitfinder.orbits.evidence import units_of, varied_end
 from orbitfinder.orbits.floquet import Floquet, judged
 from orbitfinder.orbits.product import product
 from orbitfinder.records.certificate import Certificate, Certified, Check, at_least, at_most, refused, same
 from orbitfinder.records.codec import Codec, Complexes
 from orbitfinder.records.orbit import Orbit, refuse_controlled
 
-HYPERBOLIC, JOINED, LINEAR, KICKED = 1e-6, 1e-9, 1e-8, 1e-6
+STEPS = ReferenceSettings(1e-9, 1e-10)
+"""What steps are chosen by: a tighter one is lost in round-off where rates are 0 / 0, as Hodgkin and Huxley's"""
+HYPERBOLIC, JOINED, LINEAR, KICKED = 1e-6, 1e-9, 1e-7, 1e-6
 """How far multipliers are from the unit circle; what may be left where pieces of the cycle meet (in extents), of the
 adjoint and Z . f = 1, and of finite kicks"""
 KICKS, SIZES, DECAYED, LONGEST = 6, 1e-3 * 0.25 ** np.arange(4), 1e-8, 40
@@ -143,13 +145,13 @@ def phase_response(orbit: Orbit, model: Model | None = None, *, name: str | None
 
 
 def _mesh(model: Model, orbit: Orbit) -> np.ndarray:
-    """A mesh in periods of steps half as long as DOP853's, as many from node to node."""
+    """A mesh in periods of steps a quarter as long as DOP853's rough ones, as many from node to node."""
     field, count = vector_field(accelerations(model)), len(orbit.nodes)
-    units, traces = extents_of(model, orbit.samples if count < 3 else orbit.nodes, orbit.period), list[Trace]()
+    units, traces = units_of(field, orbit.state, np.zeros(0), orbit.period), list[Trace]()
     for node in orbit.nodes:
         span = np.array([0.0, 0.5, 1.0]) * orbit.period / count
-        integrate_in(units, field, node, span, SECOND, orbit.period / 100, traces)
-    shares = np.linspace(0.0, 1.0, 2 * max(len(trace.moments) for trace in traces), endpoint=False)
+        integrate_in(units, field, node, span, STEPS, orbit.period / 100, traces)
+    shares = np.linspace(0.0, 1.0, 4 * max(len(trace.moments) for trace in traces), endpoint=False)
     parts = [np.interp(shares, np.linspace(0.0, 1.0, len(own)), own) for own in (trace.moments for trace in traces)]
     return np.append(np.concatenate([part / orbit.period + k / count for k, part in enumerate(parts)]), 1.0)
 
@@ -182,7 +184,7 @@ def _checks(curve: PhaseResponse, model: Model) -> Iterator[Check]:
     x, z, units = curve.states, curve.response, extents_of(model, curve.states, curve.period)
     varied, field = vector_field(with_variations(model)), vector_field(accelerations(model))
     spans, work = pairwise(np.append(curve.times, curve.period)), float(units @ units) / curve.period
-    pieces = [varied_end(varied, *each, units, work, VARIED) for each in zip(x, map(np.array, spans), strict=True)]
+    pieces = [varied_end(varied, *each, units, work, STEPS) for each in zip(x, map(np.array, spans), strict=True)]
     ends, matrices, _ = (np.array(part) for part in zip(*pieces, strict=True))
     gaps = np.abs((ends - np.vstack([x[1:], x[:1] + shift(curve.winding, units.size)])) / units)
     yield at_most("closure", gaps.max(), JOINED, "from phase to phase, in extents of the cycle")
