@@ -13,7 +13,6 @@ from nicegui import ui
 from orbitfinder.atlas.search import SearchStatistics
 from orbitfinder.atlas.store import AtlasRow
 from orbitfinder.errors import InputError, plural
-from orbitfinder.show.svg import ranged
 from orbitfinder.studio import plots
 from orbitfinder.studio.desk import Desk, button
 from orbitfinder.studio.session import SWINGS, Item
@@ -62,37 +61,34 @@ class RestPanel:
     """The equilibrium at the parameters of the sliders and what the motion comes to there, in a phase portrait."""
 
     def __init__(self, page: Desk) -> None:
-        model, self._page = page.session.model, page
+        model, self._page, self._near = page.session.model, page, [*map(float, page.session.opened.state)]
         self._settled: Settled | None = None
-        self._names, self._plane, self._box = model.state_names, model.planes[0], np.zeros((0, 2))
-        self._near, self._sizes = [*map(float, page.session.opened.state)], np.zeros(len(self._names))
+        self._names, self._plane, self._box = model.state_names, [*model.planes[0]], np.array([[0.0, 0.0], [1.0, 1.0]])
+        self._sizes = np.zeros(len(self._names))
         with ui.expansion("Equilibrium and attractor", value=True).classes("panel later").props('dense id="rest"'):
             self._about = ui.label("Slide a parameter: where the motion comes to rest, or what it goes round on.")
             self._about.classes("number").props('id="rest-about"')
-            self._plot = ui.plotly(self._figure()).classes("w-full").props('id="portrait"')
-
-    def _figure(self) -> dict[str, Any]:
-        low, high = ranged(self._box) if len(self._box) else (np.zeros(2), np.ones(2))
-        return plots.portrait_figure(self._settled, self._names, self._plane, np.array([low, high]), self._page.dark)
+            self._plot = ui.plotly({}).classes("w-full").props('id="portrait"')
+        self.recolour()
 
     def recolour(self) -> None:
         """Draw it for the theme of the page."""
-        self._plot.update_figure(self._figure())
+        shown = plots.portrait_figure(self._settled, self._names, self._plane, self._box, self._page.dark)
+        self._plot.update_figure(shown)
 
     async def settle(self, state: list[float], name: str, duration: float) -> list[float]:
         """Where the motion from a state has come to once it has settled; the parameter of a name has changed."""
         model = self._page.session.model
-        done: Settled = await self._page.quick.do(
-            "settled", dict(model.system), state, name, duration, self._near, self._sizes
-        )
-        self._settled, self._sizes, rest = done, done.sizes, done.rest
-        seen = done.path[:, self._plane] if rest is None else np.vstack([done.path, rest.state])[:, self._plane]
-        self._box = np.vstack([self._box, seen.min(axis=0), seen.max(axis=0)])[-400:]
-        said = "no equilibrium near the last one"
+        known = dict(model.system), state, name, duration, self._near, self._sizes
+        done: Settled = await self._page.quick.do("settled", *known)
+        rest, seen, said = done.rest, [done.path], "no equilibrium near the last one"
         if rest is not None:
-            self._near, first = [*map(float, rest.state)], rest.eigenvalues[0]
+            self._near, seen, first = [*map(float, rest.state)], [done.path, rest.state], rest.eigenvalues[0]
             said = f"equilibrium {rest.stability}, eigenvalue {first.real:.3g}"
             said += f" \N{PLUS-MINUS SIGN} {abs(first.imag):.3g}i" if first.imag else ""
+        here = np.vstack([*([self._box] if self._settled else []), np.vstack(seen)[:, self._plane]])
+        self._box = np.array([here.min(axis=0), here.max(axis=0)])
+        self._settled, self._sizes = done, done.sizes
         value = model.parameter_values[model.parameter_index(name)]
         motion = "comes to rest" if done.still else "does not come to rest"
         self._about.set_text(f"{name} = {value:.6g}: {said}; the motion {motion}")

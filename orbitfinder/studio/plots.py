@@ -11,6 +11,7 @@ import numpy as np
 from orbitfinder.errors import InputError
 from orbitfinder.orbits.guesses.returns import CloseReturn
 from orbitfinder.records.family import Event, Family, FamilyPoint
+from orbitfinder.show.svg import ranged
 from orbitfinder.site.text import coordinate
 from orbitfinder.studio.tasks import Cut, Settled
 
@@ -98,18 +99,18 @@ def section_figure(cut: Cut | None, dark: bool) -> dict[str, Any]:
 
 
 def portrait_figure(
-    settled: Settled | None, names: Sequence[str], plane: tuple[int, int], box: np.ndarray, dark: bool
+    settled: Settled | None, names: Sequence[str], plane: list[int], box: np.ndarray, dark: bool
 ) -> dict[str, Any]:
     """What a motion has come to, and the equilibrium, full where stable, else open; `box`: what is seen (2 x 2)."""
-    across, up = plane
-    x, y = ([], []) if settled is None else settled.path[:, [across, up]].T.tolist()
-    rest = None if settled is None else settled.rest
-    look = {"size": 12, "color": STABLE, "symbol": "circle" if rest and rest.stability != "unstable" else "circle-open"}
-    known = [] if rest is None else [float(rest.state[across])], [] if rest is None else [float(rest.state[up])]
-    data = [_dots(x, y, mode="lines", line={"color": UNSTABLE, "width": 2.4}),
-            _dots(*known, [] if rest is None else [f"equilibrium, {rest.stability}"], marker=look)]  # fmt: skip
-    figure = _figure(data, coordinate(names[across]), coordinate(names[up]), dark)
-    for axis, side in zip(("xaxis", "yaxis"), box.T.tolist(), strict=True):
+    data, rest = [_dots([], [], mode="lines", line={"color": UNSTABLE, "width": 2.4}), _dots([], [])], None
+    if settled is not None:
+        (data[0]["x"], data[0]["y"]), rest = settled.path[:, plane].T.tolist(), settled.rest
+    if rest is not None:
+        look = {"size": 12, "color": STABLE, "symbol": f"circle{'-open' * (rest.stability == 'unstable')}"}
+        x, y = rest.state[plane].tolist()
+        data[1] = _dots([x], [y], [f"equilibrium, {rest.stability}"], marker=look)
+    figure = _figure(data, coordinate(names[plane[0]]), coordinate(names[plane[1]]), dark)
+    for axis, side in zip(("xaxis", "yaxis"), np.array(ranged(box)).T.tolist(), strict=True):
         figure["layout"][axis]["range"] = side
     return figure
 

@@ -144,7 +144,7 @@ class Tasks:
         """
         model, start, rest = self.model(system), np.asarray(state, float), None
         with contextlib.suppress(ConvergenceError):
-            (rest,) = follow_equilibria(model, near, name, points=1, until=_beyond(model, name)).points[:1]
+            rest = follow_equilibria(model, near, name, points=1).points[0]
         sizes = np.maximum(sizes, np.abs(start))
         sizes = np.where(sizes > 0.0, sizes, sizes.max() or 1.0)
         if rest is not None and rest.stability == "unstable" and np.abs((start - rest.state) / sizes).max() < PUSHED:
@@ -298,9 +298,3 @@ class Tasks:
     def _film(self, orbit: Orbit) -> Film | None:
         motion = self._simulator.of(orbit)
         return None if motion is None else packed(motion)
-
-
-def _beyond(model: Model, name: str) -> float:
-    """A value beside that of a parameter, towards which its equilibria may be followed."""
-    value = float(model.parameter_values[model.parameter_index(name)])
-    return value + 1e-3 * (abs(value) or 1.0)
