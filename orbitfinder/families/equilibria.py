@@ -257,12 +257,11 @@ def _event(kept: KeptPoint, way: _Way, index: int) -> RestEvent | None:
         return None
     bars, count, d = error_bars(extended, w), extended.count, problem.jets.size
     w = Stacked(np.where(np.abs(w.vector) <= bars, 0.0, w.vector))  # what is 0 to its error bar
-    z, p, more = extended.parts(w)
+    z, p, _ = extended.parts(w)
     if np.abs((z - kept.point.w.vector[:count]) / problem.z_sizes).max() > 1e-3:
         return None  # another one
     found = way.judge.record(problem, z, p, kept.point.arclength * way.sign, eigenvalues(problem, z, p))
-    there = _Singular(extended, z, p, more, bars, kept.point.tangent)
-    name, claimed, known = TOLD[kept.role](there)
+    name, claimed, known = _told(kept.role, extended, w, bars, kept.point.tangent)
     value = way.judge.flow(z[:d], float(p[0]), problem.z_sizes[:d], problem.pace, claimed)
     check = Reading(value, CRITICAL, bool(value <= CRITICAL and found.residual <= RESIDUAL))
     return RestEvent(
@@ -271,41 +270,19 @@ def _event(kept: KeptPoint, way: _Way, index: int) -> RestEvent | None:
     )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class _Singular:
-    """A singular equilibrium as it is solved for: z, parameters, what is between them, error bars, tangent there."""
-
-    extended: AtRest
-    z: np.ndarray
-    p: np.ndarray
-    more: np.ndarray
-    bars: np.ndarray
-    tangent: np.ndarray
-
-
-Told = tuple[str, complex, dict[str, Any]]
-"""The kind of an event, its critical eigenvalue (1/s), what else is known of it"""
-
-
-def _fold(_: _Singular) -> Told:
-    return "fold", 0.0 + 0.0j, {}
-
-
-def _crossing(there: _Singular) -> Told:
-    problem = replace(there.extended, form="regular")
-    return "branch_point", 0.0 + 0.0j, {"direction": _other(problem, there.z, there.p, there.tangent)}
-
-
-def _opposite(there: _Singular) -> Told:
-    kappa = float(there.more[-1])
-    rate = float(np.sqrt(abs(kappa)) * there.extended.pace)
+def _told(
+    role: str, extended: AtRest, w: Stacked, bars: np.ndarray, tangent: np.ndarray
+) -> tuple[str, complex, dict[str, Any]]:
+    """The kind of an event, its critical eigenvalue (1/s), what else is known of it."""
+    z, p, more = extended.parts(w)
+    if role != "hopf":
+        crossing = role == "branch_point"
+        return role, 0.0 + 0.0j, {"direction": _other(extended, z, p, tangent)} if crossing else {}
+    kappa = float(more[-1])
+    rate = float(np.sqrt(abs(kappa)) * extended.pace)
     if kappa <= 0:
         return "neutral_saddle", complex(rate), {}
-    return "hopf", 1j * rate, _turning(there.extended, there.z, there.p, there.bars, rate, kappa)
-
-
-TOLD = {"fold": _fold, "branch_point": _crossing, "hopf": _opposite}
-"""By what vanishes: what is there"""
+    return "hopf", 1j * rate, _turning(extended, z, p, bars, rate, kappa)
 
 
 def _turning(
@@ -331,9 +308,9 @@ def _turning(
 def _other(problem: AtRest, z: np.ndarray, p: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     """The direction over (x, p) across a tangent in which G does not change either."""
     _, gz, gp = problem.scaled(z, p)
-    kernel = np.linalg.svd(np.hstack([gz, gp]))[2][-2:]
-    own = kernel @ (tangent / problem.sizes)
-    across = np.array([-own[1], own[0]]) @ kernel * problem.sizes
+    sizes, kernel = np.append(problem.z_sizes, problem.p_sizes), np.linalg.svd(np.hstack([gz, gp]))[2][-2:]
+    own = kernel @ (tangent / sizes)
+    across = np.array([-own[1], own[0]]) @ kernel * sizes
     d = problem.jets.size
     return np.asarray(np.append(across[:d], across[z.size :]) / np.linalg.norm(own))
 
@@ -351,25 +328,20 @@ def _record(name: str, model: Model, parameter: str, runs: list[tuple[SolutionCu
     for curve, way in runs:
         for kept in curve.events:
             index = int(np.searchsorted(lengths, kept.point.arclength * way.sign)) - 1
-            event = _event(kept, way, max(index, 0))
-            if event is not None:
-                events.append(event)
+            events += [event for event in (_event(kept, way, max(index, 0)),) if event is not None]
     events.sort(key=lambda event: event.arclength)
     return Equilibria(name, dict(model.system), parameter, tuple(points), tuple(_apart(events)), tuple(ends))
 
 
 def _apart(events: list[RestEvent]) -> list[RestEvent]:
     """Without folds that are branch points: of a branch that turns where it crosses another."""
-    groups: dict[str, list[RestEvent]] = {"branch_point": [], "fold": []}
+    groups: dict[str, list[RestEvent]] = {}
     for event in events:
         groups.setdefault(event.kind, []).append(event)
-
-    def crossed(fold: RestEvent) -> bool:
-        return any(
-            abs(fold.parameter - other.parameter) <= 10 * (fold.error + other.error)
-            or abs(fold.arclength - other.arclength) < 1e-6
-            for other in groups["branch_point"]
-        )
-
-    groups["fold"] = [fold for fold in groups["fold"] if not crossed(fold)]
-    return sorted((event for group in groups.values() for event in group), key=lambda event: event.arclength)
+    crossings = groups.get("branch_point", [])
+    double = [
+        fold for fold in groups.get("fold", []) for other in crossings
+        if abs(fold.parameter - other.parameter) <= 10 * (fold.error + other.error)
+        or abs(fold.arclength - other.arclength) < 1e-6
+    ]  # fmt: skip
+    return [event for event in events if not any(event is fold for fold in double)]
