@@ -416,3 +416,15 @@ def test_folds_on_a_leaf_of_an_integral():
     # along (1, -1) / sqrt 2 the rate is -w^3 / 2 beside the cusp, w in units of length 1
     assert cusp.normal_form["c"] == pytest.approx(-0.5, rel=1e-10)
     assert verified(curve, model).passed
+
+
+def test_a_curve_of_neutral_saddles():
+    """The origin of Lorenz has -+beta among its eigenvalues at sigma rho = (beta + sigma) (beta + 1)."""
+    model = of.systems.lorenz(rho=0.2)
+    found = of.follow_equilibria(model, [0.0, 0.0, 0.0], "rho", until=28.0)
+    (saddle,) = [event for event in found.events if event.kind == "neutral_saddle"]
+    curve = of.follow_curve(found, saddle, ("sigma", "rho"), points=15)
+    assert {point.kind for point in curve.points} == {"neutral_saddle"} and not curve.events
+    for sigma, rho in curve.places:
+        assert sigma * rho == pytest.approx((8 / 3 + sigma) * (8 / 3 + 1), rel=1e-13)
+    assert all(point.certified for point in curve.points) and verified(curve).passed

@@ -356,13 +356,13 @@ def _record(name: str, model: Model, parameter: str, runs: list[tuple[SolutionCu
 
 def _apart(events: list[RestEvent]) -> list[RestEvent]:
     """Without folds that are branch points: of a branch that turns where it crosses another."""
-    crossings = [event for event in events if event.kind == "branch_point"]
-
-    def crossed(fold: RestEvent) -> bool:
-        return any(
-            abs(fold.parameter - other.parameter) <= 10 * (fold.error + other.error)
-            or abs(fold.arclength - other.arclength) < 1e-6
-            for other in crossings
-        )
-
-    return [event for event in events if event.kind != "fold" or not crossed(event)]
+    groups: dict[str, list[RestEvent]] = {}
+    for event in events:
+        groups.setdefault(event.kind, []).append(event)
+    crossings = groups.get("branch_point", [])
+    double = [
+        fold for fold in groups.get("fold", []) for other in crossings
+        if abs(fold.parameter - other.parameter) <= 10 * (fold.error + other.error)
+        or abs(fold.arclength - other.arclength) < 1e-6
+    ]  # fmt: skip
+    return [event for event in events if not any(event is fold for fold in double)]

@@ -26,7 +26,6 @@ import numpy as np
 from orbitfinder._runtime import locks
 from orbitfinder._runtime.keeping import STOPPED, finished
 from orbitfinder._runtime.sizes import nonzero, size_of
-from orbitfinder.continuation import follow as driver
 from orbitfinder.continuation.follow import CurveJournal, Goals, KeptPoint, SolutionCurve, advanced, follow, towards
 from orbitfinder.continuation.problem import Point, solved
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
@@ -49,8 +48,8 @@ PAIRS = {"hopf": 1, "neutral_saddle": 1, "generalised_hopf": 1, "fold_hopf": 1, 
 ZERO, REAL, AGAIN = ("fold", "cusp", "bogdanov_takens", "fold_hopf"), ("neutral_saddle",), {"bogdanov_takens": "fold"}
 """How many critical pairs each kind has; which have an eigenvalue 0, or a real pair; which are recomputed otherwise"""
 NEAR, SLOPE, KNOWN = 10, 1e-4, 1e-6
-"""So many points on either side of an event say what it is measured in; half of a central difference along a curve; a
-special point is known this well at least, in the sizes there"""
+"""So many points on either side of an event say what it is measured in; half of a central difference along a curve;
+special points are located to this share of a step, solved for from there, and known this well at least"""
 STILL, SIMPLE = 100 * equations.ROUND_OFF, 1e-9
 """A frequency squared, in the pace, that is not known from 0; <p, q> of a simple eigenvalue is larger"""
 VANISHED, SAME = 1e-6, 1e-5
@@ -307,7 +306,7 @@ def follow_rest_curve(
     form, slowest = start.problem.form, start.problem.pace
     curve = {"test": {"kind": form, "detail": ""}, "form": form, "parameters": names, "pace": slowest, "fixed": fixed}
     judge, label = Judge(model, names), name or f"{equilibria.name}-{number}-{'-'.join(names)}"
-    path, pace = None if out is None else Path(out) / label, replace(rest.PACE, points=points, located=driver.LOCATED)
+    path, pace = None if out is None else Path(out) / label, replace(rest.PACE, points=points, located=KNOWN)
     tests = {role: lambda point, test=test: test(point.problem, point.w) for role, test in
              TESTS[form].items() if role == "cusp" or not model.conservative}  # fmt: skip
     goals, runs = Goals(names[0], until, tuple(map(float, at))), list[tuple[SolutionCurve, _Track]]()
