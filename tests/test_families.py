@@ -410,7 +410,9 @@ def test_a_check_goes_round_from_the_nodes(wild):
         return judged(np.linalg.eigvals(gone.map())).indices[0].real
 
     alone, known = index(None), point.indices[0].real
-    assert abs(index((times, states)) - known) < 1e-2 * abs(alone - known)
+    off = abs(index((times, states)) - known)
+    # alone it was off by 3.5e-3 with what is along the flow, without which it is by 9e-4
+    assert off < 1e-12 * known and off < abs(alone - known) / 50 < 1e-4
     assert index((times, states + 1e-6)) == alone
 
 

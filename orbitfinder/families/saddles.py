@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from operator import itemgetter
 
 import numpy as np
-from scipy.optimize import brentq
 
+from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.point import extents, freed, parameter_value
 from orbitfinder.families.rest import ROUND_OFF, can_rest
@@ -252,7 +252,7 @@ def settling(periods: np.ndarray, values: np.ndarray, noise: float) -> tuple[flo
     ends = 1e-3 / span, 50.0 / span
     if not (span > 0 and off(ends[0]) * off(ends[1]) < 0):
         return np.nan, int(c)
-    return float(brentq(off, *ends)), int(c)
+    return zero(off, *ends, 1e-12 * ends[0]), int(c)
 
 
 def saddle_node_limit(periods: np.ndarray, values: np.ndarray, noise: float) -> Limit:

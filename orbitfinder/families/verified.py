@@ -6,6 +6,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -290,9 +291,9 @@ def _target(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
     return at_most(end.kind, off, ROUNDED * abs(wanted), end.reason)
 
 
-def _blown_up(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
-    """The period has grown; what orbits come near are equilibria with these eigenvalues at the parameter, to which the
-    family's own orbits go."""
+def _blown_up(node: bool, family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
+    """The period has grown; what orbits come near are equilibria (a saddle-`node`) with these eigenvalues at the
+    parameter, to which the family's own orbits go."""
     grown = at.period / float(family.values("period").min())
     off = [GROWN / grown]
     value, free = float(end.parameter or 0.0), dict(at.free)
@@ -301,7 +302,6 @@ def _blown_up(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
         periods, values = family.values("period")[::step], family.values("value")[::step]
         known = [np.array(saddle["eigenvalues"]) @ [1, 1j] for saddle in end.saddles]
         noise = noise_of(curve, settled_on(curve, at), family.parameter)
-        node = end.kind == "saddle-node"
         limit = saddle_node_limit(periods, values, noise) if node else homoclinic_limit(periods, values, known, noise)
         off.append(abs(limit[0] - value) / (limit[1] + float(end.error or 0.0)))
         free[family.parameter] = value
@@ -367,8 +367,10 @@ def _joined(_: Family, curve: Curve, end: End, __: FamilyPoint) -> Check:
     return at_most(end.kind, max(off, apart), ALIKE, end.reason, gap <= 1.0)
 
 
-BLOWN_UP = dict.fromkeys(("homoclinic", "heteroclinic", "saddle-node"), _blown_up)
-SOLVED = {"target": _target, "equilibrium": _rest, "hopf": _rest, **BLOWN_UP}
+SOLVED: dict[str, Callable[[Family, Curve, End, FamilyPoint], Check]] = {
+    "target": _target, "equilibrium": _rest, "hopf": _rest, "homoclinic": partial(_blown_up, False),
+    "heteroclinic": partial(_blown_up, False), "saddle-node": partial(_blown_up, True),
+}  # fmt: skip
 """The checks of what was solved for at an end, by its kind"""
 
 
