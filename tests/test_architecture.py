@@ -251,6 +251,7 @@ SOLVERS = {"solve", "lstsq", "pinv", "splu", "spsolve", "least_norm", "least_squ
 ITERATIONS = {
     "mechanics.newton": "the one: whole, chord and halved steps, closures, equilibria",
     "loops.continued": "families' corrector, with a border whose derivatives are measured on the way",
+    "integrate.collocation": "the stages of all steps at once, whose derivatives come with the last solve",
     "atlas.solver": "Levenberg and Marquardt's, asked at every evaluation whether a start is hopeless or creeps",
     "mechanisms.closing": "the minimal form's steps: an expression graph, whose number of steps is fixed",
     "mechanisms.pose": "a hand pulls to the least distance, which is no zero",

@@ -51,15 +51,15 @@ class Tableau:
 
 
 @lru_cache(maxsize=8)
-def tableau(points: int = POINTS, kind: str = "radau") -> Tableau:
-    """The `Tableau` of so many points, of kind "radau" or "legendre" (Gauss)."""
-    places = np.array(ca.collocation_points(points, kind))
+def tableau(points: int = POINTS, rule: str = "radau") -> Tableau:
+    """The `Tableau` of so many points, "radau" or "legendre" (Gauss)."""
+    places = np.array(ca.collocation_points(points, rule))
     powers = places[:, None] ** np.arange(points)
     by_power = np.arange(1, points + 1)
     inner = (places[:, None] * powers / by_power) @ np.linalg.inv(powers)
     weights = np.linalg.solve(powers.T, 1.0 / by_power)
     end = np.linalg.solve(inner.T, weights)
-    if kind == "radau":  # to the last bit
+    if rule == "radau":  # to the last bit
         end = np.eye(points)[-1]
     nodes = np.append(0.0, places)
     difference = np.array([1.0 / np.prod(node - np.delete(nodes, k)) for k, node in enumerate(nodes)])
@@ -97,10 +97,10 @@ class Collocation(March):
 
     def __init__(
         self, field: ca.Function, forced: bool = False, integrand: ca.Function | None = None, alone: bool = False,
-        points: int = POINTS, kind: str = "radau",
+        points: int = POINTS, rule: str = "radau",
     ) -> None:  # fmt: skip
         super().__init__(field, forced, integrand, alone)
-        self.tableau = tableau(points, kind)
+        self.tableau = tableau(points, rule)
         self._known: dict[Any, Stages] = {}
 
     @property
@@ -190,7 +190,7 @@ class Collocation(March):
         across = duration[:, None, None, None, None] * a[:, None, :, None] * slopes.swapaxes(1, 2)[:, None]
         matrix = np.eye(m * size) - across.reshape(count, m * size, m * size)
         right = np.empty((count, m, size, 1 + size + tails.shape[1]))
-        carried = np.einsum("ij,pjar->piar", a, np.concatenate([rates[..., None], others], axis=3))
+        carried = np.einsum("ij,pjbc->pibc", a, np.concatenate([rates[..., None], others], axis=3))
         carried *= duration[:, None, None, None]
         right[..., 0] = carried[..., 0] - z
         right[..., 1 : 1 + size] = across.sum(axis=3)
@@ -216,7 +216,7 @@ class Collocation(March):
             key = (loops, k, mesh.tobytes())
             done = self._solved(key, now, steps, begins, tail)
             changed = np.einsum(
-                "i,piar->par", self.tableau.end, done.slopes.reshape(len(now), -1, size, grown.shape[2])
+                "i,pibc->pbc", self.tableau.end, done.slopes.reshape(len(now), -1, size, grown.shape[2])
             )
             added = changed[:, :, :size] @ grown + grown
             added[:, :, size:] += changed[:, :, size:]
@@ -265,7 +265,7 @@ def curvatures(rule: Tableau, stages: np.ndarray, mesh: np.ndarray, units: np.nd
     From how the m-th divided differences change between the middles of neighbouring steps, of a closed motion.
     """
     steps = np.diff(mesh)
-    lower = np.einsum("m,nmd->nd", rule.difference[1:], stages) / steps[:, None] ** rule.points.size
+    lower = np.einsum("m,kmd->kd", rule.difference[1:], stages) / steps[:, None] ** rule.points.size
     apart = 0.5 * (steps + np.roll(steps, -1))
     change = np.abs(np.roll(lower, -1, axis=0) - lower) / apart[:, None] / (rule.points.size + 1)
     return np.asarray((0.5 * (change + np.roll(change, 1, axis=0)) / units).max(axis=1))

@@ -30,7 +30,7 @@ LAPS, LONGEST = 12, 2.0
 
 
 @dataclass(frozen=True)
-class Course:
+class Settling:
     """A simulated motion: its steps (k), the states there (k x d), and states at any times between."""
 
     times: np.ndarray
@@ -38,7 +38,7 @@ class Course:
     at: Callable[[np.ndarray], np.ndarray]
 
 
-def simulated(model: Model, state: np.ndarray, duration: float, units: np.ndarray | None = None) -> Course:
+def simulated(model: Model, state: np.ndarray, duration: float, units: np.ndarray | None = None) -> Settling:
     """The motion from a state (d) for a time, by BDF where it is stiff (LSODA), measured in `units` (d).
 
     Raises `IntegrationError` where it cannot be integrated.
@@ -60,7 +60,7 @@ def simulated(model: Model, state: np.ndarray, duration: float, units: np.ndarra
                           jac=steepness, dense_output=True)  # fmt: skip
     if not found.success or not np.isfinite(found.y).all():
         raise IntegrationError("the motion cannot be simulated", time=float(found.t[-1]), state=state)
-    return Course(found.t, found.y.T * size, lambda times: np.asarray(found.sol(times).T * size))
+    return Settling(found.t, found.y.T * size, lambda times: np.asarray(found.sol(times).T * size))
 
 
 def cycles(model: Model, guess: Guess, stiff: bool) -> Iterator[Guess]:
@@ -108,7 +108,7 @@ def _apart(model: Model, guess: Guess) -> float:
     return float(np.abs(moved / nonzero(np.ptp(states, axis=0))).max())
 
 
-def _between(course: Course, begin: float, lasts: float) -> Guess:
+def _between(course: Settling, begin: float, lasts: float) -> Guess:
     """The part of a simulation from a time on, sampled closely."""
     inside = course.times[(course.times > begin) & (course.times < begin + lasts)] - begin
     steps = np.concatenate([[0.0], inside, [lasts]])
@@ -130,7 +130,9 @@ def paces(model: Model, times: np.ndarray, states: np.ndarray, units: np.ndarray
     return np.asarray(np.linalg.norm(rates / units, axis=1))
 
 
-def _lap(model: Model, course: Course, units: np.ndarray, earliest: float, period: float) -> tuple[Guess, float] | None:
+def _lap(
+    model: Model, course: Settling, units: np.ndarray, earliest: float, period: float
+) -> tuple[Guess, float] | None:
     """The lap that begins after a time where the motion is slow, and by how much it does not close, in `units`.
 
     Of all returns through the plane there, normal to the motion, the first as near as any but for a tenth.
