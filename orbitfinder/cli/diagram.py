@@ -59,10 +59,10 @@ def diagram(
     written = [folder / "diagram.json"]
     written += answer("plot", written[0])(made, folder, model) if figures else []
     text(f"{written[0]}: {made.counts}")
-    for one in made.branchings:
-        text(f"  {one.file} {one.words}; {one.became} {', '.join(one.leads)}".rstrip())
+    for branching in made.branchings:
+        text(f"  {branching.file} {branching.words}; {branching.became} {', '.join(branching.leads)}".rstrip())
     next_step("verify", written[0])
-    fine = all(one.became in ("followed", "joined", "depth") for one in made.branchings)
+    fine = all(branching.became in ("followed", "joined", "depth") for branching in made.branchings)
     document = {"name": made.name, "parameter": parameter, "between": made.between, "curves": made.curves,
                 "branchings": made.branchings, "undone": made.undone, "written": written}  # fmt: skip
     finish("diagram", document, fine and not any(" stops: " in line for line in made.undone))

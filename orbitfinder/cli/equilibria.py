@@ -81,8 +81,8 @@ def _from_a_box(
         curves += 1
         label = name if curves == 1 else f"{name}-{curves}"
         origin = model, rest.state
-        found, told, whole = followed_rest(origin, parameter, until, (*at, begun), points, out, label, shown)
-        passed += [point.state for point in found.points if point.value == begun]
+        curve, told, whole = followed_rest(origin, parameter, until, (*at, begun), points, out, label, shown)
+        passed += [point.state for point in curve.points if point.value == begun]
         yield told, whole
 
 
@@ -109,27 +109,27 @@ def followed_rest(
         follow = partial(cast(Any, of.follow_equilibria), *given, parameter)
     folder = folder_of(out, name or origin.name)
     with kept(folder / "equilibria.json", of.save_equilibria):
-        found = follow(
+        curve = follow(
             until=until, at=at, points=points, name=folder.name, out=out,
-            progress=lambda rest: shown.say(f"{parameter} {rest.value:.9g}, {rest.kind or rest.stability}"),
+            progress=lambda rest: shown.say(f"{parameter} {curve.value:.9g}, {curve.kind or curve.stability}"),
         )  # fmt: skip
-        written = [of.save_equilibria(found, folder / "equilibria.json")]
-    written += answer("plot", written[0])(found, folder, None) if figures and found.curve else []
-    sure = sum(point.certified for point in found.points)
-    true = sum(event.check is not None and event.check.passed for event in found.events)
-    text(f"{written[0]}: {len(found.points)} equilibria, {sure} certified; {found.ends[-1].reason}")
-    for k, event in enumerate(found.events):
+        written = [of.save_equilibria(curve, folder / "equilibria.json")]
+    written += answer("plot", written[0])(curve, folder, None) if figures and curve.curve else []
+    sure = sum(point.certified for point in curve.points)
+    true = sum(event.check is not None and event.check.passed for event in curve.events)
+    text(f"{written[0]}: {len(curve.points)} equilibria, {sure} certified; {curve.ends[-1].reason}")
+    for k, event in enumerate(curve.events):
         line = f"  {k} {event.words} at {parameter} = {event.parameter:.12g} +- {event.error:.1g}"
-        if found.curve:
-            line += f", {found.parameters[1]} = {event.values[1]:.12g} +- {event.errors[1]:.1g}"
+        if curve.curve:
+            line += f", {curve.parameters[1]} = {event.values[1]:.12g} +- {event.errors[1]:.1g}"
             numbers = [f"{name} = {value:.6g}" for name, value in event.normal_form.items()]
             line += f"; normal form: {', '.join(numbers)}" if numbers else ""
         if event.period > 0:
             line += f", period {event.period:.12g}, l1 = {event.lyapunov:.6g}"
         text(line)
-    if leaving := [k for k, event in enumerate(found.events) if event.direction.size]:
+    if leaving := [k for k, event in enumerate(curve.events) if event.direction.size]:
         next_step("continue", written[0], "--switch", leaving[0])
-    document = {"name": folder.name, "parameter": parameter, "points": len(found.points), "certified": sure,
-                "events": found.events, "ends": found.ends, "written": written}  # fmt: skip
-    arrived = until is None or until in (found.points[0].value, found.points[-1].value)
-    return found, document, arrived and sure == len(found.points) and true == len(found.events)
+    document = {"name": folder.name, "parameter": parameter, "points": len(curve.points), "certified": sure,
+                "events": curve.events, "ends": curve.ends, "written": written}  # fmt: skip
+    arrived = until is None or until in (curve.points[0].value, curve.points[-1].value)
+    return curve, document, arrived and sure == len(curve.points) and true == len(curve.events)

@@ -50,9 +50,9 @@ def born(curve: Curve, solution: Solution, multiplier: complex) -> str:
     for share in FINER:
         with suppress(IntegrationError, np.linalg.LinAlgError):  # what is so far beside an orbit may not come back
             known.append(sign * coefficient(curve, solution, multiplier, STEP * share))
-    for one, other in pairwise(known):
-        if abs(one - other) < AGREED * min(abs(one), abs(other)):
-            return "supercritical" if one > 0 else "subcritical"
+    for first, other in pairwise(known):
+        if abs(first - other) < AGREED * min(abs(first), abs(other)):
+            return "supercritical" if first > 0 else "subcritical"
     return ""
 
 
@@ -64,13 +64,13 @@ def coefficient(curve: Curve, solution: Solution, multiplier: complex, step: flo
     p = _nearest(matrix.T, multiplier)[1]
     if not np.imag(multiplier):
         q, p, mu = q.real / np.linalg.norm(q.real), p.real, complex(-1.0)
-    p, one = p / (p @ q), np.eye(len(matrix))
+    p, unit = p / (p @ q), np.eye(len(matrix))
     second, third = _Differences(returned, step).forms()
-    mean = np.linalg.solve(one - matrix, second(q, q.conj()).real)
+    mean = np.linalg.solve(unit - matrix, second(q, q.conj()).real)
     if not np.imag(multiplier):
         return float((p @ third(q)).real / 6 + (p @ second(q, mean)).real / 2)
     mu = mu / abs(mu)
-    double = np.linalg.solve(mu**2 * one - matrix, second(q, q))
+    double = np.linalg.solve(mu**2 * unit - matrix, second(q, q))
     return float((p @ (third(q) + 2 * second(q, mean) + second(q.conj(), double)) / mu).real / 2)
 
 

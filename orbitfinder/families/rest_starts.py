@@ -106,8 +106,8 @@ def _rested(model: Model, state: np.ndarray) -> np.ndarray:
     pace = float(np.abs(rates(0.0, state) / nonzero(np.abs(state))).max()) or 1.0
     with np.errstate(all="ignore"), contextlib.suppress(ValueError, ArithmeticError):
         least = 1e-9 * float(np.abs(state).max())
-        found = solve_ivp(rates, (0.0, FARTHEST / pace), state, method="BDF", rtol=1e-6, atol=least)
-        return np.asarray(found.y[:, -1]) if np.isfinite(found.y[:, -1]).all() else state
+        path = solve_ivp(rates, (0.0, FARTHEST / pace), state, method="BDF", rtol=1e-6, atol=least)
+        return np.asarray(path.y[:, -1]) if np.isfinite(path.y[:, -1]).all() else state
     return state
 
 

@@ -132,8 +132,8 @@ def _found_first(problem: Problem, free: tuple[str, ...]) -> Start:
     """From the orbit that `find_orbit` finds, at the values it gives to parameters that the Problem frees."""
     orbit = find_orbit(problem)
     model = with_parameters(problem.model, orbit.provenance.get("free", {})) if problem.free else problem.model
-    found = as_problem(orbit, model)
-    return (_collocated if found.method == COLLOCATION else _start)(found, free)
+    problem = as_problem(orbit, model)
+    return (_collocated if problem.method == COLLOCATION else _start)(problem, free)
 
 
 def _collocated(problem: Problem, free: tuple[str, ...]) -> Start:

@@ -45,9 +45,9 @@ class Tableau:
         """Lagrange's polynomials (k x m) of the stages, 0 where the step begins, at places (k) in it from 0 to 1."""
         nodes = np.append(0.0, self.points)
         others = [np.delete(nodes, r) for r in range(1, nodes.size)]
-        found = np.array([np.prod((places[:, None] - own) / (node - own), axis=1)
+        rows = np.array([np.prod((places[:, None] - own) / (node - own), axis=1)
                          for node, own in zip(self.points, others, strict=True)])  # fmt: skip
-        return np.asarray(found.T)
+        return np.asarray(rows.T)
 
 
 @lru_cache(maxsize=8)
@@ -150,8 +150,8 @@ class Collocation(March):
         units = nonzero(np.abs(nodes).max(axis=0))
         for _ in range(MOST_ITERATIONS):
             states = (nodes[:, None] + z).reshape(-1, size)
-            found = self._evaluated(moments * places[:, 0] * self.forced, states, places)
-            changes, integrand = self._newton(z, steps, moments, tails, found), found[3].reshape(len(nodes), -1)
+            values = self._evaluated(moments * places[:, 0] * self.forced, states, places)
+            changes, integrand = self._newton(z, steps, moments, tails, values), values[3].reshape(len(nodes), -1)
             z = z + changes[:, :, 0].reshape(z.shape)
             change = np.abs(changes[:, :, 0].reshape(-1, size) / units).max()
             if not change < 1e6:
@@ -181,12 +181,12 @@ class Collocation(March):
         return np.asarray(s**2 * (3 - 2 * s) * ahead[:, None] + s * (1 - s) * bent)
 
     def _newton(
-        self, z: np.ndarray, steps: np.ndarray, moments: np.ndarray, tails: np.ndarray, found: tuple[np.ndarray, ...]
+        self, z: np.ndarray, steps: np.ndarray, moments: np.ndarray, tails: np.ndarray, values: tuple[np.ndarray, ...]
     ) -> np.ndarray:
         """Newton's change of the stages and their derivatives by nodes and by (T, s, free) (P x m d x 1 + d + ...)."""
         count, m, size = z.shape
         a, duration = self.tableau.inner, steps * tails[:, 0]
-        rates, slopes, others = (each.reshape(count, m, *each.shape[1:]) for each in found[:3])
+        rates, slopes, others = (each.reshape(count, m, *each.shape[1:]) for each in values[:3])
         across = duration[:, None, None, None, None] * a[:, None, :, None] * slopes.swapaxes(1, 2)[:, None]
         matrix = np.eye(m * size) - across.reshape(count, m * size, m * size)
         right = np.empty((count, m, size, 1 + size + tails.shape[1]))
@@ -229,7 +229,7 @@ class Collocation(March):
         if states:
             inner = np.stack(path, axis=1).reshape(loops, -1, size)
             whole = np.concatenate([inner, ends[:, -1:]], axis=1)
-        totals = [float(one) for one in np.reshape(integrals, (loops, -1)).sum(axis=1)]
+        totals = [float(total) for total in np.reshape(integrals, (loops, -1)).sum(axis=1)]
         return list(map(Varied, ends, grown[..., :size], grown[..., size:], whole, totals))
 
     def ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:

@@ -56,11 +56,11 @@ def simulated(model: Model, state: np.ndarray, duration: float, units: np.ndarra
         return np.asarray(slopes(t, x * size)) * size / size[:, None]
 
     with np.errstate(all="ignore"), captured():
-        found = solve_ivp(rate, (0.0, duration), state / size, method="LSODA", rtol=RELATIVE, atol=ABSOLUTE,
+        solution = solve_ivp(rate, (0.0, duration), state / size, method="LSODA", rtol=RELATIVE, atol=ABSOLUTE,
                           jac=steepness, dense_output=True)  # fmt: skip
-    if not found.success or not np.isfinite(found.y).all():
-        raise IntegrationError("the motion cannot be simulated", time=float(found.t[-1]), state=state)
-    return Settling(found.t, found.y.T * size, lambda times: np.asarray(found.sol(times).T * size))
+    if not solution.success or not np.isfinite(solution.y).all():
+        raise IntegrationError("the motion cannot be simulated", time=float(solution.t[-1]), state=state)
+    return Settling(solution.t, solution.y.T * size, lambda times: np.asarray(solution.sol(times).T * size))
 
 
 def cycles(model: Model, guess: Guess, stiff: bool) -> Iterator[Guess]:
@@ -91,10 +91,10 @@ def _settled(model: Model, guess: Guess) -> Guess:
             raise ConvergenceError(
                 "the motion from guess.state comes to rest; give a state near a cycle and its period"
             )
-        found = _lap(model, course, units, course.times[-1] - (0.5 + LONGEST) * guess.period, guess.period)
-        if found is not None and found[1] <= BACK:
-            return found[0]
-        away = min(away, np.inf if found is None else found[1])
+        back = _lap(model, course, units, course.times[-1] - (0.5 + LONGEST) * guess.period, guess.period)
+        if back is not None and back[1] <= BACK:
+            return back[0]
+        away = min(away, np.inf if back is None else back[1])
     raise ConvergenceError(
         f"the motion from guess.state does not come back after about guess.period = {guess.period:g} (to {away:.2g} of "
         f"its extent at best, in {LAPS * (1 + 2 * LONGEST):g} periods); give a state near the cycle and its period"
