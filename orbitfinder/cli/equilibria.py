@@ -111,7 +111,7 @@ def followed_rest(
     with kept(folder / "equilibria.json", of.save_equilibria):
         curve = follow(
             until=until, at=at, points=points, name=folder.name, out=out,
-            progress=lambda rest: shown.say(f"{parameter} {curve.value:.9g}, {curve.kind or curve.stability}"),
+            progress=lambda rest: shown.say(f"{parameter} {rest.value:.9g}, {rest.kind or rest.stability}"),
         )  # fmt: skip
         written = [of.save_equilibria(curve, folder / "equilibria.json")]
     written += answer("plot", written[0])(curve, folder, None) if figures and curve.curve else []
