@@ -300,7 +300,7 @@ def _blown_up(node: bool, family: Family, curve: Curve, end: End, at: FamilyPoin
     if end.saddles and family.parameter in free:
         step = 1 if at is family.points[-1] else -1
         periods, values = family.values("period")[::step], family.values("value")[::step]
-        known = [np.array(saddle["eigenvalues"]) @ [1, 1j] for saddle in end.saddles]
+        known = [np.array(saddle["eigenvalues"]) @ [1, 1j] for saddle in end.saddles or ()]
         noise = noise_of(curve, settled_on(curve, at), family.parameter)
         limit = saddle_node_limit(periods, values, noise) if node else homoclinic_limit(periods, values, known, noise)
         off.append(abs(limit[0] - value) / (limit[1] + float(end.error or 0.0)))
@@ -308,7 +308,7 @@ def _blown_up(node: bool, family: Family, curve: Curve, end: End, at: FamilyPoin
     model = with_parameters(curve.equations.model, free)
     equations = hamilton(model)
     linearised = _linearised(equations)
-    for saddle in end.saddles:
+    for saddle in end.saddles or ():
         x = np.array(saddle["state"])[equations.coordinates.chosen]
         if model.rates is None:
             x[equations.coordinates.size :] = 0.0

@@ -196,7 +196,7 @@ class End:
     period: float | None = None
     error: float | None = None
     joined: Mapping[str, Any] | None = None
-    saddles: tuple[Mapping[str, Any], ...] = ()
+    saddles: tuple[Mapping[str, Any], ...] | None = None
 
 
 def reached(name: str, value: float) -> str:
