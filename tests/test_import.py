@@ -161,6 +161,7 @@ def values():
         of.Tori("around", model.system, "rotation", {"energy": -1.0}, (ring,)), of.TorusSettings(),
         of.Equilibria("rest", {}, "b", (of.Equilibrium(np.zeros(2), 1.0, np.zeros(2, complex), "neutral"),)),
         of.Equilibrium(np.zeros(2), 1.0, np.zeros(2, complex), "neutral"),
+        of.BifurcationDiagram("tree", {}, "b", (0.0, 1.0), 2, "x", ()),
         of.Optima("kept", "damping", (orbit,), np.zeros(1), (0,)),
         of.PhaseResponse("clock", {}, 1.0, (0, 0), np.zeros(1), ring.curve[:1], ring.curve[:1], 0.0, np.zeros(0), ""),
     ]  # fmt: skip

@@ -114,7 +114,7 @@ class BifurcationDiagram(Shown):
     @property
     def undone(self) -> tuple[str, ...]:
         """What was left undone and why, a sentence each."""
-        left = [f"{one.file}, {one.words}" for one in self.branchings if one.became not in ("followed", "joined")]
+        left = [f"{fork.file}, {fork.words}" for fork in self.branchings if fork.became not in ("followed", "joined")]
         ends = [(curve.file, end) for curve in self.curves for end in curve.record.ends]
         return (*left, *(f"{file} stops: {end.reason}" for file, end in ends if end_kind(end.kind).lengthened))
 
@@ -122,7 +122,7 @@ class BifurcationDiagram(Shown):
     def counts(self) -> str:
         """How many curves there are, and what became of the events."""
         rest = sum(isinstance(curve.record, Equilibria) for curve in self.curves)
-        made = [one.became for one in self.branchings]
+        made = [fork.became for fork in self.branchings]
         became = ", ".join(f"{made.count(word)} {word}" for word in dict.fromkeys(made)) or "none"
         curves = plural(rest, "curve") + f" of equilibria, {len(self.curves) - rest} of cycles"
         return f"{curves}; events: {became}"
@@ -223,7 +223,7 @@ def diagram(
 
     Examples:
         >>> tree = of.diagram(of.systems.brusselator(rate=1.8), [1.0, 1.8], "rate", 2.4)
-        >>> [(one.became, one.leads) for one in tree.branchings]
+        >>> [(fork.became, fork.leads) for fork in tree.branchings]
         [('followed', ('equilibria-0/family.json',))]
     """
     names = (*model.state_names[: model.degrees_of_freedom], NORM)
@@ -259,7 +259,7 @@ class _Tree:
 
     def made(self) -> BifurcationDiagram:
         """What there is, written where there is a folder; events that were not come to are said to be undone."""
-        known = {(one.file, one.event) for one in self.branchings}
+        known = {(fork.file, fork.event) for fork in self.branchings}
         rest = [
             self.over(curve, k, "budget", f"{_told(curve, k)}: {self.stopped}")
             for curve in self.curves for k in leaving(curve.record) if (curve.file, k) not in known
@@ -303,7 +303,7 @@ class _Tree:
 
     def over(self, curve: DiagramCurve, k: int, became: str, words: str) -> Branching:
         """What became of an event, with the curves that are born there so far."""
-        born = [one.file for one in self.curves if (one.parent, one.event) == (curve.file, k)]
+        born = [child.file for child in self.curves if (child.parent, child.event) == (curve.file, k)]
         return Branching(curve.file, k, became, words, tuple(born))
 
     def beside(self, curve: DiagramCurve, k: int) -> Iterator[tuple[str, Callable[[], Equilibria | Family]]]:
@@ -330,17 +330,17 @@ class _Tree:
         before = (
             load_equilibria(file) if file and file.exists() else record
         )  # in which events have the same last digits
-        states = [[(point.value, *point.state) for point in one.points] for one in (record, before)]
+        states = [[(point.value, *point.state) for point in each.points] for each in (record, before)]
         same = states[0] == states[1] and len(record.events) == len(before.events)
         return before if same and all(map(_alike, record.events, before.events)) else record
 
     def known(self, curve: DiagramCurve, event: RestEvent | Event) -> DiagramCurve | None:
         """The curve that ends at an event, or that it is an event of as well."""
         rests = [other for other in self.curves if isinstance(other.record, Equilibria)]
-        every = [event] if isinstance(event, Event) else [one for rest in rests for one in rest.record.events]
+        every = [event] if isinstance(event, Event) else [each for rest in rests for each in rest.record.events]
         for other in (other for other in self.curves if isinstance(other.record, Family)):
             for end in other.record.ends:
-                met = [one for one in every if self.meets(end, one)]
+                met = [each for each in every if self.meets(end, each)]
                 if (other.parent == curve.file or not isinstance(event, Event)) and event in _nearest(
                     met, other.record
                 ):
@@ -348,7 +348,7 @@ class _Tree:
         if isinstance(event, Event):
             return None
         return next(
-            (rest for rest in rests if rest is not curve and any(_alike(one, event) for one in rest.record.events)),
+            (rest for rest in rests if rest is not curve and any(_alike(each, event) for each in rest.record.events)),
             None,
         )
 
@@ -368,10 +368,10 @@ def _told(curve: DiagramCurve, k: int) -> str:
     return f"event {k}, {event.words} at {curve.record.parameter} {event.parameter:.9g}"
 
 
-def _alike(one: RestEvent, other: RestEvent) -> bool:
+def _alike(event: RestEvent, other: RestEvent) -> bool:
     """Whether two events of equilibria are the same."""
-    near = one.words == other.words and abs(one.parameter - other.parameter) <= 10 * (one.error + other.error)
-    return near and bool(np.abs(one.state - other.state).max() <= SAME * nonzero(np.abs(one.state).max()))
+    near = event.words == other.words and abs(event.parameter - other.parameter) <= 10 * (event.error + other.error)
+    return near and bool(np.abs(event.state - other.state).max() <= SAME * nonzero(np.abs(event.state).max()))
 
 
 def _nearest(events: Sequence[Any], family: Family) -> list[Any]:
@@ -403,9 +403,9 @@ def verified(diagram: BifurcationDiagram, model: Model) -> Certificate:
     tree, (low, high) = _Tree(diagram), sorted(diagram.between)
     values = np.array([point.value for curve in diagram.curves for point in curve.record.points])
     wanted = sorted((curve.file, k) for curve in diagram.curves for k in leaving(curve.record))
-    listed = sorted((one.file, one.event) for one in diagram.branchings)
-    astray = [one.words for one in diagram.branchings if not _true(tree, one)]
-    children = [file for one in diagram.branchings if one.became != "joined" for file in one.leads]
+    listed = sorted((fork.file, fork.event) for fork in diagram.branchings)
+    astray = [fork.words for fork in diagram.branchings if not _true(tree, fork)]
+    children = [file for fork in diagram.branchings if fork.became != "joined" for file in fork.leads]
     lost = sorted(curve.file for curve in diagram.curves if curve.parent) != sorted(children)
     return Certificate((
         *(check for curve in diagram.curves for check in _checks(curve, model)),
@@ -423,20 +423,20 @@ def _checks(curve: DiagramCurve, model: Model) -> Iterator[Check]:
         yield replace(check, note=f"{curve.file} {where}: {check.note}".replace(" :", ":"))
 
 
-def _true(tree: _Tree, one: Branching) -> bool:
+def _true(tree: _Tree, fork: Branching) -> bool:
     """Whether what is said of an event is so."""
     curves = {curve.file: curve for curve in tree.curves}
-    if one.file not in curves or one.event not in leaving(curves[one.file].record) or not {*one.leads} <= {*curves}:
+    if fork.file not in curves or fork.event not in leaving(curves[fork.file].record) or not {*fork.leads} <= {*curves}:
         return False
-    own, leads = curves[one.file], [curves[file] for file in one.leads]
-    event = own.record.events[one.event]
-    if one.became == "joined":
+    own, leads = curves[fork.file], [curves[file] for file in fork.leads]
+    event = own.record.events[fork.event]
+    if fork.became == "joined":
         return tree.known(own, event) in leads
-    deep, wanted = own.depth >= tree.empty.depth, one.became == "followed"
+    deep, wanted = own.depth >= tree.empty.depth, fork.became == "followed"
     return (
-        (one.became == "depth") <= deep
+        (fork.became == "depth") <= deep
         and bool(leads) >= wanted
-        and all(_born(lead, own, one.event, tree) for lead in leads)
+        and all(_born(lead, own, fork.event, tree) for lead in leads)
     )
 
 

@@ -24,8 +24,8 @@ from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.certificate import Certificate, at_most, equal
 
-NEUTRAL = 1e-9
-"""Eigenvalues whose real parts are this share of the largest are on the imaginary axis"""
+NEUTRAL, NOISE = 1e-9, 1e-14
+"""Eigenvalues whose real parts are this share of the largest are on the imaginary axis; components so small are 0"""
 RESIDUAL, SLOPES, CRITICAL = 1e-12, 1e-7, 1e-8
 """What may be left of the rates, of the eigenvalues by differences and of a critical one by the flow, in the pace of
 the equilibrium and its sizes"""
@@ -33,8 +33,6 @@ DIFFERENCE = 2e-3
 """Half of the widest of the differences that check slopes, in the sizes of the state"""
 STEPS, WEIGHTS = np.array([-3, -2, -1, 1, 2, 3]) / 3.0, np.array([-1.0, 9.0, -45.0, 45.0, -9.0, 1.0]) / 20.0
 """Of the sixth order, in `DIFFERENCE`s"""
-NOISE = 1e-14
-"""Components so small, in their sizes, are 0"""
 
 
 def stability(values: np.ndarray, pace: float) -> str:

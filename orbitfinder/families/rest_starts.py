@@ -22,13 +22,12 @@ from orbitfinder.integrate.jets import Jets, at_rest
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.newton import Settings, equilibrium
 
-FARTHEST = 1e3
-"""How long a simulation to rest takes, in the times in which the state at its start would change by itself"""
 NEAR = Settings(floor=1e-14, round_off=1e-9, converged=1e-9, most_evaluations=40, farthest=1e3)
 ANYWHERE = replace(NEAR, longest=1.0, patience=12, progress=0.9)
 """Newton's whole steps near a state, and in a box, where none is longer than half its sides"""
-SAME, ZERO, MOST = 1e-6, 1e-12, 30
-"""Equilibria nearer than this in sizes of a box are the same, components are 0; from a start so many are looked for"""
+SAME, ZERO, MOST, FARTHEST = 1e-6, 1e-12, 30, 1e3
+"""Equilibria nearer than this in sizes of a box are the same, components are 0; from a start so many are looked for.
+How long a simulation to rest takes, in the times in which the state at its start would change by itself"""
 
 
 def refuse_moving(model: Model, parameter: str) -> None:

@@ -59,10 +59,9 @@ class Slow:
 SLOW = Slow()
 AT_REST = Settings(floor=1e-6, round_off=1e-6, converged=1e-6, most_evaluations=12, cutoff=1e-9)
 """How an equilibrium beside an orbit is looked for, in its extents"""
-LATEST, TERMS, SEEN = 60, 3, 5
-"""Orbits of a family from whose last its limit is told, terms of its series at most, orbits that tell its rate"""
-CLEAR = 1e4
-"""... which are so many times farther from the last than they are known"""
+LATEST, TERMS, SEEN, CLEAR = 60, 3, 5, 1e4
+"""Orbits of a family from whose last its limit is told, terms of its series at most, orbits that tell its
+rate, which are so many times farther from the last than they are known"""
 Limit = tuple[float, float]
 Saddle = tuple[np.ndarray, np.ndarray]
 

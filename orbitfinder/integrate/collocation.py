@@ -22,12 +22,10 @@ from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.compiled import compiled
 from orbitfinder.integrate.march import March, Varied
 
-POINTS = 5
-"""Collocation points in a step"""
+POINTS, REMEMBERED = 5, 8
+"""Collocation points in a step; meshes whose last stages are kept to begin with"""
 SOLVED, MOST_ITERATIONS = 1e-10, 12
 """A change of the stages, in extents of the motion, after which one more would be round-off; and the most changes"""
-REMEMBERED = 8
-"""Meshes whose last stages are kept to begin with"""
 
 
 @dataclass(frozen=True)

@@ -28,10 +28,9 @@ FORMS = {
     "kinetic": {"coordinates", "potential", "forces"},
 }  # fmt: skip
 """What says the equations, with the keys that only some have"""
-RESERVED = {"t", "pi", "and", "or", "not", "True", "False", "None", *FUNCTIONS}
+RESERVED, MOST = {"t", "pi", "and", "or", "not", "True", "False", "None", *FUNCTIONS}, 200_000
+"""What nothing else may be called; letters of all texts, and operations that functions become where they are called"""
 HEAD, WORD = re.compile(r"(\w+)\s*(?:\(([\w\s,]*)\))?"), re.compile(r"\b[^\W\d]\w*")
-MOST = 200_000
-"""Letters of all texts, and operations that functions become where they are called"""
 
 
 @checked

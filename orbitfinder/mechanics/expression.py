@@ -32,10 +32,8 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
     "if": _either,
 }  # fmt: skip
 """What may be called in an expression."""
-COUNTS = {"atan2": (2, 2), "if": (3, 3), "min": (2, 20), "max": (2, 20)}
-"""The fewest and the most arguments of those that do not take 1"""
-LONGEST, DEEPEST = 2000, 60
-"""Letters of an expression, and how deeply it may be nested"""
+LONGEST, DEEPEST, COUNTS = 2000, 60, {"atan2": (2, 2), "if": (3, 3), "min": (2, 20), "max": (2, 20)}
+"""Letters of an expression, how deeply it may be nested, and the fewest and most arguments of what does not take 1"""
 OWN, MARK = sorted({*keyword.kwlist} - {"and", "or", "not", "True", "False", "None"}), "\u01c1"
 WORDS = re.compile(rf"\b({'|'.join(OWN)})\b(?!\s*:)")
 """Python's own words, which are names here, such as `lambda` and `if`, by a letter after them"""

@@ -33,20 +33,17 @@ from orbitfinder.records.orbit import Orbit
 
 COARSEST, QUICK, FINEST = 50, 400, 3200
 """Half the intervals of the first mesh, those of the last that is tried of a motion that nearly closes, and of any"""
-FINER = 2
-"""Times as many intervals of the next mesh"""
+FINER, EVEN = 2, 512
+"""Times as many intervals of the next mesh; intervals at which a symmetry is looked for"""
 AGREED, SETTLED = 3e-13, 1e-10
 """Relative difference of the periods of two meshes that is as good as none, and one that is small: what then no longer
 shrinks is round-off"""
 NEWTON = Settings(floor=1e-12, round_off=1e-8, converged=1e-8, most_evaluations=40, longest=0.3, halving=True,
                   patience=12)  # fmt: skip
 """Of the rows and steps in extents of the motion"""
-EVEN = 512
-"""Intervals at which a symmetry is looked for"""
-STIFF = 2e4
-"""Fastest decay on the way times the period from which on explicit steps are limited by stability, not by accuracy"""
-QUIET = 1e-3
-"""What a rate of decay counts beside a pace where it is chosen where t = 0 lies: both make the certificate's gap"""
+STIFF, QUIET = 2e4, 1e-3
+"""Fastest decay on the way times the period from which on explicit steps are limited by stability, not by accuracy.
+What a rate of decay counts beside a pace where it is chosen where t = 0 lies: both make the certificate's gap"""
 
 
 def refused(problem: Problem) -> str:

@@ -33,10 +33,8 @@ class Method:
 
 METHODS = Registry(Method)
 """Every method by its name; others may join (`method_of` asks them all)"""
-SHOOTING = "shooting"
-"""The method for what suits no other"""
-COLLOCATION = "collocation"
-"""The method for what is stiff"""
+SHOOTING, COLLOCATION = "shooting", "collocation"
+"""The method for what suits no other, and that for what is stiff"""
 
 
 def method_of(problem: Problem, asked: str | None = None) -> tuple[str, Method, str]:

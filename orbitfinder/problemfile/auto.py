@@ -18,10 +18,8 @@ from orbitfinder.errors import InputError, closest, shortened
 from orbitfinder.loops.problem import Guess
 from orbitfinder.records.reading import file_bytes
 
-PERIOD = 11
-"""The period's place in PAR"""
-LABEL, POINTS, WIDTH, ROWS, PARAMETERS = 3, 6, 7, 8, 11
-"""Places in the head of a solution"""
+PERIOD, LABEL, POINTS, WIDTH, ROWS, PARAMETERS = 11, 3, 6, 7, 8, 11
+"""The period's place in PAR; places in the head of a solution"""
 
 
 def from_auto(path: str | Path, label: int | None = None, parameters: Mapping[str, int] | Sequence[str] = ()) -> Guess:

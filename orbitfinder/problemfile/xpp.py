@@ -16,12 +16,13 @@ from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, altered
 from orbitfinder.records.reading import file_bytes
 
-WORD = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
-NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+WORD, NUMBER = re.compile(r"(?<![\w.])[A-Za-z_]\w*"), r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 VALUE = rf"([A-Za-z_]\w*) ?= ?({NUMBER})(?: ?, ?| |$)"
-LISTS = {**dict.fromkeys(("p", "par", "param", "params", "parameter", "parameters"), "parameters"),
-         **dict.fromkeys(("n", "num", "number"), "let"), **dict.fromkeys(("i", "init"), "start")}  # fmt: skip
-LEFT_OUT = {"a", "aux", "set", "options", "only", "export"}
+LISTS, LEFT_OUT = (
+    {**dict.fromkeys(("p", "par", "param", "params", "parameter", "parameters"), "parameters"),
+     **dict.fromkeys(("n", "num", "number"), "let"), **dict.fromkeys(("i", "init"), "start")},
+    {"a", "aux", "set", "options", "only", "export"},
+)  # fmt: skip
 """What changes no equation: columns of tables, choices of a window"""
 OWN = {"heav": ("heav(u)", "if(u >= 0, 1, 0)"), "ln": ("ln(u)", "log(u)"), "log10": ("log10(u)", "log(u)/log(10)"),
        "not": ("not_(u)", "if(u, 0, 1)")}  # fmt: skip

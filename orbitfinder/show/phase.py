@@ -21,10 +21,11 @@ from orbitfinder.show.style import arrows, dress, legend, line_style, new_figure
 from orbitfinder.show.svg import COLOURS, axis
 from orbitfinder.structures.phase_response import PhaseResponse
 
-MOST, ARROWS, CELLS, FINE = 4, 20, 60, 300
-"""Components drawn; on an axis: arrows, points between which equilibria are looked for, and those of nullclines"""
-RESTS = {"stable": ("o", "black"), "unstable": ("o", "white"), "saddle": ("D", "white"), "neutral": ("s", "0.6")}
-"""Marker and filling of equilibria"""
+MOST, ARROWS, CELLS, FINE, RESTS = 4, 20, 60, 300, {
+    "stable": ("o", "black"), "unstable": ("o", "white"), "saddle": ("D", "white"), "neutral": ("s", "0.6"),
+}  # fmt: skip
+"""Components drawn; on an axis: arrows, points between which equilibria are looked for, and those of nullclines; marker
+and filling of equilibria"""
 
 
 def save_phase_figure(curve: PhaseResponse, folder: str | Path, model: Model) -> list[Path]:

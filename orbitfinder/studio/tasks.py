@@ -46,11 +46,9 @@ Film = dict[str, Any]
 LEAST_SAMPLES, MOST_SAMPLES = 400, 3000
 SEEDS, CROSSINGS = 24, 60
 """Motions of a section, and how often each crosses it"""
-PUSHED, ALIKE, STILL = 0.02, 0.01, 1e-4
+PUSHED, ALIKE, STILL, STRETCHES = 0.02, 0.01, 1e-4, 60
 """Shares: how far from an unstable equilibrium a motion begins, what two stretches of one that has settled differ by in
-its extent, and the extent, in the size of the state, of one that rests"""
-STRETCHES = 60
-"""The most that a motion is given to settle"""
+its extent, and the extent, in the size of the state, of one that rests; the most that a motion is given to settle"""
 SPEAK_EVERY = 0.25
 """s between two reports of a search"""
 

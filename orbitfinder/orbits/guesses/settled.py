@@ -21,10 +21,8 @@ RELATIVE, ABSOLUTE = 1e-10, 1e-12
 """Tolerances of the simulation, the second in extents of the motion"""
 BACK, NEAR = 1e-3, 0.1
 """A motion has come back when it is this near, in extents, to where it was; a guess that comes as near is a cycle"""
-STILL = 1e-4
-"""Share of what a motion has moved at most that is none"""
-BETWEEN = 6
-"""Samples of a lap in each step of its simulation"""
+STILL, BETWEEN = 1e-4, 6
+"""Share of what a motion has moved at most that is none; samples of a lap in each step of its simulation"""
 LAPS, LONGEST = 12, 2.0
 """Guessed periods after which what has not come back does not, and how long a period may be"""
 
