@@ -35,7 +35,8 @@ from orbitfinder.records.reading import typed
 LOCATED, LOOKS = 1e-12, 60
 """An event is located to this share of a step, in so many looks at most"""
 LEAST, SAME, BESIDE = 4, 1e-6, 0.05
-"""A curve of at least so many points is closed where it is as near to its start as this share of a step. A change of sign that looks within a step bound is on the curve so much farther, in what they bound, at most"""
+"""A curve of at least so many points is closed where it is as near to its start as this share of a step.
+A change of sign that looks within a step bound is on the curve so much farther, in what they bound, at most"""
 CLOSER, NEARLY = 6, 0.5
 """So often a test is looked at within a step where a parabola through what is known turns below this share of that"""
 

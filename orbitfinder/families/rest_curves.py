@@ -42,11 +42,13 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.records.certificate import Certificate, at_most, equal
 from orbitfinder.records.family import End, Reading
 
-FORMS = {"fold": "fold", "hopf": "hopf", "neutral_saddle": "hopf"}
-"""The equations of the curve through each kind of event"""
-PAIRS = {"hopf": 1, "neutral_saddle": 1, "generalised_hopf": 1, "fold_hopf": 1, "double_hopf": 2}
+FORMS, PAIRS = (
+    {"fold": "fold", "hopf": "hopf", "neutral_saddle": "hopf"},
+    {"hopf": 1, "neutral_saddle": 1, "generalised_hopf": 1, "fold_hopf": 1, "double_hopf": 2},
+)
+"""The equations of the curve through each kind of event, and how many critical pairs each kind has"""
 ZERO, REAL, AGAIN = ("fold", "cusp", "bogdanov_takens", "fold_hopf"), ("neutral_saddle",), {"bogdanov_takens": "fold"}
-"""How many critical pairs each kind has; which have an eigenvalue 0, or a real pair; which are recomputed otherwise"""
+"""Kinds which have an eigenvalue 0, or a real pair; which are recomputed otherwise"""
 NEAR, SLOPE, KNOWN = 10, 1e-4, 1e-6
 """So many points on either side of an event say what it is measured in; half of a central difference along a curve;
 special points are located to this share of a step, solved for from there, and known this well at least"""

@@ -33,7 +33,8 @@ from orbitfinder.mechanics.scales import LEAST_SHARE, parameter_sizes
 SETTINGS = Settings(floor=1e-15, round_off=1e-13, converged=1e-12, most_evaluations=12, contraction=0.05)
 """Rows are relative to the sizes and the pace of the equilibrium"""
 AHEAD, UNDAMPED = 1.25, 1e-7
-"""Sizes that are outgrown become so much larger than what outgrew them. Real parts below this share of the largest eigenvalue are none, imaginary ones the round-off of a double 0"""
+"""Sizes that are outgrown become so much larger than what outgrew them. Real parts below this
+share of the largest eigenvalue are none, imaginary ones the round-off of a double 0"""
 ROUND_OFF = 4 * float(np.finfo(float).eps)
 """What each row is known to, relative to the sizes of its terms"""
 

@@ -39,9 +39,9 @@ AT_A_TIME = 256
 DONE, WAITING, TOO_MANY, STIFF, NO_MEMORY = 1, 0, -2, -4, -5
 """What `dop853.c` answers, besides SciPy's codes"""
 SPOT_CHECKED, PATIENT = 7, 300
-"""Integrations between two whose ends are compared with the interpreter's: an orbit's certificate has eighteen. Times as
-many steps as any other integration that of a stiff field may take, whose steps are at the limit of stability: some
-microseconds each"""
+"""Integrations between two whose ends are compared with the interpreter's: an orbit's certificate has eighteen.
+Times as many steps as any other integration that of a stiff field may take, whose steps are at the limit of stability:
+some microseconds each"""
 AGREEMENT = 1e-12
 """Relative difference between compiled and interpreted rates beyond which a library is not believed"""
 THIRD = (0.244094488188976377952755905512, 0.733846688281611857341361741547, 0.0220588235294117647058823529412)
