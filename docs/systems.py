@@ -39,7 +39,7 @@ RESULTS = {"gallery": "gallery", "linkages": "gallery", "report": "orbits"}
 SAMPLES, LARGE = 240, 20
 """Moments of a period that are kept of a smooth orbit with controls or with so many states"""
 STIFF = ("published-steinmetz_larter",)
-"""What our integrators are not made for: shown without an orbit, its failure is on the validation page"""
+"""Shown without an orbit: found by collocation, of which there is no record"""
 MEASURED = ("chains", "pendulums", "linkages", "mechanisms", "robots")
 """Pages on which everything is in SI units; elsewhere systems have units of their own"""
 PENDULA = ("pendulum", "pendula", "hoop", "swing")

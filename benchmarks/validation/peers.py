@@ -174,7 +174,7 @@ def bifurcationkit(data: Mapping[str, Any]) -> Section:
     paths = "; ".join(f"{one['path']} at {one['commit'][:7]}" for one in data.values() if isinstance(one, Mapping))
     source = (
         f"{data['repository']}: {paths}. Allowed: what its tests allow (1e-4, relative) for Lur'e's doublings and "
-        "their period. Steinmetz and Larter's reaction is stiff, which our integrators are not made for."
+        "their period. Steinmetz and Larter's reaction is stiff, and found by collocation."
     )
     return Section("BifurcationKit's tests and tutorials", source, tuple(rows))
 

@@ -1,7 +1,6 @@
 """The peroxidase reaction of Steinmetz and Larter, a stiff example of MatCont and of BifurcationKit.
 
-A curve of torus bifurcations in (k7, k8) passes (1.757356, 0.9125773). orbitfinder's integrators are for systems that
-are not stiff: it says that it cannot, and the validation page keeps the failure.
+A curve of torus bifurcations in (k7, k8) passes (1.757356, 0.9125773). Shooting fails, and collocation takes its place.
 """
 
 import orbitfinder as of
