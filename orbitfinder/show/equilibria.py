@@ -74,6 +74,8 @@ class Panel:
         values = [place.value if isinstance(place, Equilibrium) else place.parameter for place in places]
         line = np.column_stack([values, [height(place.state) for place in places]])
         self.line([(stable, line[part]) for part, stable in stretched(places)], COLOURS[0], "equilibria")
+        if len(places) == 1:
+            self.axes.plot(*line.T, "o", color=COLOURS[0])
         for event in rest.events:
             self.mark(event.kind, (event.parameter, height(event.state)))
 
@@ -140,7 +142,8 @@ def save_equilibria_figure(equilibria: Equilibria, folder: str | Path, model: Mo
     count = min(size if model.rates is not None else model.degrees_of_freedom, MOST)
     columns = min(count, 3)
     rows = -(-count // columns)
-    words = f"{len(equilibria.points)} equilibria along {equilibria.parameter}"
+    many = len(equilibria.points)
+    words = f"{many} {'equilibrium' if many == 1 else 'equilibria'} along {equilibria.parameter}"
     figure, shown = new_figure(3.6 * columns + 1.0, 3.2 * rows + 1.0, equilibria.name, words), dict[str, Any]()
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for k, axes in enumerate(panels):
