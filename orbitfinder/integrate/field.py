@@ -36,7 +36,7 @@ REMEMBERED = 64
 """Functions of which is known what they took"""
 AT_A_TIME = 256
 """Steps between two looks at the limit of time"""
-DONE, WAITING, TOO_MANY, STIFF, NO_MEMORY = 1, 0, -2, -4, -5
+DONE, WAITING, STIFF, NO_MEMORY = 1, 0, -4, -5
 """What `dop853.c` answers, besides SciPy's codes"""
 SPOT_CHECKED, PATIENT = 7, 300
 """Integrations between two whose ends are compared with the interpreter's: an orbit's certificate has eighteen.
@@ -178,10 +178,12 @@ def _work(function: ca.Function) -> _Work:
     return _works((Same(function), *surroundings), lambda: _Work(function))
 
 
-def expect(function: ca.Function | Bound, effort: float | None) -> None:
-    """So many seconds of work with a field are to come, None for more than compiling it takes."""
+def expect(function: ca.Function | Bound, effort: float | None, stiff: bool = False) -> None:
+    """So many seconds of work with a field are to come, None for more than compiling it takes; of one that is `stiff`
+    at the limit of stability."""
     work = _work(function.function if isinstance(function, Bound) else function)
     work.spent = max(work.spent, np.inf if effort is None else effort)
+    work.stiff = work.stiff or stiff
 
 
 def _code(function: ca.Function) -> str:
@@ -342,8 +344,7 @@ class CasadiField:
         A field that is too stiff for it is integrated at the limit of stability, by a library alone.
         """
         steps = self._integrated(span, start, tolerances, longest, most, noted, interpreted)
-        reached = (steps.time - span[0]) / (span[1] - span[0])
-        if not (steps.code == STIFF or (steps.code == TOO_MANY and PATIENT * reached > 1.0)):
+        if steps.code != STIFF:
             return steps
         self._work.spent, self._work.stiff = np.inf, True
         fast = self.library()

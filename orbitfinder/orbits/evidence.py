@@ -193,7 +193,7 @@ def canonical_motion(
     )
     half = start.size // 2
     if equations.field.stiff:  # nor does the interpreter follow its variations
-        expect(equations.equations.variational, None)
+        expect(equations.equations.variational, None, stiff=True)
     transitions, nodes, action = _pieces(equations, start[None], units, period, varied)
     if not first_order:  # a gap dq adds p.dq: however large p is, the action of a small orbit is not that round-off
         missed = nodes[-1] - start - shift(turns[chosen[: masses.size]], start.size)
