@@ -38,7 +38,12 @@ RESULTS = {"gallery": "gallery", "linkages": "gallery", "report": "orbits"}
 """Where in results/ the orbits of a folder of problems/ are"""
 SAMPLES, LARGE = 240, 20
 """Moments of a period that are kept of a smooth orbit with controls or with so many states"""
-STIFF = ("published-steinmetz_larter",)
+STIFF = (
+    "published-steinmetz_larter",
+    "equations-steinmetz-larter",
+    "equations-oregonator",
+    "equations-hindmarsh-rose",
+)
 """Shown without an orbit: found by collocation, of which there is no record"""
 MEASURED = ("chains", "pendulums", "linkages", "mechanisms", "robots")
 """Pages on which everything is in SI units; elsewhere systems have units of their own"""

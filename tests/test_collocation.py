@@ -145,6 +145,7 @@ def test_stiff_cycles_of_the_road(name, key):
     assert orbit.provenance["method_reason"].startswith("stiff" if name == "vdp-100" else "shooting failed: ")
 
 
+@pytest.mark.slow
 def test_bursting_against_another_integrator():
     orbit, _ = found("hindmarsh-rose")
     assert orbit.certificate.passed, orbit.certificate.failures

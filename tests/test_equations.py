@@ -33,8 +33,8 @@ HOPF = {
 }  # fmt: skip
 """What road.json calls the systems of the shipped files"""
 OTHERS = {
-    "oregonator": ("f", 3, 1.5267), "predator-prey": ("q", 0.9, 0.671594), "steinmetz-larter": ("k7", 1.5, 1.2675),
-    "hindmarsh-rose": ("I", 2, 1.34107),
+    "oregonator": ("f", 3, 1.5267), "predator-prey": ("q", 0.9, 0.671594), "steinmetz-larter": ("k7", 1.0, 1.2675),
+    "hindmarsh-rose": ("I", 1, 1.34107),
 }  # fmt: skip
 
 

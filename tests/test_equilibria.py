@@ -272,7 +272,13 @@ CYCLES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("rest, number, periods", CYCLES, ids="bmhlw")
+NAMED = [
+    pytest.param(*case, id=name, marks=[pytest.mark.slow] if name in "mhw" else [])
+    for case, name in zip(CYCLES, "bmhlw", strict=True)
+]
+
+
+@pytest.mark.parametrize("rest, number, periods", NAMED)
 def test_cycles_are_born_at_hopf_points(rest, number, periods):
     """On the side that the coefficient says, with the reference's periods; the way back ends at the same Hopf point."""
     found = of.follow_equilibria(*rest)

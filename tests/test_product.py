@@ -397,7 +397,7 @@ def test_energies_that_are_null_come_back_as_null():
 
 @pytest.mark.parametrize(
     "text, said",
-    [("10**400", "10 ** 400"), ("1/0", "1 / 0"), ("force*(-8)**0.5", "(-8) ** 0.5"), ("1e999*force", "1e309"),
+    [("10**400", "10**400"), ("1/0", "1/0"), ("force*(-8)**0.5", "(-8)**0.5"), ("1e999*force", "1e999"),
      ("exp(1000)", "exp(1000)"), ("log(0)", "log(0)"), ("force + 1" + "0" * 400, "1000")],
 )  # fmt: skip
 def test_numbers_in_expressions_are_real_and_finite(text, said):

@@ -317,17 +317,18 @@ def _other(problem: AtRest, z: np.ndarray, p: np.ndarray, tangent: np.ndarray) -
     """The direction u over (x, p) of the other curve: of those in the kernel of the slopes with psi G''(u, u) = 0, psi
     in that of their transpose, the farther from a chord of the curve itself."""
     left, _, rows = np.linalg.svd(np.hstack(problem.scaled(z, p)[1:]))
-    share = rows[-2:] @ (tangent / problem.sizes)
+    sizes = np.append(problem.z_sizes, problem.p_sizes)
+    share = rows[-2:] @ (tangent / sizes)
     both = np.array([share, [-share[1], share[0]]]) @ rows[-2:] / np.linalg.norm(share)
 
     def bent(along: np.ndarray) -> Any:
-        ends = [np.split(sign * 1e-4 * along * problem.sizes, [z.size]) for sign in (-1.0, 1.0)]
+        ends = [np.split(sign * 1e-4 * along * sizes, [z.size]) for sign in (-1.0, 1.0)]
         before, after = (left[:, -1] @ np.hstack(problem.scaled(z + dz, p + dp)[1:]) for dz, dp in ends)
         return (after - before) @ both.T
 
     (own, mixed), (_, across) = map(bent, both)
     lean = across / (mixed + np.copysign(np.sqrt(max(mixed**2 - own * across, 0.0)), mixed) or 1.0)
-    other, d = (both[1] - lean * both[0]) / np.hypot(1.0, lean) * problem.sizes, problem.jets.size
+    other, d = (both[1] - lean * both[0]) / np.hypot(1.0, lean) * sizes, problem.jets.size
     return np.asarray(np.append(other[:d], other[z.size :]))
 
 

@@ -99,7 +99,7 @@ def found(problem: Problem, settings: SolveSettings, report: Callback | None, be
 
 def collocated_equations(problem: Problem) -> Equations:
     """The equations of a problem, integrated by collocation."""
-    return Equations(problem.model, problem.boundary, problem.free, action=True, collocated=True)
+    return Equations(problem.model, problem.boundary, tuple(problem.free), action=True, collocated=True)
 
 
 def on_meshes(problem: Problem, equations: Equations, report: Callback | None = None) -> list[Unknowns]:
