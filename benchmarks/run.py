@@ -57,6 +57,7 @@ PARTS = (
     Part("derivation", "Deriving chains: time and operations against the number of links"),
 )
 ELSEWHERE = {
+    "road": "Equilibria and cycles that AUTO's users know, by shooting and by collocation: `python benchmarks/road.py`",
     "first_order": "First-order systems by Newton's method over DOP853 alone: `python benchmarks/first_order.py`",
     "long_chains": "Normal modes of long chains: `python benchmarks/long_chains.py`, longer than this command runs",
     "earlier": "Times against an earlier checkout's: `python benchmarks/earlier.py --against COMMIT`",
