@@ -153,7 +153,10 @@ class _Return:
         # Newton steps to the section, each some digits more than the last
         for _ in range(6 if self.flow.any() else 0):
             rates = march.rates(ends, start.tail) * start.period / units
-            shares = -(off @ self.flow) / (rates @ self.flow)
+            with np.errstate(all="ignore"):
+                shares = -(off @ self.flow) / (rates @ self.flow)
+            if not np.isfinite(shares).all():
+                raise IntegrationError("what is displaced leaves the numbers")
             # how near to the section is on it, in periods
             if np.abs(shares).max() < 1e-15:
                 break
