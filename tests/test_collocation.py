@@ -261,6 +261,16 @@ def test_what_is_said():
         of.find_orbit(of.Problem(brusselator(1.5), of.Guess([1.4, 3.0], 6.6)), COLLOCATION)
 
 
+@pytest.mark.slow
+def test_a_family_grows_stiff_and_is_closed_by_the_second_integrator_on_the_way():
+    """From mu = 1 to 1000, where at mu = 77 a closure takes more evaluations than a tame orbit's may."""
+    problem = of.Problem(van_der_pol(1), of.Guess([2.0, 0.0], 6.7), method="collocation")
+    family = of.follow_family(problem, "mu", until=1000.0, settings=of.FamilySettings(directions="forward"))
+    assert family.ends[-1].kind == "target"
+    assert abs(family.points[-1].period - float(ROAD["vdp-1000"]["period_longdouble"])) < 1e-10
+    assert all(np.isfinite(point.closure) for point in family.points)
+
+
 def test_a_family_is_followed_kept_and_verified(tmp_path):
     problem = of.Problem(van_der_pol(1), of.Guess([2.0, 0.0], 6.7), name="relaxation", method="collocation")
     settings = of.FamilySettings(directions="forward", longest_step=0.8)

@@ -638,11 +638,13 @@ def constraint_defect(model: Model, state: np.ndarray, units: np.ndarray) -> flo
 class ClosureCheck:
     """The closure of orbits by independent means, at the model's parameters or at freed ones.
 
-    Hamilton's equations, derived from the energies alone, by SciPy's adaptive DOP853 at its tightest.
+    Hamilton's equations, derived from the energies alone, by SciPy's adaptive DOP853 at its tightest; of orbits that
+    may be stiff in as many evaluations as a certificate takes.
     """
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model, stiff: bool = False) -> None:
         self._model, self._at, self._equations = model, dict[str, float](), Hamiltonian(model)
+        self._settings = TIGHTEST if stiff else CHECKED
 
     def __call__(
         self,
@@ -689,11 +691,11 @@ class ClosureCheck:
         start, span = self._equations.start(state), np.array([now, now + duration])
         sizes = snapped(np.broadcast_to(units, state.shape)[self._equations.coordinates.chosen])
         if np.all(sizes == 1.0):
-            path = integrate(self._equations.field, start, span, CHECKED, longest * duration)
+            path = integrate(self._equations.field, start, span, self._settings, longest * duration)
         else:
             if self._model.rates is None:
                 sizes[start.size // 2 :] *= snapped(self._equations.masses(start))
-            path = integrate_in(sizes, self._equations.field, start, span, CHECKED, longest * duration)
+            path = integrate_in(sizes, self._equations.field, start, span, self._settings, longest * duration)
         return np.asarray(self._equations.states(path[-1:])[0])
 
     def _put(self, free: Mapping[str, float]) -> None:
