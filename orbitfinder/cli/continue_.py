@@ -62,7 +62,7 @@ class Switch(click.ParamType):  # type: ignore[type-arg]
 @option("resolve", "Follow avoided crossings this narrow instead of stepping over them.  [default: 0.02]",
         kind=click.FloatRange(1e-6, 0.15), metavar="ARCLENGTH")  # fmt: skip
 @option("method", "shooting, or collocation for what is stiff.  [default: as its orbit was found]",
-        kind=("shooting", "collocation"))  # fmt: skip
+        metavar="METHOD")  # fmt: skip
 @option(
     "beside", "A second parameter that varies so that the period stays, of a system without an energy.", metavar="B"
 )

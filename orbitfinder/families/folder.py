@@ -222,13 +222,13 @@ def _independent(curve: Curve, settings: FamilySettings) -> ClosureCheck | None:
     prepare(model, EFFORT)
     if curve.equations.physical and not system_kind(model.system).reread:
         prepare(model, EFFORT, curve.equations.physical)
-    return ClosureCheck(model, stiff=curve.equations.collocated)
+    return ClosureCheck(model, stiff=curve.equations.by.stiff)
 
 
 def _check_again(journal: Journal, curve: Curve, folder: Path) -> None:
     """`InputError` unless every point of a journal without digests still closes, by independent means."""
     model = curve.equations.model
-    check = ClosureCheck(model, stiff=curve.equations.collocated) if model.smooth else HybridCheck(model)
+    check = ClosureCheck(model, stiff=curve.equations.by.stiff) if model.smooth else HybridCheck(model)
     for point in (journal.origin, *(p for batch in journal.batches for p in batch.points)):
         allowed = CLOSURE * max(1.0, float(np.abs(point.floquet_multipliers).max(initial=1.0)))
         turns = turned(curve.equations.model, np.array(curve.turns), point.shift)

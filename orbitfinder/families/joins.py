@@ -26,7 +26,7 @@ from orbitfinder.families.start import Start, corrected, curve_at, reformulated,
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.conditions import pinned
 from orbitfinder.loops.continued import Curve, Solution, advanced, correct, plane, tangent
-from orbitfinder.loops.loop import Equations, Unknowns
+from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.symmetry import Involution, called, involutions, named
 from orbitfinder.mechanics.model import wrapped
 from orbitfinder.records.family import End
@@ -193,7 +193,7 @@ def _beside_join(curve: Curve, solution: Solution, kept: Invariance) -> Start | 
     states = kept.joined(sampled(curve, solution), p.model.angular)
     if not symmetry.held_by(p.model, states[0], max(curve.cycles // kept.covers, 1)):
         return None
-    equations = Equations(p.model, symmetry, p.free, action=True, collocated=p.collocated)
+    equations = replace(p, symmetry=symmetry)
     part = round((len(states) - 1) * symmetry.fraction)
     count = next(k for k in (8, 6, 5, 4, 3, 2, 1) if part % k == 0)
     # Runge-Kutta steps in a segment of the first guess of the joined orbit

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.errors import IntegrationError
-from orbitfinder.integrate.collocation import Collocation
 from orbitfinder.integrate.march import divided
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
@@ -30,9 +29,9 @@ def full_samples(curve: Curve, solution: Solution, count: int = SAMPLES) -> tupl
     p, place = curve.equations, solution.place
     if p.links:
         return _linked_samples(curve, solution, count)
-    if isinstance(p.march, Collocation):
+    if march := p.gridded:
         shares = np.linspace(0.0, 1.0, count + 1)
-        return shares * place.period, p.march.sampled(place.nodes, place.mesh, place.tail, shares)
+        return shares * place.period, march.sampled(place.nodes, place.mesh, place.tail, shares)
     each = -(-count // len(place.nodes))
     if each > place.steps:
         mesh = np.concatenate([[0.0], *[np.linspace(a, b, each + 1)[1:] for a, b in pairwise(place.edges)]])

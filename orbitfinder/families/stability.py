@@ -115,7 +115,7 @@ def spectrum(curve: Curve, solution: Solution) -> Spectrum:
     whole = np.linalg.matrix_power(reduced, root)
     floquet, chain = analyse(whole, conservative), None
     values, vectors = np.linalg.eig(reduced)
-    if not p.links and (p.collocated or _lost(floquet)):
+    if not p.links and (p.gridded or _lost(floquet)):
         chain = _chain(curve, solution)
         values, vectors = chain.product.values, np.zeros((0, 0))
         floquet = judged(values**root, conservative)

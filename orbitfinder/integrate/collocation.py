@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -20,12 +20,18 @@ import numpy as np
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.compiled import compiled
-from orbitfinder.integrate.march import March, Varied
+from orbitfinder.integrate.march import Gridded, Varied
 
 POINTS, REMEMBERED = 5, 8
 """Collocation points in a step; meshes whose last stages are kept to begin with"""
 SOLVED, MOST_ITERATIONS = 1e-10, 12
 """A change of the stages, in extents of the motion, after which one more would be round-off; and the most changes"""
+ERROR, FEWEST, MOST = 1e-8, 20, 6000
+"""Error of the polynomials in extents of the motion, where intervals end it is 1e-6 times that; and the intervals of
+a mesh"""
+LOPSIDED, SLACK, SPARSEST = 2.5, 1.5, 0.1
+"""Times the mean work of an interval that one may have before a mesh is made anew, by how much their number may be off,
+and the share of the mean density that a mesh has everywhere"""
 
 
 @dataclass(frozen=True)
@@ -87,11 +93,14 @@ class Stages:
         return np.asarray(self.stages + (self.slopes @ change[:, :, None])[:, :, 0].reshape(self.stages.shape))
 
 
-class Collocation(March):
+class Collocation(Gridded):
     """The segments of a loop by collocation, side by side: a `March` each of whose steps is implicit.
 
     A step begins with the stages that it had last on the same mesh, moved along with the nodes, else with cubics.
     """
+
+    name: ClassVar[str] = "collocation"
+    stiff: ClassVar[bool] = True
 
     def __init__(
         self, field: ca.Function, forced: bool = False, integrand: ca.Function | None = None, alone: bool = False,
@@ -255,6 +264,41 @@ class Collocation(March):
         tails = np.repeat(tail[None], len(nodes), axis=0)
         none = np.zeros((len(nodes), stages[0].size, self.size + tail.size))
         self._known[1, 0, mesh.tobytes()] = Stages(nodes, tails, stages, none, np.zeros(len(nodes)), False)
+
+    def _worked(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
+        """The (m + 1)-th root of the error of the polynomial of m points over each interval of an orbit (N).
+
+        In its extents. A mesh is right where it is the same everywhere (U. Ascher, R. Mattheij, R. Russell, Numerical
+        Solution of Boundary Value Problems for Ordinary Differential Equations (1995), section 9.3).
+        """
+        rule, units = self.tableau, nonzero(np.ptp(nodes, axis=0))
+        found = curvatures(rule, self.stages(nodes, mesh, tail), mesh, units)
+        return np.asarray(found ** (1.0 / (rule.points.size + 1)) * np.diff(mesh))
+
+    def _wanted(self, work: np.ndarray) -> int:
+        """As many intervals as leave the error that is allowed, in tens, no more than twice as many as there are."""
+        enough = work.sum() / ERROR ** (1 / (self.tableau.points.size + 1))
+        return int(np.clip(10 * np.ceil(0.1 * enough), FEWEST, min(2 * work.size, MOST)))
+
+    def fits(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> bool:
+        """Whether its intervals share the work, and are as many as the error asks for."""
+        work = self._worked(nodes, mesh, tail)
+        even = work.max() <= LOPSIDED * work.mean()
+        return bool(even and work.size / SLACK < self._wanted(work) < SLACK * work.size)
+
+    def regridded(
+        self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, count: int = 0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The orbit interpolated on a mesh of intervals of equal work."""
+        steps, rule, work = np.diff(mesh), self.tableau, self._worked(nodes, mesh, tail)
+        density = work / steps
+        density = np.maximum(density, SPARSEST * float(density @ steps))
+        total = np.append(0.0, np.cumsum(density * steps))
+        new = np.interp(np.linspace(0.0, total[-1], (count or self._wanted(work)) + 1), total, mesh)
+        inside = (new[:-1, None] + np.diff(new)[:, None] * rule.points).ravel()
+        ends, between = (self.sampled(nodes, mesh, tail, places) for places in (new[:-1], inside))
+        self.begin(ends, between.reshape(len(ends), rule.points.size, -1) - ends[:, None], new, tail)
+        return ends, new
 
 
 def curvatures(rule: Tableau, stages: np.ndarray, mesh: np.ndarray, units: np.ndarray) -> np.ndarray:

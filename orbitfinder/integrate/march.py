@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -73,6 +74,10 @@ class March(Refining):
     `field(t, x, s, free)` is dx/dt (d), `forced` says whether t matters; `integrand`, of the same arguments, is carried
     along. `tail` is (T, s, free) everywhere. Not to be shared by threads: its functions have one work space each.
     """
+
+    name: ClassVar[str] = "shooting"
+    stiff: ClassVar[bool] = False
+    """Its name in the table of methods, and whether what it is for is stiff"""
 
     def __init__(
         self,
@@ -276,6 +281,27 @@ class March(Refining):
         if not self.forced:
             return np.zeros(len(nodes))
         return np.asarray(tail[0] * mesh[: -1 : (mesh.size - 1) // len(nodes)])
+
+
+class Gridded(March):
+    """A march whose segments are single steps, solved side by side, many of them on a mesh that it chooses itself.
+
+    This is a discretisation: what else follows a family asks no more of it, than `March` has and what is here.
+    """
+
+    def fits(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> bool:
+        """Whether a mesh is as fine as it should be, and where it should be, for an orbit of nodes (N x d)."""
+        raise NotImplementedError
+
+    def regridded(
+        self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, count: int = 0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes and mesh of the same orbit over `count` segments, 0 for as many as it asks for; begins with them."""
+        raise NotImplementedError
+
+    def sampled(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """States (k x d) at places (k, in periods)."""
+        raise NotImplementedError
 
 
 class Marches(Refining):

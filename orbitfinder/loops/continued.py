@@ -242,7 +242,7 @@ def correct(
     slopes = curve.slopes(guess, (*curve.conditions, aim))
     w, previous, units, lost = guess, np.inf, _measures(curve, guess, slopes).rows, curve.lost(guess, (aim,), slopes)
     border, patience = (None, 2) if curve.test is None else (Border(curve, slope), 5)
-    if slope is not None and border is None and not curve.equations.collocated:
+    if slope is not None and border is None and not curve.equations.gridded:
         w = _approached(curve, guess, aim, np.vstack([slope, slopes[-1]]), (units, lost))
     for iteration in range(CORRECTOR.most_newton):
         path = curve.equations.varied(w, states=True)
