@@ -34,7 +34,8 @@ def copy(tmp_path_factory):
 
 def test_there_are_seven():
     assert list(EXAMPLES) == [
-        "A kind of system", "A method", "A discretisation", "A condition", "An event", "A record with its picture", "A command"
+        "A kind of system", "A method", "A discretisation", "A condition", "An event", "A record with its picture",
+        "A command",
     ]  # fmt: skip
 
 
