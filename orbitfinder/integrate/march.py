@@ -35,7 +35,8 @@ class Varied:
     """One integration of all segments with its derivatives.
 
     `ends` (N x d), `transitions` (N x d x d), `columns` (N x d x m) by (T, s, free); where they were asked for `states`
-    (M + 1 x d) at the mesh; the `integral` over the horizon.
+    (M + 1 x d) at the mesh; the `integral` over the horizon. `change` is what solving their equations moved last, in
+    extents of the motion, of which its square is left.
     """
 
     ends: np.ndarray
@@ -43,6 +44,7 @@ class Varied:
     columns: np.ndarray
     states: np.ndarray
     integral: float
+    change: float = 0.0
 
 
 class Refining:
