@@ -141,7 +141,7 @@ def _collocated(problem: Problem, free: tuple[str, ...]) -> Start:
     method_of(problem, COLLOCATION)
     base, momenta = at_forcing_period(problem), momenta_of(problem.boundary, problem.model)
     fixed = collocated_equations(base)
-    w = on_meshes(base, fixed)[-1]
+    w = on_meshes(base, fixed, alone=True)[-1]
     w = w if base.model.forced else turned(fixed, w)
     equations = Equations(base.model, base.boundary, free, action=True, collocated=True)
     place = equations.unknowns(w.nodes, w.period, w.mesh)

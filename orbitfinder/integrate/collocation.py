@@ -80,12 +80,19 @@ class Stages:
     integrals: np.ndarray
     change: float = np.inf
 
+    @cached_property
+    def _measured(self) -> tuple[np.ndarray, np.ndarray]:
+        """Beginnings and parameters in what each is measured in, and that."""
+        flat = np.concatenate([self.nodes, self.tails], axis=1)
+        units = nonzero(np.abs(flat).max(axis=0))
+        return flat / units, units
+
     def apart(self, nodes: np.ndarray, tails: np.ndarray) -> float:
         """How far other beginnings and parameters are, in extents."""
         if tails.shape != self.tails.shape:
             return np.inf
-        pairs = (nodes, self.nodes), (tails, self.tails)
-        return max(float((np.abs(new - old) / nonzero(np.abs(old).max(axis=0))).max(initial=0.0)) for new, old in pairs)
+        flat, units = self._measured
+        return float(np.abs(np.concatenate([nodes, tails], axis=1) / units - flat).max())
 
     def moved(self, nodes: np.ndarray, tails: np.ndarray) -> np.ndarray:
         """The stages (P x m x d) of beginnings and parameters nearby, to first order."""

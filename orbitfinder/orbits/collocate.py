@@ -18,7 +18,7 @@ from orbitfinder.integrate.equations import invariant_gradients
 from orbitfinder.loops.condensed import pivoted
 from orbitfinder.loops.ipopt import Callback, Progress, SolveSettings
 from orbitfinder.loops.loop import Equations, Unknowns
-from orbitfinder.loops.mesh import regridded
+from orbitfinder.loops.mesh import intervals, regridded, worked
 from orbitfinder.loops.problem import Guess, Problem, at_forcing_period, loop_of
 from orbitfinder.loops.scales import Measures
 from orbitfinder.loops.symmetry import recognise, symplectic
@@ -102,36 +102,42 @@ def collocated_equations(problem: Problem) -> Equations:
     return Equations(problem.model, problem.boundary, tuple(problem.free), action=True, collocated=True)
 
 
-def on_meshes(problem: Problem, equations: Equations, report: Callback | None = None) -> list[Unknowns]:
-    """The orbit of a problem on finer and finer meshes until two periods agree, the coarser first.
+def on_meshes(
+    problem: Problem, equations: Equations, report: Callback | None = None, alone: bool = False
+) -> list[Unknowns]:
+    """The orbit of a problem on finer and finer meshes until two periods agree, the coarser first; or `alone` on the
+    first from which a family's own mesh can be told.
 
     Raises `ConvergenceError` where none do.
     """
     guess = lap(problem.model, problem.guess)
     if not settles(problem):
-        return _refined(problem, equations, guess, FINEST, report)
+        return _refined(problem, equations, guess, FINEST, report, alone)
     failed = ConvergenceError("the guess leads nowhere; give a state near the cycle and its period")
-    for near in cycles(problem.model, problem.guess, stiffness(equations, guess) > STIFF):
+    for near in cycles(problem.model, problem.guess, guess, stiffness(equations, guess) > STIFF):
         own = problem.guess.trajectory is None and np.array_equal(near.state, np.asarray(problem.guess.state, float))
         try:
-            return _refined(problem, equations, near, min(QUICK, FINEST) if own else FINEST, report)
+            return _refined(problem, equations, near, min(QUICK, FINEST) if own else FINEST, report, alone)
         except ConvergenceError as error:
             failed = error
     raise failed
 
 
 def _refined(
-    problem: Problem, equations: Equations, guess: Guess, finest: int, report: Callback | None
+    problem: Problem, equations: Equations, guess: Guess, finest: int, report: Callback | None, alone: bool
 ) -> list[Unknowns]:
     """The same from a lap."""
-    march, solved, count, failed, change = _march(equations), list[Unknowns](), FINER * COARSEST, "", np.inf
+    march, solved, failed, change = _march(equations), list[Unknowns](), "", np.inf
+    count = COARSEST if alone else FINER * COARSEST
     while count <= finest:
         limit.check()
         try:
             now = regridded(march, solved[-1], count) if solved else _begun(problem, equations, guess, count)
-            for _ in range(2):  # the mesh of an orbit that is known, and that of the better one
-                now = regridded(march, closed(problem, equations, now), count)
             now = closed(problem, equations, now)
+            if alone and intervals(worked(march, now)) < 2 * count:
+                return [now]
+            for _ in range(2):  # the mesh of an orbit that is known, and that of the better one
+                now = closed(problem, equations, regridded(march, now, count))
         except (ConvergenceError, IntegrationError) as error:
             failed, count = str(error), FINER * count
             continue
