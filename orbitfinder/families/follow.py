@@ -138,7 +138,7 @@ def _corrected(run: Run, before: Walked, length: float) -> Ahead:
     """The point a length on, corrected."""
     curve, settings, sample, place = run.curve, run.settings, before.sample, before.solution.place
     guess = advanced(place, sample.whole, length, before.curvature)
-    slope = before.solution.jacobian if before.drift is None else before.solution.jacobian + length * before.drift
+    slope = before.solution.slope if before.drift is None else before.solution.matrix + length * before.drift
     aim, reach = plane(curve, place, sample.whole, length), 0.5 * length + 1e-9
     raw = correct(curve, guess, aim, place, reach=reach, slope=slope, fit=regraded)
     whole = tangent(curve, raw, sample.whole)
@@ -298,7 +298,7 @@ def _solve_level(run: Run, interval: Interval, near: float, value: float) -> Sol
     """The orbit at a given value of the parameter near a distance into an interval, on a mesh that satisfies it."""
     curve, first, reach = run.curve, interval.first.solution, interval.length
     aim = pinned(curve.equations, run.settings.parameter, value)
-    slope = first.jacobian if curve.test is None else interval.slope(near)
+    slope = first.slope if curve.test is None else interval.slope(near)
     solution = correct(curve, interval.guess(near), aim, first.place, reach=reach, slope=slope)
     if distance(curve, solution.place, first.place) > 2 * reach:
         raise ConvergenceError("the exact value was found on another part of the family")

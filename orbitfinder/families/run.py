@@ -13,6 +13,7 @@ from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
 from orbitfinder.families.stability import Spectrum, matching, spectrum
 from orbitfinder.families.start import Start
 from orbitfinder.loops.block import Accepted, Blocks
+from orbitfinder.loops.condensed import Linearised
 from orbitfinder.loops.conditions import followed, pinned
 from orbitfinder.loops.continued import (
     Curve,
@@ -24,6 +25,7 @@ from orbitfinder.loops.continued import (
     correct,
     crossed,
     distance,
+    jacobian_of,
     plane,
     tangent,
 )
@@ -146,7 +148,9 @@ class Interval:
         if self.crossing:  # it would lead along the family that crosses
             return None
         share, (a, b) = distance / self.length, (self.first.solution.jacobian, self.last.solution.jacobian)
-        return np.asarray((1 - share) * a + share * b) if a.shape == b.shape else None
+        if isinstance(a, Linearised) or isinstance(b, Linearised) or a.shape != b.shape:
+            return None
+        return np.asarray((1 - share) * a + share * b)
 
     def crossed(self, sample: Sample) -> bool:
         """Whether another family crosses at an orbit of the interval."""
@@ -286,16 +290,16 @@ def standing_at(curve: Curve, point: FamilyPoint, standing: Standing | None) -> 
         return at_place(curve, place), place.over(point.tangent)
     marched = place.at(standing.marched)
     path = curve.equations.varied(marched, states=True)
-    rows = curve.through(place).linearised(place, path).matrix()
-    stepped = distance(curve, place, marched)
-    solution = Solution(place, path, np.vstack([rows, standing.rows.reshape(-1, rows.shape[1])]), 0.0, stepped, marched)
-    return solution, standing.tangent
+    jacobian = jacobian_of(curve.through(place), place, path)
+    if isinstance(jacobian, np.ndarray):
+        jacobian = np.vstack([jacobian, standing.rows.reshape(-1, jacobian.shape[1])])
+    return Solution(place, path, jacobian, 0.0, distance(curve, place, marched), marched), standing.tangent
 
 
 def standing_of(curve: Curve, solution: Solution, whole: np.ndarray) -> Standing:
     """What the step after an orbit begins with."""
-    count = len(solution.jacobian) if curve.test is None else len(solution.jacobian) - 1
-    return Standing((solution.marched or solution.place).vector, whole, solution.jacobian[count:])
+    last = solution.matrix[-1:] if curve.test else np.zeros((0, whole.size))
+    return Standing((solution.marched or solution.place).vector, whole, last)
 
 
 def step_from(
@@ -320,17 +324,19 @@ def step_from(
 def accepted(curve: Curve, before: Unknowns, solution: Solution, whole: np.ndarray) -> Accepted:
     """How an orbit with its tangent stands after another."""
     curve = curve.measured(solution)
-    rows = curve.through(solution.place).linearised(solution.place, solution.march).matrix()
-    here = replace(solution, jacobian=np.vstack([rows, solution.jacobian[len(rows) :]]))
+    jacobian = jacobian_of(curve.through(solution.place), solution.place, solution.march)
+    if isinstance(jacobian, np.ndarray):
+        jacobian = np.vstack([jacobian, solution.matrix[len(jacobian) :]])
+    here = replace(solution, jacobian=jacobian)
     whole = tangent(curve, here, whole)
     return Accepted(curve, here, whole, bend(curve, solution.place, whole, before))
 
 
 def drifted(curve: Curve, before: Solution, solution: Solution) -> np.ndarray | None:
     """The change of the Jacobian with arclength from one orbit to the next, None where their segments differ."""
-    if before.place.displacement(solution.place) is None:
+    if before.place.displacement(solution.place) is None or isinstance(solution.jacobian, Linearised):
         return None
-    return np.asarray((solution.jacobian - before.jacobian) / distance(curve, before.place, solution.place))
+    return np.asarray((solution.jacobian - before.matrix) / distance(curve, before.place, solution.place))
 
 
 def portrait(curve: Curve, solution: Solution) -> np.ndarray:

@@ -190,7 +190,7 @@ def noise_of(curve: Curve, solution: Solution, name: str) -> float:
     period[place.nodes.size] = 1.0
     wanted = np.zeros(period.size)
     wanted[place.vector.size - place.free.size + curve.equations.physical.index(name)] = 1.0
-    made = np.linalg.lstsq(np.vstack([solution.jacobian, period]).T, wanted, rcond=None)[0][: place.nodes.size]
+    made = np.linalg.lstsq(np.vstack([solution.matrix, period]).T, wanted, rcond=None)[0][: place.nodes.size]
     return STEP_ERROR * float(np.abs(made) @ np.tile(extents(curve, solution.march.states), len(place.nodes)))
 
 

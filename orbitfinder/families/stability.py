@@ -163,10 +163,12 @@ def _chain(curve: Curve, solution: Solution) -> RootFactors:
     symmetry directions where it begins and ends.
     """
     p, w, units = curve.equations, solution.place, curve.units
-    each = gcd(w.steps, QUANTUM)
-    states = p.march.states(w.nodes, w.mesh, w.tail)[::each]
-    matrices = p.march.varied(states[:-1], w.mesh, w.tail).transitions * units / units[:, None]
-    matrices, places = merged(matrices)
+    if p.gridded:
+        states, matrices = solution.march.states, solution.march.transitions
+    else:
+        states = p.march.states(w.nodes, w.mesh, w.tail)[:: gcd(w.steps, QUANTUM)]
+        matrices = p.march.varied(states[:-1], w.mesh, w.tail).transitions
+    matrices, places = merged(matrices * units / units[:, None])
     states, last, symmetry = states[places], len(matrices), p.symmetry
     there = list(range(1, last + 1))
     if symmetry.reverses:  # out, turned, back, turned

@@ -36,7 +36,8 @@ class Varied:
     """One integration of all segments with its derivatives.
 
     `ends` (N x d), `transitions` (N x d x d), `columns` (N x d x m) by (T, s, free); where they were asked for `states`
-    (M + 1 x d) at the mesh; the `integral` over the horizon.
+    (M + 1 x d) at the mesh; the `integral` over the horizon. `change` is what solving their equations moved last, in
+    extents of the motion, of which its square is left.
     """
 
     ends: np.ndarray
@@ -44,6 +45,7 @@ class Varied:
     columns: np.ndarray
     states: np.ndarray
     integral: float
+    change: float = 0.0
 
 
 class Refining:
@@ -302,6 +304,10 @@ class Gridded(March):
     def sampled(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, places: np.ndarray) -> np.ndarray:
         """States (k x d) at places (k, in periods)."""
         raise NotImplementedError
+
+    def once(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> Varied:
+        """`varied` with states for Newton's method; what is within segments may be changed once, not solved."""
+        return self.varied(nodes, mesh, tail, states=True)
 
 
 class Marches(Refining):

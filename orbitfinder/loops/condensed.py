@@ -11,12 +11,13 @@ large; beyond `LARGEST_PRODUCT` the whole matrix is solved instead.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
 from scipy.linalg.lapack import dgecon, dgetrf, dgetrs, dlange, dtrtrs
-from scipy.sparse import csc_matrix, hstack, vstack
+from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
 from orbitfinder.mechanics.newton import Solver, least_squares
@@ -30,6 +31,27 @@ SMALL = 150
 NO_PLACES = np.zeros(0, int)
 Inner = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Segments (g), and the derivatives of a row of each by its node (g x d) and by y (g x m)"""
+
+
+@lru_cache(maxsize=32)
+def _pattern(count: int, size: int, extra: int, wide: bytes) -> tuple[np.ndarray, ...]:
+    """Where a sparse matrix is not 0: which entries of closing rows, of those `wide` all; the order of all entries in
+    columns, their rows, and where columns begin."""
+    total, cut, rows = count * size, (count - 1) * size, len(wide)
+    held = np.repeat(np.frombuffer(wide, bool)[:, None], total, axis=1)
+    held[:, :size] = held[:, cut:] = True
+    block, own = np.arange(cut).reshape(-1, size), np.broadcast_to(np.arange(size), (count - 1, size, size))
+    tail = np.indices((cut, extra)).reshape(2, -1), np.indices((rows, extra)).reshape(2, -1)
+    places = [
+        np.array([np.repeat(block.ravel(), size), (block[:, :1, None] + own).ravel()]),
+        np.array([block.ravel(), block.ravel() + size]),
+        np.array(np.nonzero(held)) + [[cut], [0]],
+        *(part + [[above], [total]] for part, above in zip(tail, (0, cut), strict=True)),
+    ]
+    row, column = np.concatenate(places, axis=1).astype(np.int32)
+    order = np.lexsort((row, column))
+    starts = np.searchsorted(column[order], np.arange(total + extra + 1)).astype(np.int32)
+    return held, order, row[order], starts
 
 
 @dataclass(frozen=True)
@@ -61,20 +83,24 @@ class Linearised:
 
     def sparse(self) -> csc_matrix:
         """The same for many segments, of which most of it is 0."""
-        (count, size, _), (rows, nodes) = self.transitions.shape, self.first.shape
+        (count, size, extra), (rows, nodes) = self.columns.shape, self.first.shape
         total, cut = count * size, (count - 1) * size
         closing = np.zeros((rows, total))
         closing[:, :nodes] = self.first
         closing[:, cut:] += self.last @ self.transitions[-1]
-        block, own = np.arange(cut).reshape(-1, size), np.broadcast_to(np.arange(size), (count - 1, size, size))
-        places = [
-            (np.repeat(block[:, :, None], size, axis=2), block[:, :1, None] + own, self.transitions[:-1]),
-            (block, block + size, np.full(block.shape, -1.0)),
-        ]
-        flat = [np.concatenate([part.ravel() for part in parts]) for parts in zip(*places, strict=True)]
-        links = csc_matrix((flat[2], (flat[0], flat[1])), shape=(cut, total))
-        tail = np.concatenate([self.columns[:-1].reshape(cut, -1), self.last @ self.columns[-1] + self.tail])
-        return csc_matrix(hstack([vstack([links, csc_matrix(closing)]), csc_matrix(tail)]))
+        tail = self.last @ self.columns[-1] + self.tail
+        shape = (cut + rows, total + extra)
+        held, order, places, starts = _pattern(count, size, extra, np.any(closing[:, size:cut], axis=1).tobytes())
+        parts = (self.transitions[:-1].ravel(), np.full(cut, -1.0), closing[held], self.columns[:-1].ravel(), tail.ravel())
+        return csc_matrix((np.concatenate(parts)[order], places, starts), shape=shape)
+
+    def bordered(self, row: np.ndarray) -> Linearised:
+        """The same with a row more, over w, after the closing ones."""
+        (rows, nodes), total = self.first.shape, self.transitions[..., 0].size
+        first = np.zeros((rows + 1, total))
+        first[:rows, :nodes], first[rows] = self.first, row[:total]
+        last, tail = np.vstack([self.last, np.zeros(self.last.shape[1])]), np.vstack([self.tail, row[total:]])
+        return replace(self, first=first, last=last, tail=tail)
 
     def _links(self) -> np.ndarray:
         """The derivatives of x_0 and of x_{k+1} - Phi_k x_k by x_0 .. x_N, the last of which is where the loop ends."""

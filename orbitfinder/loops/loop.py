@@ -320,6 +320,12 @@ class Equations:
         """All segments of w integrated with their derivatives."""
         return self.march.varied(w.nodes, w.mesh, w.tail, states)
 
+    def changed(self, w: Unknowns) -> Varied:
+        """`varied` with states for Newton's method, which may change what is within segments once, not solve it."""
+        if march := self.gridded:
+            return march.once(w.nodes, w.mesh, w.tail)
+        return self.varied(w, states=True)
+
     def varied_each(self, places: Sequence[Unknowns], states: bool = False) -> list[Varied]:
         """The same of several w on one mesh, beside each other."""
         nodes, tails = np.array([w.nodes for w in places]), np.array([w.tail for w in places])

@@ -113,7 +113,7 @@ def found(
 def begun(march: type[Collocation], problem: Problem, free: tuple[str, ...]) -> tuple[Equations, Unknowns]:
     """The equations of a family by collocation, and the orbit of a problem in their unknowns."""
     fixed = _equations(march, problem)
-    w = _on_meshes(problem, fixed)[-1]
+    w = _on_meshes(problem, fixed, alone=True)[-1]
     w = w if problem.model.forced else _turned(fixed, w)
     equations = replace(fixed, free=free)
     place, own = equations.unknowns(w.nodes, w.period, w.mesh), _march(equations)
@@ -125,36 +125,42 @@ def _equations(march: type[Collocation], problem: Problem) -> Equations:
     return Equations(problem.model, problem.boundary, tuple(problem.free), action=True, by=march)
 
 
-def _on_meshes(problem: Problem, equations: Equations, report: Callback | None = None) -> list[Unknowns]:
-    """The orbit of a problem on finer and finer meshes until two periods agree, the coarser first.
+def _on_meshes(
+    problem: Problem, equations: Equations, report: Callback | None = None, alone: bool = False
+) -> list[Unknowns]:
+    """The orbit of a problem on finer and finer meshes until two periods agree, the coarser first; or `alone` on the
+    first from which a family's own mesh can be told.
 
     Raises `ConvergenceError` where none do.
     """
     guess = lap(problem.model, problem.guess)
     if not settles(problem):
-        return _refined(problem, equations, guess, FINEST, report)
+        return _refined(problem, equations, guess, FINEST, report, alone)
     failed = ConvergenceError("the guess leads nowhere; give a state near the cycle and its period")
-    for near in cycles(problem.model, problem.guess, stiffness(equations, guess) > STIFF):
+    for near in cycles(problem.model, problem.guess, guess, stiffness(equations, guess) > STIFF):
         own = problem.guess.trajectory is None and np.array_equal(near.state, np.asarray(problem.guess.state, float))
         try:
-            return _refined(problem, equations, near, min(QUICK, FINEST) if own else FINEST, report)
+            return _refined(problem, equations, near, min(QUICK, FINEST) if own else FINEST, report, alone)
         except ConvergenceError as error:
             failed = error
     raise failed
 
 
 def _refined(
-    problem: Problem, equations: Equations, guess: Guess, finest: int, report: Callback | None
+    problem: Problem, equations: Equations, guess: Guess, finest: int, report: Callback | None, alone: bool
 ) -> list[Unknowns]:
     """The same from a lap."""
-    march, solved, count, failed, change = _march(equations), list[Unknowns](), FINER * COARSEST, "", np.inf
+    march, solved, failed, change = _march(equations), list[Unknowns](), "", np.inf
+    count = COARSEST if alone else FINER * COARSEST
     while count <= finest:
         limit.check()
         try:
             now = regridded(march, solved[-1], count) if solved else _begun(problem, equations, guess, count)
-            for _ in range(2):  # the mesh of an orbit that is known, and that of the better one
-                now = regridded(march, closed(problem, equations, now), count)
             now = closed(problem, equations, now)
+            if alone and march.wanted(now.nodes, now.mesh, now.tail) < 2 * count:
+                return [now]
+            for _ in range(2):  # the mesh of an orbit that is known, and that of the better one
+                now = closed(problem, equations, regridded(march, now, count))
         except (ConvergenceError, IntegrationError) as error:
             failed, count = str(error), FINER * count
             continue

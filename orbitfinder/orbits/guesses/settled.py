@@ -61,13 +61,12 @@ def simulated(model: Model, state: np.ndarray, duration: float, units: np.ndarra
     return Settling(solution.t, solution.y.T * size, lambda times: np.asarray(solution.sol(times).T * size))
 
 
-def cycles(model: Model, guess: Guess, stiff: bool) -> Iterator[Guess]:
-    """Guesses whose trajectories are a lap of a cycle: its own, or its motion where that comes near its start and is
-    not stiff, so that its jumps are where they belong, and then what it settles on.
+def cycles(model: Model, guess: Guess, own: Guess, stiff: bool) -> Iterator[Guess]:
+    """Guesses whose trajectories are a lap of a cycle: its `own` (see `lap`) where that is given, or comes near its
+    start and is not stiff, so that its jumps are where they belong, and then what it settles on.
 
     Raises `ConvergenceError` where it settles on nothing that comes back after about the guess's period.
     """
-    own = lap(model, guess)
     if guess.trajectory is not None or (not stiff and _apart(model, own) <= NEAR):
         yield own
     if guess.trajectory is not None:
