@@ -62,8 +62,9 @@ STEPS = 480
 """Steps of a period on which an orbit is marched of which the nodes are not known"""
 
 
-def reading(curve: Curve, event: Event, along: np.ndarray, step: float) -> Reading:
-    """What the check of an event says; `along` (head) is the way the family goes there, `step` the arclength of a step.
+def reading(curve: Curve, event: Event, along: np.ndarray, step: float, parameter: str = "") -> Reading:
+    """What the check of an event says; `along` (head) is the way the family goes there, `step` the arclength of a step,
+    `parameter` what it is followed in.
 
     Raises `ConvergenceError` where it is not known well enough, or its definition is contradicted.
     """
@@ -83,7 +84,8 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float) -> Readi
                 for d in step * share * np.array([-2, -1, 0, 1, 2] if outer else [-1, 0, 1])
             ]  # fmt: skip
             before, middle, after = looks[outer : len(looks) - outer]
-            sides = Sides(before, here, middle, after, share * step, step, looks[:: len(looks) - 1] if outer else ())
+            sides = Sides(before, here, middle, after, share * step, step, looks[:: len(looks) - 1] if outer else (),
+                          parameter)  # fmt: skip
             result = kind.check(sides, event)
             check(f"EventKind {event.kind!r}, check", "Reading", result)
         except (ConvergenceError, IntegrationError) as error:
@@ -129,15 +131,15 @@ def _heading(curve: Curve, solution: Solution, along: np.ndarray) -> np.ndarray:
     return np.asarray(whole / np.sqrt(curve.scales.metric(solution.place) @ whole**2))
 
 
-def checked(curve: Curve, batch: Batch, step: float) -> Batch:
+def checked(curve: Curve, batch: Batch, step: float, parameter: str) -> Batch:
     """A step of a family with those of its events that are what they are called; the log says what the others are."""
-    return replace(batch, events=tuple(_kept(curve, batch.events, step)))
+    return replace(batch, events=tuple(_kept(curve, batch.events, step, parameter)))
 
 
-def _kept(curve: Curve, events: Sequence[Event], step: float) -> Iterator[Event]:
+def _kept(curve: Curve, events: Sequence[Event], step: float, parameter: str) -> Iterator[Event]:
     for event in events:
         try:
-            read = reading(curve, event, event.tangent, step)
+            read = reading(curve, event, event.tangent, step, parameter)
             what = f"{read.value:.2g} where {read.error:.2g} is known"
         except (ConvergenceError, IntegrationError) as error:
             read, what = None, str(error)
