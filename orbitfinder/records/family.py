@@ -140,7 +140,7 @@ class Event(Shown):
     closes.
     """
 
-    __repr__ = brief("kind", "detail", "parameter", "period", "index")
+    __repr__ = brief("kind", "detail", "parameter", "error", "period", "index")
     _called = FamilyPoint._called
     _entries = (..., "criticality", "error", "period_error")
     _sparse = ("check", "watch", "criticality", "error", "period_error")
