@@ -226,10 +226,15 @@ class Sides:
         matrix = np.vstack([solution.jacobian, curve.slopes(w, (aim,))]) * columns
         sizes = nonzero(np.linalg.norm(matrix, axis=1))
         left, values, right = np.linalg.svd(matrix / sizes[:, None])
-        count = int((values > CUTOFF * values[0]).sum()) - crossed(curve, solution)
+        count = int((values > CUTOFF * values[0]).sum()) - self.crossed
         inverse = columns[:, None] * (right[:count].T / values[:count]) @ left[:, :count].T / sizes
         missed = [curve.through(w).rows(w, ends + error, aim) for error in (0.0, TIGHTEST.relative_tolerance * ends)]
         return np.asarray(np.abs(inverse) @ (np.abs(missed[0]) + np.abs(missed[1] - missed[0])))
+
+    @cached_property
+    def crossed(self) -> bool:
+        """Whether another family crosses at the event."""
+        return crossed(self.here.curve, self.here.solution)
 
     def values(self, name: str) -> tuple[float, float, float]:
         """A quantity before, at and after the event."""
@@ -296,6 +301,8 @@ def check_passage(sides: Sides, event: Event) -> Reading:
         raise ConvergenceError(f"its multiplier {event.multiplier:.6g} and order {event.order} are of another kind")
     if KINDS[event.kind].crosses and event.multiplier.real > 0 and sides.turns(_parameter(sides.here.curve)):
         raise ConvergenceError("the family turns there, so that nothing else leads through it")
+    if KINDS[event.kind].crosses and event.multiplier.real > 0 and not here.conservative and not sides.crossed:
+        raise ConvergenceError("no other family leads through it")
     return sides.zero(_level(levels[0]))
 
 
@@ -314,14 +321,17 @@ def check_fold(sides: Sides, event: Event) -> Reading:
 def _turned(sides: Sides, parameter: str) -> Reading:
     """A root at the level of mu = 1, which is sharp by the turn of a parameter if not by itself.
 
-    Where the parameter hardly moves beyond its round-off, as in a canard, it is by itself, and the parameter turns.
+    Where the parameter hardly moves beyond its round-off, as in a canard, it is by itself, and the parameter turns: as
+    is seen, or as no other family crosses there. (The rows of a loop then have full rank, so that a multiplier that
+    passes +1 takes the derivative of the parameter through 0.)
     """
     level = _level(2.0 if sides.here.about.conservative else 1.0)
     passage = sides.zero(level, sharp=False)
     if passage.passed and sides.turning(parameter).passed:
         return passage
     passage = sides.zero(level, within=DOUBTFUL)
-    return replace(passage, passed=passage.passed and sides.bends(parameter))
+    turns = sides.bends(parameter) or not (sides.here.about.conservative or sides.crossed)
+    return replace(passage, passed=passage.passed and turns)
 
 
 def fold_side(sides: Sides, event: Event) -> str:
