@@ -185,9 +185,10 @@ def _asked_where(file: Path, chosen: Mapping[str, Any], shown: Display) -> None:
 
 
 def event_words(event: Event, parameter: str) -> str:
-    """An event in words: kind, where, period."""
+    """An event in words: kind, where with its error bar, period."""
     kind = f"{event.kind} {event.detail}".replace("_", " ").strip()
-    return f"{kind} at {parameter} {with_unit(event.parameter, parameter)}, period {event.period:.6g} s"
+    known = "" if event.error is None else f" (+- {event.error:.1g})"
+    return f"{kind} at {parameter} {with_unit(event.parameter, parameter)}{known}, period {event.period:.6g} s"
 
 
 def with_unit(value: float, parameter: str) -> str:
@@ -230,7 +231,7 @@ def summary(family: of.Family) -> dict[str, Any]:
     """What `--json` says of a family; its points are in family.json."""
     events = [
         {"kind": event.kind, "detail": event.detail, family.parameter: event.parameter, "period": event.period,
-         "certified": event.certified} | {name: number_of(event, name) for name in family.parameters[1:]}
+         "error": event.error, "period_error": event.period_error, "certified": event.certified} | {name: number_of(event, name) for name in family.parameters[1:]}
         for event in family.events
     ]  # fmt: skip
     return {

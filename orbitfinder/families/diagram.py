@@ -357,7 +357,7 @@ class _Tree:
         if end.parameter is None or end.period is None:
             return False
         low, high = sorted(self.empty.between)
-        near = SAME * (high - low) if isinstance(event, Event) else 10 * ((end.error or 0.0) + event.error)
+        near = SAME * (high - low) if event.error is None else 10 * ((end.error or 0.0) + event.error)
         turns = {1, getattr(event, "order", 1)}
         off = min(abs(end.period / (event.period * count) - 1) for count in turns)
         return abs(end.parameter - event.parameter) <= near and off <= 1e3 * SAME

@@ -397,7 +397,7 @@ def _finish(
             for batch in follow(run, done):
                 reached = [point for point in batch.points if point.role == "step"][-1:]
                 step = abs(reached[0].arclength - last.arclength) if reached else last.step
-                batch, last = checked(curve, batch, step), (*reached, last)[0]
+                batch, last = checked(curve, batch, step, settings.parameter), (*reached, last)[0]
                 batch = batch_certified(curve, batch) if settings.certify else batch
                 if folder is not None:
                     append(folder, batch)

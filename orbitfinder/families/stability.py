@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from math import gcd
 
 import numpy as np
@@ -63,7 +63,7 @@ class Spectrum:
     @cached_property
     def multipliers(self) -> np.ndarray:
         """The non-trivial multipliers of the root map, not to be written to."""
-        return np.linalg.eigvals(self.reduced).astype(complex)
+        return np.linalg.eigvals(self.reduced).astype(complex) if self.chain is None else self.chain.product.values
 
     @cached_property
     def root_errors(self) -> np.ndarray:
@@ -115,7 +115,7 @@ def spectrum(curve: Curve, solution: Solution) -> Spectrum:
     whole = np.linalg.matrix_power(reduced, root)
     floquet, chain = analyse(whole, conservative), None
     values, vectors = np.linalg.eig(reduced)
-    if not p.links and (p.gridded or _lost(floquet)):
+    if not p.links and (p.gridded or _lost(floquet, solution.march.transitions * curve.units / curve.units[:, None])):
         chain = _chain(curve, solution)
         values, vectors = chain.product.values, np.zeros((0, 0))
         floquet = judged(values**root, conservative)
@@ -152,10 +152,14 @@ def keeps_pairs(curve: Curve, reduced: np.ndarray) -> bool:
     return bool(curve.equations.symplectic and np.all(np.abs(areas - 1.0) < AREA))
 
 
-def _lost(floquet: Floquet) -> bool:
-    """Whether the round-off of the largest multiplier has swallowed digits of the smallest."""
+def _lost(floquet: Floquet, transitions: np.ndarray) -> bool:
+    """Whether the round-off of the largest multiplier has swallowed digits of the smallest, or what shrinks under way
+    and grows again, as in a canard, digits of all."""
     sizes = np.abs(floquet.multipliers)
-    return bool(sizes.size and sizes.max() > SPREAD * sizes.min())
+    ahead = accumulate(transitions, lambda done, piece: piece @ done)
+    behind = [*accumulate(transitions[:0:-1], lambda done, piece: done @ piece)][::-1]
+    grown = max((np.linalg.norm(a) * np.linalg.norm(b) for a, b in zip(ahead, behind, strict=False)), default=0.0)
+    return bool(sizes.size and (sizes.max() > SPREAD * sizes.min() or grown > SPREAD * max(1.0, sizes.max())))
 
 
 def _chain(curve: Curve, solution: Solution) -> RootFactors:
