@@ -193,7 +193,7 @@ def _beside_join(curve: Curve, solution: Solution, kept: Invariance) -> Start | 
     states = kept.joined(sampled(curve, solution), p.model.angular)
     if not symmetry.held_by(p.model, states[0], max(curve.cycles // kept.covers, 1)):
         return None
-    equations = Equations(p.model, symmetry, p.free, action=True, collocated=p.collocated)
+    equations = Equations.of(p.model, symmetry, p.free, p.collocated)
     part = round((len(states) - 1) * symmetry.fraction)
     count = next(k for k in (8, 6, 5, 4, 3, 2, 1) if part % k == 0)
     # Runge-Kutta steps in a segment of the first guess of the joined orbit

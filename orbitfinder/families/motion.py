@@ -33,6 +33,13 @@ def full_samples(curve: Curve, solution: Solution, count: int = SAMPLES) -> tupl
     if isinstance(p.march, Collocation):
         shares = np.linspace(0.0, 1.0, count + 1)
         return shares * place.period, p.march.sampled(place.nodes, place.mesh, place.tail, shares)
+    times = np.linspace(0.0, place.period, count + 1)
+    return times, whole_motion(curve, solution, count)(times)
+
+
+def whole_motion(curve: Curve, solution: Solution, count: int = SAMPLES) -> CubicHermiteSpline:
+    """States over the whole period (s) of a smooth orbit that is not collocated, known at so many instants at least."""
+    p, place = curve.equations, solution.place
     each = -(-count // len(place.nodes))
     if each > place.steps:
         mesh = np.concatenate([[0.0], *[np.linspace(a, b, each + 1)[1:] for a, b in pairwise(place.edges)]])
@@ -40,11 +47,11 @@ def full_samples(curve: Curve, solution: Solution, count: int = SAMPLES) -> tupl
     else:  # what took so many steps is not known from fewer
         mesh, states = place.mesh, solution.march.states
     mesh, states = p.symmetry.whole(mesh, states, curve.constant)
-    times, moments = np.linspace(0.0, place.period, count + 1), mesh * place.period
+    moments = mesh * place.period
     slopes = p.march.rates(states, place.tail, moments)
     if not np.all(np.isfinite(slopes)):
         raise IntegrationError("the motion is not finite between its nodes")
-    return times, CubicHermiteSpline(moments, states, slopes)(times)
+    return CubicHermiteSpline(moments, states, slopes)
 
 
 def _linked_samples(curve: Curve, solution: Solution, count: int) -> tuple[np.ndarray, np.ndarray]:
