@@ -10,6 +10,7 @@ last orbit's mean and period. Source: A. Griewank, G. Reddien, IMA J. Numer. Ana
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -142,16 +143,32 @@ class _Extended:
 
     def rows(self, z: np.ndarray) -> np.ndarray:
         """f, J v - i omega v, c.v, and what is held in the units that its slopes have at first."""
-        size, count, there = self.size, self.count, self.at(z)
-        v = z[count + 1 : count + 1 + size] + 1j * z[count + 1 + size :]
-        turned = np.append(self.slopes(z) @ v - 1j * z[count] * v, self.c @ v - 1.0)
-        held = self.curve.values(there, self.curve.conditions) / self.held
-        return np.concatenate([self.rates(z), turned.real, turned.imag, held])
+        v = self._vector(z)
+        turned = np.append(self.slopes(z) @ v - 1j * z[self.count] * v, self.c @ v - 1.0)
+        return np.concatenate([self.rates(z), turned.real, turned.imag, self._kept(z)])
+
+    def _vector(self, z: np.ndarray) -> np.ndarray:
+        start, end = self.count + 1, self.count + 1 + self.size
+        return np.asarray(z[start:end] + 1j * z[end:])
+
+    def _kept(self, z: np.ndarray) -> np.ndarray:
+        return np.asarray(self.curve.values(self.at(z), self.curve.conditions) / self.held)
 
     def linearised(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """They and their Jacobian, by central differences; nan where omega is not positive."""
-        if not z[self.count] > 0.0:
+        """They and their Jacobian, by central differences but in v; nan where omega is not positive."""
+        size, count, v = self.size, self.count, self._vector(z)
+        if not z[count] > 0.0:
             return np.full(z.size, np.nan), np.eye(z.size)
-        steps = DIFFERENCE * np.eye(z.size)
-        slopes = np.array([self.rows(z + step) - self.rows(z - step) for step in steps]).T / (2 * DIFFERENCE)
-        return self.rows(z), slopes
+        steps = DIFFERENCE * np.eye(count + 1, z.size)
+
+        def changes(value: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+            return np.array([value(z + step) - value(z - step) for step in steps]).T / (2 * DIFFERENCE)
+
+        turned = np.zeros((size + 1, z.size), complex)
+        turned[:size, : count + 1] = changes(lambda near: self.slopes(near) @ v)
+        turned[:size, count] -= 1j * v
+        by_v = np.vstack([self.slopes(z) - 1j * z[count] * np.eye(size), self.c])
+        turned[:, count + 1 :] = np.hstack([by_v, 1j * by_v])
+        others = ((0, 0), (0, 2 * size))
+        slopes = [np.pad(changes(self.rates), others), turned.real, turned.imag, np.pad(changes(self._kept), others)]
+        return self.rows(z), np.vstack(slopes)
