@@ -192,8 +192,7 @@ DEEPEST = 6
 
 def multipliers(sample: Sample) -> np.ndarray:
     """Multipliers of the root map, the largest modulus first."""
-    values = sample.about.multipliers
-    return values[np.argsort(-np.abs(values), kind="stable")]
+    return sample.about.ranked
 
 
 def modulus(rank: int) -> Measure:

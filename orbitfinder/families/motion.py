@@ -54,6 +54,16 @@ def whole_motion(curve: Curve, solution: Solution, count: int = SAMPLES) -> Cubi
     return CubicHermiteSpline(moments, states, slopes)
 
 
+def interpolated(mesh: np.ndarray, states: np.ndarray, slopes: np.ndarray, moments: np.ndarray) -> np.ndarray:
+    """SciPy's `CubicHermiteSpline` at moments (k x d), of few in a fifth of its time."""
+    lengths, chords = np.diff(mesh)[:, None], np.diff(states, axis=0)
+    early, late = lengths * slopes[:-1], lengths * slopes[1:]
+    before = np.searchsorted(mesh[1:-1], moments, side="right")
+    shares = ((moments - mesh[before]) / lengths[before, 0])[:, None]
+    a, b, c = early[before], (3 * chords - 2 * early - late)[before], (early + late - 2 * chords)[before]
+    return np.asarray(states[before] + shares * (a + shares * (b + shares * c)))
+
+
 def _linked_samples(curve: Curve, solution: Solution, count: int) -> tuple[np.ndarray, np.ndarray]:
     """The same of a hybrid orbit; at an event the state after it."""
     p, place = curve.equations, solution.place

@@ -66,6 +66,11 @@ class Spectrum:
         return np.linalg.eigvals(self.reduced).astype(complex)
 
     @cached_property
+    def ranked(self) -> np.ndarray:
+        """The same, the largest modulus first."""
+        return self.multipliers[np.argsort(-np.abs(self.multipliers), kind="stable")]
+
+    @cached_property
     def root_errors(self) -> np.ndarray:
         """Estimated relative error of each of the `values`: what errors of the matrices make of it, to first order.
 
