@@ -17,7 +17,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.motion import noise, rises, watched
 from orbitfinder.families.passages import (
@@ -197,7 +196,7 @@ def multipliers(sample: Sample) -> np.ndarray:
 
 def modulus(rank: int) -> Measure:
     """The logarithm of the modulus of this rank."""
-    return lambda sample: float(np.log(nonzero(np.abs(multipliers(sample)[rank]))))
+    return lambda sample: float(sample.about.growths[rank])
 
 
 def crossings(interval: Interval) -> list[tuple[Sample, Test]]:

@@ -54,6 +54,15 @@ def whole_motion(curve: Curve, solution: Solution, count: int = SAMPLES) -> Cubi
     return CubicHermiteSpline(moments, states, slopes)
 
 
+def rates_along(curve: Curve, solution: Solution) -> np.ndarray:
+    """dx/dt (M + 1 x d) at the mesh, kept with the orbit."""
+    if "rates" not in solution.kept:
+        place, march = solution.place, curve.equations.march
+        solution.kept["rates"] = march.rates(solution.march.states, place.tail, place.mesh * place.period)
+    rates: np.ndarray = solution.kept["rates"]
+    return rates
+
+
 def interpolated(mesh: np.ndarray, states: np.ndarray, slopes: np.ndarray, moments: np.ndarray) -> np.ndarray:
     """SciPy's `CubicHermiteSpline` at moments (k x d), of few in a fifth of its time."""
     lengths, chords = np.diff(mesh)[:, None], np.diff(states, axis=0)
