@@ -18,7 +18,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg.lapack import dgeqrf, dorgqr, dtrtrs
+from scipy.linalg.lapack import dgeqrf, dgesv, dorgqr
 
 from orbitfinder._runtime.sizes import LEAST
 
@@ -82,7 +82,7 @@ class Product:
         whole[-1] = unit  # T_k U_k = U_{k+1} C_k, backwards: the error shrinks by the ratio of sizes in a pass
         for _ in range(MOST_PASSES):
             for k in range(count - 1, -1, -1):
-                whole[k] = np.where(free, dtrtrs(self.upper[k], whole[k + 1] @ blocks[k])[0], unit)
+                whole[k] = np.where(free, dgesv(self.upper[k], whole[k + 1] @ blocks[k])[2], unit)
             if np.abs(whole[0] - whole[-1]).max() <= NOISE * np.abs(whole[0]).max():
                 break
             whole[-1] = whole[0]
