@@ -220,10 +220,10 @@ class Sides:
         aim, columns = plane(curve, w, along), curve.scales.columns(w)
         states, durations = solution.march.states, np.diff(w.edges) * w.period
         try:
-            ends = ClosureCheck(p.model, p.collocated).ends(w.nodes, durations, freed(curve, w), extents(curve, states))
+            ends = ClosureCheck(p.model, p.by.stiff).ends(w.nodes, durations, freed(curve, w), extents(curve, states))
         except IntegrationError:
             return np.zeros(0)
-        matrix = np.vstack([solution.jacobian, curve.slopes(w, (aim,))]) * columns
+        matrix = np.vstack([solution.matrix, curve.slopes(w, (aim,))]) * columns
         sizes = nonzero(np.linalg.norm(matrix, axis=1))
         left, values, right = np.linalg.svd(matrix / sizes[:, None])
         count = int((values > CUTOFF * values[0]).sum()) - self.crossed

@@ -10,7 +10,7 @@ import numpy as np
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError, IntegrationError, plural
-from orbitfinder.families.joins import EVEN, Invariance, Join, agrees, approaching, end_of, passed, solved
+from orbitfinder.families.joins import EVEN, Invariance, Join, agrees, approaching, end_of, passed, sampled, solved
 from orbitfinder.families.minimal import dead_point
 from orbitfinder.families.motion import full_samples
 from orbitfinder.families.passages import LOCATION
@@ -50,8 +50,6 @@ class Shrinking:
     """it is looked for when amplitude 0 is no more than so many steps away"""
     turned: float = -0.5
     """cosine between two orbits' deviations from their means below which the second one is half a period late"""
-    compared: int = 128
-    """samples of an orbit that is compared with the one before it"""
     exploded: float = 1e-5
     explosion: float = 0.02
     """a family is in a canard when within the first share of its way in the parameter it changes by the second one"""
@@ -203,7 +201,7 @@ def _leaving(run: Run, rest: RestPoint) -> str:
 
 def _turned_over(curve: Curve, before: Solution, solution: Solution) -> bool:
     """Whether an orbit is the one before half a period later, as behind an equilibrium."""
-    first, other = (full_samples(curve, each, SHRINKING.compared)[1][:-1] for each in (before, solution))
+    first, other = (sampled(curve, each)[:-1] for each in (before, solution))
     extents = np.ptp(first, axis=0)
     extents = np.where(extents > 0.0, extents, np.inf)  # what does not move says nothing
     first, other = ((each - each.mean(axis=0)) / extents for each in (first, other))

@@ -232,13 +232,12 @@ DEEPEST = 6
 
 def multipliers(sample: Sample) -> np.ndarray:
     """Multipliers of the root map, the largest modulus first."""
-    values = sample.about.multipliers
-    return values[np.argsort(-np.abs(values), kind="stable")]
+    return sample.about.ranked
 
 
 def modulus(rank: int) -> Measure:
     """The logarithm of the modulus of this rank."""
-    return lambda sample: float(np.log(nonzero(np.abs(multipliers(sample)[rank]))))
+    return lambda sample: float(sample.about.growths[rank])
 
 
 def crossings(interval: Interval) -> list[tuple[Sample, Test]]:

@@ -74,7 +74,8 @@ class Dense:
         return float((-1.0 if odd else 1.0) * np.exp(np.log(np.abs(diagonal)).sum() / pivots.size))
 
     def _factorised(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-        return dgetrf(np.vstack([self.matrix, rows * self.sizes]))  # type: ignore[no-any-return]
+        own = (rows * self.sizes).reshape(-1, self.sizes.size)
+        return dgetrf(np.concatenate([self.matrix, own]))  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +184,7 @@ class AtRest:
         if not isfinite(float(g.sum()) + float(gz.sum())):
             raise ConvergenceError("the equations of rest leave the numbers")
         if self.form == "regular":
-            return g, np.hstack([gz, gp]) if slopes else gz
+            return g, np.concatenate([gz, gp], axis=1) if slopes else gz
         return getattr(self, f"_{self.form}")(z, p, more, (g, gz, gp), slopes)  # type: ignore[no-any-return]
 
     def _fold(

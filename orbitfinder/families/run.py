@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError
+from orbitfinder.families.motion import rates_along
 from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
 from orbitfinder.families.stability import Spectrum, matching, spectrum
 from orbitfinder.families.start import Start
@@ -190,8 +191,11 @@ def parameter_slopes(curve: Curve, place: Unknowns, head: np.ndarray) -> dict[st
             slopes[invariant.name] = float(by_state @ head[:size] + by_free @ head[size + 1 :])
     slopes |= {name: float(head[size + 1 + k]) for k, name in enumerate(p.physical)}
     slopes |= {name: float(head[k]) for k, name in enumerate(p.model.state_names)}
-    others = {*followed(p.model)} - {*slopes, *(invariant.name for invariant in p.model.invariants)}
-    return slopes | {name: float(pinned(p, name, 0.0).slope(p, place) @ place.spread(head)) for name in sorted(others)}
+    if "others" not in p.derived:
+        others = {*followed(p.model)} - {*slopes, *(invariant.name for invariant in p.model.invariants)}
+        p.derived["others"] = {name: pinned(p, name, 0.0) for name in sorted(others)}
+    rows = p.derived["others"].items()
+    return slopes | {name: float(row.slope(p, place) @ place.spread(head)) for name, row in rows}
 
 
 def make_sample(curve: Curve, distance: float, solution: Solution, whole: np.ndarray, expected: np.ndarray) -> Sample:
@@ -346,7 +350,7 @@ def portrait(curve: Curve, solution: Solution) -> np.ndarray:
     """
     p, place = curve.equations, solution.place
     times = place.mesh / place.mesh[-1]
-    lengths, rates = np.diff(times), p.march.rates(solution.march.states, place.tail, place.mesh * place.period)
+    lengths, rates = np.diff(times), rates_along(curve, solution)
 
     def mean(values: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         parts = lengths * (values[:-1] + values[1:]).T / 2 + lengths**2 * (slopes[:-1] - slopes[1:]).T / 12

@@ -18,6 +18,7 @@ import numpy as np
 
 from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.families.motion import rates_along
 from orbitfinder.families.point import extents, freed, parameter_value
 from orbitfinder.families.rest import ROUND_OFF, can_rest
 from orbitfinder.families.rest_problem import eigenvalues as eigenvalues_at
@@ -71,15 +72,14 @@ def slowness(curve: Curve, solution: Solution) -> tuple[float, np.ndarray]:
 
     Turning points are not slow in this sense: the speed includes the scaled acceleration.
     """
-    mesh, states = solution.place.mesh, solution.march.states
-    speed, weights = _speed(curve, solution, mesh, states), np.diff(mesh)
+    states, weights = solution.march.states, np.diff(solution.place.mesh)
+    speed = _speeds(curve, rates_along(curve, solution))
     slow = 0.5 * (speed[1:] + speed[:-1]) < SLOW.slow * speed.max()
     return float(weights[slow].sum() / weights.sum()), states[np.argmin(speed)]
 
 
-def _speed(curve: Curve, solution: Solution, mesh: np.ndarray, states: np.ndarray) -> np.ndarray:
-    p, place = curve.equations, solution.place
-    return np.asarray(np.sqrt(p.march.rates(states, place.tail, mesh * place.period) ** 2 @ curve.weights[: p.size]))
+def _speeds(curve: Curve, rates: np.ndarray) -> np.ndarray:
+    return np.asarray(np.sqrt(rates**2 @ curve.weights[: curve.equations.size]))
 
 
 def near_saddle(curve: Curve, solution: Solution, state: np.ndarray) -> bool:
@@ -118,7 +118,8 @@ def passed(curve: Curve, solution: Solution) -> Iterator[Saddle]:
     """The saddles (state and eigenvalues) that an orbit comes near in a period, in this order, each as often."""
     mesh, states = curve.equations.symmetry.whole(solution.place.mesh, solution.march.states, curve.constant)
     mesh, states = mesh[:-1], states[:-1]
-    speed = _speed(curve, solution, mesh, states)
+    place = solution.place
+    speed = _speeds(curve, curve.equations.march.rates(states, place.tail, mesh * place.period))
     slow = speed < SLOW.slow * speed.max()
     begins = np.flatnonzero(slow & ~np.roll(slow, 1))
     for begin in begins:

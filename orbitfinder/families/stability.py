@@ -66,6 +66,16 @@ class Spectrum:
         return np.linalg.eigvals(self.reduced).astype(complex) if self.chain is None else self.chain.product.values
 
     @cached_property
+    def ranked(self) -> np.ndarray:
+        """The same, the largest modulus first."""
+        return self.multipliers[np.argsort(-np.abs(self.multipliers), kind="stable")]
+
+    @cached_property
+    def growths(self) -> np.ndarray:
+        """The logarithms of their moduli."""
+        return np.log(nonzero(np.abs(self.ranked)))
+
+    @cached_property
     def root_errors(self) -> np.ndarray:
         """Estimated relative error of each of the `values`: what errors of the matrices make of it, to first order.
 

@@ -12,7 +12,7 @@ from scipy.interpolate import CubicHermiteSpline
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.families.minimal import minimal_problem
-from orbitfinder.families.motion import SAMPLES, full_samples
+from orbitfinder.families.motion import SAMPLES, full_samples, whole_motion
 from orbitfinder.families.point import FamilySettings, parameter_value
 from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.conditions import QUANTITIES, Pin, clock, conserved, followed, measured, pinned, quantities
@@ -51,9 +51,8 @@ FIRST_STEPS = 160
 """Runge-Kutta steps in one period of a guess, before there is an error estimate to go by."""
 LOOKS = (40, 160, 640)
 """... in one segment, to see where a motion goes"""
-NEAR, COVERED = 0.2, 1e-5
-"""A guess goes round its orbit several times where it comes back to its start within these shares of its extents,
-sampled anyhow and at the very instant"""
+COVERED = 1e-5
+"""A guess goes round its orbit several times where it comes back to its start within this share of its extents"""
 
 
 @dataclass(frozen=True)
@@ -113,17 +112,15 @@ def _tried(problem: Problem, free: tuple[str, ...]) -> Start:
 
 
 def cover_of(curve: Curve, solution: Solution) -> int:
-    """How many times an orbit goes round a shorter one, looked closely at where samples come near their start."""
+    """How many times an orbit goes round a shorter one."""
     if curve.equations.links or curve.equations.model.forced:
         return 1
-    rough = full_samples(curve, solution)[1]
-    extents = nonzero(np.ptp(rough, axis=0))
-    # a guess may go round its orbit so many times
-    for covers in (k for k in range(30, 1, -1) if (return_gaps(rough, k) < NEAR * extents).all()):
-        states = full_samples(curve, solution, -(-SAMPLES // covers) * covers)[1]
-        if (return_gaps(states, covers) < COVERED * extents).all():
-            return covers
-    return 1
+    motion = whole_motion(curve, solution)
+    (begin, end), extents = motion(motion.x[[0, -1]]), nonzero(np.ptp(motion(motion.x), axis=0))
+    parts = np.arange(30, 1, -1)  # a guess may go round its orbit so many times
+    turns = 2 * np.pi * np.round((end - begin) / (2 * np.pi * parts[:, None]))
+    gaps = np.abs(motion(motion.x[-1] / parts) - begin - turns)
+    return int(parts[(gaps < COVERED * extents).all(axis=1)].max(initial=1))
 
 
 def _found_first(problem: Problem, free: tuple[str, ...]) -> Start:
@@ -210,7 +207,7 @@ def unknown_parameters(
 def _freed(base: Start, free: tuple[str, ...], held: tuple[str, ...], name: str) -> Start:
     """The same orbit on the curve on which a parameter of this name varies and what is held keeps its value."""
     p = base.curve.equations
-    curve, place = released(base.curve, base.solution.place, replace(p, free=free), held)
+    curve, place = released(base.curve, base.solution.place, Equations.of(p.model, p.symmetry, free, p.by), held)
     return corrected(curve, place, _own_aim(curve, place, name))
 
 
@@ -224,7 +221,7 @@ def released(old: Curve, place: Unknowns, equations: Equations, held: tuple[str,
 
 
 def _start(problem: Problem, free: tuple[str, ...]) -> Start:
-    equations = Equations(problem.model, problem.boundary, free, action=True)
+    equations = Equations.of(problem.model, problem.boundary, free)
     fraction, state = equations.symmetry.fraction, np.asarray(problem.guess.state, float)
     place = equations.unknowns(state[None], problem.guess.period, uniform(fraction, 1, int(FIRST_STEPS * fraction)))
     if equations.links:
@@ -299,7 +296,7 @@ def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -
         raise InputError(f"curve.relative: {list(known.relative)} is not of this system; continue the family again")
     symmetry = related(named(known.symmetry, model), model, known.relative)
     march = method.named(known.method or method.SHOOTING).march
-    equations = Equations(model, symmetry, known.free, action=True, by=march)
+    equations = Equations.of(model, symmetry, known.free, march)
     wanted = equations.size, equations.size + 1 + len(known.free)
     if (known.constant.shape, known.weights.shape) != (wanted[:1], wanted[1:]) or not np.all(known.weights > 0):
         raise InputError("curve: constant or weights do not fit the system; continue the family again")
@@ -453,7 +450,7 @@ def reformulated(start: Start, symmetry: Symmetry) -> Start:
     if symmetry.reverses:
         first = symmetry.rows(model.degrees_of_freedom)[0][: nodes.shape[1] // 2]
         nodes[0] -= np.linalg.pinv(first) @ off_centre(symmetry.maps[0], nodes[:1], model.angles)[0]
-    equations = Equations(model, symmetry, old.equations.free, action=True)
+    equations = Equations.of(model, symmetry, old.equations.free)
     fresh = equations.unknowns(nodes, place.period, np.zeros(0), place.free)
     curve = replace(curve_at(equations, fresh), conditions=old.conditions, weights=old.weights)
     most = max(FIRST_STEPS, (place.mesh.size - 1) / old.equations.symmetry.fraction)  # of several turns, more

@@ -212,14 +212,19 @@ class March(Refining):
 
     def slopes(self, x: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """d(dx/dt)/dx (d x d) at a state (d)."""
+        return self.linearised(x, tail)[1]
+
+    def linearised(self, x: np.ndarray, tail: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """dx/dt (d) and d(dx/dt)/dx (d x d) at a state (d)."""
         s, free = tail[1 : 1 + self.unfolding], tail[1 + self.unfolding :]
-        return self.at(slopes_of(self.field, self.integrand), 0.0, x, s, free)[1]
+        rate, slopes, *_ = self.at(slopes_of(self.field, self.integrand), 0.0, x, s, free)
+        return rate.ravel(), slopes
 
     def rates(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray | float = 0.0) -> np.ndarray:
         """dx/dt (k x d) at states (k x d), of a tail (m) or one of each (k x m)."""
         quick = self._kernel(False)
         if quick is not None:
-            clock = np.broadcast_to(np.asarray(times, float).ravel(), len(states))
+            clock = times.ravel() if isinstance(times, np.ndarray) else np.full(len(states), times)
             return quick.rates(clock, states, np.atleast_2d(tail)[:, 1:])
         s, free = tail[..., 1 : 1 + self.unfolding], tail[..., 1 + self.unfolding :]
         if len(states) == 1:

@@ -408,7 +408,9 @@ def tangent(curve: Curve, solution: Solution, along: np.ndarray) -> np.ndarray:
     row = metric * place.over(along)
     right = np.zeros(place.vector.size)
     right[-1] = 1.0
-    known, solver = solution.kept.get("solver", (None, None))  # whatever its last row, it knows the kernel of the others
+    known, solver = solution.kept.get(
+        "solver", (None, None)
+    )  # whatever its last row, it knows the kernel of the others
     if known is not solution.jacobian:
         solver = _solver(curve, place, solution.jacobian, row)
     whole = solver(right)

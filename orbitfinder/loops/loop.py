@@ -38,6 +38,7 @@ from orbitfinder.mechanics.model import Model, vector_field
 from orbitfinder.records.orbit import SHARE
 
 _marches = Kept[March](16)
+_equations = Kept["Equations"](16)
 NO_GUARDS = np.zeros(0)
 GRAZED = 1e-30
 """A guard's rate at least, by which what grazes it is multiplied"""
@@ -170,6 +171,12 @@ class Equations:
     """what integrates the motion, where it is there already"""
     march: March | Marches = field(init=False)
 
+    @classmethod
+    def of(cls, model: Model, symmetry: Symmetry, free: tuple[str, ...] = (), by: type[March] = March) -> Equations:
+        """Those of a family: the same ones for a thread that asks again, so that what they derive is derived once."""
+        key = Same(model), symmetry, free, by, mode(), get_ident()
+        return _equations(key, lambda: cls(model, symmetry, free, action=True, by=by))
+
     def __post_init__(self, given: March | None) -> None:
         if not self.model.smooth:
             object.__setattr__(self, "free", freed(self.model, self.free, self.symmetry.parts))
@@ -290,7 +297,7 @@ class Equations:
         return {}
 
     @cached_property
-    def derived(self) -> dict[Any, ca.Function]:
+    def derived(self) -> dict[Any, Any]:
         """What conditions have derived for themselves, so that it is once."""
         return {}
 

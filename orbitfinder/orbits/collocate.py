@@ -115,7 +115,7 @@ def begun(march: type[Collocation], problem: Problem, free: tuple[str, ...]) -> 
     fixed = _equations(march, problem)
     w = _on_meshes(problem, fixed, alone=True)[-1]
     w = w if problem.model.forced else _turned(fixed, w)
-    equations = replace(fixed, free=free)
+    equations = Equations.of(problem.model, problem.boundary, free, march)
     place, own = equations.unknowns(w.nodes, w.period, w.mesh), _march(equations)
     own.begin(place.nodes, _march(fixed).stages(w.nodes, w.mesh, w.tail), place.mesh, place.tail)
     return equations, regridded(own, place)
