@@ -31,8 +31,10 @@ def full_samples(curve: Curve, solution: Solution, count: int = SAMPLES) -> tupl
     if p.links:
         return _linked_samples(curve, solution, count)
     if isinstance(p.march, Collocation):
-        shares = np.linspace(0.0, 1.0, count + 1)
-        return shares * place.period, p.march.sampled(place.nodes, place.mesh, place.tail, shares)
+        shares, key = np.linspace(0.0, 1.0, count + 1), f"samples, {count}"
+        if key not in solution.kept:  # asked for of every point and of the one after it
+            solution.kept[key] = p.march.sampled(place.nodes, place.mesh, place.tail, shares)
+        return shares * place.period, solution.kept[key].copy()
     each = -(-count // len(place.nodes))
     if each > place.steps:
         mesh = np.concatenate([[0.0], *[np.linspace(a, b, each + 1)[1:] for a, b in pairwise(place.edges)]])
