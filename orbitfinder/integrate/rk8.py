@@ -107,14 +107,22 @@ def refined_march(
 
 
 def refined(path: Callable[[int], T], steps: int, agreed: Callable[[T, T], bool]) -> T:
-    """What a path is by 2, 4, ... times so many steps: the first that half its steps confirm, or the last."""
-    coarse = path(steps)
-    for _ in range(MOST_DOUBLINGS):
+    """What a path is by 2, 4, ... times so many steps: the first that half its steps confirm, or the last.
+
+    Steps by which it leaves the numbers are too long; `IntegrationError` where the shortest are.
+    """
+    coarse: T | None = None
+    for finest in (*(False,) * MOST_DOUBLINGS, True):
+        try:
+            fine = path(steps)
+        except IntegrationError:
+            if finest:
+                raise
+        else:
+            if finest or (coarse is not None and agreed(coarse, fine)):
+                break
+            coarse = fine
         steps *= 2
-        fine = path(steps)
-        if agreed(coarse, fine):
-            break
-        coarse = fine
     return fine
 
 
