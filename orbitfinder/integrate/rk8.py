@@ -95,14 +95,14 @@ def refined_march(
     start: float = 0.0,
     units: tuple[float, ...] = (),
 ) -> np.ndarray:
-    """States (k + 1 x 2n) with k = 2 least, 4 least, ...: the first whose end k / 2 steps confirm.
+    """States (k + 1 x 2n) with k = 2 least, 4 least, ...: the first that k / 2 steps confirm, all along.
 
     They agree in `units` (2n), or where there are none relative to the state.
     """
     return refined(
         lambda steps: march(field, state, duration, steps, tail, start),
         least,
-        lambda coarse, fine: agree(coarse[-1], fine[-1], units),
+        lambda coarse, fine: agree(coarse, fine[::2], units),  # what contracts forgets by the end how wrong it was
     )
 
 
