@@ -11,6 +11,7 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.equilibrium import Equilibria, RestEvent
+from orbitfinder.families.handover import rescued
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.rest_problem import oscillations, regular
 from orbitfinder.families.start import FIRST_STEPS, Start, begin, corrected, curve_at, unknown_parameters
@@ -25,10 +26,13 @@ from orbitfinder.mechanics.kind import build_model, loops_of, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.model import energy as energy_of
 from orbitfinder.mechanics.scales import LEAST_SHARE
+from orbitfinder.orbits.method import COLLOCATION
 from orbitfinder.records.family import Event
 
 AMPLITUDES = (0.02, 0.005, 0.001, 0.05)
 """Of the first cycle, in the sizes of the equilibrium; the first that succeeds is taken"""
+INTERVALS = 40
+"""Of its first mesh of collocation"""
 
 
 def cycle_start(
@@ -41,7 +45,8 @@ def cycle_start(
     born, name = equilibria.events[number], equilibria.parameter
     model = with_parameters(model or build_model(equilibria.system), {name: born.parameter})
     unknown_parameters(model, replace(settings, parameter=name))
-    start = _first(model, name, born, np.abs([point.state for point in equilibria.points]).max(axis=0))
+    largest = np.abs([point.state for point in equilibria.points]).max(axis=0)
+    start = _first(model, name, born, largest, settings.method)
     return start, Event(born.kind, number, born.arclength, born.parameter, born.state, born.period, float("nan"))
 
 
@@ -74,14 +79,28 @@ def mode_start(
     return start, Event("mode", -1, rest.arclength, energy, rest.state, period, energy)
 
 
-def _first(model: Model, name: str, born: RestEvent, largest: np.ndarray) -> Start:
-    """The first cycle, directed away from its birth."""
+def _first(model: Model, name: str, born: RestEvent, largest: np.ndarray, method: str | None) -> Start:
+    """The first cycle, directed away from its birth, by a method; None: by shooting, or collocation where that fails."""
+    if method == COLLOCATION:
+        return _cycle(model, name, born, largest, True)
+    try:
+        return _cycle(model, name, born, largest, False)
+    except ConvergenceError as error:
+        if method or not rescued(model, born.state, born.period):
+            raise
+        return replace(_cycle(model, name, born, largest, True), why=f"by shooting {error}")
+
+
+def _cycle(model: Model, name: str, born: RestEvent, largest: np.ndarray, collocated: bool) -> Start:
+    """The same by one of both."""
     real, imaginary = np.split(born.direction, 2)
-    q = real + 1j * imaginary
+    q, count = real + 1j * imaginary, INTERVALS if collocated else 1
     q = q / np.abs(q / np.where(largest > 0, largest, LEAST_SHARE * largest.max() or 1.0)).max()
-    equations, why = Equations(model, named(NONE.name, model), (name,), action=True), "none was tried"
-    still = equations.unknowns(born.state[None], born.period, uniform(1.0, 1, FIRST_STEPS), np.array([born.parameter]))
-    direction = np.concatenate([q.real, np.zeros(still.vector.size - q.size)])
+    equations, why = Equations(model, named(NONE.name, model), (name,), True, collocated=collocated), "none was tried"
+    mesh = uniform(1.0, count, 1 if collocated else FIRST_STEPS)
+    nodes, turning = np.repeat(born.state[None], count, axis=0), np.exp(2j * np.pi * np.arange(count)[:, None] / count)
+    still = equations.unknowns(nodes, born.period, mesh, np.array([born.parameter]))
+    direction = np.concatenate([(q * turning).real.ravel(), np.zeros(still.vector.size - still.nodes.size)])
     for amplitude in AMPLITUDES:
         guess = advanced(still, direction, amplitude)
         try:

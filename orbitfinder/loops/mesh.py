@@ -66,7 +66,7 @@ def needs_mesh(curve: Curve, solution: Solution) -> bool:
     if isinstance(march := curve.equations.march, Collocation):
         work = worked(march, solution.place)
         count, wanted = work.size, intervals(work)
-        return bool(work.max() > MESH.lopsided * work.mean() or not count / MESH.slack < wanted < MESH.slack * count)
+        return bool(work.max() > MESH.lopsided * work.mean() or not count <= MESH.slack * wanted <= MESH.slack**2 * count)
     some = _errors(curve, solution, MESH.sampled)
     allowed = _allowed(curve)
     if some.max() > MESH.coarse * allowed or _steep(curve, solution):
@@ -283,12 +283,15 @@ def settled(curve: Curve, solution: Solution, along: np.ndarray) -> Solution:
 def worked(march: Collocation, w: Unknowns) -> np.ndarray:
     """The (m + 1)-th root of the error of the polynomial of m points over each interval of a collocated orbit (N).
 
-    In its extents. A mesh is right where it is the same everywhere (U. Ascher, R. Mattheij, R. Russell, Numerical
-    Solution of Boundary Value Problems for Ordinary Differential Equations (1995), section 9.3).
+    In its extents; more where errors grow by more than `MESH.growth` over it. A mesh is right where it is the same
+    everywhere (U. Ascher, R. Mattheij, R. Russell, Numerical Solution of Boundary Value Problems for Ordinary
+    Differential Equations (1995), section 9.3).
     """
-    rule, units = march.tableau, nonzero(np.ptp(w.nodes, axis=0))
+    rule, units, steps = march.tableau, nonzero(np.ptp(w.nodes, axis=0)), np.diff(w.mesh)
     found = curvatures(rule, march.stages(w.nodes, w.mesh, w.tail), w.mesh, units)
-    return np.asarray(found ** (1.0 / (rule.points.size + 1)) * np.diff(w.mesh))
+    grown = march.growths(w.nodes, w.tail, w.mesh[:-1] * w.period) * w.period / np.log(MESH.growth)
+    grown = np.maximum(grown, np.roll(grown, -1))
+    return np.asarray(np.maximum(found ** (1.0 / (rule.points.size + 1)), grown * MESH.collocated ** (1 / 6)) * steps)
 
 
 def intervals(work: np.ndarray) -> int:
