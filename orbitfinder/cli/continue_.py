@@ -352,11 +352,14 @@ def _reporter(
                 ("period", lasting(point.period, system, 9)), ("stability", point.stability),
                 ("step", f"{point.step:.2g}"), ("elapsed", f"{elapsed:.1f} s"), ("events", str(len(events))),
             ]  # fmt: skip
-            last = [f"{ordered.index(late):>3}  {event_words(late, parameter, system)}" for late in events[-LAST_EVENTS:]]
+            last = [
+                f"{ordered.index(late):>3}  {event_words(late, parameter, system)}" for late in events[-LAST_EVENTS:]
+            ]
             shown.show(Report(name, rows, last))
         elif seen[0] % 10 < len(batch.points):
             shown.say(
-                f"{plural(seen[0], 'point')}, {parameter} {point.value:.6g}, period {lasting(point.period, system, 6)}, "
+                f"{plural(seen[0], 'point')}, {parameter} {point.value:.6g}, "
+                f"period {lasting(point.period, system, 6)}, "
                 f"step {point.step:.2g}, {point.stability}, {elapsed:.1f} s elapsed"
             )
 

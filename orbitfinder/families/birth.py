@@ -80,7 +80,7 @@ def mode_start(
 
 
 def _first(model: Model, name: str, born: RestEvent, largest: np.ndarray, method: str | None) -> Start:
-    """The first cycle, directed away from its birth, by a method; None: by shooting, or collocation where that fails."""
+    """The first cycle, away from its birth, by a method; None: by shooting, or collocation where that fails."""
     if method == COLLOCATION:
         return _cycle(model, name, born, largest, True)
     try:

@@ -129,7 +129,7 @@ class BifurcationDiagram(Shown):
         ends = {file: (rest.points[0].value, rest.points[-1].value) for file, rest in rests.items()}
         missed = [bound for bound in self.between if not any(bound in values for values in ends.values())]
         return tuple(
-            f"{file} turned back at {self.parameter} = {self._farthest(rests[file]):.9g} and left by {self.parameter} = "
+            f"{file} turned back at {self.parameter} {self._farthest(rests[file]):.9g} and left by {self.parameter} = "
             f"{values[0]:g}, where it begins: {self.parameter} = {missed[0]:g} was not reached; look for other curves "
             f"with --box, or begin at that bound with --from"
             for file, values in ends.items() if missed and values[0] == values[1] in self.between
@@ -147,14 +147,17 @@ class BifurcationDiagram(Shown):
         cycles = [curve.record for curve in self.curves if isinstance(curve.record, Family)]
         made = [fork.became for fork in self.branchings]
         became = ", ".join(f"{made.count(word)} {word}" for word in dict.fromkeys(made)) or "nothing leaves them"
-        return f"{plural(len(rest), 'curve')} of equilibria{_with(rest)}, {len(cycles)} of cycles{_with(cycles)}; {became}"
+        return (
+            f"{plural(len(rest), 'curve')} of equilibria{_with(rest)}, {len(cycles)} of cycles{_with(cycles)}; {became}"
+        )
 
 
 def told(record: Equilibria | Family) -> list[int]:
     """The numbers of the events that are worth telling: all of equilibria, of cycles those at which stability may
     change."""
-    rest = isinstance(record, Equilibria)
-    return [k for k, event in enumerate(record.events) if rest or kind_of(event.kind).critical]
+    if isinstance(record, Equilibria):
+        return list(range(len(record.events)))
+    return [k for k, event in enumerate(record.events) if kind_of(event.kind).critical]
 
 
 def happened(diagram: BifurcationDiagram, curve: DiagramCurve) -> Iterator[str]:
@@ -175,6 +178,16 @@ def happened(diagram: BifurcationDiagram, curve: DiagramCurve) -> Iterator[str]:
         for end in curve.record.ends:
             where = "" if end.parameter is None else f" at {diagram.parameter} {end.parameter:.9g}{_bar(end.error)}"
             yield f"ends: {end.kind}{where}" if where else f"ends: {end.kind}, {end.reason}"
+
+
+def facts(diagram: BifurcationDiagram) -> dict[str, Any]:
+    """What is shown of a diagram: its curves, what happens along each, what was left undone."""
+    names = ("counts", "name", "system", "parameter", "between", "depth", "coordinate", "remarks", "undone")
+    curves = [
+        {"file": curve.file, "depth": curve.depth, "points": len(curve.record.points)} for curve in diagram.curves
+    ]
+    lines = [{"file": curve.file, "what": line} for curve in diagram.curves for line in happened(diagram, curve)]
+    return {name: getattr(diagram, name) for name in names} | {"curves": curves, "happened": lines}
 
 
 def _bar(error: float | None) -> str:
@@ -255,7 +268,8 @@ def leaving(record: Equilibria | Family) -> list[int]:
 def diagram(
     model: Model, state: Sequence[float] | np.ndarray | None, parameter: str, until: float, *, depth: int = 2,
     points: int = 400, coordinate: str | None = None, box: Mapping[str, Sequence[float]] | None = None,
-    method: str | None = None, limit: float | None = None, name: str = "diagram", out: str | Path | None = None, progress: Callable[[DiagramCurve], None] | None = None,
+    method: str | None = None, limit: float | None = None, name: str = "diagram", out: str | Path | None = None,
+    progress: Callable[[DiagramCurve], None] | None = None,
 ) -> BifurcationDiagram:  # fmt: skip
     """The whole bifurcation diagram between two values of a parameter: equilibria, and breadth first what is born at
     their branch points and Hopf points, at doublings and branch points of those cycles, and so on.
@@ -299,9 +313,7 @@ def diagram(
         raise InputError(f"depth: must be at least 0, got {depth}")
     first = dict(zip(model.parameter_names, map(float, model.parameter_values), strict=True)).get(parameter, until)
     empty = BifurcationDiagram(name, model.system, parameter, (first, until), depth, coordinate or names[0], ())
-    settings = FamilySettings(
-        parameter=parameter, directions="away", points=points, longest_step=STEP, method=method
-    )
+    settings = FamilySettings(parameter=parameter, directions="away", points=points, longest_step=STEP, method=method)
     tree = _Tree(empty, model, settings, None if out is None else Path(out) / name, progress or (lambda curve: None))
     with contextlib.nullcontext() if tree.folder is None else locks.alone_in(tree.folder), limited(limit):
         try:
@@ -459,7 +471,11 @@ class _Tree:
 
 def _told(curve: DiagramCurve, k: int) -> str:
     event = curve.record.events[k]
-    words = event.words if isinstance(event, RestEvent) or event.kind != "fold" else f"{event.criticality} fold of cycles".strip()
+    words = (
+        event.words
+        if isinstance(event, RestEvent) or event.kind != "fold"
+        else f"{event.criticality} fold of cycles".strip()
+    )
     return f"event {k}, {words} at {curve.record.parameter} {event.parameter:.9g}"
 
 

@@ -19,6 +19,7 @@ from orbitfinder.families.rest import RestPoint, can_rest, rest_of, vanishing
 from orbitfinder.families.rest_problem import lyapunov, regular
 from orbitfinder.families.run import Interval, Run, Walked, portrait
 from orbitfinder.families.saddles import SLOW, blown_up, near_saddle, rest_near, slowness
+from orbitfinder.families.stability import LARGEST
 from orbitfinder.families.start import return_gaps
 from orbitfinder.integrate.jets import at_rest
 from orbitfinder.loops.conditions import hyperplane
@@ -101,6 +102,8 @@ def end_at(run: Run, before: Walked, after: Walked) -> End | None:
         raise ConvergenceError("another family is joined within one step")
     if curve.equations.model.forced:
         return None
+    if after.point.scale >= LARGEST:
+        return _canard(run, after, f"errors grow {LARGEST:g} times in a period and more, beyond the range of numbers")
     if slowness(curve, solution)[0] <= SLOW.share:
         return None
     if after.stretch > run.settings.longest_period:
@@ -232,7 +235,11 @@ def _at_equilibrium(run: Run, solution: Solution) -> End:
     rest = rest_of(run.curve, solution, run.settings.parameter) if can_rest(run.curve) else None
     known = (rest.value, rest.period, rest.error) if rest else ()
     period = rest.period if rest else period
-    return End("equilibrium", f"the orbits shrink to the equilibrium at q = {where}, period {lasting(period, system, 9)}", *known)
+    return End(
+        "equilibrium",
+        f"the orbits shrink to the equilibrium at q = {where}, period {lasting(period, system, 9)}",
+        *known,
+    )
 
 
 def end_of_failure(run: Run, step: Walked, failure: str) -> End:
@@ -273,8 +280,8 @@ def _canard(run: Run, step: Walked, failure: str) -> End | None:
     width = float(np.ptp(values[first:]))
     reason = (
         f"a canard explosion: within {width:.1g} of {name} {values[-1]:.12g} the period changes from "
-        f"{periods[first]:.6g} to {lasting(periods[-1], p.model.system, 6)} and the extents by {100 * size:.2g} %, along orbits that follow "
-        f"a repelling slow motion for so long that {method} cannot hold them; {failure}"
+        f"{periods[first]:.6g} to {lasting(periods[-1], p.model.system, 6)} and the extents by {100 * size:.2g} %, "
+        f"along orbits that follow a repelling slow motion for so long that {method} cannot hold them; {failure}"
     )
     return End("canard", reason, float(values[-1]), float(periods[-1]), width)
 

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime import interrupt, limit, locks
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, LimitError, plural
+from orbitfinder.errors import InputError, LimitError, plural
 from orbitfinder.families.branches import Branch
 from orbitfinder.families.changes import checked_cycle
 from orbitfinder.families.critical import Critical
 from orbitfinder.families.follow import follow
-from orbitfinder.families.handover import collocated, given_up, handed_over
+from orbitfinder.families.handover import handed_over
 from orbitfinder.families.members import batch_certified, certified
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.registry import end_kind
@@ -373,24 +373,6 @@ def directions(
             yield sign, last, tuple(value for value in wanted if value != last)
 
 
-def _by_collocation(folder: Path | None, journal: Journal, run: Run, batch: Batch, last: FamilyPoint) -> Journal | None:
-    """The journal of a family as one of collocation, where shooting cannot carry it on; None where it need not be."""
-    if not given_up(run.curve, run.settings, batch.end, last):
-        return None
-    assert batch.end is not None
-    why = f"shooting ended at {run.settings.parameter} {last.value:.9g} ({batch.end.kind}: {batch.end.reason})"
-    try:
-        check = _independent(collocated(run.curve), run.settings)
-        journal = handed_over(journal, run.curve, check, run.settings.certify, why)
-    except (ConvergenceError, IntegrationError) as error:
-        logging.getLogger(__name__).warning("%s; collocation does not have its points: %s", why, error)
-        return None
-    logging.getLogger(__name__).warning("%s; it goes on by collocation", why)
-    if folder is not None:
-        begin_journal(folder / JOURNAL, plain(journal.header), map(plain, journal.batches))
-    return journal
-
-
 def _finish(
     folder: Path | None,
     journal: Journal,
@@ -420,11 +402,12 @@ def _finish(
                 step = abs(reached[0].arclength - last.arclength) if reached else last.step
                 batch, last = checked(curve, batch, step), (*reached, last)[0]
                 batch = batch_certified(curve, batch) if settings.certify else batch
-                if other := _by_collocation(folder, replace(journal, batches=tuple(batches)), run, batch, last):
-                    journal, batches = other, list(other.batches)
-                    curve = in_scales(collocated(curve), journal.origin)
-                    check = _independent(curve, settings)
-                    waiting = [replace(each, curve=curve, origin=journal.origin, check=check) for each in (run, *waiting)]
+                if other := handed_over(folder, replace(journal, batches=tuple(batches)), run, batch.end, last):
+                    journal, curve = other
+                    batches, check = list(journal.batches), _independent(curve, settings)
+                    waiting = [
+                        replace(each, curve=curve, origin=journal.origin, check=check) for each in (run, *waiting)
+                    ]
                     break
                 if folder is not None:
                     append(folder, batch)

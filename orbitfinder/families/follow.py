@@ -156,7 +156,7 @@ def _corrected(run: Run, before: Walked, length: float) -> Ahead:
 def _checked_point(
     run: Run, solution: Solution, whole: np.ndarray, where: dict[str, Any], about: Spectrum | None
 ) -> tuple[FamilyPoint, Solution, np.ndarray]:
-    """The point of a corrected place, with its orbit and tangent, on a finer mesh where it does not close on this one."""
+    """The point of a corrected place, its orbit and tangent, on a finer mesh where it does not close on this one."""
     name = run.settings.parameter
     along = solution.place.head_of(whole)
     for trial in range(REFINEMENTS + 1):

@@ -1,17 +1,21 @@
-"""A family that shooting cannot carry on, read by collocation: its points so far on meshes of collocation, from the last
-of which it goes on."""
+"""A family that shooting cannot carry on, read by collocation: its points so far on meshes of that, from the last of
+which it goes on."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.members import batch_certified
-from orbitfinder.families.point import FamilySettings, freed, make_point, parameter_value, unknowns_of
+from orbitfinder.families.point import freed, make_point, parameter_value, unknowns_of
 from orbitfinder.families.registry import end_kind
+from orbitfinder.families.run import Run, in_scales
 from orbitfinder.integrate.collocation import Collocation
 from orbitfinder.loops.continued import Curve, Solution, correct, plane
 from orbitfinder.loops.loop import Equations
@@ -23,7 +27,11 @@ from orbitfinder.orbits.collocate import settles
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.orbits.method import COLLOCATION
 from orbitfinder.records.codec import plain
-from orbitfinder.records.family import Batch, End, Event, FamilyPoint, Journal
+from orbitfinder.records.family import JOURNAL, Batch, End, Event, FamilyPoint, Journal
+from orbitfinder.records.journal import begin_journal
+
+AS_THEY_WERE = ("index", "arclength", "step", "role", "indices", "wall_time")
+"""What a point keeps"""
 
 
 def rescued(model: Model, state: np.ndarray, period: float) -> bool:
@@ -31,48 +39,56 @@ def rescued(model: Model, state: np.ndarray, period: float) -> bool:
     return settles(Problem(model, Guess(state, period)))
 
 
-def given_up(curve: Curve, settings: FamilySettings, end: End | None, last: FamilyPoint) -> bool:
-    """Whether an end is shooting's own, where collocation may go on."""
-    p = curve.equations
-    stuck = end is not None and end_kind(end.kind).stuck and not (settings.method or p.collocated or curve.test)
+def handed_over(
+    folder: Path | None, journal: Journal, run: Run, end: End | None, last: FamilyPoint
+) -> tuple[Journal, Curve] | None:
+    """The journal of a family as one of collocation, which says why, and its curve, where a run of shooting ended as it
+    could not go on; None where it need not be. It is written where there is a folder."""
+    p, settings, log = run.curve.equations, run.settings, logging.getLogger(__name__)
+    stuck = end is not None and end_kind(end.kind).stuck and not (settings.method or p.collocated or run.curve.test)
     whole = p.symmetry.name == NONE.name and not p.symmetry.relative
-    return stuck and whole and rescued(p.model, last.state, last.period)
+    if end is None or not (stuck and whole and rescued(p.model, last.state, last.period)):
+        return None
+    why = f"shooting ended at {settings.parameter} {last.value:.9g} ({end.kind}: {end.reason})"
+    curve = replace(run.curve, equations=Equations(p.model, p.symmetry, p.free, action=True, collocated=True))
+    check = ClosureCheck(p.model, stiff=True) if settings.certify else None
+    try:
+        journal = _read(journal, run.curve, curve, check, why)
+    except (ConvergenceError, IntegrationError) as error:
+        log.warning("%s; collocation does not have its points: %s", why, error)
+        return None
+    log.warning("%s; it goes on by collocation", why)
+    if folder is not None:
+        begin_journal(folder / JOURNAL, plain(journal.header), map(plain, journal.batches))
+    return journal, in_scales(curve, journal.origin)
 
 
-def collocated(curve: Curve) -> Curve:
-    """The same curve, integrated by collocation."""
-    p = curve.equations
-    return replace(curve, equations=Equations(p.model, p.symmetry, p.free, action=True, collocated=True))
-
-
-def handed_over(journal: Journal, old: Curve, check: ClosureCheck | None, certify: bool, why: str) -> Journal:
-    """A journal of shooting as one of collocation that has its points and events, and says why.
-
-    Raises `ConvergenceError` or `IntegrationError` where one of them is not found on a mesh of collocation.
-    """
-    new, name = collocated(old), str(journal.header["parameter"])
+def _read(journal: Journal, old: Curve, new: Curve, check: ClosureCheck | None, why: str) -> Journal:
+    """A journal of shooting as one of collocation that has its points and events."""
+    name = str(journal.header["parameter"])
 
     def point(member: FamilyPoint) -> FamilyPoint:
-        where = {entry: getattr(member, entry) for entry in ("index", "arclength", "step", "role", "indices", "wall_time")}
-        return make_point(new, _read(old, new, member), member.tangent, name, check, **where)
+        where = {entry: getattr(member, entry) for entry in AS_THEY_WERE}
+        return make_point(new, _on_mesh(old, new, member), member.tangent, name, check, **where)
 
     def event(member: Event) -> Event:
-        w = _read(old, new, member).place
+        w = _on_mesh(old, new, member).place
         return replace(
             member, parameter=parameter_value(new, w, name), state=w.nodes[0], period=w.period, free=freed(new, w),
             energy=parameter_value(new, w, "energy"), shooting_nodes=w.nodes, mesh=w.mesh, certified=False,
         )  # fmt: skip
 
-    def read(batch: Batch) -> Batch:
-        batch = replace(batch, points=tuple(map(point, batch.points)), events=tuple(map(event, batch.events)))
-        return batch_certified(new, replace(batch, standing=None)) if certify else batch
+    def batch(known: Batch) -> Batch:
+        points, events = tuple(map(point, known.points)), tuple(map(event, known.events))
+        made = replace(known, points=points, events=events, standing=None)
+        return batch_certified(new, made) if check else made
 
     entry = {**journal.header["curve"], "method": COLLOCATION, "method_reason": why}
     header: Mapping[str, Any] = {**journal.header, "origin": plain(point(journal.origin)), "curve": entry}
-    return Journal(header, tuple(map(read, journal.batches)))
+    return Journal(header, tuple(map(batch, journal.batches)))
 
 
-def _read(old: Curve, new: Curve, member: FamilyPoint | Event) -> Solution:
+def _on_mesh(old: Curve, new: Curve, member: FamilyPoint | Event) -> Solution:
     """The orbit of a point or event of shooting on a mesh of collocation that fits it."""
     march, place = new.equations.march, unknowns_of(old, member)
     assert isinstance(march, Collocation)

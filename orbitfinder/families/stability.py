@@ -23,7 +23,7 @@ from orbitfinder.records.family import METHODS
 SPREAD = 1e8
 """Multipliers farther apart than this are found factor by factor: multiplied out, their matrix has lost eight digits of
 the smallest."""
-LARGEST = 1e300
+LARGEST = 1e290
 """What multipliers of canards count as that are beyond the range of numbers"""
 ACCURACY = 1e-14
 """Relative error of a state-transition matrix of a few steps at least."""

@@ -133,11 +133,11 @@ class Collocation(March):
 
     def decays(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray) -> np.ndarray:
         """The fastest rate at which anything decays (k) at states (k x d) and times (k), 0 where nothing does."""
-        return np.maximum(-self._exponents(states, tail, times).min(axis=1), 0.0)
+        return np.asarray(np.maximum(-self._exponents(states, tail, times).min(axis=1), 0.0))
 
     def growths(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray) -> np.ndarray:
         """The fastest rate at which anything grows (k), in the same way."""
-        return np.maximum(self._exponents(states, tail, times).max(axis=1), 0.0)
+        return np.asarray(np.maximum(self._exponents(states, tail, times).max(axis=1), 0.0))
 
     def _exponents(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray) -> np.ndarray:
         """The real parts of the eigenvalues of the slopes (k x d)."""

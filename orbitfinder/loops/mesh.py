@@ -66,7 +66,9 @@ def needs_mesh(curve: Curve, solution: Solution) -> bool:
     if isinstance(march := curve.equations.march, Collocation):
         work = worked(march, solution.place)
         count, wanted = work.size, intervals(work)
-        return bool(work.max() > MESH.lopsided * work.mean() or not count <= MESH.slack * wanted <= MESH.slack**2 * count)
+        return bool(
+            work.max() > MESH.lopsided * work.mean() or not count <= MESH.slack * wanted <= MESH.slack**2 * count
+        )
     some = _errors(curve, solution, MESH.sampled)
     allowed = _allowed(curve)
     if some.max() > MESH.coarse * allowed or _steep(curve, solution):

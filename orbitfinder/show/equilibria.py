@@ -24,7 +24,8 @@ from orbitfinder.show.style import bare, dress, legend, new_figure, place_labels
 from orbitfinder.show.svg import COLOURS, axis
 
 RESTS, OTHER = {
-    "hopf": Look(size=6.0), "neutral_saddle": Look("x", colour="#8C8C8C"), "fold": Look("d", colour="#4D4D4D", size=6.5),
+    "hopf": Look(size=6.0), "neutral_saddle": Look("x", colour="#8C8C8C"),
+    "fold": Look("d", colour="#4D4D4D", size=6.5),
 }, Look("*", size=9.0)  # fmt: skip
 """How events of equilibria look that families have not or otherwise, and ends of cycles, such as a homoclinic orbit"""
 ORDINARY, SILENT = (
@@ -88,7 +89,7 @@ class Panel:
         style = {"color": OTHER.colour, "linestyle": ":", "linewidth": 1.0}
         self.shown.setdefault("infinite period", self.axes.axvline(end.parameter, **style))
         self.axes.annotate(
-            "", (end.parameter, 1.0), (place[0], place[1]), ("data", "axes fraction"),
+            "", (end.parameter, 1.0), (place[0], place[1]), ("data", "axes fraction"), "data",
             arrowprops={"arrowstyle": "->", "color": OTHER.colour, "shrinkA": 0.0, "shrinkB": 0.0},
         )  # fmt: skip
 
