@@ -24,8 +24,8 @@ from orbitfinder.records.registry import answer
 @option("depth", "0: equilibria; 1: what is born on them; 2: what is born on that; and so on.", 2, (0, 20))
 @option("points", "The most of each curve, each way.", 400, (1, 100_000))
 @option("across coordinate", "The coordinate that is drawn, or norm.  [default: the first]", metavar="COORDINATE")
-@option("box", "Where equilibria are looked for at both bounds, from where to where, such as V=-80:40; those on no curve "
-        "yet begin others.", multiple=True, metavar="NAME=LOW:HIGH")  # fmt: skip
+@option("box", "Where equilibria are looked for at both bounds, from where to where, such as V=-80:40; those on no "
+        "curve yet begin others.", multiple=True, metavar="NAME=LOW:HIGH")  # fmt: skip
 @option("method", "Of cycles.  [default: shooting, and collocation where that cannot carry a curve on]",
         kind=("shooting", "collocation"))  # fmt: skip
 @option("name", "Name of the diagram; the file's when left out.")

@@ -29,10 +29,8 @@ from orbitfinder.mechanics.scales import LEAST_SHARE
 from orbitfinder.orbits.method import COLLOCATION
 from orbitfinder.records.family import Event
 
-AMPLITUDES = (0.02, 0.005, 0.001, 0.05)
-"""Of the first cycle, in the sizes of the equilibrium; the first that succeeds is taken"""
-INTERVALS = 40
-"""Of its first mesh of collocation"""
+AMPLITUDES, INTERVALS = (0.02, 0.005, 0.001, 0.05), 40
+"""Of the first cycle, in the sizes of the equilibrium, the first that succeeds is taken; of its mesh of collocation"""
 
 
 def cycle_start(

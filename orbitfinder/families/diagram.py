@@ -37,13 +37,13 @@ NORM, SAME, NEAR, STEP = "norm", 1e-6, 0.2, 0.25
 """What is drawn instead of a coordinate, the length of the state or its root mean square; shares of the range and of a
 period in which parameters and periods of an event agree where no error bar says it, in which a curve begins near its
 event; the longest step along cycles, so that what is drawn is smooth"""
-NAMES = {"hopf": "Hopf point", "torus": "torus bifurcation"}
-"""What counted events are called where it is not their kind"""
-BECAME, FILES = (
+BECAME, FILES, NAMES = (
     ("followed", "joined", "depth", "budget", "failed"),
     {"equilibria.json": load_equilibria, "family.json": load_family},
+    {"hopf": "Hopf point", "torus": "torus bifurcation", "fold": "fold of cycles"},
 )
-"""What may become of an event at which something leaves; what reads a curve, by its file's name"""
+"""What may become of an event at which something leaves; what reads a curve, by its file's name; what events are called
+where it is not their kind, folds those of cycles"""
 
 
 @dataclass(frozen=True)
@@ -198,7 +198,7 @@ def _bar(error: float | None) -> str:
 def _with(records: Sequence[Equilibria | Family]) -> str:
     """The events of some curves counted by kind."""
     kinds = [record.events[k].kind for record in records for k in told(record)]
-    kinds = [NAMES.get(kind, kind.replace("_", " ")) for kind in kinds]
+    kinds = [NAMES.get(kind, kind.replace("_", " ")).removesuffix(" of cycles") for kind in kinds]
     counted = [plural(kinds.count(kind), kind) for kind in dict.fromkeys(kinds)]
     return f" with {', '.join(counted)}" if counted else ""
 
@@ -471,11 +471,8 @@ class _Tree:
 
 def _told(curve: DiagramCurve, k: int) -> str:
     event = curve.record.events[k]
-    words = (
-        event.words
-        if isinstance(event, RestEvent) or event.kind != "fold"
-        else f"{event.criticality} fold of cycles".strip()
-    )
+    named = f"{event.criticality} {NAMES.get(event.kind, '')}".strip() if isinstance(event, Event) else ""
+    words = named if named.endswith("of cycles") else event.words
     return f"event {k}, {words} at {curve.record.parameter} {event.parameter:.9g}"
 
 

@@ -30,9 +30,6 @@ from orbitfinder.records.codec import plain
 from orbitfinder.records.family import JOURNAL, Batch, End, Event, FamilyPoint, Journal
 from orbitfinder.records.journal import begin_journal
 
-AS_THEY_WERE = ("index", "arclength", "step", "role", "indices", "wall_time")
-"""What a point keeps"""
-
 
 def rescued(model: Model, state: np.ndarray, period: float) -> bool:
     """Whether collocation is tried on the orbits of a system where shooting fails."""
@@ -68,7 +65,8 @@ def _read(journal: Journal, old: Curve, new: Curve, check: ClosureCheck | None, 
     name = str(journal.header["parameter"])
 
     def point(member: FamilyPoint) -> FamilyPoint:
-        where = {entry: getattr(member, entry) for entry in AS_THEY_WERE}
+        kept = ("index", "arclength", "step", "role", "indices", "wall_time")
+        where = {entry: getattr(member, entry) for entry in kept}
         return make_point(new, _on_mesh(old, new, member), member.tangent, name, check, **where)
 
     def event(member: Event) -> Event:

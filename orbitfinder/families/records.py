@@ -9,8 +9,6 @@ from orbitfinder.families.equilibrium import EQUILIBRIA, Equilibria, load_equili
 from orbitfinder.records.registry import KINDS, Kind
 
 __all__ = ["EQUILIBRIA"]
-SHOWN = 2
-"""Equilibria of many that are shown at either end"""
 
 
 def _each(equilibria: Equilibria) -> list[Equilibria]:
@@ -18,13 +16,13 @@ def _each(equilibria: Equilibria) -> list[Equilibria]:
             for k, point in enumerate(equilibria.points)]  # fmt: skip
 
 
-def _facts(rest: Equilibria) -> Any:
+def _facts(rest: Equilibria, shown: int = 2) -> Any:
     """What is shown of equilibria: of many only the outermost."""
     if not rest.ends:
         return rest.points[0]
-    points, more = rest.points, len(rest.points) - 2 * SHOWN
+    points, more = rest.points, len(rest.points) - 2 * shown
     sure = sum(point.certified for point in points)
-    some = (*points[:SHOWN], f"and {more} more", *points[-SHOWN:]) if more > 1 else points
+    some = (*points[:shown], f"and {more} more", *points[-shown:]) if more > 1 else points
     entries = {entry.name: getattr(rest, entry.name) for entry in fields(rest)}
     return {
         "counts": f"{len(points)} equilibria, {sure} certified; {plural(len(rest.events), 'event')}",

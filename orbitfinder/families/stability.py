@@ -23,10 +23,9 @@ from orbitfinder.records.family import METHODS
 SPREAD = 1e8
 """Multipliers farther apart than this are found factor by factor: multiplied out, their matrix has lost eight digits of
 the smallest."""
-LARGEST = 1e290
-"""What multipliers of canards count as that are beyond the range of numbers"""
-ACCURACY = 1e-14
-"""Relative error of a state-transition matrix of a few steps at least."""
+ACCURACY, LARGEST = 1e-14, 1e290
+"""Relative error of a state-transition matrix of a few steps at least; what multipliers of canards count as that are
+beyond the range of numbers"""
 
 STILL = 1e-12
 """A driven motion that extends no farther than this, in the family's metric, is at rest."""

@@ -28,15 +28,15 @@ RESTS, OTHER = {
     "fold": Look("d", colour="#4D4D4D", size=6.5),
 }, Look("*", size=9.0)  # fmt: skip
 """How events of equilibria look that families have not or otherwise, and ends of cycles, such as a homoclinic orbit"""
-ORDINARY, SILENT = (
+ORDINARY, SILENT, ENDLESS = (
     ("target", "point limit", "hopf", "merged", "returned", "stopped", "equilibrium"),
     ("turn", "neutral_saddle"),
+    ("homoclinic", "heteroclinic", "saddle-node"),
 )
-"""Ends that are not marked, as nothing happens there or it is marked anyway; events whose parameters are not told"""
+"""Ends that are not marked, as nothing happens there or it is marked anyway; events whose parameters are not told; ends
+at an infinite period, whose parameter is that there"""
 MOST, LABELLED, LONG, NAMES = 6, 14, 30.0, ("cycles", "cycles born on cycles")
 """Components that are drawn, the first; labels; ratio of periods drawn in logarithms; curves of cycles by birth"""
-ENDLESS = ("homoclinic", "heteroclinic", "saddle-node")
-"""Ends at an infinite period, at the parameter that is told there"""
 ROBUST, ROOM, MARGIN, CLOSE = (2.0, 98.0), 0.3, 0.05, 0.01
 """Percentiles of what is drawn, shares: of their distance, seen beyond them; left empty; of labels that are close"""
 
@@ -60,7 +60,7 @@ class Panel:
     def mark(self, kind: str, place: Sequence[float], resting: bool = False) -> None:
         """Something that happens at a place, to equilibria or to cycles, with the parameter there."""
         look: Look = RESTS[kind] if resting and kind in RESTS else KINDS[kind].look if kind in KINDS else OTHER
-        name = f"{kind} of {'equilibria' if resting else 'cycles'}" if kind == "fold" else kind.replace("_", " ")
+        name = kind.replace("_", " ") + {"fold": (" of cycles", " of equilibria")}.get(kind, ("", ""))[resting]
         style = {"marker": look.marker, "markersize": look.size, "linestyle": "none", "color": look.colour, "zorder": 4}
         drawn = self.axes.plot(*place, markerfacecolor="white" if look.hollow else look.colour, **style)
         self.shown.setdefault(name.replace("hopf", "Hopf"), drawn[0])
