@@ -1,4 +1,4 @@
-"""A structure by its matrices, as finite-element programs write them, with a few nonlinear elements and a harmonic load."""
+"""A structure by its matrices, as finite-element programs write them, with nonlinear elements and a harmonic load."""
 
 from __future__ import annotations
 
@@ -54,8 +54,8 @@ def structure(
     `amplitude` and `frequency` of the load; text names one that several share. SI units, or any that go together.
 
     Args:
-        mass: M (n x n), symmetric and positive definite; a matrix, SciPy's sparse too, the path of a Matrix Market (.mtx)
-            or NumPy file (.npz), from a problem file in its folder or below, or Matrix Market text.
+        mass: M (n x n), symmetric and positive definite; a matrix, SciPy's sparse too, the path of a Matrix Market
+            (.mtx) or NumPy file (.npz), from a problem file in its folder or below, or Matrix Market text.
         damping: C (n x n), gyroscopic terms may be in it; none when left out.
         stiffness: K (n x n), symmetric.
         elements: by name, each {kind, at, to, stiffness, gap, side, limit, smoothing}.
@@ -123,7 +123,10 @@ def market(matrix: Any) -> str:
     full.sum_duplicates()
     alike = (abs(full - full.T)).nnz == 0
     one = sparse.coo_matrix(sparse.tril(full)) if alike else full
-    lines = [f"{MARKET} matrix coordinate real {'symmetric' if alike else 'general'}", f"{full.shape[0]} {full.shape[1]} {one.nnz}"]
+    lines = [
+        f"{MARKET} matrix coordinate real {'symmetric' if alike else 'general'}",
+        f"{full.shape[0]} {full.shape[1]} {one.nnz}",
+    ]
     lines += [f"{i + 1} {j + 1} {float(x)!r}" for i, j, x in zip(one.row, one.col, one.data, strict=True)]
     return "\n".join([*lines, ""])
 
@@ -136,11 +139,12 @@ def _is_text(given: str) -> bool:
 def _matrix(name: str, given: Matrix) -> Any:
     """A matrix as SciPy's sparse columns, or `InputError`."""
     if isinstance(given, (str, Path)):
-        given = _read(name, "text", given.encode()) if _is_text(str(given)) else _read(name, *_file(name, Path(given)))
+        text = str(given)
+        given = _read(name, "text", text.encode()) if _is_text(text) else _read(name, *_file(name, Path(text)))
     try:
         found = sparse.csc_matrix(given, dtype=float)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{name}: no matrix of numbers ({shortened(error, 80)}); give n x n real numbers, or {REMEDY[5:]}") from error
+        raise InputError(f"{name}: no matrix of numbers ({shortened(error, 80)}); give n x n real numbers") from error
     if not np.isfinite(found.data).all():
         raise InputError(f"{name}: has entries that are not finite; {REMEDY}")
     if found.shape[0] != found.shape[1] or not found.shape[0]:
@@ -165,7 +169,7 @@ def _read(name: str, file: str, data: bytes) -> Any:
                 if "format" in found:
                     return sparse.load_npz(BytesIO(data))
                 if len(found.files) != 1:
-                    raise ValueError(f"it has {len(found.files)} arrays, {', '.join(found.files)[:80]}, and one is wanted")
+                    raise ValueError(f"it has {len(found.files)} arrays and one is wanted")
                 return found[found.files[0]]
         if not data.lstrip().startswith(MARKET.encode()):
             raise ValueError(f"it begins with neither {MARKET} nor as .npz does")
@@ -322,8 +326,10 @@ class _Written:
         if isinstance(value, str):
             if value not in self.given:
                 hint = closest(value, self.given)
-                raise InputError(f"{where}.{key}: {value!r} is no shared parameter{hint}; give a number, or the value of "
-                                 f"{value} in parameters")  # fmt: skip
+                raise InputError(
+                    f"{where}.{key}: {value!r} is no shared parameter{hint}; give a number, or the value of {value} in "
+                    "parameters"
+                )
             name = value
         elif value is None:
             raise InputError(f"{where}.{key}: missing; give a number")
@@ -344,7 +350,9 @@ class _Written:
         """As Models take them; `InputError` for values of parameters that there are not."""
         if unknown := [name for name in self.given if name not in self.numbers]:
             some = ", ".join([*self.numbers][:12]) or "none"
-            raise InputError(f"parameters: nothing uses {unknown[0]!r}{closest(unknown[0], self.numbers)}; there are {some}")
+            raise InputError(
+                f"parameters: nothing uses {unknown[0]!r}{closest(unknown[0], self.numbers)}; there are {some}"
+            )
         forced = "frequency" in self.numbers and ca.depends_on(self.outer, self.t)
         return Symbols(
             self.q, self.v, ca.vertcat(*self.numbers.values()) if self.numbers else None, tuple(self.numbers),
@@ -359,23 +367,22 @@ def _number(where: str, value: Any) -> float:
     return float(value)
 
 
+def _files(system: Mapping[str, Any]) -> dict[str, str]:
+    """The files that matrices of a description are in, by name."""
+    given = {name: system.get(name) for name in MATRICES}
+    return {name: text for name, text in given.items() if isinstance(text, str) and not _is_text(text)}
+
+
 def _built(system: Mapping[str, Any], _: Path | None) -> Model:
-    if paths := [name for name in MATRICES if isinstance(text := system.get(name), str) and not _is_text(text)]:
-        raise InputError(f"{paths[0]}: {system[paths[0]]!r} is a file's name, and a description has its content; read the "
-                         "problem file")  # fmt: skip
+    for name, file in _files(system).items():
+        raise InputError(f"{name}: {file!r} is a file, and a record has its content; read the problem file")
     return structure(**{"damping": None} | {key: value for key, value in system.items() if key != "kind"})
 
 
 def _with_content(system: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """The description of a problem file in a folder, with the matrices that its files hold."""
-    named = [name for name in MATRICES if isinstance(text := system.get(name), str) and not _is_text(text)]
-    return {**system, **{name: market(_read(name, *_beside(name, folder, system[name]))) for name in named}}
+    beside = {name: file_beside(folder, file, name) for name, file in _files(system).items()}
+    return {**system, **{name: market(_matrix(name, path)) for name, path in beside.items()}}
 
 
-def _beside(name: str, folder: Path, file: str) -> tuple[str, bytes]:
-    return _file(name, file_beside(folder, file, name))
-
-
-KINDS["structure"] = SystemKind(
-    _built, lambda system: "structure", takes=structure, with_content=_with_content,
-)  # fmt: skip
+KINDS["structure"] = SystemKind(_built, lambda system: "structure", takes=structure, with_content=_with_content)

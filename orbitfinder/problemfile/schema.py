@@ -325,7 +325,7 @@ def _system_of_its_kind(value: Any) -> Any:
 
 
 class GuessTable(Table):
-    """Where the search starts: `state` and `period`, `state` and `duration`, `mode` and `amplitude`, `linear`, or `csv`."""
+    """Where the search starts: `state` with `period` or `duration`, `mode` and `amplitude`, `linear`, or `csv`."""
 
     state: list[float] | None = key("state at t = 0: the n angles in rad, then the n rates in rad/s")
     period: Positive | None = key(

@@ -41,8 +41,9 @@ def linear_response(model: Model) -> Guess:
         try:
             answer[k] = splu(2j * np.pi / period * k * sparse.identity(size, format="csc") - slopes).solve(drive[k])
         except RuntimeError:
-            raise InputError(f"guess.linear: harmonic {k} of the drive is in resonance and nothing damps it; give another "
-                             "frequency, or a state") from None  # fmt: skip
+            raise InputError(
+                f"guess.linear: harmonic {k} of the drive is in resonance and nothing damps it; give another frequency"
+            ) from None
     states = np.fft.irfft(answer, SAMPLES, axis=0)
     states = np.vstack([states, states[:1]])
     return Guess(states[0], period, times, states)
