@@ -79,7 +79,8 @@ class Product:
             held[low:high, low:high] = True
         blocks, free = np.where(held, self.upper, 0.0), np.triu(~held)
         whole = np.empty((count + 1, size, size))
-        whole[-1] = unit = np.eye(size)  # T_k U_k = U_{k+1} C_k, backwards: the error shrinks by the ratio of sizes in a pass
+        unit = np.eye(size)
+        whole[-1] = unit  # T_k U_k = U_{k+1} C_k, backwards: the error shrinks by the ratio of sizes in a pass
         for _ in range(MOST_PASSES):
             for k in range(count - 1, -1, -1):
                 whole[k] = np.where(free, _solved(self.upper[k], whole[k + 1] @ blocks[k]), unit)
