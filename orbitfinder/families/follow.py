@@ -107,9 +107,11 @@ def _attempt(run: Run, before: Walked, length: float, blocks: Blocks | None) -> 
     began = time.perf_counter()
     curve, settings, sample, place = run.curve, run.settings, before.sample, before.solution.place
     ahead = None if blocks is None else blocks.next(curve, (place, sample.whole, before.curvature), length)
+    if ahead is not None and not ahead.fits and regraded(curve, ahead.solution) is not ahead.solution.place.mesh:
+        ahead = None  # its mesh is better moved on the way
     step = _corrected(run, before, length) if ahead is None else ahead
     raw, whole = step.solution, step.whole
-    solution = raw if ahead is not None else settled(curve, raw, whole)
+    solution = raw if ahead is not None and ahead.fits else settled(curve, raw, whole)
     last = make_sample(curve, length, raw, whole, before.point.indices + before.trend)
     if curve.equations.links and (cut := _cut(run, before, last)) is not None:
         return before, cut
