@@ -52,8 +52,8 @@ ROUNDED = 1e-12
 SAME_STEP = 1e-6
 """... or this share of how much it changes in the step, if that is more"""
 GROWN, SHARPER = 1.5, 1e-4
-"""A family that ends homoclinic has a period this many times its shortest; recorded error bars are at least this share of
-those found from an event's state alone, with which errors grow"""
+"""A family that ends homoclinic has a period this many times its shortest; recorded error bars are at least this share
+of those found from an event's state alone, with which errors grow"""
 SETTLED = 1e-6
 """Equilibria and eigenvalues at such an end are known to this, relative"""
 SHARES = ((3e-3, 0), (3e-4, 0), (5e-2, 1), (2e-1, 1), (5e-1, 1))
