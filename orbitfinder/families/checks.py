@@ -10,6 +10,7 @@ two indices; the product of a pair less 1; what is extremal; a margin of a hybri
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import SimpleNamespace
@@ -47,6 +48,9 @@ DOUBTFUL = 4e-5
 """... and what is read there is known this well"""
 DRAWS, SAFETY = 3, 10.0
 """Errors of the size of the integration's with which the map is read again, and what their largest is multiplied by"""
+TOLERANCES = VARIED, COARSER, ReferenceSettings(relative_tolerance=1e-11, absolute_tolerance=1e-12)
+"""At which variations are integrated, one after the other: where rates are 0 / 0, as Hodgkin and Huxley's are at two
+voltages, their round-off may leave no step that is short enough for the first"""
 ALIKE = 1e-6
 """Multipliers nearer than this are one"""
 
@@ -63,7 +67,15 @@ class Probe:
     @cached_property
     def tour(self) -> Tour:
         """The loop gone round. Raises `ConvergenceError` where it is not known well enough."""
-        return _known(self._round(VARIED))
+        return _known(self._gone[0])
+
+    @cached_property
+    def _gone(self) -> tuple[Tour, ReferenceSettings]:
+        """The same, and at which of `TOLERANCES`: at the first at which a step can be made."""
+        for settings in () if self.curve.equations.links else TOLERANCES[:-1]:
+            with suppress(IntegrationError):
+                return self._round(settings), settings
+        return self._round(TOLERANCES[-1]), TOLERANCES[-1]
 
     def _round(self, varied: ReferenceSettings) -> Tour:
         p, w = self.curve.equations, self.solution.place
@@ -88,12 +100,14 @@ class Probe:
         if not missed <= known + ALIKE:
             raise ConvergenceError(f"its multipliers miss the divergence of the flow by exp({missed:.2g})")
         random = np.random.default_rng(0)
-        return [self._read(self.tour.map(random, VARIED.relative_tolerance)) for _ in range(DRAWS)]
+        return [self._read(self.tour.map(random, self._gone[1].relative_tolerance)) for _ in range(DRAWS)]
 
     @cached_property
     def coarser(self) -> Any:
         """The same at ten times the tolerance, which is off by more than the map is."""
-        return self._read(self._round(COARSER).map())
+        settings = self._gone[1]
+        coarser = ReferenceSettings(10 * settings.relative_tolerance, 10 * settings.absolute_tolerance)
+        return self._read(self._round(coarser).map())
 
     def _read(self, reduced: np.ndarray) -> Any:
         values, pairs = np.linalg.eigvals(reduced).astype(complex), self.tour.conservative

@@ -142,7 +142,7 @@ def _by_multiplier(interval: Interval, turned: Located, passed: Located) -> tupl
         if not beside:
             parameter = next(folds(interval))
             crosses = _moves(interval, parameter) or interval.crossed(passing)
-            others.append((passing, test if crosses or parameter.kind != "fold" else parameter))
+            others.append((passing, test if crosses or KINDS[parameter.kind].followed is None else parameter))
     return turned, others
 
 
@@ -220,10 +220,9 @@ def _changes(interval: Interval, events: list[tuple[Sample, Test]]) -> list[tupl
 # Source: Yu. A. Kuznetsov, Elements of Applied Bifurcation Theory (2004), sections 5.3 and 10.2.
 
 
-FLAT = 4.0
-"""Round-offs that a number has to change by within a step to turn there"""
-BESIDE = 1e-3
-"""Share of a step beside a fold at which it is seen how its parameter and its multiplier change"""
+FLAT, BESIDE = 4.0, 1e-3
+"""Round-offs that a number has to change by within a step to turn there; share of a step beside a fold at which it is
+seen how its parameter and its multiplier change"""
 GRAZED = 0.1
 """A modulus within this share of 1 at one of the two points may have passed it and come back."""
 DEEPEST = 6

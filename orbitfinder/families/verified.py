@@ -51,15 +51,14 @@ ROUNDED = 1e-12
 """Relative error of a number that follows from the state"""
 SAME_STEP = 1e-6
 """... or this share of how much it changes in the step, if that is more"""
-GROWN = 1.5
-"""A family that ends homoclinic has a period this many times its shortest"""
+GROWN, SHARPER = 1.5, 1e-4
+"""A family that ends homoclinic has a period this many times its shortest; recorded error bars are at least this share
+of those found from an event's state alone, with which errors grow"""
 SETTLED = 1e-6
 """Equilibria and eigenvalues at such an end are known to this, relative"""
 SHARES = ((3e-3, 0), (3e-4, 0), (5e-2, 1), (2e-1, 1), (5e-1, 1))
 """How far the orbits on both sides are, in steps of the family, and whether there are others twice as far: the nearer
 ones where two events share a step, the farthest where a parameter hardly moves beyond its round-off, as in a canard"""
-SHARPER = 1e-4
-"""Share of the error bars found from an event's state alone, where errors grow, that recorded ones are at least"""
 STEPS = 480
 """Steps of a period on which an orbit is marched of which the nodes are not known"""
 
