@@ -273,7 +273,11 @@ def acting(rates: Callable[[np.ndarray], np.ndarray], states: np.ndarray) -> Act
 
 
 def _felt(
-    rates: Callable[[np.ndarray], np.ndarray], states: np.ndarray, now: np.ndarray, asked: np.ndarray, moving: np.ndarray
+    rates: Callable[[np.ndarray], np.ndarray],
+    states: np.ndarray,
+    now: np.ndarray,
+    asked: np.ndarray,
+    moving: np.ndarray,
 ) -> np.ndarray:
     """Whose halves (a mask d) change the rates `now` (k x d) of those that are moving."""
     felt, most = np.zeros(asked.size, bool), FELT * np.abs(now).max(axis=0)
