@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -84,7 +85,8 @@ def found(name):
         "steinmetz-larter": (steinmetz_larter(), [2.5, 5.6, 0.024, 1.4], 16.0),
         "hindmarsh-rose": (hindmarsh_rose(), [-1.0, -4.0, 1.8], 160.0),
     }[name]
-    return of.find_orbit(of.Problem(model, of.Guess(state, period), name=name)), model
+    method = None if name == "vdp-100" else "collocation"
+    return of.find_orbit(of.Problem(model, of.Guess(state, period), name=name, method=method)), model
 
 
 def inside(orbit, period, most):
@@ -125,6 +127,18 @@ def test_derivatives_are_those_of_differences():
         assert np.allclose((sides[0] - sides[1]) / (2 * step), path.columns[:, :, k], atol=1e-8)
 
 
+def test_a_driven_oscillator_is_collocated():
+    """Nothing turns and no phase is free: the monodromy is not reduced. Moments 0.3 later are another t = 0."""
+    periods = []
+    for later in (0.0, 0.3):
+        model = of.ode(lambda t, x, p: [x[1], p[0] * ca.cos(t + later) - 0.2 * x[1] - x[0] - x[0] ** 3], ["x", "v"],
+                       {"a": 0.5}, forcing_period=lambda p: 2 * np.pi)  # fmt: skip
+        orbit = of.find_orbit(of.Problem(model, of.Guess([0.4, 0.1], 2 * np.pi)), COLLOCATION)
+        assert orbit.certificate.passed, orbit.certificate.failures
+        periods.append(np.prod(orbit.floquet_multipliers).real)
+    assert np.allclose(periods, np.exp(-0.4 * np.pi), rtol=1e-10)
+
+
 def test_the_whole_matrix_is_the_dense_one():
     random, (count, d, m) = np.random.default_rng(0), (7, 3, 2)
     sizes = (count, d, d), (count, d, m), (d + m, count * d), (d + m, d), (d + m, m)
@@ -142,7 +156,13 @@ def test_stiff_cycles_of_the_road(name, key):
     assert orbit.certificate.passed, orbit.certificate.failures
     assert inside(orbit, ROAD[name][key], 1e-12)
     assert orbit.provenance["method"] == "collocation"
-    assert orbit.provenance["method_reason"].startswith("stiff" if name == "vdp-100" else "shooting failed: ")
+    assert orbit.provenance.get("method_reason", "").startswith("stiff" if name == "vdp-100" else "")
+
+
+def test_what_shooting_does_not_find_is_collocated():
+    problem = of.Problem(van_der_pol(20), of.Guess([2.0, 0.0], 40.0))
+    told = of.find_orbit(problem, of.SolveSettings(with_certificate=False)).provenance
+    assert (told["method"], told["method_reason"].split(": ")[0]) == ("collocation", "shooting failed")
 
 
 @pytest.mark.slow
@@ -194,7 +214,7 @@ def test_the_stiffest_are_certified(model, state, period, reference):
 
 
 @pytest.mark.parametrize(("model", "state", "period"), [
-    (brusselator(), [1.4, 3.0], 6.6), (van_der_pol(5), [2.0, 0.1], 11.6), (fitzhugh_nagumo(), [-0.3, -0.19], 39.5),
+    (steinmetz_larter(), [2.5, 5.6, 0.024, 1.4], 16.0), (brusselator(), [1.4, 3.0], 6.6), (van_der_pol(5), [2.0, 0.1], 11.6), (fitzhugh_nagumo(), [-0.3, -0.19], 39.5),
     (lorenz(28.0), [-13.763610682134, -19.578751942451, 27.0], 1.5587),
 ])  # fmt: skip
 def test_shooting_and_collocation_agree(model, state, period):
@@ -227,7 +247,7 @@ def test_multipliers_keep_their_size():
 
 def test_units_do_not_matter():
     plain = found("steinmetz-larter")[0]
-    for units in ((1e-6, 1e3, 1.0, 1e6), (1e3, 1.0, 1e-3, 1e2)):
+    for units in ((1e-6, 1e3, 1.0, 1e6), (1e6, 1.0, 1e-6, 1e2)):
         state = np.array([2.5, 5.6, 0.024, 1.4]) * units
         orbit = of.find_orbit(of.Problem(steinmetz_larter(units), of.Guess(list(state), 16.0)), COLLOCATION)
         assert orbit.certificate.passed, orbit.certificate.failures
