@@ -337,6 +337,7 @@ ASKED = {
     "problemfile.schema": "which table of a file belongs to a system's kind",
     "mechanisms.mechanism": "the table of joints",
     "mechanisms.linkage": "named in a message",
+    "mechanisms.structure": "the table of elements",
     "records.family": "a fold of the period in files of 0.1, which is a turn",
     "cli.show": "the tables of events, for what follows them",
 }

@@ -141,6 +141,15 @@ def at_rest(model: Model) -> ca.Function:
     return ca.Function("at_rest", [q, v], [momentum, ca.jtimes(slope, q, v), slope])
 
 
+def driven_rest(model: Model, times: np.ndarray) -> tuple[np.ndarray, Any]:
+    """Of x' = f(t, x) with the Model's parameter values, f(t, 0) (s x d) at times (s), and df/dx(0, 0), sparse."""
+    symbol, rest = ca.SX.sym if model.scalar else ca.MX.sym, np.zeros(len(model.state_names))
+    t, x, field = symbol("t"), symbol("x", rest.size), vector_field(model)
+    rate = field(t, x, [], [])
+    slopes = ca.Function("slopes", [t, x], [ca.jacobian(rate, x)])(0.0, rest)
+    return np.array([field(at, rest, [], []).full().ravel() for at in times]), slopes.sparse()
+
+
 @_once
 def under_constraints(model: Model) -> Rest:
     """What the equilibria and small motions of a Model under constraints are found from."""

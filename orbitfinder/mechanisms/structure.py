@@ -23,14 +23,11 @@ from orbitfinder.records.reading import file_beside, file_bytes
 
 Matrix = Any
 """Dense, SciPy's sparse, the path of a Matrix Market (.mtx) or NumPy file (.npz), or Matrix Market text"""
-MARKET = "%%MatrixMarket"
-MATRICES = ("mass", "damping", "stiffness")
+MARKET, MATRICES = "%%MatrixMarket", ("mass", "damping", "stiffness")
+"""What Matrix Market text begins with; the matrices of a structure"""
 SYMMETRIC, SINGULAR = 1e-9, 1e-13
 """Shares of the largest entry by which a symmetric matrix may differ from its transpose, and of the largest pivot
 below which a pivot is none"""
-LARGEST = 200_000_000
-"""Bytes of a file"""
-REMEDY = "give the .mtx or .npz file that the finite-element program wrote"
 
 
 @checked
@@ -146,7 +143,7 @@ def _matrix(name: str, given: Matrix) -> Any:
     except (TypeError, ValueError) as error:
         raise InputError(f"{name}: no matrix of numbers ({shortened(error, 80)}); give n x n real numbers") from error
     if not np.isfinite(found.data).all():
-        raise InputError(f"{name}: has entries that are not finite; {REMEDY}")
+        raise InputError(f"{name}: has entries that are not finite; write it anew")
     if found.shape[0] != found.shape[1] or not found.shape[0]:
         raise InputError(f"{name}: shape {found.shape}; a square matrix is wanted, n x n")
     found.sum_duplicates()
@@ -156,7 +153,7 @@ def _matrix(name: str, given: Matrix) -> Any:
 
 def _file(name: str, path: Path) -> tuple[str, bytes]:
     try:
-        return path.name, file_bytes(path, "file of a matrix", LARGEST)
+        return path.name, file_bytes(path, "file of a matrix")
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
 
@@ -175,7 +172,9 @@ def _read(name: str, file: str, data: bytes) -> Any:
             raise ValueError(f"it begins with neither {MARKET} nor as .npz does")
         return mmread(BytesIO(data.lstrip()))
     except Exception as error:  # of SciPy, NumPy and zipfile: what they raise has no common base
-        raise InputError(f"{name}: {file} is no matrix ({shortened(error, 120)}); {REMEDY}") from error
+        raise InputError(
+            f"{name}: {file} is no matrix ({shortened(error, 120)}); give a Matrix Market or .npz file"
+        ) from error
 
 
 def _symmetric(name: str, matrix: Any) -> Any:

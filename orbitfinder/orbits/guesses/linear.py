@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import casadi as ca
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError
+from orbitfinder.integrate.equations import driven_rest
 from orbitfinder.loops.problem import Guess
-from orbitfinder.mechanics.model import Model, vector_field
+from orbitfinder.mechanics.model import Model
 
 SAMPLES, LEAST = 128, 1e-12
 """Equal times over a period; share of the drive's largest harmonic below which others are round-off"""
@@ -26,20 +24,15 @@ def linear_response(model: Model) -> Guess:
     """
     if model.forcing_period is None:
         raise InputError("guess.linear: this system is not driven; give mode and amplitude, or state and period")
-    size, p = len(model.state_names), ca.DM(model.parameter_values)
-    period = float(model.forcing_period(p))
-    symbol: Any = ca.SX.sym if model.scalar else ca.MX.sym
-    t, x = symbol("t"), symbol("x", size)
-    field = vector_field(model)
-    both = ca.Function("both", [t, x], [field(t, x, [], []), ca.jacobian(field(t, x, [], []), x)])
-    times, rest = period * np.linspace(0.0, 1.0, SAMPLES + 1), np.zeros(size)
-    slopes = sparse.csc_matrix(both(0.0, rest)[1].sparse())
-    drive = np.fft.rfft(np.array([both(at, rest)[0].full().ravel() for at in times[:-1]]), axis=0)
-    sizes = np.abs(drive).max(axis=1)
+    period = float(model.forcing_period(model.parameter_values))
+    times = period * np.linspace(0.0, 1.0, SAMPLES + 1)
+    drive, slopes = driven_rest(model, times[:-1])
+    drive = np.fft.rfft(drive, axis=0)
+    sizes, one = np.abs(drive).max(axis=1), sparse.identity(drive.shape[1], format="csc")
     answer = np.zeros_like(drive)
     for k in np.flatnonzero(sizes > LEAST * nonzero(sizes.max(initial=0.0))):
         try:
-            answer[k] = splu(2j * np.pi / period * k * sparse.identity(size, format="csc") - slopes).solve(drive[k])
+            answer[k] = splu(2j * np.pi / period * k * one - slopes).solve(drive[k])
         except RuntimeError:
             raise InputError(
                 f"guess.linear: harmonic {k} of the drive is in resonance and nothing damps it; give another frequency"
