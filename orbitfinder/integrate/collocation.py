@@ -146,12 +146,27 @@ class Collocation(March):
 
     def _solved(self, key: Any, nodes: np.ndarray, steps: np.ndarray, begins: np.ndarray, tails: np.ndarray) -> Stages:
         """P steps of lengths `steps` that begin at shares `begins` of the period, solved by Newton's method."""
-        known, points = self._known.get(key), self.tableau.points
+        known, solved = self._known.get(key), None
         fits = known is not None and known.tails.shape == tails.shape
         if known is not None and known.fit(nodes, tails):
             return known
-        places, size = np.repeat(tails, points.size, axis=0), self.size
-        z = known.moved(nodes, tails) if known is not None and fits else self._cubic(nodes, steps, begins, tails)
+        if known is not None and fits:
+            solved = self._from(known.moved(nodes, tails), nodes, steps, begins, tails)
+        if known is None or not fits or solved is None:  # also where another orbit had the mesh
+            solved = self._from(self._cubic(nodes, steps, begins, tails), nodes, steps, begins, tails)
+        self._known.pop(key, None)
+        if solved is None:
+            raise IntegrationError("the equations of collocation do not converge; start nearer, or with a finer mesh")
+        self._known[key] = solved
+        while len(self._known) > REMEMBERED:
+            self._known.pop(next(iter(self._known)))
+        return solved
+
+    def _from(
+        self, z: np.ndarray, nodes: np.ndarray, steps: np.ndarray, begins: np.ndarray, tails: np.ndarray
+    ) -> Stages | None:
+        """The same from first stages, None where they lead nowhere."""
+        points, places, size = self.tableau.points, np.repeat(tails, self.tableau.points.size, axis=0), self.size
         moments = (begins[:, None] + steps[:, None] * points).ravel()
         units = nonzero(np.abs(nodes).max(axis=0))
         for _ in range(MOST_ITERATIONS):
@@ -161,16 +176,11 @@ class Collocation(March):
             z = z + changes[:, :, 0].reshape(z.shape)
             change = np.abs(changes[:, :, 0].reshape(-1, size) / units).max()
             if not change < 1e6:
-                break
+                return None
             if change < SOLVED:
                 integrals = steps * tails[:, 0] * (integrand @ self.tableau.weights)
-                solved = Stages(nodes, tails, z, changes[:, :, 1:], integrals)
-                self._known[key] = solved
-                while len(self._known) > REMEMBERED:
-                    self._known.pop(next(iter(self._known)))
-                return solved
-        self._known.pop(key, None)
-        raise IntegrationError("the equations of collocation do not converge; start nearer, or with a finer mesh")
+                return Stages(nodes, tails, z, changes[:, :, 1:], integrals)
+        return None
 
     def _cubic(self, nodes: np.ndarray, steps: np.ndarray, begins: np.ndarray, tails: np.ndarray) -> np.ndarray:
         """Stages (P x m x d) on the cubics through nodes and rates, the last of which ends where the first begins; on
