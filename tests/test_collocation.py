@@ -15,12 +15,16 @@ from scipy.interpolate import CubicHermiteSpline
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
+from orbitfinder.families import birth
+from orbitfinder.families.verified import verified
 from orbitfinder.integrate.collocation import Collocation, tableau
 from orbitfinder.integrate.march import uniform
+from orbitfinder.loops import mesh
 from orbitfinder.loops.condensed import Linearised, pivoted
 from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.orbits import collocate
+from orbitfinder.orbits.closure import carried
 
 ROAD = {entry["id"]: entry["values"] for entry in json.loads((Path(__file__).parent / "data/road.json").read_text())}
 COLLOCATION = of.SolveSettings(method="collocation")
@@ -338,3 +342,63 @@ def test_files_and_commands(tmp_path):
         '[find]\nmethod = "collocation"\npin = { energy = -1.0 }\n'
     )
     assert of.load_problem(tmp_path / "q.toml").method == "collocation"
+
+
+def test_a_family_of_shooting_goes_on_by_collocation(tmp_path, monkeypatch):
+    """Where shooting may take no more steps, here a few: what it followed is read by collocation and says why."""
+    monkeypatch.setattr(mesh, "MESH", replace(mesh.MESH, most_steps=180))
+    problem = of.Problem(brusselator(3.0), of.Guess([1.0, 2.0], 7.1), name="stiffer")
+    settings = of.FamilySettings(directions="forward", longest_step=0.4, shortest_step=1e-3)
+    alone = of.follow_family(problem, "b", until=5.0, settings=replace(settings, method="shooting"))
+    assert alone.ends[-1].kind == "singularity" and "method" not in alone.curve
+    family = of.follow_family(problem, "b", until=5.0, at=[3.25], settings=settings, out=tmp_path)
+    assert family.curve["method"] == "collocation" and family.ends[-1].reason == "reached b = 5.0"
+    reason = family.curve["method_reason"]
+    assert reason.startswith("shooting ended at b ") and "its mesh would become too fine" in reason
+    assert np.all(np.diff(family.values("value")) > 0) and len(family.points) > len(alone.points)
+    same = of.follow_family(replace(problem, method="collocation"), "b", until=5.0, at=[3.25], settings=settings)
+    for value in (3.25, 5.0):
+        periods = [next(p.period for p in each.points if p.value == value) for each in (family, same)]
+        assert abs(periods[0] / periods[1] - 1) < 1e-12
+    loaded = of.load_family(tmp_path / "stiffer" / "family.json")
+    asked = next(point for point in loaded.points if point.value == 3.25)
+    assert asked.certified and all(check.passed for _, check in verified(loaded, brusselator()))
+    again = of.follow_family(problem, "b", until=5.0, at=[3.25], settings=settings, out=tmp_path)
+    assert [point.period for point in again.points] == [point.period for point in family.points]
+
+
+def test_cycles_are_born_by_collocation(monkeypatch):
+    """Asked for, and where shooting finds none at the Hopf point."""
+    model = brusselator(1.8)
+    rest = of.follow_equilibria(model, [1.0, 1.8], "b", until=2.4)
+    settings = of.FamilySettings(directions="away", method="collocation")
+    asked = of.follow_family(of.switch_branch(rest, 0, settings=settings, model=model), "b", points=3, model=model)
+    assert asked.curve["method"] == "collocation" and "method_reason" not in asked.curve
+    cycle = birth._cycle
+
+    def stiff(*given):
+        if not given[-1]:
+            raise ConvergenceError("too stiff")
+        return cycle(*given)
+
+    monkeypatch.setattr(birth, "_cycle", stiff)
+    other = of.follow_family(of.switch_branch(rest, 0, model=model), "b", points=3, model=model)
+    assert other.curve["method_reason"] == "by shooting too stiff"
+    assert [point.period for point in other.points] == [point.period for point in asked.points]
+    with pytest.raises(ConvergenceError, match="too stiff"):
+        of.switch_branch(rest, 0, settings=of.FamilySettings(method="shooting"), model=model)
+
+
+def test_canards_leave_the_range_of_numbers():
+    """Errors that grow beyond it do so infinitely, without a warning."""
+    assert carried([np.diag([1e200, 1.0])] * 2, np.ones(2))[1] == np.inf
+
+
+def test_another_orbit_may_have_had_the_mesh():
+    """Stages that are carried on from far off lead nowhere; those from the nodes alone do."""
+    equations = Equations(fitzhugh_nagumo(), NONE, (), action=True, collocated=True)
+    march, mesh_, tail = equations.march, uniform(1.0, 40, 1), np.array([39.0])
+    angles = 2 * np.pi * mesh_[:-1, None]
+    far, near = (size * np.hstack([np.cos(angles), np.sin(angles)]) for size in (40.0, 1.0))
+    march.begin(near, 1e3 * np.ones((40, 5, 2)), mesh_, tail)
+    assert np.isfinite(march.ends(near, mesh_, tail)).all() and far.size == near.size

@@ -438,7 +438,8 @@ class _Tree:
         )  # in which events have the same last digits
         states = [[(point.value, *point.state) for point in each.points] for each in (record, before)]
         same = states[0] == states[1] and len(record.events) == len(before.events)
-        return before if same and all(map(_alike, record.events, before.events)) else record
+        alike = same and all(map(_alike, record.events, before.events))
+        return replace(record, events=before.events) if alike else record
 
     def known(self, curve: DiagramCurve, event: RestEvent | Event) -> DiagramCurve | None:
         """The curve that ends at an event, or that it is an event of as well."""
