@@ -18,6 +18,7 @@ from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families import birth
 from orbitfinder.families.verified import verified
 from orbitfinder.integrate.collocation import Collocation, tableau
+from orbitfinder.integrate.compiled import compiling
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops import mesh
 from orbitfinder.loops.condensed import Linearised, pivoted
@@ -124,6 +125,10 @@ def test_derivatives_are_those_of_differences():
     random, mesh = np.random.default_rng(0), np.array([0.0, 0.2, 0.3, 0.6, 1.0])
     nodes, tail = random.normal(size=(4, 2)), np.array([3.0, 0.3])
     path, step = march.varied(nodes, mesh, tail), 1e-5
+    with compiling("off"):
+        slow = Collocation(march.field, True, march.integrand).varied(nodes, mesh, tail)
+    for name in ("ends", "transitions", "columns", "integral"):
+        assert np.allclose(getattr(path, name), getattr(slow, name), rtol=0, atol=1e-13), name
     for k in range(2):
         sides = [march.ends(nodes + s * np.eye(2)[k], mesh, tail) for s in (step, -step)]
         assert np.allclose((sides[0] - sides[1]) / (2 * step), path.transitions[:, :, k], atol=1e-8)
@@ -143,15 +148,33 @@ def test_a_driven_oscillator_is_collocated():
     assert np.allclose(periods, np.exp(-0.4 * np.pi), rtol=1e-10)
 
 
-def test_the_whole_matrix_is_the_dense_one():
+@pytest.mark.parametrize("compiler", ["auto", "off"])
+def test_the_whole_matrix_is_the_dense_one(compiler):
     random, (count, d, m) = np.random.default_rng(0), (7, 3, 2)
     sizes = (count, d, d), (count, d, m), (d + m, count * d), (d + m, d), (d + m, m)
     system = Linearised(*(random.normal(size=size) for size in sizes))
     rows = random.normal(size=count * d + m)
     assert np.abs(system.sparse().toarray() - system.matrix()).max() == 0.0
-    assert np.allclose(pivoted(system)(rows), -np.linalg.solve(system.matrix(), rows), atol=1e-12)
-    with pytest.raises(np.linalg.LinAlgError):
-        pivoted(replace(system, first=system.first[:-1], last=system.last[:-1], tail=system.tail[:-1]))
+    with compiling(compiler):
+        for columns in (None, 10.0 ** random.uniform(-3, 3, rows.size)):
+            assert np.allclose(pivoted(system, columns)(rows), -np.linalg.solve(system.matrix(), rows), atol=1e-12)
+        with pytest.raises(np.linalg.LinAlgError):
+            pivoted(replace(system, first=system.first[:-1], last=system.last[:-1], tail=system.tail[:-1]))
+        with pytest.raises(np.linalg.LinAlgError):
+            pivoted(replace(system, first=0 * system.first, last=0 * system.last, tail=0 * system.tail))
+
+
+def test_what_grows_and_decays_along_a_chain_is_solved_to_round_off():
+    """Blocks of singular values from 1e-6 to 1e3 in directions that know nothing of each other, and rows over all."""
+    random, (count, d, m) = np.random.default_rng(0), (130, 3, 2)
+    turns = np.linalg.qr(random.normal(size=(2, count, d, d)))[0]
+    blocks = turns[0] * 10.0 ** random.uniform(-6, 3, (count, 1, d)) @ turns[1]
+    first = np.vstack([np.eye(d, count * d), random.normal(size=(m, count * d))])
+    last = -np.eye(d + m, d)
+    system = Linearised(blocks, random.normal(size=(count, d, m)), first, last, random.normal(size=(d + m, m)))
+    rows, matrix = random.normal(size=count * d + m), system.matrix()
+    step = pivoted(system)(rows)
+    assert np.abs(matrix @ step + rows).max() < 1e-14 * (np.abs(matrix) @ np.abs(step)).max()
 
 
 @pytest.mark.parametrize(("name", "key"), [("vdp-100", "period_quad"), ("steinmetz-larter", "period_quad")])
@@ -298,8 +321,18 @@ def test_a_family_grows_stiff_and_is_closed_by_the_second_integrator_on_the_way(
 def test_a_family_is_followed_kept_and_verified(tmp_path):
     problem = of.Problem(van_der_pol(1), of.Guess([2.0, 0.0], 6.7), name="relaxation", method="collocation")
     settings = of.FamilySettings(directions="forward", longest_step=0.8)
+    batches = []
+
+    def stopped(batch):
+        batches.append(batch)
+        if len(batches) == 5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        of.follow_family(problem, "mu", until=10.0, at=[5.0], settings=settings, out=tmp_path, progress=stopped)
     family = of.follow_family(problem, "mu", until=10.0, at=[5.0], settings=settings, out=tmp_path)
     assert family.ends[-1].kind == "target"
+    assert [point.value for point in family.points[1:5]] == [batch.points[-1].value for batch in batches[:4]]
     assert abs(family.points[-1].period - float(ROAD["vdp-10"]["period_quad"])) < 1e-11
     five = next(point for point in family.points if point.value == 5.0)
     assert abs(five.period - 11.612230667719588) < 1e-11
@@ -308,6 +341,39 @@ def test_a_family_is_followed_kept_and_verified(tmp_path):
     assert loaded.curve["method"] == "collocation"
     again = of.follow_family(problem, "mu", until=10.0, at=[5.0], settings=settings, out=tmp_path)
     assert [point.period for point in again.points] == [point.period for point in family.points]
+
+
+@pytest.mark.slow
+def test_events_of_a_neuron_do_not_depend_on_units_and_phase():
+    """Morris and Lecar's fold of cycles and its curve in two parameters, against shooting."""
+
+    def neuron(units):
+        def field(t, x, p):
+            v, w = x[0] / units[0], x[1] / units[1]
+            opened, wanted = (1 + ca.tanh((v + 1.2) / 18)) / 2, (1 + ca.tanh((v - 2) / 30)) / 2
+            rate = (p[0] - 2 * (v + 60) - 4.4 * opened * (v - 120) - 8 * w * (v + 84)) / 20
+            return [units[0] * rate, units[1] * p[1] * (wanted - w) * ca.cosh((v - 2) / 60)]
+
+        return of.ode(field, ["V", "w"], {"I": 214.0, "phi": 0.04})
+
+    base = of.find_orbit(of.Problem(neuron((1.0, 1.0)), of.Guess([0.0, 0.4], 74.0)))
+    seen, curved = [], []
+    for method, units, phase in (("shooting", (1.0, 1.0), 0.0), ("collocation", (1.0, 1.0), 0.0),
+                                 ("collocation", (1e-3, 1e3), 0.37), ("collocation", (1e3, 1e-3), 0.7)):  # fmt: skip
+        model, state = neuron(units), base.samples[int(phase * len(base.samples))] * units
+        plain = units == (1.0, 1.0)
+        settings = of.FamilySettings(method=method, directions="forward", first_step=0.1, points=16, certify=plain)
+        family = of.follow_family(of.Problem(model, of.Guess(list(state), base.period)), "I", settings=settings)
+        assert [event.kind for event in family.events] == ["fold", "stability_change"]
+        seen.append([family.events[0].parameter, family.events[0].period])
+        if not plain:
+            continue
+        assert all(event.certified for event in family.events)
+        settings = of.FamilySettings(directions="forward", points=1, certify=False)
+        curve = of.follow_curve(family, 0, ("phi", "I"), at=[0.0405], settings=settings, model=model)
+        curved.append(next(point for point in curve.points if point.value == 0.0405).free["I"])
+    assert np.allclose(seen, seen[0], rtol=2e-12, atol=0.0), seen
+    assert abs(curved[0] / curved[1] - 1) < 2e-12
 
 
 def test_a_doubling_and_the_branch_there():
