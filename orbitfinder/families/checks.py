@@ -186,6 +186,8 @@ class Sides:
     """the orbits twice as far on both sides, where a parabola through the nearer ones is not enough"""
     parameter: str = ""
     """what the family is followed in"""
+    farthest: bool = False
+    """whether none are farther"""
 
     def zero(self, measure: Measure, sharp: bool = True, within: float = SHARP) -> Reading:
         """What a measure says: it is to vanish here, `within` so much of a step, and to change its sign, if it is
@@ -283,6 +285,12 @@ class Sides:
         known = 8 * np.finfo(float).eps * abs(middle)
         return bool(min(low - middle, high - middle) > known or max(low - middle, high - middle) < -known)
 
+    def passes(self, name: str) -> bool:
+        """Whether a quantity goes on, beyond round-off."""
+        low, middle, high = self.values(name)
+        known = 8 * np.finfo(float).eps * abs(middle)
+        return bool((low - middle) * (middle - high) > 0 and min(abs(low - middle), abs(high - middle)) > known)
+
     def bends(self, name: str) -> bool:
         """Whether a quantity goes as a parabola through four orbits beside this, however little it does."""
         if not self.outer:
@@ -344,8 +352,8 @@ def _turned(sides: Sides, parameter: str) -> Reading:
     if passage.passed and sides.turning(parameter).passed:
         return passage
     passage = sides.zero(level, within=DOUBTFUL)
-    turns = sides.bends(parameter) or not (sides.here.about.conservative or sides.crossed)
-    return replace(passage, passed=passage.passed and turns)
+    still = sides.farthest and not (sides.here.about.conservative or sides.crossed or sides.passes(parameter))
+    return replace(passage, passed=passage.passed and (still or sides.bends(parameter)))
 
 
 def fold_side(sides: Sides, event: Event) -> str:

@@ -86,7 +86,7 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float, paramete
             ]  # fmt: skip
             before, middle, after = looks[outer : len(looks) - outer]
             sides = Sides(before, here, middle, after, share * step, step, looks[:: len(looks) - 1] if outer else (),
-                          parameter)  # fmt: skip
+                          parameter, share == SHARES[-1][0])  # fmt: skip
             result = kind.check(sides, event)
             check(f"EventKind {event.kind!r}, check", "Reading", result)
         except (ConvergenceError, IntegrationError) as error:
