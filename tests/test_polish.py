@@ -89,7 +89,7 @@ def test_the_action_is_taken_from_equal_times_where_they_tell_it(report_orbits):
     assert loop_action(model, flow, orbit.nodes, times[few], states[few]) == pytest.approx(wanted, rel=1e-13)
 
 
-def test_steps_that_leave_the_numbers_are_too_long():
+def test_equal_steps_that_leave_the_numbers_are_halved():
     """x' = -x^3 from 10: 8 steps a unit of time overflow, more do not; what is singular is still told."""
     x = ca.SX.sym("x")
     none = [ca.SX.sym(name, 0) for name in ("s", "free")]

@@ -380,9 +380,9 @@ def shaken(later):
 
 CLOCKS = {
     "brusselator": (lambda _: of.systems.brusselator(rate=2.5), [1.4, 3.0], 6.6, ("rate", 2.7)),
-    "peroxidase": (lambda _: of.ode(lambda t, x, p: peroxidase(x), ["A", "B", "X", "Y"]), [2.5, 5.6, 0.024, 1.4], 16.0, None),
-    "observed": (lambda _: of.ode(lambda t, x, p: observed(x, p[0]), list("xyzw"), {"b": 2.5}), [1.4, 3.0, 1.0, 0.0], 6.6,
-                 ("b", 2.7)),
+    "peroxidase": (lambda _: of.ode(lambda t, x, p: peroxidase(x), list("ABXY")), [2.5, 5.6, 0.024, 1.4], 16.0, None),
+    "observed": (lambda _: of.ode(lambda t, x, p: observed(x, p[0]), list("xyzw"), {"b": 2.5}),
+                 [1.4, 3.0, 1.0, 0.0], 6.6, ("b", 2.7)),
     "shaken": (shaken, [0.4, 0.1], 2 * np.pi, ("a", 0.6)),
 }  # fmt: skip
 

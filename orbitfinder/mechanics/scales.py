@@ -26,8 +26,8 @@ ALIKE = 16.0
 """Lengths that differ by less than this factor are measured alike."""
 
 STILL = 1e-12
-"""A component of a first-order state that is less than this share of another is its round-off, not of smaller units, but
-for one that is `acting`."""
+"""A component of a first-order state that is less than this share of another is its round-off, not of smaller units,
+but for one that is `acting`."""
 
 FELT, LOOKED_AT = 1e-8, 8
 """Relative changes that are more than round-off; states at which it is asked whether they are felt"""
@@ -266,11 +266,14 @@ def acting(rates: Callable[[np.ndarray], np.ndarray], states: np.ndarray) -> Act
         asked, idle = small & ~(np.ptp(few, axis=0) < least), small.copy()
         now = rates(few)
         jolted = few * (1.0 + FELT * (-1.0) ** np.arange(small.size))
+        most = FELT * np.abs(now).max(axis=0)
         while True:
-            offset = 2 * rates(np.where(idle, few / 2, few)) - now
-            noise = 2 * rates(np.where(idle, jolted / 2, jolted)) - rates(jolted) - offset
-            driven = np.abs(offset).max(axis=0) > np.abs(noise).max(axis=0)
-            more = asked & idle & (driven | _felt(rates, few, now, asked & idle, ~idle))
+            more = _felt(rates, few, now, asked & idle, ~idle)
+            if not more.any():  # who is felt is no constant of the others
+                offset = 2 * rates(np.where(idle, few / 2, few)) - now
+                noise = 2 * rates(np.where(idle, jolted / 2, jolted)) - rates(jolted) - offset
+                driven = np.abs(offset).max(axis=0) > np.maximum(np.abs(noise).max(axis=0), most)
+                more = asked & idle & driven
             if not more.any():
                 return asked & ~idle
             idle &= ~more
@@ -284,7 +287,7 @@ def _felt(
     now: np.ndarray,
     asked: np.ndarray,
     moving: np.ndarray,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Whose halves (a mask d) change the rates `now` (k x d) of those that are moving."""
     felt, most = np.zeros(asked.size, bool), FELT * np.abs(now).max(axis=0)
     for k in np.flatnonzero(asked):
