@@ -85,9 +85,7 @@ def structure(
     size = given["mass"].shape[0]
     for name, matrix in given.items():
         if matrix.shape != (size, size):
-            raise InputError(
-                f"{name}: shape {matrix.shape}, but mass is {size} x {size}; give them one size"
-            )
+            raise InputError(f"{name}: shape {matrix.shape}, but mass is {size} x {size}; give them one size")
     m, k = (_symmetric(name, given[name]) for name in ("mass", "stiffness"))
     c = given.get("damping", sparse.csc_matrix((size, size)))
     written = _Written(size, names, parameters or {})
