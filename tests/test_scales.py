@@ -73,7 +73,7 @@ def cycle():
 def branch():
     """Events and ends of the neuron's family as it is told in mV, from its own instant."""
     model, parameter, orbit = cycle()
-    return seen(model, orbit.state, orbit.period, parameter)
+    return seen(model, orbit.state, orbit.period, parameter, settings=PLAIN)
 
 
 def at_phase(model, orbit, share):
