@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -14,6 +15,7 @@ import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError, LimitError
 from orbitfinder.families import folder as family_folder
+from orbitfinder.families.checks import Probe, Sides
 from orbitfinder.families.diagram import happened, load_diagram, verified, within
 from orbitfinder.records.family import End
 from orbitfinder.records.registry import load
@@ -358,3 +360,19 @@ def test_the_command(tmp_path):
     file.write_text(table + "search = { period = [1.0, 9.0] }\n")
     done = CliRunner().invoke(cli, words)
     assert done.exit_code == 2 and "guess: missing; give the state near an equilibrium" in done.stderr
+
+
+def test_what_is_read_there_is_known_as_well_as_it_is_read_again():
+    """Where the integration's own error is too coarse a bound: the farthest of five other readings, not one of them."""
+    curve = SimpleNamespace(equations=SimpleNamespace(links=None))
+
+    def probe(value, **known):
+        made = Probe(curve, None)
+        made.__dict__.update(about=value, **known)
+        return made
+
+    here = probe(0.02, tour=True, doubted=[0.021, 0.035, 0.012], coarser=0.0201)
+    sides = Sides(probe(-1.0), here, probe(0.008), probe(1.0), apart=3e-4, step=1.0)
+    read = sides.zero(lambda look: look.about, within=0.0)
+    assert read.error == pytest.approx(0.015) and not read.passed  # the coarser integration alone says 1e-4
+    assert sides.zero(lambda look: look.about, within=4e-6).passed

@@ -197,9 +197,11 @@ class Sides:
         slope = abs(high - low) * self.step / (2 * self.apart)
         noise, most = 0.0, DOUBTFUL * slope if sharp else min(abs(low), abs(high))
         if self.here.__dict__.get("tour"):
-            noise = max(SAFETY * abs(measure(_as(self.here, about)) - value) for about in self.here.doubted)
-            if noise > most and not self.here.curve.equations.links:
-                noise = abs(measure(_as(self.here, self.here.coarser)) - value)
+            doubted = [_as(self.here, about) for about in self.here.doubted]
+            noise = max(SAFETY * abs(measure(each) - value) for each in doubted)
+            if noise > most and not self.here.curve.equations.links:  # told by how far all other readings of it are
+                again = (_as(self.here, self.here.coarser), self.middle, *doubted)
+                noise = max(abs(measure(each) - value) for each in again)
         sure = low * high < 0 and noise <= most
         read = Reading(value, noise + within * slope, bool(sure and abs(value) <= noise + within * slope))
         return self._barred(read, (abs(value) + noise) * self.step / nonzero(slope))
