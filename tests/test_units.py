@@ -363,7 +363,7 @@ def peroxidase(x):
 
 
 def observed(x, b):
-    """A chemical clock, what only follows it, and what lies in a plane that it never leaves."""
+    """A chemical clock, and what only follows it."""
     return [
         1 + x[0] ** 2 * x[1] - (b + 1) * x[0],
         b * x[0] - x[0] ** 2 * x[1],
@@ -381,8 +381,8 @@ def shaken(later):
 CLOCKS = {
     "brusselator": (lambda _: of.systems.brusselator(rate=2.5), [1.4, 3.0], 6.6, ("rate", 2.7)),
     "peroxidase": (lambda _: of.ode(lambda t, x, p: peroxidase(x), list("ABXY")), [2.5, 5.6, 0.024, 1.4], 16.0, None),
-    "observed": (lambda _: of.ode(lambda t, x, p: observed(x, p[0]), list("xyzw"), {"b": 2.5}),
-                 [1.4, 3.0, 1.0, 0.0], 6.6, ("b", 2.7)),
+    "observed": (lambda _: of.ode(lambda t, x, p: observed(x, p[0]), list("xyz"), {"b": 2.5}),
+                 [1.4, 3.0, 1.0], 6.6, ("b", 2.7)),
     "shaken": (shaken, [0.4, 0.1], 2 * np.pi, ("a", 0.6)),
 }  # fmt: skip
 

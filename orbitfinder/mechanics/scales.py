@@ -275,7 +275,7 @@ def acting(rates: Callable[[np.ndarray], np.ndarray], states: np.ndarray) -> Act
                 driven = np.abs(offset).max(axis=0) > np.maximum(np.abs(noise).max(axis=0), most)
                 more = asked & idle & driven
             if not more.any():
-                return asked & ~idle
+                return np.asarray(asked & ~idle)
             idle &= ~more
 
     return acts
