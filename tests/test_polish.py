@@ -69,7 +69,7 @@ def test_equal_steps_stand_where_graded_ones_take_too_many(monkeypatch):
     np.testing.assert_array_equal(end_of(flow, start, span, tail_of(flow), 25), equal[-1])
 
 
-def test_steps_that_leave_the_numbers_are_too_long():
+def test_graded_steps_that_leave_the_numbers_are_too_long():
     """y' = -50 y^3 from 10 explodes in steps of 1/8 s; graded ones end at 10 / sqrt(1 + 10^4 t)."""
     t, y, s, free = ca.SX.sym("t"), ca.SX.sym("y", 2), ca.SX.sym("s", 0), ca.SX.sym("free", 0)
     field = ca.Function("field", [t, y, s, free], [-50 * y**3])

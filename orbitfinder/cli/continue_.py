@@ -190,7 +190,8 @@ def event_words(event: Event, parameter: str, system: Mapping[str, Any]) -> str:
     """An event in words: kind, where with its error bar, period."""
     kind = f"{event.kind} {event.detail}".replace("_", " ").strip()
     known = "" if event.error is None else f" (+- {event.error:.1g})"
-    return f"{kind} at {parameter} {with_unit(event.parameter, parameter)}{known}, period {lasting(event.period, system, 6)}"
+    value, period = with_unit(event.parameter, parameter), lasting(event.period, system, 6)
+    return f"{kind} at {parameter} {value}{known}, period {period}"
 
 
 def with_unit(value: float, parameter: str) -> str:
