@@ -26,6 +26,7 @@ from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.registry import end_kind
 from orbitfinder.families.rest_starts import find_equilibria
+from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.certificate import Certificate, Check, at_most, equal
@@ -265,6 +266,7 @@ def leaving(record: Equilibria | Family) -> list[int]:
     return [k for k, kind in enumerate(kinds) if kind.branches and kind.critical]
 
 
+@one_thread()
 def diagram(
     model: Model, state: Sequence[float] | np.ndarray | None, parameter: str, until: float, *, depth: int = 2,
     points: int = 400, coordinate: str | None = None, box: Mapping[str, Sequence[float]] | None = None,

@@ -25,6 +25,7 @@ from orbitfinder.families.run import Run, first_point, in_scales
 from orbitfinder.families.start import Start, begin, curve_of, entry_of, unknown_parameters
 from orbitfinder.families.verified import checked
 from orbitfinder.integrate.equations import prepare
+from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.loops.continued import Curve
 from orbitfinder.loops.problem import Problem
 from orbitfinder.loops.symmetry import turned
@@ -63,6 +64,7 @@ Asked = tuple[int, float | None, tuple[float, ...]]
 Origin = str | Path | Orbit | Problem | Start | Branch
 
 
+@one_thread()
 def follow_family(
     origin: Origin,
     parameter: str | None = None,

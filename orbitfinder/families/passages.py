@@ -96,6 +96,7 @@ def located(interval: Interval, measure: Measure, low: float, high: float) -> Sa
         return interval.sample((low, high)[int(abs(ends[1]) < abs(ends[0]))])
     sample = interval.sample(zero(value, low, high, LOCATION))
     if interval.crossed(sample):
+        sample = replace(sample, whole=interval.heading(sample.distance))  # its rows tell neither family's tangent
         with suppress(ConvergenceError, IntegrationError):  # as of a step that is too short to look beyond
             return _across(interval, measure, sample)
     return sample

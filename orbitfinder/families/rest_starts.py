@@ -18,6 +18,7 @@ from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, c
 from orbitfinder.families.equilibrium import Equilibrium
 from orbitfinder.families.rest_certificate import NOISE, Judge
 from orbitfinder.families.rest_problem import AtRest, eigenvalues, regular, without_noise
+from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.integrate.jets import Jets, at_rest
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.newton import Settings, equilibrium
@@ -110,6 +111,7 @@ def _rested(model: Model, state: np.ndarray) -> np.ndarray:
     return state
 
 
+@one_thread()
 def find_equilibria(
     model: Model, box: Mapping[str, Sequence[float]], parameter: str | None = None, starts: int = 100, seed: int = 0
 ) -> list[Equilibrium]:

@@ -223,9 +223,9 @@ def _event(family: Family, curve: Curve, event: Event) -> Check:
         if old is not None and old.criticality and old.criticality != again.criticality:
             raise ConvergenceError(f"recorded as {old.criticality}, found {again.criticality or 'neither'}")
         bars = (again.parameter_error, event.error), (again.period_error, event.period_error)
-        for found, told in bars:
-            if found is not None and told is not None and not told >= SHARPER * found:
-                raise ConvergenceError(f"an error bar is recorded as {told:.1g}, found {found:.1g}")
+        for now, told in bars:
+            if now is not None and told is not None and not told >= SHARPER * now:
+                raise ConvergenceError(f"an error bar is recorded as {told:.1g}, now {now:.1g}")
     except (ConvergenceError, IntegrationError) as error:
         return refused(event.kind, error, float("nan"))
     return at_most(event.kind, abs(again.value), again.error, event.detail, again.passed)

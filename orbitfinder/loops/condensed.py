@@ -171,8 +171,8 @@ def _chained(opened: ctypes.CDLL, system: Linearised, columns: np.ndarray) -> So
         full = np.zeros(count * whole + extra)
         full[: (count - 1) * whole].reshape(-1, whole)[:, :size] = right[: cut - size].reshape(-1, size)
         full[(count - 1) * whole : (count - 1) * whole + rows] = right[cut - size :]
-        found = -chain.solve(full)
-        return np.append(found[: count * whole].reshape(-1, whole)[:, :size], found[count * whole :])
+        answer = -chain.solve(full)
+        return np.append(answer[: count * whole].reshape(-1, whole)[:, :size], answer[count * whole :])
 
     return solve
 

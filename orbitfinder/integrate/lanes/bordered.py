@@ -45,9 +45,9 @@ class Bordered:
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """matrix^-1 right (N d + m)."""
-        found, (kept, order, work) = np.array(right, float), self._places()
-        self._opened.solved(ctypes.byref(self._raw), kept, order, found.ctypes.data, work)
-        return found
+        answer, (kept, order, work) = np.array(right, float), self._places()
+        self._opened.solved(ctypes.byref(self._raw), kept, order, answer.ctypes.data, work)
+        return answer
 
 
 def chains() -> ctypes.CDLL | None:
