@@ -18,7 +18,7 @@ from scipy.optimize import minimize_scalar
 from orbitfinder._runtime.arguments import check
 from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.families.run import Interval, Sample, ahead, is_real, real_indices
+from orbitfinder.families.run import JUNCTION, Interval, Sample, ahead, is_real, real_indices
 from orbitfinder.families.stability import matching
 from orbitfinder.loops.continued import crossed
 
@@ -26,6 +26,8 @@ LOCATION = 2e-11
 """Arclength within which an event is located."""
 TOLD = 1e-4
 """Smallest singular value, relative to the next, with which an orbit is known to 1e-10 beside a crossing family."""
+WIDER = (1, 2, 4)
+"""Times the usual way from a crossing at which orbits are looked for that can be told from the family that crosses"""
 STRAIGHT = 0.02
 """Share of the little way past a crossing family by which a measure that vanishes there is off its straight line."""
 UNTOLD = 1e-3
@@ -114,8 +116,11 @@ def zeros(interval: Interval, tests: Iterable[Test]) -> Iterator[tuple[Sample, T
 
 def _across(interval: Interval, measure: Measure, near: Sample) -> Sample:
     """The orbit `near` a crossing of two families at which a measure vanishes, as orbits on both sides tell."""
-    about = interval.about(near.distance)
-    if any(crossed(interval.curve, end.solution, TOLD) for end in (about.first, about.last)):
+    for wide in WIDER:
+        about = interval.about(near.distance, wide * JUNCTION)
+        if not any(crossed(interval.curve, end.solution, TOLD) for end in (about.first, about.last)):
+            break
+    else:
         return near  # the families part too slowly
 
     def sample(distance: float) -> Sample:
