@@ -24,10 +24,9 @@ from orbitfinder.loops.continued import crossed
 
 LOCATION = 2e-11
 """Arclength within which an event is located."""
-TOLD = 1e-4
-"""Smallest singular value, relative to the next, with which an orbit is known to 1e-10 beside a crossing family."""
-WIDER = (1, 2, 4)
-"""Times the usual way from a crossing at which orbits are looked for that can be told from the family that crosses"""
+TOLD, WIDER = 1e-4, (1, 2, 4)
+"""Smallest singular value, relative to the next, with which an orbit is known to 1e-10 beside a crossing family; times
+the usual way from a crossing at which orbits are looked for that are"""
 STRAIGHT = 0.02
 """Share of the little way past a crossing family by which a measure that vanishes there is off its straight line."""
 UNTOLD = 1e-3

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder._runtime.sizes import nonzero
+from orbitfinder._runtime.sizes import LEAST, nonzero
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.model import Model
 
@@ -241,7 +241,7 @@ def alone(
     turning = np.zeros(moved.size, bool) if angular is None else angular
     largest = np.where(turning, moved[turning].max(initial=0.0), moved[~turning].max(initial=0.0))
     moves = moved > STILL * largest
-    if acts is not None and (small := ~moves & (moved > 0.0)).any():
+    if acts is not None and (small := ~moves & (moved > LEAST)).any():
         moves |= acts(small)
     shares = np.where(moves, moved, share * largest)
     return np.where(np.isfinite(largest) & (largest > 0.0), shares, 1.0)
@@ -257,7 +257,7 @@ def acting(rates: Callable[[np.ndarray], np.ndarray], states: np.ndarray) -> Act
     """Which small components of a motion (k x d) act, by the rates (k x d) of states: in whatever units they are told.
 
     Half of it is felt by the rate of another that moves, or it is driven by those: its rate is not in proportion to it.
-    The round-off of what stays at 0, such as in a plane that is invariant, is neither.
+    The round-off of what stays at 0, such as in a plane that is invariant or on a section, is neither.
     """
 
     def acts(small: np.ndarray) -> np.ndarray:
@@ -267,6 +267,9 @@ def acting(rates: Callable[[np.ndarray], np.ndarray], states: np.ndarray) -> Act
         now = rates(few)
         jolted = few * (1.0 + FELT * (-1.0) ** np.arange(small.size))
         most = FELT * np.abs(now).max(axis=0)
+        if len(few) > 1:  # what stays though its rate would move it, as on a section, is held at 0
+            paces = np.abs(now).max(axis=0) / nonzero(np.ptp(few, axis=0))
+            asked &= paces <= paces[~small].max(initial=0.0) / STILL
         while True:
             more = _felt(rates, few, now, asked & idle, ~idle)
             if not more.any():  # who is felt is no constant of the others
