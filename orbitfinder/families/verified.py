@@ -225,7 +225,7 @@ def _event(family: Family, curve: Curve, event: Event) -> Check:
         bars = (again.parameter_error, event.error), (again.period_error, event.period_error)
         for now, told in bars:
             if now is not None and told is not None and not told >= SHARPER * now:
-                raise ConvergenceError(f"an error bar is recorded as {told:.1g}, now {now:.1g}")
+                raise ConvergenceError(f"an error bar is recorded as {told:.1g}, found {now:.1g}")
     except (ConvergenceError, IntegrationError) as error:
         return refused(event.kind, error, float("nan"))
     return at_most(event.kind, abs(again.value), again.error, event.detail, again.passed)
