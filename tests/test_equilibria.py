@@ -276,7 +276,7 @@ CYCLES = [
 
 
 NAMED = [
-    pytest.param(*case, id=name, marks=[pytest.mark.slow] if name in "mhw" else [])
+    pytest.param(*case, id=name, marks=[pytest.mark.slow] if name in "mhwb" else [])
     for case, name in zip(CYCLES, "bmhlw", strict=True)
 ]
 

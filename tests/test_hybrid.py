@@ -731,6 +731,7 @@ def test_a_simulation_that_would_never_end_is_given_up(walker):
         of.simulate(of.chain(1), [0.1, 0.0], 1e300)
 
 
+@pytest.mark.slow
 def test_five_links_without_a_torso_are_four():
     """The same gait, multipliers and all, as the kneed walker's; a torso below nothing is refused."""
     four, five = kneed_walker(), five_link_walker(torso_mass=0.0)

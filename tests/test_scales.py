@@ -106,6 +106,7 @@ def test_a_neuron_from_any_instant(eighth):
     agree(branch(), seen(model, at_phase(model, orbit, eighth / 8), orbit.period, parameter, settings=PLAIN))
 
 
+@pytest.mark.slow
 def test_a_neuron_from_another_orbit():
     model, parameter, orbit = cycle()
     near = of.follow_family(orbit, parameter, until=150.0, model=model, settings=PLAIN).points[-1]

@@ -216,19 +216,28 @@ def _event(family: Family, curve: Curve, event: Event) -> Check:
         before, after = _neighbours(family, event)
         _told(family, curve, event, abs(after.value - before.value), abs(after.energy - before.energy))
         along = (_head(after) - _head(before)) * (1.0 if event.arclength >= 0 else -1.0)
-        again = _read_again(curve, event, along, after.arclength - before.arclength, family.parameter)
-        old = event.check
+        step, old = after.arclength - before.arclength, event.check
+        again = _read_again(curve, event, along, step, family.parameter)
         if old is not None and not (old.passed and abs(old.value - again.value) <= old.error + again.error):
             raise ConvergenceError(f"recorded as {old.value:.3g} +- {old.error:.1g}, found {again.value:.3g}")
         if old is not None and old.criticality and old.criticality != again.criticality:
             raise ConvergenceError(f"recorded as {old.criticality}, found {again.criticality or 'neither'}")
-        bars = (again.parameter_error, event.error), (again.period_error, event.period_error)
-        for now, told in bars:
-            if now is not None and told is not None and not told >= SHARPER * now:
-                raise ConvergenceError(f"an error bar is recorded as {told:.1g}, found {now:.1g}")
+        sharper = _too_sharp(event, again)
+        if sharper and event.mesh.size:  # by its nodes it is known better than by its state alone
+            sharper = _too_sharp(event, reading(curve, event, along, step, family.parameter))
+        if sharper:
+            raise ConvergenceError(sharper)
     except (ConvergenceError, IntegrationError) as error:
         return refused(event.kind, error, float("nan"))
     return at_most(event.kind, abs(again.value), again.error, event.detail, again.passed)
+
+
+def _too_sharp(event: Event, again: Reading) -> str:
+    """What is wrong with the error bars of an event read again, or nothing."""
+    for now, told in ((again.parameter_error, event.error), (again.period_error, event.period_error)):
+        if now is not None and told is not None and not told >= SHARPER * now:
+            return f"an error bar is recorded as {told:.1g}, found {now:.1g}"
+    return ""
 
 
 def _read_again(curve: Curve, event: Event, along: np.ndarray, step: float, parameter: str) -> Reading:
