@@ -364,12 +364,7 @@ def peroxidase(x):
 
 def observed(x, b):
     """A chemical clock, and what only follows it."""
-    return [
-        1 + x[0] ** 2 * x[1] - (b + 1) * x[0],
-        b * x[0] - x[0] ** 2 * x[1],
-        x[0] - x[2],
-        (x[0] - 1.2) * x[3] - x[3] ** 3,
-    ]
+    return [1 + x[0] ** 2 * x[1] - (b + 1) * x[0], b * x[0] - x[0] ** 2 * x[1], x[0] - x[2]]
 
 
 def shaken(later):
