@@ -404,7 +404,8 @@ def _finish(
                 step = abs(reached[0].arclength - last.arclength) if reached else last.step
                 batch, last = checked(curve, batch, step, settings.parameter), (*reached, last)[0]
                 batch = batch_certified(curve, batch) if settings.certify else batch
-                if other := handed_over(folder, replace(journal, batches=tuple(batches)), run, batch.end, last):
+                known = replace(journal, batches=tuple(batches)) if batch.end else None
+                if known and (other := handed_over(folder, known, run, batch.end, last)):
                     journal, curve = other
                     batches, check = list(journal.batches), _independent(curve, settings)
                     waiting = [
