@@ -167,12 +167,12 @@ def happened(diagram: BifurcationDiagram, curve: DiagramCurve) -> Iterator[str]:
     forks = {fork.event: fork for fork in diagram.branchings if fork.file == curve.file}
     for k in told(curve.record):
         event, fork = curve.record.events[k], forks.get(k)
-        words = fork.words if fork else _told(curve, k)
+        words, colon, why = (fork.words if fork else _told(curve, k)).partition(": ")
         known = [_bar(getattr(event, "error", None))]
         if np.isfinite(lyapunov := getattr(event, "lyapunov", np.nan)):
             known.append(f", l1 = {lyapunov:.6g}{_bar(event.lyapunov_error)}")
         leads = f"; {fork.became} {', '.join(fork.leads)}".rstrip() if fork else ""
-        yield f"{words}{''.join(known)}{leads}"
+        yield f"{words}{''.join(known)}{colon}{why}{leads}"
     if isinstance(curve.record, Family):
         if why := curve.record.curve.get("method_reason"):
             yield f"by collocation: {why}"
