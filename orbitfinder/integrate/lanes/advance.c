@@ -35,28 +35,6 @@ static double norm2(const double *a, const double *b, ptrdiff_t n) {
   return sqrt(sum);
 }
 
-/* LU with the largest pivot of each column; 0 where there is none. */
-static int factored(double *a, ptrdiff_t *order, ptrdiff_t n) {
-  for (ptrdiff_t c = 0; c < n; c++) {
-    ptrdiff_t best = c;
-    for (ptrdiff_t r = c + 1; r < n; r++) if (fabs(a[r * n + c]) > fabs(a[best * n + c])) best = r;
-    order[c] = best;
-    if (!(fabs(a[best * n + c]) > 0)) return 0;
-    if (best != c) for (ptrdiff_t k = 0; k < n; k++) {
-      double x = a[c * n + k]; a[c * n + k] = a[best * n + k]; a[best * n + k] = x;
-    }
-    double inverse = 1.0 / a[c * n + c];
-    for (ptrdiff_t r = c + 1; r < n; r++) {
-      double share = a[r * n + c];
-      if (share == 0.0) continue;
-      share *= inverse;
-      a[r * n + c] = share;
-      for (ptrdiff_t k = c + 1; k < n; k++) a[r * n + k] -= share * a[c * n + k];
-    }
-  }
-  return 1;
-}
-
 static void solved(const double *a, const ptrdiff_t *order, double *b, ptrdiff_t n) {
   for (ptrdiff_t c = 0; c < n; c++) {
     double x = b[order[c]]; b[order[c]] = b[c]; b[c] = x;
@@ -256,7 +234,7 @@ static void row_units(const Work *o, const Standing *from, double level) {
 static int factored_with(const Work *o, const double *aim) {
   memcpy(o->matrix, o->kept, o->n * o->rows * sizeof(double));
   memcpy(o->matrix + o->n * o->rows, aim, o->n * sizeof(double));
-  return factored(o->matrix, o->order, o->n);
+  return eliminated(o->matrix, o->order, o->n, o->n, o->n);
 }
 
 /* Whether the mesh serves: no segment is steep; 2 where a step's error is stale, or the steps may be far too many. */

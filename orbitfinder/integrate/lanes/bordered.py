@@ -57,7 +57,8 @@ def chains() -> ctypes.CDLL | None:
 
 @lru_cache(maxsize=8)
 def _made(*_: str | None) -> ctypes.CDLL | None:
-    return attempted("bordered", lambda: library(source("bordered.c"), lambda path, new: _opened(path), None))
+    code = source("pivots.c") + source("bordered.c")
+    return attempted("bordered", lambda: library(code, lambda path, new: _opened(path), None))
 
 
 def _opened(path: Path) -> ctypes.CDLL:
