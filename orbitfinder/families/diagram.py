@@ -174,8 +174,8 @@ def happened(diagram: BifurcationDiagram, curve: DiagramCurve) -> Iterator[str]:
         leads = f"; {fork.became} {', '.join(fork.leads)}".rstrip() if fork else ""
         yield f"{words}{''.join(known)}{colon}{why}{leads}"
     if isinstance(curve.record, Family):
-        if why := curve.record.curve.get("method_reason"):
-            yield f"by collocation: {why}"
+        if reason := curve.record.curve.get("method_reason"):
+            yield f"by collocation: {reason}"
         for end in curve.record.ends:
             where = "" if end.parameter is None else f" at {diagram.parameter} {end.parameter:.9g}{_bar(end.error)}"
             yield f"ends: {end.kind}{where}" if where else f"ends: {end.kind}, {end.reason}"
