@@ -50,7 +50,7 @@ def times_round(orbit, k):
 
 
 @pytest.mark.parametrize("path", FEW, ids=lambda path: path.parent.name)
-@pytest.mark.parametrize("k", [2, 3, 7, 9, 31])
+@pytest.mark.parametrize("k", [2, 9, *(pytest.param(k, marks=pytest.mark.slow) for k in (3, 7, 31))])
 def test_a_multiple_of_the_period_is_rejected_by_name(path, k):
     """Odd multiples too: the motion is integrated to T/k, where a spline through samples was off by 1e-5."""
     orbit = of.load_orbit(path)

@@ -189,6 +189,14 @@ def saved(found, tmp_path):
     return save_orbit(found("straight"), tmp_path / "straight" / "orbit.json")
 
 
+@pytest.fixture(scope="module")
+def recorded(found, tmp_path_factory):
+    """The text of an orbit's file with its proof."""
+    file = save_orbit(found("straight"), tmp_path_factory.mktemp("recorded") / "orbit.json")
+    run("prove", file)
+    return file.read_text()
+
+
 def widened(ball, factor=1.0, radii=0.0):
     """A recorded ball with another radius, its centre moved by so many radii."""
     ball["value"] = str(Decimal(ball["value"]) + Decimal(radii * ball["radius"]))
@@ -255,11 +263,11 @@ def test_a_proof_is_not_written_into_another_orbit(found, saved):
         (lambda e: e["period"].update(value="1e999999999"), "period"),
     ],
 )
-def test_edited_record_is_rejected(saved, change, says, monkeypatch):
+def test_edited_record_is_rejected(recorded, tmp_path, change, says):
     """A claim edited by hand does not survive the replay."""
-    run("prove", saved)
-    document = json.loads(saved.read_text())
+    document = json.loads(recorded)
     change(document["proof"])
+    saved = tmp_path / "orbit.json"
     saved.write_text(json.dumps(document))
     result = run("verify", "--proof", saved)
     assert result.exit_code == 1
