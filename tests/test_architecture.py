@@ -73,16 +73,20 @@ def modules() -> dict[str, ast.Module]:
     return {dotted(path): ast.parse(path.read_text(encoding="utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}
 
 
-def imports(module: str) -> Iterator[tuple[str, str]]:
+@cache
+def imports(module: str) -> list[tuple[str, str]]:
     """(what it is imported from, the name), wherever in the file the import stands."""
+    found = []
     for node in ast.walk(modules()[module]):
         if isinstance(node, ast.Import):
-            yield from ((alias.name, "") for alias in node.names)
+            found += [(alias.name, "") for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{module}:{node.lineno}: relative import; write orbitfinder.…"
-            yield from ((node.module or "", alias.name) for alias in node.names)
+            found += [(node.module or "", alias.name) for alias in node.names]
+    return found
 
 
+@cache
 def needs(module: str) -> set[str]:
     """The modules of the package that a module imports."""
     found = set()

@@ -86,6 +86,7 @@ merge.merge_atlases(sys.argv[3:], sys.argv[2])
 """
 
 
+@pytest.mark.slow
 def test_a_killed_merge_takes_only_what_is_missing(whole, shards, tmp_path, monkeypatch):
     """kill -9 in the middle of the third atlas, and of the fourth of those that were left."""
     for turn in ("3", "4"):

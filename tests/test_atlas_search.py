@@ -121,6 +121,7 @@ def test_a_killed_worker_costs_nothing(task, triple, one, undisturbed, tmp_path)
     assert content(path) == content(undisturbed)
 
 
+@pytest.mark.slow
 def test_a_start_that_kills_its_workers_costs_one_start(task, triple, one, tmp_path, monkeypatch):
     monkeypatch.setattr(Murderous, "always", (2,))
     crew = Murderous(task, 2)
@@ -330,6 +331,7 @@ def test_a_mirror_is_imposed_declared_or_not(tmp_path, parts):
     assert all(certify(orbit, polar()).passed for orbit in mirrored)  # of a model that says nothing of it
 
 
+@pytest.mark.slow
 def test_the_wells_beside_a_barrier_are_searched(tmp_path):
     """Below the barrier at q = 0 (0.25 J) the search begins in a well. Period: gallery, double-well-inside."""
     well = build_model({"kind": "python", "function": "double_well", "arguments": {}})

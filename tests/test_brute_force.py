@@ -154,7 +154,8 @@ def test_families_end_at_the_hopf_points_of_50_digits(name, entry):
     assert not theirs
 
 
-@pytest.mark.parametrize("name", ["Rossler", pytest.param("hodgkin-huxley", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["Rossler", "hodgkin-huxley"])
 def test_what_is_kept_is_what_it_computes(name):
     """The same events and ends again."""
     for key, one in recorded(SYSTEMS[name])["directions"].items():
@@ -221,6 +222,7 @@ def told(events, kind, value):
     return SimpleNamespace(events=events, ends=(end,), points=(SimpleNamespace(value=value, arclength=0.0),))
 
 
+@pytest.mark.slow
 def test_the_fold_of_a_canard_is_found():
     """Along it the parameter moves by a few hundred round-offs in a twentieth of a step."""
     row = family_events.judged("FitzHugh, AUTO's fhn", KEPT["FitzHugh, AUTO's fhn"], 1)

@@ -60,7 +60,7 @@ def test_recursive_and_lagrange_agree(links):
     assert error.max() <= 1e-11
 
 
-@pytest.mark.parametrize("links", [1, 2, 5, 100, 1000])
+@pytest.mark.parametrize("links", [1, 2, 5, 100, pytest.param(1000, marks=pytest.mark.slow)])
 def test_the_recursion_agrees_with_an_independent_dense_mass_matrix(links):
     """Up to 1000 links the recursion agrees with a NumPy solve of the full mass matrix to 1e-10."""
     model = long_chain(links)

@@ -152,6 +152,7 @@ def test_search_without_success_writes_nothing(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_jobs_side_by_side_give_what_one_after_the_other_gives(tmp_path):
     """Three problems in two processes, one of them rejected: exit code 1, the others certified."""
     files = [problem(tmp_path, PENDULUM, "a.toml"), problem(tmp_path, WRONG, "b.toml")]

@@ -186,6 +186,7 @@ def test_stiff_cycles_of_the_road(name, key):
     assert orbit.provenance.get("method_reason", "").startswith("stiff" if name == "vdp-100" else "")
 
 
+@pytest.mark.slow
 def test_what_shooting_does_not_find_is_collocated():
     problem = of.Problem(van_der_pol(20), of.Guess([2.0, 0.0], 40.0))
     told = of.find_orbit(problem, of.SolveSettings(with_certificate=False)).provenance
@@ -214,6 +215,7 @@ def test_bursting_against_another_integrator():
     assert abs(orbit.period - 156.5755177223) < 1e-9
 
 
+@pytest.mark.slow
 def test_van_der_pol_at_10_and_1000():
     """Periods, amplitudes and error bars; the certificate at 1000 takes some seconds, and is among the slow tests."""
     for mu, period, amplitude in (
@@ -253,6 +255,7 @@ def test_shooting_and_collocation_agree(model, state, period):
     assert np.allclose(shot.floquet_multipliers, collocated.floquet_multipliers, rtol=1e-8, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_triple_pendulum_by_collocation():
     state = [0.207821287890159, 0.230046723844060, -1.448527525250897,
              -0.323636324707770, 0.146094757260416, 1.655339043727058]  # fmt: skip
@@ -377,6 +380,7 @@ def test_events_of_a_neuron_do_not_depend_on_units_and_phase():
     assert abs(curved[0] / curved[1] - 1) < 2e-12
 
 
+@pytest.mark.slow
 def test_a_doubling_and_the_branch_there():
     model, state = lorenz(232.0), [2.32713547, -13.22001488, 191.94267052]
     settings = of.FamilySettings(directions="backward", method="collocation")

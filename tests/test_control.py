@@ -190,6 +190,7 @@ def test_pick_and_place_to_ten_digits_of_the_continuous_optimum() -> None:
     assert abs(cost_of(pick(4.0, 720)) - float(REFERENCE["pick-place"]["k4_T2"])) < 1e-10
 
 
+@pytest.mark.slow
 def test_the_kept_amplitude_costs_what_parseval_says_and_meets_pontryagin() -> None:
     orbit = of.find_orbit(maintained())
     assert orbit.certificate is not None and orbit.certificate.passed and orbit.control is not None
@@ -272,6 +273,7 @@ def test_a_limit_that_is_met_has_the_sign_of_a_limit() -> None:
     assert "stationarity" in of.certify(replace(free, control=planted)).failures
 
 
+@pytest.mark.slow
 def test_what_holds_always_is_kept_and_looked_at_between() -> None:
     """A speed limit that is met for a while, with multipliers of its sign; power between too few points is refused."""
     control = of.Control("force**2", "linear", 20, tasks=(*PICK, of.Task("xdot", lowest=-2.6, highest=2.6)))
@@ -285,6 +287,7 @@ def test_what_holds_always_is_kept_and_looked_at_between() -> None:
     assert rough.certificate is not None and rough.certificate.failures == ("task: force * xdot always",)
 
 
+@pytest.mark.slow
 def test_a_spring_and_a_period_are_chosen_with_the_motion() -> None:
     free = replace(pick(4.0, 20), free=("stiffness",))
     free = replace(free, control=replace(free.control, final="0.5 * stiffness**2"))  # type: ignore[type-var]

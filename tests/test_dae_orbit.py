@@ -114,6 +114,7 @@ def test_forward_sensitivities_agree_with_the_reduced_variational_equations():
     assert np.abs(matrix - expected).max() < 1e-8 * np.abs(expected).max()
 
 
+@pytest.mark.slow
 def test_rocking_four_bar_has_the_period_of_the_quadrature():
     """Every regular motion of one degree of freedom is an orbit; maximal and minimal agree to 1e-9."""
     model = of.linkage(**FOUR_BAR)
@@ -141,7 +142,7 @@ def test_rotating_four_bar_has_the_period_of_the_quadrature():
     assert orbit.period == pytest.approx(rotating_period(model, level), abs=1e-9)
 
 
-@pytest.mark.parametrize("mode", [1, 2])
+@pytest.mark.parametrize("mode", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_five_bar_modes_agree_in_minimal_coordinates(mode):
     """Period and multipliers of maximal (24 states) and minimal (4) formulations agree to 1e-9; brake orbits."""
     model = of.linkage(**FIVE_BAR)
@@ -161,6 +162,7 @@ def test_five_bar_modes_agree_in_minimal_coordinates(mode):
     assert distance.max() < 1e-9
 
 
+@pytest.mark.slow
 def test_five_bar_about_a_saddle_is_unstable():
     """A Lyapunov orbit: one squared frequency is negative at the saddle, the multipliers are real and large."""
     model = of.linkage(**FIVE_BAR)
@@ -179,7 +181,7 @@ def test_five_bar_about_a_saddle_is_unstable():
     [
         pytest.param(1, 0.1, "elliptic", marks=pytest.mark.slow),
         pytest.param(2, 0.2, "elliptic", marks=pytest.mark.slow),
-        (2, 0.4, "unstable"),
+        pytest.param(2, 0.4, "unstable", marks=pytest.mark.slow),
     ],
 )
 def test_six_bar_modes(mode, amplitude, stability):
@@ -192,6 +194,7 @@ def test_six_bar_modes(mode, amplitude, stability):
     assert orbit.symmetry == "brake" and orbit.floquet_multipliers.size == 4 and orbit.stability == stability
 
 
+@pytest.mark.slow
 def test_linear_modes_are_the_small_orbits():
     """The period tends to 2 pi / omega with the square of the amplitude."""
     model = of.linkage(**FOUR_BAR)
@@ -204,6 +207,7 @@ def test_linear_modes_are_the_small_orbits():
     assert first / second == pytest.approx(4.0, rel=0.05)
 
 
+@pytest.mark.slow
 def test_baumgarte_multipliers_never_appear():
     """Another stabilisation, the same multipliers: those across the manifold are left out."""
     model = of.linkage(**FIVE_BAR)
@@ -240,7 +244,7 @@ def test_bad_input_is_refused(change, words):
         of.find_orbit(of.Problem(model, of.Guess(change.get("state", [0.7, 0, 0, 1]), 1.7)))
 
 
-LONG = {"six-bar-middle-mode", "five-bar-saddle"}
+LONG = {"six-bar-middle-mode", "six-bar-slow-mode", "five-bar-saddle", "five-bar-fast-mode", "four-bar-drag-link"}
 
 
 @pytest.mark.parametrize(
@@ -283,7 +287,7 @@ def test_bad_linkage_files_exit_2(system, guess, words, tmp_path):
     assert words in result.output and "Traceback" not in result.output
 
 
-@pytest.mark.parametrize("name", ["five-bar-fast-mode", "four-bar-rocking"])
+@pytest.mark.parametrize("name", [pytest.param("five-bar-fast-mode", marks=pytest.mark.slow), "four-bar-rocking"])
 def test_a_brake_orbit_under_constraints_on_half_its_period(name):
     """Rest at both ends of T/2, on the tangent space: the orbit that the full formulation finds."""
     problem = of.load_problem(FILES / f"{name}.toml")

@@ -193,6 +193,7 @@ def test_a_record_has_no_field_that_cannot_be_read(tmp_path, kind):
         codec.load(tmp_path / "rows.json")
 
 
+@pytest.mark.slow
 def test_a_family_that_is_finished_is_said_to_be_read(tmp_path, capfd):
     file = of.save_orbit(of.find_orbit(SWING), tmp_path / "orbit.json")
 

@@ -61,7 +61,9 @@ def moved(family, event, share=1e-4):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "kind"), PLANTED[:3])
+@pytest.mark.parametrize(
+    ("name", "kind"), [PLANTED[0], *(pytest.param(*one, marks=pytest.mark.slow) for one in PLANTED[1:3])]
+)
 def test_an_event_moved_or_renamed_is_rejected(name, kind, tmp_path):
     """The kinds that are most easily taken for each other."""
     rejected(name, kind, ("branch_point", "period_doubling"), tmp_path)

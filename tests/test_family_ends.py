@@ -75,6 +75,7 @@ def brusselator():
     return model, of.find_orbit(of.Problem(model, of.Guess([3.6, 1.3], 7.2)))
 
 
+@pytest.mark.slow
 def test_the_brusselator_ends_at_two_from_every_phase():
     """Its Hopf point is at rate = 1 + feed^2 with the frequency `feed`; 0.2.0 said step underflow from all of these."""
     model, orbit = brusselator()
@@ -284,6 +285,7 @@ def test_an_equilibrium_solved_for_in_a_parameter():
     assert rest.period == pytest.approx(2 * np.pi / np.sqrt(rest.value * 0.5 / (1 / 12 + 0.25)), rel=1e-11)
 
 
+@pytest.mark.slow
 def test_conservative_joins_from_both_sides():
     """The triple pendulum's second mode: a doubling, and branches that lose its reflection, its brake or both."""
     problem = of.load_problem(Path(__file__).parents[1] / "problems" / "families" / "triple-mode-2.toml")
@@ -463,7 +465,7 @@ def turning(kind):
     return lambda b: of.ode(field, ["x", "y", "z"], {"a": -0.05, "b": b})
 
 
-@pytest.mark.parametrize("kind", ["period_doubling", "torus"])
+@pytest.mark.parametrize("kind", ["period_doubling", pytest.param("torus", marks=pytest.mark.slow)])
 def test_the_side_to_which_what_is_born_is_born(kind, tmp_path):
     """Both signs, by exact normal forms; recorded, read and verified, and the other one rejected."""
     for b, wanted in ((-0.5, "supercritical"), (0.5, "subcritical")):

@@ -292,6 +292,7 @@ def oscillator():
     return lagrange(ca.dot(v, v) / 2, potential, symbols, names=["x", "y", "z"])
 
 
+@pytest.mark.slow
 def test_real_family_with_resonance_and_collision_in_one_step(tmp_path):
     """Long steps find what short ones do, the resonance in the same step as a collision included."""
     problem = Problem(oscillator(), Guess(np.array([0.5, 0, 0, 0, 0, 0]), 2 * np.pi), pin(energy=0.125), name="line")

@@ -185,6 +185,7 @@ def test_forced_first_order_system():
     assert orbit.floquet_multipliers == pytest.approx([np.exp(-np.pi)], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_components_of_units_of_their_own():
     """Volts, amperes and seconds a million times smaller: the same periods, certified alike."""
 
@@ -274,6 +275,7 @@ def test_rossler_family_doubles_where_its_multiplier_is_minus_one(tmp_path):
     assert branch.points[-1].period == pytest.approx(2 * doubling.period, rel=1e-2)
 
 
+@pytest.mark.slow
 def test_halo_orbits_leave_the_planar_family():
     """From the libration point: mode, planar family, branch points of the trial, and a switch that leaves the plane."""
     model = of.systems.restricted_three_body_canonical(ratio=0.01215057)

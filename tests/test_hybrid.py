@@ -200,6 +200,7 @@ def test_rows_have_the_derivatives_they_say(walker):
     assert np.allclose(matrix @ eliminated(system)(rows), -rows, atol=1e-7 * np.abs(rows).max())
 
 
+@pytest.mark.slow
 def test_period_doublings_of_the_walker(walker):
     """To period 2 and 4: located, certified, switched to; the slopes are those of the paper's cascade."""
     family = of.follow_family(walker, "slope", until=0.0165)

@@ -295,6 +295,7 @@ def test_a_trajectory_through_other_events_is_named(mirrored):
         of.find_orbit(walls(objective=lambda v: v["v"]))
 
 
+@pytest.mark.slow
 def test_a_sweep_of_mirrored_orbits_goes_warm():
     swept = of.sweep(walls(symmetry="mirror"), force=[1.0, 1.05, 1.1])
     for force, row in zip((1.0, 1.05, 1.1), swept.rows, strict=True):

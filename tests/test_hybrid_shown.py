@@ -66,6 +66,7 @@ def computed_again(found, name):
     assert state == pytest.approx(orbit.state, abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["kneed-walker"])
 def test_computed_again(found, name):
     computed_again(found, name)

@@ -65,7 +65,7 @@ def sure(certificate):
     return certificate is not None and certificate.passed
 
 
-@pytest.mark.parametrize("how", STOPS)
+@pytest.mark.parametrize("how", QUICK)
 def test_tori_that_were_found_stay(tmp_path, monkeypatch, how):
     stopped_at(monkeypatch, driver, "advanced", 2, how)
     done = ran("torus", LOOP, "--until", "0.2071", "--limit", 3600, "-o", tmp_path)
@@ -89,7 +89,7 @@ def test_optima_that_were_found_stay(tmp_path, monkeypatch, how):
     assert len(found) == 2 and found.end == "stopped" and all(sure(one.certificate) for one in found)
 
 
-@pytest.mark.parametrize("how", STOPS)
+@pytest.mark.parametrize("how", QUICK)
 def test_swept_orbits_stay(tmp_path, monkeypatch, how):
     from orbitfinder.orbits import sweep
 
@@ -108,7 +108,7 @@ def test_swept_orbits_stay(tmp_path, monkeypatch, how):
         assert f"is kept in {folder / 'sweep.json'}" in done.stderr
 
 
-@pytest.mark.parametrize("how", STOPS)
+@pytest.mark.parametrize("how", QUICK)
 def test_the_crossings_of_a_section_stay(tmp_path, monkeypatch, how):
     from orbitfinder.structures import crossings
 
@@ -122,7 +122,7 @@ def test_the_crossings_of_a_section_stay(tmp_path, monkeypatch, how):
     assert abs(found.states[:, 0]).max() < 1e-12
 
 
-@pytest.mark.parametrize("how", STOPS)
+@pytest.mark.parametrize("how", QUICK)
 def test_a_controller_stays_when_its_trial_is_stopped(tmp_path, monkeypatch, how):
     from orbitfinder.control import basin
 
@@ -134,7 +134,7 @@ def test_a_controller_stays_when_its_trial_is_stopped(tmp_path, monkeypatch, how
     assert found.stabilised and sure(found.certificate) and found.basin is None
 
 
-@pytest.mark.parametrize("how", STOPS)
+@pytest.mark.parametrize("how", QUICK)
 def test_a_merge_keeps_the_atlases_it_has_taken(tmp_path, monkeypatch, how):
     from orbitfinder.atlas import merge
 
@@ -195,7 +195,7 @@ def calm(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("how", STOPS)
+@pytest.mark.parametrize("how", QUICK)
 def test_stopped_tori_go_on(calm, tmp_path, monkeypatch, how):
     """From where the signal came or the time was over: the same command ends with the file of an undisturbed run."""
     with monkeypatch.context() as patch:
@@ -304,7 +304,7 @@ def test_a_signal_ends_what_does_not_return_to_python(tmp_path, number, code):
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs POSIX signals")
-@pytest.mark.parametrize("command", ["run", "sweep"])
+@pytest.mark.parametrize("command", [pytest.param("run", marks=pytest.mark.slow), "sweep"])
 def test_the_limit_ends_what_does_not_return_to_python(tmp_path, command):
     more = ("--parameter", "stiffness=30") if command == "sweep" else ("--json",)
     with hanging(command, SPRING, "-o", tmp_path, "--limit", 3, *more) as running:
@@ -370,6 +370,7 @@ def test_every_verb_names_the_file_that_could_not_be_written(tmp_path, verb):
 # --- smaller things that hid or lost something
 
 
+@pytest.mark.slow
 def test_the_environment_names_no_backend(tmp_path):
     """`MPLBACKEND=nonsense`: a traceback, though no command ever opens a window."""
     words = [sys.executable, "-m", "orbitfinder", "plot", str(TRIPLE), "-o", str(tmp_path)]

@@ -101,6 +101,7 @@ def test_a_complex_quadruple_is_measured_by_its_radius():
     assert instability_of(matrix, 2, True)[0] == pytest.approx(0.25 * (3 + 1 / 3) ** 2)
 
 
+@pytest.mark.slow
 def test_min_instability_is_the_minimum_of_the_family():
     """The fast mode's index falls to 0 between -14 and -13 J (scan) and that is where the objective stops."""
     orbit = find_orbit(fast_mode(0.9, symmetry="brake", objective="min_instability", bounds={"energy": (-17.0, -10.0)}))
@@ -144,7 +145,7 @@ def test_min_instability_at_a_kink():
         assert np.abs(beside.floquet_multipliers + 1 / beside.floquet_multipliers).max() > indices[-1] + 1e-6
 
 
-@pytest.mark.parametrize("symmetry", ["none", "brake+reflection"])
+@pytest.mark.parametrize("symmetry", [pytest.param("none", marks=pytest.mark.slow), "brake+reflection"])
 def test_max_amplitude_is_the_maximum_of_the_family(symmetry):
     """The lower link swings widest between -9.5 and -8.5 J; t = 0 is at that peak."""
     wanted = {"objective": "max_amplitude", "coordinate": "theta2", "bounds": {"energy": (-12.0, -6.0)}}
@@ -170,6 +171,7 @@ def test_min_peak_rate_stops_at_the_bound_of_the_period():
     assert np.abs(longer.samples[:, 3]).max() > peak + 0.1
 
 
+@pytest.mark.slow
 def test_min_peak_rate_with_a_freed_length():
     """At -17 J the lower link of 0.60005 m turns most gently; lengths beside it are worse."""
     guess = of.guesses.normal_mode(DOUBLE, 1, 0.4)
@@ -322,6 +324,7 @@ def test_a_peak_away_from_rest_is_said():
         find_orbit(of.Problem(DOUBLE, guess, symmetry="brake", **wanted))
 
 
+@pytest.mark.slow
 def test_a_kink_is_where_the_objective_stops():
     """|energy + 18| has its least value at a kink, which no quasi-Newton method settles on: said with the place."""
     problem = fast_mode(0.5, symmetry="brake+reflection", objective=lambda v: ca.fabs(v["energy"] + 18.0) ** 0.5)

@@ -206,7 +206,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return done
 
 
-@pytest.mark.parametrize("lines", [1, 4, 6, 10])
+@pytest.mark.parametrize("lines", [1, 6, *(pytest.param(lines, marks=pytest.mark.slow) for lines in (4, 10))])
 def test_a_journal_cut_anywhere_ends_the_same(calm: Calm, tmp_path: Path, solved: list[str], lines: int) -> None:
     """Before, at and beyond a corner and where equations were stated anew; what it has is not solved again."""
     undisturbed, whole, count = calm

@@ -152,6 +152,7 @@ def test_page_weight_is_stated_and_true(site):
     assert float(stated.group(1)) == pytest.approx(sum((site / name).stat().st_size for name in own) / 1e6, abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_hundred_orbits_stay_below_six_megabytes(material):
     found = gather([material / "orbits"])
     made, summary = build_site(replace(found, orbits=found.orbits * 20))

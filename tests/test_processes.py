@@ -90,7 +90,7 @@ proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /p
     ("command", "way"),
     [
         ("run", "module"),
-        ("search", "installed"),
+        pytest.param("search", "installed", marks=pytest.mark.slow),
         pytest.param("run", "installed", marks=pytest.mark.slow),
         pytest.param("search", "module", marks=pytest.mark.slow),
     ],
@@ -126,7 +126,7 @@ def test_a_matplotlibrc_of_the_current_folder_is_not_read(tmp_path):
 @pytest.mark.parametrize(
     ("command", "number"),
     [
-        ("search", signal.SIGKILL),
+        pytest.param("search", signal.SIGKILL, marks=pytest.mark.slow),
         ("run", signal.SIGTERM),
         pytest.param("search", signal.SIGTERM, marks=pytest.mark.slow),
         pytest.param("run", signal.SIGKILL, marks=pytest.mark.slow),
@@ -202,7 +202,9 @@ def test_a_worker_that_dies_costs_its_job(tmp_path):
     assert out.count(": certified, ") == 5
 
 
-@pytest.mark.parametrize("close", ["2>&-", ">&- 2>&-", "<&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize(
+    "close", ["<&- >&- 2>&-", *(pytest.param(one, marks=pytest.mark.slow) for one in ("2>&-", ">&- 2>&-", "<&-"))]
+)
 def test_closed_streams_change_nothing(tmp_path, close):
     """As daemons start their children."""
     (file,) = problems(tmp_path, 1)
@@ -236,7 +238,13 @@ def test_a_full_disk_behind_a_stream_is_a_sentence(tmp_path, stream):
         assert running.returncode == 0 and "certified" in out
 
 
-@pytest.mark.parametrize("environment", [{"ORBITFINDER_CACHE": "~nosuchuser/x"}, {"HOME": "", "ORBITFINDER_CACHE": ""}])
+@pytest.mark.parametrize(
+    "environment",
+    [
+        pytest.param({"ORBITFINDER_CACHE": "~nosuchuser/x"}, marks=pytest.mark.slow),
+        {"HOME": "", "ORBITFINDER_CACHE": ""},
+    ],
+)
 def test_without_a_home_nothing_is_compiled_and_nothing_fails(tmp_path, environment):
     """A container's user has no home and no entry in passwd."""
     (file,) = problems(tmp_path, 1)

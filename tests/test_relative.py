@@ -140,6 +140,7 @@ def test_a_free_chain_in_two_sets_of_angles():
     assert other.winding == (0, one.winding[1])
 
 
+@pytest.mark.slow
 def test_five_swings_that_make_three_turns(pendulum):
     """A relative orbit whose shift is 3/5 of a turn closes after five periods: found both ways."""
     shifted = of.Constraint(lambda known: known.ends[-1][1] - known.start[1] - 6 * np.pi / 5)

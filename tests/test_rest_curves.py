@@ -183,7 +183,9 @@ def test_the_nerve_of_fitzhugh_and_nagumo(known):
             assert (point.normal_form["l1"] > 0) == (b > BAUTIN)
 
 
-@pytest.mark.parametrize("units", [(1e-6, 1e6, 1e6, 1e-6), (1e6, 1e-3, 1e-6, 1e6)])
+@pytest.mark.parametrize(
+    "units", [(1e-6, 1e6, 1e6, 1e-6), pytest.param((1e6, 1e-3, 1e-6, 1e6), marks=pytest.mark.slow)]
+)
 def test_units_change_nothing(known, units):
     """Components and parameters in other units: the same special points."""
     _, fold, hopf = known
@@ -198,6 +200,7 @@ def test_units_change_nothing(known, units):
         assert all(point.certified for point in other.points) and verified(other, model).passed
 
 
+@pytest.mark.slow
 def test_morris_lecar_in_current_and_half_activation():
     """Its Hopf curve: the trace is 0 by slopes written by hand; Bogdanov-Takens points by another program."""
 

@@ -202,6 +202,7 @@ def test_systems_without_a_section_or_an_energy_say_so():
         section(of.chain_dae(2), -10.0)
 
 
+@pytest.mark.slow
 def test_the_command_draws_and_tells(tmp_path):
     """From a problem file, with the numbers as JSON; a bad plane is exit code 2."""
     file = "problems/examples/double-mode-2.toml"
@@ -249,6 +250,7 @@ def test_frequencies_of_two_pendulums_are_exact(tmp_path):
         of.sections.draw_frequencies(found, model, tmp_path / "map.png", axes=("q", "a"))
 
 
+@pytest.mark.slow
 def test_chaos_diffuses_and_what_leaves_has_no_frequencies(henon_heiles):
     """At 1/8 the frequencies of chaotic motions change a hundred times more than those of the calmest islands."""
     model, made = of.systems.henon_heiles(), henon_heiles

@@ -305,6 +305,7 @@ def test_a_section_starts_motions_at_its_energy_and_shows_where_the_orbit_crosse
         tasks.cut(dict(native.system), -10.0, None)
 
 
+@pytest.mark.slow
 def test_a_search_that_is_killed_keeps_what_it_found_and_goes_on(tasks, session, tmp_path, monkeypatch):
     """The command line repeats it: the same orbits under the same ids."""
     from orbitfinder.atlas.store import Atlas

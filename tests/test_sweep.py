@@ -110,7 +110,7 @@ def test_a_sweep_that_is_cut_off_keeps_its_rows(duffing):
     assert found.rows[3].reason == "stopped after 3600 s (limit): 2 of 4 values are done"
 
 
-@pytest.mark.parametrize("workers", [2, 3])
+@pytest.mark.parametrize("workers", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_no_process_takes_the_name_of_anothers_orbit(duffing, workers):
     """Each numbered its own rows from 1, and the files of half the orbits were written over."""
     cubics = [2.0, 0.1, 1.0, 0.5, -0.3]
@@ -140,6 +140,7 @@ def test_processes_find_the_same(duffing):
     )
 
 
+@pytest.mark.slow
 def test_processes_know_what_an_orbit_closes_up_to():
     """A swinging spring that turns on by 167 degrees a period: no process finds it without `relative`."""
     problem = of.load_problem("problems/gallery/swinging-spring-turning.toml")
