@@ -111,23 +111,33 @@ class Spectrum:
 
 @dataclass(frozen=True)
 class RootFactors:
-    """The root map of an orbit factor by factor, reduced; `missed` is how far its factors are from symplectic."""
+    """The root map of an orbit factor by factor, reduced; `missed` is how far its factors are from symplectic, `whole`
+    their product on `basis` (columns), and the monodromy its power `root`."""
 
     product: Product
     missed: float
+    whole: np.ndarray
+    basis: np.ndarray
+    root: int
 
 
 def spectrum(curve: Curve, solution: Solution) -> Spectrum:
     """Reduced multipliers of a corrected orbit, composed from its segments and its symmetry."""
     p, place = curve.equations, solution.place
-    maps, bases, root = reduced_maps(curve, [solution])
-    reduced, basis = maps[0], bases[0]
+    chain = _chain(curve, solution) if p.gridded and not p.links else None
+    if chain is not None:
+        _flows(curve, [solution])
+        reduced, basis, root = chain.whole, chain.basis, chain.root
+    else:
+        maps, bases, root = reduced_maps(curve, [solution])
+        reduced, basis = maps[0], bases[0]
     conservative = keeps_pairs(curve, reduced)
-    whole = np.linalg.matrix_power(reduced, root)
-    floquet, chain = analyse(whole, conservative), None
-    values, vectors = np.linalg.eig(reduced)
-    if not p.links and (p.gridded or _lost(floquet, curve, solution)):
-        chain = _chain(curve, solution)
+    if chain is None:
+        floquet = analyse(np.linalg.matrix_power(reduced, root), conservative)
+        values, vectors = np.linalg.eig(reduced)
+        if not p.links and _lost(floquet, curve, solution):
+            chain = _chain(curve, solution)
+    if chain is not None:
         values, vectors = chain.product.values, np.zeros((0, 0))
         values = np.where(np.abs(values) < LARGEST, values, LARGEST)  # beyond the range of numbers
         floquet = judged(values**root, conservative)
@@ -139,7 +149,8 @@ def spectrum(curve: Curve, solution: Solution) -> Spectrum:
         upper = np.exp(1j * np.arccos(np.clip(indices.real / 2, -1.0, 1.0)))
         if chain is not None and any(map(_turning, [*floquet.multipliers, *upper])):
             vectors = chain.product.vectors
-        both = (values**root, vectors) if root == 1 or chain is not None else np.linalg.eig(whole)
+        alone = root == 1 or chain is not None
+        both = (values**root, vectors) if alone else np.linalg.eig(np.linalg.matrix_power(reduced, root))
         krein = _krein(form, *both, floquet.multipliers)
         on_circle = (np.abs(indices.imag) < 1e-7) & (np.abs(indices.real) < 2.0)
         turns = np.where(on_circle, _krein(form, values, vectors, upper), 0)
@@ -194,15 +205,16 @@ def _chain(curve: Curve, solution: Solution) -> RootFactors:
         stops = [0, *there, *reversed(there), 0, 0]
     else:  # a whole period ends where it began, a part is taken there by the symmetry
         stops = [0, *there, 0] if symmetry.forward is not None else [0, *there[:-1], 0]
-    factors = symmetry.root(
+    factors, root = symmetry.root(
         list(matrices),
         lambda other: other + list(np.linalg.inv(matrices[::-1])),
         p.size,
         made=lambda matrix: [matrix * units / units[:, None]],
         times=lambda after, before: before + after,
-    )[0]
+    )
     flows = p.march.rates(states, w.tail)
-    slopes = [p.march.at(p.quantities, x, w.free)[1] for x in states]
+    none = np.zeros((0, p.size))
+    slopes = [p.march.at(p.quantities, x, w.free)[1] if p.energy else none for x in states]
     bases = _bases(curve, states, flows, slopes)
     reduced = [bases[b].T @ factor @ bases[a] for factor, (a, b) in zip(factors, pairwise(stops), strict=True)]
     missed = 0.0
@@ -212,7 +224,9 @@ def _chain(curve: Curve, solution: Solution) -> RootFactors:
             asymplectic(factor, forms[a], forms[b])
             for factor, (a, b) in zip(reduced, pairwise(stops[: last + 1]), strict=False)
         )
-    return RootFactors(product(reduced), missed)
+    with np.errstate(over="ignore", invalid="ignore"):
+        whole = np.nan_to_num(reduce(lambda before, after: after @ before, reduced))
+    return RootFactors(product(reduced), missed, np.clip(whole, -LARGEST, LARGEST), bases[0], root)
 
 
 def asymplectic(matrix: np.ndarray, before: np.ndarray, after: np.ndarray) -> float:

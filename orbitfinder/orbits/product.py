@@ -163,9 +163,9 @@ def merged(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     places = np.arange(len(matrices) + 1)
     while len(matrices) > 1:
         pairs = matrices[1::2] @ matrices[: len(matrices) // 2 * 2 : 2]
-        sizes = np.linalg.norm(pairs, axis=(1, 2)) * np.linalg.norm(np.linalg.inv(pairs), axis=(1, 2))
-        # condition of a factor up to which steps are multiplied out
-        if sizes.max() > 1e4:
+        sizes = (pairs**2).sum(axis=(1, 2)) * (np.linalg.inv(pairs) ** 2).sum(axis=(1, 2))
+        # condition, squared, of a factor up to which steps are multiplied out
+        if sizes.max() > 1e8:
             break
         alone = len(matrices) % 2
         matrices = np.concatenate([pairs, matrices[len(matrices) - alone :]])
