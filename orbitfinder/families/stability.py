@@ -16,7 +16,7 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.integrate.march import QUANTUM
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
-from orbitfinder.orbits.floquet import AREA, Floquet, analyse, complement, generated, judged, symplectic_unit
+from orbitfinder.orbits.floquet import AREA, Floquet, complement, generated, judged, symplectic_unit
 from orbitfinder.orbits.product import Product, merged, product
 from orbitfinder.records.family import METHODS
 
@@ -64,7 +64,7 @@ class Spectrum:
     @cached_property
     def multipliers(self) -> np.ndarray:
         """The non-trivial multipliers of the root map, not to be written to."""
-        return np.linalg.eigvals(self.reduced).astype(complex) if self.chain is None else self.chain.product.values
+        return self.values.astype(complex) if self.chain is None else self.chain.product.values
 
     @cached_property
     def ranked(self) -> np.ndarray:
@@ -133,14 +133,13 @@ def spectrum(curve: Curve, solution: Solution) -> Spectrum:
         reduced, basis = maps[0], bases[0]
     conservative = keeps_pairs(curve, reduced)
     if chain is None:
-        floquet = analyse(np.linalg.matrix_power(reduced, root), conservative)
         values, vectors = np.linalg.eig(reduced)
-        if not p.links and _lost(floquet, curve, solution):
+        if not p.links and _lost(np.abs(values) ** root, curve, solution):
             chain = _chain(curve, solution)
     if chain is not None:
         values, vectors = chain.product.values, np.zeros((0, 0))
         values = np.where(np.abs(values) < LARGEST, values, LARGEST)  # beyond the range of numbers
-        floquet = judged(values**root, conservative)
+    floquet = judged(values**root, conservative)
     indices = judged(values).indices if conservative else floquet.indices
     krein: tuple[int, ...] = ()
     turns, form = np.zeros(indices.size, int), None
@@ -178,14 +177,17 @@ def keeps_pairs(curve: Curve, reduced: np.ndarray) -> bool:
     return bool(curve.equations.symplectic and np.all(np.abs(areas - 1.0) < AREA))
 
 
-def _lost(floquet: Floquet, curve: Curve, solution: Solution) -> bool:
-    """Whether the round-off of the largest multiplier has swallowed digits of the smallest, or what shrinks under way
-    and grows again, as in a canard, digits of all."""
-    sizes, transitions = np.abs(floquet.multipliers), solution.march.transitions * curve.units / curve.units[:, None]
+def _lost(sizes: np.ndarray, curve: Curve, solution: Solution) -> bool:
+    """Whether the round-off of the largest multiplier, of these sizes, has swallowed digits of the smallest, or what
+    shrinks under way and grows again, as in a canard, digits of all."""
+    transitions = solution.march.transitions * curve.units / curve.units[:, None]
+    most = SPREAD * max(1.0, float(sizes.max(initial=0.0)))
+    if np.sqrt((transitions**2).sum(axis=(1, 2))).prod() <= most:  # nothing on the way is larger
+        return bool(sizes.size and sizes.max() > SPREAD * sizes.min())
     ahead = accumulate(transitions, lambda done, piece: piece @ done)
     behind = [*accumulate(transitions[:0:-1], lambda done, piece: done @ piece)][::-1]
     grown = max((np.linalg.norm(a) * np.linalg.norm(b) for a, b in zip(ahead, behind, strict=False)), default=0.0)
-    return bool(sizes.size and (sizes.max() > SPREAD * sizes.min() or grown > SPREAD * max(1.0, sizes.max())))
+    return bool(sizes.size and (sizes.max() > SPREAD * sizes.min() or grown > most))
 
 
 def _chain(curve: Curve, solution: Solution) -> RootFactors:

@@ -160,14 +160,14 @@ def merged(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Matrices (p x d x d) multiplied two by two for as long as none stretches much; and where the products begin and
     end, in numbers of the first ones.
     """
-    places = np.arange(len(matrices) + 1)
+    places, inverses = np.arange(len(matrices) + 1), np.linalg.inv(matrices)
     while len(matrices) > 1:
-        pairs = matrices[1::2] @ matrices[: len(matrices) // 2 * 2 : 2]
-        sizes = (pairs**2).sum(axis=(1, 2)) * (np.linalg.inv(pairs) ** 2).sum(axis=(1, 2))
+        pairs, back = matrices[1::2] @ matrices[:-1:2], inverses[:-1:2] @ inverses[1::2]
+        sizes = (pairs**2).sum(axis=(1, 2)) * (back**2).sum(axis=(1, 2))
         # condition, squared, of a factor up to which steps are multiplied out
         if sizes.max() > 1e8:
             break
-        alone = len(matrices) % 2
-        matrices = np.concatenate([pairs, matrices[len(matrices) - alone :]])
+        alone = slice(len(matrices) // 2 * 2, None)
+        matrices, inverses = np.concatenate([pairs, matrices[alone]]), np.concatenate([back, inverses[alone]])
         places = np.append(places[:-1:2], places[-1])
     return matrices, places
