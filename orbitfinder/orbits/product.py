@@ -110,6 +110,8 @@ class Product:
         d(mu)/mu = sum_k y_{k+1} dA_k x_k / (y_{k+1} A_k x_k), with x and y right and left eigenvectors on the way; the
         factors' errors know nothing of each other, so that their squares add.
         """
+        if self.upper.shape[1] == 1:  # of numbers the relative errors are their own
+            return np.array([np.linalg.norm(accuracy) + self.missed])
         right, stretched = self._along
         left = np.linalg.norm(np.linalg.inv(np.roll(right, -1, axis=0)), axis=2)
         each = left * np.linalg.norm(self.upper, 2, axis=(1, 2))[:, None] / stretched
@@ -133,6 +135,8 @@ def _solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 def product(factors: Sequence[np.ndarray] | np.ndarray) -> Product:
     """The product A_{p-1} ... A_0 of invertible factors (p x d x d), in the order in which they are applied."""
     size = len(factors[0])
+    if size == 1:
+        return Product(np.ones((len(factors), 1, 1)), np.array(factors), (0, 1), 0.0)
     above = np.triu(np.ones((size, size), bool))
     frame, best, since = np.linalg.qr(np.vander(np.linspace(0.3, 1.1, size)))[0], np.inf, 0
     for _ in range(MOST_PASSES):
