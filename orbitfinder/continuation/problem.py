@@ -89,7 +89,7 @@ class Point:
 
     def inner(self, tangent: np.ndarray) -> float:
         """<tangent, another>, in this one's metric."""
-        return float(np.sum(self.problem.metric(self.w) * self.tangent * tangent))
+        return float((self.problem.metric(self.w) * self.tangent) @ tangent)
 
 
 Aim = Callable[[Any], tuple[float, np.ndarray]]
@@ -110,7 +110,11 @@ def solved(problem: Any, guess: Any, aim: Aim) -> Point:
     phases, origin = problem.phases(guess), guess.vector
 
     def closed(w: Any, rows: np.ndarray) -> np.ndarray:
-        return np.concatenate([rows, phases @ (w.vector - origin), [aim(w)[0]]])
+        whole = np.empty(rows.size + len(phases) + 1)
+        whole[: rows.size], whole[-1] = rows, aim(w)[0]
+        if len(phases):
+            whole[rows.size : -1] = phases @ (w.vector - origin)
+        return whole
 
     def solver(w: Any, linear: Linear) -> Solver:
         return linear.closed(np.concatenate([phases, aim(w)[1][None]]))

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import isfinite
+from math import isfinite, prod
 from typing import Any, Self
 
 import numpy as np
@@ -59,22 +59,33 @@ class Dense:
 
     def __init__(self, matrix: np.ndarray, sizes: np.ndarray) -> None:
         self.matrix, self.sizes = matrix, sizes
+        self._last: tuple[Any, ...] = ()
 
     def closed(self, rows: np.ndarray) -> Solver:
         """See `continuation.problem.Linear`."""
         factors, pivots, fault = self._factorised(rows)
         if fault:
             raise ConvergenceError("the equations of rest are singular")
+        self._last = factors, pivots, rows
         return lambda right: np.asarray(-dgetrs(factors, pivots, right)[0] * self.sizes)
 
-    def determinant(self, rows: np.ndarray) -> float:
-        """Of the same matrix: its sign, a root of its size."""
-        factors, pivots, fault = self._factorised(rows)
-        if fault:
-            return 0.0
-        diagonal, moved = factors.diagonal(), np.count_nonzero(pivots != np.arange(pivots.size))
-        odd = (moved + np.count_nonzero(diagonal < 0)) % 2
-        return float((-1.0 if odd else 1.0) * np.exp(np.log(np.abs(diagonal)).sum() / pivots.size))
+    def determinant(self, row: np.ndarray, along: np.ndarray) -> float:
+        """Of the same matrix with a last row r: its sign, a root of its size; `along` u with r.u = 1 is what the others
+        leave free.
+
+        A determinant is linear in r, and so in r.u alone: what was factorised with another last row tells it.
+        """
+        if not self._last:
+            factors, pivots, fault = self._factorised(row)
+            self._last = factors, pivots, row[None]
+            if fault:
+                return 0.0
+        factors, pivots, last = self._last
+        diagonal, share = factors.diagonal().tolist(), float(last[-1] @ along) or 1.0
+        moved = sum(place != k for k, place in enumerate(pivots.tolist()))
+        odd = (moved + sum(value < 0 for value in (*diagonal, share))) % 2
+        size: float = prod(abs(value) ** (1.0 / len(diagonal)) for value in (*diagonal, 1.0 / share))
+        return -size if odd else size
 
     def _factorised(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
         own = (rows * self.sizes).reshape(-1, self.sizes.size)
