@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import isfinite, prod
+from math import isfinite, prod, sqrt
 from typing import Any, Self
 
 import numpy as np
@@ -274,14 +274,18 @@ class AtRest:
 
     def value(self, w: Stacked, name: str) -> float:
         """Of a parameter."""
-        return float(w.vector[w.vector.size - self.p_sizes.size + self.jets.free.index(name)])
+        return float(w.vector[self.jets.free.index(name) - self.p_sizes.size])
 
     def aim(self, w: Stacked, name: str, value: float) -> tuple[float, np.ndarray]:
         """A parameter at a value, in its units."""
         index = self.jets.free.index(name) - self.p_sizes.size
-        row = np.zeros(w.vector.size)
-        row[index] = 1.0 / self.p_sizes[index]
+        row = self._aims[index]
         return (float(w.vector[index]) - value) * float(row[index]), row
+
+    @cached_property
+    def _aims(self) -> np.ndarray:
+        """What each parameter's aim changes by over w."""
+        return np.asarray(np.eye(self.sizes.size)[-self.p_sizes.size :] / self.sizes)
 
     def at(self, w: Stacked, tangent: np.ndarray) -> tuple[Self, Stacked, np.ndarray]:
         """With references and sizes of an accepted w."""
@@ -310,7 +314,7 @@ class AtRest:
                 vector[2 * count : 3 * count] = (other - (c @ other) / scale * turned) / scale
                 w = Stacked(vector)
         metric = renewed.metric(w)
-        return renewed, w, tangent / np.sqrt(float(tangent @ (metric * tangent)))
+        return renewed, w, tangent / sqrt(float(tangent @ (metric * tangent)))
 
     def seen(self, z: np.ndarray, p: np.ndarray) -> Self:
         """With sizes no smaller than those of another equilibrium, and somewhat larger where those are."""
