@@ -128,17 +128,17 @@ class AtRest:
 
     def scaled(self, z: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """G with its phases, its slopes in z (square) and in p, all in units."""
-        found, below = self._evaluated(z, p), 1 + self.count
-        return found[0], found[1:below].T, found[below:].T
+        whole, below = self._evaluated(z, p), 1 + self.count
+        return whole[0], whole[1:below].T, whole[below:].T
 
     def _evaluated(self, z: np.ndarray, p: np.ndarray) -> np.ndarray:
         """The same below each other, slopes transposed."""
-        found = np.asarray(self.jets.first(z, p, self.kept) * self._units)
+        whole = np.asarray(self.jets.first(z, p, self.kept) * self._units)
         if not len(self.phase):
-            return found
-        d, fixed = self.jets.size, np.zeros((len(found), len(self.phase)))
+            return whole
+        d, fixed = self.jets.size, np.zeros((len(whole), len(self.phase)))
         fixed[0], fixed[1 : 1 + d] = self.phase @ ((z[:d] - self.origin) / self.z_sizes[:d]), self.phase.T
-        return np.asarray(np.hstack([found, fixed]))
+        return np.asarray(np.hstack([whole, fixed]))
 
     @cached_property
     def _units(self) -> np.ndarray:
@@ -195,12 +195,12 @@ class AtRest:
 
     def _assembled(self, w: Stacked, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
         z, p, more = self.parts(w)
-        found, below = self._evaluated(z, p), 1 + self.count
-        if not isfinite(float(found[:below].sum())):
+        whole, below = self._evaluated(z, p), 1 + self.count
+        if not isfinite(float(whole[:below].sum())):
             raise ConvergenceError("the equations of rest leave the numbers")
         if self.form == "regular":
-            return found[0], found[1:].T
-        given = found[0], found[1:below].T, found[below:].T
+            return whole[0], whole[1:].T
+        given = whole[0], whole[1:below].T, whole[below:].T
         return getattr(self, f"_{self.form}")(z, p, more, given, slopes)  # type: ignore[no-any-return]
 
     def _fold(

@@ -17,7 +17,7 @@ from orbitfinder.integrate.march import QUANTUM
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.orbits.floquet import AREA, Floquet, complement, generated, judged, symplectic_unit
-from orbitfinder.orbits.product import Product, merged, product
+from orbitfinder.orbits.product import STRETCHED, Product, merged, product
 from orbitfinder.records.family import METHODS
 
 SPREAD = 1e8
@@ -195,12 +195,11 @@ def _chain(curve: Curve, solution: Solution) -> RootFactors:
     symmetry directions where it begins and ends.
     """
     p, w, units = curve.equations, solution.place, curve.units
-    if p.gridded:
-        states, matrices = solution.march.states, solution.march.transitions
-    else:
+    states, matrices = solution.march.states[:: w.steps], solution.march.transitions * units / units[:, None]
+    if not p.gridded and not np.linalg.cond(matrices).max() <= STRETCHED:
         states = p.march.states(w.nodes, w.mesh, w.tail)[:: gcd(w.steps, QUANTUM)]
-        matrices = p.march.varied(states[:-1], w.mesh, w.tail).transitions
-    matrices, places = merged(matrices * units / units[:, None])
+        matrices = p.march.varied(states[:-1], w.mesh, w.tail).transitions * units / units[:, None]
+    matrices, places = merged(matrices)
     states, last, symmetry = states[places], len(matrices), p.symmetry
     there = list(range(1, last + 1))
     if symmetry.reverses:  # out, turned, back, turned

@@ -173,10 +173,10 @@ class Collocation(Gridded):
         """The fastest rate at which anything grows (k), in the same way; 0 where that is below `least` (k)."""
         slopes, units = self._slopes(states, tail, times), nonzero(np.ptp(states, axis=0))
         fast = ~(np.abs(slopes * units / units[:, None]).sum(axis=2).max(axis=1) <= least)  # no eigenvalue is larger
-        found = np.zeros(len(states))
+        fastest = np.zeros(len(states))
         if fast.any():
-            found[fast] = np.linalg.eigvals(slopes[fast]).real.max(axis=1)
-        return np.maximum(found, 0.0)
+            fastest[fast] = np.linalg.eigvals(slopes[fast]).real.max(axis=1)
+        return np.maximum(fastest, 0.0)
 
     def _slopes(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray) -> np.ndarray:
         return self._evaluated(times * self.forced, states, np.repeat(tail[None], len(states), axis=0))[1]
@@ -327,7 +327,7 @@ class Collocation(Gridded):
         return np.vstack([nodes, self.ends(nodes[-1:], mesh[-2:], tail)])
 
     def stages(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
-        """Stages Z (N x m x d) of segments of one step each; asked for again and again of the same motion."""
+        """Stages Z (N x m x d) of segments of one step each; kept until they are of another motion."""
         asked, *before = self._staged
         if before[0] is not nodes or before[1] is not mesh or before[2] is not tail:
             asked = self._stages(nodes, mesh, tail)

@@ -24,7 +24,6 @@ from orbitfinder.loops.loop import Loop, Unknowns
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import LEAST_SHARE, WIDE, alone, snapped
 
-NONE = np.zeros(0)
 UNMOVED = 1e-6
 """A direction of unit length that moves the motion by less than this does not move it."""
 
@@ -79,8 +78,8 @@ class Scales:
 
     def metric(self, w: Unknowns) -> np.ndarray:
         """The weights of <a, b> over w: 0 of an unfolding. Kept with w, and not to be written to."""
-        known: tuple[Any, np.ndarray] = w.__dict__.get("metric", (None, NONE))
-        if known[0] is self:
+        known: tuple[Any, np.ndarray] | None = w.__dict__.get("metric")
+        if known is not None and known[0] is self:
             return known[1]
         weights = self.columns(w) ** -2.0
         nodes = weights[: w.nodes.size].reshape(w.nodes.shape)

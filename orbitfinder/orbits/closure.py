@@ -113,7 +113,7 @@ def carried(transitions: Sequence[np.ndarray], sizes: np.ndarray) -> tuple[np.nd
         carry = later[:-1] * sizes
         if not np.isfinite(carry).all():
             return later[0], np.inf
-        if len(carry):  # Frobenius' norm is no smaller than the one that is asked for
+        if len(carry):  # Frobenius' norm is no smaller than what is asked for
             bounds = np.sqrt((carry**2).sum(axis=(1, 2)))
             first = float(np.linalg.norm(carry[bounds.argmax()], 2))
             norms = np.linalg.norm(carry[bounds * (1 + 1e-12) >= first], 2, axis=(1, 2))

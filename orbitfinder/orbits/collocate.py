@@ -47,11 +47,10 @@ shrinks is round-off"""
 NEWTON = Settings(floor=1e-12, round_off=1e-8, converged=1e-8, most_evaluations=40, longest=0.3, halving=True,
                   patience=12)  # fmt: skip
 """Of the rows and steps in extents of the motion"""
-EXPLICIT = 1e-9
-"""Error of explicit steps that a lap is known from, in extents of the motion"""
-STIFF, QUIET = 2e4, 1e-3
+STIFF, QUIET, EXPLICIT = 2e4, 1e-3, 1e-9
 """Fastest decay on the way times the period from which on explicit steps are limited by stability, not by accuracy.
-What a rate of decay counts beside a pace where it is chosen where t = 0 lies: both make the certificate's gap"""
+What a rate of decay counts beside a pace where it is chosen where t = 0 lies: both make the certificate's gap. Error of
+explicit steps that a lap is known from, in extents of the motion"""
 
 
 def by(

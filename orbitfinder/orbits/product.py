@@ -28,8 +28,8 @@ SETTLED = 1e-14
 """Frames that come back to themselves within this are settled"""
 NOISE = 1e-6
 """... or, of factors that are ill-conditioned, within this, where so many passes more bring them no nearer"""
-PATIENCE = 4
-MOST_PASSES = 40
+PATIENCE, MOST_PASSES, STRETCHED = 4, 40, 1e4
+"""... The last: condition of a factor up to which steps are multiplied out"""
 
 
 @dataclass(frozen=True)
@@ -168,8 +168,7 @@ def merged(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     while len(matrices) > 1:
         pairs, back = matrices[1::2] @ matrices[:-1:2], inverses[:-1:2] @ inverses[1::2]
         sizes = (pairs**2).sum(axis=(1, 2)) * (back**2).sum(axis=(1, 2))
-        # condition, squared, of a factor up to which steps are multiplied out
-        if sizes.max() > 1e8:
+        if sizes.max() > STRETCHED**2:
             break
         alone = slice(len(matrices) // 2 * 2, None)
         matrices, inverses = np.concatenate([pairs, matrices[alone]]), np.concatenate([back, inverses[alone]])
