@@ -196,7 +196,7 @@ class AtRest:
     def _assembled(self, w: Stacked, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
         z, p, more = self.parts(w)
         whole, below = self._evaluated(z, p), 1 + self.count
-        if not isfinite(float(whole[:below].sum())):
+        if not isfinite(float(np.vdot(whole[:below], whole[:below]))):
             raise ConvergenceError("the equations of rest leave the numbers")
         if self.form == "regular":
             return whole[0], whole[1:].T
