@@ -97,10 +97,10 @@ class Curve(Loop):
 
     def through(self, w: Unknowns) -> Self:
         """The same with its phases over all nodes fixed by w, with which they are kept."""
-        units, (known, normals) = self.scales.states, w.__dict__.get("normals", (None, NO_ROWS))
-        if known is not units:
+        units, (of, known, normals) = self.scales.states, w.__dict__.get("normals", (None, None, NO_ROWS))
+        if of is not self.equations or known is not units:
             normals = self.equations.phases(w, units)
-            w.__dict__["normals"] = units, normals
+            w.__dict__["normals"] = self.equations, units, normals
         return replace(self, normals=normals, reference=w.nodes.ravel())
 
     def measured(self, solution: Solution) -> Self:
