@@ -110,7 +110,8 @@ def test_steps_are_of_the_order_of_their_points(kind, points, order):
     for steps in (4, 8, 16):
         path = march.varied(nodes, uniform(1.0, 1, steps), tail)
         errors.append(np.abs(path.ends - exact.ends).max())
-        assert steps < 16 or np.allclose(path.transitions, exact.transitions, atol=1e-6)
+        for name in ("transitions", "columns"):
+            assert steps < 16 or np.allclose(getattr(path, name), getattr(exact, name), atol=1e-6), name
     slopes = np.log2(np.array(errors[:-1]) / errors[1:])
     assert np.all(slopes > order - 0.9), slopes
     rule = tableau(points, kind)
@@ -134,6 +135,12 @@ def test_derivatives_are_those_of_differences():
         assert np.allclose((sides[0] - sides[1]) / (2 * step), path.transitions[:, :, k], atol=1e-8)
         sides = [march.ends(nodes, mesh, tail + s * np.eye(2)[k]) for s in (step, -step)]
         assert np.allclose((sides[0] - sides[1]) / (2 * step), path.columns[:, :, k], atol=1e-8)
+    grown, none = (
+        march.growths(nodes, tail, mesh[:-1] * 3.0, np.zeros(4)),
+        march.growths(nodes, tail, mesh[:-1], np.full(4, 1e3)),
+    )
+    slopes = np.array([[[0.0, 1.0], [-3 * x**2, -0.1]] for x in nodes[:, 0]])
+    assert np.allclose(grown, np.maximum(np.linalg.eigvals(slopes).real.max(axis=1), 0.0)) and not none.any()
 
 
 def test_a_driven_oscillator_is_collocated():
@@ -461,7 +468,13 @@ def test_cycles_are_born_by_collocation(monkeypatch):
 
 
 def test_canards_leave_the_range_of_numbers():
-    """Errors that grow beyond it do so infinitely, without a warning."""
+    """Errors that grow beyond it do so infinitely, without a warning; others by the largest norm of what is left."""
+    pieces, left, norms = np.random.default_rng(3).normal(size=(9, 3, 3)), np.eye(3), []
+    for piece in pieces[::-1]:
+        left = left @ piece
+        norms.append(np.linalg.norm(left, 2))
+    whole, grown = carried(list(pieces), np.ones(3))
+    assert np.allclose(whole, left) and grown == pytest.approx(max(norms), rel=1e-13)
     assert carried([np.diag([1e200, 1.0])] * 2, np.ones(2))[1] == np.inf
 
 

@@ -165,9 +165,9 @@ class Goals:
     def met(self, before: Point, after: Point) -> list[float]:
         """The values between two points, in the order in which they are met, none beyond the end."""
         a, b = before.value(self.name), after.value(self.name)
-        wanted = {*self.at, *(() if self.until is None else (self.until,))}
+        wanted = self.at if self.until is None else (*self.at, self.until)
         within = sorted(
-            (value for value in wanted if value != a and (value - a) * (value - b) <= 0),
+            {value for value in wanted if value != a and (value - a) * (value - b) <= 0},
             key=lambda value: abs(value - a),
         )
         return within[: within.index(self.until) + 1] if self.until in within else within
@@ -229,7 +229,7 @@ def advanced(point: Point, length: float, bend: float = 0.0) -> Point:
     if abs(along) < bend:
         raise ConvergenceError("the curve bends within a step")
     tangent = after.tangent if along >= 0 else -after.tangent
-    return replace(after, tangent=tangent, arclength=point.arclength + length)
+    return Point(after.problem, after.w, tangent, point.arclength + length, iterations=after.iterations)
 
 
 def exactly(before: Point, after: Point, name: str, value: float) -> Point:
@@ -246,9 +246,10 @@ def exactly(before: Point, after: Point, name: str, value: float) -> Point:
 def between(before: Point, after: Point, share: float) -> Point:
     """The point at a share of a step, as far along its first tangent, on the cubic along both; its own is sharp."""
     length, first, s = after.arclength - before.arclength, after.problem.carried(before.w, after.w), share
-    chord, a, b = after.w.vector - first.vector, before.tangent, after.tangent / before.inner(after.tangent)
-    moved = s**2 * (3 - 2 * s) * chord + length * s * (1 - s) * ((1 - s) * a - s * b)
-    slope = 6 * s * (1 - s) * (chord / length) + (1 - s) * (1 - 3 * s) * a + s * (3 * s - 2) * b
+    chord, a, b, along = after.w.vector - first.vector, before.tangent, after.tangent, before.inner(after.tangent)
+    early, late = length * s * (1 - s) ** 2, length * s**2 * (s - 1) / along
+    moved = s**2 * (3 - 2 * s) * chord + early * a + late * b
+    slope = 6 * s * (1 - s) / length * chord + (1 - s) * (1 - 3 * s) * a + s * (3 * s - 2) / along * b
     return Point(after.problem, first.moved(moved), slope, before.arclength + s * length).sharp
 
 
@@ -278,18 +279,19 @@ def changes(look: Callable[[float], float], known: Mapping[float, float]) -> lis
 
     Where the parabola through them turns towards 0 it is looked at more closely: two events may lie within the step.
     """
-    values, crossed = dict(known), list[tuple[float, float]]()
+    values = dict(known)
     for _ in range(CLOSER):
         shares = sorted(values)
-        crossed = [(a, b) for a, b in pairwise(shares) if (values[a] < 0) != (values[b] < 0)]
+        if crossed := [(a, b) for a, b in pairwise(shares) if (values[a] < 0) != (values[b] < 0)]:
+            return crossed
         least = min(shares, key=lambda share: abs(values[share]))
         k = min(max(shares.index(least), 1), len(shares) - 2)
         turn, there = turning(*((share, values[share]) for share in shares[k - 1 : k + 2]))
-        near = not crossed and shares[k - 1] < turn < shares[k + 1] and min(abs(turn - s) for s in shares) > 1e-3
+        near = shares[k - 1] < turn < shares[k + 1] and min(abs(turn - s) for s in shares) > 1e-3
         if not near or there * np.sign(values[least]) > NEARLY * abs(values[least]):
             break
         values[turn] = look(turn)
-    return crossed
+    return []
 
 
 def turning(first: tuple[float, float], second: tuple[float, float], third: tuple[float, float]) -> tuple[float, float]:
@@ -455,7 +457,7 @@ class _Arclength:
         after = after if home is None else home
         problem, w, tangent = after.problem.at(after.w, after.tangent)
         step = self.pace.next(length, after.iterations)
-        after = replace(after, problem=problem, w=w, tangent=tangent, step=step)
+        after = Point(problem, w, tangent, after.arclength, step, after.iterations)
         _, fresh = self.trace.exactly(point, after, self.goals)
         events, tested = self._events(point, after)
         self.last.update(tested)

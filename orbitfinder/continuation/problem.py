@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from math import sqrt
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -63,7 +64,7 @@ class ContinuationProblem(Protocol):
         """w on the mesh of another."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)  # not frozen, which makes it in three times the time
 class Point:
     """A solution, its tangent (over w, of length 1), its arclength, the next step's, the corrector's iterations."""
 
@@ -89,7 +90,7 @@ class Point:
 
     def inner(self, tangent: np.ndarray) -> float:
         """<tangent, another>, in this one's metric."""
-        return float(np.sum(self.problem.metric(self.w) * self.tangent * tangent))
+        return float((self.problem.metric(self.w) * self.tangent) @ tangent)
 
 
 Aim = Callable[[Any], tuple[float, np.ndarray]]
@@ -98,7 +99,8 @@ Aim = Callable[[Any], tuple[float, np.ndarray]]
 def plane(problem: Any, guess: Any, direction: np.ndarray) -> Aim:
     """The plane through a guess across a direction (over w)."""
     metric = problem.metric(guess)
-    row, origin = metric * direction / np.sqrt(float(direction @ (metric * direction))), guess.vector
+    row, origin = metric * direction, guess.vector
+    row /= sqrt(float(direction @ row))
     return lambda w: (float(row @ (w.vector - origin)), row)
 
 
@@ -110,7 +112,11 @@ def solved(problem: Any, guess: Any, aim: Aim) -> Point:
     phases, origin = problem.phases(guess), guess.vector
 
     def closed(w: Any, rows: np.ndarray) -> np.ndarray:
-        return np.concatenate([rows, phases @ (w.vector - origin), [aim(w)[0]]])
+        whole = np.empty(rows.size + len(phases) + 1)
+        whole[: rows.size], whole[-1] = rows, aim(w)[0]
+        if len(phases):
+            whole[rows.size : -1] = phases @ (w.vector - origin)
+        return whole
 
     def solver(w: Any, linear: Linear) -> Solver:
         return linear.closed(np.concatenate([phases, aim(w)[1][None]]))
@@ -130,4 +136,4 @@ def _tangent(solver: Solver, rows: int, metric: np.ndarray) -> np.ndarray:
     last = np.zeros(rows)
     last[-1] = -1.0
     tangent = solver(last)
-    return np.asarray(tangent / np.sqrt(float(tangent @ (metric * tangent))))
+    return np.asarray(tangent / sqrt(float(tangent @ (metric * tangent))))

@@ -10,7 +10,7 @@ import numpy as np
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError, IntegrationError, plural
-from orbitfinder.families.joins import EVEN, Invariance, Join, agrees, approaching, end_of, passed, sampled, solved
+from orbitfinder.families.joins import EVEN, Invariance, Join, about_mean, agrees, approaching, end_of, passed, solved
 from orbitfinder.families.minimal import dead_point
 from orbitfinder.families.motion import full_samples
 from orbitfinder.families.passages import LOCATION
@@ -206,12 +206,10 @@ def _leaving(run: Run, rest: RestPoint) -> str:
 
 def _turned_over(curve: Curve, before: Solution, solution: Solution) -> bool:
     """Whether an orbit is the one before half a period later, as behind an equilibrium."""
-    first, other = (sampled(curve, each)[:-1] for each in (before, solution))
-    extents = np.ptp(first, axis=0)
+    (first, extents, here), (other, _, there) = (about_mean(curve, each) for each in (before, solution))
     weights = np.where(extents > 0.0, extents, np.inf) ** -2.0  # what does not move says nothing
-    first, other = (each - each.mean(axis=0) for each in (first, other))
-    alike, here, there = ((a * b).sum(axis=0) @ weights for a, b in ((first, other), (first, first), (other, other)))
-    return bool(alike < SHRINKING.turned * np.sqrt(here * there))
+    alike = np.einsum("kd,kd->d", first, other) @ weights
+    return bool(alike < SHRINKING.turned * np.sqrt((here @ weights) * (there @ weights)))
 
 
 def _shrinking(curve: Curve, before: Solution, solution: Solution) -> bool:

@@ -24,6 +24,7 @@ from orbitfinder.families.registry import end_kind
 from orbitfinder.families.rest_certificate import CRITICAL, RESIDUAL, Judge
 from orbitfinder.families.rest_problem import (
     AtRest,
+    Dense,
     Stacked,
     eigenvalues,
     error_bars,
@@ -274,7 +275,8 @@ class Way:
 def _border(point: Point) -> float:
     """The determinant of the equations and their tangent, 0 where two curves cross: its sign, a root of its size."""
     problem = point.problem
-    return float(problem.linearise(point.w)[1].determinant(problem.metric(point.w) * point.tangent))
+    linear: Dense = problem.linearise(point.w)[1]
+    return linear.determinant(problem.metric(point.w) * point.tangent, point.tangent)
 
 
 def _eigenvalues(point: Point) -> np.ndarray:

@@ -111,6 +111,16 @@ def sampled(curve: Curve, solution: Solution) -> np.ndarray:
     return samples
 
 
+def about_mean(curve: Curve, solution: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Samples less their mean (k x d), their extents (d), and the sums of the squares (d) of what is left."""
+    if "about_mean" not in solution.kept:
+        states = sampled(curve, solution)[:-1]
+        away = states - states.mean(axis=0)
+        solution.kept["about_mean"] = away, away.max(axis=0) - away.min(axis=0), np.einsum("kd,kd->d", away, away)
+    known: tuple[np.ndarray, np.ndarray, np.ndarray] = solution.kept["about_mean"]
+    return known
+
+
 def _sampled(curve: Curve, place: Unknowns, states: np.ndarray) -> np.ndarray:
     """The same of states at the mesh."""
     p = curve.equations
@@ -123,9 +133,11 @@ def _beside(curve: Curve, solution: Solution) -> list[tuple[Invariance, np.ndarr
     """What an orbit nearly keeps, d, and its size relative to the motion's."""
     if "beside" not in solution.kept:
         states, angles = sampled(curve, solution), curve.equations.model.angular
-        away = nonzero(float((((states - states.mean(axis=0)) / curve.units) ** 2).mean()))
+        away = nonzero(float((about_mean(curve, solution)[2] / curve.units**2).mean()) / SAMPLED)
         gaps = [(kept, kept.gaps(states, angles) / curve.units) for kept in joinable(curve)]
-        solution.kept["beside"] = [(kept, gap, float(np.sqrt((gap**2).mean() / away))) for kept, gap in gaps]
+        solution.kept["beside"] = [
+            (kept, gap, float(np.sqrt(np.vdot(gap, gap) / gap.size / away))) for kept, gap in gaps
+        ]
     beside: list[tuple[Invariance, np.ndarray, float]] = solution.kept["beside"]
     return beside
 
@@ -161,8 +173,9 @@ def passed(curve: Curve, before: Solution, after: Solution) -> bool:
     """Whether a family was joined between two orbits: the second one keeps what the first did not, or is its image."""
     first = sampled(curve, before)
     for (kept, here, size), (_, there, left) in zip(_beside(curve, before), _beside(curve, after), strict=True):
-        sizes = float(np.linalg.norm(here) * np.linalg.norm(there))
-        turned = BESIDE[0] < min(size, left) and max(size, left) < BESIDE[1] and (here * there).sum() < -0.5 * sizes
+        turned = BESIDE[0] < min(size, left) and max(size, left) < BESIDE[1]
+        if turned:
+            turned = bool(np.vdot(here, there) < -0.5 * np.linalg.norm(here) * np.linalg.norm(there))
         # share of the lower bound that d is below where it is only what cubics are off
         if (turned or (size > BESIDE[0] and left < 0.2 * BESIDE[0])) and _held(curve, kept, first):
             return True

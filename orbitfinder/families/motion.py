@@ -66,12 +66,12 @@ def rates_along(curve: Curve, solution: Solution) -> np.ndarray:
 
 def interpolated(mesh: np.ndarray, states: np.ndarray, slopes: np.ndarray, moments: np.ndarray) -> np.ndarray:
     """SciPy's `CubicHermiteSpline` at moments (k x d), of few in a fifth of its time."""
-    lengths, chords = np.diff(mesh)[:, None], np.diff(states, axis=0)
+    lengths, chords = (mesh[1:] - mesh[:-1])[:, None], states[1:] - states[:-1]
     early, late = lengths * slopes[:-1], lengths * slopes[1:]
-    before = np.searchsorted(mesh[1:-1], moments, side="right")
+    before = mesh[1:-1].searchsorted(moments, side="right")
     shares = ((moments - mesh[before]) / lengths[before, 0])[:, None]
-    a, b, c = early[before], (3 * chords - 2 * early - late)[before], (early + late - 2 * chords)[before]
-    return np.asarray(states[before] + shares * (a + shares * (b + shares * c)))
+    cubics = np.stack([early + late - 2 * chords, 3 * chords - 2 * early - late, early, states[:-1]], axis=1)[before]
+    return np.asarray(((cubics[:, 0] * shares + cubics[:, 1]) * shares + cubics[:, 2]) * shares + cubics[:, 3])
 
 
 def _linked_samples(curve: Curve, solution: Solution, count: int) -> tuple[np.ndarray, np.ndarray]:

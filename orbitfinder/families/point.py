@@ -95,7 +95,7 @@ def make_point(
     p, place = curve.equations, solution.place
     about = about or spectrum(curve, solution)
     units = extents(curve, solution.march.states)
-    parts = list(transitions(curve, solution) * units / units[:, None])
+    parts = transitions(curve, solution) * units / units[:, None]
     grown = max(float(np.abs(about.floquet.multipliers).max(initial=1.0)), carried(parts, np.ones(p.size))[1])
     grown = min(grown, LARGEST)
     allowed = CLOSURE * grown

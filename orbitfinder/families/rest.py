@@ -57,8 +57,9 @@ def can_rest(curve: Curve) -> bool:
 def deviations(curve: Curve, place: Unknowns, states: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The mean (d) over the period, deviations from it (k x d), and their weights (k), the trapezoids of the mesh."""
     mesh, states = curve.equations.symmetry.whole(place.mesh, states, curve.constant)
-    edges = np.diff(mesh, prepend=mesh[0], append=mesh[-1])
-    weights = 0.5 * (edges[1:] + edges[:-1])
+    weights, halves = np.zeros(mesh.size), 0.5 * (mesh[1:] - mesh[:-1])
+    weights[1:] += halves
+    weights[:-1] += halves
     mean = weights @ states
     return mean, states - mean, weights
 

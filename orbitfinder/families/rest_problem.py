@@ -14,10 +14,9 @@ goes through 0 the curve goes on, as one of neutral saddles. Sources: A. Griewan
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from math import isfinite
+from math import isfinite, prod, sqrt
 from typing import Any, Self
 
 import numpy as np
@@ -42,12 +41,13 @@ ROUND_OFF = 4 * float(np.finfo(float).eps)
 """What each row is known to, relative to the sizes of its terms"""
 
 
-@dataclass(frozen=True, eq=False)
 class Stacked:
     """Unknowns that are numbers only, with what is known of them once it was asked for."""
 
-    vector: np.ndarray
-    known: dict[str, Any] = field(default_factory=dict)
+    __slots__ = ("known", "vector")
+
+    def __init__(self, vector: np.ndarray) -> None:
+        self.vector, self.known = vector, dict[str, Any]()
 
     def moved(self, step: np.ndarray) -> Stacked:
         """So much farther."""
@@ -59,22 +59,33 @@ class Dense:
 
     def __init__(self, matrix: np.ndarray, sizes: np.ndarray) -> None:
         self.matrix, self.sizes = matrix, sizes
+        self._last: tuple[Any, ...] = ()
 
     def closed(self, rows: np.ndarray) -> Solver:
         """See `continuation.problem.Linear`."""
         factors, pivots, fault = self._factorised(rows)
         if fault:
             raise ConvergenceError("the equations of rest are singular")
+        self._last = factors, pivots, rows
         return lambda right: np.asarray(-dgetrs(factors, pivots, right)[0] * self.sizes)
 
-    def determinant(self, rows: np.ndarray) -> float:
-        """Of the same matrix: its sign, a root of its size."""
-        factors, pivots, fault = self._factorised(rows)
-        if fault:
-            return 0.0
-        diagonal, moved = factors.diagonal(), np.count_nonzero(pivots != np.arange(pivots.size))
-        odd = (moved + np.count_nonzero(diagonal < 0)) % 2
-        return float((-1.0 if odd else 1.0) * np.exp(np.log(np.abs(diagonal)).sum() / pivots.size))
+    def determinant(self, row: np.ndarray, along: np.ndarray) -> float:
+        """Of the same matrix with a last row r: its sign, a root of its size; `along` u with r.u = 1 is what the others
+        leave free.
+
+        A determinant is linear in r, and so in r.u alone: what was factorised with another last row tells it.
+        """
+        if not self._last:
+            factors, pivots, fault = self._factorised(row)
+            self._last = factors, pivots, row[None]
+            if fault:
+                return 0.0
+        factors, pivots, last = self._last
+        diagonal, share = factors.diagonal().tolist(), float(last[-1] @ along) or 1.0
+        moved = sum(place != k for k, place in enumerate(pivots.tolist()))
+        odd = (moved + sum(value < 0 for value in (*diagonal, share))) % 2
+        size: float = prod(abs(value) ** (1.0 / len(diagonal)) for value in (*diagonal, 1.0 / share))
+        return -size if odd else size
 
     def _factorised(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
         own = (rows * self.sizes).reshape(-1, self.sizes.size)
@@ -117,21 +128,22 @@ class AtRest:
 
     def scaled(self, z: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """G with its phases, its slopes in z (square) and in p, all in units."""
-        rows, by_z, by_p = self.jets.first(z, p, self.kept)
-        units, (along_z, along_p) = self.z_sizes, self._slopes
-        g, gz, gp = rows.ravel() / self.row_sizes, by_z.T * along_z, by_p.T * along_p
-        if len(self.phase):
-            d = self.jets.size
-            g = np.append(g, self.phase @ ((z[:d] - self.origin) / units[:d]))
-            gz = np.vstack([gz, np.pad(self.phase, ((0, 0), (0, units.size - d)))])
-            gp = np.vstack([gp, np.zeros((len(self.phase), gp.shape[1]))])
-        return g, gz, gp
+        whole, below = self._evaluated(z, p), 1 + self.count
+        return whole[0], whole[1:below].T, whole[below:].T
+
+    def _evaluated(self, z: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """The same below each other, slopes transposed."""
+        whole = np.asarray(self.jets.first(z, p, self.kept) * self._units)
+        if not len(self.phase):
+            return whole
+        d, fixed = self.jets.size, np.zeros((len(whole), len(self.phase)))
+        fixed[0], fixed[1 : 1 + d] = self.phase @ ((z[:d] - self.origin) / self.z_sizes[:d]), self.phase.T
+        return np.asarray(np.hstack([whole, fixed]))
 
     @cached_property
-    def _slopes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Units of z and of p, in those of each row."""
-        rows = self.row_sizes[:, None]
-        return self.z_sizes / rows, self.p_sizes / rows
+    def _units(self) -> np.ndarray:
+        """1 and the units of z and of p, in those of each row."""
+        return np.asarray(np.concatenate([[1.0], self.z_sizes, self.p_sizes])[:, None] / self.row_sizes)
 
     @cached_property
     def row_sizes(self) -> np.ndarray:
@@ -145,7 +157,7 @@ class AtRest:
         if not self.jets.extra:
             return np.zeros(0)
         z = np.concatenate([self.origin, np.zeros(self.jets.extra)])
-        by_z = self.jets.first(z, self.jets.model.parameter_values[self._free], self.kept)[1].T[d:]
+        by_z = self.jets.first(z, self.jets.model.parameter_values[self._free], self.kept)[1 : 1 + z.size].T[d:]
         return np.asarray(nonzero(np.abs(by_z * self.z_sizes).max(axis=1, initial=0.0)))
 
     @property
@@ -170,7 +182,7 @@ class AtRest:
 
     def rows(self, w: Stacked) -> np.ndarray:
         """F(w)."""
-        return self._assembled(w, False)[0]
+        return self.linearise(w)[0] if self.form == "regular" else self._assembled(w, False)[0]
 
     def linearise(self, w: Stacked) -> tuple[np.ndarray, Dense]:
         """F(w) and its derivatives, remembered with w."""
@@ -183,12 +195,13 @@ class AtRest:
 
     def _assembled(self, w: Stacked, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
         z, p, more = self.parts(w)
-        g, gz, gp = self.scaled(z, p)
-        if not isfinite(float(g.sum()) + float(gz.sum())):
+        whole, below = self._evaluated(z, p), 1 + self.count
+        if not isfinite(float(np.vdot(whole[:below], whole[:below]))):
             raise ConvergenceError("the equations of rest leave the numbers")
         if self.form == "regular":
-            return g, np.concatenate([gz, gp], axis=1) if slopes else gz
-        return getattr(self, f"_{self.form}")(z, p, more, (g, gz, gp), slopes)  # type: ignore[no-any-return]
+            return whole[0], whole[1:].T
+        given = whole[0], whole[1:below].T, whole[below:].T
+        return getattr(self, f"_{self.form}")(z, p, more, given, slopes)  # type: ignore[no-any-return]
 
     def _fold(
         self, z: np.ndarray, p: np.ndarray, a: np.ndarray, given: Any, slopes: bool
@@ -261,14 +274,18 @@ class AtRest:
 
     def value(self, w: Stacked, name: str) -> float:
         """Of a parameter."""
-        return float(w.vector[w.vector.size - self.p_sizes.size + self.jets.free.index(name)])
+        return float(w.vector[self.jets.free.index(name) - self.p_sizes.size])
 
     def aim(self, w: Stacked, name: str, value: float) -> tuple[float, np.ndarray]:
         """A parameter at a value, in its units."""
         index = self.jets.free.index(name) - self.p_sizes.size
-        row = np.zeros(w.vector.size)
-        row[index] = 1.0 / self.p_sizes[index]
+        row = self._aims[index]
         return (float(w.vector[index]) - value) * float(row[index]), row
+
+    @cached_property
+    def _aims(self) -> np.ndarray:
+        """What each parameter's aim changes by over w."""
+        return np.asarray(np.eye(self.sizes.size)[-self.p_sizes.size :] / self.sizes)
 
     def at(self, w: Stacked, tangent: np.ndarray) -> tuple[Self, Stacked, np.ndarray]:
         """With references and sizes of an accepted w."""
@@ -297,7 +314,7 @@ class AtRest:
                 vector[2 * count : 3 * count] = (other - (c @ other) / scale * turned) / scale
                 w = Stacked(vector)
         metric = renewed.metric(w)
-        return renewed, w, tangent / np.sqrt(float(tangent @ (metric * tangent)))
+        return renewed, w, tangent / sqrt(float(tangent @ (metric * tangent)))
 
     def seen(self, z: np.ndarray, p: np.ndarray) -> Self:
         """With sizes no smaller than those of another equilibrium, and somewhat larger where those are."""
@@ -338,7 +355,7 @@ def regular(jets: Jets, state: np.ndarray, values: np.ndarray, span: np.ndarray 
     kept = jets.kept_at(state)
     p_sizes = parameter_sizes(model, jets.free, values)
     p_sizes = np.maximum(p_sizes, 0.0 if span is None else np.abs(span))
-    by_z = jets.first(z, values, kept)[1].T
+    by_z = jets.first(z, values, kept)[1 : 1 + z.size].T
     sizes = state_sizes(model, np.abs(state))
     pace = float(np.abs(np.linalg.eigvals(by_z[:d, :d] * sizes / sizes[:, None])).max(initial=0.0)) or 1.0
     if model.rates is None:
@@ -483,24 +500,6 @@ def solve_square(problem: AtRest, guess: Stacked) -> Stacked:
     return solved.w
 
 
-Form = Callable[..., np.ndarray]
-"""Of two or three vectors"""
-
-
-def forms(jets: Jets, z: np.ndarray, p: np.ndarray) -> tuple[Form, Form]:
-    """The second and third derivatives of G in z as forms of complex vectors, in the model's units."""
-    count = z.size
-
-    def second(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        return np.asarray(jets.second(z, p, u.real)[:, :count] @ v + 1j * (jets.second(z, p, u.imag)[:, :count] @ v))
-
-    def third(u: np.ndarray, v: np.ndarray, w: np.ndarray) -> np.ndarray:
-        pairs = [(i * j, a, b) for i, a in ((1, u.real), (1j, u.imag)) for j, b in ((1, v.real), (1j, v.imag))]
-        return np.asarray(sum(factor * (jets.third(z, p, a, b) @ w) for factor, a, b in pairs))
-
-    return second, third
-
-
 def lyapunov(problem: AtRest, z: np.ndarray, p: np.ndarray, omega: float) -> tuple[float, np.ndarray]:
     """The first Lyapunov coefficient of a Hopf point of frequency omega (rad/s), and q.
 
@@ -511,11 +510,13 @@ def lyapunov(problem: AtRest, z: np.ndarray, p: np.ndarray, omega: float) -> tup
     q, weight = units * nearest(gz, problem.mass, turn), nearest(gz.T, problem.mass, turn).conj() / rows
     q = q / np.linalg.norm(q[:d])
     weight = weight / np.conj(weight.conj() @ (mass @ q))
-    second, third = forms(problem.jets, z, p)
+    jets, a, b = problem.jets, q.real, q.imag
+    second = (jets.second(z, p, a) + 1j * jets.second(z, p, b))[:, : z.size]  # B(q, .)
+    third = jets.third(z, p, a, a) - jets.third(z, p, b, b) + 2j * jets.third(z, p, a, b)  # C(q, q, .)
 
     def solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
         return np.asarray(units * np.linalg.solve(matrix, np.append(right, np.zeros(len(problem.phase))) / rows))
 
-    mean, double = solved(gz, second(q, q.conj())), solved(2 * turn * mass - gz, second(q, q))
-    terms = third(q, q, q.conj()) - 2 * second(q, mean) + second(q.conj(), double)
+    mean, double = solved(gz, second @ q.conj()), solved(2 * turn * mass - gz, second @ q)
+    terms = third @ q.conj() - 2 * second @ mean + second.conj() @ double
     return float((weight.conj()[: terms.size] @ terms).real / (2 * omega)), q[:d]

@@ -16,8 +16,8 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.integrate.march import QUANTUM
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
-from orbitfinder.orbits.floquet import AREA, Floquet, analyse, complement, generated, judged, symplectic_unit
-from orbitfinder.orbits.product import Product, merged, product
+from orbitfinder.orbits.floquet import AREA, Floquet, complement, generated, judged, symplectic_unit
+from orbitfinder.orbits.product import STRETCHED, Product, merged, product
 from orbitfinder.records.family import METHODS
 
 SPREAD = 1e8
@@ -64,7 +64,7 @@ class Spectrum:
     @cached_property
     def multipliers(self) -> np.ndarray:
         """The non-trivial multipliers of the root map, not to be written to."""
-        return np.linalg.eigvals(self.reduced).astype(complex) if self.chain is None else self.chain.product.values
+        return self.values.astype(complex) if self.chain is None else self.chain.product.values
 
     @cached_property
     def ranked(self) -> np.ndarray:
@@ -111,26 +111,35 @@ class Spectrum:
 
 @dataclass(frozen=True)
 class RootFactors:
-    """The root map of an orbit factor by factor, reduced; `missed` is how far its factors are from symplectic."""
+    """The root map of an orbit factor by factor, reduced; `missed` is how far its factors are from symplectic, `whole`
+    their product on `basis` (columns), and the monodromy its power `root`."""
 
     product: Product
     missed: float
+    whole: np.ndarray
+    basis: np.ndarray
+    root: int
 
 
 def spectrum(curve: Curve, solution: Solution) -> Spectrum:
     """Reduced multipliers of a corrected orbit, composed from its segments and its symmetry."""
     p, place = curve.equations, solution.place
-    maps, bases, root = reduced_maps(curve, [solution])
-    reduced, basis = maps[0], bases[0]
+    chain = _chain(curve, solution) if p.gridded and not p.links else None
+    if chain is not None:
+        _flows(curve, [solution])
+        reduced, basis, root = chain.whole, chain.basis, chain.root
+    else:
+        maps, bases, root = reduced_maps(curve, [solution])
+        reduced, basis = maps[0], bases[0]
     conservative = keeps_pairs(curve, reduced)
-    whole = np.linalg.matrix_power(reduced, root)
-    floquet, chain = analyse(whole, conservative), None
-    values, vectors = np.linalg.eig(reduced)
-    if not p.links and (p.gridded or _lost(floquet, curve, solution)):
-        chain = _chain(curve, solution)
+    if chain is None:
+        values, vectors = np.linalg.eig(reduced)
+        if not p.links and _lost(np.abs(values) ** root, curve, solution):
+            chain = _chain(curve, solution)
+    if chain is not None:
         values, vectors = chain.product.values, np.zeros((0, 0))
         values = np.where(np.abs(values) < LARGEST, values, LARGEST)  # beyond the range of numbers
-        floquet = judged(values**root, conservative)
+    floquet = judged(values**root, conservative)
     indices = judged(values).indices if conservative else floquet.indices
     krein: tuple[int, ...] = ()
     turns, form = np.zeros(indices.size, int), None
@@ -139,7 +148,8 @@ def spectrum(curve: Curve, solution: Solution) -> Spectrum:
         upper = np.exp(1j * np.arccos(np.clip(indices.real / 2, -1.0, 1.0)))
         if chain is not None and any(map(_turning, [*floquet.multipliers, *upper])):
             vectors = chain.product.vectors
-        both = (values**root, vectors) if root == 1 or chain is not None else np.linalg.eig(whole)
+        alone = root == 1 or chain is not None
+        both = (values**root, vectors) if alone else np.linalg.eig(np.linalg.matrix_power(reduced, root))
         krein = _krein(form, *both, floquet.multipliers)
         on_circle = (np.abs(indices.imag) < 1e-7) & (np.abs(indices.real) < 2.0)
         turns = np.where(on_circle, _krein(form, values, vectors, upper), 0)
@@ -167,14 +177,17 @@ def keeps_pairs(curve: Curve, reduced: np.ndarray) -> bool:
     return bool(curve.equations.symplectic and np.all(np.abs(areas - 1.0) < AREA))
 
 
-def _lost(floquet: Floquet, curve: Curve, solution: Solution) -> bool:
-    """Whether the round-off of the largest multiplier has swallowed digits of the smallest, or what shrinks under way
-    and grows again, as in a canard, digits of all."""
-    sizes, transitions = np.abs(floquet.multipliers), solution.march.transitions * curve.units / curve.units[:, None]
+def _lost(sizes: np.ndarray, curve: Curve, solution: Solution) -> bool:
+    """Whether the round-off of the largest multiplier, of these sizes, has swallowed digits of the smallest, or what
+    shrinks under way and grows again, as in a canard, digits of all."""
+    transitions = solution.march.transitions * curve.units / curve.units[:, None]
+    most = SPREAD * max(1.0, float(sizes.max(initial=0.0)))
+    if np.sqrt((transitions**2).sum(axis=(1, 2))).prod() <= most:  # nothing on the way is larger
+        return bool(sizes.size and sizes.max() > SPREAD * sizes.min())
     ahead = accumulate(transitions, lambda done, piece: piece @ done)
     behind = [*accumulate(transitions[:0:-1], lambda done, piece: done @ piece)][::-1]
     grown = max((np.linalg.norm(a) * np.linalg.norm(b) for a, b in zip(ahead, behind, strict=False)), default=0.0)
-    return bool(sizes.size and (sizes.max() > SPREAD * sizes.min() or grown > SPREAD * max(1.0, sizes.max())))
+    return bool(sizes.size and (sizes.max() > SPREAD * sizes.min() or grown > most))
 
 
 def _chain(curve: Curve, solution: Solution) -> RootFactors:
@@ -182,27 +195,27 @@ def _chain(curve: Curve, solution: Solution) -> RootFactors:
     symmetry directions where it begins and ends.
     """
     p, w, units = curve.equations, solution.place, curve.units
-    if p.gridded:
-        states, matrices = solution.march.states, solution.march.transitions
-    else:
+    states, matrices = solution.march.states[:: w.steps], solution.march.transitions * units / units[:, None]
+    if not p.gridded and not np.linalg.cond(matrices).max() <= STRETCHED:
         states = p.march.states(w.nodes, w.mesh, w.tail)[:: gcd(w.steps, QUANTUM)]
-        matrices = p.march.varied(states[:-1], w.mesh, w.tail).transitions
-    matrices, places = merged(matrices * units / units[:, None])
+        matrices = p.march.varied(states[:-1], w.mesh, w.tail).transitions * units / units[:, None]
+    matrices, places = merged(matrices)
     states, last, symmetry = states[places], len(matrices), p.symmetry
     there = list(range(1, last + 1))
     if symmetry.reverses:  # out, turned, back, turned
         stops = [0, *there, *reversed(there), 0, 0]
     else:  # a whole period ends where it began, a part is taken there by the symmetry
         stops = [0, *there, 0] if symmetry.forward is not None else [0, *there[:-1], 0]
-    factors = symmetry.root(
+    factors, root = symmetry.root(
         list(matrices),
         lambda other: other + list(np.linalg.inv(matrices[::-1])),
         p.size,
         made=lambda matrix: [matrix * units / units[:, None]],
         times=lambda after, before: before + after,
-    )[0]
+    )
     flows = p.march.rates(states, w.tail)
-    slopes = [p.march.at(p.quantities, x, w.free)[1] for x in states]
+    none = np.zeros((0, p.size))
+    slopes = [p.march.at(p.quantities, x, w.free)[1] if p.energy else none for x in states]
     bases = _bases(curve, states, flows, slopes)
     reduced = [bases[b].T @ factor @ bases[a] for factor, (a, b) in zip(factors, pairwise(stops), strict=True)]
     missed = 0.0
@@ -212,7 +225,9 @@ def _chain(curve: Curve, solution: Solution) -> RootFactors:
             asymplectic(factor, forms[a], forms[b])
             for factor, (a, b) in zip(reduced, pairwise(stops[: last + 1]), strict=False)
         )
-    return RootFactors(product(reduced), missed)
+    with np.errstate(over="ignore", invalid="ignore"):
+        whole = np.nan_to_num(reduce(lambda before, after: after @ before, reduced))
+    return RootFactors(product(reduced), missed, np.clip(whole, -LARGEST, LARGEST), bases[0], root)
 
 
 def asymplectic(matrix: np.ndarray, before: np.ndarray, after: np.ndarray) -> float:

@@ -95,18 +95,9 @@ class Stages:
     change: float = np.inf
 
     @cached_property
-    def _measured(self) -> tuple[np.ndarray, np.ndarray]:
-        """Beginnings and parameters in what each is measured in, and that."""
-        flat = np.concatenate([self.nodes, self.tails], axis=1)
-        units = nonzero(np.abs(flat).max(axis=0))
-        return flat / units, units
-
-    def apart(self, nodes: np.ndarray, tails: np.ndarray) -> float:
-        """How far other beginnings and parameters are, in extents."""
-        if tails.shape != self.tails.shape:
-            return np.inf
-        flat, units = self._measured
-        return float(np.abs(np.concatenate([nodes, tails], axis=1) / units - flat).max())
+    def beside(self) -> np.ndarray:
+        """Beginnings and parameters beside each other (P x d + ...)."""
+        return np.concatenate([self.nodes, self.tails], axis=1)
 
     def moved(self, nodes: np.ndarray, tails: np.ndarray) -> np.ndarray:
         """The stages (P x m x d) of beginnings and parameters nearby, to first order."""
@@ -130,6 +121,7 @@ class Collocation(Gridded):
         super().__init__(field, forced, integrand, alone)
         self.tableau = tableau(points, rule)
         self._known: list[tuple[Any, Stages]] = []
+        self._staged: tuple[Any, ...] = (None,) * 4
 
     @property
     def together(self) -> bool:
@@ -174,21 +166,32 @@ class Collocation(Gridded):
 
     def decays(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray) -> np.ndarray:
         """The fastest rate at which anything decays (k) at states (k x d) and times (k), 0 where nothing does."""
-        return np.asarray(np.maximum(-self._exponents(states, tail, times).min(axis=1), 0.0))
+        exponents = np.linalg.eigvals(self._slopes(states, tail, times)).real
+        return np.asarray(np.maximum(-exponents.min(axis=1), 0.0))
 
-    def growths(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray) -> np.ndarray:
-        """The fastest rate at which anything grows (k), in the same way."""
-        return np.asarray(np.maximum(self._exponents(states, tail, times).max(axis=1), 0.0))
+    def growths(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray, least: np.ndarray) -> np.ndarray:
+        """The fastest rate at which anything grows (k), in the same way; 0 where that is below `least` (k)."""
+        slopes, units = self._slopes(states, tail, times), nonzero(np.ptp(states, axis=0))
+        fast = ~(np.abs(slopes * units / units[:, None]).sum(axis=2).max(axis=1) <= least)  # no eigenvalue is larger
+        fastest = np.zeros(len(states))
+        if fast.any():
+            fastest[fast] = np.linalg.eigvals(slopes[fast]).real.max(axis=1)
+        return np.maximum(fastest, 0.0)
 
-    def _exponents(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray) -> np.ndarray:
-        """The real parts of the eigenvalues of the slopes (k x d)."""
-        slopes = self._evaluated(times * self.forced, states, np.repeat(tail[None], len(states), axis=0))[1]
-        return np.asarray(np.linalg.eigvals(slopes).real)
+    def _slopes(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray) -> np.ndarray:
+        return self._evaluated(times * self.forced, states, np.repeat(tail[None], len(states), axis=0))[1]
 
     def _nearest(self, key: Any, nodes: np.ndarray, tails: np.ndarray) -> tuple[Stages | None, float]:
         """What is known on the same mesh of the nearest motion, and how far that is."""
-        near = [(known, known.apart(nodes, tails)) for other, known in reversed(self._known) if other == key]
-        return min(near, key=lambda pair: pair[1], default=(None, np.inf))
+        width = nodes.shape[1] + tails.shape[1]
+        near = [known for other, known in reversed(self._known) if other == key and known.beside.shape[1] == width]
+        if not near:
+            return None, np.inf
+        flat = np.concatenate([nodes, tails], axis=1)
+        away = np.abs(np.stack([known.beside for known in near]) - flat).max(axis=1)
+        apart = (away / nonzero(np.abs(flat).max(axis=0))).max(axis=1)
+        first = int(np.argmin(apart))
+        return near[first], float(apart[first])
 
     def _keep(self, key: Any, stages: Stages) -> None:
         self._known = [*self._known[1 - REMEMBERED :], (key, stages)]
@@ -281,30 +284,37 @@ class Collocation(Gridded):
     ) -> list[Varied]:
         """The integration of several loops on one mesh, of nodes (B x N x d) and tails (B x m), beside each other."""
         (loops, count, size), each = nodes.shape, (mesh.size - 1) // nodes.shape[1]
-        now, tail = nodes.reshape(-1, size), np.repeat(tails, count, axis=0)
-        grown = np.broadcast_to(np.eye(size, size + tails.shape[1]), (len(now), size, size + tails.shape[1]))
-        integrals, change = np.zeros(len(now)), 0.0
+        now, tail, widths = nodes.reshape(-1, size), np.repeat(tails, count, axis=0), np.diff(mesh)
+        grown, integrals, change = np.zeros((0, 0, 0)), np.zeros(len(now)), 0.0
         path = []
         for k in range(each):
-            steps, begins = (np.tile(part[k::each], loops) for part in (np.diff(mesh), mesh[:-1]))
+            steps, begins = (np.tile(part[k::each], loops) for part in (widths, mesh[:-1]))
             key = (loops, k, mesh.tobytes())
             done = self._solved(key, now, steps, begins, tail, once)
-            changed = np.einsum(
-                "i,pibc->pbc", self.tableau.end, done.slopes.reshape(len(now), -1, size, grown.shape[2])
-            )
-            added = changed[:, :, :size] @ grown + grown
-            added[:, :, size:] += changed[:, :, size:]
+            changed = self._ended(done.slopes.reshape(len(now), -1, size, size + tails.shape[1]))
+            changed[:, :, :size] += np.eye(size)
+            added = changed
+            if k:
+                added = changed[:, :, :size] @ grown
+                added[:, :, size:] += changed[:, :, size:]
             path.append(now)
-            now, grown = now + np.einsum("i,pia->pa", self.tableau.end, done.stages), added
+            now, grown = now + self._ended(done.stages), added
             integrals, change = integrals + done.integrals, max(change, done.change)
         ends = now.reshape(loops, count, size)
-        grown = grown.reshape(loops, count, size, -1)
+        by_node, by_tail = np.split(grown.reshape(loops, count, size, -1), [size], axis=3)
         whole = nodes
         if states:
             inner = np.stack(path, axis=1).reshape(loops, -1, size)
             whole = np.concatenate([inner, ends[:, -1:]], axis=1)
         totals = [float(total) for total in np.reshape(integrals, (loops, -1)).sum(axis=1)]
-        return list(map(Varied, ends, grown[..., :size], grown[..., size:], whole, totals, [change] * loops))
+        return list(map(Varied, ends, by_node, by_tail, whole, totals, [change] * loops))
+
+    def _ended(self, stages: np.ndarray) -> np.ndarray:
+        """What stages (P x m x ...) make of the end of a step (P x ...)."""
+        *others, last = self.tableau.end
+        if last == 1.0 and not any(others):
+            return np.array(stages[:, -1])
+        return np.asarray(np.einsum("i,pi...->p...", self.tableau.end, stages))
 
     def ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (N x d) at the ends of the segments from their nodes (N x d). Raises `IntegrationError`."""
@@ -317,7 +327,14 @@ class Collocation(Gridded):
         return np.vstack([nodes, self.ends(nodes[-1:], mesh[-2:], tail)])
 
     def stages(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
-        """Stages Z (N x m x d) of segments of one step each."""
+        """Stages Z (N x m x d) of segments of one step each; kept until they are of another motion."""
+        asked, *before = self._staged
+        if before[0] is not nodes or before[1] is not mesh or before[2] is not tail:
+            asked = self._stages(nodes, mesh, tail)
+            self._staged = asked, nodes, mesh, tail
+        return np.asarray(asked)
+
+    def _stages(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         tails, key = np.repeat(tail[None], len(nodes), axis=0), (1, 0, mesh.tobytes())
         known, away = self._nearest(key, nodes, tails)
         if known is not None and away < BESIDE and known.change < SOLVED:
@@ -353,10 +370,12 @@ class Collocation(Gridded):
         Differential Equations (1995), section 9.3).
         """
         rule, units = self.tableau, nonzero(np.ptp(nodes, axis=0))
-        found = curvatures(rule, self.stages(nodes, mesh, tail), mesh, units)
-        grown = self.growths(nodes, tail, mesh[:-1] * tail[0]) * tail[0] / np.log(GROWTH)
-        grown, root = np.maximum(grown, np.roll(grown, -1)), 1.0 / (rule.points.size + 1)
-        return np.asarray(np.maximum(found**root, grown * ERROR**root) * np.diff(mesh))
+        root = 1.0 / (rule.points.size + 1)
+        work, share = curvatures(rule, self.stages(nodes, mesh, tail), mesh, units) ** root, tail[0] * ERROR**root
+        share /= np.log(GROWTH)
+        least = np.minimum(work, np.roll(work, 1)) / share
+        grown = self.growths(nodes, tail, mesh[:-1] * tail[0], least) * share
+        return np.asarray(np.maximum(work, np.maximum(grown, np.roll(grown, -1))) * np.diff(mesh))
 
     def wanted(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> int:
         """As many intervals as leave the error that is allowed, in tens, no more than twice as many as there are."""

@@ -78,11 +78,12 @@ class Jets:
         return tuple(one for one in self.unfolded if one.generator is None)
 
     @cached_property
-    def first(self) -> Buffered:
-        """(z, p, kept) -> G, and the transposes of its slopes in z and in p."""
+    def first(self) -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
+        """(z, p, kept) -> G, and below it the transposes of its slopes in z and in p."""
         z, p, kept, rows = self._stated
-        slopes = [ca.densify(ca.jacobian(rows, one)) for one in (z, p)]
-        return Buffered(ca.Function("first", [z, p, kept], [rows, *slopes]))
+        whole = ca.densify(ca.horzcat(rows, ca.jacobian(rows, z), ca.jacobian(rows, p)))
+        function = Buffered(ca.Function("first", [z, p, kept], [whole]))
+        return lambda z, p, kept: function(z, p, kept)[0]
 
     @cached_property
     def second(self) -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:

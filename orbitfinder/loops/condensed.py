@@ -11,7 +11,6 @@ large; beyond `LARGEST_PRODUCT` the whole matrix is solved instead.
 
 from __future__ import annotations
 
-import ctypes
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
@@ -21,7 +20,6 @@ from scipy.linalg.lapack import dgecon, dgetrf, dgetrs, dlange, dtrtrs
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
-from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.integrate.lanes.bordered import Bordered, chains
 from orbitfinder.mechanics.newton import Solver, least_squares
 
@@ -138,43 +136,15 @@ def pivoted(system: Linearised, columns: np.ndarray | None = None) -> Solver:
     ):
         raise np.linalg.LinAlgError("not square or not finite")
     if (opened := chains()) is not None and count > 1:
-        return _chained(opened, system, np.ones(count * size + extra) if columns is None else columns)
+        first = np.zeros((len(system.first), count * size))
+        first[:, : system.first.shape[1]] = system.first
+        units = np.ones(count * size + extra) if columns is None else columns
+        return Bordered(opened, system.transitions, system.columns, first, system.last, system.tail, units).step
     try:
         factors = splu(system.sparse())
     except RuntimeError as error:
         raise np.linalg.LinAlgError(str(error)) from None
     return lambda rows: -np.asarray(factors.solve(rows))
-
-
-def _chained(opened: ctypes.CDLL, system: Linearised, columns: np.ndarray) -> Solver:
-    """The same by `Bordered`: a closing row over many nodes is a sum that is carried along them beside the state."""
-    (count, size, extra), (rows, nodes) = system.columns.shape, system.first.shape
-    first = np.zeros((rows, count, size))
-    first.reshape(rows, -1)[:, :nodes] = system.first
-    wide = np.flatnonzero(np.any(system.first[:, size:], axis=1))
-    whole, summed, sums = size + wide.size, first[wide], np.arange(wide.size)
-    phi, columns_ = np.zeros((count - 1, whole, whole)), np.zeros((count - 1, whole, extra))
-    phi[:, :size, :size], columns_[:, :size] = system.transitions[:-1], system.columns[:-1]
-    phi[:, size:, :size], phi[:, size + sums, size + sums] = summed[:, :-1].swapaxes(0, 1), 1.0
-    begin, end = np.zeros((2, rows + wide.size, whole))
-    begin[:rows, :size], end[:rows, :size] = first[:, 0], system.last @ system.transitions[-1]
-    begin[wide], end[wide, :size] = 0.0, end[wide, :size] + summed[:, -1]
-    begin[rows + sums, size + sums] = end[wide, size + sums] = 1.0
-    tail = np.zeros((rows + wide.size, extra))
-    tail[:rows] = system.last @ system.columns[-1] + system.tail
-    unit = columns[:size]
-    units = np.append(unit, nonzero(np.abs(summed * unit).max(axis=(1, 2))))
-    cut, tails = count * size, columns[count * size :]
-    chain = Bordered(opened, phi=phi, columns=columns_, first=begin, last=end, tail=tail, states=units, tails=tails)
-
-    def solve(right: np.ndarray) -> np.ndarray:
-        full = np.zeros(count * whole + extra)
-        full[: (count - 1) * whole].reshape(-1, whole)[:, :size] = right[: cut - size].reshape(-1, size)
-        full[(count - 1) * whole : (count - 1) * whole + rows] = right[cut - size :]
-        answer = -chain.solve(full)
-        return np.append(answer[: count * whole].reshape(-1, whole)[:, :size], answer[count * whole :])
-
-    return solve
 
 
 def eliminated(system: Linearised) -> Solver:

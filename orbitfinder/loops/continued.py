@@ -96,8 +96,12 @@ class Curve(Loop):
         return tuple(condition for condition in self.conditions if not condition.cycles)
 
     def through(self, w: Unknowns) -> Self:
-        """The same with its phases over all nodes fixed by w."""
-        return replace(self, normals=self.equations.phases(w, self.scales.states), reference=w.nodes.ravel())
+        """The same with its phases over all nodes fixed by w, with which they are kept."""
+        units, (of, known, normals) = self.scales.states, w.__dict__.get("normals", (None, None, NO_ROWS))
+        if of is not self.equations or known is not units:
+            normals = self.equations.phases(w, units)
+            w.__dict__["normals"] = self.equations, units, normals
+        return replace(self, normals=normals, reference=w.nodes.ravel())
 
     def measured(self, solution: Solution) -> Self:
         """The same with its scales renewed at an orbit that was accepted."""

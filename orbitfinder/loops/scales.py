@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -76,12 +77,16 @@ class Scales:
         return w.joined(self.states, self.period, 1.0 / self.period, self.free)
 
     def metric(self, w: Unknowns) -> np.ndarray:
-        """The weights of <a, b> over w: 0 of an unfolding."""
+        """The weights of <a, b> over w: 0 of an unfolding. Kept with w, and not to be written to."""
+        known: tuple[Any, np.ndarray] | None = w.__dict__.get("metric")
+        if known is not None and known[0] is self:
+            return known[1]
         weights = self.columns(w) ** -2.0
         nodes = weights[: w.nodes.size].reshape(w.nodes.shape)
         nodes *= w.shares[:, None]
         weights[w.nodes.size + 1 : weights.size - w.free.size] = 0.0
-        return np.asarray(weights)
+        w.__dict__["metric"] = self, weights
+        return weights
 
 
 @dataclass(frozen=True)

@@ -104,16 +104,21 @@ def _closed(transitions: Sequence[np.ndarray], sizes: np.ndarray) -> list[np.nda
 
 def carried(transitions: Sequence[np.ndarray], sizes: np.ndarray) -> tuple[np.ndarray, float]:
     """Phi(T, 0) and A, the largest norm with which an error made where a piece begins comes to the end."""
-    monodromy, carry = np.eye(sizes.size), []
+    pieces = np.reshape(transitions, (-1, sizes.size, sizes.size))
+    later = np.empty((len(pieces) + 1, sizes.size, sizes.size))
+    later[-1], largest = np.eye(sizes.size), float(sizes.max())
     with np.errstate(over="ignore", invalid="ignore"):
-        for piece in reversed(transitions):
-            monodromy = monodromy @ piece
-            carry.append(monodromy * sizes)
-    if not np.isfinite(carry).all():
-        return monodromy, np.inf
-    norms = np.linalg.norm(np.reshape(carry, (-1, sizes.size, sizes.size)), 2, axis=(1, 2))
-    largest = float(np.fmax.reduce(norms, initial=sizes.max()))
-    return monodromy, largest if np.isfinite(largest) else np.inf
+        for k in range(len(pieces) - 1, -1, -1):
+            np.matmul(later[k + 1], pieces[k], out=later[k])
+        carry = later[:-1] * sizes
+        if not np.isfinite(carry).all():
+            return later[0], np.inf
+        if len(carry):  # Frobenius' norm is no smaller than what is asked for
+            bounds = np.sqrt((carry**2).sum(axis=(1, 2)))
+            first = float(np.linalg.norm(carry[bounds.argmax()], 2))
+            norms = np.linalg.norm(carry[bounds * (1 + 1e-12) >= first], 2, axis=(1, 2))
+            largest = float(np.fmax.reduce(norms, initial=max(largest, first)))
+    return later[0], largest if np.isfinite(largest) else np.inf
 
 
 def _distance(gap: np.ndarray, monodromy: np.ndarray, rate: np.ndarray | None, round_off: float) -> float:

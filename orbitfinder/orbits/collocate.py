@@ -6,6 +6,7 @@ and pivoted. It starts from a lap of a simulation (`guesses.settled`); its certi
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -17,6 +18,7 @@ from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.collocation import Collocation
 from orbitfinder.integrate.equations import invariant_gradients
+from orbitfinder.integrate.march import March, uniform
 from orbitfinder.loops.condensed import pivoted
 from orbitfinder.loops.ipopt import Callback, Progress, SolveSettings
 from orbitfinder.loops.loop import Equations, Unknowns
@@ -45,9 +47,10 @@ shrinks is round-off"""
 NEWTON = Settings(floor=1e-12, round_off=1e-8, converged=1e-8, most_evaluations=40, longest=0.3, halving=True,
                   patience=12)  # fmt: skip
 """Of the rows and steps in extents of the motion"""
-STIFF, QUIET = 2e4, 1e-3
+STIFF, QUIET, EXPLICIT = 2e4, 1e-3, 1e-9
 """Fastest decay on the way times the period from which on explicit steps are limited by stability, not by accuracy.
-What a rate of decay counts beside a pace where it is chosen where t = 0 lies: both make the certificate's gap"""
+What a rate of decay counts beside a pace where it is chosen where t = 0 lies: both make the certificate's gap. Error of
+explicit steps that a lap is known from, in extents of the motion"""
 
 
 def by(
@@ -134,7 +137,7 @@ def _on_meshes(
 
     Raises `ConvergenceError` where none do.
     """
-    guess = lap(problem.model, problem.guess)
+    guess = _lap(problem, equations) if alone else lap(problem.model, problem.guess)
     if not settles(problem):
         return _refined(problem, equations, guess, FINEST, report, alone)
     failed = ConvergenceError("the guess leads nowhere; give a state near the cycle and its period")
@@ -145,6 +148,19 @@ def _on_meshes(
         except ConvergenceError as error:
             failed = error
     raise failed
+
+
+def _lap(problem: Problem, equations: Equations) -> Guess:
+    """A guess with a trajectory for its period: by explicit steps where they are short enough, else by `lap`."""
+    guess, march = problem.guess, _march(equations)
+    if guess.trajectory is None:
+        w = equations.unknowns(np.asarray(guess.state, float)[None], guess.period, uniform(1.0, 1, EVEN))
+        with contextlib.suppress(IntegrationError), np.errstate(all="ignore"):
+            states = March.states(march, w.nodes, w.mesh, w.tail)
+            units, some = extents_of(problem.model, states, guess.period), np.arange(0, EVEN, 4)
+            if march.step_errors(states, w.mesh, w.tail, units, some).max() <= EXPLICIT:
+                return Guess(states[0], guess.period, w.mesh * guess.period, states)
+    return lap(problem.model, guess)
 
 
 def _refined(

@@ -28,8 +28,8 @@ SETTLED = 1e-14
 """Frames that come back to themselves within this are settled"""
 NOISE = 1e-6
 """... or, of factors that are ill-conditioned, within this, where so many passes more bring them no nearer"""
-PATIENCE = 4
-MOST_PASSES = 40
+PATIENCE, MOST_PASSES, STRETCHED = 4, 40, 1e4
+"""... The last: condition of a factor up to which steps are multiplied out"""
 
 
 @dataclass(frozen=True)
@@ -110,6 +110,8 @@ class Product:
         d(mu)/mu = sum_k y_{k+1} dA_k x_k / (y_{k+1} A_k x_k), with x and y right and left eigenvectors on the way; the
         factors' errors know nothing of each other, so that their squares add.
         """
+        if self.upper.shape[1] == 1:  # of numbers the relative errors are their own
+            return np.array([np.linalg.norm(accuracy) + self.missed])
         right, stretched = self._along
         left = np.linalg.norm(np.linalg.inv(np.roll(right, -1, axis=0)), axis=2)
         each = left * np.linalg.norm(self.upper, 2, axis=(1, 2))[:, None] / stretched
@@ -133,6 +135,8 @@ def _solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 def product(factors: Sequence[np.ndarray] | np.ndarray) -> Product:
     """The product A_{p-1} ... A_0 of invertible factors (p x d x d), in the order in which they are applied."""
     size = len(factors[0])
+    if size == 1:
+        return Product(np.ones((len(factors), 1, 1)), np.array(factors), (0, 1), 0.0)
     above = np.triu(np.ones((size, size), bool))
     frame, best, since = np.linalg.qr(np.vander(np.linspace(0.3, 1.1, size)))[0], np.inf, 0
     for _ in range(MOST_PASSES):
@@ -160,14 +164,13 @@ def merged(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Matrices (p x d x d) multiplied two by two for as long as none stretches much; and where the products begin and
     end, in numbers of the first ones.
     """
-    places = np.arange(len(matrices) + 1)
+    places, inverses = np.arange(len(matrices) + 1), np.linalg.inv(matrices)
     while len(matrices) > 1:
-        pairs = matrices[1::2] @ matrices[: len(matrices) // 2 * 2 : 2]
-        sizes = np.linalg.norm(pairs, axis=(1, 2)) * np.linalg.norm(np.linalg.inv(pairs), axis=(1, 2))
-        # condition of a factor up to which steps are multiplied out
-        if sizes.max() > 1e4:
+        pairs, back = matrices[1::2] @ matrices[:-1:2], inverses[:-1:2] @ inverses[1::2]
+        sizes = (pairs**2).sum(axis=(1, 2)) * (back**2).sum(axis=(1, 2))
+        if sizes.max() > STRETCHED**2:
             break
-        alone = len(matrices) % 2
-        matrices = np.concatenate([pairs, matrices[len(matrices) - alone :]])
+        alone = slice(len(matrices) // 2 * 2, None)
+        matrices, inverses = np.concatenate([pairs, matrices[alone]]), np.concatenate([back, inverses[alone]])
         places = np.append(places[:-1:2], places[-1])
     return matrices, places

@@ -4,7 +4,8 @@
 
    x_1, x_2, ... are eliminated one after another between the two blocks of rows that hold them, by the largest pivot of
    both: what grows and what decays along the chain keep their digits alike. Source: S. Wright, SIAM Journal on
-   Scientific and Statistical Computing 13 (1992) 742-764 (structured LU). What is left is of x_0, x_{N-1} and y. */
+   Scientific and Statistical Computing 13 (1992) 742-764 (structured LU). What is left is of x_0, x_{N-1} and y. A
+   closing row over all nodes is a sum that is carried along them beside the state. */
 #include <string.h>
 
 typedef struct {
@@ -23,7 +24,7 @@ static void swapped(double *b, const ptrdiff_t *order, ptrdiff_t columns) {
 
 /* Into `kept` (N - 2 pieces, the last rows, what closing rows are measured in), `order`; whether there is a pivot
    everywhere. `now` has d WIDTH numbers. */
-int factored(const Chain *o, double *kept, ptrdiff_t *order, double *now) {
+static int factored(const Chain *o, double *kept, ptrdiff_t *order, double *now) {
   const ptrdiff_t n = o->n, d = o->d, m = o->m;
   const double *u = o->states, *v = o->tails;
   double *last = kept + (n - 2) * PIECE, *sizes = last + LEFT * LEFT;
@@ -69,7 +70,7 @@ int factored(const Chain *o, double *kept, ptrdiff_t *order, double *now) {
 }
 
 /* The solution of `right` (N d + m) in its place. */
-void solved(const Chain *o, const double *kept, const ptrdiff_t *order, double *right, double *work) {
+static void solved(const Chain *o, const double *kept, const ptrdiff_t *order, double *right, double *work) {
   const ptrdiff_t n = o->n, d = o->d, m = o->m;
   const double *u = o->states, *v = o->tails, *last = kept + (n - 2) * PIECE, *sizes = last + LEFT * LEFT;
   double *closing = right + (n - 1) * d, *b = work;
@@ -108,4 +109,68 @@ void solved(const Chain *o, const double *kept, const ptrdiff_t *order, double *
   memcpy(right + n * d, b + 2 * d, m * sizeof *right);
   for (ptrdiff_t i = 0; i < n * d; i++) right[i] *= u[i % d];
   for (ptrdiff_t j = 0; j < m; j++) right[n * d + j] *= v[j];
+}
+
+/* What a loop's linear system is (see `loops/condensed.py`): of n segments, of which closing rows are `wide` (k). */
+typedef struct {
+  ptrdiff_t n, d, m, k;
+  const double *transitions, *columns, *first, *last, *tail, *units; /* the last: of all unknowns */
+  const ptrdiff_t *wide;
+} System;
+
+#define TAKEN(name, count) double *name = memory; memory += (count)
+
+/* Its chain, in `memory`, which is 0 at first. */
+static Chain laid(const System *s, double *memory) {
+  const ptrdiff_t n = s->n, d = s->d, m = s->m, k = s->k, r = d + m, D = d + k;
+  TAKEN(phi, (n - 1) * D * D); TAKEN(columns, (n - 1) * D * m); TAKEN(first, (r + k) * D); TAKEN(last, (r + k) * D);
+  TAKEN(tail, (r + k) * m); TAKEN(states, D);
+  memcpy(states, s->units, d * sizeof *states);
+  for (ptrdiff_t l = 0; l < n - 1; l++) for (ptrdiff_t i = 0; i < d; i++) {
+    memcpy(phi + (l * D + i) * D, s->transitions + (l * d + i) * d, d * sizeof *phi);
+    memcpy(columns + (l * D + i) * m, s->columns + (l * d + i) * m, m * sizeof *columns);
+  }
+  const double *end = s->transitions + (n - 1) * d * d, *ends = s->columns + (n - 1) * d * m;
+  for (ptrdiff_t i = 0; i < r; i++) {
+    memcpy(first + i * D, s->first + i * n * d, d * sizeof *first);
+    memcpy(tail + i * m, s->tail + i * m, m * sizeof *tail);
+    for (ptrdiff_t j = 0; j < d; j++) {
+      const double x = s->last[i * d + j];
+      if (x == 0.0) continue;
+      for (ptrdiff_t c = 0; c < d; c++) last[i * D + c] += x * end[j * d + c];
+      for (ptrdiff_t c = 0; c < m; c++) tail[i * m + c] += x * ends[j * m + c];
+    }
+  }
+  for (ptrdiff_t q = 0; q < k; q++) {
+    const ptrdiff_t i = s->wide[q];
+    const double *row = s->first + i * n * d;
+    double largest = 0;
+    for (ptrdiff_t l = 0; l < n; l++) for (ptrdiff_t j = 0; j < d; j++) {
+      largest = fmax(largest, fabs(row[l * d + j] * s->units[j]));
+      *(l < n - 1 ? phi + (l * D + d + q) * D + j : last + i * D + j) += row[l * d + j];
+    }
+    for (ptrdiff_t l = 0; l < n - 1; l++) phi[(l * D + d + q) * D + d + q] = 1.0;
+    memset(first + i * D, 0, d * sizeof *first);
+    first[(r + q) * D + d + q] = last[i * D + d + q] = 1.0;
+    states[d + q] = largest > 0 ? largest : 1.0;
+  }
+  return (Chain){n, D, m, phi, columns, first, last, tail, states, s->units + n * d};
+}
+
+/* Its chain in `memory`, factorised (see `factored`). */
+int prepared(const System *s, double *memory, Chain *o, double *kept, ptrdiff_t *order, double *work) {
+  *o = laid(s, memory);
+  return factored(o, kept, order, work);
+}
+
+/* Minus the solution of `right` (n d + m) into `step`; `full` has room for the chain's. */
+void stepped(const System *s, const Chain *o, const double *kept, const ptrdiff_t *order, const double *right,
+             double *step, double *full, double *work) {
+  const ptrdiff_t n = s->n, d = s->d, m = s->m, D = o->d;
+  memset(full, 0, (n * D + m) * sizeof *full);
+  for (ptrdiff_t l = 0; l < n - 1; l++) memcpy(full + l * D, right + l * d, d * sizeof *full);
+  memcpy(full + (n - 1) * D, right + (n - 1) * d, (d + m) * sizeof *full);
+  solved(o, kept, order, full, work);
+  for (ptrdiff_t l = 0; l < n; l++) for (ptrdiff_t j = 0; j < d; j++) step[l * d + j] = -full[l * D + j];
+  for (ptrdiff_t j = 0; j < m; j++) step[n * d + j] = -full[n * D + j];
 }

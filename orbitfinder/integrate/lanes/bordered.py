@@ -14,40 +14,52 @@ from orbitfinder.integrate.compiled import Unavailable, attempted, library, mode
 from orbitfinder.integrate.lanes.kernel import source
 
 
-class _Chain(ctypes.Structure):
+class _System(ctypes.Structure):
     _fields_ = [
-        *((name, ctypes.c_ssize_t) for name in "ndm"),
-        *((name, ctypes.c_void_p) for name in ("phi", "columns", "first", "last", "tail", "states", "tails")),
+        *((name, ctypes.c_ssize_t) for name in "ndmk"),
+        *((name, ctypes.c_void_p) for name in ("transitions", "columns", "first", "last", "tail", "units", "wide")),
     ]  # fmt: skip
 
 
 class Bordered:
-    """The LU factors of rows Phi_k x_k - x_{k+1} + C_k y (N - 1 of d) and A x_0 + B x_{N-1} + G y (d + m).
+    """The LU factors of rows Phi_k x_k - x_{k+1} + C_k y (k < N - 1, of d each) and F x + L (Phi_{N-1} x_{N-1} +
+    C_{N-1} y) + G y (d + m of them).
 
-    Phi (N - 1 x d x d), C (N - 1 x d x m), `first` A and `last` B (d + m x d), `tail` G (d + m x m); unknowns are
-    measured in `states` (d) and `tails` (m). Raises `LinAlgError` where they are singular.
+    Phi (N x d x d), C (N x d x m), F (d + m x N d), L (d + m x d), G (d + m x m), and what the unknowns are measured in
+    (N d + m). Raises `LinAlgError` where they are singular.
     """
 
-    def __init__(self, opened: ctypes.CDLL, **arrays: np.ndarray) -> None:
-        self._opened = opened
-        self._arrays = {name: np.ascontiguousarray(array, float) for name, array in arrays.items()}
-        links, d, m = self._arrays["columns"].shape
-        n, left, width = links + 1, 2 * d + m, 3 * d + m
-        self._raw = _Chain(n=n, d=d, m=m, **{name: array.ctypes.data for name, array in self._arrays.items()})
-        self._kept = np.empty((n - 2) * 2 * d * width + left * left + d + m)
-        self._order, self._work = np.empty((n - 2) * d + left, np.intp), np.empty(max(d * width, left))
+    def __init__(
+        self, opened: ctypes.CDLL, transitions: np.ndarray, columns: np.ndarray, first: np.ndarray, last: np.ndarray,
+        tail: np.ndarray, units: np.ndarray,
+    ) -> None:  # fmt: skip
+        (n, d, m), wide = columns.shape, np.flatnonzero(np.any(first[:, columns.shape[1] :], axis=1))
+        given = (
+            *(np.ascontiguousarray(each, float) for each in (transitions, columns, first, last, tail, units)),
+            wide,
+        )
+        whole = d + wide.size
+        left, width, rows = 2 * whole + m, 3 * whole + m, whole + m
+        self._opened, self._given, self._shape = opened, given, (n * d + m, n * whole + m)
+        self._raw = _System(n, d, m, wide.size, *(each.ctypes.data for each in given))
+        self._chain, self._memory = (
+            np.empty(10, np.intp),
+            np.zeros((n - 1) * whole * rows + rows * (rows + whole) + whole),
+        )
+        self._kept = np.empty((n - 2) * 2 * whole * width + left * left + rows)
+        self._order, self._work = np.empty((n - 2) * whole + left, np.intp), np.empty(max(whole * width, left))
         limit.check()
-        if not opened.factored(ctypes.byref(self._raw), *self._places()):
+        places = (each.ctypes.data for each in (self._memory, self._chain, self._kept, self._order, self._work))
+        if not opened.prepared(ctypes.byref(self._raw), *places):
             raise np.linalg.LinAlgError("singular matrix")
 
-    def _places(self) -> tuple[int, int, int]:
-        return self._kept.ctypes.data, self._order.ctypes.data, self._work.ctypes.data
-
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        """matrix^-1 right (N d + m)."""
-        answer, (kept, order, work) = np.array(right, float), self._places()
-        self._opened.solved(ctypes.byref(self._raw), kept, order, answer.ctypes.data, work)
-        return answer
+    def step(self, rows: np.ndarray) -> np.ndarray:
+        """-matrix^-1 rows (N d + m)."""
+        right, (count, more) = np.ascontiguousarray(rows, float), self._shape
+        step, full = np.empty(count), np.empty(more)
+        arrays = (self._chain, self._kept, self._order, right, step, full, self._work)
+        self._opened.stepped(ctypes.byref(self._raw), *(each.ctypes.data for each in arrays))
+        return step
 
 
 def chains() -> ctypes.CDLL | None:
@@ -64,9 +76,9 @@ def _made(*_: str | None) -> ctypes.CDLL | None:
 def _opened(path: Path) -> ctypes.CDLL:
     try:
         opened = ctypes.CDLL(str(path))
-        opened.factored.argtypes = [ctypes.c_void_p] * 4
-        opened.solved.argtypes = [ctypes.c_void_p] * 5
-        opened.solved.restype = None
+        opened.prepared.argtypes = [ctypes.c_void_p] * 6
+        opened.stepped.argtypes = [ctypes.c_void_p] * 8
+        opened.stepped.restype = None
     except (OSError, AttributeError) as error:
         path.unlink(missing_ok=True)
         raise Unavailable(f"the library cannot be loaded: {error}") from None
