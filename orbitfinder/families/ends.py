@@ -19,7 +19,6 @@ from orbitfinder.families.rest import RestPoint, can_rest, rest_of, vanishing
 from orbitfinder.families.rest_problem import lyapunov, regular
 from orbitfinder.families.run import Interval, Run, Walked, portrait
 from orbitfinder.families.saddles import SLOW, blown_up, near_saddle, rest_near, slowness
-from orbitfinder.families.stability import LARGEST
 from orbitfinder.families.start import return_gaps
 from orbitfinder.integrate.jets import at_rest
 from orbitfinder.loops.conditions import hyperplane
@@ -99,8 +98,6 @@ def end_at(run: Run, before: Walked, after: Walked) -> End | None:
         raise ConvergenceError("another family is joined within one step")
     if curve.equations.model.forced:
         return None
-    if after.point.scale >= LARGEST:
-        return _canard(run, after, f"errors grow {LARGEST:g} times in a period and more, beyond the range of numbers")
     if slowness(curve, solution)[0] <= SLOW.share:
         return None
     if after.stretch > run.settings.longest_period:
