@@ -256,7 +256,10 @@ def end_of_failure(run: Run, step: Walked, failure: str) -> End:
     size, far = _extent_and_place(curve, solution)
     if size < 10 * LEAST * far and linear(curve, solution, SHRINKING.nearly):
         return _at_equilibrium(run, solution)
-    return _canard(run, step, failure) or _singular(curve, solution, failure) or End("step underflow", failure)
+    if (end := _canard(run, step, failure)) is not None:
+        return end
+    singular = None if _self_excited(curve) else _singular(curve, solution, failure)  # their jumps are no singularities
+    return singular or End("step underflow", failure)
 
 
 def _canard(run: Run, step: Walked, failure: str) -> End | None:
