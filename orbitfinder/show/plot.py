@@ -294,7 +294,7 @@ def energy_error(orbit: Orbit, model: Model) -> Figure:
     return figure
 
 
-CALM = {True: COLOURS[0], False: COLOURS[1], None: COLOURS[4]}
+STABLE, UNSTABLE, UNDECIDED = COLOURS[0], COLOURS[1], COLOURS[4]
 """Colours of the stretches of one family"""
 
 
@@ -482,11 +482,11 @@ def _curves(figure: Figure, axes: Any, diagrams: Sequence[Diagram]) -> None:
 
     One family is coloured by stability; of several the later lie on wider ones.
     """
-    shown, many = dict[str, Any](), len(diagrams) > 1
+    shown, many, calm = dict[str, Any](), len(diagrams) > 1, {True: STABLE, False: UNSTABLE, None: UNDECIDED}
     for k, drawn in enumerate(diagrams):
         wider = min(3.6, 0.9 * (len(diagrams) - 1 - k))
         for stable, path in drawn.stretches:
-            colour, (word, line) = COLOURS[k % len(COLOURS)] if many else CALM[stable], STRETCHES[stable]
+            colour, (word, line) = COLOURS[k % len(COLOURS)] if many else calm[stable], STRETCHES[stable]
             style = {"linestyle": line, "linewidth": (1.8 if stable else 1.2) + wider}
             axes.plot(*path.T, color=colour, zorder=2 + 0.01 * k, **style)
             key = {"color": "0.3" if many else colour, "linestyle": style["linestyle"]}
