@@ -16,12 +16,16 @@ import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families import birth
-from orbitfinder.families.verified import verified
+from orbitfinder.families.point import unknowns_of
+from orbitfinder.families.stability import spectrum
+from orbitfinder.families.verified import family_curve, verified
 from orbitfinder.integrate.collocation import Collocation, tableau
 from orbitfinder.integrate.compiled import compiling
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops import mesh
 from orbitfinder.loops.condensed import Linearised, pivoted
+from orbitfinder.loops.conditions import pinned
+from orbitfinder.loops.continued import correct
 from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.orbits import collocate
@@ -428,7 +432,7 @@ def test_a_family_of_shooting_goes_on_by_collocation(tmp_path, monkeypatch):
     problem = of.Problem(brusselator(3.0), of.Guess([1.0, 2.0], 7.1), name="stiffer")
     settings = of.FamilySettings(directions="forward", longest_step=0.4, shortest_step=1e-3)
     alone = of.follow_family(problem, "b", until=5.0, settings=replace(settings, method="shooting"))
-    assert alone.ends[-1].kind == "singularity" and "method" not in alone.curve
+    assert alone.ends[-1].kind == "step underflow" and "method" not in alone.curve
     family = of.follow_family(problem, "b", until=5.0, at=[3.25], settings=settings, out=tmp_path)
     assert family.curve["method"] == "collocation" and family.ends[-1].reason == "reached b = 5.0"
     reason = family.curve["method_reason"]
@@ -465,6 +469,70 @@ def test_cycles_are_born_by_collocation(monkeypatch):
     assert [point.period for point in other.points] == [point.period for point in asked.points]
     with pytest.raises(ConvergenceError, match="too stiff"):
         of.switch_branch(rest, 0, settings=of.FamilySettings(method="shooting"), model=model)
+
+
+def test_errors_do_not_outgrow_an_interval():
+    """On the unit circle with w' = c w beside it, which grows exp(c h) times in a step: the rule has a pole at 6.29."""
+    rule = tableau()
+    sizes = np.array([1.0, np.log(30.0), 5.0, 7.0])
+    assert np.abs(rule.amplified(sizes) * np.exp(-sizes) - 1) == pytest.approx([2.5e-9, 8.5e-4, 0.0688, 1.35], rel=0.02)
+    assert rule.amplified(sizes)[3] < 0
+    known, turn = 2 * np.pi, 2 * np.pi * np.arange(40) / 40
+    nodes = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(40)])
+    for size, fits in ((3.4, True), (5.0, False)):
+        field = of.ode(lambda t, x, p: [-x[1], x[0], p[0] * x[2]], list("xyw"), {"c": size * 40 / known})
+        march = Equations(field, NONE, (), by=Collocation).march
+        place = nodes, uniform(1.0, 40, 1), np.array([known])
+        assert march.fits(*place) is fits
+        finer = march.regridded(*place)
+        assert len(finer[0]) > 40 and march.fits(*finer, place[2])
+
+
+def followed_from_a_hopf_point(side, until, points):
+    """A family of the Oregonator from its right or left Hopf point."""
+    model = oregonator(3.0)
+    rest = of.follow_equilibria(model, [2.0, 2.0, 2.0], "f", until=0.3)
+    settings = of.FamilySettings(
+        directions="away", method="collocation", certify=False, longest_step=0.25, points=points
+    )
+    return of.follow_family(
+        of.switch_branch(rest, side, settings=settings, model=model), until=until, settings=settings
+    )
+
+
+@pytest.mark.slow
+def test_the_oregonator_passes_its_canard():
+    """From the right Hopf point, where errors grow beyond 1e290, to the stable cycle of road.json at f = 1. Multipliers
+    are known as well as they say: by those on meshes of twice as many intervals."""
+    family = followed_from_a_hopf_point(0, 1.0, 600)
+    assert [end.kind for end in family.ends] == ["target"] and not family.events
+    last, scales = family.points[-1], [point.scale for point in family.points]
+    assert last.value == 1.0 and abs(last.period - float(ROAD["oregonator"]["period_double"])) < 1e-6
+    assert max(scales) == 1e290 and scales[0] < 1e3
+    canard = [point.value for point in family.points if point.scale > 1e100]
+    assert np.ptp(canard) < 1e-7 and abs(np.median(canard) - 1.5937725438) < 1e-9
+    calm = [point.stability for point in family.points]
+    turn = calm.index("asymptotically stable")
+    assert {*calm[:turn]} <= {"unstable", "marginal"} and {*calm[turn:]} == {"asymptotically stable"}
+    assert calm.count("marginal") <= 1 and calm[turn - 2] == "unstable"
+    curve, told = family_curve(family, oregonator()), list[float]()
+    for k in (turn - 4, turn, turn + 3, turn + 30):
+        point, w = family.points[k], unknowns_of(curve, family.points[k])
+        finer = mesh.regridded(curve.equations.gridded, w, 2 * len(w.nodes))
+        other = correct(curve, finer, pinned(curve.equations, "period", point.period), finer, reach=10.0)
+        apart = np.log(point.floquet_multipliers[0].real / spectrum(curve, other).floquet.multipliers[0].real)
+        told.append(abs(apart) / point.multiplier_errors[0])
+        assert point.multiplier_errors[1] == 1.0
+    assert max(told) < 5.0
+
+
+@pytest.mark.slow
+def test_a_canard_is_no_homoclinic_orbit():
+    """From the left Hopf point, past 12 times the shortest period, near no saddle."""
+    family = followed_from_a_hopf_point(1, 0.6, 100)
+    (end,) = family.ends
+    assert end.kind == "point limit" and family.points[0].period > 20 * family.values("period").min()
+    assert abs(family.points[0].value - 0.5005721483675) < 1e-11
 
 
 def test_canards_leave_the_range_of_numbers():

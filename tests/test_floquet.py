@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from orbitfinder.orbits.floquet import analyse, reciprocal_pairs, reduce_monodromy
+from orbitfinder.orbits.floquet import analyse, reciprocal_pairs, reduce_monodromy, verdict
 
 E = np.exp
 
@@ -135,12 +135,19 @@ def test_an_index_within_its_error_bar_is_marginal():
     assert analyse(np.diag([mu, 1.001 / mu])).stability == "marginal"
 
 
-@pytest.mark.parametrize(
-    ("largest", "verdict"), [(0.9, "asymptotically stable"), (1.1, "unstable"), (-1.0, "marginal")]
-)
-def test_dissipative_verdicts(largest, verdict):
+@pytest.mark.parametrize(("largest", "said"), [(0.9, "asymptotically stable"), (1.1, "unstable"), (-1.0, "marginal")])
+def test_dissipative_verdicts(largest, said):
     """Without invariants the largest modulus decides."""
-    assert analyse(np.diag([0.3, largest]), conservative=False).stability == verdict
+    assert analyse(np.diag([0.3, largest]), conservative=False).stability == said
+
+
+@pytest.mark.parametrize(("largest", "error", "said"), [
+    (1.5, 0.001, "unstable"), (1.5, 0.1, "marginal"), (0.7, 0.1, "marginal"), (0.2, 0.1, "asymptotically stable"),
+    (1e5, 0.1, "unstable"), (1e5, 1.0, "marginal"), (0.0, 1.0, "asymptotically stable"),
+])  # fmt: skip
+def test_an_error_bar_decides_of_what_dissipates(largest, error, said):
+    """A relative error of 0.1 leaves a factor of 20 undecided on one side of 1, and one of 4 on the other."""
+    assert verdict(np.array([largest, 1e-9]), np.array([error, 1.0])) == said
 
 
 def test_multipliers_come_largest_first():

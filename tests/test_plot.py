@@ -172,6 +172,9 @@ def test_one_family_is_coloured_by_stability_and_events_have_their_own_colours()
     (axes,) = plot.frequency_energy([family]).axes
     curves = {line.get_linestyle(): line.get_color() for line in axes.lines if line.get_linestyle() != "None"}
     assert curves == {"-": plot.STABLE, "--": plot.UNSTABLE}
+    unsure = replace(family, points=tuple(replace(point, stability="marginal") for point in family.points))
+    (axes,) = plot.frequency_energy([unsure]).axes
+    assert {line.get_linestyle() for line in axes.lines} - {"None"} == {":"}
     marks = {line.get_color() for line in axes.lines if line.get_linestyle() == "None"}
     assert len(marks) > 3 and not marks & {plot.STABLE, plot.UNSTABLE}
 

@@ -19,7 +19,6 @@ from orbitfinder.families.rest import RestPoint, can_rest, rest_of, vanishing
 from orbitfinder.families.rest_problem import lyapunov, regular
 from orbitfinder.families.run import Interval, Run, Walked, portrait
 from orbitfinder.families.saddles import SLOW, blown_up, near_saddle, rest_near, slowness
-from orbitfinder.families.stability import LARGEST
 from orbitfinder.families.start import return_gaps
 from orbitfinder.integrate.jets import at_rest
 from orbitfinder.loops.conditions import hyperplane
@@ -99,8 +98,6 @@ def end_at(run: Run, before: Walked, after: Walked) -> End | None:
         raise ConvergenceError("another family is joined within one step")
     if curve.equations.model.forced:
         return None
-    if after.point.scale >= LARGEST:
-        return _canard(run, after, f"errors grow {LARGEST:g} times in a period and more, beyond the range of numbers")
     if slowness(curve, solution)[0] <= SLOW.share:
         return None
     if after.stretch > run.settings.longest_period:
@@ -257,7 +254,10 @@ def end_of_failure(run: Run, step: Walked, failure: str) -> End:
     size, far = _extent_and_place(curve, solution)
     if size < 10 * LEAST * far and linear(curve, solution, SHRINKING.nearly):
         return _at_equilibrium(run, solution)
-    return _canard(run, step, failure) or _singular(curve, solution, failure) or End("step underflow", failure)
+    if (end := _canard(run, step, failure)) is not None:
+        return end
+    singular = None if _self_excited(curve) else _singular(curve, solution, failure)  # their jumps are no singularities
+    return singular or End("step underflow", failure)
 
 
 def _canard(run: Run, step: Walked, failure: str) -> End | None:

@@ -130,7 +130,7 @@ def make_point(
         pair_defect=about.floquet.pair_defect,
         multiplier_errors=about.errors,
         multiplier_method=about.method,
-        stability=about.floquet.stability,
+        stability=about.stability,
         krein=about.krein,
         symmetry=p.symmetry.name,
         root=about.root,

@@ -137,11 +137,11 @@ def blown_up(run: Run, step: Walked, more: str = "") -> End | None:
     state, resting = slowness(curve, solution)[1], can_rest(curve)
     lasts = lasting(solution.place.period, curve.equations.model.system, 6)
     grown = f"the period blows up ({lasts}, {step.stretch:.3g} times the shortest)"
-    if not near_saddle(curve, solution, state):
+    known = list(passed(curve, solution)) if resting else []
+    if not near_saddle(curve, solution, state) or (resting and not known):  # of a canard: no saddle holds it up
         return _saddle_node(run, step, state, grown, more) if resting else None
     energy = parameter_value(curve, solution.place, "energy")
     grown += f" at energy {energy:.9g} J" if np.isfinite(energy) and run.settings.parameter != "energy" else ""
-    known = list(passed(curve, solution)) if resting else []
     if not known:
         where = np.array2string(state[:n], precision=4, suppress_small=True)
         return End("homoclinic", f"{grown}, slowest near q = {where}{more}")

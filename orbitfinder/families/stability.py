@@ -11,12 +11,12 @@ from math import gcd
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from orbitfinder._runtime.sizes import nonzero
+from orbitfinder._runtime.sizes import LEAST, nonzero
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.integrate.march import QUANTUM
+from orbitfinder.integrate.march import QUANTUM, Gridded
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
-from orbitfinder.orbits.floquet import AREA, Floquet, complement, generated, judged, symplectic_unit
+from orbitfinder.orbits.floquet import AREA, Floquet, complement, generated, judged, symplectic_unit, verdict
 from orbitfinder.orbits.product import STRETCHED, Product, merged, product
 from orbitfinder.records.family import METHODS
 
@@ -99,7 +99,13 @@ class Spectrum:
         if not self.values.size:
             return np.zeros(0)
         order = np.abs(self.values**self.root - self.floquet.multipliers[:, None]).argmin(axis=1)
-        return np.asarray(np.minimum(self.root * self.root_errors[order], 1.0))
+        steps = self.chain.discretised if self.chain else 0.0
+        return np.asarray(np.minimum(self.root * (self.root_errors + steps)[order], 1.0))
+
+    @property
+    def stability(self) -> str:
+        """The verdict, "marginal" where those errors decide."""
+        return self.floquet.stability if self.conservative else verdict(self.floquet.multipliers, self.errors)
 
     @cached_property
     def blur(self) -> float:
@@ -112,13 +118,15 @@ class Spectrum:
 @dataclass(frozen=True)
 class RootFactors:
     """The root map of an orbit factor by factor, reduced; `missed` is how far its factors are from symplectic, `whole`
-    their product on `basis` (columns), and the monodromy its power `root`."""
+    their product on `basis` (columns), and the monodromy its power `root`. `discretised` is the relative error (d) of
+    eigenvalues by steps that were chosen for the orbit itself."""
 
     product: Product
     missed: float
     whole: np.ndarray
     basis: np.ndarray
     root: int
+    discretised: np.ndarray | float = 0.0
 
 
 def spectrum(curve: Curve, solution: Solution) -> Spectrum:
@@ -227,7 +235,16 @@ def _chain(curve: Curve, solution: Solution) -> RootFactors:
         )
     with np.errstate(over="ignore", invalid="ignore"):
         whole = np.nan_to_num(reduce(lambda before, after: after @ before, reduced))
-    return RootFactors(product(reduced), missed, np.clip(whole, -LARGEST, LARGEST), bases[0], root)
+    found = product(reduced)
+    off = _discretised(p.gridded, found, np.diff(places)) if p.gridded else 0.0
+    return RootFactors(found, missed, np.clip(whole, -LARGEST, LARGEST), bases[0], root, off)
+
+
+def _discretised(march: Gridded, factors: Product, steps: np.ndarray) -> np.ndarray:
+    """The relative error (d) with which factors of so many steps each (p) let what belongs to an eigenvalue grow."""
+    grown = np.log(np.abs(np.diagonal(factors.upper, axis1=1, axis2=2)) + LEAST)
+    steps = (steps if len(steps) == len(grown) else np.full(len(grown), steps.max()))[:, None]
+    return np.asarray((steps * march.growth_errors(grown / steps)).sum(axis=0))
 
 
 def asymplectic(matrix: np.ndarray, before: np.ndarray, after: np.ndarray) -> float:

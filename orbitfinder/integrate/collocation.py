@@ -33,10 +33,12 @@ a mesh"""
 LOPSIDED, SLACK, SPARSEST = 2.5, 1.5, 0.1
 """Times the mean work of an interval that one may have before a mesh is made anew, by how much their number may be off,
 and the share of the mean density that a mesh has everywhere"""
-GROWTH = 30.0
-"""Times that errors may grow over an interval"""
-BESIDE = 1e-9
-"""A motion as near as this, in extents, has the stages that first order tells, to round-off"""
+GROWTH, STEEPEST = 30.0, 80.0
+"""Times that errors may grow over an interval of a fresh mesh, and of one that is kept: near 500 times Radau's five
+points have a pole, beyond which errors change their sign"""
+BESIDE, FASTEST = 1e-9, -300.0
+"""A motion as near as this, in extents, has the stages that first order tells, to round-off. The logarithm of what is
+left of an error in a step from which on it is nothing"""
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,12 @@ class Tableau:
         rows = np.array([np.prod((places[:, None] - own) / (node - own), axis=1)
                          for node, own in zip(self.points, others, strict=True)])  # fmt: skip
         return np.asarray(rows.T)
+
+    def amplified(self, grown: np.ndarray) -> np.ndarray:
+        """What a step makes (...) of errors that grow exp(z) times in it, z being given (...)."""
+        count, z = self.points.size, grown[..., None, None]
+        inside = np.linalg.solve(np.eye(count) - z * self.inner, z * self.inner.sum(axis=1)[:, None])
+        return np.asarray(1.0 + inside[..., 0] @ self.end)
 
 
 @lru_cache(maxsize=8)
@@ -369,13 +377,23 @@ class Collocation(Gridded):
         everywhere (U. Ascher, R. Mattheij, R. Russell, Numerical Solution of Boundary Value Problems for Ordinary
         Differential Equations (1995), section 9.3).
         """
-        rule, units = self.tableau, nonzero(np.ptp(nodes, axis=0))
-        root = 1.0 / (rule.points.size + 1)
-        work, share = curvatures(rule, self.stages(nodes, mesh, tail), mesh, units) ** root, tail[0] * ERROR**root
-        share /= np.log(GROWTH)
-        least = np.minimum(work, np.roll(work, 1)) / share
-        grown = self.growths(nodes, tail, mesh[:-1] * tail[0], least) * share
-        return np.asarray(np.maximum(work, np.maximum(grown, np.roll(grown, -1))) * np.diff(mesh))
+        rule, units, root = self.tableau, nonzero(np.ptp(nodes, axis=0)), 1.0 / (self.tableau.points.size + 1)
+        steps, share = np.diff(mesh), ERROR**root / np.log(GROWTH)
+        work = curvatures(rule, self.stages(nodes, mesh, tail), mesh, units) ** root * steps
+        return np.asarray(np.maximum(work, share * self._grown(nodes, mesh, tail, work / share)))
+
+    def _grown(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, least: np.ndarray) -> np.ndarray:
+        """The logarithm of how often errors grow over each interval (N), by the faster of its ends; 0 where that is
+        below `least` (N)."""
+        steps = tail[0] * np.diff(mesh)
+        rates = least / steps
+        fastest = self.growths(nodes, tail, mesh[:-1] * tail[0], np.minimum(rates, np.roll(rates, 1)))
+        return np.asarray(np.maximum(fastest, np.roll(fastest, -1)) * steps)
+
+    def growth_errors(self, grown: np.ndarray) -> np.ndarray:
+        """The relative error with which a step lets errors grow exp(z) times, z being given (...)."""
+        grown = np.maximum(grown, FASTEST)
+        return np.asarray(np.abs(self.tableau.amplified(grown) * np.exp(-grown) - 1.0))
 
     def wanted(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> int:
         """As many intervals as leave the error that is allowed, in tens, no more than twice as many as there are."""
@@ -386,9 +404,10 @@ class Collocation(Gridded):
         return int(np.clip(10 * np.ceil(0.1 * enough), FEWEST, min(2 * work.size, MOST)))
 
     def fits(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> bool:
-        """Whether its intervals share the work, and are as many as the error asks for."""
+        """Whether its intervals share the work, are as many as the error asks for, and errors do not outgrow one."""
         work = self._worked(nodes, mesh, tail)
-        even = work.max() <= LOPSIDED * work.mean()
+        steepest = np.full(work.size, np.log(STEEPEST))
+        even = work.max() <= LOPSIDED * work.mean() and np.all(self._grown(nodes, mesh, tail, steepest) <= steepest)
         return bool(even and work.size <= SLACK * self._enough(work) <= SLACK**2 * work.size)
 
     def regridded(

@@ -318,6 +318,11 @@ class Gridded(March):
         """The integral over all segments."""
         return self.varied(nodes, mesh, tail).integral
 
+    def growth_errors(self, grown: np.ndarray) -> np.ndarray:
+        """The relative error with which a segment lets errors grow exp(z) times, z being given (...); 0 where that is
+        not known."""
+        return np.zeros_like(grown)
+
 
 class Marches(Refining):
     """Marches over arcs one after another, each of an equal share of the segments and of the steps.

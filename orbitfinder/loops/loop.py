@@ -333,14 +333,14 @@ class Equations:
         """The ends (N x d) of all segments of w."""
         return self.march.ends(w.nodes, w.mesh, w.tail)
 
-    def phases(self, w: Unknowns, units: np.ndarray | None = None) -> np.ndarray:
+    def phases(self, w: Unknowns, units: np.ndarray | None = None, count: int | None = None) -> np.ndarray:
         """Normals (k x d, or k x N d) of the hyperplanes through w that fix time and other shifts; guards fix time too.
 
-        Unit normals at x(0), or where states are measured in `units` (d) over all nodes: the integral condition
-        sum_k m_k g_k . S^-2 (x_k - w_k) = 0, g the rates or a shift's generator.
+        Unit normals at x(0), or where states are measured in `units` (d) over all nodes, or so many: the integral
+        condition sum_k m_k g_k . S^-2 (x_k - w_k) = 0, g the rates or a shift's generator.
         """
-        nodes = w.nodes[:1] if units is None else w.nodes
-        weights = np.ones((1, 1)) if units is None else w.shares[:, None] / units**2
+        nodes = w.nodes[:1] if units is None else w.nodes[:count]
+        weights = np.ones((1, 1)) if units is None else w.shares[:count, None] / units**2
         sizes = np.ones(nodes.shape) if units is None else np.broadcast_to(units, nodes.shape)
         normals = []
         if not (self.symmetry.reverses or self.model.forced or self.model.hybrid):

@@ -558,11 +558,17 @@ WINDING_MARGIN = 0.25
 """A motion whose angles end farther than this from whole turns (in turns) runs round in none of them."""
 
 
-def loop_of(problem: Problem, equations: Equations, w: Unknowns, end: np.ndarray | None, pins: Sequence[Pin]) -> Loop:
-    """The loop of a Problem at these pins, its phases and displacement as w has them, whose motion ends at `end`."""
+def loop_of(
+    problem: Problem, equations: Equations, w: Unknowns, end: np.ndarray | None, pins: Sequence[Pin],
+    units: np.ndarray | None = None,
+) -> Loop:  # fmt: skip
+    """The loop of a Problem at these pins, its phases and displacement as w has them, whose motion ends at `end`.
+
+    `units` are what states (d) are measured in where phases are normal to the motion.
+    """
     given = (pinned(equations, pin.name, pin.value) for pin in pins)
     conditions = (*clock(equations, problem.forcing_cycles), *given)
-    return Loop(equations, displacement(problem, w, end), conditions, equations.phases(w), w.nodes[0])
+    return Loop(equations, displacement(problem, w, end), conditions, equations.phases(w, units, 1), w.nodes[0])
 
 
 def displacement(problem: Problem, w: Unknowns, end: np.ndarray | None) -> np.ndarray:

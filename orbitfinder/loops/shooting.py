@@ -100,7 +100,7 @@ def transcribe(problem: Problem, nodes: np.ndarray | Unknowns, flow: Flow | None
         far = far_end(problem, nodes, flow)
     else:
         guess, far = nodes, equations.links.passed(nodes, equations.ends(nodes))[0][-1]
-    loop = loop_of(problem, equations, guess, far, problem.pin)
+    loop = loop_of(problem, equations, guess, far, problem.pin, np.asarray(flow.units) if flow.units else None)
     scaled = guess.symbols()
     w, given = ca.vertcat(*scaled[0], *scaled[1]), ca.MX.sym("ends", equations.size, len(guess.nodes))
     units = _units(flow, guess)

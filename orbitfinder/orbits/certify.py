@@ -34,7 +34,7 @@ from orbitfinder.orbits.evidence import (
     off_motion,
     second_closure,
 )
-from orbitfinder.orbits.floquet import Floquet
+from orbitfinder.orbits.floquet import Floquet, verdict
 from orbitfinder.orbits.hybrid import (
     HybridEvidence,
     gather_hybrid,
@@ -275,7 +275,7 @@ class Trial:
             off, held = abs(self.orbit.closure - self.gap), self.orbit.tolerance
         yield at_most("recorded_closure", off, held * self.scale, RECORDED)
         yield at_most("floquet_multipliers", _multiplier_distance(self.orbit, self.seen.floquet), room, "relative")
-        yield same("stability", self.orbit.stability, self.seen.floquet.stability)
+        yield same("stability", self.orbit.stability, _undecided(self.orbit) or self.seen.floquet.stability)
 
     def record(self) -> Check | None:
         """The digest of the file."""
@@ -536,6 +536,14 @@ def _same_symmetry(orbit: Orbit, evidence: Evidence, model: Model) -> Check:
         had = {one for name in names for one in (*known[name].maps, *known[name].both)}
         names += [orbit.symmetry] * (set(known[orbit.symmetry].maps) <= had)
     return same("symmetry", orbit.symmetry, orbit.symmetry if orbit.symmetry in names else names[0])
+
+
+def _undecided(orbit: Orbit) -> str:
+    """The verdict on a point of a dissipative family whose recorded error bars decide, else ""."""
+    if not isinstance(orbit, FamilyPoint) or orbit.multiplier_errors.shape != orbit.floquet_multipliers.shape:
+        return ""
+    told = verdict(orbit.floquet_multipliers, orbit.multiplier_errors)
+    return told if told == "marginal" == orbit.stability else ""
 
 
 def _multiplier_distance(orbit: Orbit, floquet: Floquet) -> float:

@@ -215,8 +215,8 @@ def _begun(problem: Problem, equations: Equations, guess: Guess, count: int) -> 
 
 def closed(problem: Problem, equations: Equations, w: Unknowns) -> Unknowns:
     """The orbit on the mesh of a first guess, by Newton's method. Raises `ConvergenceError`, `IntegrationError`."""
-    loop = loop_of(problem, equations, w, equations.ends(w)[-1], problem.pin)
     units = extents_of(problem.model, w.nodes, w.period)
+    loop = loop_of(problem, equations, w, equations.ends(w)[-1], problem.pin, units)
     free = np.where(w.free != 0.0, np.abs(w.free), 1.0)
     measures = Measures.of(loop, w, w.joined(units, w.period, 1.0 / w.period, free))
 

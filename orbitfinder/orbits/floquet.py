@@ -90,7 +90,7 @@ def judged(multipliers: np.ndarray, conservative: bool = True) -> Floquet:
     order = np.lexsort((multipliers.imag, -multipliers.real, -np.round(np.abs(multipliers), 9)))
     multipliers = multipliers[order]
     if not conservative:
-        return Floquet(multipliers, 0.0, np.zeros(0, complex), _dissipative_verdict(multipliers))
+        return Floquet(multipliers, 0.0, np.zeros(0, complex), verdict(multipliers))
     first, second = reciprocal_pairs(multipliers)
     defects = np.abs(multipliers[first] * multipliers[second] - 1.0)
     defect = float(defects.max(initial=0.0))
@@ -122,10 +122,14 @@ def _conservative_verdict(indices: np.ndarray, defects: np.ndarray) -> str:
     return "marginal" if np.any(outside > -error) else "elliptic"
 
 
-def _dissipative_verdict(multipliers: np.ndarray) -> str:
+def verdict(multipliers: np.ndarray, errors: np.ndarray | float = 0.0) -> str:
+    """Of a dissipative system: "marginal" where an error bar, relative and of each multiplier, decides."""
     if not multipliers.size:  # nothing is left that could grow or decay
         return "elliptic"
-    largest = float(np.abs(multipliers).max(initial=0.0))
-    if abs(largest - 1.0) < ERROR_FLOOR:
-        return "marginal"
-    return "unstable" if largest > 1.0 else "asymptotically stable"
+    sizes, bar = np.abs(multipliers), ERROR_FACTOR * np.asarray(errors)
+    with np.errstate(divide="ignore"):  # of one that is 0
+        unsure = np.abs(np.log(sizes)) <= np.where(sizes > 1.0, bar, np.log1p(bar))
+    unsure |= np.abs(sizes - 1.0) < ERROR_FLOOR
+    if np.any((sizes > 1.0) & ~unsure):
+        return "unstable"
+    return "marginal" if np.any(unsure) else "asymptotically stable"

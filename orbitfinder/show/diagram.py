@@ -44,10 +44,13 @@ class Diagram:
         return self.places[len(self.family.points) :]
 
     @property
-    def stretches(self) -> list[tuple[bool, np.ndarray]]:
-        """Stretches (k x 2) that are stable or not, which meet where the stability changes."""
+    def stretches(self) -> list[tuple[bool | None, np.ndarray]]:
+        """Stretches (k x 2) that are stable or not, None of orbits of which nothing decides, which meet where that
+        changes."""
         points = self.family.points
-        stable = [point.stability != "unstable" for point in points]
+        stable: list[bool | None] = [
+            {"unstable": False, "marginal": None}.get(point.stability, True) for point in points
+        ]
         cuts = [k for k in range(1, len(points)) if stable[k] != stable[k - 1]]
         stretches = [(stable[k], self.points[max(k - 1, 0) : end]) for k, end in pairwise([0, *cuts, len(points)])]
         for number, k in enumerate(cuts):

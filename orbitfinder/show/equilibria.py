@@ -21,7 +21,7 @@ from orbitfinder.records.family import End, Family
 from orbitfinder.show.diagram import Diagram
 from orbitfinder.show.plot import two_parameters
 from orbitfinder.show.rest import stretched
-from orbitfinder.show.style import bare, dress, legend, new_figure, place_labels, save_all
+from orbitfinder.show.style import STRETCHES, bare, dress, legend, new_figure, place_labels, save_all
 from orbitfinder.show.svg import COLOURS, axis
 
 RESTS, OTHER = {
@@ -49,12 +49,13 @@ class Panel:
         self.axes, self.shown = axes, shown
         self.labels, self.heights = list[tuple[str, float, float]](), list[np.ndarray]()
 
-    def line(self, stretches: Sequence[tuple[bool, np.ndarray]], colour: str, name: str) -> None:
-        """A curve: places (k x 2) that are stable or not."""
+    def line(self, stretches: Sequence[tuple[bool | None, np.ndarray]], colour: str, name: str) -> None:
+        """A curve: places (k x 2) that are stable or not, or of which nothing decides."""
         for stable, path in stretches:
-            style = {"linestyle": "-" if stable else "--", "linewidth": 1.8 if stable else 1.2}
+            word, line = STRETCHES[stable]
+            style = {"linestyle": line, "linewidth": 1.8 if stable else 1.2}
             self.axes.plot(*path.T, color=colour, **style)
-            self.shown.setdefault("stable" if stable else "unstable", Line2D([], [], color="0.3", **style))
+            self.shown.setdefault(word, Line2D([], [], color="0.3", **style))
             self.heights.append(path[:, 1])
         self.shown.setdefault(name, Line2D([], [], color=colour, linewidth=2.4))
 

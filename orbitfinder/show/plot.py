@@ -34,6 +34,7 @@ from orbitfinder.show.paths import family_paths, has_path, path_views
 from orbitfinder.show.scene import Scene, evenly, tip
 from orbitfinder.show.style import (
     LEAST_SIDE,
+    STRETCHES,
     arrows,
     bare,
     configuration,
@@ -293,7 +294,7 @@ def energy_error(orbit: Orbit, model: Model) -> Figure:
     return figure
 
 
-STABLE, UNSTABLE = COLOURS[0], COLOURS[1]
+STABLE, UNSTABLE, UNDECIDED = COLOURS[0], COLOURS[1], COLOURS[4]
 """Colours of the stretches of one family"""
 
 
@@ -481,15 +482,15 @@ def _curves(figure: Figure, axes: Any, diagrams: Sequence[Diagram]) -> None:
 
     One family is coloured by stability; of several the later lie on wider ones.
     """
-    shown, many = dict[str, Any](), len(diagrams) > 1
+    shown, many, calm = dict[str, Any](), len(diagrams) > 1, {True: STABLE, False: UNSTABLE, None: UNDECIDED}
     for k, drawn in enumerate(diagrams):
         wider = min(3.6, 0.9 * (len(diagrams) - 1 - k))
         for stable, path in drawn.stretches:
-            colour = COLOURS[k % len(COLOURS)] if many else (STABLE if stable else UNSTABLE)
-            style = {"linestyle": "-" if stable else "--", "linewidth": (1.8 if stable else 1.2) + wider}
+            colour, (word, line) = COLOURS[k % len(COLOURS)] if many else calm[stable], STRETCHES[stable]
+            style = {"linestyle": line, "linewidth": (1.8 if stable else 1.2) + wider}
             axes.plot(*path.T, color=colour, zorder=2 + 0.01 * k, **style)
             key = {"color": "0.3" if many else colour, "linestyle": style["linestyle"]}
-            shown.setdefault("stable" if stable else "unstable", Line2D([], [], **key))
+            shown.setdefault(word, Line2D([], [], **key))
         for event, place in zip(drawn.family.events, drawn.events, strict=True):
             look = mark_of(event)
             style = {"marker": look.marker, "markersize": look.size, "linestyle": "none", "color": look.colour}

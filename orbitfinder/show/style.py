@@ -21,6 +21,8 @@ from orbitfinder.show.scene import BRUSHES, Scene, Strokes, extent, outlines, ti
 from orbitfinder.show.svg import COLOURS
 
 DASHES = ("-", "--", "-.", ":")
+STRETCHES = {True: ("stable", "-"), False: ("unstable", "--"), None: ("undecided", ":")}
+"""The names and lines of stretches of a curve that are stable or not, or of which nothing decides"""
 LEAST_SIDE, SLIVER = 0.4, 0.08
 """The shorter side of a picture with ground (and of what is drawn wider than it is), and how narrow that is"""
 DPI = 150

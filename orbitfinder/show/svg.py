@@ -288,7 +288,7 @@ def diagram(drawn: Diagram) -> str:
 
 
 def drawn_curve(
-    axes: Axes, stretches: Sequence[tuple[bool, np.ndarray]], marks: Sequence[tuple[str, np.ndarray]], said: str
+    axes: Axes, stretches: Sequence[tuple[bool | None, np.ndarray]], marks: Sequence[tuple[str, np.ndarray]], said: str
 ) -> str:
     """A curve in stretches (k x 2) that are stable or not, and named marks on it."""
     lines = [axes.frame]
