@@ -14,6 +14,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.atlas.abreast import Course, Marched, alone
 from orbitfinder.atlas.regions import Region, region_of
 from orbitfinder.atlas.sections import TURNS as TURNED
 from orbitfinder.atlas.sections import EventSection
@@ -291,6 +292,11 @@ def check(model: Model, target: Target) -> None:
 
 def make_start(context: Context, seed: int, index: int) -> SearchStart:
     """The start with this number; `ConvergenceError` when its strategy proposes none."""
+    return alone(proposed(context, seed, index))
+
+
+def proposed(context: Context, seed: int, index: int) -> Course[SearchStart]:
+    """The same as a course."""
     name = strategy_of(context, index)
     random = np.random.default_rng([seed, index])
     if context.section is not None:
@@ -299,13 +305,14 @@ def make_start(context: Context, seed: int, index: int) -> SearchStart:
     if name in context.declared:
         mirror = context.declared[name]
         state = _fixed(context, mirror, random) if mirror.sense < 0 else _random_state(context, random)
-        return SearchStart(index, name, mirror.name, state, _return_time(context, name, state, random))
+        return SearchStart(index, name, mirror.name, state, (yield from _return_time(context, name, state, random)))
     symmetry, propose = STRATEGIES[name]
     state = propose(context, random)
     if name == "recurrence":
-        state, period = _recurrence(context, state, random)
+        state, period = yield from _recurrence(context, state, random)
     else:
-        period = _return_time(context, name if name == REVERSAL.name else symmetry, state, random)
+        known = name if name == REVERSAL.name else symmetry
+        period = yield from _return_time(context, known, state, random)
     return SearchStart(index, name, symmetry, state, period)
 
 
@@ -448,12 +455,13 @@ def _gap_alone(mirror: Involution | None, states: np.ndarray, angular: np.ndarra
     return np.asarray(np.abs(wrapped(states - first, angular)).max(axis=1))
 
 
-def simulated(context: Context, state: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
+def simulated(context: Context, state: np.ndarray, duration: float) -> Course[tuple[np.ndarray, np.ndarray]]:
     """Times and states of a loose simulation."""
     samples = context.settings.samples_per_period * duration / context.target.periods[1]
     count = rounded(max(samples, duration / context.step))
-    march, mesh = context.equations["none"].march, uniform(1.0, 1, count)
-    return duration * mesh, march.states(state[None], mesh, np.append(duration, np.zeros(march.unfolding)))
+    equations, mesh = context.equations["none"], uniform(1.0, 1, count)
+    states = yield Marched(equations, equations.unknowns(state[None], duration, mesh), "states")
+    return duration * mesh, states
 
 
 def _minima(gaps: np.ndarray) -> np.ndarray:
@@ -461,12 +469,12 @@ def _minima(gaps: np.ndarray) -> np.ndarray:
     return np.flatnonzero((gaps[1:-1] <= gaps[:-2]) & (gaps[1:-1] <= gaps[2:])) + 1
 
 
-def _return_time(context: Context, symmetry: str, state: np.ndarray, random: np.random.Generator) -> float:
+def _return_time(context: Context, symmetry: str, state: np.ndarray, random: np.random.Generator) -> Course[float]:
     """A period at which the boundary condition nearly holds, drawn from the nearest few."""
     half = symmetry == REVERSAL.name or symmetry in context.declared
     fraction = 0.5 if half else SYMMETRIES[symmetry].fraction
     low, high = context.target.periods
-    times, states = simulated(context, state, fraction * high)
+    times, states = yield from simulated(context, state, fraction * high)
     gaps = boundary_gap(context, symmetry, states)
     minima = _minima(gaps)
     minima = minima[times[minima] >= fraction * low]
@@ -476,10 +484,10 @@ def _return_time(context: Context, symmetry: str, state: np.ndarray, random: np.
     return float(times[random.choice(best)] / fraction)
 
 
-def _recurrence(context: Context, state: np.ndarray, random: np.random.Generator) -> tuple[np.ndarray, float]:
+def _recurrence(context: Context, state: np.ndarray, random: np.random.Generator) -> Course[tuple[np.ndarray, float]]:
     """The state and period of one of the closest returns of a longer simulation to itself."""
     low, high = context.target.periods
-    times, states = simulated(context, state, context.settings.recurrence_span * high)
+    times, states = yield from simulated(context, state, context.settings.recurrence_span * high)
     step, returns = float(times[1]), []
     window = int(np.ceil(high / step))
     for begin in range(0, len(times) - window, max(1, window // context.settings.recurrence_beginnings)):

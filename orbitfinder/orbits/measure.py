@@ -60,10 +60,23 @@ def whole_period(
 
     `march` is that of the equations without symmetry, `samples` how many states there are at least.
     """
+    whole = whole_unknowns(problem, flow, march, w, samples)
+    return sampled_period(problem, whole, march.states(whole.nodes, whole.mesh, whole.tail))
+
+
+def whole_unknowns(
+    problem: Problem, flow: Flow, march: March | Marches, w: Unknowns, samples: int = SAMPLES
+) -> Unknowns:
+    """The unknowns of one period, on the mesh at which `whole_period` has states."""
     nodes = full_period(problem, flow, w.nodes, w.period)
-    steps = max(w.steps, rounded(samples / len(nodes)))
-    states = march.states(nodes, uniform(1.0, len(nodes), steps), _untouched(march, w))
-    states[::steps] = [*nodes, states[-1]]  # the node, not the end of the segment before it
+    mesh = uniform(1.0, len(nodes), max(w.steps, rounded(samples / len(nodes))))
+    return Unknowns(nodes, w.period, np.zeros(march.unfolding), w.free, mesh)
+
+
+def sampled_period(problem: Problem, w: Unknowns, states: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What `whole_period` gives, of such unknowns and the states (M + 1 x d) that a march from their nodes leads to."""
+    nodes = w.nodes
+    states[:: w.steps] = [*nodes, states[-1]]  # the node, not the end of the segment before it
     states[-1] = nodes[0] + shift(shift_of(problem, nodes[0], states[-1])[1], nodes.shape[1])
     return nodes, np.linspace(0.0, w.period, len(states)), states
 
