@@ -23,11 +23,11 @@ from orbitfinder.families.run import Run, first_point
 from orbitfinder.families.start import begin
 from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.loop import Equations, Unknowns
-from orbitfinder.loops.problem import Guess, Problem, clocked, segments_for
+from orbitfinder.loops.problem import Guess, Problem, clocked, elsewhere, segments_for
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certified, return_distances
-from orbitfinder.orbits.measure import action, marched, sampled_period, whole_unknowns
+from orbitfinder.orbits.measure import action, around, marched, sampled_period, whole_unknowns
 from orbitfinder.records.orbit import VERSION, Orbit, orbit_from_document
 
 Found = tuple[SearchStart, Signature, Callable[[], tuple[Orbit, Model]]]
@@ -178,12 +178,10 @@ def judged(context: Context, seed: int, found: Found, known: ArrayLike | None) -
 
 def converged(context: Context, start: SearchStart) -> Course[ClosedLoop]:
     """The loop that a start leads to, over the period found."""
-    guess = Guess(start.state, start.period)
-    problem = Problem(context.model, guess, pin=context.pins, symmetry=start.symmetry)
     equations = context.equations[start.symmetry]
     w, end = yield from begun(context, equations, start.state, start.period)
-    if not problem.boundary.maps:
-        problem = replace(problem, winding=turns(context, w.nodes, end))
+    winding = None if equations.symmetry.maps else turns(context, w.nodes, end)
+    problem = elsewhere(context.problems[start.symmetry], Guess(start.state, start.period), winding)
     return (yield from solved(context, problem, w))
 
 
@@ -228,7 +226,11 @@ def solved(context: Context, problem: Problem, w: Unknowns) -> Course[ClosedLoop
         raise ConvergenceError("unfolding does not vanish")
     closed = replace(closed, nodes=centred(context, problem, closed.nodes))
     plain = context.equations[NONE.name]
-    whole = whole_unknowns(problem, context.flows[problem.symmetry], plain.march, closed)
+    nodes = closed.nodes
+    if problem.boundary.maps:
+        ends = yield Marched(context.equations[problem.symmetry], closed)
+        nodes = around(problem, nodes, ends[-1] if problem.boundary.reverses else None)
+    whole = whole_unknowns(plain.march, closed, nodes)
     nodes, times, states = sampled_period(problem, whole, (yield Marched(plain, whole, "states")))
     if (np.ptp(states, axis=0) / context.units).max() < how.smallest:
         raise ConvergenceError("equilibrium")
@@ -276,7 +278,7 @@ def uncovered(context: Context, loop: ClosedLoop, cover: int) -> Course[ClosedLo
     if period < context.target.periods[0]:
         raise ConvergenceError("period outside the range")
     winding = tuple(int(k) // cover for k in loop.problem.turns)
-    problem = Problem(context.model, Guess(state, period), pin=context.pins, winding=winding)
+    problem = elsewhere(context.problems[NONE.name], Guess(state, period), winding)
     w, _ = yield from begun(context, context.equations[NONE.name], state, period)
     return (yield from solved(context, problem, w))
 

@@ -256,7 +256,8 @@ class Rank:
         """Rows that lead nowhere."""
         for k in numbers:
             self.answers[k] = why
-        self.left = np.setdiff1d(self.left, numbers)
+        if len(numbers):
+            self.left = self.left[np.isin(self.left, numbers, invert=True)]
 
     def _at(self, k: int) -> Unknowns:
         return self.asks[k].scaled.at(self.asks[k].w.at(self.w[k]))
@@ -265,10 +266,10 @@ class Rank:
         """Who has arrived, is hopeless or has stalled."""
         how, norm = self.how, np.abs(self.residual).max(axis=1)
         self.norms.append(norm)
-        arrived = self.left[norm[self.left] < how.converged]
-        for k in arrived:
+        arrived = norm[self.left] < how.converged
+        for k in self.left[arrived]:
             self.answers[k] = self._at(k), self.jacobian[k]
-        self.left = np.setdiff1d(self.left, arrived)
+        self.left = self.left[~arrived]
         for after, most in how.hopeless:
             if evaluation > after:
                 self.end(self.left[norm[self.left] > most], ConvergenceError("hopeless start"))

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.optimize import brentq
 
 from orbitfinder._runtime.sizes import nonzero
@@ -24,6 +25,7 @@ from orbitfinder.integrate.equations import prepare
 from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.conditions import Pin, pin
 from orbitfinder.loops.loop import Equations
+from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import (
     ALONE,
     BRAKE,
@@ -116,6 +118,8 @@ class Context:
     lengths: np.ndarray
     equations: Mapping[str, Equations] = field(default_factory=dict)
     flows: Mapping[str, Flow] = field(default_factory=dict)
+    problems: Mapping[str, Problem] = field(default_factory=dict)
+    """one each, whose guess is to be another"""
     step: float = 0.0
     declared: Mapping[str, Involution] = field(default_factory=dict)
     """the system's own reversals, by strategy; of a first-order system all that it may have, forwards too"""
@@ -180,15 +184,19 @@ def context_of(model: Model, target: Target) -> Context:
     chosen = {name: SYMMETRIES[name] for name in known if name in imposed}
     chosen |= {reversal.name: Symmetry((reversal,)) for reversal in own.values()}
     turns = (*(name for name in TURNS if possible(name, known)), *own, *(own if len(own) == 1 else ()))
-    return _ready(Context(model, target, place, normal_modes(model, place)[1], turns, lengths, declared=own), chosen)
+    return _ready(
+        Context(model, target, place, normal_modes(model, place)[1], turns, lengths, declared=own), chosen, origin
+    )
 
 
-def _ready(context: Context, chosen: Mapping[str, Symmetry]) -> Context:
+def _ready(context: Context, chosen: Mapping[str, Symmetry], place: np.ndarray) -> Context:
     """With equations and flows by the symmetries that are imposed, and the step of the cheap stage."""
     model, units = context.model, unless_one(context.units)
     equations = {name: Equations(model, symmetry, alone=True) for name, symmetry in chosen.items()}
     flows = {name: build_flow(model, (), symmetry.unfolded(model), units=units) for name, symmetry in chosen.items()}
-    ready = replace(context, equations=equations, flows=flows)
+    guess = Guess(place, context.target.periods[1])
+    problems = {name: Problem(model, guess, pin=context.pins, symmetry=name) for name in equations}
+    ready = replace(context, equations=equations, flows=flows, problems=problems)
     return replace(ready, step=calibrated(ready))
 
 
@@ -202,7 +210,7 @@ def _alone(model: Model, target: Target) -> Context:
     chosen = {NONE.name: ALONE} | {mirror.name: Symmetry((mirror,), True) for mirror in own.values()}
     turns = ("recurrence", *own, "random", "recurrence", *own)
     shapes, lengths = np.zeros((place.size, 0)), region.lengths
-    return _ready(Context(model, target, place, shapes, turns, lengths, declared=own, region=region), chosen)
+    return _ready(Context(model, target, place, shapes, turns, lengths, declared=own, region=region), chosen, place)
 
 
 def _cut(model: Model, target: Target) -> Context:
@@ -352,11 +360,10 @@ def at_rest(context: Context, q: np.ndarray, direction: np.ndarray) -> np.ndarra
 
     unit = np.linalg.norm(direction / context.lengths)
     lengths = np.linspace(0.0, 2 * np.pi, 64) / unit
-    above = [length for length in lengths if excess(length) > 0]
-    if not above:
+    above = next((length for length in lengths if excess(length) > 0), None)
+    if above is None:
         raise ConvergenceError("the ray does not meet the energy")
-    step = lengths[1]
-    root = brentq(excess, above[0] - step, above[0], xtol=1e-14 * np.linalg.norm(direction) / unit)
+    root = brentq(excess, above - lengths[1], above, xtol=1e-14 * np.linalg.norm(direction) / unit)
     return np.concatenate([q + root * direction, np.zeros(q.size)])
 
 
@@ -488,13 +495,29 @@ def _recurrence(context: Context, state: np.ndarray, random: np.random.Generator
     """The state and period of one of the closest returns of a longer simulation to itself."""
     low, high = context.target.periods
     times, states = yield from simulated(context, state, context.settings.recurrence_span * high)
-    step, returns = float(times[1]), []
-    window = int(np.ceil(high / step))
-    for begin in range(0, len(times) - window, max(1, window // context.settings.recurrence_beginnings)):
-        gaps = boundary_gap(context, "none", states[begin : begin + window])
-        returns += [(float(gaps[k]), begin, int(k)) for k in _minima(gaps) if k >= np.ceil(low / step)]
-    if not returns:
+    step, window = float(times[1]), int(np.ceil(high / times[1]))
+    apart = max(1, window // context.settings.recurrence_beginnings)
+    windows = sliding_window_view(states, window, axis=0)[: len(times) - window : apart]
+    gaps = return_gaps(context, windows)
+    at, length = np.nonzero((gaps[:, 1:-1] <= gaps[:, :-2]) & (gaps[:, 1:-1] <= gaps[:, 2:]))
+    length += 1
+    kept = length >= np.ceil(low / step)
+    at, length = at[kept], length[kept]
+    if not at.size:
         raise ConvergenceError("no return in the range of periods")
-    best = sorted(returns)[: context.settings.choices]
-    _, begin, length = best[random.integers(len(best))]
-    return states[begin], length * step
+    best = np.lexsort((length, at, gaps[at, length]))[: context.settings.choices]
+    chosen = best[random.integers(len(best))]
+    return states[at[chosen] * apart], float(length[chosen] * step)
+
+
+def return_gaps(context: Context, windows: np.ndarray) -> np.ndarray:
+    """How far the states of each window (k x d x w) are from its first one (k x w), whatever symmetry they have."""
+    n, angular = context.model.degrees_of_freedom, context.model.angular
+    moved = windows / context.sizes[:, None]
+    rates = 1.0 if context.region is not None else nonzero(np.sqrt(np.mean(moved[:, n:] ** 2, axis=(1, 2))))
+    moved -= moved[:, :, :1]
+    moved[:, :n][:, angular] = wrapped(moved[:, :n][:, angular].swapaxes(1, 2), np.ones(angular.sum(), bool)).swapaxes(
+        1, 2
+    )
+    moved[:, :, n:] /= np.reshape(rates, (-1, 1, 1))
+    return np.asarray(np.abs(moved).max(axis=2))
