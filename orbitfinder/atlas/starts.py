@@ -516,8 +516,6 @@ def return_gaps(context: Context, windows: np.ndarray) -> np.ndarray:
     moved = windows / context.sizes[:, None]
     rates = 1.0 if context.region is not None else nonzero(np.sqrt(np.mean(moved[:, n:] ** 2, axis=(1, 2))))
     moved -= moved[:, :, :1]
-    moved[:, :n][:, angular] = wrapped(moved[:, :n][:, angular].swapaxes(1, 2), np.ones(angular.sum(), bool)).swapaxes(
-        1, 2
-    )
+    moved = wrapped(moved.swapaxes(1, 2), angular)
     moved[:, :, n:] /= np.reshape(rates, (-1, 1, 1))
     return np.asarray(np.abs(moved).max(axis=2))
