@@ -512,10 +512,14 @@ def _recurrence(context: Context, state: np.ndarray, random: np.random.Generator
 
 def return_gaps(context: Context, windows: np.ndarray) -> np.ndarray:
     """How far the states of each window (k x d x w) are from its first one (k x w), whatever symmetry they have."""
-    n, angular = context.model.degrees_of_freedom, context.model.angular
-    moved = windows / context.sizes[:, None]
-    rates = 1.0 if context.region is not None else nonzero(np.sqrt(np.mean(moved[:, n:] ** 2, axis=(1, 2))))
-    moved -= moved[:, :, :1]
-    moved = wrapped(moved.swapaxes(1, 2), angular)
-    moved[:, :, n:] /= np.reshape(rates, (-1, 1, 1))
-    return np.asarray(np.abs(moved).max(axis=2))
+    n, angular, gaps = context.model.degrees_of_freedom, context.model.angular, np.zeros(windows.shape[::2])
+    fast = np.square(windows[:, n:] / context.sizes[n:, None]).sum(axis=(1, 2)) / (n * windows.shape[2])
+    rates = np.sqrt(nonzero(fast))[:, None]
+    for k, (part, size) in enumerate(zip(windows.swapaxes(0, 1), context.sizes, strict=True)):
+        moved = (part - part[:, :1]) / size
+        if k < n and angular[k]:
+            moved -= 2 * np.pi * np.rint(moved / (2 * np.pi))
+        elif k >= n:
+            moved /= rates
+        np.maximum(gaps, np.abs(moved), out=gaps)
+    return gaps
