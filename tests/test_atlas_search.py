@@ -160,11 +160,11 @@ def told(outcomes):
 
 def test_a_start_does_not_see_who_goes_beside_it(one, monkeypatch):
     """64 side by side, 7 and one alone lead to the same bits, whatever goes wrong in another."""
-    known = told(abreast([refine.found(one, 0, Job(k)) for k in range(64)]))
+    known = told(abreast([refine.course(one, 0, Job(k)) for k in range(64)]))
     assert sum(isinstance(entry, tuple) for entry in known) > 20
-    assert told(abreast([refine.found(one, 0, Job(k)) for k in range(20, 27)])) == known[20:27]
+    assert told(abreast([refine.course(one, 0, Job(k)) for k in range(20, 27)])) == known[20:27]
     for k in (0, 2, 23):
-        assert told(abreast([refine.found(one, 0, Job(k))])) == [known[k]]
+        assert told(abreast([refine.course(one, 0, Job(k))])) == [known[k]]
     proposed = refine.proposed
 
     def broken(context, seed, number):
@@ -173,7 +173,7 @@ def test_a_start_does_not_see_who_goes_beside_it(one, monkeypatch):
         return proposed(context, seed, number)
 
     monkeypatch.setattr(refine, "proposed", broken)
-    others = told(abreast([refine.found(one, 0, Job(k)) for k in range(20, 27)]))
+    others = told(abreast([refine.course(one, 0, Job(k)) for k in range(20, 27)]))
     assert others[3] == "ZeroDivisionError: " and others[:3] + others[4:] == known[20:23] + known[24:27]
     assert perform(one, 0, [Job(23)], [])[0].reason == "error: ZeroDivisionError"
 
@@ -188,7 +188,7 @@ def test_without_a_compiler_starts_lead_to_the_same_orbits(one):
     """To what the interpreter's round-off allows."""
 
     def orbits(context):
-        outcomes = abreast([refine.found(context, 0, Job(k)) for k in (8, 15)])
+        outcomes = abreast([refine.course(context, 0, Job(k)) for k in (8, 15)])
         return np.array([entry[1].numbers for entry in outcomes])
 
     known = orbits(one)

@@ -17,7 +17,7 @@ from orbitfinder._runtime import limit
 from orbitfinder.errors import IntegrationError, LimitError
 from orbitfinder.loops.loop import Equations, Unknowns
 
-T = TypeVar("T")
+Result = TypeVar("Result")
 
 
 class Ask:
@@ -25,11 +25,11 @@ class Ask:
 
     @classmethod
     def answered(cls, asks: Sequence[Any]) -> Sequence[Any]:
-        """The answers to asks of this kind; one that is an exception is meant for its course alone."""
+        """The answers to asks of this kind; an exception is meant for its course alone."""
         raise NotImplementedError
 
 
-Course = Generator[Ask, Any, T]
+Course = Generator[Ask, Any, Result]
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Marched(Ask):
 
     @classmethod
     def answered(cls, asks: Sequence[Marched]) -> Sequence[Any]:
-        """All of one kind by one march together."""
+        """All of a kind by the same march together."""
         answers: dict[int, Any] = {}
         groups = defaultdict[tuple[int, str], list[int]](list)
         for k, ask in enumerate(asks):
@@ -55,19 +55,19 @@ class Marched(Ask):
             ends, path = march.beside(varied, loops, (1 + size) * whole)
             counts = [w.mesh.size - 1 if whole else len(w.nodes) for w in places]
             each = np.split((path if whole else ends)[:, 1:], np.cumsum(counts)[:-1])
-            for k, w, found in zip(numbers, places, each, strict=True):
-                if not np.isfinite(found).all():
+            for k, w, result in zip(numbers, places, each, strict=True):
+                if not np.isfinite(result).all():
                     answers[k] = IntegrationError("the state is not finite", state=w.nodes[0])
                 elif varied:
-                    answers[k] = found[:, size : size * (1 + size)].reshape(-1, size, size).swapaxes(1, 2)
+                    answers[k] = result[:, size : size * (1 + size)].reshape(-1, size, size).swapaxes(1, 2)
                 else:
-                    answers[k] = np.vstack([w.nodes[:1], found]) if whole else found
+                    answers[k] = np.vstack([w.nodes[:1], result]) if whole else result
         return [answers[k] for k in range(len(asks))]
 
 
-def abreast(courses: Sequence[Course[T]]) -> list[T | Exception]:
+def abreast(courses: Sequence[Course[Result]]) -> list[Result | Exception]:
     """What courses end with, or the exceptions that end them; none is disturbed by another's."""
-    ended: dict[int, T | Exception] = {}
+    ended: dict[int, Result | Exception] = {}
     answers: dict[int, Any] = dict.fromkeys(range(len(courses)))
     while answers:
         asks: dict[int, Ask] = {}
@@ -89,9 +89,9 @@ def abreast(courses: Sequence[Course[T]]) -> list[T | Exception]:
     return [ended[k] for k in range(len(courses))]
 
 
-def alone(course: Course[T]) -> T:
-    """What one course ends with."""
-    (found,) = abreast([course])
-    if isinstance(found, Exception):
-        raise found
-    return found
+def alone(course: Course[Result]) -> Result:
+    """What a course ends with."""
+    (result,) = abreast([course])
+    if isinstance(result, Exception):
+        raise result
+    return result

@@ -50,7 +50,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Attempt:
-    """How one start ended: with an orbit; with a signature alone, when it seemed to be known; or with a reason.
+    """How a start ended: with an orbit; with a signature alone, when it seemed to be known; or with a reason.
 
     `seconds` is processor time.
     """
@@ -65,7 +65,7 @@ class Attempt:
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """A converged loop before it is measured: w over the horizon, nodes and states of one period, its action."""
+    """A converged loop before it is measured: w over the horizon, nodes and states of a period, its action."""
 
     problem: Problem
     w: Unknowns
@@ -103,12 +103,12 @@ def attempt(
 
 
 def attempts(context: Context, seed: int, jobs: Sequence[Job], known: ArrayLike) -> list[Attempt]:
-    """The same of several, side by side; what one leads to does not depend on the others.
+    """The same of several, side by side; what each leads to does not depend on the others.
 
-    Those that seem to have led to one orbit are certified once.
+    Those that seem to have led to the same orbit are certified once.
     """
     began, made, numbers = time.process_time(), list[Attempt](), list(np.reshape(known, (-1, 3)))
-    courses = abreast([found(context, seed, job) for job in jobs])
+    courses = abreast([course(context, seed, job) for job in jobs])
     shared = (time.process_time() - began) / max(1, len(jobs))
     for job, outcome in zip(jobs, courses, strict=True):
         began = time.process_time()
@@ -116,16 +116,16 @@ def attempts(context: Context, seed: int, jobs: Sequence[Job], known: ArrayLike)
         try:
             if isinstance(outcome, Exception):
                 raise outcome
-            one = judged(context, seed, outcome, None if job.certain else numbers)
+            trial = judged(context, seed, outcome, None if job.certain else numbers)
         except IntegrationError:
-            one = Attempt(job.number, name, reason="integration failed")
+            trial = Attempt(job.number, name, reason="integration failed")
         except ConvergenceError as error:
-            one = Attempt(job.number, name, reason=str(error))
+            trial = Attempt(job.number, name, reason=str(error))
         except (RuntimeError, ValueError, ArithmeticError) as error:
-            one = Attempt(job.number, name, reason=f"error: {type(error).__name__}")
-        if one.orbit is not None and one.signature is not None:
-            numbers.append(np.array(one.signature.numbers))
-        made.append(replace(one, seconds=shared + time.process_time() - began))
+            trial = Attempt(job.number, name, reason=f"error: {type(error).__name__}")
+        if trial.orbit is not None and trial.signature is not None:
+            numbers.append(np.array(trial.signature.numbers))
+        made.append(replace(trial, seconds=shared + time.process_time() - began))
     return made
 
 
@@ -147,7 +147,7 @@ def continuation(context: Context, index: int, source: Mapping[str, Any]) -> Sea
     raise ConvergenceError("family ends before the energy")
 
 
-def found(context: Context, seed: int, job: Job) -> Course[Found]:
+def course(context: Context, seed: int, job: Job) -> Course[Found]:
     """What a start leads to; `ConvergenceError` or `IntegrationError` when that is nowhere."""
     if job.source is None:
         start = yield from proposed(context, seed, job.number)
@@ -161,9 +161,9 @@ def found(context: Context, seed: int, job: Job) -> Course[Found]:
     return start, loop.signature, lambda: (measured(context, loop), context.model)
 
 
-def judged(context: Context, seed: int, found: Found, known: ArrayLike | None) -> Attempt:
-    """The attempt with the signature of what was found, and unless that seems to be known its Orbit, certified."""
-    start, signature, made = found
+def judged(context: Context, seed: int, outcome: Found, known: ArrayLike | None) -> Attempt:
+    """The attempt with the signature of what a start led to, and unless that seems to be known its Orbit, certified."""
+    start, signature, made = outcome
     if known is not None and among(known, signature.numbers):
         return Attempt(start.index, start.strategy, signature)
     orbit, model = made()
@@ -177,7 +177,7 @@ def judged(context: Context, seed: int, found: Found, known: ArrayLike | None) -
 
 
 def converged(context: Context, start: SearchStart) -> Course[ClosedLoop]:
-    """The loop that a start leads to, over the period found."""
+    """The loop that a start leads to, over its period."""
     equations = context.equations[start.symmetry]
     w, end = yield from begun(context, equations, start.state, start.period)
     winding = None if equations.symmetry.maps else turns(context, w.nodes, end)
@@ -258,7 +258,8 @@ def minimal(context: Context, loop: ClosedLoop) -> Course[ClosedLoop]:
     low, high = context.target.periods
     if not low <= loop.w.period <= 2 * high:  # a multiple cover that is too long may have a period in range
         raise ConvergenceError("period outside the range")
-    covers = [k for k in range(2, context.settings.largest_cover + 1) if not np.any(loop.problem.turns % k)]
+    whole = np.append(loop.problem.turns, loop.problem.forcing_cycles)
+    covers = [k for k in range(2, context.settings.largest_cover + 1) if not np.any(whole % k)]
     near: list[bool] = []
     if covers:
         states = loop.states / context.sizes
@@ -284,7 +285,7 @@ def uncovered(context: Context, loop: ClosedLoop, cover: int) -> Course[ClosedLo
 
 
 def origin(seed: int, start: SearchStart) -> dict[str, Any]:
-    """Provenance of an orbit found from a start: enough to find it again."""
+    """Provenance of an orbit that a start led to: enough to come to it again."""
     course = {"course": list(start.course)} if start.course else {}
     return {
         "orbitfinder": __version__,

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfinder.atlas.attempt import Job, attempts
+from orbitfinder.atlas.search import FIRST
 from orbitfinder.atlas.signature import Signature, same_orbit, signature_of
 from orbitfinder.atlas.starts import Target, context_of
 from orbitfinder.errors import ConvergenceError, InputError, OrbitfinderError
@@ -24,8 +25,6 @@ from orbitfinder.records.orbit import Orbit
 
 STARTS = 200
 """Starts where the file does not say how many."""
-TOGETHER = 20
-"""Starts that are made side by side, between two reports"""
 NEAR = 1e-6
 """A period that changes by more than this, relative, is another orbit's."""
 
@@ -125,8 +124,8 @@ def candidates(problem: Problem, starts: int, seed: int, progress: Callback | No
     shared = context_of(problem.model, Target(problem.pin[0].value, problem.bounds["period"]))
     known: list[Candidate] = []
     _own(problem, known)
-    for first in range(0, starts, TOGETHER):
-        jobs = [Job(index) for index in range(first, min(first + TOGETHER, starts))]
+    for first in range(0, starts, FIRST):
+        jobs = [Job(index) for index in range(first, min(first + FIRST, starts))]
         for trial in attempts(shared, seed, jobs, [each.signature.numbers for each in known]):
             if trial.signature is not None:
                 _add(known, trial.signature, trial.orbit)

@@ -33,10 +33,9 @@ from orbitfinder.errors import InputError
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
 
-TOGETHER, FIRST = 64, 16
-"""Starts that are made side by side at most, and before it is known how long they take."""
-TURN = 2.0
-"""Seconds of processor time that those should take at most, so that a search ends when it is asked to."""
+TOGETHER, FIRST, TURN = 64, 16, 2.0
+"""Starts that are made side by side at most, and before it is known how long they take; seconds of processor time that
+those should take at most, so that a search ends when it is asked to."""
 AHEAD = 256
 """Starts for each place among the workers that may be under way or unjudged: bounds the memory."""
 MOST_SOURCES = 80
@@ -365,7 +364,7 @@ def search(
 def levels(model: Model, energies: float | Sequence[float] | None) -> tuple[float, ...]:
     """The energies (J) to search at, 0 alone where none is conserved. Raises `InputError`."""
     if model.invariants or energies is not None:
-        if not model.invariants and (model.rates is not None or not model.smooth):
+        if not model.invariants and (model.rates is not None or model.forced or not model.smooth):
             raise InputError("energy: this system conserves none; leave it out")
         given = [] if energies is None else energies
         return tuple(float(level) for level in (given if isinstance(given, Sequence) else [given]))

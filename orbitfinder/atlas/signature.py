@@ -115,7 +115,7 @@ def signature_of(orbit: Orbit, model: Model) -> Signature:
     if len(samples) < 2:
         times, samples = dense(build_flow(model, (), model.invariants), orbit.nodes, orbit.period)
     return Signature(
-        energy=level(orbit.energy) if unconserved(orbit) else orbit.energy,
+        energy=0.0 if model.forced else level(orbit.energy) if unconserved(orbit) else orbit.energy,
         period=orbit.period,
         action=abs(orbit.action),
         loop=resampled(times, samples, model.degrees_of_freedom),

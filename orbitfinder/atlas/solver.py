@@ -4,8 +4,8 @@ The equations are built once and used for every start with other numbers; nothin
 costs a few integrations. Source of the damping: K. Levenberg, Quarterly of Applied Mathematics 2 (1944) 164-168;
 D. Marquardt, SIAM Journal 11 (1963) 431-441.
 
-Beside a nearly degenerate orbit it is one equation in one unknown, followed along the valley where the others hold.
-There the Jacobian J has one singular value that is far smaller than the rest (a nearly resonant torus, a fold or
+Beside a nearly degenerate orbit it is an equation in a single unknown, followed along the valley where the others hold.
+There the Jacobian J has a singular value that is far smaller than the rest (a nearly resonant torus, a fold or
 a pitchfork close by): the residual F is small along a curve, damped steps creep and chord steps do not contract.
 With its singular vectors u, v the bordered equations
 
@@ -103,7 +103,7 @@ def _least_squares(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def _solved(solve: Callable[..., np.ndarray], matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """The solution of a system, or of each of several; nan of one that has none."""
+    """The solution of a system, or of each of several; nan where there is none."""
     try:
         return solve(matrix, right)
     except np.linalg.LinAlgError:
@@ -122,7 +122,7 @@ class Stalled(ConvergenceError):
 
 @dataclass(frozen=True)
 class ScaledLoop:
-    """The loop of one start, the longest step of its marches (s), what all is measured in."""
+    """The loop of a start, the longest step of its marches (s), what all is measured in."""
 
     loop: Loop
     step: float
@@ -147,12 +147,12 @@ def scaled_loop(
     units: np.ndarray,
     clock: float,
 ) -> ScaledLoop:
-    """The loop of one start, scales and references from its guess, from the `units` of states (2n) and a `clock` (s).
+    """The loop of a start, scales and references from its guess, from the `units` of states (2n) and a `clock` (s).
 
-    A first-order system's states (d) are scaled by their units alone.
+    States (d) without an energy that says how fast they are, are scaled by their units alone.
     """
     n, loop = problem.model.degrees_of_freedom, loop_of(problem, equations, w, None, problem.pin)
-    if problem.model.rates is not None:
+    if problem.model.rates is not None or not problem.pin:
         measures = Measures.of(loop, w, w.joined(units, problem.guess.period, 1.0 / clock, np.zeros(0)))
         return ScaledLoop(loop, step, measures, periods, tuple(units))
     rate = max(float(np.sqrt(np.mean((w.nodes[:, n:] / units[:n]) ** 2))), 2 * np.pi / problem.guess.period)
@@ -207,11 +207,11 @@ class Closing(Ask):
     def shape(self) -> tuple[int, ...]:
         """What those have in common that stand in rows of the same arrays."""
         loop = self.scaled.loop
-        return id(loop.equations), len(self.w.nodes), len(loop.normals), len(loop.conditions)
+        return id(loop.equations), len(self.w.nodes), len(loop.normals), len(loop.conditions), loop.cycles
 
     @classmethod
     def answered(cls, asks: Sequence[Closing]) -> Sequence[Any]:
-        """All side by side: every evaluation is one march of all that are still on their way."""
+        """All side by side: every evaluation is a march of all that are still on their way."""
         groups = defaultdict[tuple[int, ...], list[int]](list)
         for k, ask in enumerate(asks):
             groups[ask.shape].append(k)
@@ -229,9 +229,9 @@ class Closing(Ask):
 
 
 class Rank:
-    """Loops of one shape in rows: unknowns (B x K), scaled residuals, Jacobians and damping of each.
+    """Loops of the same shape in rows: unknowns (B x K), scaled residuals, Jacobians and damping of each.
 
-    What becomes of a row depends on that row alone: matrices are multiplied and solved one by one.
+    What becomes of a row depends on that row alone: matrices are multiplied and solved each by itself.
     """
 
     def __init__(self, asks: Sequence[Closing]) -> None:
@@ -240,14 +240,14 @@ class Rank:
         self.count, self.size = asks[0].w.nodes.shape
         self.cut = self.count * self.size
         self.w = np.array([ask.w.vector for ask in asks])
-        self.columns = np.array([one.measures.columns for one in scaled])
-        self.rows = np.array([one.measures.rows for one in scaled])
-        self.periods = np.array([one.periods for one in scaled])
-        self.normals = np.array([one.loop.normals for one in scaled]).reshape(len(asks), -1, self.size)
-        self.away = np.array([one.loop.reference for one in scaled])
-        self.constants = np.array([self.equations.aimed(one.loop.constant) for one in scaled])
+        self.columns = np.array([each.measures.columns for each in scaled])
+        self.rows = np.array([each.measures.rows for each in scaled])
+        self.periods = np.array([each.periods for each in scaled])
+        self.normals = np.array([each.loop.normals for each in scaled]).reshape(len(asks), -1, self.size)
+        self.away = np.array([each.loop.reference for each in scaled])
+        self.constants = np.array([self.equations.aimed(each.loop.constant) for each in scaled])
         self.conditions = scaled[0].loop.conditions
-        self.values = np.array([[each.value for each in one.loop.conditions] for one in scaled])
+        self.values = np.array([[condition.value for condition in each.loop.conditions] for each in scaled])
         self.left, self.answers = np.arange(len(asks)), list[Any]([None]) * len(asks)
         self.residual, self.jacobian = np.full(self.rows.shape, np.inf), np.zeros((*self.rows.shape, self.w.shape[1]))
         self.damping, self.norms = np.full(len(asks), np.nan), list[np.ndarray]()
@@ -405,16 +405,16 @@ def confirmed(scaled: ScaledLoop, w: Unknowns) -> Course[tuple[np.ndarray, np.nd
     def agreed(coarse: tuple[np.ndarray, np.ndarray], fine: tuple[np.ndarray, np.ndarray]) -> bool:
         return agree(coarse[0], fine[0], scaled.units)
 
-    course, found = refining(1, agreed), cast(Any, None)
+    course, answer = refining(1, agreed), cast(Any, None)
     while True:
         try:
-            mesh = divided(w.mesh, course.send(found))
+            mesh = divided(w.mesh, course.send(answer))
         except StopIteration as end:
             return cast(tuple[np.ndarray, np.ndarray], end.value)
         try:
-            found = (yield Marched(scaled.loop.equations, w.on(mesh))), mesh
+            answer = (yield Marched(scaled.loop.equations, w.on(mesh))), mesh
         except IntegrationError as error:
-            found = error
+            answer = error
 
 
 @dataclass(frozen=True)
@@ -429,7 +429,7 @@ class ValleyPoint:
 
     @property
     def mu(self) -> float:
-        """What is left of the residual in the one equation that is not regular."""
+        """What is left of the residual in the equation that is not regular."""
         return float(self.left @ self.residual)
 
 

@@ -16,7 +16,7 @@ from scipy.optimize import brentq
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.atlas.abreast import Course, Marched, alone
-from orbitfinder.atlas.regions import Region, region_of
+from orbitfinder.atlas.regions import Attractor, Region, region_of
 from orbitfinder.atlas.sections import TURNS as TURNED
 from orbitfinder.atlas.sections import EventSection
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
@@ -132,17 +132,31 @@ class Context:
     @property
     def units(self) -> np.ndarray:
         """What states (2n) are measured in: lengths, and lengths over a power of 256 near the longest period / 2 pi."""
-        return self.lengths if self.region is not None else np.concatenate([self.lengths, self.lengths / self.clock])
+        return (
+            self.lengths if self.model.rates is not None else np.concatenate([self.lengths, self.lengths / self.clock])
+        )
 
     @property
     def sizes(self) -> np.ndarray:
         """Lengths of a state's components (2n), rates in lengths a second."""
-        return self.lengths if self.region is not None else np.tile(self.lengths, 2)
+        return self.lengths if self.model.rates is not None else np.tile(self.lengths, 2)
 
     @property
     def pins(self) -> tuple[Pin, ...]:
         """What orbits are pinned by: the energy, where there is one."""
         return pin(energy=self.target.energy) if self.model.conservative else ()
+
+    @property
+    def beat(self) -> float:
+        """The period of the forcing in s, 0 where there is none."""
+        period = self.model.forcing_period
+        return 0.0 if period is None else float(period(self.model.parameter_values))
+
+    @property
+    def cycles(self) -> np.ndarray:
+        """How many of them may be in a period wanted."""
+        low, high = (round(period / self.beat, 9) for period in self.target.periods)
+        return np.arange(max(1, int(np.ceil(low))), int(np.floor(high)) + 1)
 
     @property
     def clock(self) -> float:
@@ -168,6 +182,8 @@ def context_of(model: Model, target: Target) -> Context:
     check(model, target)
     if not model.smooth:
         return _cut(model, target)
+    if model.forced:
+        return _forced(model, target)
     if model.rates is not None:
         return _alone(model, target)
     model = with_mirrors(model)
@@ -211,6 +227,22 @@ def _alone(model: Model, target: Target) -> Context:
     turns = ("recurrence", *own, "random", "recurrence", *own)
     shapes, lengths = np.zeros((place.size, 0)), region.lengths
     return _ready(Context(model, target, place, shapes, turns, lengths, declared=own, region=region), chosen, place)
+
+
+def _forced(model: Model, target: Target) -> Context:
+    """The shared part of a search of a forced system, whose periods are multiples of the forcing's."""
+    region = Attractor.of(model, target.periods[1])
+    prepare(model)
+    place = region.drawn(np.random.default_rng(0))
+    shapes = np.zeros((model.degrees_of_freedom, 0))
+    context = Context(model, target, place, shapes, ("recurrence", "random"), region.lengths, region=region)
+    if not context.cycles.size:
+        low, high = target.periods
+        raise InputError(
+            f"search.period: no multiple of the forcing's period, {context.beat:.6g} s, is from {low:g} to {high:g} s; "
+            "widen it"
+        )
+    return _ready(context, {NONE.name: NONE if model.rates is None else ALONE}, place)
 
 
 def _cut(model: Model, target: Target) -> Context:
@@ -291,10 +323,10 @@ def check(model: Model, target: Target) -> None:
         )
     names = [invariant.name for invariant in model.invariants]
     alone = model.rates is not None and not names
-    if model.forced or not (alone or (model.conservative and len(names) == 1)):
+    if (model.forced and names) or not (model.forced or alone or (model.conservative and len(names) == 1)):
         raise InputError(
-            f"search: works on energy shells of systems that conserve the energy and nothing else; this one "
-            f"conserves {', '.join(names) or 'nothing'}; use find with a guess instead"
+            f"search: works on energy shells of systems that conserve the energy and nothing else, on forced systems "
+            f"and attractors; this one conserves {', '.join(names) or 'nothing'}; use find with a guess instead"
         )
 
 
@@ -316,6 +348,9 @@ def proposed(context: Context, seed: int, index: int) -> Course[SearchStart]:
         return SearchStart(index, name, mirror.name, state, (yield from _return_time(context, name, state, random)))
     symmetry, propose = STRATEGIES[name]
     state = propose(context, random)
+    if context.model.forced:
+        state, period = yield from _strobed(context, name, state, random)
+        return SearchStart(index, name, NONE.name, state, period)
     if name == "recurrence":
         state, period = yield from _recurrence(context, state, random)
     else:
@@ -508,6 +543,25 @@ def _recurrence(context: Context, state: np.ndarray, random: np.random.Generator
     best = np.lexsort((length, at, gaps[at, length]))[: context.settings.choices]
     chosen = best[random.integers(len(best))]
     return states[at[chosen] * apart], float(length[chosen] * step)
+
+
+def _strobed(
+    context: Context, name: str, state: np.ndarray, random: np.random.Generator
+) -> Course[tuple[np.ndarray, float]]:
+    """A state and a number of the forcing's periods: of one of the closest returns of a simulation, or any."""
+    cycles, beat, how = context.cycles, context.beat, context.settings
+    if name != "recurrence":
+        return state, float(beat * random.choice(cycles))
+    count, each = int(how.recurrence_span * cycles[-1]), rounded(beat / context.step)
+    equations = context.equations[NONE.name]
+    w = equations.unknowns(state[None], count * beat, uniform(1.0, 1, count * each))
+    strobed = (yield Marched(equations, w, "states"))[::each]
+    at, length = (np.concatenate(part) for part in zip(
+        *((np.arange(count + 1 - k), np.full(count + 1 - k, k)) for k in cycles), strict=True
+    ))  # fmt: skip
+    gaps = np.abs(wrapped(strobed[at + length] - strobed[at], context.model.angular) / context.units).max(axis=1)
+    chosen = random.choice(np.argsort(gaps, kind="stable")[: how.choices])
+    return strobed[at[chosen]], float(beat * length[chosen])
 
 
 def return_gaps(context: Context, windows: np.ndarray) -> np.ndarray:

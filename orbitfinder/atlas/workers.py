@@ -36,13 +36,13 @@ from orbitfinder.mechanics.kind import build_model
 from orbitfinder.records.orbit import Orbit
 
 LONGEST_START = 120.0
-"""s after which one start is given up, or a budget would be overrun without end; ordinary ones take 0.01 to 10"""
+"""s after which a start is given up, or a budget would be overrun without end; ordinary ones take 0.01 to 10"""
 DIED = "worker died"
 MOST_FALSE_STARTS = 3
 CONNECTING = 20.0
 """Seconds to wait for the scheduler."""
 EACH = 2
-"""Handfuls of starts under way for each thread: one in work, one waiting there."""
+"""Handfuls of starts under way for each thread: those in work, those waiting there."""
 _one_at_a_time = threading.Lock()
 
 
@@ -74,7 +74,7 @@ def prepared(text: str) -> Context:
 
 @one_thread()
 def perform(context: Context, seed: int, jobs: Sequence[Job], known: ArrayLike) -> list[Attempt]:
-    """Starts side by side; whatever goes wrong in one is its reason."""
+    """Starts side by side; whatever goes wrong in each is its reason."""
     began = time.process_time()
     try:
         with limit.limited(LONGEST_START):
@@ -82,11 +82,11 @@ def perform(context: Context, seed: int, jobs: Sequence[Job], known: ArrayLike) 
     except (RuntimeError, ValueError, ArithmeticError, LimitError) as error:
         limit.check()  # that of the whole search ends the search
         if len(jobs) > 1:  # whichever it was, it costs itself alone
-            return [one for job in jobs for one in perform(context, seed, [job], known)]
+            return [made for job in jobs for made in perform(context, seed, [job], known)]
         name = CONTINUATION if jobs[0].source is not None else strategy_of(context, jobs[0].number)
         spent = time.process_time() - began
         made = [Attempt(jobs[0].number, name, reason=f"error: {type(error).__name__}", seconds=spent)]
-    return [one if one.orbit is None else replace(one, orbit=_light(one.orbit)) for one in made]
+    return [each if each.orbit is None else replace(each, orbit=_light(each.orbit)) for each in made]
 
 
 def _light(orbit: Orbit) -> Orbit:

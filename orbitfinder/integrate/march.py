@@ -139,7 +139,7 @@ class March:
             return quick.marched(start, parameters, kept, begins)
         if begins is not None:
             own = zip(start, np.split(parameters, begins[1:-1]), strict=True)
-            each = [self._marched(varied, one[None], given, kept) for one, given in own]
+            each = [self._marched(varied, begun[None], given, kept) for begun, given in own]
             return np.concatenate([end for end, _ in each]), np.concatenate([path for _, path in each])
         step = self._varied_step if varied else self._step
         own = zip(np.split(start, loops), np.split(parameters, loops), strict=True)

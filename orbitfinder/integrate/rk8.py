@@ -115,11 +115,11 @@ def refined(path: Callable[[int], T], steps: int, agreed: Callable[[T, T], bool]
     steps = next(course)
     while True:
         try:
-            found: T | IntegrationError = path(steps)
+            outcome: T | IntegrationError = path(steps)
         except IntegrationError as error:
-            found = error
+            outcome = error
         try:
-            steps = course.send(found)
+            steps = course.send(outcome)
         except StopIteration as end:
             return cast(T, end.value)
 

@@ -337,9 +337,9 @@ class Equations:
             inputs = self.stated(conditions).mx_in()
             rows = ca.horzcat(*self.stated(conditions)(*inputs))
             self.derived[key] = ca.Function("named", inputs, [ca.vec(rows.T)])
-        found = self.march.arcs[0].along(self.derived[key], x, periods, self.numbers[None])
-        found = found.reshape(len(x), len(conditions), -1)
-        return found[:, :, 0], found[:, :, 1:]
+        both = self.march.arcs[0].along(self.derived[key], x, periods, self.numbers[None])
+        both = both.reshape(len(x), len(conditions), -1)
+        return both[:, :, 0], both[:, :, 1:]
 
     def varied(self, w: Unknowns, states: bool = False) -> Varied:
         """All segments of w integrated with their derivatives."""
