@@ -38,6 +38,7 @@ from orbitfinder.loops.scales import Measures
 from orbitfinder.mechanics.newton import Settings, Solved, Solver, chording, full, largest
 
 POLISH = Settings(floor=1e-13, round_off=1e-13, converged=1e-10, most_evaluations=8)
+GAVE_UP = "iteration limit", "hopeless start"
 REGULAR = Settings(floor=0.0, converged=0.0, round_off=0.0, most_evaluations=6, patience=0, progress=1.0)
 
 
@@ -223,7 +224,7 @@ class Closing(Ask):
             _evaluated([(rank, *rank.trials()) for rank in ranks if rank.left.size])
         answers: dict[int, Any] = {}
         for numbers, rank in zip(groups.values(), ranks, strict=True):
-            rank.end(rank.left, ConvergenceError("iteration limit"))
+            rank.end(rank.left, ConvergenceError(GAVE_UP[0]))
             answers |= zip(numbers, rank.answers, strict=True)
         return [answers[k] for k in range(len(asks))]
 
@@ -272,7 +273,7 @@ class Rank:
         self.left = self.left[~arrived]
         for after, most in how.hopeless:
             if evaluation > after:
-                self.end(self.left[norm[self.left] > most], ConvergenceError("hopeless start"))
+                self.end(self.left[norm[self.left] > most], ConvergenceError(GAVE_UP[1]))
         if evaluation > how.patience and evaluation % how.patience == 0:
             slow = (norm < how.near) & (norm > self.norms[-1 - how.patience] / 2)
             for k in self.left[slow[self.left]]:
