@@ -104,13 +104,13 @@ def torus() -> Work:
     return partial(once, of.torus, orbit, NOBLE)
 
 
-def searching() -> Work:
-    """200 starts of a search of the triple pendulum."""
+def searching(starts: int, longest: float) -> Work:
+    """The first starts of a search of the triple pendulum for periods up to the longest (s)."""
     model = of.chain(3)
 
     def work() -> int:
         with tempfile.TemporaryDirectory() as folder:
-            of.search(model, -30.0, (0.5, 6.0), Path(folder) / "a.sqlite", starts=200, workers=0)
+            of.search(model, -30.0, (0.5, longest), Path(folder) / "a.sqlite", starts=starts, workers=0)
         return 1
 
     return work
@@ -134,7 +134,8 @@ ROWS: dict[str, Row] = {
         partial(family, partial(problem, "families/triple-mode-2"), points=60, directions="forward"), 1.5),
     "Duffing's resonance": Row(
         partial(family, partial(problem, "families/duffing-resonance"), "frequency", 2.5), 1.5),
-    "search of 200 starts": Row(searching, 1.05),
+    "search, first 300 starts": Row(partial(searching, 300, 6.0), 0.25),
+    "search to 10 s, first 150 starts": Row(partial(searching, 150, 10.0), 0.33),
     "refine triple-1, interpreted": Row(partial(refining, "triple-1"), 1.05, compiled=False),
     "family triple-2, interpreted": Row(partial(family, partial(report, "triple-2"), points=10, certify=False), 1.05,
                                         compiled=False),

@@ -87,7 +87,7 @@ def test_a_worker_that_cannot_build_the_system(loopback):
     crew = workers.Cluster(Request({"kind": "nonsense"}, Target(ENERGY, PERIODS), 0), loopback)
     from orbitfinder.atlas.workers import Job
 
-    crew.submit(Job(0))
+    crew.submit([Job(0)])
     with pytest.raises(OrbitfinderError, match=r"a worker of the cluster cannot read the problem: .*nonsense"):
         while not crew.results(5.0):
             pass

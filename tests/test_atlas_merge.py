@@ -285,7 +285,7 @@ def test_executors_that_cannot_work(triple, tmp_path, monkeypatch):
     monkeypatch.setattr(workers, "perform", lambda *_: os.strerror(None))
     with concurrent.futures.ThreadPoolExecutor(1) as threads:
         crew = Pool(Request(dict(triple.system), Target(ENERGY, PERIODS), 0), threads, 1)
-        crew.submit(workers.Job(0))
+        crew.submit([workers.Job(0)])
         with pytest.raises(OrbitfinderError, match="search: a worker of the executor failed with TypeError"):
             crew.results(20.0)
         crew.close()
@@ -316,7 +316,7 @@ class Ends:
 def test_what_workers_lack_is_named_rightly(triple, error, said):
     """Neither a scheduler that was killed nor a module of the problem is mended by installing orbitfinder there."""
     crew = Pool(Request(dict(triple.system), Target(ENERGY, PERIODS), 0), Ends(error), 1)
-    crew.submit(workers.Job(0))
+    crew.submit([workers.Job(0)])
     with pytest.raises(OrbitfinderError, match=said) as caught:
         crew.results(20.0)
     assert "orbitfinder there" not in str(caught.value) and "with the same orbitfinder" not in str(caught.value)

@@ -18,6 +18,7 @@ from conftest import database
 
 from orbitfinder.atlas import attempt as refine
 from orbitfinder.atlas import search, solver, workers
+from orbitfinder.atlas.abreast import abreast
 from orbitfinder.atlas.report import chao1, discovery, reaches, remarks, stratum, summarise, total
 from orbitfinder.atlas.search import Limits, Search, register, unmade
 from orbitfinder.atlas.shard import WHOLE, Shard
@@ -25,6 +26,7 @@ from orbitfinder.atlas.starts import Target, context_of, make_start
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.atlas.workers import DIED, Inline, Job, LocalWorkers, Request, perform
 from orbitfinder.errors import ConvergenceError, InputError, OrbitfinderError
+from orbitfinder.integrate.compiled import compiling
 from orbitfinder.loops.symmetry import undeclared_mirrors
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
@@ -105,14 +107,14 @@ class Murderous(LocalWorkers):
 
     first, always = (5, 11), ()
 
-    def submit(self, job):
-        super().submit(job)
-        if job.number in self.always or (job.number in self.first and job.tries == 1):
-            os.kill(next(one for one in self._workers if one.job is job).process.pid, signal.SIGKILL)
+    def submit(self, jobs):
+        super().submit(jobs)
+        if any(job.number in self.always or (job.number in self.first and job.tries == 1) for job in jobs):
+            os.kill(next(one for one in self._workers if one.jobs is jobs).process.pid, signal.SIGKILL)
 
 
 def test_a_killed_worker_costs_nothing(task, triple, one, undisturbed, tmp_path):
-    """Its start is made again by another one, with the same result."""
+    """Its starts are made again by others, with the same result."""
     path = tmp_path / "killed.sqlite"
     crew = Murderous(task, 2)
     with Atlas(path, write=True, model=triple) as atlas:
@@ -143,6 +145,57 @@ def test_workers_that_cannot_begin_are_not_hired_for_ever(tmp_path, monkeypatch)
         for _ in range(20):
             crew.results(5.0)
     crew.close()
+
+
+def told(outcomes):
+    """What courses came to, to the last bit."""
+    told = []
+    for one in outcomes:
+        if isinstance(one, Exception):
+            told.append(f"{type(one).__name__}: {one}")
+        else:
+            start, signature, _ = one
+            told.append((start.period, *signature.numbers, signature.loop.tobytes()))
+    return told
+
+
+def test_a_start_does_not_see_who_goes_beside_it(one, monkeypatch):
+    """64 side by side, 7 and one alone lead to the same bits, whatever goes wrong in another."""
+    known = told(abreast([refine.course(one, 0, Job(k)) for k in range(64)]))
+    assert sum(isinstance(entry, tuple) for entry in known) > 20
+    assert told(abreast([refine.course(one, 0, Job(k)) for k in range(20, 27)])) == known[20:27]
+    for k in (0, 2, 23):
+        assert told(abreast([refine.course(one, 0, Job(k))])) == [known[k]]
+    proposed = refine.proposed
+
+    def broken(context, seed, number):
+        if number == 23:
+            raise ZeroDivisionError
+        return proposed(context, seed, number)
+
+    monkeypatch.setattr(refine, "proposed", broken)
+    others = told(abreast([refine.course(one, 0, Job(k)) for k in range(20, 27)]))
+    assert others[3] == "ZeroDivisionError: " and others[:3] + others[4:] == known[20:23] + known[24:27]
+    assert perform(one, 0, [Job(23)], [])[0].reason == "error: ZeroDivisionError"
+
+
+def test_orbits_met_twice_side_by_side_are_certified_once(one):
+    twice = perform(one, 0, [Job(k) for k in (15, 15)], [])
+    assert twice[0].orbit is not None and twice[1].orbit is None
+    assert twice[1].signature.numbers == twice[0].signature.numbers
+
+
+def test_without_a_compiler_starts_lead_to_the_same_orbits(one):
+    """To what the interpreter's round-off allows."""
+
+    def orbits(context):
+        outcomes = abreast([refine.course(context, 0, Job(k)) for k in (8, 15)])
+        return np.array([entry[1].numbers for entry in outcomes])
+
+    known = orbits(one)
+    with compiling("off"):
+        interpreted = orbits(context_of(chain(3), Target(ENERGY, PERIODS)))
+    np.testing.assert_allclose(interpreted, known, rtol=1e-9)
 
 
 def test_a_search_goes_on_where_it_was_stopped(triple, undisturbed, tmp_path):
@@ -177,11 +230,11 @@ def test_known_orbits_are_not_certified_again(one, undisturbed):
         first = atlas.orbit(1)
     known = []
     number = first.provenance["index"]
-    assert perform(one, 0, Job(number), known).orbit is not None
+    assert perform(one, 0, [Job(number)], known)[0].orbit is not None
     known.append((first.energy, first.period, first.action))
-    found = perform(one, 0, Job(number), known)
+    found = perform(one, 0, [Job(number)], known)[0]
     assert found.orbit is None and found.signature is not None and not found.reason
-    assert perform(one, 0, Job(number, certain=True), known).orbit is not None
+    assert perform(one, 0, [Job(number, certain=True)], known)[0].orbit is not None
 
 
 @pytest.fixture(scope="module")
@@ -197,7 +250,7 @@ def elastic():
 def test_nearly_degenerate_orbits_are_reached(elastic, number, period, instability):
     """Newton's method stalls before both (the Jacobian's singular values fall to 1e-6). Reference: a scan of the
     section phi = 0, r' = 0 in polar coordinates with another integrator."""
-    found = perform(context_of(elastic, Target(-8.5, (0.5, 8.0))), 0, Job(number), []).orbit
+    found = perform(context_of(elastic, Target(-8.5, (0.5, 8.0))), 0, [Job(number)], [])[0].orbit
     assert found.period == pytest.approx(period, rel=1e-12) and found.symmetry == "mirror"
     assert np.abs(found.floquet_multipliers).max() == pytest.approx(instability, rel=1e-9)
 
@@ -206,7 +259,7 @@ def test_the_valley_is_followed_to_a_zero(elastic, monkeypatch):
     """From a state that stalled: the residual falls to round-off; without steps to take, `Stalled`."""
     seen = []
     monkeypatch.setattr(refine, "orbit_in_valley", lambda *given: seen.append(given) or solver.orbit_in_valley(*given))
-    assert perform(context_of(elastic, Target(-8.5, (0.5, 8.0))), 0, Job(4), []).orbit is not None
+    assert perform(context_of(elastic, Target(-8.5, (0.5, 8.0))), 0, [Job(4)], [])[0].orbit is not None
     (given,) = seen
     fine = replace(given[0], step=solver.fine_step(*given[:2]))
     path, jacobian = solver.orbit_in_valley(*given)
@@ -392,6 +445,8 @@ def test_stalled_starts_are_in_the_report(undisturbed, tmp_path):
         summary = summarise(atlas)
         words = summary.document()["estimate"]["remarks"]
         assert summary.stalled == 1 and any("degenerate orbits: 1;" in one for one in words)
+        gone = sum(summary.failures[reason] for reason in ("iteration limit", "hopeless start"))
+        assert words[-1].startswith(f"starts that gave up on their way: {gone} of {STARTS}; what only such come near")
         assert {one.symmetry for one in summary.strata} >= {"none"} and summary.orbits >= len(summary.strata)
         assert sum(one.hits for one in summary.strata) == summary.hits
 

@@ -7,6 +7,8 @@ import casadi as ca
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.integrate import solve_ivp
+from scipy.optimize import fsolve
 
 import orbitfinder as of
 from orbitfinder.atlas.regions import Attractor, Level, equilibria
@@ -20,6 +22,9 @@ from orbitfinder.loops.symmetry import involutions
 ROOT = Path(__file__).parents[1]
 LORENZ = {"LR": 1.558652210716, "LLR": 2.305907263940, "LLLR": 3.023583703434, "LLRR": 3.084276775822}
 """periods by words: benchmarks/first_order.py, without orbitfinder; LLR and LLLR have images LRR and LRRR"""
+
+
+FORCED = {"stiffness": 1.0, "cubic": 1.0, "damping": 0.1, "force": 0.5, "frequency": 1.6}
 
 
 def henon_heiles():
@@ -100,8 +105,9 @@ def test_what_cannot_be_searched_is_said(tmp_path):
     def asked(model, energy=None):
         of.search(model, energy, (1.0, 4.0), book, starts=1, workers=0)
 
-    with pytest.raises(InputError, match="energy: this system conserves none; leave it out"):
-        asked(of.systems.lorenz(), 1.0)
+    for model in (of.systems.lorenz(), of.systems.forced_duffing(**FORCED)):
+        with pytest.raises(InputError, match="energy: this system conserves none; leave it out"):
+            asked(model, 1.0)
     with pytest.raises(InputError, match="energy: missing"):
         asked(henon_heiles())
     with pytest.raises(InputError, match="no state of energy -1 is found"):
@@ -109,5 +115,28 @@ def test_what_cannot_be_searched_is_said(tmp_path):
     with pytest.raises(InputError, match="no motion from a random state stays bounded"):
         asked(of.ode(lambda t, x, p: [x.x, x.y], ("x", "y")))
     forced = of.ode(lambda t, x, p: [x.y, -x.x + ca.cos(t)], ("x", "y"), forcing_period=2 * np.pi)
-    with pytest.raises(InputError, match="search: works on"):
+    with pytest.raises(
+        InputError, match="search.period: no multiple of the forcing's period, 6.28319 s, is from 1 to 4"
+    ):
         asked(forced)
+
+
+def strobed(x):
+    """The state a forcing period later, by SciPy."""
+
+    def field(t, y):
+        return [y[1], 0.5 * np.cos(1.6 * t) - 0.1 * y[1] - y[0] - y[0] ** 3]
+
+    return solve_ivp(field, (0.0, 2 * np.pi / 1.6), x, method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
+
+
+def test_all_responses_of_a_forced_oscillator(tmp_path):
+    """Upper, lower, the unstable one between, as SciPy has the fixed points; resumed, nothing twice."""
+    model, beat = of.systems.forced_duffing(**FORCED), 2 * np.pi / 1.6
+    orbits = found(model, None, (0.9 * beat, 3.1 * beat), 24, tmp_path)
+    fixed = {tuple(np.round(fsolve(lambda x: strobed(x) - x, one.state), 8)) for one in orbits}
+    assert len(orbits) == len(fixed) == 3
+    for one in orbits:
+        assert one.period == pytest.approx(beat, rel=1e-14) and np.abs(strobed(one.state) - one.state).max() < 1e-9
+    assert [one.stability for one in orbits].count("unstable") == 1
+    assert len(found(model, None, (0.9 * beat, 3.1 * beat), 32, tmp_path)) == 3

@@ -231,8 +231,10 @@ def marches(forms, width, folder):
 def marched(march, starts, given, steps):
     ends, errors = np.empty(starts.shape), np.empty((len(starts), starts.shape[1] - 1))
     path = np.empty((len(given), 2))
-    pointers = (array.ctypes.data for array in (starts, given, ends, path))
-    assert march(len(starts), steps, *pointers, 2, errors.ctypes.data) == 0
+    order = np.arange(len(starts) + 1, dtype=np.intp)
+    begins = steps * order
+    pointers = (array.ctypes.data for array in (begins, order, starts, given, ends, path))
+    assert march(len(starts), *pointers, 2, errors.ctypes.data) == 0
     return ends, path, errors
 
 
@@ -268,7 +270,7 @@ def test_all_widths_have_the_same_bits(names, tmp_path):
 
 @pytest.mark.parametrize("links", [2, 8])
 def test_any_number_of_segments_has_the_same_bits(links):
-    """1 to 17, the first by code of one lane; columns of 2 links written out, of 8 multiplied by hand."""
+    """1 to 17, the first by code of one lane, and of steps of their own; columns of 2 links written out, of 8 not."""
     field = vector_field(of.chain(links))
     random, size = np.random.default_rng(2), 2 * links * (1 + 2 * links)
     starts, given = random.uniform(0.1, 0.5, (17, 1 + size)), random.uniform(0.5, 1.0, (17 * 4, 1)) * 1e-2
@@ -279,8 +281,15 @@ def test_any_number_of_segments_has_the_same_bits(links):
         for known, other in zip((ends, path), lanes.marched(starts[:count], given[: 4 * count], 3), strict=True):
             same(known[: len(other)], other)
         same(errors[:count], lanes.errors(starts[:count], given[:count]))
+    begins = np.append(0, np.cumsum(random.permutation(17) % 5 + 1))
+    given = np.resize(given, (begins[-1], 1))
+    ends, path = lanes.marched(starts, given, 3, begins)
+    for k, (start, one, last) in enumerate(zip(starts, begins, begins[1:], strict=False)):
+        alone = lanes.marched(start[None], given[one:last], 3)
+        same(ends[k : k + 1], alone[0])
+        same(path[one:last], alone[1])
     starts[3] = np.nan
-    same(np.delete(lanes.marched(starts, given)[0], 3, 0), np.delete(ends, 3, 0))
+    same(np.delete(lanes.marched(starts, given, 0, begins)[0], 3, 0), np.delete(ends, 3, 0))
 
 
 @pytest.mark.parametrize("file", ["families/duffing-resonance", "report/triple-1", "gallery/brusselator"])

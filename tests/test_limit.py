@@ -161,6 +161,6 @@ def test_a_start_that_takes_too_long_is_a_failed_start(monkeypatch):
     """And the limit of the whole search ends the search."""
     one = task.prepared(task.Request({"kind": "chain", "links": 2}, task.Target(-15.0, (0.5, 4.0)), 1).text())
     monkeypatch.setattr(task, "LONGEST_START", 1e-4)
-    assert task.perform(one, 1, task.Job(0), []).reason == "error: LimitError"
+    assert task.perform(one, 1, [task.Job(0)], [])[0].reason == "error: LimitError"
     with pytest.raises(LimitError), of.limited(1e-5):
-        task.perform(one, 1, task.Job(0), [])
+        task.perform(one, 1, [task.Job(0)], [])

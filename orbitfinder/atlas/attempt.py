@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import compress
 from typing import Any
 
@@ -11,9 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from orbitfinder._runtime import __version__
+from orbitfinder.atlas.abreast import Course, Marched, abreast
 from orbitfinder.atlas.signature import Numbers, Signature, among, resampled, signature_of
-from orbitfinder.atlas.solver import Stalled, orbit_in_valley, polished, scaled_loop, solve
-from orbitfinder.atlas.starts import Context, SearchStart, make_start, strategy_of
+from orbitfinder.atlas.solver import Closing, Stalled, orbit_in_valley, polished, scaled_loop
+from orbitfinder.atlas.starts import Context, SearchStart, proposed, strategy_of
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.follow import follow
 from orbitfinder.families.point import FamilySettings
@@ -21,13 +23,15 @@ from orbitfinder.families.run import Run, first_point
 from orbitfinder.families.start import begin
 from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.loop import Equations, Unknowns
-from orbitfinder.loops.problem import Guess, Problem, segments_needed
+from orbitfinder.loops.problem import Guess, Problem, clocked, elsewhere, segments_for
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certified, return_distances
-from orbitfinder.orbits.measure import action, marched, whole_period
+from orbitfinder.orbits.measure import action, around, marched, sampled_period, whole_unknowns
 from orbitfinder.records.orbit import VERSION, Orbit, orbit_from_document
 
+Found = tuple[SearchStart, Signature, Callable[[], tuple[Orbit, Model]]]
+"""A start, what the motion that it led to is recognised by, and what makes an Orbit of that"""
 CONTINUATION = "continuation"
 """The strategy that starts from a known orbit of another energy and follows its family to this one."""
 FAMILY = FamilySettings(points=40, first_step=0.1, longest_step=0.6, events=False, certify=False, longest_period=4.0)
@@ -35,8 +39,18 @@ FAMILY = FamilySettings(points=40, first_step=0.1, longest_step=0.6, events=Fals
 
 
 @dataclass(frozen=True)
+class Job:
+    """One start to be made: its number, whether known orbits count as suspects, an orbit to continue from."""
+
+    number: int
+    certain: bool = False
+    source: Mapping[str, Any] | None = None
+    tries: int = field(default=1, compare=False)
+
+
+@dataclass(frozen=True)
 class Attempt:
-    """How one start ended: with an orbit; with a signature alone, when it seemed to be known; or with a reason.
+    """How a start ended: with an orbit; with a signature alone, when it seemed to be known; or with a reason.
 
     `seconds` is processor time.
     """
@@ -51,7 +65,7 @@ class Attempt:
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """A converged loop before it is measured: w over the horizon, nodes and states of one period, its action."""
+    """A converged loop before it is measured: w over the horizon, nodes and states of a period, its action."""
 
     problem: Problem
     w: Unknowns
@@ -84,12 +98,35 @@ def attempt(
     Where an orbit with the same numbers (energy, period, |action|) is among the `known` (k x 3), only the
     signature is made: whoever asked is to judge whether it is that orbit.
     """
-    try:
-        start = make_start(context, seed, index) if source is None else continuation(context, index, source)
-        return finished(context, seed, start, known)
-    except (ConvergenceError, IntegrationError) as error:
-        reason = str(error) if isinstance(error, ConvergenceError) else "integration failed"
-        return Attempt(index, strategy_of(context, index) if source is None else CONTINUATION, reason=reason)
+    (made,) = attempts(context, seed, [Job(index, known is None, source)], () if known is None else known)
+    return made
+
+
+def attempts(context: Context, seed: int, jobs: Sequence[Job], known: ArrayLike) -> list[Attempt]:
+    """The same of several, side by side; what each leads to does not depend on the others.
+
+    Those that seem to have led to the same orbit are certified once.
+    """
+    began, made, numbers = time.process_time(), list[Attempt](), list(np.reshape(known, (-1, 3)))
+    courses = abreast([course(context, seed, job) for job in jobs])
+    shared = (time.process_time() - began) / max(1, len(jobs))
+    for job, outcome in zip(jobs, courses, strict=True):
+        began = time.process_time()
+        name = strategy_of(context, job.number) if job.source is None else CONTINUATION
+        try:
+            if isinstance(outcome, Exception):
+                raise outcome
+            trial = judged(context, seed, outcome, None if job.certain else numbers)
+        except IntegrationError:
+            trial = Attempt(job.number, name, reason="integration failed")
+        except ConvergenceError as error:
+            trial = Attempt(job.number, name, reason=str(error))
+        except (RuntimeError, ValueError, ArithmeticError) as error:
+            trial = Attempt(job.number, name, reason=f"error: {type(error).__name__}")
+        if trial.orbit is not None and trial.signature is not None:
+            numbers.append(np.array(trial.signature.numbers))
+        made.append(replace(trial, seconds=shared + time.process_time() - began))
+    return made
 
 
 def continuation(context: Context, index: int, source: Mapping[str, Any]) -> SearchStart:
@@ -110,21 +147,23 @@ def continuation(context: Context, index: int, source: Mapping[str, Any]) -> Sea
     raise ConvergenceError("family ends before the energy")
 
 
-def finished(context: Context, seed: int, start: SearchStart, known: ArrayLike | None) -> Attempt:
-    """The attempt that a start becomes; `ConvergenceError` or `IntegrationError` when it leads nowhere."""
+def course(context: Context, seed: int, job: Job) -> Course[Found]:
+    """What a start leads to; `ConvergenceError` or `IntegrationError` when that is nowhere."""
+    if job.source is None:
+        start = yield from proposed(context, seed, job.number)
+    else:
+        start = continuation(context, job.number, job.source)
     if context.section is not None:
         orbit = context.section.orbit(start.state, start.period, start.course)
         model = context.section.model_of(orbit)
-        return judged(context, seed, start, signature_of(orbit, model), known, lambda: (orbit, model))
-    loop = minimal(context, converged(context, start))
-    return judged(context, seed, start, loop.signature, known, lambda: (measured(context, loop), context.model))
+        return start, signature_of(orbit, model), lambda: (orbit, model)
+    loop = yield from minimal(context, (yield from converged(context, start)))
+    return start, loop.signature, lambda: (measured(context, loop), context.model)
 
 
-def judged(
-    context: Context, seed: int, start: SearchStart, signature: Signature, known: ArrayLike | None,
-    made: Callable[[], tuple[Orbit, Model]],
-) -> Attempt:  # fmt: skip
-    """The attempt with the signature of what was found, and unless that seems to be known its Orbit, certified."""
+def judged(context: Context, seed: int, outcome: Found, known: ArrayLike | None) -> Attempt:
+    """The attempt with the signature of what a start led to, and unless that seems to be known its Orbit, certified."""
+    start, signature, made = outcome
     if known is not None and among(known, signature.numbers):
         return Attempt(start.index, start.strategy, signature)
     orbit, model = made()
@@ -133,33 +172,35 @@ def judged(
     orbit = certified(replace(orbit, provenance=said, name=name), model)
     if orbit.certificate is not None and not orbit.certificate.passed:
         failed = ", ".join(orbit.certificate.failures)
-        return Attempt(start.index, start.strategy, reason=f"not certified: {failed}")
+        return Attempt(start.index, start.strategy, signature, reason=f"not certified: {failed}")
     return Attempt(start.index, start.strategy, signature, orbit)
 
 
-def converged(context: Context, start: SearchStart) -> ClosedLoop:
-    """The loop that a start leads to, over the period found."""
-    guess = Guess(start.state, start.period)
-    problem = Problem(context.model, guess, pin=context.pins, symmetry=start.symmetry)
+def converged(context: Context, start: SearchStart) -> Course[ClosedLoop]:
+    """The loop that a start leads to, over its period."""
     equations = context.equations[start.symmetry]
-    w, end = begun(context, equations, start.state, start.period)
-    if not problem.boundary.maps:
-        problem = replace(problem, winding=turns(context, w.nodes, end))
-    return solved(context, problem, w)
+    w, end = yield from begun(context, equations, start.state, start.period)
+    winding = None if equations.symmetry.maps else turns(context, w.nodes, end)
+    problem = elsewhere(context.problems[start.symmetry], Guess(start.state, start.period), winding)
+    return (yield from solved(context, problem, w))
 
 
-def begun(context: Context, equations: Equations, state: np.ndarray, period: float) -> tuple[Unknowns, np.ndarray]:
+def begun(
+    context: Context, equations: Equations, state: np.ndarray, period: float
+) -> Course[tuple[Unknowns, np.ndarray]]:
     """The unknowns of the motion from a state, in as many segments as it needs, and its end."""
     fraction = equations.symmetry.fraction
 
-    def alone(count: int) -> Unknowns:
+    def whole(count: int) -> Unknowns:
         mesh = uniform(fraction, count, rounded(period * fraction / count / context.step))
         return equations.unknowns(np.asarray(state, float)[None], period, mesh)
 
-    how, clock = context.settings, period * fraction / np.pi
-    count = segments_needed(equations, alone(1), clock, how.growth_per_segment, how.segments)
-    w = alone(count)
-    states = equations.march.states(w.nodes, w.mesh, w.tail)
+    how, w = context.settings, whole(1)
+    (grown,) = yield Marched(equations, w, "transitions")
+    units = clocked(context.model, period * fraction / np.pi, w.nodes[0])
+    count = segments_for(grown, units, how.growth_per_segment, how.segments)
+    w = whole(count)
+    states = yield Marched(equations, w, "states")
     return replace(w, nodes=states[: -1 : w.steps // count]), states[-1]
 
 
@@ -170,7 +211,7 @@ def turns(context: Context, nodes: np.ndarray, end: np.ndarray) -> tuple[int, ..
     return tuple(int(k) for k in np.where(context.model.angular, whole, 0))
 
 
-def solved(context: Context, problem: Problem, w: Unknowns) -> ClosedLoop:
+def solved(context: Context, problem: Problem, w: Unknowns) -> Course[ClosedLoop]:
     """The polished loop near w."""
     low, high = context.target.periods
     how = context.settings
@@ -178,14 +219,19 @@ def solved(context: Context, problem: Problem, w: Unknowns) -> ClosedLoop:
     equations = context.equations[problem.symmetry]
     loop = scaled_loop(problem, equations, context.step, w, periods, context.units, context.clock)
     try:
-        closed = polished(loop, *solve(loop, w))
+        closed = yield from polished(loop, *(yield Closing(loop, w)))
     except Stalled as stall:
-        closed = polished(loop, *orbit_in_valley(loop, stall.w))
+        closed = yield from polished(loop, *orbit_in_valley(loop, stall.w))
     if context.clock * np.abs(closed.unfolding).max(initial=0.0) > how.largest_unfolding:
         raise ConvergenceError("unfolding does not vanish")
     closed = replace(closed, nodes=centred(context, problem, closed.nodes))
-    march = context.equations[NONE.name].march
-    nodes, times, states = whole_period(problem, context.flows[problem.symmetry], march, closed)
+    plain = context.equations[NONE.name]
+    nodes = closed.nodes
+    if problem.boundary.maps:
+        ends = yield Marched(context.equations[problem.symmetry], closed)
+        nodes = around(problem, nodes, ends[-1] if problem.boundary.reverses else None)
+    whole = whole_unknowns(plain.march, closed, nodes)
+    nodes, times, states = sampled_period(problem, whole, (yield Marched(plain, whole, "states")))
     if (np.ptp(states, axis=0) / context.units).max() < how.smallest:
         raise ConvergenceError("equilibrium")
     return ClosedLoop(problem, closed, nodes, times, states, action(context.model, times, states))
@@ -207,12 +253,13 @@ def centred(context: Context, problem: Problem, nodes: np.ndarray) -> np.ndarray
     return nodes - 2 * np.pi * np.concatenate([whole, np.zeros(nodes.shape[1] - n)])
 
 
-def minimal(context: Context, loop: ClosedLoop) -> ClosedLoop:
+def minimal(context: Context, loop: ClosedLoop) -> Course[ClosedLoop]:
     """The same loop over its minimal period; `ConvergenceError` when that is not in the range wanted."""
     low, high = context.target.periods
     if not low <= loop.w.period <= 2 * high:  # a multiple cover that is too long may have a period in range
         raise ConvergenceError("period outside the range")
-    covers = [k for k in range(2, context.settings.largest_cover + 1) if not np.any(loop.problem.turns % k)]
+    whole = np.append(loop.problem.turns, loop.problem.forcing_cycles)
+    covers = [k for k in range(2, context.settings.largest_cover + 1) if not np.any(whole % k)]
     near: list[bool] = []
     if covers:
         states = loop.states / context.sizes
@@ -220,25 +267,25 @@ def minimal(context: Context, loop: ClosedLoop) -> ClosedLoop:
             far < context.settings.cover for far in return_distances(loop.times, states, context.model.angular, covers)
         ]
     if any(near):
-        loop = uncovered(context, loop, max(compress(covers, near)))
+        loop = yield from uncovered(context, loop, max(compress(covers, near)))
     if not low <= loop.w.period <= high:
         raise ConvergenceError("period outside the range")
     return loop
 
 
-def uncovered(context: Context, loop: ClosedLoop, cover: int) -> ClosedLoop:
+def uncovered(context: Context, loop: ClosedLoop, cover: int) -> Course[ClosedLoop]:
     """The loop solved again over a `cover`-th of its period."""
     period, state = loop.w.period / cover, loop.states[0]
     if period < context.target.periods[0]:
         raise ConvergenceError("period outside the range")
     winding = tuple(int(k) // cover for k in loop.problem.turns)
-    problem = Problem(context.model, Guess(state, period), pin=context.pins, winding=winding)
-    w, _ = begun(context, context.equations[NONE.name], state, period)
-    return solved(context, problem, w)
+    problem = elsewhere(context.problems[NONE.name], Guess(state, period), winding)
+    w, _ = yield from begun(context, context.equations[NONE.name], state, period)
+    return (yield from solved(context, problem, w))
 
 
 def origin(seed: int, start: SearchStart) -> dict[str, Any]:
-    """Provenance of an orbit found from a start: enough to find it again."""
+    """Provenance of an orbit that a start led to: enough to come to it again."""
     course = {"course": list(start.course)} if start.course else {}
     return {
         "orbitfinder": __version__,

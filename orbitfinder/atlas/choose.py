@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbitfinder.atlas.attempt import attempt
+from orbitfinder.atlas.attempt import Job, attempts
+from orbitfinder.atlas.search import FIRST
 from orbitfinder.atlas.signature import Signature, same_orbit, signature_of
 from orbitfinder.atlas.starts import Target, context_of
 from orbitfinder.errors import ConvergenceError, InputError, OrbitfinderError
@@ -123,13 +124,14 @@ def candidates(problem: Problem, starts: int, seed: int, progress: Callback | No
     shared = context_of(problem.model, Target(problem.pin[0].value, problem.bounds["period"]))
     known: list[Candidate] = []
     _own(problem, known)
-    for index in range(starts):
-        trial = attempt(shared, seed, index, [each.signature.numbers for each in known])
-        if trial.signature is not None:
-            _add(known, trial.signature, trial.orbit)
-        if progress and index % 20 == 19 and known:
+    for first in range(0, starts, FIRST):
+        jobs = [Job(index) for index in range(first, min(first + FIRST, starts))]
+        for trial in attempts(shared, seed, jobs, [each.signature.numbers for each in known]):
+            if trial.signature is not None:
+                _add(known, trial.signature, trial.orbit)
+        if progress and known:
             best = min(known, key=lambda each: each.rank).orbit
-            progress(Progress("choosing", index + 1, best.closure, best.period, time.perf_counter() - began))
+            progress(Progress("choosing", jobs[-1].number + 1, best.closure, best.period, time.perf_counter() - began))
     return sorted(known, key=lambda each: each.rank)
 
 

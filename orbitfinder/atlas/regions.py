@@ -1,4 +1,5 @@
-"""Where searches of first-order systems start: on a level set of what is conserved, or on what attracts motions.
+"""Where searches of first-order and of forced systems start: on a level set of what is conserved, or on what attracts
+motions.
 
 Neither has a kinetic energy that velocities could be drawn from. A level set I = E is met by rays from equilibria, and
 within the fixed set of a reversal by such rays; an attractor is what is left of motions from random states.
@@ -17,7 +18,7 @@ from orbitfinder.integrate.equations import accelerations
 from orbitfinder.integrate.field import vector_field
 from orbitfinder.loops.symmetry import Involution
 from orbitfinder.mechanics.model import Model, energy
-from orbitfinder.mechanics.scales import alike, given_or
+from orbitfinder.mechanics.scales import alike, given_or, snapped
 from orbitfinder.orbits.guesses.modes import first_order_modes
 
 LOOSE = ReferenceSettings(relative_tolerance=1e-8, absolute_tolerance=1e-10)
@@ -122,16 +123,20 @@ class Attractor:
     angles: np.ndarray
     states: np.ndarray
     lengths: np.ndarray
+    """of coordinates (n), of a first-order system of all components"""
+    units: np.ndarray
+    """of states (d)"""
 
     @classmethod
     def of(cls, model: Model, longest: float) -> Attractor:
         """What is left of motions from random states after some of the longest periods (s). Raises `InputError`."""
+        clock = float(snapped(longest / (2 * np.pi)))
         field, times = (
             vector_field(accelerations(model)),
             np.linspace(0.0, SETTINGS.spans * longest, 2 * SETTINGS.samples),
         )
         kept: list[np.ndarray] = []
-        for start in random_states(model):
+        for start in random_states(model, clock):
             try:
                 before, path = np.split(integrate(field, start, times, SETTINGS.loose), 2)
             except IntegrationError:
@@ -148,11 +153,12 @@ class Attractor:
                 "its orbits from a guess"
             )
         sizes = np.max([np.ptp(path, axis=0) for path in kept], axis=0) / 4
-        return cls(model.angular, np.vstack(kept), given_or(model, alike(sizes)))
+        lengths = given_or(model, alike(sizes[: model.degrees_of_freedom]))
+        return cls(model.angular, np.vstack(kept), lengths, _with_rates(model, lengths, clock))
 
     def drawn(self, random: np.random.Generator) -> np.ndarray:
         """A state on an attractor, half of them moved away from it."""
-        away = 0.2 * (random.uniform() < 0.5) * self.lengths * random.normal(size=self.lengths.size)
+        away = 0.2 * (random.uniform() < 0.5) * self.units * random.normal(size=self.units.size)
         return np.asarray(self.states[random.integers(len(self.states))] + away)
 
     def fixed(self, reversal: Involution, random: np.random.Generator) -> np.ndarray:
@@ -170,9 +176,14 @@ def region_of(model: Model, level: float, longest: float) -> Region:
     return Level.of(model, level) if model.invariants else Attractor.of(model, longest)
 
 
-def random_states(model: Model) -> list[np.ndarray]:
+def _with_rates(model: Model, lengths: np.ndarray, clock: float) -> np.ndarray:
+    """What states (d) are measured in: lengths (n), of a mechanical system's rates lengths in a `clock` (s)."""
+    return lengths if model.rates is not None else np.concatenate([lengths, lengths / clock])
+
+
+def random_states(model: Model, clock: float = 1.0) -> list[np.ndarray]:
     """Seeded states (d) about 0, near and far, in the lengths given."""
-    random, given = np.random.default_rng(0), given_or(model, 1.0)
+    random, given = np.random.default_rng(0), _with_rates(model, given_or(model, 1.0), clock)
     far = (1.0, 4.0, 16.0, 0.25)
     return [given * far[k % len(far)] * random.normal(size=given.size) for k in range(SETTINGS.drawn)]
 

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.notebook import brief
+from orbitfinder.atlas.solver import GAVE_UP
 from orbitfinder.atlas.starts import DECLARED, STRATEGIES
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.errors import plural
@@ -83,7 +84,9 @@ class Summary:
     @property
     def remarks(self) -> tuple[str, ...]:
         """The estimate and what it does not cover, a sentence each."""
-        return remarks(self.strata, self.stalled)
+        lost = sum(self.failures.get(reason, 0) for reason in GAVE_UP)
+        gone = f"starts that gave up on their way: {lost} of {self.starts}; what only such come near is in no estimate"
+        return (*remarks(self.strata, self.stalled), *([gone] if lost else []))
 
     def document(self) -> dict[str, Any]:
         """The same for `--json`; no standard error where nothing was met only once: there is nothing to judge by."""

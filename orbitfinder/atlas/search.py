@@ -22,18 +22,21 @@ import numpy as np
 
 from orbitfinder._runtime import limit
 from orbitfinder._runtime.notebook import brief
-from orbitfinder.atlas.attempt import CONTINUATION, Attempt
+from orbitfinder.atlas.attempt import CONTINUATION, Attempt, Job
 from orbitfinder.atlas.report import Summary, summarise
 from orbitfinder.atlas.shard import WHOLE, Shard, shard_from
 from orbitfinder.atlas.starts import CYCLES, METHOD, Context, Target, context_of, strategy_of
 from orbitfinder.atlas.store import Atlas, check_range
 from orbitfinder.atlas.tables import explained, transaction
-from orbitfinder.atlas.workers import Cluster, Inline, Job, LocalWorkers, Pool, Request, Workers
+from orbitfinder.atlas.workers import Cluster, Inline, LocalWorkers, Pool, Request, Workers
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
 
-AHEAD = 32
+TOGETHER, FIRST, TURN = 64, 16, 2.0
+"""Starts that are made side by side at most, and before it is known how long they take; seconds of processor time that
+those should take at most, so that a search ends when it is asked to."""
+AHEAD = 256
 """Starts for each place among the workers that may be under way or unjudged: bounds the memory."""
 MOST_SOURCES = 80
 """Known orbits that a search at another energy continues from."""
@@ -153,7 +156,7 @@ class Search:
         self._numbers = unmade(atlas, self.id, limits.shard or WHOLE)
         self._next = next(self._numbers)
         self._unjudged: deque[int] = deque()
-        self._under_way = 0
+        self._under_way, self._seconds = 0, 1e-3
         self._answers: dict[int, Attempt] = {}
         made = atlas.select([int], "SELECT count(*) FROM starts WHERE search = ?", [self.id])[0][0]
         self.statistics = SearchStatistics(orbits=len(atlas), begun_at=self._next, before=made, limits=limits)
@@ -182,16 +185,27 @@ class Search:
     def _hand_out(self, workers: Workers) -> bool:
         """Give starts to idle workers; True while more are wanted."""
         while self._wanted():
-            if not (workers.room > 0 and len(self._unjudged) < AHEAD * (self._under_way + workers.room)):
+            room, size = workers.room, self._size
+            if not (room > 0 and len(self._unjudged) < AHEAD * (self._under_way // size + room)):
                 return True
-            self._submit(workers, self._job(self._next))
-            self._unjudged.append(self._next)
-            self._next = next(self._numbers)
+            left = size if self._limits.starts is None else -(-(self._limits.starts - self._next) // room)
+            jobs = list[Job]()
+            while len(jobs) < min(size, left) and self._wanted():
+                jobs.append(self._job(self._next))
+                self._unjudged.append(self._next)
+                self._next = next(self._numbers)
+            self._submit(workers, jobs)
         return False
 
-    def _submit(self, workers: Workers, job: Job) -> None:
-        workers.submit(job)
-        self._under_way += 1
+    @property
+    def _size(self) -> int:
+        """How many starts are made side by side, by the time that they have taken so far."""
+        done = self.statistics.done
+        return FIRST if not done else int(np.clip(TURN * done / self._seconds, 1, TOGETHER))
+
+    def _submit(self, workers: Workers, jobs: Sequence[Job]) -> None:
+        workers.submit(jobs)
+        self._under_way += len(jobs)
 
     def _job(self, number: int, certain: bool = False) -> Job:
         """Numbers below the count of sources continue from them; the others follow their strategy."""
@@ -205,7 +219,7 @@ class Search:
             attempt = replace(attempt, strategy=name)
         outcome, number = record(self._atlas, self.id, attempt)
         if outcome == "uncertain":
-            self._submit(workers, self._job(attempt.index, certain=True))
+            self._submit(workers, [self._job(attempt.index, certain=True)])
             return False
         if outcome == "new":
             assert attempt.signature is not None and number is not None
@@ -217,6 +231,7 @@ class Search:
     def _count(self, outcome: str, attempt: Attempt) -> None:
         statistics = self.statistics
         statistics.done += 1
+        self._seconds += attempt.seconds
         statistics.hits += outcome in ("new", "duplicate")
         statistics.new += outcome == "new"
         statistics.duplicates += outcome == "duplicate"
@@ -241,11 +256,13 @@ def record(atlas: Atlas, search: int, attempt: Attempt) -> tuple[str, int | None
         outcome, number = "failed", None
         if attempt.signature is not None:
             number = atlas.look_up(attempt.signature)
-            outcome = "new" if number is None else "duplicate"
-            if number is None:
+            outcome = "duplicate"
+            if number is None and not attempt.reason:
                 if attempt.orbit is None:
                     return "uncertain", None
-                number = atlas.insert(attempt.orbit, attempt.signature)
+                outcome, number = "new", atlas.insert(attempt.orbit, attempt.signature)
+            elif number is None:
+                outcome = "failed"
         execute(
             "INSERT INTO starts VALUES (?, ?, ?, ?, ?, ?, ?)",
             [search, attempt.index, attempt.strategy, outcome, attempt.reason, number, attempt.seconds],
@@ -347,7 +364,7 @@ def search(
 def levels(model: Model, energies: float | Sequence[float] | None) -> tuple[float, ...]:
     """The energies (J) to search at, 0 alone where none is conserved. Raises `InputError`."""
     if model.invariants or energies is not None:
-        if not model.invariants and (model.rates is not None or not model.smooth):
+        if not model.invariants and (model.rates is not None or model.forced or not model.smooth):
             raise InputError("energy: this system conserves none; leave it out")
         given = [] if energies is None else energies
         return tuple(float(level) for level in (given if isinstance(given, Sequence) else [given]))

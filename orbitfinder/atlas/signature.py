@@ -115,7 +115,7 @@ def signature_of(orbit: Orbit, model: Model) -> Signature:
     if len(samples) < 2:
         times, samples = dense(build_flow(model, (), model.invariants), orbit.nodes, orbit.period)
     return Signature(
-        energy=level(orbit.energy) if unconserved(orbit) else orbit.energy,
+        energy=0.0 if model.forced else level(orbit.energy) if unconserved(orbit) else orbit.energy,
         period=orbit.period,
         action=abs(orbit.action),
         loop=resampled(times, samples, model.degrees_of_freedom),
@@ -148,7 +148,7 @@ def resampled(times: np.ndarray, states: np.ndarray, n: int) -> np.ndarray:
 
 def same_orbit(first: Signature, second: Signature) -> bool:
     """True when two signatures belong to one orbit up to phase, reflection and time reversal."""
-    return agree(first, second) and distance(first, second) < DISTANCE
+    return agree(first, second) and any(gap < DISTANCE for gap in _gaps(first, second))
 
 
 def agree(first: Signature, second: Signature) -> bool:
@@ -169,14 +169,22 @@ def distance(first: Signature, second: Signature) -> float:
 
     Relative to the extents of coordinates and rates; angles modulo 2 pi.
     """
+    return min(_gaps(first, second), default=float("inf"))
+
+
+def _gaps(first: Signature, second: Signature) -> Iterator[float]:
+    """The same for each image and phase that may be the one, the likely ones first."""
     if first.loop.shape != second.loop.shape:
-        return float("inf")
+        return
     n = len(first.angles)
     scale = _extents(first.loop, first.angles)
     if first.arcs:
-        turned = (np.roll(second.loop, ARC_SAMPLES * k, axis=0) for k in range(first.arcs))
-        return min(float(np.abs(wrapped(image - first.loop, first.angles) / scale).max()) for image in turned)
-    return min(_aligned(first, image, scale) for image in images(second.loop, n))
+        for k in range(first.arcs):
+            image = np.roll(second.loop, ARC_SAMPLES * k, axis=0)
+            yield float(np.abs(wrapped(image - first.loop, first.angles) / scale).max())
+    else:
+        for image in images(second.loop, n):
+            yield from _aligned(first, image, scale)
 
 
 def images(loop: np.ndarray, n: int) -> Iterator[np.ndarray]:
@@ -209,8 +217,8 @@ def _extents(loop: np.ndarray, angles: Sequence[bool]) -> np.ndarray:
     return np.concatenate([np.where(turning, np.minimum(sizes[:n], np.pi), sizes[:n]), sizes[n:]])
 
 
-def _aligned(first: Signature, image: np.ndarray, scale: np.ndarray) -> float:
-    """The gap of one image at the phase where it passes the first state of the other loop.
+def _aligned(first: Signature, image: np.ndarray, scale: np.ndarray) -> Iterator[float]:
+    """The gaps of one image at the phases where it passes the first state of the other loop.
 
     The phase is found among the samples, then between them by Gauss-Newton steps on the gap to that
     state, and the shifted image is compared with the whole loop.
@@ -218,11 +226,10 @@ def _aligned(first: Signature, image: np.ndarray, scale: np.ndarray) -> float:
     count, n = image.shape[0], len(first.angles)
     gaps = np.abs(wrapped(image - first.loop[0], first.angles) / scale).max(axis=1)
     path = _path(image, first.period, n, first.angles)
-    grid, least = np.arange(count) * first.period / count, np.inf
+    grid = np.arange(count) * first.period / count
     for k in np.argsort(gaps)[:3]:
         moved = path(grid + _phase(first, path, float(grid[k]), scale))
-        least = min(least, float(np.abs(wrapped(moved - first.loop, first.angles) / scale).max()))
-    return least
+        yield float(np.abs(wrapped(moved - first.loop, first.angles) / scale).max())
 
 
 def _phase(first: Signature, path: Callable[[np.ndarray], np.ndarray], moment: float, scale: np.ndarray) -> float:

@@ -4,8 +4,8 @@ The equations are built once and used for every start with other numbers; nothin
 costs a few integrations. Source of the damping: K. Levenberg, Quarterly of Applied Mathematics 2 (1944) 164-168;
 D. Marquardt, SIAM Journal 11 (1963) 431-441.
 
-Beside a nearly degenerate orbit it is one equation in one unknown, followed along the valley where the others hold.
-There the Jacobian J has one singular value that is far smaller than the rest (a nearly resonant torus, a fold or
+Beside a nearly degenerate orbit it is an equation in a single unknown, followed along the valley where the others hold.
+There the Jacobian J has a singular value that is far smaller than the rest (a nearly resonant torus, a fold or
 a pitchfork close by): the residual F is small along a curve, damped steps creep and chord steps do not contract.
 With its singular vectors u, v the bordered equations
 
@@ -18,20 +18,27 @@ Equilibria, SIAM 2000, chapter 3.
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, cast
 
 import numpy as np
 
-from orbitfinder._runtime.sizes import size_of
+from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.atlas.abreast import Ask, Course, Marched, alone
 from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.integrate.march import rounded, uniform
+from orbitfinder.integrate.march import Placed, divided, rounded, uniform
+from orbitfinder.integrate.rk8 import agree, refining
 from orbitfinder.loops.loop import Equations, Loop, Unknowns
 from orbitfinder.loops.problem import Problem, loop_of
 from orbitfinder.loops.scales import Measures
-from orbitfinder.mechanics.newton import Settings, Solver, chord, full, largest
+from orbitfinder.mechanics.newton import Settings, Solved, Solver, chording, full, largest
 
 POLISH = Settings(floor=1e-13, round_off=1e-13, converged=1e-10, most_evaluations=8)
+GAVE_UP = "iteration limit", "hopeless start"
 REGULAR = Settings(floor=0.0, converged=0.0, round_off=0.0, most_evaluations=6, patience=0, progress=1.0)
 
 
@@ -44,7 +51,7 @@ class ClosingSettings:
     squared_above: float = 1e-6
     """damping above which the normal equations are accurate enough"""
     patience: int = 6
-    """evaluations in which the residual must have halved, or it creeps"""
+    """evaluations in which the residual must have halved, or it creeps; asked anew after as long again"""
     near: float = 1e-2
     """residual below which a path is near an orbit"""
     narrow: float = 3e-2
@@ -54,6 +61,7 @@ class ClosingSettings:
     most_evaluations: int = 40
     hopeless: tuple[tuple[int, float], ...] = ((12, 1.0), (24, 0.3))
     """(evaluations, residual): given up when it is still larger after so many"""
+    first_damping: float = 1e-2
     largest_step: float = 1.0
     """about a radian"""
     largest_rate: float = 100.0
@@ -72,28 +80,37 @@ class ClosingSettings:
     round_off: float = 3e-13
     """residual that counts as none"""
 
-    def creeping(self, norms: list[float]) -> bool:
-        """True when the last residuals are small and have not halved in a while; asked anew after as long again."""
-        near = norms[-1] < self.near and len(norms) > self.patience and len(norms) % self.patience == 0
-        return near and norms[-1] > norms[-1 - self.patience] / 2
-
     def singular(self, jacobian: np.ndarray) -> bool:
         """True when a Jacobian is nearly singular in one direction alone."""
         values = np.linalg.svd(jacobian, compute_uv=False)
         return bool(values[-1] < self.narrow * values[-2])
 
-    def step(self, jacobian: np.ndarray, residual: np.ndarray, damping: float) -> np.ndarray:
-        """The Levenberg-Marquardt step, no longer than `largest_step` in any component."""
-        try:
-            if damping > self.squared_above:
-                matrix = jacobian.T @ jacobian
-                matrix[np.diag_indices_from(matrix)] += damping
-                step = -np.linalg.solve(matrix, jacobian.T @ residual)
-            else:
-                step = np.linalg.lstsq(jacobian, -residual, rcond=1e-13)[0]
-        except np.linalg.LinAlgError as error:
-            raise ConvergenceError("singular equations") from error
-        return np.asarray(step * min(1.0, self.largest_step / size_of(step)))
+    def steps(self, jacobians: np.ndarray, residuals: np.ndarray, dampings: np.ndarray) -> np.ndarray:
+        """The Levenberg-Marquardt steps (B x K), none longer than `largest_step` in any component; nan of singular
+        equations."""
+        steps, squared = np.empty((len(jacobians), jacobians.shape[2])), dampings > self.squared_above
+        if squared.any():
+            turned = jacobians[squared].swapaxes(1, 2)
+            matrices, across = turned @ jacobians[squared], np.arange(steps.shape[1])
+            matrices[:, across, across] += dampings[squared, None]
+            steps[squared] = -_solved(np.linalg.solve, matrices, turned @ residuals[squared, :, None])[..., 0]
+        for k in np.flatnonzero(~squared):
+            steps[k] = _solved(_least_squares, jacobians[k], -residuals[k])
+        return np.asarray(steps * np.minimum(1.0, self.largest_step / nonzero(np.abs(steps).max(axis=1)))[:, None])
+
+
+def _least_squares(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-13)[0])
+
+
+def _solved(solve: Callable[..., np.ndarray], matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """The solution of a system, or of each of several; nan where there is none."""
+    try:
+        return solve(matrix, right)
+    except np.linalg.LinAlgError:
+        if matrix.ndim == 2:
+            return np.full(right.shape, np.nan)
+        return np.array([_solved(solve, *system) for system in zip(matrix, right, strict=True)])
 
 
 class Stalled(ConvergenceError):
@@ -106,7 +123,7 @@ class Stalled(ConvergenceError):
 
 @dataclass(frozen=True)
 class ScaledLoop:
-    """The loop of one start, the longest step of its marches (s), what all is measured in."""
+    """The loop of a start, the longest step of its marches (s), what all is measured in."""
 
     loop: Loop
     step: float
@@ -131,12 +148,12 @@ def scaled_loop(
     units: np.ndarray,
     clock: float,
 ) -> ScaledLoop:
-    """The loop of one start, scales and references from its guess, from the `units` of states (2n) and a `clock` (s).
+    """The loop of a start, scales and references from its guess, from the `units` of states (2n) and a `clock` (s).
 
-    A first-order system's states (d) are scaled by their units alone.
+    States (d) without an energy that says how fast they are, are scaled by their units alone.
     """
     n, loop = problem.model.degrees_of_freedom, loop_of(problem, equations, w, None, problem.pin)
-    if problem.model.rates is not None:
+    if problem.model.rates is not None or not problem.pin:
         measures = Measures.of(loop, w, w.joined(units, problem.guess.period, 1.0 / clock, np.zeros(0)))
         return ScaledLoop(loop, step, measures, periods, tuple(units))
     rate = max(float(np.sqrt(np.mean((w.nodes[:, n:] / units[:n]) ** 2))), 2 * np.pi / problem.guess.period)
@@ -180,57 +197,225 @@ def bounded(scaled: ScaledLoop, w: Unknowns) -> Unknowns:
     return w
 
 
-def solve(scaled: ScaledLoop, w: Unknowns) -> tuple[Unknowns, np.ndarray]:
-    """Unknowns with a small scaled residual and the Jacobian there; `ConvergenceError` says why there is none."""
-    damping, how = 1e-2, scaled.settings
-    residual, jacobian = linearised(scaled, w)
-    norm = float(np.abs(residual).max())
-    norms: list[float] = []
-    for evaluation in range(1, how.most_evaluations + 1):
-        if norm < how.converged:
-            return w, jacobian
-        if any(evaluation > after and norm > most for after, most in how.hopeless):
-            raise ConvergenceError("hopeless start")
-        norms.append(norm)
-        if how.creeping(norms) and how.singular(jacobian):
-            raise Stalled(w)
-        step = how.step(jacobian, residual, damping)
-        try:
-            trial = bounded(scaled, moved(scaled, w, step))
-            rows, slopes = linearised(scaled, trial)
-        except IntegrationError:
-            damping = max(10 * damping, 1e-3)
-            continue
-        if float(np.linalg.norm(rows)) < float(np.linalg.norm(residual)):
-            w, residual, jacobian = trial, rows, slopes
-            norm, damping = float(np.abs(residual).max()), damping / 10 if damping > 1e-9 else 0.0
-        else:
-            damping = max(5 * damping, 1e-4)
-    raise ConvergenceError("iteration limit")
+@dataclass(frozen=True)
+class Closing(Ask):
+    """Unknowns with a small scaled residual and the Jacobian there; `ConvergenceError` says why there are none."""
+
+    scaled: ScaledLoop
+    w: Unknowns
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """What those have in common that stand in rows of the same arrays."""
+        loop = self.scaled.loop
+        return id(loop.equations), len(self.w.nodes), len(loop.normals), len(loop.conditions), loop.cycles
+
+    @classmethod
+    def answered(cls, asks: Sequence[Closing]) -> Sequence[Any]:
+        """All side by side: every evaluation is a march of all that are still on their way."""
+        groups = defaultdict[tuple[int, ...], list[int]](list)
+        for k, ask in enumerate(asks):
+            groups[ask.shape].append(k)
+        ranks = [Rank([asks[k] for k in numbers]) for numbers in groups.values()]
+        _evaluated([(rank, rank.left, rank.w) for rank in ranks])
+        for evaluation in range(1, asks[0].scaled.settings.most_evaluations + 1):
+            for rank in ranks:
+                rank.judge(evaluation)
+            _evaluated([(rank, *rank.trials()) for rank in ranks if rank.left.size])
+        answers: dict[int, Any] = {}
+        for numbers, rank in zip(groups.values(), ranks, strict=True):
+            rank.end(rank.left, ConvergenceError(GAVE_UP[0]))
+            answers |= zip(numbers, rank.answers, strict=True)
+        return [answers[k] for k in range(len(asks))]
 
 
-def polished(scaled: ScaledLoop, w: Unknowns, jacobian: np.ndarray) -> Unknowns:
+class Rank:
+    """Loops of the same shape in rows: unknowns (B x K), scaled residuals, Jacobians and damping of each.
+
+    What becomes of a row depends on that row alone: matrices are multiplied and solved each by itself.
+    """
+
+    def __init__(self, asks: Sequence[Closing]) -> None:
+        scaled = [ask.scaled for ask in asks]
+        self.asks, self.how, self.equations = asks, scaled[0].settings, scaled[0].loop.equations
+        self.count, self.size = asks[0].w.nodes.shape
+        self.cut = self.count * self.size
+        self.w = np.array([ask.w.vector for ask in asks])
+        self.columns = np.array([each.measures.columns for each in scaled])
+        self.rows = np.array([each.measures.rows for each in scaled])
+        self.periods = np.array([each.periods for each in scaled])
+        self.normals = np.array([each.loop.normals for each in scaled]).reshape(len(asks), -1, self.size)
+        self.away = np.array([each.loop.reference for each in scaled])
+        self.constants = np.array([self.equations.aimed(each.loop.constant) for each in scaled])
+        self.conditions = scaled[0].loop.conditions
+        self.values = np.array([[condition.value for condition in each.loop.conditions] for each in scaled])
+        self.left, self.answers = np.arange(len(asks)), list[Any]([None]) * len(asks)
+        self.residual, self.jacobian = np.full(self.rows.shape, np.inf), np.zeros((*self.rows.shape, self.w.shape[1]))
+        self.damping, self.norms = np.full(len(asks), np.nan), list[np.ndarray]()
+
+    def end(self, numbers: np.ndarray, why: Exception) -> None:
+        """Rows that lead nowhere."""
+        for k in numbers:
+            self.answers[k] = why
+        if len(numbers):
+            self.left = self.left[np.isin(self.left, numbers, invert=True)]
+
+    def _at(self, k: int) -> Unknowns:
+        return self.asks[k].scaled.at(self.asks[k].w.at(self.w[k]))
+
+    def judge(self, evaluation: int) -> None:
+        """Who has arrived, is hopeless or has stalled."""
+        how, norm = self.how, np.abs(self.residual).max(axis=1)
+        self.norms.append(norm)
+        arrived = norm[self.left] < how.converged
+        for k in self.left[arrived]:
+            self.answers[k] = self._at(k), self.jacobian[k]
+        self.left = self.left[~arrived]
+        for after, most in how.hopeless:
+            if evaluation > after:
+                self.end(self.left[norm[self.left] > most], ConvergenceError(GAVE_UP[1]))
+        if evaluation > how.patience and evaluation % how.patience == 0:
+            slow = (norm < how.near) & (norm > self.norms[-1 - how.patience] / 2)
+            for k in self.left[slow[self.left]]:
+                if how.singular(self.jacobian[k]):
+                    self.end(np.array([k]), Stalled(self._at(k)))
+
+    def trials(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows (b) and where a step leads from them (b x K), the period kept in range; not those beyond bounds."""
+        left, how = self.left, self.how
+        steps = how.steps(self.jacobian[left], self.residual[left], self.damping[left])
+        solved = np.isfinite(steps).all(axis=1)
+        self.end(left[~solved], ConvergenceError("singular equations"))
+        left, w = left[solved], (self.w[left] + steps * self.columns[left])[solved]
+        w[:, self.cut] = np.clip(w[:, self.cut], *self.periods[left].T)
+        sizes, n = np.abs(w / self.columns[left]), 0 if self.equations.model.rates is not None else self.size // 2
+        rates = sizes[:, : self.cut].reshape(-1, self.count, self.size)[:, :, n:].reshape(len(left), -1)
+        out = np.any(rates > how.largest_rate, axis=1)
+        out |= np.any(sizes[:, self.cut + 1 :] > how.largest_unfolding, axis=1)
+        self._refuse(left[out])
+        return left[~out], w[~out]
+
+    def _refuse(self, numbers: np.ndarray) -> None:
+        self.damping[numbers] = np.maximum(10 * self.damping[numbers], 1e-3)
+
+    def placed(self, w: np.ndarray) -> list[Placed]:
+        """Nodes, meshes and tails of rows at w (b x K)."""
+        fraction, step, count = self.equations.symmetry.fraction, self.asks[0].scaled.step, self.count
+        meshes = [_mesh(fraction, count, rounded(period * fraction / count / step)) for period in w[:, self.cut]]
+        return list(zip(w[:, : self.cut].reshape(-1, count, self.size), meshes, w[:, self.cut :], strict=True))
+
+    def take(self, numbers: np.ndarray, w: np.ndarray, loops: Sequence[Placed], last: np.ndarray) -> None:
+        """What trials have come to: taken where the residual is smaller than before, more damping where not."""
+        last = last.reshape(len(numbers), -1)
+        finite, first = np.isfinite(last).all(axis=1), np.isnan(self.damping[numbers])
+        self.end(numbers[~finite & first], IntegrationError("the state is not finite"))
+        self._refuse(numbers[~finite & ~first])
+        edges = np.array([mesh[:: (mesh.size - 1) // self.count] for _, mesh, _ in loops])[finite]
+        numbers, w, first = numbers[finite], w[finite], first[finite]
+        if not numbers.size:
+            return
+        residual, jacobian = self._linearised(numbers, w, edges, last[finite])
+        better = np.linalg.norm(residual, axis=1) < np.linalg.norm(self.residual[numbers], axis=1)
+        taken, damping = numbers[better], self.damping[numbers]
+        self.w[taken], self.residual[taken], self.jacobian[taken] = w[better], residual[better], jacobian[better]
+        less, more = np.where(damping > 1e-9, damping / 10, 0.0), np.maximum(5 * damping, 1e-4)
+        self.damping[numbers] = np.where(first, self.how.first_damping, np.where(better, less, more))
+
+    def _linearised(
+        self, numbers: np.ndarray, w: np.ndarray, edges: np.ndarray, last: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Scaled residuals and Jacobians of rows at w (b x K), from the ends of their segments with derivatives."""
+        count, size, cut, many = self.count, self.size, self.cut, len(w)
+        nodes, tails, (first, end) = w[:, :cut].reshape(many, count, size), w[:, cut:], self.equations.boundary
+        ends, phi, columns = self.equations.march.arcs[0].derivatives(nodes, last, edges, tails)
+        values, slopes = self.equations.named(self.conditions, nodes[:, 0], tails[:, :1])
+        links, closing, normals = cut - size, cut - size + len(first), self.normals[numbers]
+        phases = closing + normals.shape[1]
+        residual, jacobian = np.empty((many, self.rows.shape[1])), np.zeros((many, *self.jacobian.shape[1:]))
+        residual[:, :links] = (ends[:, :-1] - nodes[:, 1:]).reshape(many, -1)
+        around = first @ nodes[:, 0, :, None] + end @ ends[:, -1, :, None]
+        residual[:, links:closing] = around[..., 0] - self.constants[numbers]
+        residual[:, closing:phases] = (normals @ (nodes[:, 0] - self.away[numbers])[..., None])[..., 0]
+        residual[:, phases:] = values - self.values[numbers]
+        inner, each = np.zeros((many, count - 1, size, count, size)), np.arange(count - 1)
+        inner[:, each, :, each] = phi[:, :-1].swapaxes(0, 1)
+        inner[:, each, :, each + 1] = -np.eye(size)
+        jacobian[:, :links, :cut] = inner.reshape(many, links, cut)
+        jacobian[:, :links, cut:] = columns[:, :-1].reshape(many, links, -1)
+        jacobian[:, links:closing, cut - size : cut] = end @ phi[:, -1]
+        jacobian[:, links:closing, :size] += first
+        jacobian[:, links:closing, cut:] = end @ columns[:, -1]
+        jacobian[:, closing:phases, :size] = normals
+        jacobian[:, phases:, :size], jacobian[:, phases:, cut] = slopes[:, :, :size], slopes[:, :, size]
+        rows = self.rows[numbers]
+        return residual / rows, jacobian * self.columns[numbers, None] / rows[:, :, None]
+
+
+@lru_cache(maxsize=256)
+def _mesh(fraction: float, segments: int, steps: int) -> np.ndarray:
+    return uniform(fraction, segments, steps)
+
+
+def _evaluated(trials: Sequence[tuple[Rank, np.ndarray, np.ndarray]]) -> None:
+    """Trials of all ranks marched side by side, and taken or not."""
+    marches = defaultdict[int, list[tuple[Rank, np.ndarray, np.ndarray, list[Placed]]]](list)
+    for rank, numbers, w in trials:
+        if numbers.size:
+            marches[id(rank.equations.march)].append((rank, numbers, w, rank.placed(w)))
+    for each in marches.values():
+        march = each[0][0].equations.march.arcs[0]
+        last, _ = march.beside(True, [loop for *_, loops in each for loop in loops])
+        cuts = np.cumsum([len(numbers) * rank.count for rank, numbers, *_ in each])[:-1]
+        for (rank, numbers, w, loops), own in zip(each, np.split(last, cuts), strict=True):
+            rank.take(numbers, w, loops, own)
+
+
+def polished(scaled: ScaledLoop, w: Unknowns, jacobian: np.ndarray) -> Course[Unknowns]:
     """w to round-off, by chord steps with an accurate residual, on the mesh that it needs; `Stalled` above 1e-10."""
     equations, measures = scaled.loop.equations, scaled.measures
-
-    def rows(w: Unknowns, ends: np.ndarray) -> np.ndarray:
-        return np.asarray(scaled.loop.rows(w, ends) / measures.rows)
 
     def solver(jacobian: np.ndarray) -> Solver:
         inverse = np.linalg.pinv(jacobian, rcond=1e-13)
         return lambda rows: -(inverse @ rows) * measures.columns
 
-    def renewed(w: Unknowns) -> Solver:
-        return solver(measures.matrix(scaled.loop.linearised(w, equations.varied(w)).matrix()))
-
     w = replace(scaled, step=scaled.step / scaled.settings.finer).at(w)
-    ends, mesh = equations.march.refined_ends(w.nodes, w.mesh, w.tail, scaled.units)
+    ends, mesh = yield from confirmed(scaled, w)
     w = replace(w, mesh=mesh)
-    functions = (lambda w: rows(w, equations.ends(w)), renewed)
-    solved = chord(w, rows(w, ends), solver(jacobian), functions, scaled.settings.polish, Unknowns.moved)
+    rows = np.asarray(scaled.loop.rows(w, ends) / measures.rows)
+    course = chording(w, rows, solver(jacobian), scaled.settings.polish, Unknowns.moved)
+    answer: Any = None
+    while True:
+        try:
+            renewed, at = course.send(answer)
+        except StopIteration as end:
+            solved: Solved[Unknowns] = end.value
+            break
+        if renewed:
+            jacobian = scaled.loop.linearised(at, equations.varied(at)).matrix()
+            answer = solver(measures.matrix(jacobian))
+        else:
+            answer = scaled.loop.rows(at, (yield Marched(equations, at))) / measures.rows
     if not solved.converged:
         raise Stalled(solved.w)
     return solved.w
+
+
+def confirmed(scaled: ScaledLoop, w: Unknowns) -> Course[tuple[np.ndarray, np.ndarray]]:
+    """The ends of w by twice, four times, ... the steps of its mesh, the first that half as many confirm; that mesh."""
+
+    def agreed(coarse: tuple[np.ndarray, np.ndarray], fine: tuple[np.ndarray, np.ndarray]) -> bool:
+        return agree(coarse[0], fine[0], scaled.units)
+
+    course, answer = refining(1, agreed), cast(Any, None)
+    while True:
+        try:
+            mesh = divided(w.mesh, course.send(answer))
+        except StopIteration as end:
+            return cast(tuple[np.ndarray, np.ndarray], end.value)
+        try:
+            answer = (yield Marched(scaled.loop.equations, w.on(mesh))), mesh
+        except IntegrationError as error:
+            answer = error
 
 
 @dataclass(frozen=True)
@@ -245,7 +430,7 @@ class ValleyPoint:
 
     @property
     def mu(self) -> float:
-        """What is left of the residual in the one equation that is not regular."""
+        """What is left of the residual in the equation that is not regular."""
         return float(self.left @ self.residual)
 
 
@@ -264,7 +449,7 @@ def orbit_in_valley(scaled: ScaledLoop, w: Unknowns) -> tuple[Unknowns, np.ndarr
 def fine_step(scaled: ScaledLoop, w: Unknowns) -> float:
     """The longest step (s) with which half of it agrees; the polish that follows needs no better Jacobian."""
     w = scaled.at(w)
-    mesh = scaled.loop.equations.march.refined_ends(w.nodes, w.mesh, w.tail, scaled.units)[1]
+    mesh = alone(confirmed(scaled, w))[1]
     return 2 * w.period * float(mesh[-1]) / (mesh.size - 1)
 
 

@@ -11,10 +11,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.optimize import brentq
 
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.atlas.regions import Region, region_of
+from orbitfinder.atlas.abreast import Course, Marched, alone
+from orbitfinder.atlas.regions import Attractor, Region, region_of
 from orbitfinder.atlas.sections import TURNS as TURNED
 from orbitfinder.atlas.sections import EventSection
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
@@ -23,6 +25,7 @@ from orbitfinder.integrate.equations import prepare
 from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.conditions import Pin, pin
 from orbitfinder.loops.loop import Equations
+from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import (
     ALONE,
     BRAKE,
@@ -115,6 +118,8 @@ class Context:
     lengths: np.ndarray
     equations: Mapping[str, Equations] = field(default_factory=dict)
     flows: Mapping[str, Flow] = field(default_factory=dict)
+    problems: Mapping[str, Problem] = field(default_factory=dict)
+    """one each, whose guess is to be another"""
     step: float = 0.0
     declared: Mapping[str, Involution] = field(default_factory=dict)
     """the system's own reversals, by strategy; of a first-order system all that it may have, forwards too"""
@@ -127,17 +132,31 @@ class Context:
     @property
     def units(self) -> np.ndarray:
         """What states (2n) are measured in: lengths, and lengths over a power of 256 near the longest period / 2 pi."""
-        return self.lengths if self.region is not None else np.concatenate([self.lengths, self.lengths / self.clock])
+        return (
+            self.lengths if self.model.rates is not None else np.concatenate([self.lengths, self.lengths / self.clock])
+        )
 
     @property
     def sizes(self) -> np.ndarray:
         """Lengths of a state's components (2n), rates in lengths a second."""
-        return self.lengths if self.region is not None else np.tile(self.lengths, 2)
+        return self.lengths if self.model.rates is not None else np.tile(self.lengths, 2)
 
     @property
     def pins(self) -> tuple[Pin, ...]:
         """What orbits are pinned by: the energy, where there is one."""
         return pin(energy=self.target.energy) if self.model.conservative else ()
+
+    @property
+    def beat(self) -> float:
+        """The period of the forcing in s, 0 where there is none."""
+        period = self.model.forcing_period
+        return 0.0 if period is None else float(period(self.model.parameter_values))
+
+    @property
+    def cycles(self) -> np.ndarray:
+        """How many of them may be in a period wanted."""
+        low, high = (round(period / self.beat, 9) for period in self.target.periods)
+        return np.arange(max(1, int(np.ceil(low))), int(np.floor(high)) + 1)
 
     @property
     def clock(self) -> float:
@@ -163,6 +182,8 @@ def context_of(model: Model, target: Target) -> Context:
     check(model, target)
     if not model.smooth:
         return _cut(model, target)
+    if model.forced:
+        return _forced(model, target)
     if model.rates is not None:
         return _alone(model, target)
     model = with_mirrors(model)
@@ -179,15 +200,19 @@ def context_of(model: Model, target: Target) -> Context:
     chosen = {name: SYMMETRIES[name] for name in known if name in imposed}
     chosen |= {reversal.name: Symmetry((reversal,)) for reversal in own.values()}
     turns = (*(name for name in TURNS if possible(name, known)), *own, *(own if len(own) == 1 else ()))
-    return _ready(Context(model, target, place, normal_modes(model, place)[1], turns, lengths, declared=own), chosen)
+    return _ready(
+        Context(model, target, place, normal_modes(model, place)[1], turns, lengths, declared=own), chosen, origin
+    )
 
 
-def _ready(context: Context, chosen: Mapping[str, Symmetry]) -> Context:
+def _ready(context: Context, chosen: Mapping[str, Symmetry], place: np.ndarray) -> Context:
     """With equations and flows by the symmetries that are imposed, and the step of the cheap stage."""
     model, units = context.model, unless_one(context.units)
     equations = {name: Equations(model, symmetry, alone=True) for name, symmetry in chosen.items()}
     flows = {name: build_flow(model, (), symmetry.unfolded(model), units=units) for name, symmetry in chosen.items()}
-    ready = replace(context, equations=equations, flows=flows)
+    guess = Guess(place, context.target.periods[1])
+    problems = {name: Problem(model, guess, pin=context.pins, symmetry=name) for name in equations}
+    ready = replace(context, equations=equations, flows=flows, problems=problems)
     return replace(ready, step=calibrated(ready))
 
 
@@ -201,7 +226,23 @@ def _alone(model: Model, target: Target) -> Context:
     chosen = {NONE.name: ALONE} | {mirror.name: Symmetry((mirror,), True) for mirror in own.values()}
     turns = ("recurrence", *own, "random", "recurrence", *own)
     shapes, lengths = np.zeros((place.size, 0)), region.lengths
-    return _ready(Context(model, target, place, shapes, turns, lengths, declared=own, region=region), chosen)
+    return _ready(Context(model, target, place, shapes, turns, lengths, declared=own, region=region), chosen, place)
+
+
+def _forced(model: Model, target: Target) -> Context:
+    """The shared part of a search of a forced system, whose periods are multiples of the forcing's."""
+    region = Attractor.of(model, target.periods[1])
+    prepare(model)
+    place = region.drawn(np.random.default_rng(0))
+    shapes = np.zeros((model.degrees_of_freedom, 0))
+    context = Context(model, target, place, shapes, ("recurrence", "random"), region.lengths, region=region)
+    if not context.cycles.size:
+        low, high = target.periods
+        raise InputError(
+            f"search.period: no multiple of the forcing's period, {context.beat:.6g} s, is from {low:g} to {high:g} s; "
+            "widen it"
+        )
+    return _ready(context, {NONE.name: NONE if model.rates is None else ALONE}, place)
 
 
 def _cut(model: Model, target: Target) -> Context:
@@ -282,15 +323,20 @@ def check(model: Model, target: Target) -> None:
         )
     names = [invariant.name for invariant in model.invariants]
     alone = model.rates is not None and not names
-    if model.forced or not (alone or (model.conservative and len(names) == 1)):
+    if (model.forced and names) or not (model.forced or alone or (model.conservative and len(names) == 1)):
         raise InputError(
-            f"search: works on energy shells of systems that conserve the energy and nothing else; this one "
-            f"conserves {', '.join(names) or 'nothing'}; use find with a guess instead"
+            f"search: works on energy shells of systems that conserve the energy and nothing else, on forced systems "
+            f"and attractors; this one conserves {', '.join(names) or 'nothing'}; use find with a guess instead"
         )
 
 
 def make_start(context: Context, seed: int, index: int) -> SearchStart:
     """The start with this number; `ConvergenceError` when its strategy proposes none."""
+    return alone(proposed(context, seed, index))
+
+
+def proposed(context: Context, seed: int, index: int) -> Course[SearchStart]:
+    """The same as a course."""
     name = strategy_of(context, index)
     random = np.random.default_rng([seed, index])
     if context.section is not None:
@@ -299,13 +345,17 @@ def make_start(context: Context, seed: int, index: int) -> SearchStart:
     if name in context.declared:
         mirror = context.declared[name]
         state = _fixed(context, mirror, random) if mirror.sense < 0 else _random_state(context, random)
-        return SearchStart(index, name, mirror.name, state, _return_time(context, name, state, random))
+        return SearchStart(index, name, mirror.name, state, (yield from _return_time(context, name, state, random)))
     symmetry, propose = STRATEGIES[name]
     state = propose(context, random)
+    if context.model.forced:
+        state, period = yield from _strobed(context, name, state, random)
+        return SearchStart(index, name, NONE.name, state, period)
     if name == "recurrence":
-        state, period = _recurrence(context, state, random)
+        state, period = yield from _recurrence(context, state, random)
     else:
-        period = _return_time(context, name if name == REVERSAL.name else symmetry, state, random)
+        known = name if name == REVERSAL.name else symmetry
+        period = yield from _return_time(context, known, state, random)
     return SearchStart(index, name, symmetry, state, period)
 
 
@@ -345,11 +395,10 @@ def at_rest(context: Context, q: np.ndarray, direction: np.ndarray) -> np.ndarra
 
     unit = np.linalg.norm(direction / context.lengths)
     lengths = np.linspace(0.0, 2 * np.pi, 64) / unit
-    above = [length for length in lengths if excess(length) > 0]
-    if not above:
+    above = next((length for length in lengths if excess(length) > 0), None)
+    if above is None:
         raise ConvergenceError("the ray does not meet the energy")
-    step = lengths[1]
-    root = brentq(excess, above[0] - step, above[0], xtol=1e-14 * np.linalg.norm(direction) / unit)
+    root = brentq(excess, above - lengths[1], above, xtol=1e-14 * np.linalg.norm(direction) / unit)
     return np.concatenate([q + root * direction, np.zeros(q.size)])
 
 
@@ -448,12 +497,13 @@ def _gap_alone(mirror: Involution | None, states: np.ndarray, angular: np.ndarra
     return np.asarray(np.abs(wrapped(states - first, angular)).max(axis=1))
 
 
-def simulated(context: Context, state: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
+def simulated(context: Context, state: np.ndarray, duration: float) -> Course[tuple[np.ndarray, np.ndarray]]:
     """Times and states of a loose simulation."""
     samples = context.settings.samples_per_period * duration / context.target.periods[1]
     count = rounded(max(samples, duration / context.step))
-    march, mesh = context.equations["none"].march, uniform(1.0, 1, count)
-    return duration * mesh, march.states(state[None], mesh, np.append(duration, np.zeros(march.unfolding)))
+    equations, mesh = context.equations["none"], uniform(1.0, 1, count)
+    states = yield Marched(equations, equations.unknowns(state[None], duration, mesh), "states")
+    return duration * mesh, states
 
 
 def _minima(gaps: np.ndarray) -> np.ndarray:
@@ -461,12 +511,12 @@ def _minima(gaps: np.ndarray) -> np.ndarray:
     return np.flatnonzero((gaps[1:-1] <= gaps[:-2]) & (gaps[1:-1] <= gaps[2:])) + 1
 
 
-def _return_time(context: Context, symmetry: str, state: np.ndarray, random: np.random.Generator) -> float:
+def _return_time(context: Context, symmetry: str, state: np.ndarray, random: np.random.Generator) -> Course[float]:
     """A period at which the boundary condition nearly holds, drawn from the nearest few."""
     half = symmetry == REVERSAL.name or symmetry in context.declared
     fraction = 0.5 if half else SYMMETRIES[symmetry].fraction
     low, high = context.target.periods
-    times, states = simulated(context, state, fraction * high)
+    times, states = yield from simulated(context, state, fraction * high)
     gaps = boundary_gap(context, symmetry, states)
     minima = _minima(gaps)
     minima = minima[times[minima] >= fraction * low]
@@ -476,17 +526,54 @@ def _return_time(context: Context, symmetry: str, state: np.ndarray, random: np.
     return float(times[random.choice(best)] / fraction)
 
 
-def _recurrence(context: Context, state: np.ndarray, random: np.random.Generator) -> tuple[np.ndarray, float]:
+def _recurrence(context: Context, state: np.ndarray, random: np.random.Generator) -> Course[tuple[np.ndarray, float]]:
     """The state and period of one of the closest returns of a longer simulation to itself."""
     low, high = context.target.periods
-    times, states = simulated(context, state, context.settings.recurrence_span * high)
-    step, returns = float(times[1]), []
-    window = int(np.ceil(high / step))
-    for begin in range(0, len(times) - window, max(1, window // context.settings.recurrence_beginnings)):
-        gaps = boundary_gap(context, "none", states[begin : begin + window])
-        returns += [(float(gaps[k]), begin, int(k)) for k in _minima(gaps) if k >= np.ceil(low / step)]
-    if not returns:
+    times, states = yield from simulated(context, state, context.settings.recurrence_span * high)
+    step, window = float(times[1]), int(np.ceil(high / times[1]))
+    apart = max(1, window // context.settings.recurrence_beginnings)
+    windows = sliding_window_view(states, window, axis=0)[: len(times) - window : apart]
+    gaps = return_gaps(context, windows)
+    at, length = np.nonzero((gaps[:, 1:-1] <= gaps[:, :-2]) & (gaps[:, 1:-1] <= gaps[:, 2:]))
+    length += 1
+    kept = length >= np.ceil(low / step)
+    at, length = at[kept], length[kept]
+    if not at.size:
         raise ConvergenceError("no return in the range of periods")
-    best = sorted(returns)[: context.settings.choices]
-    _, begin, length = best[random.integers(len(best))]
-    return states[begin], length * step
+    best = np.lexsort((length, at, gaps[at, length]))[: context.settings.choices]
+    chosen = best[random.integers(len(best))]
+    return states[at[chosen] * apart], float(length[chosen] * step)
+
+
+def _strobed(
+    context: Context, name: str, state: np.ndarray, random: np.random.Generator
+) -> Course[tuple[np.ndarray, float]]:
+    """A state and a number of the forcing's periods: of one of the closest returns of a simulation, or any."""
+    cycles, beat, how = context.cycles, context.beat, context.settings
+    if name != "recurrence":
+        return state, float(beat * random.choice(cycles))
+    count, each = int(how.recurrence_span * cycles[-1]), rounded(beat / context.step)
+    equations = context.equations[NONE.name]
+    w = equations.unknowns(state[None], count * beat, uniform(1.0, 1, count * each))
+    strobed = (yield Marched(equations, w, "states"))[::each]
+    at, length = (np.concatenate(part) for part in zip(
+        *((np.arange(count + 1 - k), np.full(count + 1 - k, k)) for k in cycles), strict=True
+    ))  # fmt: skip
+    gaps = np.abs(wrapped(strobed[at + length] - strobed[at], context.model.angular) / context.units).max(axis=1)
+    chosen = random.choice(np.argsort(gaps, kind="stable")[: how.choices])
+    return strobed[at[chosen]], float(beat * length[chosen])
+
+
+def return_gaps(context: Context, windows: np.ndarray) -> np.ndarray:
+    """How far the states of each window (k x d x w) are from its first one (k x w), whatever symmetry they have."""
+    n, angular, gaps = context.model.degrees_of_freedom, context.model.angular, np.zeros(windows.shape[::2])
+    fast = np.square(windows[:, n:] / context.sizes[n:, None]).sum(axis=(1, 2)) / (n * windows.shape[2])
+    rates = np.sqrt(nonzero(fast))[:, None]
+    for k, (part, size) in enumerate(zip(windows.swapaxes(0, 1), context.sizes, strict=True)):
+        moved = (part - part[:, :1]) / size
+        if k < n and angular[k]:
+            moved -= 2 * np.pi * np.rint(moved / (2 * np.pi))
+        elif k >= n:
+            moved /= rates
+        np.maximum(gaps, np.abs(moved), out=gaps)
+    return gaps

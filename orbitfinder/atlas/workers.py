@@ -15,9 +15,9 @@ import queue
 import threading
 import time
 import uuid
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
@@ -27,21 +27,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from orbitfinder._runtime import limit, processes
-from orbitfinder.atlas.attempt import CONTINUATION, Attempt, attempt
+from orbitfinder.atlas.attempt import CONTINUATION, Attempt, Job, attempts
 from orbitfinder.atlas.signature import Numbers
 from orbitfinder.atlas.starts import Context, Target, context_of, strategy_of
 from orbitfinder.errors import InputError, LimitError, OrbitfinderError
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.mechanics.kind import build_model
+from orbitfinder.records.orbit import Orbit
 
 LONGEST_START = 120.0
-"""s after which one start is given up, or a budget would be overrun without end; ordinary ones take 0.01 to 10"""
+"""s after which a start is given up, or a budget would be overrun without end; ordinary ones take 0.01 to 10"""
 DIED = "worker died"
 MOST_FALSE_STARTS = 3
 CONNECTING = 20.0
 """Seconds to wait for the scheduler."""
 EACH = 2
-"""Starts under way for each thread: one in work, one waiting there."""
+"""Handfuls of starts under way for each thread: those in work, those waiting there."""
 _one_at_a_time = threading.Lock()
 
 
@@ -62,16 +63,6 @@ class Request:
         return json.dumps(asdict(self), sort_keys=True)
 
 
-@dataclass(frozen=True)
-class Job:
-    """One start to be made: its number, whether known orbits count as suspects, an orbit to continue from."""
-
-    number: int
-    certain: bool = False
-    source: Mapping[str, Any] | None = None
-    tries: int = field(default=1, compare=False)
-
-
 @lru_cache(maxsize=4)
 def prepared(text: str) -> Context:
     """The context of a request given as JSON, made once in a process."""
@@ -82,24 +73,30 @@ def prepared(text: str) -> Context:
 
 
 @one_thread()
-def perform(context: Context, seed: int, job: Job, known: ArrayLike) -> Attempt:
-    """One start; whatever goes wrong in it is its reason."""
+def perform(context: Context, seed: int, jobs: Sequence[Job], known: ArrayLike) -> list[Attempt]:
+    """Starts side by side; whatever goes wrong in each is its reason."""
     began = time.process_time()
     try:
         with limit.limited(LONGEST_START):
-            made = attempt(context, seed, job.number, None if job.certain else known, job.source)
+            made = attempts(context, seed, jobs, known)
     except (RuntimeError, ValueError, ArithmeticError, LimitError) as error:
         limit.check()  # that of the whole search ends the search
-        name = CONTINUATION if job.source is not None else strategy_of(context, job.number)
-        made = Attempt(job.number, name, reason=f"error: {type(error).__name__}")
-    if made.orbit is not None:  # dense samples stay here: the nodes rebuild them
-        light = replace(made.orbit, times=np.zeros(0), samples=np.zeros((0, made.orbit.state.size)))
-        made = replace(made, orbit=light)
-    return replace(made, seconds=time.process_time() - began)
+        if len(jobs) > 1:  # whichever it was, it costs itself alone
+            return [made for job in jobs for made in perform(context, seed, [job], known)]
+        name = CONTINUATION if jobs[0].source is not None else strategy_of(context, jobs[0].number)
+        spent = time.process_time() - began
+        made = [Attempt(jobs[0].number, name, reason=f"error: {type(error).__name__}", seconds=spent)]
+    return [each if each.orbit is None else replace(each, orbit=_light(each.orbit)) for each in made]
+
+
+def _light(orbit: Orbit) -> Orbit:
+    """Dense samples stay here: the nodes rebuild them."""
+    return replace(orbit, times=np.zeros(0), samples=np.zeros((0, orbit.state.size)))
 
 
 class Workers(abc.ABC):
-    """Takes jobs as long as `room` is positive, gives back attempts in the order in which they come.
+    """Takes jobs to be done side by side as long as `room` is positive, gives back attempts in the order in which they
+    come.
 
     Every start is told of the orbits that are known when it is handed out (`learn`).
     """
@@ -111,11 +108,11 @@ class Workers(abc.ABC):
     @property
     @abc.abstractmethod
     def room(self) -> int:
-        """How many more jobs it takes now."""
+        """How many more times it takes jobs now."""
 
     @abc.abstractmethod
-    def submit(self, job: Job) -> None:
-        """Begin a start."""
+    def submit(self, jobs: Sequence[Job]) -> None:
+        """Begin some starts."""
 
     @abc.abstractmethod
     def results(self, timeout: float) -> list[tuple[Job, Attempt]]:
@@ -131,28 +128,28 @@ class Workers(abc.ABC):
 
 
 class Inline(Workers):
-    """Starts in this process, one by one."""
+    """Starts in this process."""
 
     def __init__(self, context: Context, request: Request) -> None:
         super().__init__(request)
         self._context = context
-        self._waiting: list[Job] = []
+        self._waiting: list[Sequence[Job]] = []
 
     @property
     def room(self) -> int:
-        """One start at a time."""
+        """Some at a time."""
         return 1 - len(self._waiting)
 
-    def submit(self, job: Job) -> None:
-        """Remember the start until somebody asks for results."""
-        self._waiting.append(job)
+    def submit(self, jobs: Sequence[Job]) -> None:
+        """Remember the starts until somebody asks for results."""
+        self._waiting.append(jobs)
 
     def results(self, timeout: float) -> list[tuple[Job, Attempt]]:  # noqa: ARG002  that of the others
-        """Do the start."""
+        """Do the starts."""
         if not self._waiting:
             return []
-        job = self._waiting.pop()
-        return [(job, perform(self._context, self._request.seed, job, self._known))]
+        jobs = self._waiting.pop()
+        return list(zip(jobs, perform(self._context, self._request.seed, jobs, self._known), strict=True))
 
     def close(self) -> None:
         """Nothing to stop."""
@@ -162,7 +159,7 @@ class Inline(Workers):
 class Worker(processes.Hand):
     """A spawned process, the pipe to it, what it is doing and of how many known orbits it has heard."""
 
-    job: Job | None = None
+    jobs: Sequence[Job] = ()
     heard: int = 0
     ready: bool = False
 
@@ -184,13 +181,13 @@ class LocalWorkers(Workers):
         return len(self._idle()) - len(self._again)
 
     def _idle(self) -> list[Worker]:
-        return [worker for worker in self._workers if worker.ready and worker.job is None]
+        return [worker for worker in self._workers if worker.ready and not worker.jobs]
 
-    def submit(self, job: Job) -> None:
-        """Give a start to an idle worker, with the known orbits that it has not heard of."""
+    def submit(self, jobs: Sequence[Job]) -> None:
+        """Give starts to an idle worker, with the known orbits that it has not heard of."""
         worker = self._idle()[0]
-        worker.job = job
-        worker.tell((job, self._known[worker.heard :]))
+        worker.jobs = jobs
+        worker.tell((jobs, self._known[worker.heard :]))
         worker.heard = len(self._known)
 
     def results(self, timeout: float) -> list[tuple[Job, Attempt]]:
@@ -201,7 +198,7 @@ class LocalWorkers(Workers):
             if worker.pipe in ready:
                 ended += self._heard_from(k, worker)
         while self._again and self._idle():
-            self.submit(self._again.pop(0))
+            self.submit([self._again.pop(0)])
         return ended
 
     def close(self) -> None:
@@ -216,12 +213,11 @@ class LocalWorkers(Workers):
         if message is None:
             worker.ready, self._false_starts = True, 0
             return []
-        job, worker.job = worker.job, None
-        assert job is not None
-        return [(job, message)]
+        jobs, worker.jobs = worker.jobs, ()
+        return list(zip(jobs, message, strict=True))
 
     def _replaced(self, k: int, worker: Worker) -> list[tuple[Job, Attempt]]:
-        """A new process for a dead one, and its start once more or given up."""
+        """A new process for a dead one, and its starts once more, each alone, or given up."""
         worker.pipe.close()
         worker.process.join(processes.LAST_WORDS)
         self._false_starts += not worker.ready
@@ -231,13 +227,8 @@ class LocalWorkers(Workers):
                 "if __name__ == '__main__', and workers = 0 searches without other processes"
             )
         self._workers[k] = self._started()
-        job = worker.job
-        if job is None:
-            return []
-        if job.tries < 2:  # once more; then it has cost itself and nothing else
-            self._again.append(replace(job, tries=job.tries + 1))
-            return []
-        return [(job, Attempt(job.number, "", reason=DIED))]
+        self._again += [replace(job, tries=job.tries + 1) for job in worker.jobs if job.tries < 2]
+        return [(job, Attempt(job.number, "", reason=DIED)) for job in worker.jobs if job.tries >= 2]
 
     def _started(self) -> Worker:
         begun = processes.hired(serve, self._request.text(), self._request.seed)
@@ -245,20 +236,20 @@ class LocalWorkers(Workers):
 
 
 def serve(pipe: Connection, text: str, seed: int) -> None:
-    """The life of a worker: until the pipe is closed, one start after the other."""
+    """The life of a worker: until the pipe is closed, some starts after the others."""
     context, known = prepared(text), list[Numbers]()
     with contextlib.suppress(EOFError, OSError):
         pipe.send(None)
         while True:
-            job, news = pipe.recv()
+            jobs, news = pipe.recv()
             known += news
-            pipe.send(perform(context, seed, job, known))
+            pipe.send(perform(context, seed, jobs, known))
 
 
-def remote(text: str, seed: int, job: Job, known: np.ndarray) -> Attempt:
-    """What a worker elsewhere runs. CasADi is not safe in threads, so a process does one start at a time."""
+def remote(text: str, seed: int, jobs: Sequence[Job], known: np.ndarray) -> list[Attempt]:
+    """What a worker elsewhere runs. CasADi is not safe in threads, so a process does one such call at a time."""
     with _one_at_a_time:
-        return perform(prepared(text), seed, job, known)
+        return perform(prepared(text), seed, jobs, known)
 
 
 class Futures(Workers):
@@ -272,18 +263,18 @@ class Futures(Workers):
 
     def __init__(self, request: Request) -> None:
         super().__init__(request)
-        self._under_way: dict[Any, Job] = {}
+        self._under_way: dict[Any, Sequence[Job]] = {}
         self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
 
     @abc.abstractmethod
     def begun(self, *arguments: Any) -> Any:
         """The future of `remote` with these arguments."""
 
-    def submit(self, job: Job) -> None:
-        """Give a start away."""
+    def submit(self, jobs: Sequence[Job]) -> None:
+        """Give starts away."""
         known = np.reshape(self._known, (-1, 3))
-        future = self.begun(self._request.text(), self._request.seed, job, known)
-        self._under_way[future] = job
+        future = self.begun(self._request.text(), self._request.seed, jobs, known)
+        self._under_way[future] = jobs
         future.add_done_callback(self._ended.put)
 
     def results(self, timeout: float) -> list[tuple[Job, Attempt]]:
@@ -293,11 +284,15 @@ class Futures(Workers):
         except queue.Empty:
             self.room  # noqa: B018  notices when no worker is left
             return []
-        job = self._under_way.pop(future)
+        jobs = self._under_way.pop(future)
         try:
-            return [(job, future.result(timeout=CONNECTING))]
+            return list(zip(jobs, future.result(timeout=CONNECTING), strict=True))
         except self.lost:
-            return [(job, Attempt(job.number, "", reason=DIED))]
+            if len(jobs) == 1:
+                return [(jobs[0], Attempt(jobs[0].number, "", reason=DIED))]
+            for job in jobs:  # whichever it was, it costs itself alone
+                self.submit([job])
+            return []
         except CancelledError as error:
             raise OrbitfinderError(
                 f"search: the {self.name} is gone or took its work back ({error}); start it again and give the same "

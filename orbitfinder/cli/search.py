@@ -112,7 +112,7 @@ def wanted(loaded: ProblemFile) -> tuple[list[float] | None, tuple[float, float]
     if loaded.search is None:
         raise InputError(f"{loaded.path}: {MISSING}")
     energy = table.get("energy", (loaded.document.get("find", {}).get("pin") or {}).get("energy"))
-    general = loaded.model.rates is not None or not loaded.model.smooth
+    general = loaded.model.rates is not None or loaded.model.forced or not loaded.model.smooth
     if energy is None and general and not loaded.model.invariants:
         return None, loaded.search
     if energy is None:

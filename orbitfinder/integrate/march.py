@@ -20,7 +20,7 @@ from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.compiled import compiled
 from orbitfinder.integrate.lanes.kernel import Kernel, kernel, varied_kernel
 from orbitfinder.integrate.parallel import STAGES, Lanes
-from orbitfinder.integrate.rk8 import agree, refined, slopes_of, step_of, variational_field
+from orbitfinder.integrate.rk8 import slopes_of, step_of, variational_field
 
 EFFORT = 3.0
 """Seconds of interpreted marching in a family of moderate length, for `compiled`."""
@@ -29,6 +29,10 @@ LEAST_TOGETHER, MOST_TOGETHER = 5, 16
 _NOTHING = np.zeros(0)
 QUANTUM = 4
 """Numbers of steps are rounded up to a multiple of this, so that few different marches are made."""
+
+
+Placed = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Nodes (N x d), mesh and tail of a loop"""
 
 
 @dataclass(frozen=True)
@@ -48,29 +52,7 @@ class Varied:
     change: float = 0.0
 
 
-class Refining:
-    """Ends that are confirmed by steps of half the length."""
-
-    def ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
-        """States (N x d) at the ends of the segments from their nodes (N x d). Raises `IntegrationError`."""
-        raise NotImplementedError
-
-    def refined_ends(
-        self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, units: tuple[float, ...] = ()
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Ends by twice, four times, ... the steps of a mesh, the first that half as many confirm; and their mesh.
-
-        They agree in `units` (d), () is 1.
-        """
-
-        def path(times: int) -> tuple[np.ndarray, np.ndarray]:
-            finer = divided(mesh, times)
-            return self.ends(nodes, finer, tail), finer
-
-        return refined(path, 1, lambda coarse, fine: agree(coarse[0], fine[0], units))
-
-
-class March(Refining):
+class March:
     """Integrates the segments of a loop; each kind of step is compiled when it is first needed.
 
     `field(t, x, s, free)` is dx/dt (d), `forced` says whether t matters; `integrand`, of the same arguments, is carried
@@ -145,15 +127,20 @@ class March(Refining):
         return _finite(self._marched(False, start, _parameters(mesh, tail), 0)[0], nodes)[:, 1:]
 
     def _marched(
-        self, varied: bool, start: np.ndarray, parameters: np.ndarray, kept: int, loops: int = 1
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, varied: bool, start: np.ndarray, parameters: np.ndarray, kept: int, loops: int = 1,
+        begins: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
         """The ends (N x ...) of the segments that begin at `start`, and the first `kept` numbers of every step's.
 
-        The segments are those of so many `loops`, one after another.
+        The segments are those of so many `loops`, one after another, or their steps begin at these numbers (N + 1).
         """
         quick = self._kernel(varied, len(start))
         if quick is not None:
-            return quick.marched(start, parameters, kept)
+            return quick.marched(start, parameters, kept, begins)
+        if begins is not None:
+            own = zip(start, np.split(parameters, begins[1:-1]), strict=True)
+            each = [self._marched(varied, begun[None], given, kept) for begun, given in own]
+            return np.concatenate([end for end, _ in each]), np.concatenate([path for _, path in each])
         step = self._varied_step if varied else self._step
         own = zip(np.split(start, loops), np.split(parameters, loops), strict=True)
         path = np.concatenate([self._lanes.marched(step, *each, bool(kept)) for each in own])
@@ -171,6 +158,20 @@ class March(Refining):
         path = self._marched(False, start, _parameters(mesh, tail), 1 + self.size)[1]
         return np.vstack([nodes[:1], _finite(path, nodes)[:, 1:]])
 
+    def beside(self, varied: bool, loops: Sequence[Placed], kept: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers (t, x) or (t, x, vec Y, S) at the ends of all segments of loops on meshes of their own, in one
+        call; of every step's the first `kept`. What leaves the numbers stays so."""
+        start = self._begun(
+            np.concatenate([nodes for nodes, _, _ in loops]),
+            np.concatenate([self._clock(*loop) for loop in loops]),
+            self._unit if varied else _NOTHING,
+        )
+        parameters = np.concatenate([_parameters(mesh, tail) for _, mesh, tail in loops])
+        counts = [((mesh.size - 1) // len(nodes), len(nodes)) for nodes, mesh, _ in loops]
+        begins = np.zeros(len(start) + 1, np.intp)
+        np.cumsum(np.repeat(*np.transpose(counts)), out=begins[1:])
+        return self._marched(varied, start, parameters, kept, begins=begins)
+
     def varied(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, states: bool = False) -> Varied:
         """Ends and their derivatives; with `states` those at the mesh too. Raises `IntegrationError`."""
         return self.varied_each(nodes[None], mesh, tail[None], states)[0]
@@ -182,33 +183,42 @@ class March(Refining):
         parameters = np.concatenate([_parameters(mesh, tail) for tail in tails])
         start = self._begun(starts, np.concatenate(clocks), self._unit)
         last, path = self._marched(True, start, parameters, 1 + size if states else 0, loops)
-        last = _finite(last, starts, loops).reshape(loops, count, -1)
-        ends, rest = last[:, :, 1 : 1 + size], last[:, :, 1 + size * (1 + own) :]
-        matrices = last[:, :, 1 + size : 1 + size * (1 + own)].reshape(loops, count, own, size).swapaxes(2, 3)
-        transitions = matrices[:, :, :, :size]
-        columns = np.empty((loops, count, size, 1 + own - size))
-        columns[:, :, :, 0] = self._by_period(nodes, ends, transitions, mesh, tails)
-        columns[:, :, :, 1:] = matrices[:, :, :, size:]
+        edges = mesh[None, :: (mesh.size - 1) // count]
+        ends, transitions, columns = self.derivatives(nodes, _finite(last, starts, loops), edges, tails)
         if states:
             inside = _finite(path, starts, loops)[:, 1:].reshape(loops, -1, size)
             nodes = np.concatenate([nodes[:, :1], inside], axis=1)
-        integrals = [float(each.sum()) for each in rest]
-        return list(map(Varied, ends, transitions, columns, nodes, integrals))
+        rest = last[:, 1 + size * (1 + own) :].reshape(loops, -1)
+        return list(map(Varied, ends, transitions, columns, nodes, [float(each.sum()) for each in rest]))
+
+    def derivatives(
+        self, nodes: np.ndarray, last: np.ndarray, edges: np.ndarray, tails: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """`ends` (B x N x d), `transitions`, `columns` of loops whose segments, between `edges` (1 or B x N + 1), have
+        led to `last` (BN x ...)."""
+        (loops, count, size), own = nodes.shape, self.columns
+        last = last.reshape(loops, count, -1)
+        ends = last[:, :, 1 : 1 + size]
+        matrices = last[:, :, 1 + size : 1 + size * (1 + own)].reshape(loops, count, own, size).swapaxes(2, 3)
+        transitions = matrices[:, :, :, :size]
+        columns = np.empty((loops, count, size, 1 + own - size))
+        columns[:, :, :, 0] = self._by_period(nodes, ends, transitions, edges, tails)
+        columns[:, :, :, 1:] = matrices[:, :, :, size:]
+        return ends, transitions, columns
 
     def _by_period(
-        self, nodes: np.ndarray, ends: np.ndarray, transitions: np.ndarray, mesh: np.ndarray, tails: np.ndarray
+        self, nodes: np.ndarray, ends: np.ndarray, transitions: np.ndarray, edges: np.ndarray, tails: np.ndarray
     ) -> np.ndarray:
         """d(ends)/dT (B x N x d): a segment gets longer and, which a forced system sees, begins later."""
         (loops, count, size), each = nodes.shape, np.repeat(tails, nodes.shape[1], axis=0)
-        edges = mesh[:: (mesh.size - 1) // count]
-        durations, times = (edges[1:] - edges[:-1])[:, None], tails[:, :1] * edges
+        durations, times = (edges[:, 1:] - edges[:, :-1])[:, :, None], tails[:, :1] * edges
         if not self.forced or count == 1:
             rates = self.rates(ends.reshape(-1, size), each, times[:, 1:].ravel())
             return np.asarray(rates.reshape(loops, count, size) * durations)
         states, moments = np.concatenate([ends, nodes]), np.concatenate([times[:, 1:], times[:, :-1]])
         rates = self.rates(states.reshape(-1, size), np.concatenate([each, each]), moments.ravel())
         late, early = rates.reshape(2, loops, count, size)
-        return np.asarray(late * durations + (late - (transitions @ early[..., None])[..., 0]) * edges[:-1, None])
+        return np.asarray(late * durations + (late - (transitions @ early[..., None])[..., 0]) * edges[:, :-1, None])
 
     def slopes(self, x: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """d(dx/dt)/dx (d x d) at a state (d)."""
@@ -324,7 +334,7 @@ class Gridded(March):
         return np.zeros_like(grown)
 
 
-class Marches(Refining):
+class Marches:
     """Marches over arcs one after another, each of an equal share of the segments and of the steps.
 
     The mesh counts arcs and not time: arc k of K is from k / K to (k + 1) / K. States at the mesh are those that steps

@@ -7,9 +7,9 @@ no step control to pay for, so the polish costs a few milliseconds in the interp
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from functools import lru_cache
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import casadi as ca
 import numpy as np
@@ -111,19 +111,33 @@ def refined(path: Callable[[int], T], steps: int, agreed: Callable[[T, T], bool]
 
     Steps by which it leaves the numbers are too long; `IntegrationError` where the shortest are.
     """
+    course = refining(steps, agreed)
+    steps = next(course)
+    while True:
+        try:
+            outcome: T | IntegrationError = path(steps)
+        except IntegrationError as error:
+            outcome = error
+        try:
+            steps = course.send(outcome)
+        except StopIteration as end:
+            return cast(T, end.value)
+
+
+def refining(steps: int, agreed: Callable[[T, T], bool]) -> Generator[int, T | IntegrationError, T]:
+    """The same as a course that yields numbers of steps and is sent paths, or why there is none."""
     coarse: T | None = None
     for finest in (*(False,) * MOST_DOUBLINGS, True):
-        try:
-            fine = path(steps)
-        except IntegrationError:
+        fine = yield steps
+        if isinstance(fine, IntegrationError):
             if finest:
-                raise
+                raise fine
         else:
             if finest or (coarse is not None and agreed(coarse, fine)):
-                break
+                return fine
             coarse = fine
         steps *= 2
-    return fine
+    raise AssertionError
 
 
 @lru_cache(maxsize=16)

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import casadi as ca
 import numpy as np
 
 from orbitfinder.integrate.lanes.advance import Advance, Frame, advance_of
@@ -178,21 +177,7 @@ def _compiled(curve: Curve) -> Advance | None:
     p, march = curve.equations, curve.equations.march
     if p.gridded or not (_suits(curve) and isinstance(march, March)):
         return None
-    key = "advance", tuple((condition.name, condition.cycles) for condition in curve.conditions)
-    if key not in p.derived:
-        p.derived[key] = _conditions(curve)
-    return advance_of(march.field, march.integrand, p.derived[key], EFFORT)
-
-
-def _conditions(curve: Curve) -> ca.Function:
-    """(values, slopes) of the conditions by the head (x, T, free); free variables are left where they see more of w."""
-    p = curve.equations
-    x, period, free = ca.MX.sym("x", p.size), ca.MX.sym("T"), ca.MX.sym("free", len(p.free))
-    nodes = [x, ca.MX.sym("node", p.size)]
-    values = ca.vertcat(*(condition.expression(p, nodes, period, free) for condition in curve.conditions))
-    by = [ca.jacobian(values, part) for part in (x, period, free)]
-    given, rows = [x, period, free], [ca.densify(values), ca.densify(ca.horzcat(*by))]
-    return ca.Function("conditions", given, rows, {"allow_free": True})
+    return advance_of(march.field, march.integrand, p.stated(curve.conditions), EFFORT)
 
 
 def _maps(curve: Curve) -> np.ndarray:

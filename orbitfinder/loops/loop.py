@@ -21,7 +21,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
 from threading import get_ident
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import casadi as ca
 import numpy as np
@@ -313,6 +313,33 @@ class Equations:
     def momentum_slopes(self, x: np.ndarray, free: np.ndarray) -> np.ndarray:
         """The Jacobian (d x d) of (q, momentum) in (q, v) at one state."""
         return self.march.at(self.momenta, x, free)[0]
+
+    def stated(self, conditions: Sequence[Condition]) -> ca.Function:
+        """Values and slopes of conditions by (x, T, free); free variables are left where they see more of w."""
+        key = "stated", *((condition.name, condition.cycles) for condition in conditions)
+        if key not in self.derived:
+            x, period, free = ca.MX.sym("x", self.size), ca.MX.sym("T"), ca.MX.sym("free", len(self.free))
+            nodes = [x, ca.MX.sym("node", self.size)]
+            values = ca.vertcat(*(condition.expression(self, nodes, period, free) for condition in conditions))
+            by = [ca.jacobian(values, part) for part in (x, period, free)]
+            given, rows = [x, period, free], [ca.densify(values), ca.densify(ca.horzcat(*by))]
+            self.derived[key] = ca.Function("conditions", given, rows, {"allow_free": True})
+        return cast(ca.Function, self.derived[key])
+
+    def named(
+        self, conditions: Sequence[Condition], x: np.ndarray, periods: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The same of conditions (c) that see no more, at states (k x d) and periods (k x 1): k x c, k x c x d + 1."""
+        if not conditions:
+            return np.zeros((len(x), 0)), np.zeros((len(x), 0, self.size + 1))
+        key = "named", *((condition.name, condition.cycles) for condition in conditions)
+        if key not in self.derived:
+            inputs = self.stated(conditions).mx_in()
+            rows = ca.horzcat(*self.stated(conditions)(*inputs))
+            self.derived[key] = ca.Function("named", inputs, [ca.vec(rows.T)])
+        both = self.march.arcs[0].along(self.derived[key], x, periods, self.numbers[None])
+        both = both.reshape(len(x), len(conditions), -1)
+        return both[:, :, 0], both[:, :, 1:]
 
     def varied(self, w: Unknowns, states: bool = False) -> Varied:
         """All segments of w integrated with their derivatives."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -337,6 +338,14 @@ def without_choice(problem: Problem) -> Problem:
     return replace(
         problem, free=(), pin=(), objective="nearest", coordinate=None, bounds={}, constraints=(), phase_condition=None
     )
+
+
+def elsewhere(problem: Problem, guess: Guess, winding: tuple[int, ...] | None) -> Problem:
+    """A checked Problem with another guess and winding of the same system, which are not checked."""
+    moved = copy(problem)
+    for name, value in (("guess", guess), ("winding", winding)):
+        object.__setattr__(moved, name, value)
+    return moved
 
 
 def at_forcing_period(problem: Problem) -> Problem:

@@ -8,10 +8,10 @@ solves anything: mechanisms are closed here. Source: J. Nocedal, S. Wright, Nume
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite, nan
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
 from scipy.linalg.lapack import dgelsd, dgelsd_lwork
@@ -160,11 +160,24 @@ def chord(
 
     `functions` give the rows and the solver of any w; `fresh` says that this solver is that of w.
     """
-    rows_of, solver_of = functions
+    course = chording(w, rows, solver, settings, moved, fresh)
+    try:
+        renewed, at = next(course)
+        while True:
+            renewed, at = course.send(functions[renewed](at))
+    except StopIteration as end:
+        return cast(Solved[W], end.value)
+
+
+def chording(
+    w: W, rows: np.ndarray, solver: Solver, settings: Settings, moved: Callable[[Any, np.ndarray], Any],
+    fresh: bool = False,
+) -> Generator[tuple[bool, W], Any, Solved[W]]:  # fmt: skip
+    """The same as a course that yields (False, w) for the rows of w, (True, w) for its solver, and is sent these."""
     size, count = largest(rows), 0
     while count < settings.most_evaluations and size > settings.floor:
         trial, before, count = moved(w, solver(rows)), size, count + 1
-        found = rows_of(trial)
+        found = yield False, trial
         left = largest(found)
         slow = left > settings.contraction * before
         if left < before:
@@ -174,7 +187,7 @@ def chord(
         if settings.ended(size, before):
             break
         if slow:
-            solver, fresh = solver_of(w), True
+            solver, fresh = (yield True, w), True
     return Solved(w, settings, rows, size, solver, count)
 
 

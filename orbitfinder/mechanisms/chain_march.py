@@ -68,7 +68,7 @@ class ClosedChain(March):
             steps = tail[0] * np.diff(mesh[k * each : (k + 1) * each + 1])
             transitions[k][:, self.kept] = self.variations(node, steps, np.eye(size)[:, self.kept])
         ends = path[each::each]
-        by_period = self._by_period(nodes[None], ends[None], transitions[None], mesh, tail[None])[0]
+        by_period = self._by_period(nodes[None], ends[None], transitions[None], mesh[None, ::each], tail[None])[0]
         return Varied(ends, transitions, by_period[:, :, None], path if states else nodes, 0.0)
 
     def varied_each(self, nodes: np.ndarray, mesh: np.ndarray, tails: np.ndarray, states: bool = False) -> list[Varied]:

@@ -60,10 +60,20 @@ def whole_period(
 
     `march` is that of the equations without symmetry, `samples` how many states there are at least.
     """
-    nodes = full_period(problem, flow, w.nodes, w.period)
-    steps = max(w.steps, rounded(samples / len(nodes)))
-    states = march.states(nodes, uniform(1.0, len(nodes), steps), _untouched(march, w))
-    states[::steps] = [*nodes, states[-1]]  # the node, not the end of the segment before it
+    whole = whole_unknowns(march, w, full_period(problem, flow, w.nodes, w.period), samples)
+    return sampled_period(problem, whole, march.states(whole.nodes, whole.mesh, whole.tail))
+
+
+def whole_unknowns(march: March | Marches, w: Unknowns, nodes: np.ndarray, samples: int = SAMPLES) -> Unknowns:
+    """The unknowns of one period with these nodes, on the mesh at which `whole_period` has states."""
+    mesh = uniform(1.0, len(nodes), max(w.steps, rounded(samples / len(nodes))))
+    return Unknowns(nodes, w.period, np.zeros(march.unfolding), w.free, mesh)
+
+
+def sampled_period(problem: Problem, w: Unknowns, states: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What `whole_period` gives, of such unknowns and the states (M + 1 x d) that a march from their nodes leads to."""
+    nodes = w.nodes
+    states[:: w.steps] = [*nodes, states[-1]]  # the node, not the end of the segment before it
     states[-1] = nodes[0] + shift(shift_of(problem, nodes[0], states[-1])[1], nodes.shape[1])
     return nodes, np.linspace(0.0, w.period, len(states)), states
 
@@ -187,6 +197,12 @@ def full_period(problem: Problem, flow: Flow, nodes: np.ndarray, period: float) 
     if symmetry.reverses:
         horizon = symmetry.fraction * period
         end = end_of(flow, nodes[-1], (horizon - horizon / len(nodes), horizon), tail_of(flow), STEPS_PER_PERIOD // 16)
+    return around(problem, nodes, end)
+
+
+def around(problem: Problem, nodes: np.ndarray, end: np.ndarray | None) -> np.ndarray:
+    """The same, of a symmetry, where the motion over the part ends at `end`, None where that does not matter."""
+    symmetry = problem.boundary
     constant = boundary_constants(problem, nodes, end)
     if end is None:
         matrix, moved = symmetry.displaced(constant)

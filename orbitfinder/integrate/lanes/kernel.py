@@ -36,7 +36,7 @@ LEVEL = "-O2"
 registers dirty when it calls libm, which makes that 20 times slower"""
 _kernels = Kept["Kernel | None"](REMEMBERED)
 Marching = Callable[..., int]
-SIGNATURE: list[Any] = [*[ctypes.c_ssize_t] * 2, *[ctypes.c_void_p] * 4, ctypes.c_ssize_t, ctypes.c_void_p]
+SIGNATURE: list[Any] = [ctypes.c_ssize_t, *[ctypes.c_void_p] * 6, ctypes.c_ssize_t, ctypes.c_void_p]
 
 
 class Kernel:
@@ -49,13 +49,16 @@ class Kernel:
         self._code, self._known = code, known
         self._libraries = {alone: self._made(alone)}
 
-    def marched(self, starts: np.ndarray, parameters: np.ndarray, kept: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    def marched(
+        self, starts: np.ndarray, parameters: np.ndarray, kept: int = 0, begins: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """The ends (k x 1 + N) of segments that `starts` (k x 1 + N) begin, and of every step the first `kept` of it.
 
-        `parameters` (M x P) are (h, s, free) of the steps, segment after segment; rows are (t, y).
+        `parameters` (M x P) are (h, s, free) of the steps, segment after segment, which have equally many or `begin`
+        (k + 1) at these numbers; rows are (t, y).
         """
         ends, path = np.empty(starts.shape), np.empty((len(parameters), kept))
-        self._run(starts, parameters, ends, path)
+        self._run(starts, parameters, ends, path, begins=begins)
         return ends, path
 
     def errors(self, starts: np.ndarray, parameters: np.ndarray) -> np.ndarray:
@@ -76,13 +79,20 @@ class Kernel:
         self._library(len(states) == 1).evaluated(len(states), len(given) == 1, *places)
         return found
 
-    def _run(self, starts: np.ndarray, parameters: np.ndarray, *results: np.ndarray) -> None:
+    def _run(
+        self, starts: np.ndarray, parameters: np.ndarray, *results: np.ndarray, begins: np.ndarray | None = None
+    ) -> None:
         limit.check()
         ends, path, *errors = (array.ctypes.data for array in results)
-        starts, parameters = np.ascontiguousarray(starts), np.ascontiguousarray(parameters)
-        march, sizes = self._library(len(starts) == 1).march, (len(starts), len(parameters) // max(1, len(starts)))
-        given = (starts.ctypes.data, parameters.ctypes.data)
-        if march(*sizes, *given, ends, path, results[1].shape[1], errors[0] if errors else None):
+        starts, parameters, count = np.ascontiguousarray(starts), np.ascontiguousarray(parameters), len(starts)
+        if begins is None:
+            order = np.arange(count + 1, dtype=np.intp)
+            begins = order * (len(parameters) // max(1, count))
+        else:
+            order = np.argsort(np.diff(begins), kind="stable")
+        given = (array.ctypes.data for array in (begins, order, starts, parameters))
+        march = self._library(count == 1).march
+        if march(count, *given, ends, path, results[1].shape[1], errors[0] if errors else None):
             raise MemoryError(f"no memory for marches of {starts.shape[1]} numbers")
 
     def _library(self, alone: bool) -> ctypes.CDLL:
@@ -165,6 +175,8 @@ def _agrees(march: Marching, field: ca.Function) -> bool:
     starts, numbers = (random.uniform(0.1, 0.9, (5, step.size1_in(k))) for k in (0, 1))
     numbers[:, 0] *= SHORT  # a long one makes much of round-off
     ends, known = np.empty(starts.shape), step.map(5)(starts.T, numbers.T).full().T
-    march(5, 1, starts.ctypes.data, numbers.ctypes.data, ends.ctypes.data, ends.ctypes.data, 0, None)
+    order = np.arange(6, dtype=np.intp)
+    given = (array.ctypes.data for array in (order, order, starts, numbers, ends, ends))
+    march(5, *given, 0, None)
     size = np.abs(known[np.isfinite(known)]).max(initial=1.0)
     return bool(np.allclose(ends, known, rtol=LIMITS.agreement, atol=LIMITS.agreement * size, equal_nan=True))

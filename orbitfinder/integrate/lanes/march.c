@@ -66,27 +66,34 @@ INLINE void gathered(V *to, const double *from, const ptrdiff_t *rows, int width
   for (int i = 0; i < width; i++) for (int l = 0; l < LANES; l++) to[i][l] = from[rows[l] * width + i];
 }
 
-/* (t, y) of `count` segments in `starts`, (h, s, free) of `steps` steps of each, one after another, in `given`; where
-   the segments end in `ends`, of each step the first `kept` numbers of its end in `path`; in `errors`, where there is
-   such, estimates for the last step of each. Returns whether there was no memory for it. */
-int march(ptrdiff_t count, ptrdiff_t steps, const double *starts, const double *given, double *ends, double *path,
-          ptrdiff_t kept, double *errors) {
+/* (t, y) of `count` segments in `starts`, (h, s, free) of the steps of each, one after another, in `given`, from number
+   begins[i] to begins[i + 1] for segment i; where the segments end in `ends`, of each step the first `kept` numbers of its
+   end in `path`; in `errors`, where there is such, estimates for the last step of each. Those whose numbers stand together
+   in `order` share registers; one that has ended goes on unread. Returns whether there was no memory for it. */
+int march(ptrdiff_t count, const ptrdiff_t *begins, const ptrdiff_t *order, const double *starts, const double *given,
+          double *ends, double *path, ptrdiff_t kept, double *errors) {
   void *memory = malloc((2 * ROWS + ROOM) * sizeof(V) + 64);
   if (!memory) return 1;
   V *work = (V *)(((uintptr_t)memory + 63) & ~(uintptr_t)63), *z = work + ROOM, *error = z + ROWS, p[GIVEN];
   for (ptrdiff_t first = 0; first < count; first += LANES) {
-    ptrdiff_t segment[LANES], row[LANES];
-    for (int l = 0; l < LANES; l++) segment[l] = first + l < count ? first + l : count - 1;
-    for (int i = 0; i < ROWS; i++) for (int l = 0; l < LANES; l++) z[within(i)][l] = starts[segment[l] * ROWS + i];
-    for (ptrdiff_t k = 0; k < steps; k++) {
-      for (int l = 0; l < LANES; l++) row[l] = segment[l] * steps + k;
-      gathered(p, given, row, GIVEN);
-      step(z, p, work, errors && k == steps - 1 ? error : 0);
-      for (int l = 0; l < LANES; l++) for (ptrdiff_t i = 0; i < kept; i++) path[row[l] * kept + i] = z[i][l];
+    ptrdiff_t segment[LANES], row[LANES], last[LANES], most = 0;
+    for (int l = 0; l < LANES; l++) {
+      segment[l] = order[first + l < count ? first + l : count - 1];
+      last[l] = begins[segment[l] + 1] - begins[segment[l]] - 1;
+      most = last[l] > most ? last[l] : most;
     }
-    for (int l = 0; l < LANES; l++) for (int i = 0; i < ROWS; i++) {
-      ends[segment[l] * ROWS + i] = z[within(i)][l];
-      if (errors && i) errors[segment[l] * (ROWS - 1) + i - 1] = error[within(i) - 1][l];
+    for (int i = 0; i < ROWS; i++) for (int l = 0; l < LANES; l++) z[within(i)][l] = starts[segment[l] * ROWS + i];
+    for (ptrdiff_t k = 0; k <= most; k++) {
+      for (int l = 0; l < LANES; l++) row[l] = begins[segment[l]] + (k < last[l] ? k : last[l]);
+      gathered(p, given, row, GIVEN);
+      step(z, p, work, errors ? error : 0);
+      for (int l = 0; l < LANES; l++) if (k <= last[l]) {
+        for (ptrdiff_t i = 0; i < kept; i++) path[row[l] * kept + i] = z[i][l];
+        for (int i = 0; k == last[l] && i < ROWS; i++) {
+          ends[segment[l] * ROWS + i] = z[within(i)][l];
+          if (errors && i) errors[segment[l] * (ROWS - 1) + i - 1] = error[within(i) - 1][l];
+        }
+      }
     }
   }
   free(memory);
