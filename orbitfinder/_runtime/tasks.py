@@ -1,0 +1,92 @@
+"""Tasks that do not depend on each other, done here or by spawned processes.
+
+    with crew(work, workers=2) as answers:
+        for number, answer in answers(requests):
+            ...
+
+`work` is a function of a module, requests are its arguments, both plain enough to travel. Answers come as they are
+ready. A process that dies is replaced and its task done once more.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from multiprocessing.connection import Connection
+from typing import Any
+
+from orbitfinder._runtime import limit, processes
+from orbitfinder.errors import InputError, OrbitfinderError
+
+MOST = 256
+"""Processes that may be asked for"""
+Work = Callable[..., Any]
+Requests = Sequence[tuple[Any, ...]]
+Answers = Callable[[Requests], Iterator[tuple[int, Any]]]
+
+
+@contextlib.contextmanager
+def crew(work: Work, workers: int = 1, what: str = "work") -> Iterator[Answers]:
+    """Who does tasks: this process (`workers` 1) or spawned ones; `what` they are of is said in messages."""
+    if not 1 <= workers <= MOST:
+        raise InputError(f"workers: must be between 1 and {MOST}, got {workers}")
+    if workers == 1:
+        yield lambda requests: ((k, work(*request)) for k, request in enumerate(requests))
+        return
+    hired = _Processes(work, workers, what)
+    try:
+        yield hired.answers
+    finally:
+        processes.dismissed(hired.hands)
+
+
+class _Processes:
+    """Spawned processes, as many as there is work for at once."""
+
+    def __init__(self, work: Work, most: int, what: str) -> None:
+        self._work, self._most, self._what = work, most, what
+        self.hands: list[processes.Hand] = []
+
+    def answers(self, requests: Requests) -> Iterator[tuple[int, Any]]:
+        """The answers with the numbers of their requests."""
+        waiting, busy, tries = deque(range(len(requests))), dict[processes.Hand, int](), Counter[int]()
+        while waiting or busy:
+            idle = [hand for hand in self.hands if hand not in busy]
+            while waiting and (idle or len(self.hands) < self._most):
+                hand = idle.pop() if idle else self._started()
+                busy[hand] = waiting.popleft()
+                hand.tell(requests[busy[hand]])
+            for hand in processes.ready(busy):
+                number, answer = busy.pop(hand), hand.answer()
+                if isinstance(answer, BaseException):
+                    raise answer
+                if answer is not None:
+                    yield number, answer[0]
+                    continue
+                self.hands.remove(hand)
+                processes.dismissed([hand])
+                tries[number] += 1
+                if tries[number] > 1:
+                    raise OrbitfinderError(f"{self._what}: processes die at task {number + 1} of {len(requests)}; "
+                                           "run it again with workers = 1 to see where")  # fmt: skip
+                waiting.appendleft(number)
+
+    def _started(self) -> processes.Hand:
+        self.hands.append(processes.hired(_serve, self._work, limit.left()))
+        return self.hands[-1]
+
+
+def _serve(pipe: Connection, work: Work, left: float) -> None:
+    """The life of a process: one task after the other."""
+    with contextlib.suppress(EOFError, OSError), limit.limited(left if math.isfinite(left) else None):
+        while True:
+            request = pipe.recv()
+            try:
+                answer: Any = (work(*request),)
+            except OrbitfinderError as error:
+                answer = error
+            except Exception as error:  # a traceback in a process of ours helps nobody
+                answer = OrbitfinderError(f"a process failed with {type(error).__name__}: {error}")
+            pipe.send(answer)
