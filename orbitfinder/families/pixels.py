@@ -31,6 +31,7 @@ from orbitfinder.loops.loop import Condition, Unknowns
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.floquet import STABILITIES
+from orbitfinder.orbits.refine import STANDSTILL
 from orbitfinder.records.codec import plain
 
 BEHIND = 4
@@ -124,7 +125,9 @@ class Plane:
             elif isinstance(found, ConvergenceError):
                 made.append(DIVERGED)
             else:
-                made.append(found if self._near(guess, found) else ELSEWHERE)
+                states = found.march.states
+                still = np.ptp(states, axis=0).max() <= STANDSTILL * np.abs(states).max()
+                made.append(RESTING if still else found if self._near(guess, found) else ELSEWHERE)
         return made
 
     def _near(self, guess: Unknowns, found: Solution) -> bool:
@@ -141,7 +144,7 @@ class Plane:
         """Orbits at values (k x 2), each from the last ones of a way to it; where there is none, why."""
         made: list[Solution | int] = [UNTRIED] * len(ways)
         for steps in tries:
-            left = [k for k, one in enumerate(made) if isinstance(one, int)]
+            left = [k for k, one in enumerate(made) if isinstance(one, int) and one != RESTING]
             going = {k: list(ways[k] if steps == 1 else ways[k][-1:]) for k in left}
             begun = {k: ways[k][-1][0] for k in left}
             for step in range(1, steps + 1):
@@ -167,13 +170,13 @@ class Plane:
         return self.unknowns(np.asarray(weights) @ np.array([w.vector for _, w in way]), goal)
 
     def numbers(self, solutions: Sequence[Solution]) -> list[np.ndarray | int]:
-        """Largest multiplier (re, im), verdict, amplitudes (n) of orbits; where nothing moves, that."""
+        """Largest multiplier (re, im), verdict, amplitudes (n) of orbits; why not where there are none."""
         read: list[np.ndarray | int] = []
         for solution, sizes in zip(solutions, self._amplitudes(solutions), strict=True):
             try:
                 floquet = spectrum(self.curve, solution).floquet
-            except ConvergenceError:
-                read.append(RESTING)
+            except ConvergenceError:  # a multiplier beyond the numbers
+                read.append(ENDLESS)
                 continue
             first = complex(*floquet.multipliers[:1])
             read.append(np.array([first.real, first.imag, STABILITIES.index(floquet.stability), *sizes]))
