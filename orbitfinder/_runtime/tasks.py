@@ -20,8 +20,6 @@ from typing import Any
 from orbitfinder._runtime import limit, processes
 from orbitfinder.errors import InputError, OrbitfinderError
 
-MOST = 256
-"""Processes that may be asked for"""
 Work = Callable[..., Any]
 Requests = Sequence[tuple[Any, ...]]
 Answers = Callable[[Requests], Iterator[tuple[int, Any]]]
@@ -30,8 +28,8 @@ Answers = Callable[[Requests], Iterator[tuple[int, Any]]]
 @contextlib.contextmanager
 def crew(work: Work, workers: int = 1, what: str = "work") -> Iterator[Answers]:
     """Who does tasks: this process (`workers` 1) or spawned ones; `what` they are of is said in messages."""
-    if not 1 <= workers <= MOST:
-        raise InputError(f"workers: must be between 1 and {MOST}, got {workers}")
+    if not 1 <= workers <= 256:
+        raise InputError(f"workers: must be between 1 and 256, got {workers}")
     if workers == 1:
         yield lambda requests: ((k, work(*request)) for k, request in enumerate(requests))
         return
@@ -79,7 +77,7 @@ class _Processes:
 
 
 def _serve(pipe: Connection, work: Work, left: float) -> None:
-    """The life of a process: one task after the other."""
+    """The life of a process: task after task."""
     with contextlib.suppress(EOFError, OSError), limit.limited(left if math.isfinite(left) else None):
         while True:
             request = pipe.recv()

@@ -12,12 +12,10 @@ from orbitfinder._runtime.keeping import kept
 from orbitfinder.cli.console import Report, display, time_left
 from orbitfinder.cli.jobs import folder_of
 from orbitfinder.cli.options import FILES, finish, next_step, option, text, trusted, usual
+from orbitfinder.cli.search import SPEAK_EVERY
 from orbitfinder.cli.sweep import parameter
 from orbitfinder.errors import InputError
 from orbitfinder.records.registry import answer
-
-EVERY = 5.0
-"""Seconds between two lines of progress where there is no terminal"""
 
 
 @click.command("map")
@@ -30,7 +28,7 @@ EVERY = 5.0
 @option("workers", "Processes side by side.", 2, (1, 256))
 @usual("Folder for DIR/<name>/map.json.", "maps", figures="Draw it.", compiled=True)
 def map_(file: Path, given: tuple[str, ...], out: Path, figures: bool, trust: bool, **how: Any) -> None:
-    """Map a plane of two parameters of a problem FILE: at each place an orbit of one family, and its stability.
+    """Map a plane of two parameters of a problem FILE: at each place an orbit of a family, and its stability.
 
     Every pixel's orbit is continued from its neighbour's; where there is none it is blank, with the reason counted. A
     run that was killed goes on where it stopped when the same command is given again. Exit code 0: all of the sample
@@ -48,7 +46,7 @@ def map_(file: Path, given: tuple[str, ...], out: Path, figures: bool, trust: bo
     loaded = load_problem_file(file, trust)
     folder = folder_of(out, loaded.wanted.name)
     with kept(folder / "map.json", of.save_map), display(
-        f"{loaded.wanted.name}: {' over '.join(reversed(values))}", EVERY, refresh=0.25
+        f"{loaded.wanted.name}: {' over '.join(reversed(values))}", SPEAK_EVERY, refresh=0.25
     ) as shown:  # fmt: skip
         left = time_left()
 

@@ -1,4 +1,4 @@
-"""`map_plane(problem, p=values, q=values)`: an orbit of one family at every place in a plane of two parameters."""
+"""`map_plane(problem, p=values, q=values)`: an orbit of a family at every place in a plane of two parameters."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from orbitfinder._runtime.keeping import finished
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, LimitError, shortened
 from orbitfinder.families.curves import both_parameters
-from orbitfinder.families.pixels import BEHIND, Block, Plane, described, flooded, plane_of
+from orbitfinder.families.pixels import BEHIND, ParameterPlane, PixelBlock, described, flooded, plane_of
 from orbitfinder.families.plane import BLANK, COLOURED, STOPPED, UNTRIED, ParameterMap
 from orbitfinder.families.point import FamilySettings, extents, make_point, parameter_value
 from orbitfinder.families.start import begin, entry_of, released
@@ -35,14 +35,9 @@ from orbitfinder.records.codec import plain
 from orbitfinder.records.family import CLOSURE
 from orbitfinder.records.journal import Checkpoints, checkpoints, packed, unpacked
 
-LIMIT = 3600.0
-"""Seconds after which a map stops unless told otherwise"""
-STRIP = 16
-"""Rows that are one task, whoever does it"""
-SAME = 1e-6
-"""Relative difference of numbers that were computed again from those of a record"""
-TOGETHER = 256
-"""Orbits that are integrated beside each other when they are verified"""
+LIMIT, STRIP, TOGETHER, SAME = 3600.0, 16, 256, 1e-6
+"""Seconds after which a map stops unless told otherwise; rows that are a task; orbits that are verified beside
+each other; relative difference of numbers that were computed again"""
 Axes = tuple[np.ndarray, np.ndarray]
 """Values across and up"""
 Progress = Callable[[int, int], None]
@@ -57,8 +52,8 @@ def map_plane(
 ) -> ParameterMap:  # fmt: skip
     """An orbit at each place in a plane of two parameters, with its stability, period and amplitudes.
 
-    The problem's own orbit is found once; every pixel's is continued from its neighbour's. A pixel without an orbit is
-    blank, with its reason. What was computed is not changed by how many processes share it.
+    The problem's own orbit is solved for once; every pixel's is continued from its neighbour's. A pixel without
+    an orbit is blank, with its reason. What was computed is not changed by how many processes share it.
 
     Args:
         problem: solved first at its own values.
@@ -71,7 +66,7 @@ def map_plane(
         folder: of a trusted module that makes the system.
         progress: called with how many pixels are done.
         out: a folder: OUT/<name>/map.jsonl keeps what is done, and what was stopped goes on from there.
-        **named: values of two physical parameters, the first across, or of energy and a physical one where the system
+        **named: values of two physical parameters, the first across; energy may be among them where the system
             conserves it.
 
     Returns:
@@ -93,13 +88,13 @@ def map_plane(
     """
     names, axes = _axes(problem.model, {**(values or {}), **named})
     if by not in COLOURED:
-        raise InputError(f"by: {by!r} is none of {', '.join(COLOURED)}; choose one")
+        raise InputError(f"by: {by!r} is none of {', '.join(COLOURED)}; choose among these")
     path = None if out is None else Path(out) / problem.name / "map.jsonl"
     asked = plain({"map": dict(zip(names, axes, strict=True)), "system": dict(problem.model.system),
                    "guess": problem.guess, "symmetry": problem.symmetry, "method": problem.method})  # fmt: skip
     with checkpoints(path, asked, _read) as journal:
         text, vector = _begun(problem, (names, axes), journal, None if folder is None else str(folder))
-        study = _Study(problem, (by, seed), text, journal)
+        study = _Filling(problem, (by, seed), text, journal)
         try:
             with limited.limited(limit), tasks.crew(flooded, workers, "map") as answers:
                 if workers > 1:
@@ -128,7 +123,6 @@ def _axes(model: Model, given: Mapping[str, Sequence[float]]) -> tuple[tuple[str
     return names, (axes[0], axes[1])
 
 
-ORIGIN = ("curve", "segments", "mesh", "vector")
 Origin = tuple[dict[str, Any], int, str, str]
 """The entry of a curve, segments, and as text the mesh and the unknowns of its first orbit"""
 Filled = tuple[int, int, str]
@@ -137,14 +131,14 @@ Filled = tuple[int, int, str]
 
 def _read(line: Mapping[str, Any]) -> Origin | Filled:
     """What a line of the journal stands for. Raises `ValueError`."""
-    kind = ORIGIN if "curve" in line else ("round", "task", "pixels")
+    kind = ("curve", "segments", "mesh", "vector") if "curve" in line else ("round", "task", "pixels")
     return tuple(line[name] for name in kind)  # type: ignore[return-value]
 
 
 def _begun(
     problem: Problem, plane: tuple[tuple[str, str], Axes], journal: Checkpoints[Origin | Filled], folder: str | None
 ) -> tuple[str, np.ndarray]:  # fmt: skip
-    """The plane as text and the unknowns of the orbit at the problem's own values, found or as the journal has them."""
+    """The plane as text and the unknowns of the orbit at the problem's own values, computed or of the journal."""
     model, (names, axes) = problem.model, plane
     origin = next((line for line in journal.known if len(line) == 4), None)
     if origin is None:
@@ -156,13 +150,13 @@ def _begun(
         curve, w = released(start.curve, start.solution.place, equations, (*held, *momenta_of(old.symmetry, old.model)))
         w = w if old.gridded else w.on(divided(w.mesh, 2))  # it must do for all of the plane
         origin = plain(entry_of(curve)), len(w.nodes), packed(w.mesh[:, None]), packed(w.vector[:, None])
-        journal.add(dict(zip(ORIGIN, origin, strict=True)))
+        journal.add(dict(zip(("curve", "segments", "mesh", "vector"), origin, strict=True)))
     entry, segments, mesh, vector = origin
     text = described(model.system, folder, entry, names, axes, unpacked(mesh, 1).ravel(), segments)
     return text, unpacked(vector, 1).ravel()
 
 
-class _Study:
+class _Filling:
     """The pixels of a problem's plane, filled round by round, by what the journal knows where it does."""
 
     def __init__(
@@ -172,10 +166,12 @@ class _Study:
         self.plane = plane = plane_of(text, problem.model)
         shape = plane.axes[1].size, plane.axes[0].size
         numbers = 3 + plane.curve.equations.model.degrees_of_freedom
-        self.block = Block.empty(shape, plane.place.vector.size, numbers)
+        self.block = PixelBlock.empty(shape, plane.place.vector.size, numbers)
         self.known = {line[:2]: line[2] for line in journal.known if len(line) == 3}
 
-    def rounds(self, vector: np.ndarray, answers: tasks.Answers, plane: Plane | str) -> Iterator[tuple[int, int]]:
+    def rounds(
+        self, vector: np.ndarray, answers: tasks.Answers, plane: ParameterPlane | str
+    ) -> Iterator[tuple[int, int]]:
         """How many pixels of how many are done, after each task.
 
         First the column at the problem's own values, then strips of rows, and again strips that orbits have come to
@@ -201,7 +197,7 @@ class _Study:
             parts, number = [part for part in strips if left[part].any()], number + 1
 
     def _round(
-        self, number: int, parts: Sequence[tuple[slice, slice]], answers: tasks.Answers, plane: Plane | str
+        self, number: int, parts: Sequence[tuple[slice, slice]], answers: tasks.Answers, plane: ParameterPlane | str
     ) -> Iterator[tuple[int, int]]:
         """The tasks of a round, each of which sees what the rounds before have left."""
         requests = {k: self._request(plane, *part) for k, part in enumerate(parts) if (number, k) not in self.known}
@@ -215,7 +211,7 @@ class _Study:
             self.journal.add({"round": number, "task": list(requests)[answered], "pixels": packed(matrix)})
             yield self._done()
 
-    def _request(self, plane: Plane | str, rows: slice, columns: slice) -> tuple[Any, ...]:
+    def _request(self, plane: ParameterPlane | str, rows: slice, columns: slice) -> tuple[Any, ...]:
         first = max(rows.start - BEHIND, 0)
         block = self.block.part(slice(first, rows.stop + BEHIND), slice(None))
         return plane, block, (first, 0), slice(rows.start - first, rows.stop - first), columns
@@ -251,7 +247,7 @@ class _Study:
         return replace(made, sample=np.array(rows, int).reshape(-1, 3), failures=dict(failures))
 
 
-def _failures(plane: Plane, made: ParameterMap, pixel: np.ndarray) -> tuple[str, ...]:
+def _failures(plane: ParameterPlane, made: ParameterMap, pixel: np.ndarray) -> tuple[str, ...]:
     """The checks that the orbit of a pixel fails as an orbit of its own."""
     try:
         solution = at_place(plane.curve, _place(plane, made, pixel))
@@ -262,7 +258,7 @@ def _failures(plane: Plane, made: ParameterMap, pixel: np.ndarray) -> tuple[str,
         return (type(error).__name__,)
 
 
-def _place(plane: Plane, made: ParameterMap, pixel: np.ndarray) -> Unknowns:
+def _place(plane: ParameterPlane, made: ParameterMap, pixel: np.ndarray) -> Unknowns:
     """The unknowns of a pixel of a record."""
     i, j = pixel
     tail = np.concatenate([[made.periods[i, j]], made.unfolding[i, j], plane.curve.equations.numbers])

@@ -34,20 +34,16 @@ from orbitfinder.orbits.floquet import STABILITIES
 from orbitfinder.orbits.refine import STANDSTILL
 from orbitfinder.records.codec import plain
 
-BEHIND = 4
-"""Orbits behind a pixel that a prediction goes by, at most"""
-TRIES = (1, 4)
-"""Steps in which a pixel is reached from its neighbour, one try after the other"""
-FAR = 0.1
-"""A node or period farther than this from what was predicted, relative to the motion, is another orbit's"""
-SIDES = ((0, -1), (0, 1), (-1, 0), (1, 0))
-"""Where a pixel's neighbours are, in the order in which they are asked"""
+BEHIND, TRIES, FAR, SIDES = 4, (1, 4), 0.1, ((0, -1), (0, 1), (-1, 0), (1, 0))
+"""Orbits behind a pixel that a prediction goes by, at most; steps in which it is reached from its neighbour, try after
+try; a node or period farther than this from what was predicted, relative to the motion, is another orbit's; where
+neighbours are, in the order in which they are asked"""
 Place = tuple[np.ndarray, Unknowns]
 """Values of the two parameters, and the orbit there"""
 
 
 @dataclass(frozen=True)
-class Block:
+class PixelBlock:
     """A rectangle of pixels: unknowns (R x C x w) with what was read off each orbit (R x C x 3 + n: its largest
     multiplier, the number of its verdict, amplitudes), `blank` (R x C, see `plane.BLANK`) and from which `SIDES` each
     was tried (R x C, bits)."""
@@ -58,24 +54,24 @@ class Block:
     tried: np.ndarray
 
     @classmethod
-    def empty(cls, shape: tuple[int, int], width: int, numbers: int) -> Block:
+    def empty(cls, shape: tuple[int, int], width: int, numbers: int) -> PixelBlock:
         """One without orbits."""
         blank, tried = np.full(shape, UNTRIED), np.zeros(shape, int)
         return cls(np.zeros((*shape, width)), np.zeros((*shape, numbers)), blank, tried)
 
-    def part(self, rows: slice, columns: slice) -> Block:
+    def part(self, rows: slice, columns: slice) -> PixelBlock:
         """A copy of a part."""
-        return Block(*(array[rows, columns].copy() for array in vars(self).values()))
+        return PixelBlock(*(array[rows, columns].copy() for array in vars(self).values()))
 
     def frontier(self) -> np.ndarray:
-        """For each pixel without an orbit the sides (R x C x 4) that have one and were not tried."""
+        """For each pixel without an orbit the sides (R x C x 4) on which an orbit is known and was not tried from."""
         known = np.pad(self.blank == 0, 1)
         r, c = self.blank.shape
         near = np.stack([known[1 + i : 1 + i + r, 1 + j : 1 + j + c] for i, j in SIDES], axis=2)
         fresh = (self.tried[..., None] >> np.arange(len(SIDES)) & 1) == 0
         return np.asarray(near & fresh & (self.blank != 0)[..., None])
 
-    def matrix(self, rows: slice, columns: slice, before: Block) -> np.ndarray:
+    def matrix(self, rows: slice, columns: slice, before: PixelBlock) -> np.ndarray:
         """What of a part has changed, a row a pixel: its row and column, `blank`, `tried`, vector, numbers."""
         changed = np.zeros(self.blank.shape, bool)
         changed[rows, columns] = ((self.tried != before.tried) | (self.blank != before.blank))[rows, columns]
@@ -89,7 +85,7 @@ class Block:
         self.vectors[i, j], self.numbers[i, j] = np.split(rest, [self.vectors.shape[2]], axis=1)
 
 
-class Plane:
+class ParameterPlane:
     """A family in a plane of two parameters: its curve, the mesh of its orbits, values across (C) and up (R)."""
 
     def __init__(
@@ -119,21 +115,21 @@ class Plane:
         both = [self._aims(value) for value in values]
         curves = [replace(self.curve, conditions=(*self.curve.conditions, first)) for first, _ in both]
         made: list[Solution | int] = []
-        for guess, found in zip(guesses, correct_each(curves, guesses, [aim for _, aim in both], np.inf), strict=True):
-            if isinstance(found, IntegrationError):
+        for guess, result in zip(guesses, correct_each(curves, guesses, [aim for _, aim in both], np.inf), strict=True):
+            if isinstance(result, IntegrationError):
                 made.append(ENDLESS)
-            elif isinstance(found, ConvergenceError):
+            elif isinstance(result, ConvergenceError):
                 made.append(DIVERGED)
             else:
-                states = found.march.states
+                states = result.march.states
                 still = np.ptp(states, axis=0).max() <= STANDSTILL * np.abs(states).max()
-                made.append(RESTING if still else found if self._near(guess, found) else ELSEWHERE)
+                made.append(RESTING if still else result if self._near(guess, result) else ELSEWHERE)
         return made
 
-    def _near(self, guess: Unknowns, found: Solution) -> bool:
-        """Whether an orbit is the one that was predicted."""
-        moved = np.abs(found.place.nodes - guess.nodes).max(axis=0) / nonzero(extents(self.curve, found.march.states))
-        return bool(max(moved.max(), abs(found.place.period / guess.period - 1.0)) <= FAR)
+    def _near(self, guess: Unknowns, result: Solution) -> bool:
+        """Whether an orbit is that which was predicted."""
+        moved = np.abs(result.place.nodes - guess.nodes).max(axis=0) / nonzero(extents(self.curve, result.march.states))
+        return bool(max(moved.max(), abs(result.place.period / guess.period - 1.0)) <= FAR)
 
     def _aims(self, value: np.ndarray) -> tuple[Condition, ...]:
         return tuple(replace(pin, value=float(each)) for pin, each in zip(self._pins, value, strict=True))
@@ -144,7 +140,7 @@ class Plane:
         """Orbits at values (k x 2), each from the last ones of a way to it; where there is none, why."""
         made: list[Solution | int] = [UNTRIED] * len(ways)
         for steps in tries:
-            left = [k for k, one in enumerate(made) if isinstance(one, int) and one != RESTING]
+            left = [k for k, result in enumerate(made) if isinstance(result, int) and result != RESTING]
             going = {k: list(ways[k] if steps == 1 else ways[k][-1:]) for k in left}
             begun = {k: ways[k][-1][0] for k in left}
             for step in range(1, steps + 1):
@@ -153,12 +149,12 @@ class Plane:
                     break
                 goals = {k: targets[k] for k in goals} if step == steps else goals
                 guesses = [self._predicted(going[k], goal) for k, goal in goals.items()]
-                for k, found in zip(list(goals), self.corrected(guesses, np.array(list(goals.values()))), strict=True):
-                    made[k] = found
-                    if isinstance(found, int):
+                for k, result in zip(list(goals), self.corrected(guesses, np.array(list(goals.values()))), strict=True):
+                    made[k] = result
+                    if isinstance(result, int):
                         del going[k]
                     else:
-                        going[k] = [*going[k], (goals[k], found.place)][-BEHIND:]
+                        going[k] = [*going[k], (goals[k], result.place)][-BEHIND:]
         return made
 
     def _predicted(self, way: Sequence[Place], goal: np.ndarray) -> Unknowns:
@@ -203,7 +199,7 @@ class Plane:
         every = [states[:, :1], *(states[:, :-1] + s * (begin + s * (b + s * a)) for s in (*turns, 1.0))]
         return np.asarray(np.ptp(np.concatenate(every, axis=1), axis=1) / 2)
 
-    def flood(self, block: Block, rows: slice, columns: slice, origin: tuple[int, int] = (0, 0)) -> None:
+    def flood(self, block: PixelBlock, rows: slice, columns: slice, origin: tuple[int, int] = (0, 0)) -> None:
         """Fill a part of a block, whose first pixel is the plane's `origin`, from the orbits beside it that are known,
         until nothing is left to try."""
         inside = np.zeros(block.blank.shape, bool)
@@ -224,27 +220,27 @@ class Plane:
             targets = np.array([self._values(pixel, origin) for pixel in pixels])
             self._take(block, pixels, self.reached(ways, targets))
 
-    def _take(self, block: Block, pixels: np.ndarray, found: Sequence[Solution | int]) -> None:
-        solved = [one for one in found if isinstance(one, Solution)]
+    def _take(self, block: PixelBlock, pixels: np.ndarray, results: Sequence[Solution | int]) -> None:
+        solved = [result for result in results if isinstance(result, Solution)]
         read = iter(self.numbers(solved))
-        for pixel, one in zip(pixels, found, strict=True):
-            numbers = one if isinstance(one, int) else next(read)
-            if isinstance(one, Solution) and isinstance(numbers, np.ndarray):
-                block.blank[*pixel], block.vectors[*pixel], block.numbers[*pixel] = 0, one.place.vector, numbers
+        for pixel, result in zip(pixels, results, strict=True):
+            numbers = result if isinstance(result, int) else next(read)
+            if isinstance(result, Solution) and isinstance(numbers, np.ndarray):
+                block.blank[*pixel], block.vectors[*pixel], block.numbers[*pixel] = 0, result.place.vector, numbers
             else:
                 block.blank[*pixel] = numbers
 
-    def seed(self, block: Block, pixel: tuple[int, int], start: Place) -> None:
+    def seed(self, block: PixelBlock, pixel: tuple[int, int], start: Place) -> None:
         """Put the orbit at the pixel of a whole block that a way from a first orbit leads to."""
         target = self._values(np.array(pixel), (0, 0))
-        found = self.reached([[start]], target[None], (1, 4, 16, 64))
-        self._take(block, np.array([pixel]), found)
+        result = self.reached([[start]], target[None], (1, 4, 16, 64))
+        self._take(block, np.array([pixel]), result)
 
     def _values(self, pixel: np.ndarray, origin: tuple[int, int]) -> np.ndarray:
         return np.array([self.axes[0][pixel[1] + origin[1]], self.axes[1][pixel[0] + origin[0]]])
 
-    def _behind(self, block: Block, pixel: np.ndarray, side: int, origin: tuple[int, int]) -> Iterator[Place]:
-        """The orbits next to a pixel on one side, the nearest first."""
+    def _behind(self, block: PixelBlock, pixel: np.ndarray, side: int, origin: tuple[int, int]) -> Iterator[Place]:
+        """The orbits next to a pixel on a side, the nearest first."""
         for steps in range(1, BEHIND + 1):
             there = pixel + steps * np.array(SIDES[side])
             if np.any(there < 0) or np.any(there >= block.blank.shape) or block.blank[*there]:
@@ -262,22 +258,24 @@ def described(
                              "axes": axes, "mesh": mesh, "segments": segments}))  # fmt: skip
 
 
-def plane_of(text: str, model: Model | None = None) -> Plane:
+def plane_of(text: str, model: Model | None = None) -> ParameterPlane:
     """The plane of such a text."""
     known = json.loads(text)
     folder, parameters = known["folder"], tuple(known["parameters"])
     model = model or build_model(known["system"], None if folder is None else Path(folder))
     curve = curve_of(known["curve"], model, FamilySettings(parameter=parameters[0]))
     axes, shape = [np.array(axis) for axis in known["axes"]], (known["segments"], curve.equations.size)
-    return Plane(curve, parameters, (axes[0], axes[1]), np.array(known["mesh"]), shape, known["curve"])
+    return ParameterPlane(curve, parameters, (axes[0], axes[1]), np.array(known["mesh"]), shape, known["curve"])
 
 
 _prepared = lru_cache(maxsize=2)(plane_of)
 
 
 @one_thread()
-def flooded(plane: Plane | str, block: Block, origin: tuple[int, int], rows: slice, columns: slice) -> np.ndarray:
-    """What filling a part of a block, cut out of a plane at an `origin`, changes: rows of `Block.matrix`."""
+def flooded(
+    plane: ParameterPlane | str, block: PixelBlock, origin: tuple[int, int], rows: slice, columns: slice
+) -> np.ndarray:
+    """What filling a part of a block, cut out of a plane at an `origin`, changes: rows of `PixelBlock.matrix`."""
     before = block.part(slice(None), slice(None))
     (_prepared(plane) if isinstance(plane, str) else plane).flood(block, rows, columns, origin)
     matrix = block.matrix(rows, columns, before)

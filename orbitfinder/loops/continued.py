@@ -267,8 +267,8 @@ def correct(
 def correct_each(
     curves: Sequence[Curve], guesses: Sequence[Unknowns], aims: Sequence[Condition], reach: float
 ) -> list[Solution | ConvergenceError | IntegrationError]:
-    """The same of guesses on one mesh, of curves of the same equations, marched beside each other; why one fails."""
-    found: dict[int, Solution | ConvergenceError | IntegrationError] = {}
+    """The same of guesses on a mesh, of curves of the same equations, marched beside each other; of what fails why."""
+    results: dict[int, Solution | ConvergenceError | IntegrationError] = {}
     each = zip(curves, guesses, aims, strict=True)
     steps = [_correcting(curve, guess, aim, reach=reach) for curve, guess, aim in each]
     places = {k: next(step) for k, step in enumerate(steps)}
@@ -280,12 +280,12 @@ def correct_each(
                     raise path
                 places[k] = steps[k].send(path)
             except StopIteration as done:
-                found[k] = done.value
+                results[k] = done.value
             except (ConvergenceError, IntegrationError) as error:
-                found[k] = error
-            if k in found:
+                results[k] = error
+            if k in results:
                 del places[k]
-    return [found[k] for k in range(len(steps))]
+    return [results[k] for k in range(len(steps))]
 
 
 def _marched(equations: Equations, places: list[Unknowns]) -> list[Varied | IntegrationError]:

@@ -18,13 +18,11 @@ from orbitfinder.show.plot import forced_unit
 from orbitfinder.show.style import legend, new_figure, save_all
 from orbitfinder.show.svg import axis
 
-REGIONS = {
+REGIONS, NOTHING = {
     "stable": "#CCE5F2", "unstable, a multiplier above 1": "#E69F00", "unstable, a multiplier below \u22121": "#009E73",
     "unstable, a complex pair": "#CC79A7",
-}  # fmt: skip
-"""What is told apart by colour where stability is, by the largest multiplier"""
-NOTHING = "0.75"
-"""Colour of pixels without an orbit"""
+}, "0.75"  # fmt: skip
+"""What is told apart by colour where stability is, by the largest multiplier; the colour of pixels without an orbit"""
 REAL, LEAST = 1e-6, 1e-12
 """The argument of a multiplier, in rad, that counts as real, and the least modulus that is drawn"""
 
@@ -38,9 +36,9 @@ def save_map_figure(plane: ParameterMap, folder: str | Path, model: Model) -> li
     axes.set_facecolor(NOTHING)
     style: dict[str, Any] = {"rasterized": True, "linewidth": 0}
     if plane.by == "stability":
-        found, names = regions(plane), list(REGIONS)
-        axes.pcolormesh(*edges, found, cmap=ListedColormap(list(REGIONS.values())), vmin=-0.5, vmax=3.5, **style)
-        shown |= {names[k]: Patch(color=REGIONS[names[k]]) for k in range(4) if (found == k).any()}
+        numbers, names = regions(plane), list(REGIONS)
+        axes.pcolormesh(*edges, numbers, cmap=ListedColormap(list(REGIONS.values())), vmin=-0.5, vmax=3.5, **style)
+        shown |= {names[k]: Patch(color=REGIONS[names[k]]) for k in range(4) if (numbers == k).any()}
     else:
         words, values = _numbers(plane, model)
         figure.colorbar(axes.pcolormesh(*edges, values, cmap="viridis", **style), ax=axes, label=words)
