@@ -26,6 +26,7 @@ from orbitfinder.records.registry import answer
 @option("sample", "How many orbits are certified.", 40, (0, 1_000_000))
 @option("seed", "Chooses which.", 0, (0, 2**63 - 1))
 @option("workers", "Processes side by side.", 2, (1, 256))
+@option("scheduler", "Dask scheduler, such as tcp://head:8786, instead of processes.", metavar="ADDRESS")
 @usual("Folder for DIR/<name>/map.json.", "maps", figures="Draw it.", compiled=True)
 def map_(file: Path, given: tuple[str, ...], out: Path, figures: bool, trust: bool, **how: Any) -> None:
     """Map a plane of two parameters of a problem FILE: at each place an orbit of a family, and its stability.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 import orbitfinder as of
 from orbitfinder._runtime.keeping import kept
 from orbitfinder._runtime.limit import limited
-from orbitfinder.cli.console import display
+from orbitfinder.cli.console import display, time_left
 from orbitfinder.cli.jobs import folder_of
 from orbitfinder.cli.options import FILES, finish, option, text, trusted, usual
 from orbitfinder.errors import InputError
@@ -28,10 +28,11 @@ if TYPE_CHECKING:
     multiple=True, required=True, metavar="NAME=FROM:TO:COUNT",
 )  # fmt: skip
 @option("workers", "Processes side by side.", 1, (1, 256))
+@option("scheduler", "Dask scheduler, such as tcp://head:8786, instead of processes.", metavar="ADDRESS")
 @option("orbits/--no-orbits", "Write each orbit too, DIR/<name>/K/.", True)
 @usual("Folder for DIR/<name>/sweep.csv, sweep.json and orbits.", "sweeps", compiled=True)
 def sweep(
-    file: Path, given: tuple[str, ...], workers: int, out: Path, orbits: bool, limit: float | None, trust: bool
+    file: Path, given: tuple[str, ...], out: Path, orbits: bool, limit: float | None, trust: bool, **how: Any
 ) -> None:
     """Find the orbit of a problem FILE at each value of a parameter, starting from the one at the value before.
 
@@ -61,13 +62,13 @@ def sweep(
         problem = load_problem_file(file, trust).wanted
         folder = folder_of(out, problem.name)
         with kept(folder / "sweep.json", save), display(f"{problem.name}: {', '.join(values)} by turns") as shown:
+            left = time_left()
 
             def report(row: Row, done: int, total: int) -> None:
                 place = ", ".join(f"{name} = {value:.6g}" for name, value in row.values.items())
-                shown.say(f"{done} of {total}: {place}, {said(row)}")
+                shown.say(f"{done} of {total}: {place}, {said(row)}{left(done, total)}")
 
-            made = of.sweep(problem, values, workers=workers, limit=None, progress=report, out=out,
-                             folder=trusted(file, trust))  # fmt: skip
+            made = of.sweep(problem, values, limit=None, progress=report, out=out, folder=trusted(file, trust), **how)
     written = save(made, folder / "sweep.json")
     for row in made.rows:
         if not row.certified:

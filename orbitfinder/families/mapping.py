@@ -12,6 +12,7 @@ import numpy as np
 
 from orbitfinder._runtime import limit as limited
 from orbitfinder._runtime import tasks
+from orbitfinder._runtime.cluster import scheduler_at
 from orbitfinder._runtime.keeping import finished
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, LimitError, shortened
@@ -47,8 +48,9 @@ Progress = Callable[[int, int], None]
 @one_thread()
 def map_plane(
     problem: Problem, values: Mapping[str, Sequence[float]] | None = None, *, by: str = "stability", sample: int = 40,
-    seed: int = 0, workers: int = 1, limit: float | None = LIMIT, folder: str | Path | None = None,
-    progress: Progress | None = None, out: str | Path | None = None, **named: Sequence[float],
+    seed: int = 0, workers: int = 1, scheduler: str | None = None, limit: float | None = LIMIT,
+    folder: str | Path | None = None, progress: Progress | None = None, out: str | Path | None = None,
+    **named: Sequence[float],
 ) -> ParameterMap:  # fmt: skip
     """An orbit at each place in a plane of two parameters, with its stability, period and amplitudes.
 
@@ -62,6 +64,7 @@ def map_plane(
         sample: how many orbits, drawn by `seed`, are certified by independent means.
         seed: of the sample.
         workers: processes that share the rows.
+        scheduler: address of a Dask cluster that does them instead.
         limit: s after which what is missing stays blank.
         folder: of a trusted module that makes the system.
         progress: called with how many pixels are done.
@@ -92,14 +95,16 @@ def map_plane(
     path = None if out is None else Path(out) / problem.name / "map.jsonl"
     asked = plain({"map": dict(zip(names, axes, strict=True)), "system": dict(problem.model.system),
                    "guess": problem.guess, "symmetry": problem.symmetry, "method": problem.method})  # fmt: skip
-    with checkpoints(path, asked, _read) as journal:
-        text, vector = _begun(problem, (names, axes), journal, None if folder is None else str(folder))
+    with checkpoints(path, asked, _read) as journal, scheduler_at(scheduler, "map", folder) as far:
+        trusted = far.luggage.folder if far else None if folder is None else str(folder)
+        text, vector = _begun(problem, (names, axes), journal, trusted)
         study = _Filling(problem, (by, seed), text, journal)
+        apart = workers > 1 or far is not None
         try:
-            with limited.limited(limit), tasks.crew(flooded, workers, "map") as answers:
-                if workers > 1:
-                    build_model(problem.model.system, None if folder is None else Path(folder))  # or no process can
-                for done, pixels in study.rounds(vector, answers, text if workers > 1 else study.plane):
+            with limited.limited(limit), tasks.crew(flooded, workers, "map", far) as answers:
+                if apart:
+                    build_model(problem.model.system, None if folder is None else Path(folder))  # or nobody else can
+                for done, pixels in study.rounds(vector, answers, text if apart else study.plane):
                     finished(lambda: study.record(0))
                     limited.note(f"{done} of {pixels} pixels are done")
                     if progress:

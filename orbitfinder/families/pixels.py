@@ -11,12 +11,12 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from orbitfinder._runtime import limit
+from orbitfinder._runtime.cluster import home
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.motion import full_samples
@@ -262,7 +262,7 @@ def plane_of(text: str, model: Model | None = None) -> ParameterPlane:
     """The plane of such a text."""
     known = json.loads(text)
     folder, parameters = known["folder"], tuple(known["parameters"])
-    model = model or build_model(known["system"], None if folder is None else Path(folder))
+    model = model or build_model(known["system"], home(folder))
     curve = curve_of(known["curve"], model, FamilySettings(parameter=parameters[0]))
     axes, shape = [np.array(axis) for axis in known["axes"]], (known["segments"], curve.equations.size)
     return ParameterPlane(curve, parameters, (axes[0], axes[1]), np.array(known["mesh"]), shape, known["curve"])
