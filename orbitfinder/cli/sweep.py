@@ -29,11 +29,13 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @option("workers", "Processes side by side.", 1, (1, 256))
 @option("scheduler", "Dask scheduler, such as tcp://head:8786, instead of processes.", metavar="ADDRESS")
+@option("shard", "Visit the K-th of N runs of values only, into DIR/K-of-N; auto: by the Slurm array.", metavar="K/N")
 @option("orbits/--no-orbits", "Write each orbit too, DIR/<name>/K/.", True)
 @usual("Folder for DIR/<name>/sweep.csv, sweep.json and orbits.", "sweeps", compiled=True)
 def sweep(
-    file: Path, given: tuple[str, ...], out: Path, orbits: bool, limit: float | None, trust: bool, **how: Any
-) -> None:
+    file: Path, given: tuple[str, ...], out: Path, orbits: bool, limit: float | None, trust: bool, shard: str | None,
+    **how: Any,
+) -> None:  # fmt: skip
     """Find the orbit of a problem FILE at each value of a parameter, starting from the one at the value before.
 
     Writes a table with a line a value: certified with its numbers, or the reason why not. A run that was killed goes
@@ -49,6 +51,7 @@ def sweep(
         raise InputError("--parameter: the same name twice; give each once")
     with limited(limit):
         from orbitfinder.atlas.export import as_csv
+        from orbitfinder.atlas.shard import shard_from
         from orbitfinder.problemfile.read import load_problem_file
         from orbitfinder.records.reading import finite, write_atomically, write_json
 
@@ -59,6 +62,11 @@ def sweep(
             write_atomically(path.with_suffix(".csv"), as_csv(list(swept.records[0]), swept.records))
             return [path.with_suffix(".csv"), write_json(path, finite(swept.records)), *files]
 
+        if part := shard_from(shard):
+            values = {name: [*np.array_split(each, part.parts)[part.first]] for name, each in values.items()}
+            out = out / f"{part.part}-of-{part.parts}"
+            if not all(values.values()):
+                raise InputError(f"--shard: {shard}: more shards than values; give N of at most their number")
         problem = load_problem_file(file, trust).wanted
         folder = folder_of(out, problem.name)
         with kept(folder / "sweep.json", save), display(f"{problem.name}: {', '.join(values)} by turns") as shown:
