@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -16,6 +17,7 @@ from orbitfinder.families.plane import BLANK, DIVERGED, RESTING, STOPPED
 from orbitfinder.records.registry import load
 from orbitfinder.show.maps import regions, save_map_figure
 
+ROOT = Path(__file__).parents[1]
 PLANE = {"a": np.linspace(0.1, 0.45, 15), "b": np.linspace(0.0, 0.35, 20)}
 FORM = "[system]\nkind = 'python'\nfunction = 'forced_pendulum'\n[guess]\nstate = [0.1, 0.0]\nperiod = 3.14159\n"
 
@@ -193,3 +195,18 @@ def test_a_plane_that_no_orbit_leads_to():
     low = of.Problem(model, of.Guess([-0.4, 0.0], 2 * np.pi / 1.5), name="low")
     with pytest.raises(ConvergenceError, match="none leads to frequency = 0.9"):
         of.map_plane(low, {"frequency": [0.8, 0.9], "force": [0.29, 0.31]})
+
+
+@pytest.mark.parametrize(
+    ("file", "given"),
+    [
+        ("gallery/brusselator", {"feed": [0.98, 1.0, 1.02], "rate": [2.9, 3.0, 3.1]}),
+        ("examples/double-mode-2", {"energy": [-18.7, -18.6, -18.5], "gravity": [9.75, 9.8]}),
+        ("hybrid/bouncing-ball", {"amplitude": [0.0119, 0.012], "restitution": [0.79, 0.8]}),
+    ],
+)
+def test_cycles_energies_and_machines_that_bounce(file, given):
+    """Orbits with a period of their own, of a level of energy, with events: each certified."""
+    problem = of.load_problem(ROOT / "problems" / f"{file}.toml")
+    made = of.map_plane(problem, given, sample=2)
+    assert made.known.all() and made.sample[:, 2].all() and verified(made, problem.model).passed

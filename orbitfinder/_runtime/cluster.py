@@ -6,10 +6,12 @@ modules that lie in a trusted folder. Dask gives the tasks of a lost worker to a
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import hashlib
 import importlib
 import itertools
+import shutil
 import socket
 import tempfile
 import threading
@@ -18,6 +20,7 @@ import uuid
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +49,16 @@ def home(folder: str | None) -> Path | None:
     """A trusted folder here, also where it was sent."""
     if folder is None or not folder.startswith(SENT):
         return None if folder is None else Path(folder)
-    return Path(tempfile.gettempdir()) / f"orbitfinder-{folder.removeprefix(SENT)}"
+    return _own(folder)
+
+
+@lru_cache(maxsize=16)
+def _own(folder: str) -> Path:
+    """A folder of this process's own for what was sent, gone with it; nobody else can put anything there."""
+    del folder
+    made = tempfile.mkdtemp(prefix="orbitfinder-")
+    atexit.register(shutil.rmtree, made, ignore_errors=True)
+    return Path(made)
 
 
 def packed(folder: str | Path | None) -> Luggage:
@@ -64,11 +76,8 @@ def performed(luggage: Luggage, work: Callable[..., Any], *arguments: Any) -> An
     with _alone:
         _checked(luggage.versions, packed(None).versions, _address())
         if (place := home(luggage.folder)) is not None and luggage.modules:
-            place.mkdir(parents=True, exist_ok=True)
             for name, text in luggage.modules.items():
-                fresh = place / f".{name}-{uuid.uuid4()}"
-                fresh.write_text(text, encoding="utf-8")
-                fresh.replace(place / name)
+                (place / name).write_text(text, encoding="utf-8")
         try:
             return work(*arguments)
         except LimitError:
