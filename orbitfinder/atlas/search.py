@@ -333,7 +333,7 @@ def search(
         check_range(f"search.section.{name}", pair)
     where = {name: (float(pair[0]), float(pair[1])) for name, pair in (section or {}).items()}
     tallies, ids = [], []
-    listening(scheduler)  # before an atlas is made
+    listening(scheduler if executor is None else None)  # before an atlas is made
     with Atlas(atlas, write=True, model=model) as book:
         for energy in shells:
             target = Target(energy, (float(periods[0]), float(periods[1])), where, int(cycles))
