@@ -35,6 +35,10 @@ from .families.equilibrium import Equilibrium as Equilibrium
 from .families.equilibrium import load_equilibria as load_equilibria
 from .families.equilibrium import save_equilibria as save_equilibria
 from .families.folder import follow_family as follow_family
+from .families.mapping import map_plane as map_plane
+from .families.plane import ParameterMap as ParameterMap
+from .families.plane import load_map as load_map
+from .families.plane import save_map as save_map
 from .families.point import FamilySettings as FamilySettings
 from .families.rest_starts import find_equilibria as find_equilibria
 from .loops.conditions import Constraint as Constraint

@@ -396,7 +396,7 @@ def test_json_has_null_for_what_is_no_number():
 
 
 COMPUTING = {"run", "verify", "simulate", "guess", "sweep", "continue", "search", "prove", "refine", "reproduce",
-             "connect", "diagram", "doctor", "equilibria", "manifold", "phase", "section", "show", "stabilise",
+             "connect", "diagram", "doctor", "equilibria", "manifold", "map", "phase", "section", "show", "stabilise",
              "torus"}  # fmt: skip
 
 

@@ -162,6 +162,8 @@ def values():
         of.Equilibria("rest", {}, "b", (of.Equilibrium(np.zeros(2), 1.0, np.zeros(2, complex), "neutral"),)),
         of.Equilibrium(np.zeros(2), 1.0, np.zeros(2, complex), "neutral"),
         of.BifurcationDiagram("tree", {}, "b", (0.0, 1.0), 2, "x", ()),
+        of.ParameterMap("plane", {}, ("a", "b"), "period", ("x",), {}, 0, {}, *np.ones((2, 2)), *np.zeros((8, 2, 2)),
+                        np.zeros((0, 3))),
         of.Optima("kept", "damping", (orbit,), np.zeros(1), (0,)),
         of.PhaseResponse("clock", {}, 1.0, (0, 0), np.zeros(1), ring.curve[:1], ring.curve[:1], 0.0, np.zeros(0), ""),
     ]  # fmt: skip

@@ -231,7 +231,7 @@ def test_a_proof_is_not_written_into_another_orbit(found, saved):
     """As where the file was written anew while its first orbit was proved; the file stays as it is."""
     proof, other = prove(found("pendulum")), saved.read_text()
     with pytest.raises(InputError, match="changed while it was proved, the proof is not recorded"):
-        write_entry(saved, proof)
+        write_entry(saved, entry(proof))
     assert saved.read_text() == other
 
 

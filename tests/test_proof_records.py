@@ -12,6 +12,7 @@ pytest.importorskip("flint")
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.cli.group import cli
 from orbitfinder.proof.record import read_entry, replay
+from orbitfinder.proof.theorem import Options, Proof
 from orbitfinder.records.orbit import digest
 from orbitfinder.records.registry import load_orbit
 
@@ -56,6 +57,32 @@ def test_a_proof_is_recorded_in_the_atlas(tmp_path, monkeypatch):
     monkeypatch.setattr("orbitfinder.proof.theorem.prove", None)  # not begun where it cannot be recorded
     said = CliRunner().invoke(cli, ["prove", f"{book}#{row.id}"])
     assert said.exit_code == 2 and "read-only; make it writable" in said.stderr
+
+
+def test_an_atlas_is_proved_in_shards_that_share_nothing(monkeypatch):
+    """Every orbit that has no proof, in one shard or another and once."""
+    book = RESULTS / "atlas" / "lorenz.sqlite"
+    with Atlas(book) as atlas:
+        wanted = {f"{book}#{row.id}" for row in atlas.rows() if not row.proof}
+    proof = Proof(False, "not tried", "none", Options(), 0.0)
+    monkeypatch.setattr("orbitfinder.proof.theorem.prove", lambda *_: proof)
+    lists = []
+    for part in ("1/3", "2/3", "3/3"):
+        said = CliRunner().invoke(cli, ["prove", str(book), "--shard", part, "--no-record", "--json"])
+        assert said.exit_code == 1
+        lists.append([one["file"] for one in json.loads(said.stdout)["results"]])
+    assert set().union(*lists) == wanted and sum(map(len, lists)) == len(wanted) > 30
+
+
+@pytest.mark.slow
+def test_an_atlas_is_proved_by_processes(tmp_path):
+    """What they prove is recorded in the atlas, as it is by this process."""
+    book = Path(shutil.copy(RESULTS / "atlas" / "lorenz.sqlite", tmp_path / "lorenz.sqlite"))
+    said = CliRunner().invoke(cli, ["prove", str(book), "--shard", "1/40", "--workers", "2", "--json"])
+    assert said.exit_code == 0
+    results = json.loads(said.stdout)["results"]
+    with Atlas(book) as atlas:
+        assert results and all(atlas.row(int(one["file"].rpartition("#")[2])).proof for one in results)
 
 
 @pytest.mark.slow

@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.special import ellipk
 from test_search_command import run
 
 import orbitfinder as of
 from orbitfinder._runtime import limit
+from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.orbits import sweep as sweeping
 from orbitfinder.orbits.refine import Refiner
@@ -300,3 +302,16 @@ def test_a_dead_process_is_named(duffing, monkeypatch):
 def dies(pipe, _):
     """A worker that ends at once."""
     pipe.close()
+
+
+def test_shards_visit_each_value_once(tmp_path):
+    """Two of three: runs of neighbouring values, each in a folder of its own; more shards than values are refused."""
+    words = ["sweep", str(SPRING), "--parameter", "stiffness=30,30.5,31", "--no-orbits", "--json", "-o", str(tmp_path)]
+    visited = []
+    for part in ("1/2", "2/2"):
+        said = CliRunner().invoke(cli, [*words, "--shard", part])
+        assert said.exit_code == 0, said.output
+        visited += [row["stiffness"] for row in json.loads(said.stdout)["rows"]]
+        assert (tmp_path / part.replace("/", "-of-") / "spring-pendulum-swing" / "sweep.csv").is_file()
+    assert visited == [30.0, 30.5, 31.0]
+    assert "more shards than values" in CliRunner().invoke(cli, [*words, "--shard", "4/4"]).stderr

@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from orbitfinder._runtime import limit
+from orbitfinder._runtime.cluster import listening
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.atlas.attempt import CONTINUATION, Attempt, Job
 from orbitfinder.atlas.report import Summary, summarise
@@ -349,6 +350,7 @@ def search(
         check_range(f"search.section.{name}", pair)
     where = {name: (float(pair[0]), float(pair[1])) for name, pair in (section or {}).items()}
     tallies, ids = [], []
+    listening(scheduler if executor is None else None)  # before an atlas is made
     with Atlas(atlas, write=True, model=model) as book:
         for energy in shells:
             target = Target(energy, (float(periods[0]), float(periods[1])), where, int(cycles))

@@ -9,24 +9,22 @@ from __future__ import annotations
 
 import abc
 import contextlib
-import itertools
 import json
 import queue
 import threading
 import time
-import uuid
 from collections.abc import Mapping, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from multiprocessing.connection import Connection, wait
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orbitfinder._runtime import limit, processes
+from orbitfinder._runtime import cluster, limit, processes
+from orbitfinder._runtime.cluster import CONNECTING, EACH
 from orbitfinder.atlas.attempt import CONTINUATION, Attempt, Job, attempts
 from orbitfinder.atlas.signature import Numbers
 from orbitfinder.atlas.starts import Context, Target, context_of, strategy_of
@@ -38,11 +36,7 @@ from orbitfinder.records.orbit import Orbit
 LONGEST_START = 120.0
 """s after which a start is given up, or a budget would be overrun without end; ordinary ones take 0.01 to 10"""
 DIED = "worker died"
-MOST_FALSE_STARTS = 3
-CONNECTING = 20.0
-"""Seconds to wait for the scheduler."""
-EACH = 2
-"""Handfuls of starts under way for each thread: those in work, those waiting there."""
+MOST_FALSE_STARTS, REMEDY = 3, "make it anew, with the same orbitfinder and system there"
 _one_at_a_time = threading.Lock()
 
 
@@ -68,7 +62,7 @@ def prepared(text: str) -> Context:
     """The context of a request given as JSON, made once in a process."""
     request = json.loads(text)
     folder, target = request["folder"], request["target"]
-    model = build_model(request["system"], None if folder is None else Path(folder))
+    model = build_model(request["system"], cluster.home(folder))
     return context_of(model, Target(**target | {"periods": tuple(target["periods"])}))
 
 
@@ -255,9 +249,6 @@ def remote(text: str, seed: int, jobs: Sequence[Job], known: np.ndarray) -> list
 class Futures(Workers):
     """Starts by what answers in futures: those under way, and what has ended in the order of that."""
 
-    name: str
-    remedy: str
-    """what to do about workers that cannot work"""
     lost: tuple[type[BaseException], ...] = ()
     """what a future raises whose start has killed its worker"""
 
@@ -293,27 +284,27 @@ class Futures(Workers):
             for job in jobs:  # whichever it was, it costs itself alone
                 self.submit([job])
             return []
-        except CancelledError as error:
-            raise OrbitfinderError(
-                f"search: the {self.name} is gone or took its work back ({error}); start it again and give the same "
-                "command, which goes on from here"
-            ) from error
-        except InputError as error:  # of the problem, read there: a module or a file that only this machine has
-            raise OrbitfinderError(
-                f"search: a worker of the {self.name} cannot read the problem: {error}; what it imports and names must "
-                "be where its workers run, too"
-            ) from error
-        except Exception as error:  # whatever a worker can raise: it lacks the package, or has another one
-            raise OrbitfinderError(
-                f"search: a worker of the {self.name} failed with {type(error).__name__}: {error}; {self.remedy}, "
-                "and give the same command again"
-            ) from error
+        except Exception as error:  # whatever a worker can raise
+            raise self.fault(error) from error
+
+    def fault(self, error: Exception) -> OrbitfinderError:
+        """What an error of a start means, with its remedy."""
+        if isinstance(error, CancelledError):
+            why = (
+                f"the executor is gone or took its work back ({error}); start it again and give the same command, which"
+            )
+            return OrbitfinderError(f"search: {why} goes on from here")
+        if isinstance(error, InputError):  # of the problem, read there: a module or a file that only this machine has
+            why = f"a worker of the executor cannot read the problem: {error}"
+            return OrbitfinderError(f"search: {why}; what it imports and names must be where its workers run, too")
+        why = (
+            f"a worker of the executor failed with {type(error).__name__}: {error}; {REMEDY}, and give the same command"
+        )
+        return OrbitfinderError(f"search: {why} again")
 
 
 class Pool(Futures):
     """The workers of an executor of concurrent.futures, or of what behaves like one (loky, MPI, ipyparallel)."""
-
-    name, remedy = "executor", "make it anew, with the same orbitfinder and system there"
 
     def __init__(self, request: Request, executor: Executor, workers: int) -> None:
         super().__init__(request)
@@ -332,7 +323,7 @@ class Pool(Futures):
         try:
             return self._executor.submit(remote, *arguments)
         except (BrokenExecutor, RuntimeError) as error:
-            raise OrbitfinderError(f"search: the executor takes no more starts ({error}); {self.remedy}") from error
+            raise OrbitfinderError(f"search: the executor takes no more starts ({error}); {REMEDY}") from error
 
     def close(self) -> None:
         """Take back what has not been begun; the executor is its owner's."""
@@ -343,52 +334,24 @@ class Pool(Futures):
 class Cluster(Futures):
     """The workers behind a Dask scheduler, `waiting` (s) for them at the beginning and whenever none is left."""
 
-    name, remedy = "cluster", "install the same orbitfinder there"
-
     def __init__(self, request: Request, address: str, waiting: float = 300.0) -> None:
-        super().__init__(request)
-        self._distributed, self._waiting = _distributed(), waiting
-        self.lost = (self._distributed.KilledWorker,)
-        self._names = (f"orbitfinder-{uuid.uuid4()}-{k}" for k in itertools.count())
-        try:
-            self._client = self._distributed.Client(address, timeout=CONNECTING, set_as_default=False)
-        except (OSError, ValueError, TimeoutError) as error:
-            raise InputError(
-                f"scheduler: no Dask scheduler answers at {address!r} ({error}); give its address, such as "
-                "tcp://host:8786"
-            ) from error
-        self._threads, self._looked, self._alone_since = 0, 0.0, time.monotonic()
+        self._scheduler = cluster.Scheduler(address, "search", request.folder, waiting)
+        super().__init__(replace(request, folder=self._scheduler.luggage.folder))
+        self.lost = self._scheduler.lost
 
     @property
     def room(self) -> int:
         """Starts that the threads of the cluster can take on."""
-        if time.monotonic() - self._looked > 2.0:
-            self._looked = time.monotonic()
-            self._threads = sum(self._client.nthreads().values())
-            if self._threads:
-                self._alone_since = time.monotonic()
-            elif time.monotonic() - self._alone_since > self._waiting:
-                raise OrbitfinderError(
-                    f"search: the scheduler has had no workers for {self._waiting:g} s; start some and give the same "
-                    "command again, which goes on from here"
-                )
-        return EACH * self._threads - len(self._under_way)
+        return self._scheduler.room(len(self._under_way))
 
     def begun(self, *arguments: Any) -> Any:
         """A start at the scheduler's."""
-        return self._client.submit(remote, *arguments, key=next(self._names), pure=False)
+        return self._scheduler.begun(remote, *arguments)
+
+    def fault(self, error: Exception) -> OrbitfinderError:
+        """What an error of a start means, and of which worker."""
+        return self._scheduler.fault(error)
 
     def close(self) -> None:
         """Take back what has not been done; the cluster stays up for others."""
-        self._client.cancel(list(self._under_way), force=True)
-        self._client.close()
-
-
-def _distributed() -> Any:
-    try:
-        import distributed  # noqa: PLC0415  an extra
-    except ImportError as error:
-        raise InputError(
-            "scheduler: needs Dask; pip install 'orbitfinder[cluster]', or use workers on this machine"
-        ) from error
-    return distributed
+        self._scheduler.close(self._under_way)

@@ -76,6 +76,20 @@ def display(begins: str, every: float = 0.0, refresh: float = 0.0) -> Iterator[D
             yield Display(paced(show, refresh), say, live=True)
 
 
+def time_left() -> Callable[[int, int], str]:
+    """What is to be said of the time that is left when so much of so much is done, from now on; nothing at first."""
+    began, first = time.monotonic(), list[int]()
+
+    def said(done: int, total: int) -> str:
+        first[:] = first or [done]  # what an earlier run has done took no time now
+        fresh = done - first[0]
+        if not fresh or done >= total:
+            return ""
+        return f", {(time.monotonic() - began) / fresh * (total - done):.0f} s left"
+
+    return said
+
+
 def _said(write: Callable[[str], object], line: str) -> None:
     interrupt.check()  # CasADi makes a failed search of Ctrl-C
     write(line)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 import orbitfinder as of
 from orbitfinder._runtime.keeping import kept
 from orbitfinder._runtime.limit import limited
-from orbitfinder.cli.console import display
+from orbitfinder.cli.console import display, time_left
 from orbitfinder.cli.jobs import folder_of
 from orbitfinder.cli.options import FILES, finish, option, text, trusted, usual
 from orbitfinder.errors import InputError
@@ -28,11 +28,14 @@ if TYPE_CHECKING:
     multiple=True, required=True, metavar="NAME=FROM:TO:COUNT",
 )  # fmt: skip
 @option("workers", "Processes side by side.", 1, (1, 256))
+@option("scheduler", "Dask scheduler, such as tcp://head:8786, instead of processes.", metavar="ADDRESS")
+@option("shard", "Visit the K-th of N runs of values only, into DIR/K-of-N; auto: by the Slurm array.", metavar="K/N")
 @option("orbits/--no-orbits", "Write each orbit too, DIR/<name>/K/.", True)
 @usual("Folder for DIR/<name>/sweep.csv, sweep.json and orbits.", "sweeps", compiled=True)
 def sweep(
-    file: Path, given: tuple[str, ...], workers: int, out: Path, orbits: bool, limit: float | None, trust: bool
-) -> None:
+    file: Path, given: tuple[str, ...], out: Path, orbits: bool, limit: float | None, trust: bool, shard: str | None,
+    **how: Any,
+) -> None:  # fmt: skip
     """Find the orbit of a problem FILE at each value of a parameter, starting from the one at the value before.
 
     Writes a table with a line a value: certified with its numbers, or the reason why not. A run that was killed goes
@@ -48,6 +51,7 @@ def sweep(
         raise InputError("--parameter: the same name twice; give each once")
     with limited(limit):
         from orbitfinder.atlas.export import as_csv
+        from orbitfinder.atlas.shard import shard_from
         from orbitfinder.problemfile.read import load_problem_file
         from orbitfinder.records.reading import finite, write_atomically, write_json
 
@@ -58,16 +62,21 @@ def sweep(
             write_atomically(path.with_suffix(".csv"), as_csv(list(swept.records[0]), swept.records))
             return [path.with_suffix(".csv"), write_json(path, finite(swept.records)), *files]
 
+        if part := shard_from(shard):
+            values = {name: [*np.array_split(each, part.parts)[part.first]] for name, each in values.items()}
+            out = out / f"{part.part}-of-{part.parts}"
+            if not all(values.values()):
+                raise InputError(f"--shard: {shard}: more shards than values; give N of at most their number")
         problem = load_problem_file(file, trust).wanted
         folder = folder_of(out, problem.name)
         with kept(folder / "sweep.json", save), display(f"{problem.name}: {', '.join(values)} by turns") as shown:
+            left = time_left()
 
             def report(row: Row, done: int, total: int) -> None:
                 place = ", ".join(f"{name} = {value:.6g}" for name, value in row.values.items())
-                shown.say(f"{done} of {total}: {place}, {said(row)}")
+                shown.say(f"{done} of {total}: {place}, {said(row)}{left(done, total)}")
 
-            made = of.sweep(problem, values, workers=workers, limit=None, progress=report, out=out,
-                             folder=trusted(file, trust))  # fmt: skip
+            made = of.sweep(problem, values, limit=None, progress=report, out=out, folder=trusted(file, trust), **how)
     written = save(made, folder / "sweep.json")
     for row in made.rows:
         if not row.certified:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from orbitfinder._runtime import interrupt
-from orbitfinder.cli.console import note
+from orbitfinder._runtime.cluster import scheduler_at
+from orbitfinder._runtime.tasks import crew
+from orbitfinder.cli.console import note, time_left
 from orbitfinder.cli.jobs import check_writable, model_of, one_line, orbit_and_model
 from orbitfinder.cli.options import (
     FILES,
@@ -29,8 +33,9 @@ from orbitfinder.records.registry import answer, held, kind_of, load, load_orbit
 
 if TYPE_CHECKING:
     from orbitfinder.proof.branch import ProvedBranch
-    from orbitfinder.proof.theorem import Proof, RefinedOrbit
+    from orbitfinder.proof.theorem import Options, Proof, RefinedOrbit
     from orbitfinder.records.family import Family
+    from orbitfinder.records.orbit import Orbit
 
 
 @click.command()
@@ -146,15 +151,20 @@ def symmetry_option(what: str) -> Decorator:
 @option("record/--no-record", "Write the proof into the ORBIT.json.", True)
 @option("from low", "Of a FAMILY.json: prove it from this energy (J) ...", kind=FINITE)
 @option("to high", "... to this one, and its events in between.", kind=FINITE)
+@option("workers", "Processes side by side.", 1, (1, 256))
+@option("scheduler", "Dask scheduler, such as tcp://head:8786, instead of processes.", metavar="ADDRESS")
+@option("shard", "Prove every N-th only, from the K-th; auto: by the Slurm array that runs it.", metavar="K/N")
 @usual(trust=SYSTEM_TRUST)
 def prove(
-    files: tuple[Path, ...], record: bool, low: float | None, high: float | None, trust: bool, **given: Any
-) -> None:
+    files: tuple[Path, ...], record: bool, low: float | None, high: float | None, trust: bool, workers: int,
+    scheduler: str | None, shard: str | None, **given: Any,
+) -> None:  # fmt: skip
     """Prove that each ORBIT.json is a periodic orbit, by a theorem in ball arithmetic.
 
     Needs the extra `proof` (python-flint). A proof encloses the orbit, its minimal period and its
     multipliers, and is recorded in the file. Exit code 0: all proved; 1: some not, with the reason.
-    FILE#K is orbit K of an atlas, or point K of a family.json, counted from 0, whose proof is not recorded.
+    FILE#K is orbit K of an atlas, or point K of a family.json, counted from 0, whose proof is not recorded; an atlas
+    stands for all of its orbits that have no proof yet.
 
     \b
     Examples:
@@ -165,34 +175,84 @@ def prove(
     if low is not None or high is not None:
         _prove_branch(files, low, high, record, trust, given)
         return
-    from orbitfinder.atlas.store import Atlas
-    from orbitfinder.proof.record import checked, entry, write_entry
-    from orbitfinder.proof.theorem import Options, provable_model
-    from orbitfinder.proof.theorem import prove as proved
+    from orbitfinder.atlas.shard import WHOLE, shard_from
+    from orbitfinder.proof.record import checked
+    from orbitfinder.proof.theorem import Options
 
     options, results = checked(Options(**{k: v for k, v in given.items() if v is not None})), []
-    for file in files:
-        orbit = load_orbit(file)
-        if record:
-            check_writable(file.parent, "--record")
-        model = provable_model(orbit, trusted(file, trust))
-        book, number = member(file)
-        held = record and number is not None and kind_of(book) == "atlas"
-        if held:  # where it cannot be written to, that is said before the proof
-            Atlas(book, write=True, model=model).close()
-        proof = proved(orbit, model, options, lambda line, name=orbit.name: note(f"{name}: {line}"))  # type: ignore[misc]
+    part = shard_from(shard) or WHOLE
+    listed = [orbit for file in files for orbit in _orbits_in(file)][part.first :: part.parts]
+    every = [file for file, proved in listed if not proved]  # left out now: shards have the same list at any time
+    for file, orbit, proof, document in _proofs(every, options, record, trust, workers, scheduler):
         interrupt.check()
-        if proof.proved and held and number is not None:
-            with Atlas(book, write=True, model=model) as atlas:
-                atlas.describe(number, entry(proof))
-        elif proof.proved and record and file.exists():
-            write_entry(file, proof)
-        elif proof.proved and record:
-            note(f"{file}: the proof is not recorded, which only an orbit.json or an atlas can be given")
-        results.append({"file": str(file), "name": orbit.name} | entry(proof))
-        _print_proof(f"{file} ({orbit.name})", proof)
+        _record(file, document, record, trust)
+        results.append({"file": str(file), "name": orbit.name} | document)
+        _print_proof(f"{file} ({orbit.name})", proof, document)
     passed = all(result["proved"] for result in results)
     finish("proof", {"passed": passed, "results": results}, passed)
+
+
+def _orbits_in(file: Path) -> list[tuple[Path, bool]]:
+    """The file, or of a whole atlas each orbit and whether it has a proof."""
+    from orbitfinder.atlas.store import Atlas
+
+    if member(file)[1] is not None or not file.is_file() or kind_of(file) != "atlas":
+        return [(file, False)]
+    with Atlas(file) as atlas:
+        return [(Path(f"{file}#{row.id}"), bool(row.proof)) for row in atlas.rows()]
+
+
+def _proofs(
+    files: list[Path], options: Options, record: bool, trust: bool, workers: int, scheduler: str | None
+) -> Iterator[tuple[Path, Orbit, Proof | None, dict[str, Any]]]:
+    """Each orbit with its proof and what is recorded of it; done elsewhere the proof itself stays there."""
+    from orbitfinder.atlas.store import Atlas
+    from orbitfinder.proof.record import entry, proved_entry
+    from orbitfinder.proof.theorem import provable_model, prove
+
+    orbits = []
+    for file in files:
+        orbits.append(load_orbit(file))
+        if record:
+            check_writable(file.parent, "--record")
+            if _of_atlas(file):  # where it cannot be written to, that is said before the proof
+                Atlas(member(file)[0], write=True, model=provable_model(orbits[-1], trusted(file, trust))).close()
+    if workers == 1 and scheduler is None:
+        for file, orbit in zip(files, orbits, strict=True):
+            say = partial(lambda name, line: note(f"{name}: {line}"), orbit.name)
+            proof = prove(orbit, provable_model(orbit, trusted(file, trust)), options, say)
+            yield file, orbit, proof, entry(proof)
+        return
+    home, left = trusted(files[0], trust) if files else None, time_left()
+    with scheduler_at(scheduler, "prove", home) as far, crew(proved_entry, workers, "prove", far) as answers:
+        folder = far.luggage.folder if far else None if home is None else str(home)
+        for done, (k, document) in enumerate(answers([(orbit, folder, options) for orbit in orbits]), 1):
+            note(f"{done} of {len(files)}: {files[k]}{left(done, len(files))}")
+            yield files[k], orbits[k], None, document
+
+
+def _of_atlas(file: Path) -> bool:
+    """Whether FILE#K is an orbit of an atlas."""
+    book, number = member(file)
+    return number is not None and kind_of(book) == "atlas"
+
+
+def _record(file: Path, document: dict[str, Any], record: bool, trust: bool) -> None:
+    """Write what is proved into the atlas or the orbit.json that it is of."""
+    from orbitfinder.atlas.store import Atlas
+    from orbitfinder.proof.record import write_entry
+    from orbitfinder.proof.theorem import provable_model
+
+    if not (record and document["proved"]):
+        return
+    book, number = member(file)
+    if _of_atlas(file) and number is not None:
+        with Atlas(book, write=True, model=provable_model(load_orbit(file), trusted(file, trust))) as atlas:
+            atlas.describe(number, document)
+    elif file.exists():
+        write_entry(file, document)
+    else:
+        note(f"{file}: the proof is not recorded, which only an orbit.json or an atlas can be given")
 
 
 def _prove_branch(
@@ -262,12 +322,14 @@ def verify_branch(file: Path, trust: bool = False) -> dict[str, Any]:
     return {"passed": True, "message": f"proof replayed in {again.wall_time:.1f} s: proved, {what}"}
 
 
-def _print_proof(heading: str, proof: Proof) -> None:
-    if not proof.proved:
-        text(f"{heading}: not proved: {proof.reason}")
+def _print_proof(heading: str, proof: Proof | None, document: dict[str, Any]) -> None:
+    if not document["proved"]:
+        text(f"{heading}: not proved: {document['reason']}")
+        return
+    text(f"{heading}: proved in {document['wall_time']:.1f} s")
+    if proof is None:
         return
     assert proof.stability is not None
-    text(f"{heading}: proved in {proof.wall_time:.1f} s")
     what = "orbit" if proof.symmetry == "none" else f"{proof.symmetry} orbit"
     level = "" if proof.energy is None else " of this energy"
     rows = (

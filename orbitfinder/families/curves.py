@@ -86,7 +86,7 @@ def follow_curve(
         rest = family if isinstance(family, Equilibria) else load_equilibria(family)
         model, most = model or build_model(rest.system), settings.points if settings else PACE.points
         most = most if points is None else points
-        names, chosen = _parameters(model, parameters, ()), cast(int | RestEvent, event)
+        names, chosen = both_parameters(model, parameters, ()), cast(int | RestEvent, event)
         return follow_rest_curve(rest, chosen, names, until, at, most, out, name, model, cast(Any, progress))
     if isinstance(event, RestEvent):
         raise InputError(f"event: a {event.kind} of equilibria; give the equilibria that it is of")
@@ -109,7 +109,7 @@ def curve_start(
     chosen = _event(family, number, where)
     settings = replace(settings or FamilySettings(), parameter=family.parameter)
     base = curve_of(family.curve, model or build_model(family.system), settings)
-    names = _parameters(base.equations.model, parameters)
+    names = both_parameters(base.equations.model, parameters)
     hold = _hold(base, family, chosen, names)
     curve, place = _released(base, chosen, names, hold)
     sizes = np.linalg.svd(scaled(curve, at_place(curve, place))[0])[1]
@@ -156,7 +156,7 @@ def _event(family: Family, event: int, where: str) -> Event:
     return with_nodes(chosen, where, "follow its event")
 
 
-def _parameters(model: Model, names: Sequence[str], own: tuple[str, ...] = ("energy", "period")) -> tuple[str, str]:
+def both_parameters(model: Model, names: Sequence[str], own: tuple[str, ...] = ("energy", "period")) -> tuple[str, str]:
     """The two names. `InputError` unless they are two different ones, at least one of them physical."""
     if len(names) != 2:
         raise InputError(f"parameters: two names are needed, got {len(names)} ({', '.join(names)}); give a,b")

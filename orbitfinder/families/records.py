@@ -6,6 +6,7 @@ from typing import Any
 from orbitfinder.errors import plural
 from orbitfinder.families.diagram import load_diagram
 from orbitfinder.families.equilibrium import EQUILIBRIA, Equilibria, load_equilibria
+from orbitfinder.families.plane import load_map
 from orbitfinder.records.registry import KINDS, Kind
 
 __all__ = ["EQUILIBRIA"]
@@ -37,3 +38,4 @@ KINDS[EQUILIBRIA] = Kind(
 KINDS["diagram"] = Kind(
     "a bifurcation diagram", load_diagram, verify="families.diagram:verified", facts="families.diagram:facts"
 )
+KINDS["map"] = Kind("a map of a parameter plane", load_map, verify="families.mapping:verified")

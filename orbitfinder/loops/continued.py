@@ -6,7 +6,7 @@ kernel, the tangent of the family (Muñoz-Almaraz et al., Physica D 181 (2003) 1
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
@@ -259,6 +259,60 @@ def correct(
     which most of the way is cheap; `fit` gives a better mesh over these segments once the orbit is nearly
     known. Raises `ConvergenceError` or `IntegrationError`.
     """
+    steps, alone = _correcting(curve, guess, aim, reference, reach, slope, fit), curve.test is None
+    try:
+        w = next(steps)
+        while True:
+            w = steps.send(curve.equations.changed(w) if alone else curve.equations.varied(w, states=True))
+    except StopIteration as done:
+        return done.value  # type: ignore[no-any-return]
+
+
+def correct_each(
+    curves: Sequence[Curve], guesses: Sequence[Unknowns], aims: Sequence[Condition], reach: float
+) -> list[Solution | ConvergenceError | IntegrationError]:
+    """The same of guesses on a mesh, of curves of the same equations, marched beside each other; of what fails why."""
+    results: dict[int, Solution | ConvergenceError | IntegrationError] = {}
+    each = zip(curves, guesses, aims, strict=True)
+    steps = [_correcting(curve, guess, aim, reach=reach) for curve, guess, aim in each]
+    places = {k: next(step) for k, step in enumerate(steps)}
+    while places:
+        paths = _marched(curves[0].equations, list(places.values()))
+        for (k, _), path in zip(list(places.items()), paths, strict=True):
+            try:
+                if isinstance(path, IntegrationError):
+                    raise path
+                places[k] = steps[k].send(path)
+            except StopIteration as done:
+                results[k] = done.value
+            except (ConvergenceError, IntegrationError) as error:
+                results[k] = error
+            if k in results:
+                del places[k]
+    return [results[k] for k in range(len(steps))]
+
+
+def _marched(equations: Equations, places: list[Unknowns]) -> list[Varied | IntegrationError]:
+    """Integrations beside each other; of those that cannot be, why."""
+    try:
+        return [*equations.varied_each(places, states=True)]
+    except IntegrationError as error:
+        if len(places) == 1:
+            return [error]
+        half = len(places) // 2
+        return [*_marched(equations, places[:half]), *_marched(equations, places[half:])]
+
+
+def _correcting(
+    curve: Curve,
+    guess: Unknowns,
+    aim: Condition,
+    reference: Unknowns | None = None,
+    reach: float = 1.0,
+    slope: np.ndarray | None = None,
+    fit: Callable[[Curve, Solution], np.ndarray] | None = None,
+) -> Generator[Unknowns, Varied, Solution]:
+    """The steps of `correct`: unknowns whose integration each of them asks for."""
     same = reference is not None and np.array_equal(reference.edges, guess.edges)
     family, curve = curve, curve.through(reference if same and reference is not None else guess)
     slopes = curve.slopes(guess, (*curve.conditions, aim))
@@ -267,7 +321,7 @@ def correct(
     if slope is not None and border is None:
         w = _approached(curve, guess, aim, np.vstack([slope, slopes[-1]]), (units, lost))
     for iteration in range(CORRECTOR.most_newton):
-        path = curve.equations.changed(w) if border is None else curve.equations.varied(w, states=True)
+        path = yield w
         rows, jacobian = _all_rows(curve, w, path.ends, aim, lost), jacobian_of(curve, w, path)
         if border is not None:
             rows = np.concatenate([rows[:-1], [border.value(Solution(w, path, jacobian, 0.0))], rows[-1:]])

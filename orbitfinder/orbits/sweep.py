@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime import limit as limited
-from orbitfinder._runtime import processes
+from orbitfinder._runtime import processes, tasks
+from orbitfinder._runtime.cluster import Scheduler, home, scheduler_at
 from orbitfinder._runtime.keeping import finished
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder._runtime.sizes import nonzero
@@ -114,8 +115,8 @@ Progress = Callable[[Row, int, int], None]
 
 def sweep(
     problem: Problem, values: Mapping[str, Sequence[float]] | None = None, *, workers: int = 1,
-    limit: float | None = LIMIT, folder: str | Path | None = None, progress: Progress | None = None,
-    out: str | Path | None = None, **named: Sequence[float],
+    scheduler: str | None = None, limit: float | None = LIMIT, folder: str | Path | None = None,
+    progress: Progress | None = None, out: str | Path | None = None, **named: Sequence[float],
 ) -> Sweep:  # fmt: skip
     """The orbits of a Problem at other values of its parameters, each certified or with its reason.
 
@@ -125,6 +126,7 @@ def sweep(
         problem: solved first at its own values.
         values: as the keywords, as a mapping.
         workers: processes that share the values.
+        scheduler: address of a Dask cluster that shares them instead.
         limit: s after which what is missing is left out with that reason.
         folder: of a trusted module that makes the system.
         progress: called with what is being done.
@@ -159,11 +161,15 @@ def sweep(
         problem.model, tuple({*problem.free, *table} & {*problem.model.parameter_names}), problem.boundary.parts
     )
     sizes = (len(table),), (len(problem.model.state_names),), (len(free),)
-    with checkpoints(path, plain({"values": list(table), "problem": asked}), partial(_read, sizes=sizes)) as journal:
+    with (
+        checkpoints(path, plain({"values": list(table), "problem": asked}), partial(_read, sizes=sizes)) as journal,
+        scheduler_at(scheduler, "sweep", folder) as far,
+    ):
         study = _Study(problem, tuple(table), np.array(list(table.values())).T, journal)
         try:
             with limited.limited(limit):
-                rows = study.rows() if workers == 1 else _shared(study, min(workers, len(study.values)), folder)
+                alone = workers == 1 and far is None
+                rows = study.rows() if alone else _shared(study, min(workers, len(study.values)), folder, far)
                 for k, visit, fresh in rows:
                     visited[k] = visit.row
                     if fresh and path is not None:
@@ -387,10 +393,13 @@ def _away(model: Model, expected: np.ndarray, nodes: np.ndarray, period: float) 
     return float(max(moved.max() / nonzero(places.max()), rushed.max() / speed))
 
 
-def _shared(study: _Study, workers: int, folder: str | Path | None) -> Iterator[tuple[int, _Visit, bool]]:
-    """The rows by spawned processes, each with a run of neighbouring values; none for a run that is known."""
+def _shared(
+    study: _Study, workers: int, folder: str | Path | None, far: Scheduler | None
+) -> Iterator[tuple[int, _Visit, bool]]:
+    """The rows by spawned processes, each with a run of neighbouring values, or by a cluster in runs of a few; nothing
+    for a run that is known."""
     order, hands, left = np.argsort(study.values[:, 0], kind="stable"), list[processes.Hand](), list[tuple[Any, ...]]()
-    for part in np.array_split(order, workers):
+    for part in np.array_split(order, -(-len(order) // RUN) if far else workers):
         values = study.values[part]
         known = [study.known[key] for key in map(tuple, values.tolist()) if key in study.known]
         if len(known) < len(part):
@@ -398,8 +407,16 @@ def _shared(study: _Study, workers: int, folder: str | Path | None) -> Iterator[
         else:
             yield from _Study(study.problem, study.names, values, study.journal, part).rows()
     if left:
-        system = dict(study.base.model.system), None if folder is None else Path(folder)
-        build_model(*system)  # or no process can
+        system = dict(study.base.model.system), None if folder is None else str(folder)
+        build_model(system[0], home(system[1]))  # or nobody else can
+        if far is not None:
+            there, told = (system[0], far.luggage.folder), _described(study)
+            each = [((there, told, study.names, values, [study.origin, *known], part, limited.left()),)
+                    for values, known, part in left]  # fmt: skip
+            with tasks.crew(_ran, what="sweep", scheduler=far) as answers:
+                for _, visits in answers(each):
+                    yield from visits
+            return
     try:
         for values, known, part in left:
             wanted = (system, _described(study), study.names, values, [study.origin, *known], part, limited.left())
@@ -420,7 +437,8 @@ def _shared(study: _Study, workers: int, folder: str | Path | None) -> Iterator[
         processes.dismissed(hands)
 
 
-DONE = "done"
+DONE, RUN = "done", 8
+"""What a process says last; values that are a task of a cluster"""
 
 
 def _described(study: _Study) -> dict[str, Any]:
@@ -430,14 +448,23 @@ def _described(study: _Study) -> dict[str, Any]:
     return {**asked, "guess": Guess(base.guess.state, base.guess.period), "winding": base.winding}
 
 
-def _serve(pipe: Connection, wanted: tuple[Any, ...]) -> None:
-    """The life of a worker: its rows, one message each, then `DONE` or what went wrong."""
+def _ran(wanted: tuple[Any, ...]) -> list[tuple[int, _Visit, bool]]:
+    """A run of values by a cluster's worker."""
+    return [*_running(wanted)]
+
+
+def _running(wanted: tuple[Any, ...]) -> Iterator[tuple[int, _Visit, bool]]:
     system, described, names, values, known, part, left = wanted
+    with one_thread(), limited.limited(left if np.isfinite(left) else None):
+        problem = Problem(build_model(system[0], home(system[1])), **described)
+        yield from _Study(problem, names, values, Checkpoints(None, known), part).rows()
+
+
+def _serve(pipe: Connection, wanted: tuple[Any, ...]) -> None:
+    """The life of a worker: its rows, a message each, then `DONE` or what went wrong."""
     try:
-        with one_thread(), limited.limited(left if np.isfinite(left) else None):
-            problem = Problem(build_model(*system), **described)
-            for answer in _Study(problem, names, values, Checkpoints(None, known), part).rows():
-                pipe.send(answer)
+        for answer in _running(wanted):
+            pipe.send(answer)
         pipe.send(DONE)
     except OrbitfinderError as error:
         pipe.send(error)

@@ -26,6 +26,7 @@ KINDS = {
     "control": "motions of least cost",
     "published": "orbits that others have published to many digits",
     "families": "starts of families, for orbitfinder continue",
+    "maps": "planes of two parameters, for orbitfinder map",
     "search": "systems to search, for orbitfinder search",
     "chains": "twenty to a hundred links",
 }
@@ -54,7 +55,9 @@ class Shipped:
     def command(self) -> str:
         """The command that it is for."""
         resting = self.path.suffix == ".toml" and list(read_toml(self.path).get("guess", ())) == ["state"]
-        return {"families": "continue", "search": "search"}.get(self.kind, "equilibria" if resting else "run")
+        return {"families": "continue", "maps": "map", "search": "search"}.get(
+            self.kind, "equilibria" if resting else "run"
+        )
 
     def files(self) -> Iterator[Path]:
         """The file itself, then those beside it that it names, such as the description of a robot."""

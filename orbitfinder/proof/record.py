@@ -16,10 +16,11 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from orbitfinder._runtime import __version__
+from orbitfinder._runtime.cluster import home
 from orbitfinder.errors import InputError, shortened
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import FLINT, arb, precision
-from orbitfinder.proof.theorem import STATEMENT, Options, Progress, Proof, proved_until
+from orbitfinder.proof.theorem import STATEMENT, Options, Progress, Proof, provable_model, proved_until
 from orbitfinder.records.orbit import Orbit, read_document, recorded_proof
 from orbitfinder.records.reading import read_as, write_json
 
@@ -79,13 +80,18 @@ def _proved(proof: Proof, margin: float, digits: int) -> dict[str, Any]:
     }
 
 
-def write_entry(path: Path, proof: Proof) -> None:
+def proved_entry(orbit: Orbit, folder: str | None, options: Options) -> dict[str, Any]:
+    """The entry of the proof of an orbit, whose system a module of a trusted folder may make: a task that travels."""
+    return entry(proved_until(lambda proof: True, orbit, provable_model(orbit, home(folder)), options, None))
+
+
+def write_entry(path: Path, proof: Mapping[str, Any]) -> None:
     """Put the entry into an orbit.json; everything else in the file, its digest included, stays as it is.
 
     Raises `InputError` where the file holds another orbit by now.
     """
-    document = read_document(path) | {"proof": entry(proof)}
-    if proof.proved and recorded_proof(document) is None:
+    document = read_document(path) | {"proof": proof}
+    if proof["proved"] and recorded_proof(document) is None:
         raise InputError(f"{path}: changed while it was proved, the proof is not recorded; prove it again")
     write_json(path, document)
 

@@ -564,11 +564,17 @@ def unpoled(values: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 def axis_name(family: Family) -> str:
     """The parameter with its unit, where that is known: of a forcing's frequency it follows from the period."""
-    turns = family.values("value") * family.values("period") / family.curve.get("cycles", np.inf)
-    frequencies = ((2 * np.pi, "rad/s"), (1.0, "1/s"))
-    driven = next((unit for turn, unit in frequencies if np.allclose(turns, turn, rtol=1e-9, atol=0.0)), "")
-    unit = family.unit or driven
+    unit = family.unit or forced_unit(
+        family.values("value"), family.values("period"), family.curve.get("cycles", np.inf)
+    )
     return f"{family.parameter} ({unit})" if unit else family.parameter
+
+
+def forced_unit(values: np.ndarray, periods: np.ndarray, cycles: float) -> str:
+    """The unit of a parameter that is the frequency of a forcing, by the orbits' periods, each of so many cycles."""
+    frequencies = ((2 * np.pi, "rad/s"), (1.0, "1/s"))
+    turns = values * periods / cycles
+    return next((unit for turn, unit in frequencies if np.allclose(turns, turn, rtol=1e-9, atol=0.0)), "")
 
 
 KINDS = {"elliptic": (COLOURS[2], "o"), "marginal": (COLOURS[4], "s"), "unstable": (COLOURS[1], "^")}

@@ -6,3 +6,4 @@ answers("orbit", plot="show.plot:save_figures", animate="show.animate:orbit_clip
 answers("family", plot="show.plot:save_figures")
 answers("equilibria", plot="show.equilibria:save_equilibria_figure")
 answers("diagram", plot="show.equilibria:save_diagram_figure")
+answers("map", plot="show.maps:save_map_figure")

@@ -1,0 +1,212 @@
+"""Maps of a parameter plane against monodromies that another program integrates, and curves of bifurcations."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import orbitfinder as of
+from orbitfinder.cli.group import cli
+from orbitfinder.errors import ConvergenceError, InputError
+from orbitfinder.families.mapping import verified
+from orbitfinder.families.plane import BLANK, DIVERGED, RESTING, STOPPED
+from orbitfinder.records.registry import load
+from orbitfinder.show.maps import regions, save_map_figure
+
+ROOT = Path(__file__).parents[1]
+PLANE = {"a": np.linspace(0.1, 0.45, 15), "b": np.linspace(0.0, 0.35, 20)}
+FORM = "[system]\nkind = 'python'\nfunction = 'forced_pendulum'\n[guess]\nstate = [0.1, 0.0]\nperiod = 3.14159\n"
+
+
+def mathieu():
+    """x'' + c x' + (a + b cos t) x = f: the response to a constant push is stable where Mathieu's equation is."""
+
+    def field(t, x, p):
+        return [x.v, p.push - p.c * x.v - (p.a + p.b * ca.cos(t)) * x.x]
+
+    values = {"a": 0.2, "b": 0.1, "c": 0.05, "push": 1.0}
+    return of.ode(field, ["x", "v"], values, forcing_period=2 * np.pi)
+
+
+def problem(model=None):
+    return of.Problem(model or mathieu(), of.Guess([5.0, 0.0], 2 * np.pi), name="mathieu")
+
+
+@pytest.fixture(scope="module")
+def plane():
+    return of.map_plane(problem(), PLANE, sample=4)
+
+
+def largest(a, b, c=0.05, steps=400):
+    """The multiplier of largest modulus (R x C) of x'' + c x' + (a + b cos t) x, by RK4 in NumPy."""
+    h, y = 2 * np.pi / steps, np.broadcast_to(np.eye(2), (*a.shape, 2, 2))
+
+    def rate(t, y):
+        return np.stack([y[..., 1, :], -c * y[..., 1, :] - (a + b * np.cos(t))[..., None] * y[..., 0, :]], axis=-2)
+
+    for k in range(steps):
+        one = rate(k * h, y)
+        two = rate((k + 0.5) * h, y + h / 2 * one)
+        three = rate((k + 0.5) * h, y + h / 2 * two)
+        y = y + h / 6 * (one + 2 * two + 2 * three + rate((k + 1) * h, y + h * three))
+    values = np.linalg.eigvals(y)
+    return np.take_along_axis(values, np.abs(values).argmax(axis=2)[..., None], axis=2)[..., 0]
+
+
+def test_a_map_is_that_of_mathieus_equation(plane):
+    """Every pixel's multiplier; both sides of the first tongue, where it is below -1. Where b is 0 nothing moves."""
+    assert np.all(plane.blank[0] == RESTING) and plane.known[1:].all() and BLANK[RESTING] in plane.counts
+    theirs, stable = largest(*np.meshgrid(plane.columns, plane.rows[1:])), plane.stable[1:]
+    assert np.abs(plane.values("multiplier")[1:] - np.abs(theirs)).max() < 1e-8
+    assert np.array_equal(stable, np.abs(theirs) < 1.0) and 20 < stable.sum() < stable.size - 20
+    assert np.array_equal(regions(plane)[1:], np.where(stable, 0.0, 2.0)) and np.all(theirs[~stable].real < -1.0)
+    assert plane.sample.shape == (4, 3) and plane.sample[:, 2].all() and not plane.failures
+    assert np.allclose(plane.periods[1:], 2 * np.pi, rtol=1e-14)
+
+
+def test_the_boundary_is_the_curve_of_doublings(plane):
+    """`follow_curve`'s points lie between pixels of different stability, or beside them: within a pixel."""
+    family = of.follow_family(problem(), "a", until=0.3, settings=of.FamilySettings(directions="forward"))
+    event = next(k for k, one in enumerate(family.events) if one.kind == "period_doubling")
+    curve = of.follow_curve(family, event, ("a", "b"), points=25, model=mathieu())
+    spans = [np.diff(axis)[0] for axis in (plane.columns, plane.rows)]
+    low, high = ([axis[k] for axis in (plane.columns, plane.rows)] for k in (0, -1))
+    inside = curve.places[np.all((curve.places >= low) & (curve.places <= high), axis=1)]
+    assert len(inside) > 10
+    for a, b in inside:
+        near = (np.abs(plane.columns - a) <= spans[0]) & (np.abs(plane.rows - b) <= spans[1])[:, None] & plane.known
+        assert 0 < plane.stable[near].sum() < near.sum()
+
+
+def test_workers_and_a_resumed_run_give_the_same_bits(plane, tmp_path):
+    """Whoever does the rows, however often it is stopped: the same record; what is done is not done again."""
+    done = []
+
+    class Stop(Exception):
+        pass
+
+    def stop(count, pixels):
+        done.append(count)
+        if count > pixels // 3:
+            raise Stop
+
+    with pytest.raises(Stop):
+        of.map_plane(problem(), PLANE, sample=4, out=tmp_path, progress=stop)
+    lines = (tmp_path / "mathieu" / "map.jsonl").read_text().splitlines()
+    assert len(lines) == 4  # what is asked, the first orbit, the column, a strip
+    again = of.map_plane(problem(), PLANE, sample=4, out=tmp_path)
+    assert (tmp_path / "mathieu" / "map.jsonl").read_text().splitlines()[: len(lines)] == lines
+    for name in ("nodes", "multipliers", "amplitudes", "verdicts", "sample"):
+        assert np.array_equal(getattr(again, name), getattr(plane, name))
+
+
+def test_processes_give_the_same_bits():
+    model = of.systems.forced_pendulum(torque=0.9, damping=0.5)
+    driven = of.Problem(model, of.Guess([0.1, 0.0], 3.14159), name="swing")
+    given = {"damping": [0.4, 0.5, 0.6], "torque": np.linspace(0.7, 1.0, 20)}
+    one, two = (of.map_plane(driven, given, sample=1, workers=workers) for workers in (1, 2))
+    assert np.array_equal(one.nodes, two.nodes) and np.array_equal(one.multipliers, two.multipliers) and one.known.all()
+
+
+def test_beyond_a_fold_is_blank_with_its_reason():
+    """Along the lower branch of a softening spring the orbit ends at a fold; amplitudes grow towards it."""
+    model = of.systems.forced_duffing(stiffness=1.0, cubic=1.0, damping=0.1, force=0.3, frequency=1.5)
+    low = of.Problem(model, of.Guess([-0.4, 0.0], 2 * np.pi / 1.5), name="low")
+    made = of.map_plane(low, {"frequency": np.linspace(1.2, 1.5, 16), "force": np.linspace(0.28, 0.3, 3)}, sample=3,
+                        by="amplitude")  # fmt: skip
+    fold = 1.3242362007706  # at force 0.3, by 140 bits (problems/families/duffing-resonance.toml)
+    assert np.array_equal(made.known[-1], made.columns > fold) and made.counts.count(BLANK[DIVERGED]) == 1
+    assert made.sample[:, 2].all() and np.all(np.diff(made.values("amplitude")[-1][made.known[-1]]) < 0)
+
+
+def test_what_is_stopped_is_blank():
+    made = of.map_plane(problem(), PLANE, sample=1, limit=1e-3)
+    assert (made.blank == STOPPED).sum() > 50 and BLANK[STOPPED] in made.counts
+
+
+def test_records_are_read_and_doctored_ones_refused(plane, tmp_path):
+    file = of.save_map(plane, tmp_path / "map.json")
+    model, again = mathieu(), load(file)
+    assert again.counts == plane.counts and np.array_equal(again.nodes, plane.nodes)
+    assert verified(again, model).passed
+    nodes, wrong = plane.nodes.copy(), plane.verdicts.copy()
+    nodes[3, 4] *= 1.0 + 1e-6
+    wrong[2, 2] = 1 - wrong[2, 2] if wrong[2, 2] < 2 else 1
+    assert "closure" in verified(replace(plane, nodes=nodes), model).failures
+    assert verified(replace(plane, verdicts=wrong), model).failures == ("verdicts",)
+    sample = plane.sample.copy()
+    sample[0, 2] = 0
+    assert verified(replace(plane, sample=sample), model).failures == ("sample",)
+    document = json.loads(file.read_text())
+    for entry, value in (("by", "colour"), ("curve", {}), ("parameters", ["a"])):
+        file.write_text(json.dumps(document | {entry: value}))
+        with pytest.raises(InputError):
+            verified(of.load_map(file), model)
+
+
+@pytest.mark.parametrize("by", ["stability", "multiplier", "amplitude", "period"])
+def test_pictures_name_their_axes_and_colours(plane, tmp_path, by, monkeypatch):
+    kept = {}
+    monkeypatch.setattr("orbitfinder.show.maps.save_all", lambda figures, folder: kept.update(figures))
+    blank = plane.blank.copy()
+    blank[0, 0] = DIVERGED
+    save_map_figure(replace(plane, by=by, blank=blank), tmp_path, mathieu())
+    axes, *bars = kept["map"].axes
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("a", "b") and len(bars) == (by != "stability")
+    words = {text.get_text() for text in kept["map"].legends[0].get_texts()}
+    assert {"no orbit", "stability changes"} <= words and ("stable" in words) == (by == "stability")
+
+
+def test_the_command(tmp_path):
+    file = tmp_path / "swing.toml"
+    file.write_text(FORM)
+    words = ["map", str(file), "--parameter", "torque=0.4:0.6:3", "--parameter", "damping=0.4,0.5", "-o", str(tmp_path)]
+    run = CliRunner().invoke(cli, [*words, "--sample", "1", "--workers", "1", "--json"])
+    assert run.exit_code == 0, run.output
+    document = json.loads(run.stdout)
+    assert document["parameters"] == ["torque", "damping"] and len(document["written"]) == 2
+    shown = CliRunner().invoke(cli, ["show", document["written"][0]])
+    assert "6 of 6 pixels have an orbit" in shown.stdout and shown.exit_code == 0
+    assert CliRunner().invoke(cli, ["verify", document["written"][0]]).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"a": [0.1, 0.2]}, "two names"),
+        ({"a": [0.1, 0.2], "d": [1.0, 2.0]}, "unknown 'd'"),
+        ({"a": [0.1, 0.1], "b": [0.1, 0.2]}, "a: must be two different"),
+        ({"a": ["x", "y"], "b": [0.1, 0.2]}, "list of numbers"),
+    ],
+)
+def test_what_makes_no_plane_is_refused(given, words):
+    with pytest.raises(InputError, match=words):
+        of.map_plane(problem(), given)
+    with pytest.raises(InputError, match="by: 'colour' is none of"):
+        of.map_plane(problem(), PLANE, by="colour")
+
+
+def test_a_plane_that_no_orbit_leads_to():
+    model = of.systems.forced_duffing(stiffness=1.0, cubic=1.0, damping=0.1, force=0.3, frequency=1.5)
+    low = of.Problem(model, of.Guess([-0.4, 0.0], 2 * np.pi / 1.5), name="low")
+    with pytest.raises(ConvergenceError, match="none leads to frequency = 0.9"):
+        of.map_plane(low, {"frequency": [0.8, 0.9], "force": [0.29, 0.31]})
+
+
+@pytest.mark.parametrize(
+    ("file", "given"),
+    [
+        ("gallery/brusselator", {"feed": [0.98, 1.0, 1.02], "rate": [2.9, 3.0, 3.1]}),
+        ("examples/double-mode-2", {"energy": [-18.7, -18.6, -18.5], "gravity": [9.75, 9.8]}),
+        ("hybrid/bouncing-ball", {"amplitude": [0.0119, 0.012], "restitution": [0.79, 0.8]}),
+    ],
+)
+def test_cycles_energies_and_machines_that_bounce(file, given):
+    """Orbits with a period of their own, of a level of energy, with events: each certified."""
+    problem = of.load_problem(ROOT / "problems" / f"{file}.toml")
+    made = of.map_plane(problem, given, sample=2)
+    assert made.known.all() and made.sample[:, 2].all() and verified(made, problem.model).passed
