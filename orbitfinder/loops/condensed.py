@@ -246,12 +246,12 @@ class Broyden:
     """
 
     def __init__(self, factors: Factors) -> None:
-        self._factors = factors
+        self.factors = factors
         self._steps: list[np.ndarray] = []
 
     def step(self, rows: np.ndarray) -> np.ndarray:
         """The step from where the residual is `rows`; the steps before it must have been taken in full."""
-        right = -self._factors.solve(rows)
+        right = -self.factors.solve(rows)
         for step, following in pairwise(self._steps):
             right = right + following * ((step @ right) / (step @ step))
         if self._steps:
