@@ -234,23 +234,25 @@ def test_evidence_agrees_with_hamiltons_equations(monkeypatch):
     assert "Lagrange" in found.motion.formulation and "Hamilton" in generic.motion.formulation
 
 
-def test_half_a_period_gives_the_multipliers_of_the_whole(twelve, monkeypatch):
-    """Of a reflection symmetric motion; one that is not at -x(0) after T/2 is followed all the way."""
+def test_a_part_of_the_period_gives_the_multipliers_of_the_whole(twelve, monkeypatch):
+    """A quarter of a motion from rest that is at -x(0) after T/2, half of it from elsewhere, all of another."""
     lengths, transitions = [], chain_motion._chain_pieces
 
-    def noted(closed, state, duration, units):
+    def noted(closed, state, duration, units, count):
         lengths.append(duration / twelve.period)
-        return transitions(closed, state, duration, units)
+        return transitions(closed, state, duration, units, count)
 
     monkeypatch.setattr(chain_motion, "_chain_pieces", noted)
     turns = np.zeros(12, int)
-    half = gather(chain(12), twelve.state, twelve.period, turns)
-    assert lengths == [0.5]
+    quarter = gather(chain(12), twelve.state, twelve.period, turns)
+    half = gather(chain(12), twelve.samples[64], twelve.period, turns)
+    assert lengths == [0.25, 0.5]
     monkeypatch.setattr(chain_motion, "REFLECTED", -1.0)
     whole = gather(chain(12), twelve.state, twelve.period, turns)
-    assert lengths == [0.5, 1.0]
-    assert largest_difference(half.floquet.multipliers, whole.floquet.multipliers) <= 1e-8
-    assert half.tour.asymplectic <= 1e-9 and half.tour.trivial <= 1e-9
+    assert lengths == [0.25, 0.5, 1.0]
+    for part in (quarter, half):
+        assert largest_difference(part.floquet.multipliers, whole.floquet.multipliers) <= 1e-8
+        assert part.tour.asymplectic <= 1e-9 and part.tour.trivial <= 1e-9
     monkeypatch.undo()
     monkeypatch.setattr(chain_motion, "_chain_pieces", noted)
     gather(chain(12), twelve.samples[64] * 1.0001, twelve.period, turns)

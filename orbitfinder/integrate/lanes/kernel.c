@@ -109,9 +109,10 @@ ESTIMATE(V)
    segments, or of one segment's eight columns. COLUMN_OF and NUMBER are the numbers of one column. */
 #if LANES == 1
 typedef double W __attribute__((vector_size(64)));
-#ifndef TOGETHER
-#define TOGETHER 1
+#ifndef ABREAST
+#define ABREAST 1
 #endif
+#define TOGETHER ABREAST
 #define BESIDE (8 * TOGETHER)
 #define SPREAD(v) ((v)[0] + (W){0.0})
 #define COLUMN_OF(w, i, c) (w)[(i) * TOGETHER + (c) / 8][(c) % 8]

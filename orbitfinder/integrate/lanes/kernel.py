@@ -144,7 +144,8 @@ def varied_forms(
 
 def march_code(emitted: ca.Function | SparseSlopes) -> str:
     """The C of a march of what is emitted."""
-    return f"#define LEAST {LEAST!r}\n" + field_code(emitted).join((source("kernel.c"), source("march.c")))
+    heads = f"#define LEAST {LEAST!r}\n" + "#define ABREAST 2\n" * isinstance(emitted, SparseSlopes)
+    return heads + field_code(emitted).join((source("kernel.c"), source("march.c")))
 
 
 def _kept(
