@@ -170,7 +170,7 @@ def _first_order(model: Model, free: tuple[str, ...]) -> Canonical:
 def _variational(t: Any, y: Any, rate: Any, action: Any, given: list[Any]) -> ca.Function:
     """z' for z = (y, vec Y, S) from y'(t, y) and S'(t, y)."""
     size, scalar = y.numel(), isinstance(y, ca.SX)
-    if scalar and size > LARGE:
+    if size > LARGE:
         return _directional(t, y, rate, action, given)
     columns = type(y).sym("Y", size, size)
     # in scalars the Jacobian times Y has two thirds of the operations of one directional derivative a column
@@ -185,7 +185,7 @@ def _variational(t: Any, y: Any, rate: Any, action: Any, given: list[Any]) -> ca
     return ca.Function("canonical_variational", [t, inputs, *given], [variation])
 
 
-def _directional(t: ca.SX, y: ca.SX, rate: ca.SX, action: ca.SX, given: list[ca.SX]) -> ca.Function:
+def _directional(t: Any, y: Any, rate: Any, action: Any, given: list[Any]) -> ca.Function:
     """The same by a directional derivative for each column."""
     size, parts = y.numel(), ca.Function("parts", [t, y, *given], [rate, action])
     clock, *numbers = (ca.MX.sym("p", part.numel()) for part in (t, *given))
