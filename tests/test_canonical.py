@@ -100,7 +100,7 @@ def test_directional_derivatives_are_all_slopes(monkeypatch):
     model = chain(3)
     z = np.random.default_rng(1).normal(0.0, 0.5, 6 + 36 + 1)
     dense = canonical(model)
-    monkeypatch.setattr("orbitfinder.mechanics.canonical.LARGE", 5)
+    monkeypatch.setattr("orbitfinder.mechanics.canonical.UNROLLED_FACTORISATION_LIMIT", 2)
     columns = canonical(model)
     assert columns.variational.is_a("MXFunction") and not dense.variational.is_a("MXFunction")
     found, known = (each.variational(0.3, z).full() for each in (columns, dense))

@@ -49,8 +49,6 @@ from orbitfinder.records.reading import read_as
 
 FIRST_STEPS = 160
 """Runge-Kutta steps in one period of a guess, before there is an error estimate to go by."""
-FINER = (1, 4, 16)
-"""Times as many steps as a first mesh has, with the fast modes of a large system"""
 LOOKS = (40, 160, 640)
 """... in one segment, to see where a motion goes"""
 COVERED = 1e-5
@@ -384,7 +382,7 @@ def corrected(
 
 def fitted(curve: Curve, place: Unknowns) -> Unknowns:
     """A motion's unknowns on a mesh that fits it; a large system's first one is made finer where numbers overflow."""
-    mesh, tries = place.mesh, FINER if curve.equations.march.wide else FINER[:1]
+    mesh, tries = place.mesh, (1, 4, 16) if curve.equations.march.wide else (1,)
     for times in tries:
         place = place.on(divided(mesh, times))
         try:

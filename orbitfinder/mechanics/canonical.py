@@ -22,9 +22,6 @@ from orbitfinder.mechanics.factorise import UNROLLED_FACTORISATION_LIMIT, solve_
 from orbitfinder.mechanics.lagrange import mass_matrix_and_bias
 from orbitfinder.mechanics.model import Model
 
-LARGE = 40
-"""Numbers of a state beyond which deriving all slopes takes longer than directional derivatives do"""
-
 
 @dataclass(frozen=True)
 class Coordinates:
@@ -170,7 +167,7 @@ def _first_order(model: Model, free: tuple[str, ...]) -> Canonical:
 def _variational(t: Any, y: Any, rate: Any, action: Any, given: list[Any]) -> ca.Function:
     """z' for z = (y, vec Y, S) from y'(t, y) and S'(t, y)."""
     size, scalar = y.numel(), isinstance(y, ca.SX)
-    if size > LARGE:
+    if size > 2 * UNROLLED_FACTORISATION_LIMIT:
         return _directional(t, y, rate, action, given)
     columns = type(y).sym("Y", size, size)
     # in scalars the Jacobian times Y has two thirds of the operations of one directional derivative a column
