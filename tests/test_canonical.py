@@ -93,3 +93,15 @@ def test_one_path_serves_the_closure_and_the_certificate():
     model, x = chain(2), np.array([0.4, -0.3, 0.2, 0.1])
     found = ClosureCheck(model).ends(x[None], np.array([0.7]))[0]
     np.testing.assert_allclose(found, gather(model, x, 0.7, np.zeros(2)).states[-1], atol=1e-12)
+
+
+def test_directional_derivatives_are_all_slopes(monkeypatch):
+    """Of large systems, whose slopes take long to derive."""
+    model = chain(3)
+    z = np.random.default_rng(1).normal(0.0, 0.5, 6 + 36 + 1)
+    dense = canonical(model)
+    monkeypatch.setattr("orbitfinder.mechanics.canonical.UNROLLED_FACTORISATION_LIMIT", 2)
+    columns = canonical(model)
+    assert columns.variational.is_a("MXFunction") and not dense.variational.is_a("MXFunction")
+    found, known = (each.variational(0.3, z).full() for each in (columns, dense))
+    np.testing.assert_allclose(found, known, rtol=1e-12, atol=1e-12 * np.abs(known).max())

@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 
 import casadi as ca
@@ -20,10 +21,11 @@ from orbitfinder.integrate import compiled
 from orbitfinder.integrate.compiled import available, compiling, find_compiler, make_library, statistics
 from orbitfinder.integrate.lanes import emit, kernel
 from orbitfinder.integrate.lanes.emit import emitted, field_code, scalars
+from orbitfinder.integrate.lanes.factors import sparse_slopes
 from orbitfinder.integrate.march import March, uniform
 from orbitfinder.integrate.rk8 import slopes_of, variational_field
 from orbitfinder.loops import loop
-from orbitfinder.mechanics.model import vector_field
+from orbitfinder.mechanics.model import field_apart, vector_field
 from orbitfinder.systems import FUNCTIONS
 
 pytestmark = pytest.mark.skipif(not available()[0], reason="no C compiler: " + available()[1])
@@ -210,7 +212,7 @@ def test_sin_and_cos_far_out(tmp_path):
 
 WIDTHS = (8, 4, 2, 1)
 OWN = ("march", "evaluated", "rates", "states", "columns", "product", "step", "within", "gathered", "BEGIN", "COLUMN")
-SIZES = ("STATE", "OWN", "UNFOLDING", "FREE", "COLUMNS", "SLOPES", "ROWS", "ROOM", "GIVEN", "STAGES")
+SIZES = ("STATE", "OWN", "UNFOLDING", "FREE", "COLUMNS", "SLOPES", "INNER", "ROWS", "ROOM", "GIVEN", "STAGES")
 
 
 def marches(forms, width, folder):
@@ -218,7 +220,7 @@ def marches(forms, width, folder):
     parts = [f"#define LANES {width}\n", KERNEL]
     for k, form in enumerate(forms):
         part = field_code(form) + MARCH
-        parts += [f"static void product_{k}(W *, const V *, const V *, const W *, int);\n"]
+        parts += [f"static void product_{k}(W *, const V *, const V *, W *, int);\n"]
         parts += [re.sub(rf"\b({'|'.join(OWN)})\b(?=[\s]*[\[(])", rf"\1_{k}", part)]
         parts += [f"#undef {name}\n" for name in SIZES]
     library = built("".join(parts), folder)
@@ -245,6 +247,16 @@ def same(known, other):
     np.testing.assert_array_equal(known.view(np.int64)[whole], other.view(np.int64)[whole])
 
 
+def mean_field(x):
+    """Rates of components each of which acts on all others by their sum alone."""
+    return ca.sin(ca.sum1(x)) * x - x**3
+
+
+def field_of(rates, size):
+    inputs = [ca.SX.sym(name, k) for name, k in (("t", 1), ("x", size), ("s", 0), ("free", 0))]
+    return ca.Function("field", inputs, [rates(inputs[1])])
+
+
 FEW = ("forced_duffing", "hodgkin_huxley", "three_bodies", "impact_oscillator", "compass_gait", "1 links", "3 links")
 
 
@@ -252,12 +264,17 @@ FEW = ("forced_duffing", "hodgkin_huxley", "three_bodies", "impact_oscillator", 
 def test_all_widths_have_the_same_bits(names, tmp_path):
     """x and (x, Phi), df/dx written out and multiplied by hand, and errors of steps; of eleven a state is nan."""
     flat = [scalars(vector_field(SYSTEMS[name]())) for name in names]
-    forms = [form for field in flat for form in (field, slopes_of(field))] + [variational_field(f) for f in flat]
+    forms = [form for field in flat for form in (field, sparse_slopes(field, None))] + [
+        variational_field(f) for f in flat
+    ]
+    forms.append(sparse_slopes(field_of(mean_field, 6), None))
+    assert forms[-1].inner
     random, steps, finite = np.random.default_rng(1), 3, 0
     each = [marches(forms, width, tmp_path) for width in (8, 4, 2, 1)]
     for k, form in enumerate(forms):
+        whole, form = not isinstance(form, ca.Function), getattr(form, "function", form)
         state, columns = form.size1_in(1), form.size1_in(1) + form.size1_in(2) + form.size1_in(3)
-        starts = random.uniform(0.1, 0.9, (11, 1 + (state * (1 + columns) if form.n_out() > 1 else state)))
+        starts = random.uniform(0.1, 0.9, (11, 1 + (state * (1 + columns) if whole else state)))
         starts[4, 1] = np.nan
         given = random.uniform(0.1, 0.9, (11 * steps, 1 + columns - state)) * 1e-2
         results = [marched(marching[k], starts, given, steps) for marching in each]
@@ -477,3 +494,47 @@ def test_the_compiler_of_the_extra_makes_the_same_bits(tmp_path, monkeypatch):
         bits.append([lanes.marched(starts, given)[0], lanes.marched(starts[:1], given[:4])[0]])
     for known, other in zip(*bits, strict=True):
         same(known, other)
+
+
+def test_variations_of_a_chain_are_the_dense_ones_and_those_of_differences():
+    """The balance of forces, with accelerations held, stands for df/dx: of 20 links by less than half its numbers."""
+    model = of.chain(20, length=list(np.linspace(0.8, 1.2, 20)))
+    unfolded, names = model.invariants[:1], ("length3", "gravity")
+    field, apart = (make(model, names, unfolded) for make in (vector_field, field_apart))
+    slopes, size = sparse_slopes(field, None, apart), 40
+    assert slopes.inner and len(slopes.columns) < 20 + 2 * 20**2
+    random, free = np.random.default_rng(7), [1.1, 9.0]
+    x = random.normal(0.0, 0.5, size)
+    numbers, forcing = (slopes.function(0.0, x, 0.2, free)[k].full() for k in (1, 2))
+    whole = np.zeros((slopes.inner + size, size))
+    for row, (begin, end) in enumerate(pairwise(slopes.begins)):
+        below = np.vstack([np.eye(size), whole[:row]])
+        whole[row] = numbers[begin:end, 0] @ below[slopes.columns[begin:end]]
+    known = slopes_of(field)(0.0, x, 0.2, free)
+    scale = np.abs(known[1].full()).max()
+    np.testing.assert_allclose(whole[slopes.inner :], known[1].full(), atol=1e-12 * scale)
+    np.testing.assert_allclose(forcing, known[2].full(), atol=1e-12 * scale)
+    for k in (3, 27):
+        beside = (x + 1e-6 * sign * np.eye(size)[k] for sign in (1, -1))
+        late, early = (field(0.0, each, 0.2, free).full().ravel() for each in beside)
+        np.testing.assert_allclose(whole[slopes.inner :, k], (late - early) / 2e-6, atol=1e-8 * scale)
+
+
+def test_a_march_of_a_long_chain_is_the_interpreted_one():
+    """Whose columns fill registers, with an integral that is carried along without variations too."""
+    field, apart = vector_field(of.chain(15)), field_apart(of.chain(15))
+    inputs = field.sx_in()
+    work = ca.Function("work", inputs, [ca.sumsqr(inputs[1])])
+    given = np.random.default_rng(3).normal(0.0, 0.1, (2, 30)), uniform(0.1, 2, 4), np.array([1.0])
+    march, known = March(field, integrand=work, apart=apart), interpreted(field, integrand=work)
+    assert march.wide
+    quick, slow = march.varied(*given, states=True), known.varied(*given, states=True)
+    assert all(march._kernels.values())
+    for name in ("ends", "transitions", "columns", "states", "integral"):
+        np.testing.assert_allclose(getattr(quick, name), getattr(slow, name), rtol=1e-11, atol=1e-11)
+    assert march.integral(*given) == pytest.approx(slow.integral, rel=1e-13)
+    assert known.integral(*given) == pytest.approx(slow.integral, rel=1e-13)
+    np.testing.assert_allclose(march.ends(*given), slow.ends, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(march.rates(given[0], given[2]), known.rates(given[0], given[2]), rtol=1e-12, atol=1e-12)
+    asked = (slow.states, *given[1:], np.ones(30), np.arange(8))
+    np.testing.assert_allclose(march.step_errors(*asked), known.step_errors(*asked), rtol=1e-3, atol=1e-17)

@@ -11,6 +11,11 @@ import pytest
 from conftest import pendulum_period
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, OrbitfinderError
+from orbitfinder.families.follow import follow
+from orbitfinder.families.point import FamilySettings
+from orbitfinder.families.run import Run, first_point
+from orbitfinder.families.start import begin, fitted
+from orbitfinder.integrate.compiled import compiling
 from orbitfinder.integrate.cvodes import build_flow, transition
 from orbitfinder.integrate.march import March, uniform
 from orbitfinder.integrate.rk8 import MOST_DOUBLINGS
@@ -234,23 +239,25 @@ def test_evidence_agrees_with_hamiltons_equations(monkeypatch):
     assert "Lagrange" in found.motion.formulation and "Hamilton" in generic.motion.formulation
 
 
-def test_half_a_period_gives_the_multipliers_of_the_whole(twelve, monkeypatch):
-    """Of a reflection symmetric motion; one that is not at -x(0) after T/2 is followed all the way."""
+def test_a_part_of_the_period_gives_the_multipliers_of_the_whole(twelve, monkeypatch):
+    """A quarter of a motion from rest that is at -x(0) after T/2, half of it from elsewhere, all of another."""
     lengths, transitions = [], chain_motion._chain_pieces
 
-    def noted(closed, state, duration, units):
+    def noted(closed, state, duration, units, count):
         lengths.append(duration / twelve.period)
-        return transitions(closed, state, duration, units)
+        return transitions(closed, state, duration, units, count)
 
     monkeypatch.setattr(chain_motion, "_chain_pieces", noted)
     turns = np.zeros(12, int)
-    half = gather(chain(12), twelve.state, twelve.period, turns)
-    assert lengths == [0.5]
+    quarter = gather(chain(12), twelve.state, twelve.period, turns)
+    half = gather(chain(12), twelve.samples[64], twelve.period, turns)
+    assert lengths == [0.25, 0.5]
     monkeypatch.setattr(chain_motion, "REFLECTED", -1.0)
     whole = gather(chain(12), twelve.state, twelve.period, turns)
-    assert lengths == [0.5, 1.0]
-    assert largest_difference(half.floquet.multipliers, whole.floquet.multipliers) <= 1e-8
-    assert half.tour.asymplectic <= 1e-9 and half.tour.trivial <= 1e-9
+    assert lengths == [0.25, 0.5, 1.0]
+    for part in (quarter, half):
+        assert largest_difference(part.floquet.multipliers, whole.floquet.multipliers) <= 1e-8
+        assert part.tour.asymplectic <= 1e-9 and part.tour.trivial <= 1e-9
     monkeypatch.undo()
     monkeypatch.setattr(chain_motion, "_chain_pieces", noted)
     gather(chain(12), twelve.samples[64] * 1.0001, twelve.period, turns)
@@ -377,3 +384,49 @@ def test_problem_file_of_a_long_chain(links, tmp_path):
     assert file.stat().st_size < 200_000 and file.with_suffix(".npz").stat().st_size < 2_000_000
     if links == 20:
         assert CliRunner().invoke(cli, ["verify", str(file)]).exit_code == 0
+
+
+def test_a_large_family_marches_variations_once_a_point(monkeypatch):
+    """Its points are those of Newton's method all the way, and the action is integrated without variations."""
+
+    def followed():
+        start = begin(mode_problem(10, 0.3), symmetry="brake+reflection")
+        assert start.curve.equations.march.wide is wide
+        marched.clear()
+        settings = FamilySettings(events=False, certify=False, points=4)
+        run = Run(start.curve, settings, 1, first_point(start, settings, None))
+        return [point for batch in follow(run) for point in batch.points]
+
+    marched, varied = [], March.varied_each
+    monkeypatch.setattr(March, "varied_each", lambda *given: marched.append(1) or varied(*given))
+    with compiling("off"):
+        wide = True
+        points, count = followed(), len(marched)
+        wide = False
+        monkeypatch.setattr(March, "wide", False)
+        known, slow = followed(), len(marched)
+    assert count <= len(points) + 3 < slow
+    for point, other in zip(points, known, strict=True):
+        assert point.value == pytest.approx(other.value, rel=1e-11)
+        assert point.action == pytest.approx(other.action, rel=1e-9)
+        assert point.period == pytest.approx(other.period, rel=1e-11)
+        np.testing.assert_allclose(point.state, other.state, atol=1e-9)
+
+
+def test_a_first_mesh_on_which_numbers_overflow_is_made_finer(monkeypatch):
+    """Of a large system, whose fast modes its steps are too long for; elsewhere the guess is the wrong one."""
+    with compiling("off"):
+        start = begin(mode_problem(10, 0.3), symmetry="brake+reflection")
+        curve, place, varied = start.curve, start.solution.place, type(start.curve.equations).varied
+
+        def overflowing(equations, w, states=False):
+            if w.mesh.size < 30:
+                raise IntegrationError("the state is not finite")
+            return varied(equations, w, states)
+
+        monkeypatch.setattr(type(curve.equations), "varied", overflowing)
+        coarse = place.on(uniform(0.25, len(place.nodes), 4))
+        assert fitted(curve, coarse).mesh.size > 30
+        monkeypatch.setattr(March, "wide", False)
+        with pytest.raises(IntegrationError):
+            fitted(curve, coarse)

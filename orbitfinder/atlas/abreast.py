@@ -61,7 +61,7 @@ class Marched(Ask):
                 elif varied:
                     answers[k] = result[:, size : size * (1 + size)].reshape(-1, size, size).swapaxes(1, 2)
                 else:
-                    answers[k] = np.vstack([w.nodes[:1], result]) if whole else result
+                    answers[k] = np.vstack([w.nodes[:1], result]) if whole else result[:, :size]
         return [answers[k] for k in range(len(asks))]
 
 

@@ -148,9 +148,9 @@ def action_at(curve: Curve, solution: Solution) -> float:
     """The action over the horizon (J s) of the place after Newton's last step, which may have changed the energy: by
     dE, and so the action by T dE."""
     w = solution.place
-    if march := curve.equations.gridded:
-        return march.integral(w.nodes, w.mesh, w.tail)
-    return solution.march.integral if solution.stepped < CORRECTOR.unmoved else curve.equations.varied(w).integral
+    if solution.stepped < CORRECTOR.unmoved and not curve.equations.gridded:
+        return solution.march.integral
+    return curve.equations.march.integral(w.nodes, w.mesh, w.tail)
 
 
 def checked_pieces(curve: Curve, solution: Solution, check: ClosureCheck, free: Mapping[str, float]) -> float:

@@ -14,7 +14,7 @@ from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, c
 from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.families.motion import SAMPLES, full_samples, whole_motion
 from orbitfinder.families.point import FamilySettings, parameter_value
-from orbitfinder.integrate.march import rounded, uniform
+from orbitfinder.integrate.march import divided, rounded, uniform
 from orbitfinder.loops.conditions import QUANTITIES, Pin, clock, conserved, followed, measured, pinned, quantities
 from orbitfinder.loops.continued import Curve, Solution, begun, correct, kernel, make_curve, tangent
 from orbitfinder.loops.loop import Condition, Equations, Unknowns
@@ -381,9 +381,18 @@ def corrected(
 
 
 def fitted(curve: Curve, place: Unknowns) -> Unknowns:
-    """A motion's unknowns on a mesh that fits it."""
-    for _ in range(2):
-        place = remeshed(curve, Solution(place, curve.equations.varied(place, states=True), np.zeros((0, 0)), 0.0))
+    """A motion's unknowns on a mesh that fits it; a large system's first one is made finer where numbers overflow."""
+    mesh, tries = place.mesh, (1, 4, 16) if curve.equations.march.wide else (1,)
+    for times in tries:
+        place = place.on(divided(mesh, times))
+        try:
+            for _ in range(2):
+                path = curve.equations.varied(place, states=True)
+                place = remeshed(curve, Solution(place, path, np.zeros((0, 0)), 0.0))
+            break
+        except (ConvergenceError, IntegrationError):
+            if times == tries[-1]:
+                raise
     return place
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.compiled import compiled
-from orbitfinder.integrate.lanes.kernel import Kernel, kernel, varied_kernel
+from orbitfinder.integrate.lanes.kernel import WIDE, Kernel, kernel, varied_kernel
 from orbitfinder.integrate.parallel import STAGES, Lanes
 from orbitfinder.integrate.rk8 import slopes_of, step_of, variational_field
 
@@ -56,7 +56,8 @@ class March:
     """Integrates the segments of a loop; each kind of step is compiled when it is first needed.
 
     `field(t, x, s, free)` is dx/dt (d), `forced` says whether t matters; `integrand`, of the same arguments, is carried
-    along. `tail` is (T, s, free) everywhere. Not to be shared by threads: its functions have one work space each.
+    along, `apart` is what `lanes.factors` may make variations of. `tail` is (T, s, free) everywhere. Not to be shared
+    by threads: its functions have one work space each.
     """
 
     name: ClassVar[str] = "shooting"
@@ -70,7 +71,9 @@ class March:
         integrand: ca.Function | None = None,
         alone: bool = False,
         effort: float = EFFORT,
+        apart: ca.Function | None = None,
     ) -> None:
+        self._apart = apart
         self.field, self.forced, self.integrand, self._effort = field, forced, integrand, effort
         self.size, self.unfolding, self.free = (int(field.size1_in(k)) for k in (1, 2, 3))
         self._lanes, self._kernels = Lanes(alone), dict[bool, Kernel | None]()
@@ -94,8 +97,18 @@ class March:
         return variational_field(self.field, self.integrand, products=True)
 
     @cached_property
+    def _carried(self) -> ca.Function:
+        """The field of a state, and where variations are dear of S beside it."""
+        if self.integrand is None or not self.wide:
+            return self.field
+        inputs = self.field.sx_in() if self.field.is_a("SXFunction") else self.field.mx_in()
+        added = type(inputs[1]).sym("S", self.integrand.numel_out(0))
+        given = [inputs[0], ca.vertcat(inputs[1], added), *inputs[2:]]
+        return ca.Function("carried", given, [ca.vertcat(self.field(*inputs), self.integrand(*inputs))])
+
+    @cached_property
     def _step(self) -> ca.Function:
-        return compiled(step_of(self.field), effort=self._effort)
+        return compiled(step_of(self._carried), effort=self._effort)
 
     @cached_property
     def _varied_step(self) -> ca.Function:
@@ -103,7 +116,7 @@ class March:
 
     @cached_property
     def _error(self) -> ca.Function:
-        return compiled(step_of(self.field, True), effort=self._effort)
+        return compiled(step_of(self._carried, True), effort=self._effort)
 
     @cached_property
     def _varied_error(self) -> ca.Function:
@@ -116,14 +129,23 @@ class March:
     def _kernel(self, varied: bool, segments: int = 0) -> Kernel | None:
         """What marches in lanes, with variations or without; decided at first use, for good."""
         if varied not in self._kernels:
-            made = (varied_kernel(self.field, self.integrand, self._effort, segments == 1) if varied
-                    else kernel(self.field, self._effort, segments == 1))  # fmt: skip
+            made = (varied_kernel(self.field, self.integrand, self._effort, segments == 1, self._apart) if varied
+                    else kernel(self._carried, self._effort, segments == 1))  # fmt: skip
             self._kernels[varied] = made
         return self._kernels[varied]
 
     def ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (N x d) at the ends of the segments from their nodes (N x d). Raises `IntegrationError`."""
-        start = self._begun(nodes, self._clock(nodes, mesh, tail))
+        return self._reached(nodes, mesh, tail)[:, : self.size]
+
+    def integral(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> float:
+        """The integral over the horizon, without variations where they are dear."""
+        if not self.wide:
+            return self.varied(nodes, mesh, tail).integral
+        return float(self._reached(nodes, mesh, tail)[:, self.size :].sum())
+
+    def _reached(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
+        start = self._begun(nodes, self._clock(nodes, mesh, tail), self._none)
         return _finite(self._marched(False, start, _parameters(mesh, tail), 0)[0], nodes)[:, 1:]
 
     def _marched(
@@ -148,13 +170,18 @@ class March:
         return path[steps - 1 :: steps], path[:, :kept]
 
     @property
+    def wide(self) -> bool:
+        """Whether columns fill the registers."""
+        return self.size * (1 + self.columns) >= WIDE
+
+    @property
     def together(self) -> bool:
         """Whether segments are marched side by side, and there is so much in a step that it pays."""
         return LEAST_TOGETHER <= self.size <= MOST_TOGETHER and self._kernel(True) is not None
 
     def states(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (M + 1 x d) at the mesh."""
-        start = self._begun(nodes, self._clock(nodes, mesh, tail))
+        start = self._begun(nodes, self._clock(nodes, mesh, tail), self._none)
         path = self._marched(False, start, _parameters(mesh, tail), 1 + self.size)[1]
         return np.vstack([nodes[:1], _finite(path, nodes)[:, 1:]])
 
@@ -164,7 +191,7 @@ class March:
         start = self._begun(
             np.concatenate([nodes for nodes, _, _ in loops]),
             np.concatenate([self._clock(*loop) for loop in loops]),
-            self._unit if varied else _NOTHING,
+            self._unit if varied else self._none,
         )
         parameters = np.concatenate([_parameters(mesh, tail) for _, mesh, tail in loops])
         counts = [((mesh.size - 1) // len(nodes), len(nodes)) for nodes, mesh, _ in loops]
@@ -235,7 +262,8 @@ class March:
         quick = self._kernel(False)
         if quick is not None:
             clock = times.ravel() if isinstance(times, np.ndarray) else np.full(len(states), times)
-            return quick.rates(clock, states, np.atleast_2d(tail)[:, 1:])
+            added = np.tile(self._none, (len(states), 1))
+            return quick.rates(clock, np.hstack([states, added]), np.atleast_2d(tail)[:, 1:])[:, : self.size]
         s, free = tail[..., 1 : 1 + self.unfolding], tail[..., 1 + self.unfolding :]
         if len(states) == 1:
             moment = times if isinstance(times, float) else times[0]
@@ -255,8 +283,8 @@ class March:
         self, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray, units: np.ndarray, asked: np.ndarray
     ) -> np.ndarray:
         """Estimated error of each step `asked` for, relative to the size of the motion, measured in `units` (d)."""
-        start = self._begun(states[asked], tail[0] * mesh[asked] * self.forced)
-        errors = np.abs(self._errors(False, start, _parameters(mesh, tail)[asked]))
+        start = self._begun(states[asked], tail[0] * mesh[asked] * self.forced, self._none)
+        errors = np.abs(self._errors(False, start, _parameters(mesh, tail)[asked]))[:, : self.size]
         extent = np.abs(states).max(axis=0) / units
         return np.asarray((errors / (units * np.maximum(extent, extent.max() * 1e-2))).max(axis=1))
 
@@ -278,6 +306,11 @@ class March:
         if quick is not None:
             return quick.errors(starts, parameters)
         return self._lanes.evaluated(self._varied_error if varied else self._error, STAGES, starts, parameters)
+
+    @cached_property
+    def _none(self) -> np.ndarray:
+        """S where a segment begins that is marched without variations."""
+        return np.zeros(self._carried.size1_in(1) - self.size)
 
     @cached_property
     def _unit(self) -> np.ndarray:
@@ -306,6 +339,8 @@ class Gridded(March):
     This is a discretisation: what else follows a family asks no more of it, than `March` has and what is here.
     """
 
+    wide = False  # type: ignore[assignment]
+
     def fits(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> bool:
         """Whether a mesh is as fine as it should be, and where it should be, for an orbit of nodes (N x d)."""
         raise NotImplementedError
@@ -324,10 +359,6 @@ class Gridded(March):
         """`varied` with states for Newton's method; what is within segments may be changed once, not solved."""
         return self.varied(nodes, mesh, tail, states=True)
 
-    def integral(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> float:
-        """The integral over all segments."""
-        return self.varied(nodes, mesh, tail).integral
-
     def growth_errors(self, grown: np.ndarray) -> np.ndarray:
         """The relative error with which a segment lets errors grow exp(z) times, z being given (...); 0 where that is
         not known."""
@@ -340,6 +371,8 @@ class Marches:
     The mesh counts arcs and not time: arc k of K is from k / K to (k + 1) / K. States at the mesh are those that steps
     begin with.
     """
+
+    wide = False
 
     def __init__(self, arcs: Sequence[March]) -> None:
         self.arcs, first = tuple(arcs), arcs[0]
@@ -358,6 +391,10 @@ class Marches:
     def ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (N x d) at the ends of the segments from their nodes (N x d). Raises `IntegrationError`."""
         return np.vstack([arc.ends(own, part, tail) for arc, own, part in self._each(nodes, mesh)])
+
+    def integral(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> float:
+        """The integral over the horizon."""
+        return self.varied(nodes, mesh, tail).integral
 
     def states(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (M + 1 x d) at the mesh."""

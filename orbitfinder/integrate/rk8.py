@@ -194,6 +194,23 @@ def _with_columns(slopes: ca.Function, size: int, extra: int) -> ca.Function:
     return ca.Function("variations", [t, whole, s, free], [ca.vertcat(rate, ca.vec(moving), added)], NOT_INLINED)
 
 
+def directional_field(field: ca.Function, quadrature: ca.Function | None = None) -> ca.Function:
+    """`variational_field` by a directional derivative for each column: where df/dx is dense it takes long to derive."""
+    size, sizes = field.size1_in(1), [field.size1_in(k) for k in range(4)]
+    columns, inputs = size + sizes[2] + sizes[3], [ca.MX.sym(name, n) for name, n in zip("txsp", sizes, strict=True)]
+    end = size * (1 + columns)
+    whole = ca.MX.sym("whole", end + (0 if quadrature is None else quadrature.numel_out(0)))
+    inputs[1] = whole[:size]
+    rate, unit = field(*inputs), ca.DM.eye(columns)
+    seeds = [ca.MX(1, columns), ca.reshape(whole[size:end], size, columns), unit[size : size + sizes[2], :],
+             unit[size + sizes[2] :, :]]  # fmt: skip
+    given = [ca.repmat(part, 1, columns) for part in (*inputs, rate)]
+    moving = field.forward(1).map(columns)(*given, *seeds)
+    added = ca.MX(0, 1) if quadrature is None else quadrature(*inputs)
+    return ca.Function("variations", [inputs[0], whole, *inputs[2:]], [ca.vertcat(rate, ca.vec(moving), added)],
+                       NOT_INLINED)  # fmt: skip
+
+
 def step_of(field: ca.Function, error: bool = False) -> ca.Function:
     """`one_step` as it compiles best: a short field is written out in each stage, a long one called."""
     if not field.is_a("SXFunction"):

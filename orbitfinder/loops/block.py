@@ -175,7 +175,7 @@ def _suits(curve: Curve) -> bool:
 def _compiled(curve: Curve) -> Advance | None:
     """The compiled blocks of a curve, None where there are none."""
     p, march = curve.equations, curve.equations.march
-    if p.gridded or not (_suits(curve) and isinstance(march, March)):
+    if p.gridded or p.march.wide or not (_suits(curve) and isinstance(march, March)):
         return None
     return advance_of(march.field, march.integrand, p.stated(curve.conditions), EFFORT)
 

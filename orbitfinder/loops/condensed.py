@@ -26,8 +26,8 @@ from orbitfinder.mechanics.newton import Solver, least_squares
 LARGEST_PRODUCT = 1e8
 CUTOFF = 1e-13
 """Singular values below this, relative to the largest, are taken for 0 (brake orbits at rest have one)"""
-SMALL = 150
-"""Unknowns up to which a dense factorisation is the faster one"""
+SMALL, SPARSE = 150, 10
+"""Unknowns up to which a dense factorisation is the faster one, and so it is where one number in so many is not 0"""
 
 NO_PLACES = np.zeros(0, int)
 Inner = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -191,7 +191,7 @@ class Factors:
     def __init__(self, matrix: np.ndarray) -> None:
         if matrix.shape[0] != matrix.shape[1] or not np.all(np.isfinite(matrix)):
             raise np.linalg.LinAlgError("not square or not finite")
-        if len(matrix) > SMALL:
+        if len(matrix) > SMALL and SPARSE * np.count_nonzero(matrix) < matrix.size:
             try:
                 self._sparse = splu(csc_matrix(matrix))
             except RuntimeError as error:
@@ -216,12 +216,12 @@ class Broyden:
     """
 
     def __init__(self, factors: Factors) -> None:
-        self._factors = factors
+        self.factors = factors
         self._steps: list[np.ndarray] = []
 
     def step(self, rows: np.ndarray) -> np.ndarray:
         """The step from where the residual is `rows`; the steps before it must have been taken in full."""
-        right = -self._factors.solve(rows)
+        right = -self.factors.solve(rows)
         for step, following in pairwise(self._steps):
             right = right + following * ((step @ right) / (step @ step))
         if self._steps:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Self
 
 import numpy as np
@@ -213,21 +213,40 @@ def _all_rows(curve: Curve, w: Unknowns, ends: np.ndarray, aim: Condition, lost:
 
 
 def _approached(
-    curve: Curve, guess: Unknowns, aim: Condition, matrix: np.ndarray, measures: tuple[np.ndarray, np.ndarray]
-) -> Unknowns:
+    curve: Curve, guess: Unknowns, aim: Condition, matrix: np.ndarray, measures: tuple[np.ndarray, np.ndarray],
+    fit: Callable[[Solution], np.ndarray] | None,
+) -> Unknowns:  # fmt: skip
     """The guess improved by Broyden's method on marches of the state alone, in long steps, from a Jacobian of all rows.
 
     Stops where a step no longer helps. `measures` are what each row is measured in, and what it loses to round-off.
+    Where variations are dear it goes on in the steps of the guess's mesh, or of that which `fit` makes of it, until
+    Newton's method has to march them only once.
     """
     coarser = 2 if guess.steps % 2 == 0 and guess.mesh.size > CORRECTOR.fewest_steps else 1
-    w, best = guess.on(guess.mesh[::coarser]), np.inf
     cut = (len(guess.nodes) - 1) * curve.equations.size + len(curve.equations.boundary[0])
     matrix[cut : cut + len(curve.normals), : curve.normals.shape[1]] = curve.normals
-    kept, (units, lost) = guess, measures
     try:
         method = Broyden(Factors(matrix))
     except np.linalg.LinAlgError:
         return guess
+    kept, best = _stepped(curve, guess.on(guess.mesh[::coarser]), aim, method, measures, CORRECTOR.approached)
+    kept = kept.on(guess.mesh)
+    if not (curve.equations.march.wide and best < CORRECTOR.approached):
+        return kept
+    try:
+        if fit is not None:
+            states = curve.equations.march.states(kept.nodes, kept.mesh, kept.tail)
+            kept = kept.on(fit(Solution(kept, Varied(states[:0], NO_ROWS, NO_ROWS, states, 0.0), NO_ROWS, best)))
+        return _stepped(curve, kept, aim, Broyden(method.factors), measures, CORRECTOR.newton_ready)[0]
+    except IntegrationError:
+        return kept
+
+
+def _stepped(
+    curve: Curve, w: Unknowns, aim: Condition, method: Broyden, measures: tuple[np.ndarray, np.ndarray], enough: float
+) -> tuple[Unknowns, float]:
+    """The best of Broyden's steps on one mesh and its residual, by rows of which `enough` is wanted."""
+    kept, best, (units, lost) = w, np.inf, measures
     for _ in range(CORRECTOR.most_newton):
         try:
             rows = _all_rows(curve, w, curve.equations.ends(w), aim, lost)
@@ -237,10 +256,10 @@ def _approached(
         if not largest < 0.5 * best:
             break
         kept, best = w, largest
-        if largest < CORRECTOR.approached:
+        if largest < enough:
             break
         w = w.moved(method.step(rows))
-    return kept.on(guess.mesh)
+    return kept, best
 
 
 def correct(
@@ -319,7 +338,8 @@ def _correcting(
     w, previous, units, lost = guess, np.inf, _measures(curve, guess, slopes).rows, curve.lost(guess, (aim,), slopes)
     border, patience = (None, 2) if curve.test is None else (Border(curve, slope), 5)
     if slope is not None and border is None:
-        w = _approached(curve, guess, aim, np.vstack([slope, slopes[-1]]), (units, lost))
+        better = None if fit is None else partial(fit, family)
+        w = _approached(curve, guess, aim, np.vstack([slope, slopes[-1]]), (units, lost), better)
     for iteration in range(CORRECTOR.most_newton):
         path = yield w
         rows, jacobian = _all_rows(curve, w, path.ends, aim, lost), jacobian_of(curve, w, path)

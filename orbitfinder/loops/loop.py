@@ -34,7 +34,7 @@ from orbitfinder.integrate.march import Gridded, March, Marches, Varied
 from orbitfinder.loops.condensed import Inner, Linearised
 from orbitfinder.loops.symmetry import Symmetry, moved, symplectic
 from orbitfinder.mechanics.hybrid import Transition, freed, share
-from orbitfinder.mechanics.model import Model, vector_field
+from orbitfinder.mechanics.model import Model, field_apart, vector_field
 from orbitfinder.records.orbit import SHARE
 
 _marches = Kept[March](16)
@@ -195,10 +195,13 @@ class Equations:
         return _marches((key, mode()), lambda: self._derived(model, arc))
 
     def _derived(self, model: Model, arc: int | None) -> March:
-        flow = vector_field(model, self.free, self.symmetry.unfolded(model))
+        unfolded = self.symmetry.unfolded(model)
+        flow = vector_field(model, self.free, unfolded)
         rate = _action_rate(model, flow, self.free) if self.action else None
         if arc is not None:
             flow, rate = self._paced(flow, arc), None if rate is None else self._paced(rate, arc)
+        elif self.by is March:
+            return March(flow, model.forced, rate, self.alone, apart=field_apart(model, self.free, unfolded))
         return self.by(flow, model.forced, rate, self.alone)
 
     def _paced(self, function: ca.Function, arc: int) -> ca.Function:

@@ -167,6 +167,8 @@ def _first_order(model: Model, free: tuple[str, ...]) -> Canonical:
 def _variational(t: Any, y: Any, rate: Any, action: Any, given: list[Any]) -> ca.Function:
     """z' for z = (y, vec Y, S) from y'(t, y) and S'(t, y)."""
     size, scalar = y.numel(), isinstance(y, ca.SX)
+    if size > 2 * UNROLLED_FACTORISATION_LIMIT:
+        return _directional(t, y, rate, action, given)
     columns = type(y).sym("Y", size, size)
     # in scalars the Jacobian times Y has two thirds of the operations of one directional derivative a column
     slopes = ca.jacobian(rate, y) @ columns if scalar else ca.jtimes(rate, y, columns)
@@ -178,3 +180,16 @@ def _variational(t: Any, y: Any, rate: Any, action: Any, given: list[Any]) -> ca
         inner = ca.Function("inner", [t, y, columns, *given], [variation])
         variation = inner(t, inputs[:size], ca.reshape(inputs[size:-1], size, size), *given)
     return ca.Function("canonical_variational", [t, inputs, *given], [variation])
+
+
+def _directional(t: Any, y: Any, rate: Any, action: Any, given: list[Any]) -> ca.Function:
+    """The same by a directional derivative for each column."""
+    size, parts = y.numel(), ca.Function("parts", [t, y, *given], [rate, action])
+    clock, *numbers = (ca.MX.sym("p", part.numel()) for part in (t, *given))
+    z = ca.MX.sym("z", size + size**2 + 1)
+    inputs = [clock, z[:size], *numbers]
+    now, added = parts(*inputs)
+    seeds = [ca.MX(1, size), ca.reshape(z[size:-1], size, size), *(ca.MX(part.numel(), size) for part in numbers)]
+    forward = ca.Function("rate", [t, y, *given], [rate]).forward(1).map(size)
+    moving = forward(*(ca.repmat(part, 1, size) for part in (*inputs, now)), *seeds)
+    return ca.Function("canonical_variational", [clock, z, *numbers], [ca.vertcat(now, ca.vec(moving), added)])

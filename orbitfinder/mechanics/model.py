@@ -115,6 +115,8 @@ class Dynamics:
         rates: of a first-order system x' = rates(t, x, p): q is then its whole state, v and a are empty.
         hamiltonian: whether the rates are Hamilton's, q being (coordinates, momenta), half each.
         forcing_period: (p) -> s, the period of an explicit dependence on time.
+        apart: the acceleration again, with its derivatives by q and v, as (t, q, v, p, q0, v0, a0) at q0 = q, v0 = v
+            and a0 = a held: M(q0)^-1 of forces that balance a0, say, where M^-1 is many operations on q.
     """
 
     state_names: tuple[str, ...]
@@ -124,6 +126,7 @@ class Dynamics:
     rates: ca.Function | None = None
     hamiltonian: bool = False
     forcing_period: ca.Function | None = None
+    apart: ca.Function | None = None
 
 
 @dataclass(frozen=True)
@@ -265,6 +268,7 @@ class Model(Shown):
     rates = Of[ca.Function | None]("dynamics")
     hamiltonian = Of[bool]("dynamics")
     forcing_period = Of[ca.Function | None]("dynamics")
+    apart = Of[ca.Function | None]("dynamics")
     kinetic = Of[ca.Function]("mechanics")
     potential = Of[ca.Function]("mechanics")
     forces = Of[ca.Function | None]("mechanics")
@@ -427,6 +431,20 @@ def vector_field(model: Model, free: Sequence[str] = (), unfolded: Sequence[Inva
     for k, invariant in enumerate(unfolded):
         last += s[k] * invariant.unfolding(x[:n], x[n:], parameters)
     return ca.Function("field", [t, x, s, chosen], [last if model.rates is not None else ca.vertcat(x[n:], last)])
+
+
+def field_apart(model: Model, free: Sequence[str] = (), unfolded: Sequence[Invariant] = ()) -> ca.Function | None:
+    """`vector_field` by what stands `apart`, as a function of (t, x, s, free, x0, rate0); None where nothing does."""
+    if model.apart is None or not model.apart.is_a("SXFunction"):
+        return None
+    n, (t, s, chosen) = model.degrees_of_freedom, map(ca.SX.sym, ("t", "s", "free"), (1, len(unfolded), len(free)))
+    x, here, rate = (ca.SX.sym(name, 2 * n) for name in ("x", "x0", "rate0"))
+    parameters, held, added = model.parameters(free, chosen), rate[n:], ca.SX(n, 1)
+    for k, invariant in enumerate(unfolded):
+        added += s[k] * invariant.unfolding(x[:n], x[n:], parameters)
+        held -= s[k] * invariant.unfolding(here[:n], here[n:], parameters)
+    last = added + model.apart(t, x[:n], x[n:], parameters, here[:n], here[n:], held)
+    return ca.Function("apart", [t, x, s, chosen, here, rate], [ca.densify(ca.vertcat(x[n:], last))])
 
 
 def check_state(model: Model, state: Any) -> np.ndarray:

@@ -8,7 +8,7 @@ product r x f = r_x f_y - r_y f_x is positive from e to n.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
@@ -204,7 +204,19 @@ def chain_model(symbols: ChainSymbols, system: dict[str, Any], acceleration: ca.
         centres=ca.Function("centres", [q, p], [centres]),
         controls=symbols.controls,
         limits=symbols.limits,
+        apart=chain_apart(symbols),
     )
+
+
+def chain_apart(symbols: ChainSymbols) -> ca.Function:
+    """The accelerations as those by which torques at other angles, q0, move what balances others, a0 (see `Dynamics`).
+
+    da = -M^-1 dr at r(q, v, a) = 0, M^-1 being that of the recursion: some 32 numbers a link stand for da/d(q, v).
+    """
+    held = [ca.SX.sym(name, len(symbols.links)) for name in ("q0", "v0", "a0")]
+    torques = tuple(-torque for torque in unbalanced(symbols, held[2]))
+    there = replace(symbols, coordinates=held[0], velocities=held[1], torques=torques)
+    return ca.Function("apart", [*symbols.arguments, *held], [recursive_acceleration(there)[0]])
 
 
 @dataclass(frozen=True)
@@ -508,17 +520,26 @@ def outboard_balances(symbols: ChainSymbols, alpha: ca.SX) -> ca.SX:
     sum_{i>=j} [ I_i alpha_i + r_{Gi/Oj} x m_i (a_Gi - g e_x) ] = 0, summed from the tip: what the
     links beyond O_j+1 contribute about O_j is their sum about O_j+1 plus r_{Oj+1/Oj} x their force.
     """
-    inertial = inertial_forces(symbols, alpha)
-    outboard_moment, outboard_force = ca.SX(0), ca.SX.zeros(2)
-    balances: list[ca.SX] = []
-    for j in reversed(range(len(symbols.links))):
-        link = symbols.links[j]
-        along, _ = directions(symbols.coordinates[j])
-        own = link.inertia * alpha[j] + cross(link.offset * along, inertial[j]) - symbols.torque(j)
-        outboard_moment = outboard_moment + cross(link.length * along, outboard_force) + own
-        outboard_force = outboard_force + inertial[j]
-        balances.insert(0, outboard_moment)
+    moment, balances = ca.SX(0), list[ca.SX]()
+    for own in reversed(unbalanced(symbols, alpha)):
+        moment += own
+        balances.insert(0, moment)
     return ca.vertcat(*balances)
+
+
+def unbalanced(symbols: ChainSymbols, alpha: ca.SX) -> list[ca.SX]:
+    """The moments (N m each) about its upper joint that a link's accelerations ask for beyond those that act on it,
+
+    I_j alpha_j + r_{Gj/Oj} x m_j (a_Gj - g e_x) + r_{Oj+1/Oj} x the forces on what hangs below.
+    """
+    inertial = inertial_forces(symbols, alpha)
+    force, moments = ca.SX.zeros(2), list[ca.SX]()
+    for j in reversed(range(len(symbols.links))):
+        link, (along, _) = symbols.links[j], directions(symbols.coordinates[j])
+        own = link.inertia * alpha[j] + cross(link.offset * along, inertial[j]) - symbols.torque(j)
+        moments.insert(0, own + cross(link.length * along, force))
+        force = force + inertial[j]
+    return moments
 
 
 def inertial_forces(symbols: ChainSymbols, alpha: ca.SX) -> list[ca.SX]:

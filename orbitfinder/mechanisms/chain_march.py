@@ -1,9 +1,8 @@
 """The motion of a long chain as a March: its states by the recursion, its variations in closed form.
 
-The state is marched by CasADi on the O(n) accelerations of the Model. The variations of all columns are a
-product of dense matrices at each stage, which in the closed form costs a third of what n directional
-derivatives of the recursion cost when compiled, and a twelfth of what they cost interpreted (100 links: 0.3,
-1.0 and 3.8 ms). Both march with the eighth-order coefficients of `rk8`.
+The state is marched by CasADi on the O(n) accelerations of the Model. Variations march in lanes, O(n) a column; without
+a compiler they are a product of dense matrices at each stage, which in the closed form costs a twelfth of what n
+directional derivatives of the recursion cost interpreted. Both march with the eighth-order coefficients of `rk8`.
 """
 
 from __future__ import annotations
@@ -16,9 +15,10 @@ from scipy.integrate import DOP853
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import IntegrationError
+from orbitfinder.integrate.lanes.kernel import Kernel
 from orbitfinder.integrate.march import March, Varied, divided
 from orbitfinder.integrate.rk8 import AGREEMENT, one_step, refined
-from orbitfinder.mechanics.model import Model, vector_field
+from orbitfinder.mechanics.model import Model, field_apart, vector_field
 from orbitfinder.mechanisms.chain_lagrange import ChainLagrange, chain_lagrange
 
 CHUNK = 8
@@ -34,13 +34,17 @@ class ClosedChain(March):
     """
 
     def __init__(self, model: Model, held: np.ndarray) -> None:
-        super().__init__(vector_field(model))
+        super().__init__(vector_field(model), apart=field_apart(model))
         self.model, self.kept = model, np.flatnonzero(~held)
 
     @cached_property
     def closed(self) -> ChainLagrange:
         """The closed form, from the Model's energies."""
         return chain_lagrange(self.model)
+
+    def _kernel(self, varied: bool, segments: int = 0) -> Kernel | None:
+        """That of variations alone: states are marched in no time."""
+        return super()._kernel(varied, segments) if varied else None
 
     @cached_property
     def _chunk(self) -> ca.Function:
@@ -111,6 +115,11 @@ class ClosedChain(March):
         Raises `IntegrationError` when the result is not finite.
         """
         z = np.concatenate([state, np.ravel(directions, "F")])
+        if (quick := self._kernel(True, 1)) is not None:
+            start = np.zeros((1, 1 + self.size * (1 + self.columns)))
+            start[0, 1 : 1 + z.size] = z
+            z = quick.marched(start, steps[:, None])[0][0, 1 : 1 + z.size]
+            return self._finite(state, z).reshape(directions.shape, order="F")
         slopes = np.empty((len(DOP853.A), z.size))
         with np.errstate(over="ignore", invalid="ignore"):
             for h in steps:
@@ -118,9 +127,13 @@ class ClosedChain(March):
                 for k, row in enumerate(DOP853.A[1:], start=1):
                     slopes[k] = self.closed.variational(0.0, z + h * (row[:k] @ slopes[:k]))
                 z = z + h * (DOP853.B @ slopes)
+        return self._finite(state, z).reshape(directions.shape, order="F")
+
+    def _finite(self, state: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """The variations of a state and its variations."""
         if not np.all(np.isfinite(z)):
             raise IntegrationError("the variations are not finite", time=0.0, state=np.asarray(state))
-        return z[state.size :].reshape(directions.shape, order="F")
+        return z[state.size :]
 
     def disagreement(self, states: np.ndarray) -> float:
         """Largest relative difference at states (k x 2n) between closed form and recursion, its derivative taken by AD.

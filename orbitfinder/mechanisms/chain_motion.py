@@ -19,7 +19,7 @@ from orbitfinder.mechanisms.chain_lagrange import ChainLagrange, chain_lagrange,
 from orbitfinder.orbits.evidence import SAMPLES, Motion, canonical_frame, drifting, evenly, units_of
 
 PIECES_OF_HALF = 4
-"""State-transition matrices in half a period, where each start costs a few short steps with all columns"""
+"""State-transition matrices in half a period, where each start costs a few short steps with all columns; even"""
 LONGEST_PHASE = 0.15
 """Radians of the fastest linear mode in a step: at 20 links the rates close to 2e-13, with 800 steps a period to
 8e-13."""
@@ -39,7 +39,8 @@ def chain_motion(
 
     The motion is integrated at `settings`, its variations (2n columns) at the second tolerance, which
     keeps eight digits of the multipliers and saves half the steps. Where the motion found here is at -x(0)
-    after half a period, the equations take the second half from the first: Phi(T) = Phi(T/2)^2.
+    after half a period, the equations take the second half from the first: Phi(T) = Phi(T/2)^2. Where it also begins
+    at rest, x(T/2 - t) = (-q, v)(t) is a motion run backwards, and they take the half from a quarter.
     """
     closed, n = chain_lagrange(model), turns.size
     masses = np.diag(closed.coupling)
@@ -48,7 +49,12 @@ def chain_motion(
     states = integrate_in(units, closed.field, state, moments, settings, longest, traces := list[Trace]())
     even = states[np.searchsorted(moments, evenly(period))]
     reflected = np.abs((even[SAMPLES // 2] + state) / units).max() <= REFLECTED
-    pieces = _chain_pieces(closed, state, period / 2 if reflected else period, units)
+    still = reflected and np.abs(state[n:] / units[n:]).max() <= REFLECTED
+    count = PIECES_OF_HALF // 2 if still else PIECES_OF_HALF
+    pieces = _chain_pieces(closed, state, period / (4 if still else 2 if reflected else 1), units, count)
+    if still:
+        back = np.repeat([-1.0, 1.0], n)
+        pieces += [back[:, None] * np.linalg.inv(piece) * back for piece in reversed(pieces)]
     lift = closed.momentum_frame(state)
     flow = lift @ closed.field(0.0, state)
     return Motion(
@@ -59,16 +65,18 @@ def chain_motion(
     )  # fmt: skip
 
 
-def _chain_pieces(closed: ChainLagrange, state: np.ndarray, duration: float, units: np.ndarray) -> list[np.ndarray]:
+def _chain_pieces(
+    closed: ChainLagrange, state: np.ndarray, duration: float, units: np.ndarray, count: int
+) -> list[np.ndarray]:
     """Phi of equal pieces (2n x 2n) in the canonical coordinates of `momentum_frame`, from the linear modes' shapes.
 
     The frames at the two ends of a piece differ; at -x it is that at x, since every entry is even in (q, v) together.
     """
     modes, found, now = np.kron(np.eye(2), closed.modes), [], state
     measures = np.concatenate([units, np.ones(modes.size)])
-    for k in range(PIECES_OF_HALF):
+    for k in range(count):
         extended = np.concatenate([now, modes.ravel("F")])
-        span = duration * np.array([k, k + 1]) / PIECES_OF_HALF
+        span = duration * np.array([k, k + 1]) / count
         end = integrate_in(measures, closed.variational, extended, span, SECOND)[-1]
         before, now = now, end[: state.size]
         found.append(closed.carried(before, now, end[state.size :].reshape(modes.shape, order="F")))

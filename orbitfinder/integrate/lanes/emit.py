@@ -10,6 +10,7 @@ import numpy as np
 from scipy.integrate import DOP853
 
 from orbitfinder.integrate.compiled import Unavailable
+from orbitfinder.integrate.lanes.factors import SparseSlopes
 
 BINARY = {
     ca.OP_ADD: "{} + {}", ca.OP_SUB: "{} - {}", ca.OP_MUL: "{} * {}", ca.OP_DIV: "{} / {}",
@@ -87,34 +88,26 @@ def _number(value: float) -> str:
     return float(value).hex()
 
 
-def field_code(field: ca.Function) -> str:
-    """What `march.c` needs of y' = f(t, y, s, free), of one output or with those of `rk8.slopes_of`."""
-    field = scalars(field)
+def field_code(given: ca.Function | SparseSlopes) -> str:
+    """What `march.c` needs of y' = f(t, y, s, free), alone or with df/dx."""
+    field = scalars(given) if isinstance(given, ca.Function) else given.function
     state, unfolding, free = (field.size1_in(k) for k in (1, 2, 3))
     sizes = {"STATE": state, "OWN": state, "UNFOLDING": unfolding, "FREE": free}
-    given = "const V *s, const V *freed"
-    if field.n_out() == 1:
+    numbers = "const V *s, const V *freed"
+    if isinstance(given, ca.Function):
         called = "rates(&t, y, s, freed, k[{}]);"
-        return _heads(sizes) + emitted(field, "rates") + _stages("states", "V", given, "OWN", called)
-    field = _packed(field)
-    rows = field.sparsity_out(1)  # transposed: CasADi's columns are rows of df/dx
-    sizes |= {"OWN": field.numel_out(0), "COLUMNS": state + unfolding + free, "SLOPES": max(1, rows.nnz())}
+        return _heads(sizes) + emitted(field, "rates") + _stages("states", "V", numbers, "OWN", called)
+    sizes |= {"OWN": field.numel_out(0), "COLUMNS": state + unfolding + free, "SLOPES": max(1, len(given.columns))}
+    sizes["INNER"] = given.inner
     tables = "".join(f"static const int {name}[] = {{{', '.join(map(str, values))}}};\n"
-                     for name, values in (("BEGIN", rows.colind()), ("COLUMN", rows.row())))  # fmt: skip
+                     for name, values in (("BEGIN", given.begins), ("COLUMN", given.columns)))  # fmt: skip
     more = "V (*slope)[SLOPES], V (*forcing)[FORCING]"
     called = "rates(&t, y, s, freed, k[{0}], slope[{0}], forcing[{0}]);"
     return "".join([
         _heads(sizes), tables, emitted(field, "rates"),
-        _stages("states", "V", f"{given}, {more}", "OWN", called),
+        _stages("states", "V", f"{numbers}, {more}", "OWN", called),
         _stages("columns", "W", f"{more}, int first", "BLOCK", "product(k[{0}], slope[{0}], forcing[{0}], y, first);"),
     ])  # fmt: skip
-
-
-def _packed(slopes: ca.Function) -> ca.Function:
-    """(f, added), df/dx transposed without its zeros, and the forcing."""
-    inputs = slopes.sx_in()
-    rate, matrix, forcing, added = slopes.call(inputs)
-    return ca.Function(slopes.name(), inputs, [ca.vertcat(rate, added), matrix.T, ca.densify(forcing)])
 
 
 def _heads(sizes: dict[str, int]) -> str:

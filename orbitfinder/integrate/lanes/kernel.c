@@ -109,10 +109,13 @@ ESTIMATE(V)
    segments, or of one segment's eight columns. COLUMN_OF and NUMBER are the numbers of one column. */
 #if LANES == 1
 typedef double W __attribute__((vector_size(64)));
-#define TOGETHER 1
-#define BESIDE 8
+#ifndef ABREAST
+#define ABREAST 1
+#endif
+#define TOGETHER ABREAST
+#define BESIDE (8 * TOGETHER)
 #define SPREAD(v) ((v)[0] + (W){0.0})
-#define COLUMN_OF(w, i, c) (w)[i][c]
+#define COLUMN_OF(w, i, c) (w)[(i) * TOGETHER + (c) / 8][(c) % 8]
 #define NUMBER(v) (v)[0]
 ESTIMATE(W)
 #else
@@ -126,4 +129,4 @@ typedef V W;
 #endif
 #define BLOCK (STATE * TOGETHER)
 #define FORCING (1 + STATE * (COLUMNS - STATE))
-static void product(W *rate, const V *slope, const V *forcing, const W *y, int first);
+static void product(W *rate, const V *slope, const V *forcing, W *y, int first);

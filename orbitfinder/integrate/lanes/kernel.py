@@ -24,11 +24,14 @@ from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder._runtime.sizes import LEAST
 from orbitfinder.integrate.compiled import LIMITS, Unavailable, attempted, library, mode, worth_it
 from orbitfinder.integrate.lanes.emit import field_code, scalars
-from orbitfinder.integrate.rk8 import slopes_of, step_of, variational_field
+from orbitfinder.integrate.lanes.factors import SparseSlopes, sparse_slopes
+from orbitfinder.integrate.rk8 import directional_field, step_of, variational_field
 
 REMEMBERED = 32
 UNROLLED = 12
 """States up to which df/dx times the columns is written out"""
+WIDE = 400
+"""Numbers of a state and its variations from which on columns fill the registers, and segments march in turn"""
 SHORT = 1e-2
 """Of a step that is compared with the interpreter's"""
 LEVEL = "-O2"
@@ -43,10 +46,11 @@ class Kernel:
     """Marches of y' = f(t, y, s, free) by C `code`, `known` being the same in CasADi. Raises `Unavailable`.
 
     A single segment is marched by code of one lane, in half the time of a register of eight; its bits are the same.
+    With many columns, which fill the registers, so is each: `wide`.
     """
 
-    def __init__(self, code: str, known: ca.Function, alone: bool) -> None:
-        self._code, self._known = code, known
+    def __init__(self, code: str, known: ca.Function, alone: bool, wide: bool = False) -> None:
+        self._code, self._known, self._wide = code, known, wide
         self._libraries = {alone: self._made(alone)}
 
     def marched(
@@ -97,6 +101,7 @@ class Kernel:
 
     def _library(self, alone: bool) -> ctypes.CDLL:
         """That of one lane or of many; where it cannot be made the other serves."""
+        alone = alone or self._wide
         if alone not in self._libraries:
             made = attempted(self._known.name(), lambda: self._made(alone))
             self._libraries[alone] = made or self._libraries[not alone]
@@ -128,26 +133,33 @@ def kernel(field: ca.Function, effort: float | None, alone: bool = False) -> Ker
 
 
 def varied_kernel(
-    field: ca.Function, integrand: ca.Function | None, effort: float | None, alone: bool = False
-) -> Kernel | None:
-    """That of a field of x with its variations and an integral, as `rk8.variational_field` makes it."""
-    return _kept(effort, lambda: varied_forms(field, integrand), alone, Same(field), Same(integrand))
+    field: ca.Function, integrand: ca.Function | None, effort: float | None, alone: bool = False,
+    apart: ca.Function | None = None,
+) -> Kernel | None:  # fmt: skip
+    """That of a field of x with its variations and an integral, as `rk8.variational_field` makes it; `apart` is the
+    field as `factors.sparse_slopes` takes it."""
+    return _kept(effort, lambda: varied_forms(field, integrand, apart), alone, Same(field), Same(integrand))
 
 
-def varied_forms(field: ca.Function, integrand: ca.Function | None) -> tuple[ca.Function, ca.Function]:
+def varied_forms(
+    field: ca.Function, integrand: ca.Function | None, apart: ca.Function | None = None
+) -> tuple[ca.Function | SparseSlopes, ca.Function]:
     """A field with its variations as it is emitted, and as one function."""
     flat = scalars(field)
-    whole = variational_field(flat, integrand)
-    return whole if flat.size1_in(1) <= UNROLLED else slopes_of(flat, integrand), whole
+    if flat.size1_in(1) <= UNROLLED:
+        whole = variational_field(flat, integrand)
+        return whole, whole
+    return sparse_slopes(flat, integrand, apart), directional_field(flat, integrand)
 
 
-def march_code(emitted: ca.Function) -> str:
+def march_code(emitted: ca.Function | SparseSlopes) -> str:
     """The C of a march of what is emitted."""
-    return f"#define LEAST {LEAST!r}\n" + field_code(emitted).join((source("kernel.c"), source("march.c")))
+    heads = f"#define LEAST {LEAST!r}\n" + "#define ABREAST 2\n" * isinstance(emitted, SparseSlopes)
+    return heads + field_code(emitted).join((source("kernel.c"), source("march.c")))
 
 
 def _kept(
-    effort: float | None, forms: Callable[[], tuple[ca.Function, ca.Function]], alone: bool, *key: Same
+    effort: float | None, forms: Callable[[], tuple[ca.Function | SparseSlopes, ca.Function]], alone: bool, *key: Same
 ) -> Kernel | None:
     """The kernel of what is to be emitted and is known. Whether it is worth compiling does not depend on the cache."""
 
@@ -155,7 +167,8 @@ def _kept(
         emitted, known = forms()
         code = march_code(emitted)
         worth_it(len(code), effort)
-        return Kernel(code, known, alone)
+        wide = isinstance(emitted, SparseSlopes) and known.size1_in(1) >= WIDE
+        return Kernel(code, known, alone or wide, wide)
 
     if mode() == "off":
         return None

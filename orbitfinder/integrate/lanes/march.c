@@ -5,7 +5,7 @@
 #define STAGES 13
 #ifdef COLUMNS
 #define ROWS (1 + OWN + STATE * COLUMNS)
-#define ROOM (STAGES * (OWN + SLOPES + FORCING) + OWN + BLOCK * (STAGES + 3) * (sizeof(W) / sizeof(V)))
+#define ROOM (STAGES * (OWN + SLOPES + FORCING) + OWN + (BLOCK * (STAGES + 3) + INNER * TOGETHER) * (sizeof(W) / sizeof(V)))
 #else
 #define ROWS (1 + OWN)
 #define ROOM ((STAGES + 1) * OWN)
@@ -13,14 +13,20 @@
 #define GIVEN (1 + UNFOLDING + FREE)
 
 #ifdef COLUMNS
-/* rate = df/dx y + forcing for TOGETHER vectors of columns that stand side by side, from column `first` on. */
-static void product(W *rate, const V *slope, const V *forcing, const W *y, int first) {
-  for (int i = 0; i < STATE; i++) {
+/* rate = df/dx y + forcing for TOGETHER vectors of columns that stand side by side, from column `first` on; behind y
+   there is room for what the factors of df/dx make of it (see `factors.py`). */
+static void product(W *rate, const V *slope, const V *forcing, W *y, int first) {
+  for (int r = 0; r < INNER + STATE; r++) {
+    const int i = r - INNER;
     W sum[TOGETHER] = {{0.0}};
-    for (int k = BEGIN[i]; k < BEGIN[i + 1]; k++) {
+    for (int k = BEGIN[r]; k < BEGIN[r + 1]; k++) {
       const W slant = SPREAD(slope[k]), *row = y + COLUMN[k] * TOGETHER;
 #pragma GCC unroll 4
       for (int j = 0; j < TOGETHER; j++) sum[j] += slant * row[j];
+    }
+    if (i < 0) {
+      for (int j = 0; j < TOGETHER; j++) y[(STATE + r) * TOGETHER + j] = sum[j];
+      continue;
     }
     for (int c = first < STATE ? STATE : first; c < first + BESIDE && c < COLUMNS; c++)
       COLUMN_OF(sum, 0, c - first) += NUMBER(forcing[(c - STATE) * STATE + i]);
@@ -33,7 +39,7 @@ static void product(W *rate, const V *slope, const V *forcing, const W *y, int f
 static void step(V *z, const V *p, V *work, V *error) {
   const V h = p[0], *s = p + 1, *freed = s + UNFOLDING;
 #ifdef COLUMNS
-  W *base = (W *)work, *y = base + BLOCK, *wrong = y + BLOCK, (*d)[BLOCK] = (W (*)[BLOCK])(wrong + BLOCK);
+  W *base = (W *)work, *y = base + BLOCK, *wrong = y + BLOCK + INNER * TOGETHER, (*d)[BLOCK] = (W (*)[BLOCK])(wrong + BLOCK);
   V (*slope)[SLOPES] = (V (*)[SLOPES])(d + STAGES), (*forcing)[FORCING] = (V (*)[FORCING])(slope + STAGES);
   V (*k)[OWN] = (V (*)[OWN])(forcing + STAGES);
   states(z + 1, h, z[0], k[STAGES], k, error, s, freed, slope, forcing);
