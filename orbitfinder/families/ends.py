@@ -203,9 +203,10 @@ def _turned_over(curve: Curve, before: Solution, solution: Solution) -> bool:
     """Whether an orbit is the one before half a period later, as behind an equilibrium."""
     first, other = (sampled(curve, each)[:-1] for each in (before, solution))
     extents = np.ptp(first, axis=0)
-    extents = np.where(extents > 0.0, extents, np.inf)  # what does not move says nothing
-    first, other = ((each - each.mean(axis=0)) / extents for each in (first, other))
-    return bool(np.sum(first * other) < SHRINKING.turned * np.linalg.norm(first) * np.linalg.norm(other))
+    weights = np.where(extents > 0.0, extents, np.inf) ** -2.0  # what does not move says nothing
+    first, other = (each - each.mean(axis=0) for each in (first, other))
+    alike, here, there = ((a * b).sum(axis=0) @ weights for a, b in ((first, other), (first, first), (other, other)))
+    return bool(alike < SHRINKING.turned * np.sqrt(here * there))
 
 
 def _shrinking(curve: Curve, before: Solution, solution: Solution) -> bool:

@@ -88,9 +88,10 @@ def _linked_samples(curve: Curve, solution: Solution, count: int) -> tuple[np.nd
 
 def watched(curve: Curve, solution: Solution) -> dict[str, float]:
     """The watched numbers of an orbit, kept with it. Raises `ConvergenceError` where one is not finite."""
-    if curve.watch and not curve.watch.keys() <= solution.kept.keys():
-        solution.kept.update(numbers(curve.watch, *_motion(curve, solution), parameters_at(curve, solution.place)))
-    return {name: solution.kept[name] for name in curve.watch}
+    known: dict[str, float] = solution.kept.setdefault("watched", {})  # apart from what else is kept, of any name
+    if not curve.watch.keys() <= known.keys():
+        known.update(numbers(curve.watch, *_motion(curve, solution), parameters_at(curve, solution.place)))
+    return {name: known[name] for name in curve.watch}
 
 
 def rises(curve: Curve, solution: Solution, whole: np.ndarray) -> dict[str, float]:

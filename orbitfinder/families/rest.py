@@ -147,7 +147,7 @@ class _Extended:
 
     def _kept(self, z: np.ndarray) -> np.ndarray:
         if not self.held.size:
-            return self.held
+            return np.zeros(0)
         return np.asarray(self.curve.values(self.at(z), self.curve.conditions) / self.held)
 
     def linearised(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -348,7 +348,7 @@ def portrait(curve: Curve, solution: Solution) -> np.ndarray:
 
     The last two (d each) are good to the fourth order of the mesh.
     """
-    p, place = curve.equations, solution.place
+    place = solution.place
     times = place.mesh / place.mesh[-1]
     lengths, rates = np.diff(times), rates_along(curve, solution)
 

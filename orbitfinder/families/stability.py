@@ -68,12 +68,12 @@ class Spectrum:
     @cached_property
     def ranked(self) -> np.ndarray:
         """The same, the largest modulus first."""
-        return self.multipliers[np.argsort(-np.abs(self.multipliers), kind="stable")]
+        return np.asarray(self.multipliers[np.argsort(-np.abs(self.multipliers), kind="stable")])
 
     @cached_property
     def growths(self) -> np.ndarray:
         """The logarithms of their moduli."""
-        return np.log(nonzero(np.abs(self.ranked)))
+        return np.asarray(np.log(nonzero(np.abs(self.ranked))))
 
     @cached_property
     def root_errors(self) -> np.ndarray:

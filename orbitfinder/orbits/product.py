@@ -54,6 +54,12 @@ class Product:
         """(eigenvalues, eigenvectors) of each diagonal block's product."""
         found = []
         for low, high in pairwise(self.cuts):
+            if high - low == 1:
+                alone = self.upper[:, low, low]
+                with np.errstate(over="ignore", divide="ignore"):
+                    value = np.prod(np.sign(alone)) * np.exp(np.log(np.abs(alone)).sum())
+                found.append((np.array([value]), np.ones((1, 1), complex)))
+                continue
             total, size = np.eye(high - low), 0.0
             for one in self.upper[:, low:high, low:high]:
                 total = one @ total
@@ -93,7 +99,7 @@ class Product:
         for k in range(count):
             found[k] = self.frames[k] @ whole[k] @ inner
             inner = blocks[k] @ inner
-            grown[k] = np.linalg.norm(inner, axis=0)
+            grown[k] = np.sqrt((inner.conj() * inner).real.sum(axis=0))
             inner = inner / grown[k]
         lengths = np.linalg.norm(found, axis=1)
         return found / lengths[:, None], grown * np.roll(lengths, -1, axis=0) / lengths
