@@ -30,8 +30,10 @@ def full_samples(curve: Curve, solution: Solution, count: int = SAMPLES) -> tupl
     if p.links:
         return _linked_samples(curve, solution, count)
     if march := p.gridded:
-        shares = np.linspace(0.0, 1.0, count + 1)
-        return shares * place.period, march.sampled(place.nodes, place.mesh, place.tail, shares)
+        shares, key = np.linspace(0.0, 1.0, count + 1), f"samples, {count}"
+        if key not in solution.kept:  # asked for of every point and of the one after it
+            solution.kept[key] = march.sampled(place.nodes, place.mesh, place.tail, shares)
+        return shares * place.period, solution.kept[key].copy()
     times = np.linspace(0.0, place.period, count + 1)
     return times, whole_motion(curve, solution, count)(times)
 

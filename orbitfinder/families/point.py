@@ -11,6 +11,7 @@ import numpy as np
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.motion import watched
 from orbitfinder.families.stability import Spectrum, spectrum, transitions
+from orbitfinder.integrate.collocation import Collocation
 from orbitfinder.loops.conditions import measured
 from orbitfinder.loops.continued import CORRECTOR, Curve, Solution
 from orbitfinder.loops.loop import Unknowns
@@ -144,11 +145,10 @@ def make_point(
 def action_at(curve: Curve, solution: Solution) -> float:
     """The action over the horizon (J s) of the place after Newton's last step, which may have changed the energy: by
     dE, and so the action by T dE."""
-    return (
-        solution.march.integral
-        if solution.stepped < CORRECTOR.unmoved
-        else curve.equations.varied(solution.place).integral
-    )
+    march, w = curve.equations.march, solution.place
+    if isinstance(march, Collocation):
+        return march.integral(w.nodes, w.mesh, w.tail)
+    return solution.march.integral if solution.stepped < CORRECTOR.unmoved else curve.equations.varied(w).integral
 
 
 def checked_pieces(curve: Curve, solution: Solution, check: ClosureCheck, free: Mapping[str, float]) -> float:

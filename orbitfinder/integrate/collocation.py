@@ -20,6 +20,7 @@ import numpy as np
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.compiled import compiled
+from orbitfinder.integrate.lanes.stages import Staging, staging
 from orbitfinder.integrate.march import Gridded, Varied
 
 POINTS, REMEMBERED = 5, 8
@@ -46,6 +47,11 @@ class Tableau:
     end: np.ndarray
     weights: np.ndarray
     difference: np.ndarray
+
+    @cached_property
+    def packed(self) -> np.ndarray:
+        """Points, inner and weights."""
+        return np.concatenate([self.points, self.inner.ravel(), self.weights])
 
     def basis(self, places: np.ndarray) -> np.ndarray:
         """Lagrange's polynomials (k x m) of the stages, 0 where the step begins, at places (k) in it from 0 to 1."""
@@ -130,10 +136,10 @@ class Collocation(Gridded):
 
     def build(self) -> None:
         """Derive and compile now what is evaluated."""
-        assert self._linear
+        assert self._staging or self._linear
 
     @cached_property
-    def _linear(self) -> ca.Function:
+    def _symbolic(self) -> ca.Function:
         """f, its derivatives by x, (t, s, free), and the integrand, in a column, as a function of (t, x, s, free)."""
         f, symbol = self.field, ca.SX.sym if self.field.is_a("SXFunction") else ca.MX.sym
         inputs = [symbol(name, f.size1_in(k)) for k, name in enumerate(("t", "x", "s", "free"))]
@@ -141,13 +147,24 @@ class Collocation(Gridded):
         others = ca.vertcat(*[inputs[k] for k in ((0, 2, 3) if self.forced else (2, 3))])
         parts = [rate, ca.vec(ca.jacobian(rate, inputs[1])), ca.vec(ca.jacobian(rate, others))]
         added = [] if self.integrand is None else [self.integrand(*inputs)]
-        whole = ca.Function("collocated", inputs, [ca.densify(ca.vertcat(*parts, *added))])
-        return compiled(whole, effort=self._effort)
+        return ca.Function("collocated", inputs, [ca.densify(ca.vertcat(*parts, *added))])
+
+    @cached_property
+    def _staging(self) -> Staging | None:
+        added = self.integrand is not None
+        return staging(self._symbolic, self.tableau.points.size, self.forced, added, self._effort)
+
+    @cached_property
+    def _linear(self) -> ca.Function:
+        return compiled(self._symbolic, effort=self._effort)
 
     def _evaluated(self, times: np.ndarray, states: np.ndarray, tails: np.ndarray) -> tuple[np.ndarray, ...]:
         """Rates (K x d), slopes by x (K x d x d) and by the rest (K x d x r), the integrand (K) at K points."""
         size, cut = self.size, 1 + self.unfolding
-        rows = self._lanes.evaluated(self._linear, 1, times[:, None], states, tails[:, 1:cut], tails[:, cut:])
+        if self._staging is not None:
+            rows = self._staging.valued(times, states, tails)
+        else:
+            rows = self._lanes.evaluated(self._linear, 1, times[:, None], states, tails[:, 1:cut], tails[:, cut:])
         rates, slopes = rows[:, :size], rows[:, size : size + size**2].reshape(len(rows), size, size).swapaxes(1, 2)
         count = self.columns - size + self.forced
         others = rows[:, size + size**2 : size * (1 + size + count)].reshape(len(rows), count, size).swapaxes(1, 2)
@@ -174,21 +191,19 @@ class Collocation(Gridded):
         known, away = self._nearest(key, nodes, tails)
         if known is not None and away == 0.0 and known.change < SOLVED:
             return known
-        places, size, points = np.repeat(tails, self.tableau.points.size, axis=0), self.size, self.tableau.points
         begun = known is not None and np.isfinite(away)
         z = known.moved(nodes, tails) if begun and known is not None else self._cubic(nodes, steps, begins, tails)
-        moments = (begins[:, None] + steps[:, None] * points).ravel()
         units = nonzero(np.abs(nodes).max(axis=0))
         for _ in range(MOST_ITERATIONS):
-            states = (nodes[:, None] + z).reshape(-1, size)
-            values = self._evaluated(moments * places[:, 0] * self.forced, states, places)
-            changes, integrand = self._newton(z, steps, moments, tails, values), values[3].reshape(len(nodes), -1)
-            z = z + changes[:, :, 0].reshape(z.shape)
-            change = float(np.abs(changes[:, :, 0].reshape(-1, size) / units).max())
+            if self._staging is not None:
+                changes, integrals = self._staging.changed(nodes, begins, steps, tails, self.tableau.packed, z)
+            else:
+                changes, integrals = self._newton(z, nodes, steps, begins, tails)
+            moved = changes[:, :, 0].reshape(z.shape)
+            z, change = z + moved, float(np.abs(moved / units).max())
             if not change < 1e6:
                 break
             if once or change < SOLVED:
-                integrals = steps * tails[:, 0] * (integrand @ self.tableau.weights)
                 solved = Stages(nodes, tails, z, changes[:, :, 1:], integrals, change)
                 self._keep(key, solved)
                 return solved
@@ -209,11 +224,16 @@ class Collocation(Gridded):
         return np.asarray(s**2 * (3 - 2 * s) * ahead[:, None] + s * (1 - s) * bent)
 
     def _newton(
-        self, z: np.ndarray, steps: np.ndarray, moments: np.ndarray, tails: np.ndarray, values: tuple[np.ndarray, ...]
-    ) -> np.ndarray:
-        """Newton's change of the stages and their derivatives by nodes and by (T, s, free) (P x m d x 1 + d + ...)."""
+        self, z: np.ndarray, nodes: np.ndarray, steps: np.ndarray, begins: np.ndarray, tails: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Newton's change of the stages and their derivatives by nodes and by (T, s, free) (P x m d x 1 + d + ...), and
+        the integrals (P)."""
         count, m, size = z.shape
         a, duration = self.tableau.inner, steps * tails[:, 0]
+        moments = (begins[:, None] + steps[:, None] * self.tableau.points).ravel()
+        places, states = np.repeat(tails, m, axis=0), (nodes[:, None] + z).reshape(-1, size)
+        values = self._evaluated(moments * places[:, 0] * self.forced, states, places)
+        integrals = duration * (values[3].reshape(count, m) @ self.tableau.weights)
         rates, slopes, others = (each.reshape(count, m, *each.shape[1:]) for each in values[:3])
         across = duration[:, None, None, None, None] * a[:, None, :, None] * slopes.swapaxes(1, 2)[:, None]
         matrix = np.eye(m * size) - across.reshape(count, m * size, m * size)
@@ -228,9 +248,9 @@ class Collocation(Gridded):
             right[..., 1 + size] += duration[:, None, None] * np.einsum("ij,pja->pia", a, late)
         right[..., 2 + size :] = carried[..., 1 + self.forced :]
         try:
-            return np.asarray(np.linalg.solve(matrix, right.reshape(count, m * size, -1)))
+            return np.asarray(np.linalg.solve(matrix, right.reshape(count, m * size, -1))), integrals
         except np.linalg.LinAlgError:
-            return np.full((count, m * size, right.shape[3]), np.nan)
+            return np.full((count, m * size, right.shape[3]), np.nan), integrals
 
     def once(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> Varied:
         """`varied` with states of segments of one step each, whose stages are changed once: Newton's method for nodes
@@ -284,6 +304,14 @@ class Collocation(Gridded):
         if known is not None and away < BESIDE and known.change < SOLVED:
             return known.moved(nodes, tails)
         return self._solved(key, nodes, np.diff(mesh), mesh[:-1], tails).stages
+
+    def integral(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> float:
+        """The integral over segments of one step each."""
+        rule, steps, count = self.tableau, np.diff(mesh), len(nodes)
+        states = (nodes[:, None] + self.stages(nodes, mesh, tail)).reshape(-1, self.size)
+        moments = (mesh[:-1, None] + steps[:, None] * rule.points).ravel() * tail[0] * self.forced
+        values = self._evaluated(moments, states, np.repeat(tail[None], len(states), axis=0))[3]
+        return float(tail[0] * steps @ (values.reshape(count, -1) @ rule.weights))
 
     def sampled(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, places: np.ndarray) -> np.ndarray:
         """States (k x d) at places (k, in periods) of the polynomials of segments of one step each."""

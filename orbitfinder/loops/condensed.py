@@ -11,6 +11,7 @@ large; beyond `LARGEST_PRODUCT` the whole matrix is solved instead.
 
 from __future__ import annotations
 
+import ctypes
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
@@ -20,6 +21,8 @@ from scipy.linalg.lapack import dgecon, dgetrf, dgetrs, dlange, dtrtrs
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
+from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.integrate.lanes.bordered import Chain, chains
 from orbitfinder.mechanics.newton import Solver, least_squares
 
 LARGEST_PRODUCT = 1e8
@@ -122,19 +125,55 @@ class Linearised:
         return closing, tail
 
 
-def pivoted(system: Linearised) -> Solver:
-    """Newton's step by the sparse matrix of all segments, pivoted: of so many no product tells anything.
+def pivoted(system: Linearised, columns: np.ndarray | None = None) -> Solver:
+    """Newton's step by the matrix of all segments, pivoted: of so many no product tells anything.
 
-    Raises `LinAlgError` where it is singular, or not square.
+    `columns` are what the unknowns are measured in (over w), else 1. Raises `LinAlgError` where it is singular, or not
+    square.
     """
-    matrix = system.sparse()
-    if matrix.shape[0] != matrix.shape[1] or not np.all(np.isfinite(matrix.data)):
+    count, size, extra = system.columns.shape
+    if len(system.first) != size + extra or not all(
+        np.isfinite(part).all() for part in (system.transitions, system.columns, system.first, system.tail)
+    ):
         raise np.linalg.LinAlgError("not square or not finite")
+    if (opened := chains()) is not None and count > 1:
+        return _chained(opened, system, np.ones(count * size + extra) if columns is None else columns)
     try:
-        factors = splu(matrix)
+        factors = splu(system.sparse())
     except RuntimeError as error:
         raise np.linalg.LinAlgError(str(error)) from None
     return lambda rows: -np.asarray(factors.solve(rows))
+
+
+def _chained(opened: ctypes.CDLL, system: Linearised, columns: np.ndarray) -> Solver:
+    """The same by a `Chain`: a closing row over many nodes is a sum that is carried along them beside the state."""
+    (count, size, extra), (rows, nodes) = system.columns.shape, system.first.shape
+    first = np.zeros((rows, count, size))
+    first.reshape(rows, -1)[:, :nodes] = system.first
+    wide = np.flatnonzero(np.any(system.first[:, size:], axis=1))
+    whole, summed, sums = size + wide.size, first[wide], np.arange(wide.size)
+    phi, columns_ = np.zeros((count - 1, whole, whole)), np.zeros((count - 1, whole, extra))
+    phi[:, :size, :size], columns_[:, :size] = system.transitions[:-1], system.columns[:-1]
+    phi[:, size:, :size], phi[:, size + sums, size + sums] = summed[:, :-1].swapaxes(0, 1), 1.0
+    begin, end = np.zeros((2, rows + wide.size, whole))
+    begin[:rows, :size], end[:rows, :size] = first[:, 0], system.last @ system.transitions[-1]
+    begin[wide], end[wide, :size] = 0.0, end[wide, :size] + summed[:, -1]
+    begin[rows + sums, size + sums] = end[wide, size + sums] = 1.0
+    tail = np.zeros((rows + wide.size, extra))
+    tail[:rows] = system.last @ system.columns[-1] + system.tail
+    unit = columns[:size]
+    units = np.append(unit, nonzero(np.abs(summed * unit).max(axis=(1, 2))))
+    cut, tails = count * size, columns[count * size :]
+    chain = Chain(opened, phi=phi, columns=columns_, first=begin, last=end, tail=tail, states=units, tails=tails)
+
+    def solve(right: np.ndarray) -> np.ndarray:
+        full = np.zeros(count * whole + extra)
+        full[: (count - 1) * whole].reshape(-1, whole)[:, :size] = right[: cut - size].reshape(-1, size)
+        full[(count - 1) * whole : (count - 1) * whole + rows] = right[cut - size :]
+        found = -chain.solve(full)
+        return np.append(found[: count * whole].reshape(-1, whole)[:, :size], found[count * whole :])
+
+    return solve
 
 
 def eliminated(system: Linearised) -> Solver:

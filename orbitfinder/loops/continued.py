@@ -368,7 +368,7 @@ def _solver(
     if isinstance(jacobian, Linearised):
         try:
             system = jacobian.bordered(row)
-            step = pivoted(system)
+            step = pivoted(system, curve.scales.columns(w))
         except np.linalg.LinAlgError:
             return lambda right: np.asarray(np.linalg.lstsq(system.matrix(), right, rcond=1e-12)[0])
         return lambda right: -step(right)
