@@ -198,6 +198,6 @@ def extents(curve: Curve, states: np.ndarray) -> np.ndarray:
     """The scale (2n) of every component of a motion (k x 2n): the largest extent of coordinates, and of rates."""
     angular, moved, least = curve.equations.model.angular, np.ptp(states, axis=0), LEAST * np.abs(states).max(axis=0)
     if angular.size == moved.size:
-        return np.asarray(np.maximum(alone(moved, angular), least))
+        return np.asarray(np.maximum(alone(moved / curve.shares, angular) * curve.shares, least))
     shares = np.tile(curve.shares, 2)
     return np.asarray(shared(np.maximum(moved, least) / shares, angular) * shares)
