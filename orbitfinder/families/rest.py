@@ -85,10 +85,10 @@ def vanishing(curve: Curve, sample: Sample, length: float) -> float:
     return length / (1.0 - share) if share < 1.0 else np.inf
 
 
-def rest_of(curve: Curve, solution: Solution, name: str, settings: Settings = NEWTON) -> RestPoint | None:
+def rest_of(curve: Curve, solution: Solution, name: str) -> RestPoint | None:
     """The equilibrium that an orbit is an oscillation about, with the family's parameter `name`; None without one."""
     extended = _Extended(curve, solution)
-    rest = equilibrium(extended.linearised, extended.start, settings=settings)
+    rest = equilibrium(extended.linearised, extended.start, settings=NEWTON)
     if not rest.converged:
         return None
     z, (_, matrix) = rest.w, extended.linearised(rest.w)

@@ -85,7 +85,7 @@ def begin(
     if settings.beside:
         return _freed(begin(problem, replace(settings, beside=""), symmetry), free, held, settings.parameter)
     if by and method.named(by).begin:
-        return _begun(problem, by, free)
+        return _start(problem, free, by)
     wanted = problem.symmetry if symmetry == "auto" else symmetry
     base = replace(problem, symmetry=NONE.name) if wanted != problem.symmetry else problem
     chosen = bool(problem.free or problem.constraints) or problem.objective != "nearest" or problem.forcing_cycles > 1
@@ -128,19 +128,7 @@ def _found_first(problem: Problem, free: tuple[str, ...]) -> Start:
     orbit = find_orbit(problem)
     model = with_parameters(problem.model, orbit.provenance.get("free", {})) if problem.free else problem.model
     problem = as_problem(orbit, model)
-    return _begun(problem, problem.method, free) if problem.method else _start(problem, free)
-
-
-def _begun(problem: Problem, by: str, free: tuple[str, ...]) -> Start:
-    """From the orbit of a problem by the march of a method. Raises `InputError` where that is not for it."""
-    begin = method.method_of(problem, by)[1].begin
-    assert begin is not None
-    base, momenta = at_forcing_period(problem), momenta_of(problem.boundary, problem.model)
-    equations, place = begin(base, free)
-    curve = curve_at(equations, place, momenta, base.turns, {held.name: held.value for held in base.pin})
-    pins = [] if free else [one for one in base.pin if one.name not in momenta]
-    aim = pinned(equations, pins[0].name, pins[0].value) if pins else _own_aim(curve, place)
-    return corrected(curve, place, aim, place)
+    return _start(problem, free, problem.method)
 
 
 def as_problem(origin: Problem | Orbit, model: Model | None = None) -> Problem:
@@ -220,17 +208,27 @@ def released(old: Curve, place: Unknowns, equations: Equations, held: tuple[str,
     return replace(curve_at(equations, place, held), constant=old.constant), place
 
 
-def _start(problem: Problem, free: tuple[str, ...]) -> Start:
+def _start(problem: Problem, free: tuple[str, ...], by: str | None = None) -> Start:
+    """From the guess by shooting, or from the orbit on the mesh of a method. Raises `InputError` where that is not for
+    it."""
+    begin = method.method_of(problem, by)[1].begin if by else None
+    if begin:
+        problem = at_forcing_period(problem)
+    equations, place = (begin or _shot)(problem, free)
+    momenta, pins = momenta_of(problem.boundary, problem.model), [] if free else list(problem.pin)
+    curve = curve_at(equations, place, momenta, problem.turns, {held.name: held.value for held in problem.pin})
+    pin = next((one for one in pins if one.name not in momenta), None)
+    aim = pinned(equations, pin.name, pin.value) if pin else _own_aim(curve, place)
+    return corrected(curve, place, aim, place if begin else None)
+
+
+def _shot(problem: Problem, free: tuple[str, ...]) -> tuple[Equations, Unknowns]:
     equations = Equations.of(problem.model, problem.boundary, free)
     fraction, state = equations.symmetry.fraction, np.asarray(problem.guess.state, float)
     place = equations.unknowns(state[None], problem.guess.period, uniform(fraction, 1, int(FIRST_STEPS * fraction)))
     if equations.links:
         place = first_unknowns(equations, problem.guess, 1, rounded(FIRST_STEPS / equations.links.count))
-    momenta, pins = momenta_of(problem.boundary, problem.model), [] if free else list(problem.pin)
-    curve = curve_at(equations, place, momenta, problem.turns, {held.name: held.value for held in problem.pin})
-    pin = next((one for one in pins if one.name not in momenta), None)
-    aim = pinned(equations, pin.name, pin.value) if pin else _own_aim(curve, place)
-    return corrected(curve, place, aim)
+    return equations, place
 
 
 def curve_at(
