@@ -231,7 +231,8 @@ def summary(family: of.Family) -> dict[str, Any]:
     """What `--json` says of a family; its points are in family.json."""
     events = [
         {"kind": event.kind, "detail": event.detail, family.parameter: event.parameter, "period": event.period,
-         "error": event.error, "period_error": event.period_error, "certified": event.certified} | {name: number_of(event, name) for name in family.parameters[1:]}
+         "error": event.error, "period_error": event.period_error, "certified": event.certified}
+        | {name: number_of(event, name) for name in family.parameters[1:]}
         for event in family.events
     ]  # fmt: skip
     return {

@@ -125,7 +125,7 @@ def spectrum(curve: Curve, solution: Solution) -> Spectrum:
     whole = np.linalg.matrix_power(reduced, root)
     floquet, chain = analyse(whole, conservative), None
     values, vectors = np.linalg.eig(reduced)
-    if not p.links and (p.gridded or _lost(floquet, solution.march.transitions * curve.units / curve.units[:, None])):
+    if not p.links and (p.gridded or _lost(floquet, curve, solution)):
         chain = _chain(curve, solution)
         values, vectors = chain.product.values, np.zeros((0, 0))
         floquet = judged(values**root, conservative)
@@ -162,10 +162,10 @@ def keeps_pairs(curve: Curve, reduced: np.ndarray) -> bool:
     return bool(curve.equations.symplectic and np.all(np.abs(areas - 1.0) < AREA))
 
 
-def _lost(floquet: Floquet, transitions: np.ndarray) -> bool:
+def _lost(floquet: Floquet, curve: Curve, solution: Solution) -> bool:
     """Whether the round-off of the largest multiplier has swallowed digits of the smallest, or what shrinks under way
     and grows again, as in a canard, digits of all."""
-    sizes = np.abs(floquet.multipliers)
+    sizes, transitions = np.abs(floquet.multipliers), solution.march.transitions * curve.units / curve.units[:, None]
     ahead = accumulate(transitions, lambda done, piece: piece @ done)
     behind = [*accumulate(transitions[:0:-1], lambda done, piece: done @ piece)][::-1]
     grown = max((np.linalg.norm(a) * np.linalg.norm(b) for a, b in zip(ahead, behind, strict=False)), default=0.0)

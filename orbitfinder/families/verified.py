@@ -59,7 +59,7 @@ SHARES = ((3e-3, 0), (3e-4, 0), (5e-2, 1), (2e-1, 1), (5e-1, 1))
 """How far the orbits on both sides are, in steps of the family, and whether there are others twice as far: the nearer
 ones where two events share a step, the farthest where a parameter hardly moves beyond its round-off, as in a canard"""
 SHARPER = 1e-4
-"""Share of the error bars found from an event's state alone, with which errors grow, that the recorded ones are at least"""
+"""Share of the error bars found from an event's state alone, where errors grow, that recorded ones are at least"""
 STEPS = 480
 """Steps of a period on which an orbit is marched of which the nodes are not known"""
 
