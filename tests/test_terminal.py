@@ -102,7 +102,7 @@ def test_events_are_told_in_words_with_units() -> None:
     """Kind without underscores, the parameter's unit, the period."""
     root = os.path.dirname(os.path.dirname(__file__))
     family = load_family(os.path.join(root, "results", "families", "triple-mode-2", "family.json"))
-    said = event_words(next(one for one in family.events if one.kind == "period_doubling"), "energy")
+    said = event_words(next(one for one in family.events if one.kind == "period_doubling"), "energy", {})
     assert re.fullmatch(r"period doubling.* at energy -[\d.]+ J, period [\d.]+ s", said)
     check = Reading(0.0, 1e-9, True, parameter_error=3e-12)
     assert " J (+- 3e-12), period" in event_words(replace(family.events[0], check=check), "energy")

@@ -17,6 +17,7 @@ from orbitfinder.families.branches import Branch
 from orbitfinder.families.changes import checked_cycle
 from orbitfinder.families.critical import Critical
 from orbitfinder.families.follow import follow
+from orbitfinder.families.handover import handed_over
 from orbitfinder.families.members import batch_certified, certified
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.registry import end_kind
@@ -331,7 +332,7 @@ def _header(
         "format": FORMAT, "version": VERSION, "name": name, "system": dict(curve.equations.model.system),
         "parameter": settings.parameter, "request": request, "origin": plain(origin), "source": source,
         "away": 1 if np.sum(curve.weights * origin.tangent * start.direction) > 0 else -1,
-        "curve": entry_of(curve),
+        "curve": entry_of(curve) | ({"method_reason": start.why} if start.why else {}),
     })  # fmt: skip
     return header
 
@@ -386,7 +387,9 @@ def _finish(
     def so_far() -> Family:
         return assemble(replace(journal, batches=tuple(batches)))
 
-    for run in runs:
+    waiting = list(runs)
+    while waiting:
+        run = waiting.pop(0)
         done, end = journal.steps(run.direction), journal.end(run.direction)
         if end is not None and not (end_kind(end.kind).lengthened and len(done) < settings.points):
             continue
@@ -399,6 +402,13 @@ def _finish(
                 step = abs(reached[0].arclength - last.arclength) if reached else last.step
                 batch, last = checked(curve, batch, step, settings.parameter), (*reached, last)[0]
                 batch = batch_certified(curve, batch) if settings.certify else batch
+                if other := handed_over(folder, replace(journal, batches=tuple(batches)), run, batch.end, last):
+                    journal, curve = other
+                    batches, check = list(journal.batches), _independent(curve, settings)
+                    waiting = [
+                        replace(each, curve=curve, origin=journal.origin, check=check) for each in (run, *waiting)
+                    ]
+                    break
                 if folder is not None:
                     append(folder, batch)
                     kept = f"{plural(len(batches) + 1, 'step')} kept in {folder}"

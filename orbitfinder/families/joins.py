@@ -29,6 +29,7 @@ from orbitfinder.loops.continued import Curve, Solution, advanced, correct, plan
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.symmetry import Involution, called, involutions, named
 from orbitfinder.mechanics.model import wrapped
+from orbitfinder.mechanics.scales import lasting
 from orbitfinder.records.family import End
 from orbitfinder.records.reading import finite
 
@@ -271,5 +272,5 @@ def end_of(join: Join, more: str = "") -> End:
         "winding": list(curve.turns), "free": freed(curve, orbit),
         "energy": finite(parameter_value(curve, orbit, "energy")),
     }  # fmt: skip
-    reason = f"joins a family {what} at {where}, period {period:.12g} s{more}"
+    reason = f"joins a family {what} at {where}, period {lasting(period, curve.equations.model.system)}{more}"
     return End("merged", reason, join.value, float(period), float(join.error), joined)

@@ -66,7 +66,7 @@ def deviations(curve: Curve, place: Unknowns, states: np.ndarray) -> tuple[np.nd
 def predicted(curve: Curve, sample: Sample, length: float) -> tuple[Unknowns, np.ndarray]:
     """The orbit so far ahead along the tangent, and its states at the mesh."""
     guess = advanced(sample.solution.place, sample.whole, length)
-    if curve.equations.collocated:  # as the rows have it to first order
+    if curve.equations.gridded:  # as the rows have it to first order
         return guess, np.vstack([guess.nodes, guess.nodes[:1] + curve.constant])
     return guess, curve.equations.march.states(guess.nodes, guess.mesh, guess.tail)
 

@@ -29,6 +29,7 @@ from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.mesh import STEP_ERROR
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.newton import Settings, equilibrium
+from orbitfinder.mechanics.scales import lasting
 from orbitfinder.records.family import End
 
 
@@ -134,7 +135,8 @@ def blown_up(run: Run, step: Walked, more: str = "") -> End | None:
     """The end of a family whose period has grown, at the saddles or the saddle-node that its orbits come near."""
     curve, solution, n = run.curve, step.solution, run.curve.equations.model.degrees_of_freedom
     state, resting = slowness(curve, solution)[1], can_rest(curve)
-    grown = f"the period blows up ({solution.place.period:.6g} s, {step.stretch:.3g} times the shortest)"
+    lasts = lasting(solution.place.period, curve.equations.model.system, 6)
+    grown = f"the period blows up ({lasts}, {step.stretch:.3g} times the shortest)"
     if not near_saddle(curve, solution, state):
         return _saddle_node(run, step, state, grown, more) if resting else None
     energy = parameter_value(curve, solution.place, "energy")

@@ -23,8 +23,9 @@ from orbitfinder.records.family import METHODS
 SPREAD = 1e8
 """Multipliers farther apart than this are found factor by factor: multiplied out, their matrix has lost eight digits of
 the smallest."""
-ACCURACY = 1e-14
-"""Relative error of a state-transition matrix of a few steps at least."""
+ACCURACY, LARGEST = 1e-14, 1e290
+"""Relative error of a state-transition matrix of a few steps at least; what multipliers of canards count as that are
+beyond the range of numbers"""
 
 STILL = 1e-12
 """A driven motion that extends no farther than this, in the family's metric, is at rest."""
@@ -128,6 +129,7 @@ def spectrum(curve: Curve, solution: Solution) -> Spectrum:
     if not p.links and (p.gridded or _lost(floquet, curve, solution)):
         chain = _chain(curve, solution)
         values, vectors = chain.product.values, np.zeros((0, 0))
+        values = np.where(np.abs(values) < LARGEST, values, LARGEST)  # beyond the range of numbers
         floquet = judged(values**root, conservative)
     indices = judged(values).indices if conservative else floquet.indices
     krein: tuple[int, ...] = ()
@@ -146,11 +148,14 @@ def spectrum(curve: Curve, solution: Solution) -> Spectrum:
 
 def reduced_maps(curve: Curve, solutions: Sequence[Solution]) -> tuple[np.ndarray, np.ndarray, int]:
     """The root maps of orbits without the trivial multipliers (k x r x r), their bases (k x d x r), the maps' root."""
-    units, (root_maps, root) = curve.units, _root_maps(curve, solutions)
     p, places, flows = curve.equations, [solution.place for solution in solutions], _flows(curve, solutions)
     slopes = [p.quantities_at(place)[1] if p.energy else np.zeros((0, p.size)) for place in places]
-    bases = _bases(curve, [place.nodes[0] for place in places], flows, slopes)
-    reduced = np.asarray(bases.swapaxes(1, 2) @ (root_maps * units / units[:, None]) @ bases)
+    bases, units = _bases(curve, [place.nodes[0] for place in places], flows, slopes), curve.units
+    with np.errstate(over="ignore", invalid="ignore"):
+        root_maps, root = _root_maps(curve, solutions)
+        reduced = np.asarray(bases.swapaxes(1, 2) @ (root_maps * units / units[:, None]) @ bases)
+    if p.gridded:  # they are told factor by factor
+        reduced = np.clip(np.nan_to_num(reduced), -LARGEST, LARGEST)
     if not np.all(np.isfinite(reduced)):
         raise ConvergenceError("the multipliers overflow, as where a guard is grazed; take a smaller step")
     return reduced, bases, root

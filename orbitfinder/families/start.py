@@ -62,6 +62,8 @@ class Start:
     curve: Curve
     solution: Solution
     direction: np.ndarray
+    why: str = ""
+    """why it is by collocation, where that was not asked for"""
 
 
 def begin(
@@ -351,6 +353,8 @@ class CurveEntry:
     """what else the family keeps, by name"""
     method: str = ""
     """how its orbits are integrated, where that is not by shooting"""
+    method_reason: str = ""
+    """why, where it was not asked for"""
 
 
 def _own_aim(curve: Curve, place: Unknowns, name: str = "") -> Condition:

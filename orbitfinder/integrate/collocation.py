@@ -33,6 +33,8 @@ a mesh"""
 LOPSIDED, SLACK, SPARSEST = 2.5, 1.5, 0.1
 """Times the mean work of an interval that one may have before a mesh is made anew, by how much their number may be off,
 and the share of the mean density that a mesh has everywhere"""
+GROWTH = 30.0
+"""Times that errors may grow over an interval"""
 BESIDE = 1e-9
 """A motion as near as this, in extents, has the stages that first order tells, to round-off"""
 
@@ -172,8 +174,16 @@ class Collocation(Gridded):
 
     def decays(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray) -> np.ndarray:
         """The fastest rate at which anything decays (k) at states (k x d) and times (k), 0 where nothing does."""
+        return np.asarray(np.maximum(-self._exponents(states, tail, times).min(axis=1), 0.0))
+
+    def growths(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """The fastest rate at which anything grows (k), in the same way."""
+        return np.asarray(np.maximum(self._exponents(states, tail, times).max(axis=1), 0.0))
+
+    def _exponents(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """The real parts of the eigenvalues of the slopes (k x d)."""
         slopes = self._evaluated(times * self.forced, states, np.repeat(tail[None], len(states), axis=0))[1]
-        return np.asarray(np.maximum(-np.linalg.eigvals(slopes).real.min(axis=1), 0.0))
+        return np.asarray(np.linalg.eigvals(slopes).real)
 
     def _nearest(self, key: Any, nodes: np.ndarray, tails: np.ndarray) -> tuple[Stages | None, float]:
         """What is known on the same mesh of the nearest motion, and how far that is."""
@@ -329,12 +339,15 @@ class Collocation(Gridded):
     def _worked(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """The (m + 1)-th root of the error of the polynomial of m points over each interval of an orbit (N).
 
-        In its extents. A mesh is right where it is the same everywhere (U. Ascher, R. Mattheij, R. Russell, Numerical
-        Solution of Boundary Value Problems for Ordinary Differential Equations (1995), section 9.3).
+        In its extents; more where errors grow by more than `GROWTH` over it. A mesh is right where it is the same
+        everywhere (U. Ascher, R. Mattheij, R. Russell, Numerical Solution of Boundary Value Problems for Ordinary
+        Differential Equations (1995), section 9.3).
         """
         rule, units = self.tableau, nonzero(np.ptp(nodes, axis=0))
         found = curvatures(rule, self.stages(nodes, mesh, tail), mesh, units)
-        return np.asarray(found ** (1.0 / (rule.points.size + 1)) * np.diff(mesh))
+        grown = self.growths(nodes, tail, mesh[:-1] * tail[0]) * tail[0] / np.log(GROWTH)
+        grown, root = np.maximum(grown, np.roll(grown, -1)), 1.0 / (rule.points.size + 1)
+        return np.asarray(np.maximum(found**root, grown * ERROR**root) * np.diff(mesh))
 
     def wanted(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> int:
         """As many intervals as leave the error that is allowed, in tens, no more than twice as many as there are."""
@@ -348,7 +361,7 @@ class Collocation(Gridded):
         """Whether its intervals share the work, and are as many as the error asks for."""
         work = self._worked(nodes, mesh, tail)
         even = work.max() <= LOPSIDED * work.mean()
-        return bool(even and work.size / SLACK < self._enough(work) < SLACK * work.size)
+        return bool(even and work.size <= SLACK * self._enough(work) <= SLACK**2 * work.size)
 
     def regridded(
         self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, count: int = 0

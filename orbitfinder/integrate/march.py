@@ -314,6 +314,10 @@ class Gridded(March):
         """`varied` with states for Newton's method; what is within segments may be changed once, not solved."""
         return self.varied(nodes, mesh, tail, states=True)
 
+    def integral(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> float:
+        """The integral over all segments."""
+        return self.varied(nodes, mesh, tail).integral
+
 
 class Marches(Refining):
     """Marches over arcs one after another, each of an equal share of the segments and of the steps.

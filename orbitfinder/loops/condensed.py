@@ -94,7 +94,13 @@ class Linearised:
         tail = self.last @ self.columns[-1] + self.tail
         shape = (cut + rows, total + extra)
         held, order, places, starts = _pattern(count, size, extra, np.any(closing[:, size:cut], axis=1).tobytes())
-        parts = (self.transitions[:-1].ravel(), np.full(cut, -1.0), closing[held], self.columns[:-1].ravel(), tail.ravel())
+        parts = (
+            self.transitions[:-1].ravel(),
+            np.full(cut, -1.0),
+            closing[held],
+            self.columns[:-1].ravel(),
+            tail.ravel(),
+        )
         return csc_matrix((np.concatenate(parts)[order], places, starts), shape=shape)
 
     def bordered(self, row: np.ndarray) -> Linearised:

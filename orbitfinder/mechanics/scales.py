@@ -45,12 +45,18 @@ DIMENSIONLESS = ("henon_heiles", "restricted_three_body", "planar_oscillator", "
 
 
 def units(system: Mapping[str, Any]) -> dict[str, str]:
-    """The units of energies, times, actions and lengths: SI, or none where the equations carry none."""
-    bare = system.get("function") in DIMENSIONLESS
+    """The units of energies, times, actions and lengths: SI, or none where the equations carry none, or are rates as
+    text, which state none."""
+    bare = system.get("function") in DIMENSIONLESS or "rates" in system
     return {"energy": "", "time": "", "action": "", "length": ""} if bare else SI
 
 
 SI = {"energy": "J", "time": "s", "action": "J s", "length": "m"}
+
+
+def lasting(time: float, system: Mapping[str, Any], digits: int = 12) -> str:
+    """A time in words, with its unit where the equations carry one."""
+    return f"{time:.{digits}g} {units(system)['time']}".rstrip()
 
 
 def snapped(values: np.ndarray | float, base: float = ALIKE**2) -> np.ndarray:
@@ -273,7 +279,11 @@ def acting(rates: Callable[[np.ndarray], np.ndarray], states: np.ndarray) -> Act
 
 
 def _felt(
-    rates: Callable[[np.ndarray], np.ndarray], states: np.ndarray, now: np.ndarray, asked: np.ndarray, moving: np.ndarray
+    rates: Callable[[np.ndarray], np.ndarray],
+    states: np.ndarray,
+    now: np.ndarray,
+    asked: np.ndarray,
+    moving: np.ndarray,
 ) -> np.ndarray:
     """Whose halves (a mask d) change the rates `now` (k x d) of those that are moving."""
     felt, most = np.zeros(asked.size, bool), FELT * np.abs(now).max(axis=0)

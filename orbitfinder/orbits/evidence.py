@@ -239,9 +239,7 @@ def _rates(field: VectorField, states: np.ndarray) -> np.ndarray:
     return np.array([field(0.0, state) for state in states])
 
 
-def known_in(
-    path: np.ndarray, masses: np.ndarray, period: float, angular: np.ndarray | None, acts: Acts
-) -> np.ndarray:
+def known_in(path: np.ndarray, masses: np.ndarray, period: float, angular: np.ndarray | None, acts: Acts) -> np.ndarray:
     """`in_momenta` of a motion (k x m), nothing near the round-off of what it is measured from."""
     units = in_momenta(np.ptp(path, axis=0), masses, period, angular, acts)
     return np.asarray(np.maximum(units, KNOWN * np.abs(path).max(axis=0)))
@@ -465,9 +463,7 @@ def gather(
     at = np.searchsorted(motion.times, evenly(period))
     path, states = motion.path[at], motion.states[at]
     moved = np.ptp(motion.reaching(path), axis=0)
-    loop = _looped(
-        model, motion, in_momenta(moved, motion.masses, period, None, acting_in(model, path)), path, period
-    )
+    loop = _looped(model, motion, in_momenta(moved, motion.masses, period, None, acting_in(model, path)), path, period)
     monodromy, growth, varied = _products(loop.pieces)
     kinetic, potential = energies(model, states)
     total = kinetic + potential

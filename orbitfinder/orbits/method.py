@@ -58,6 +58,12 @@ def begins(name: str) -> bool:
     return name in METHODS and METHODS[name].begin is not None
 
 
+def rescuer(problem: Problem, failed: str = SHOOTING) -> str | None:
+    """The name of the method that is tried where another has failed, if any is."""
+    filled("methods")
+    return next((key for key, each in METHODS.items() if key != failed and each.rescues(problem)), None)
+
+
 def method_of(problem: Problem, asked: str | None = None) -> tuple[str, Method, str]:
     """The method for a Problem, its name, and why: the one `asked` for, else the latest entry that it suits, shooting
     where none does. Raises `InputError` for one that is unknown or not for this problem."""
@@ -81,7 +87,7 @@ def solved(problem: Problem, settings: SolveSettings, progress: Callback | None,
     try:
         given = method.find(problem, settings, progress, began)
     except (ConvergenceError, IntegrationError) as error:
-        other = next((key for key, each in METHODS.items() if key != name and each.rescues(problem)), None)
+        other = rescuer(problem, name)
         if asked is not None or other is None:
             raise
         try:

@@ -67,7 +67,7 @@ class Product:
                 total, size = total / scale, size + np.log(scale)
             values, vectors = np.linalg.eig(total)
             order = np.lexsort((values.imag, -values.real, -np.round(np.abs(values), 12)))
-            with np.errstate(over="ignore"):
+            with np.errstate(over="ignore", invalid="ignore"):
                 found.append((values[order] * np.exp(size), vectors[:, order].astype(complex)))
         return found
 
