@@ -66,6 +66,7 @@ from .mechanisms.chain import chain_dae as chain_dae
 from .mechanisms.linkage import linkage as linkage
 from .mechanisms.mechanism import mechanism as mechanism
 from .mechanisms.robot import robot as robot
+from .mechanisms.structure import structure as structure
 from .mechanisms.symbolic import from_sympy as from_sympy
 from .orbits import guesses as guesses
 from .orbits.certify import certify as certify

@@ -58,6 +58,8 @@ class SystemKind:
     """whether it is drawn: bodies and joints, near a pose, at a pace of its own"""
     loops: Loops | None = None
     """how its loops are closed, where that is not as any constraint's are"""
+    with_content: Callable[[Mapping[str, Any], Path], Mapping[str, Any]] = lambda system, folder: system
+    """(system, a problem file's folder) -> the same with the content of the files that it names"""
     motion: Callable[[Model], Callable[..., Any] | None] = lambda model: None
     """(model) -> what integrates it for certificates by equations of its own, as `orbits.evidence.canonical_motion`"""
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from orbitfinder.mechanics.kind import CLOSING, FUNCTIONS, KINDS, SystemKind
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanisms import library
+from orbitfinder.mechanisms import library, structure  # noqa: F401 - enters itself
 from orbitfinder.mechanisms.chain import chain, chain_dae
 from orbitfinder.mechanisms.chain_motion import motion_of
 from orbitfinder.mechanisms.closing import JOINED, minimal_mechanism

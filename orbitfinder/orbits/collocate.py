@@ -247,8 +247,9 @@ def _multipliers(model: Model, equations: Equations, w: Unknowns, transitions: n
     units = nonzero(np.ptp(w.nodes, axis=0))
     matrices, places = merged(transitions * units / units[:, None])
     nodes = np.vstack([w.nodes, w.nodes[:1]])[places]
-    flows = [] if model.forced else [_march(equations).rates(nodes, w.tail)]
-    directions = np.stack([*flows, *np.array([generated(model, x) for x in nodes]).swapaxes(0, 1)], axis=1)
+    directions = np.array([generated(model, x) for x in nodes])
+    if not model.forced:
+        directions = np.concatenate([_march(equations).rates(nodes, w.tail)[:, None], directions], axis=1)
     gradients = np.array([invariant_gradients(model)(x).full() for x in nodes])
     bases = complement(gradients * units, directions / units)
     factors = bases[1:].swapaxes(1, 2) @ matrices @ bases[:-1]

@@ -27,6 +27,7 @@ from orbitfinder.mechanics.constrained import maximal_states
 from orbitfinder.mechanics.kind import OTHER, PROBLEM, build_model, described, loops_of, system_kind
 from orbitfinder.mechanics.model import Model, constraint_of
 from orbitfinder.mechanisms.robot import robot
+from orbitfinder.orbits.guesses.linear import linear_response
 from orbitfinder.orbits.guesses.modes import normal_mode, rest_near
 from orbitfinder.orbits.guesses.returns import first_return, normal_mode_sum, recurrences
 from orbitfinder.problemfile.schema import (
@@ -41,7 +42,7 @@ from orbitfinder.problemfile.schema import (
 )
 from orbitfinder.problemfile.xpp import xpp_document
 from orbitfinder.records.orbit import SHIFT
-from orbitfinder.records.reading import bounded, file_bytes
+from orbitfinder.records.reading import bounded, file_beside, file_bytes
 
 MANUAL = "docs/problem-file.md"
 
@@ -166,6 +167,7 @@ def _located(source: Path) -> Iterator[None]:
 def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust: bool) -> ProblemFile:
     name = table.name or checked_name(source.stem)
     system = table.system.model_dump(exclude_none=True)
+    system = system_kind(system).with_content(system, source.parent)
     model = (
         robot_of(system, source.parent) if "file" in system else build_model(system, source.parent if trust else None)
     )
@@ -291,6 +293,8 @@ def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
         )
     if given.csv is not None:
         return read_trajectory(folder, given.csv, len(model.state_names), not model.smooth)
+    if given.linear:
+        return linear_response(model)
     if given.mode is not None and given.amplitude is not None:
         if isinstance(given.mode, int) and isinstance(given.amplitude, float):
             return normal_mode(model, given.mode, given.amplitude, _rest(model, given.equilibrium))
@@ -328,13 +332,7 @@ def _rest(model: Model, named: list[float] | str | None) -> np.ndarray | None:
 
 def read_trajectory(folder: Path, name: str, size: int, events: bool = False) -> Guess:
     """A Guess from a CSV file in `folder` or below: columns t (twice at `events`) and `size` states, over a period."""
-    try:
-        base = folder.resolve()
-        source = (base / name).resolve()
-    except (OSError, ValueError, RuntimeError) as error:  # a NUL in the name, links that go round in a circle
-        raise InputError(f"guess.csv: {name!r} is no usable path ({error}); put the file beside") from error
-    if not source.is_relative_to(base):
-        raise InputError(f"guess.csv: {name!r} lies outside the problem file's folder; put the file beside it")
+    source = file_beside(folder, name, "guess.csv")
     try:
         lines = file_bytes(source, "CSV file").decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:

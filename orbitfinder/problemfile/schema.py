@@ -65,6 +65,7 @@ Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Names = list[Line]
 Entry = Annotated[float | str, BeforeValidator(lambda value: float(value) if isinstance(value, int) else value)]
 Limits = dict[str, Positive | Pair]
+Matrix = str | list[list[float]]
 
 
 class Table(BaseModel):
@@ -187,6 +188,28 @@ class MotorTable(Table):
     )
 
 
+class ElementTable(Table):
+    """A nonlinear element of a structure, between a coordinate and the ground or another one: see `of.structure`."""
+
+    kind: str = Field(description="cubic, stop, gap or friction")
+    at: str = Field(description="a coordinate")
+    to: str | None = key("another one; the ground when left out")
+    stiffness: Entry | None = key("of a cubic spring in N/m^3, of contacts in N/m")
+    gap: Entry | None = key("of contacts: how far it may go freely, in m")
+    side: Literal[1, -1] | None = key("of a stop: towards which side it stops, 1 when left out")
+    limit: Entry | None = key("of dry friction: the force in N")
+    smoothing: Entry | None = key("of contacts in m, of friction in m/s: over how much their corner is smooth")
+
+
+class LoadTable(Table):
+    """The harmonic load of a structure, amplitude cos(frequency t + phase)."""
+
+    at: str | dict[str, float] = Field(description="a coordinate, or several with their shares")
+    amplitude: Entry = Field(description="in N")
+    frequency: Entry = Field(description="in rad/s")
+    phase: float = key("in rad", 0.0)
+
+
 class MotionTable(Table):
     """A prescribed motion of a joint, offset + turns frequency t + amplitude cos(frequency t + phase)."""
 
@@ -237,6 +260,10 @@ OWN: dict[str, dict[str, tuple[Any, ...] | None]] = {
                         "as a native DAE"),
     },
     "robot": {"file": (Line, ...)},
+    "structure": {
+        "mass": (Matrix, ...), "damping": (Matrix | None, None), "stiffness": (Matrix, ...),
+        "elements": (dict[str, ElementTable] | None, None), "forcing": (LoadTable | None, None),
+    },
     "chain": {"links": (Annotated[int, Field(ge=1, le=2000)], ...)},  # the matrices of longer ones fill the memory
     "linkage": {
         "length": (Annotated[list[Positive], Field(min_length=2, max_length=40)], ...),
@@ -298,7 +325,7 @@ def _system_of_its_kind(value: Any) -> Any:
 
 
 class GuessTable(Table):
-    """Where the search starts: `state` and `period`, `state` and `duration`, `mode` and `amplitude`, or `csv`."""
+    """Where the search starts: `state` with `period` or `duration`, `mode` and `amplitude`, `linear`, or `csv`."""
 
     state: list[float] | None = key("state at t = 0: the n angles in rad, then the n rates in rad/s")
     period: Positive | None = key(
@@ -322,7 +349,7 @@ class GuessTable(Table):
         "trajectory over one period, a CSV file in the problem file's folder with columns t (s), angles (rad), rates "
         "(rad/s); a header line is allowed",
     )
-
+    linear: Literal[True] | None = key("driven systems: the periodic response of the equations linearised about rest")
     angles: dict[str, float] | None = key(
         "linkages: some link angles at t = 0 in rad, such as { theta1 = 0.6 }, as many as degrees of freedom; the rest"
         " follows by assembly; mechanisms: coordinates in rad or m; period is the first return when left out",
@@ -340,16 +367,18 @@ class GuessTable(Table):
 
     @model_validator(mode="after")
     def _one_form(self) -> GuessTable:
-        given = [name for name in ("state", "mode", "csv", "angles") if getattr(self, name) is not None]
+        given = [name for name in ("state", "mode", "csv", "angles", "linear") if getattr(self, name) is not None]
         if len(given) != 1:
             forms = " and ".join(given) or "none of them"
             raise PydanticCustomError(
                 "guess",
-                "give exactly one of state (with period), mode (with amplitude), angles or csv, not {f}",
+                "give exactly one of state (with period), mode (with amplitude), angles, linear or csv, not {f}",
                 {"f": forms},
             )
         if self.duration is not None and (self.state is None or self.period is not None):
             raise PydanticCustomError("guess", "duration goes with state and takes the place of period")
+        if self.linear and self.period is not None:
+            raise PydanticCustomError("guess", "period has no meaning beside linear, the drive has one; leave it out")
         timed = "period" if self.duration is None else "duration"
         for name, partner in (("state", timed), ("mode", "amplitude")):
             if partner == "period" and (self.angles is not None or self.state is not None):

@@ -20,6 +20,7 @@ KINDS = {
     "equations": "equations as text: neurons, chemical clocks, convection, flutter",
     "linkages": "four-, five- and six-bars in any pose",
     "mechanisms": "mechanisms as drawn, in the plane and in space",
+    "structures": "structures by the matrices of a finite-element program",
     "robots": "robots read from URDF files",
     "hybrid": "machines that step, hop and bounce",
     "control": "motions of least cost",

@@ -81,6 +81,18 @@ def file_bytes(path: Path, what: str = "file", limit: int = LARGEST_FILE) -> byt
             raise InputError(f"{path}: cannot be read ({error}); check the disk") from error
 
 
+def file_beside(folder: Path, name: str, where: str) -> Path:
+    """Where a file lies that a problem file in `folder` names: there or below, or `InputError` of the field."""
+    try:
+        base = folder.resolve()
+        source = (base / name).resolve()
+    except (OSError, ValueError, RuntimeError) as error:  # a NUL in the name, links that go round in a circle
+        raise InputError(f"{where}: {name!r} is no usable path ({error}); put the file beside") from error
+    if not source.is_relative_to(base):
+        raise InputError(f"{where}: {name!r} lies outside the problem file's folder; put the file beside it")
+    return source
+
+
 def file_head(path: Path, size: int) -> bytes:
     """The first bytes of a regular file, or `InputError`."""
     with _opened(path, "result file") as stream:

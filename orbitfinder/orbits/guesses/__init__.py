@@ -1,4 +1,4 @@
-"""Where a search may start: linear normal modes and close returns. The names are in `__init__.pyi`."""
+"""Where a search may start: linear modes and responses, close returns. The names are in `__init__.pyi`."""
 
 from orbitfinder._runtime.front import door as _door
 

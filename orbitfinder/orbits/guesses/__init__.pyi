@@ -1,3 +1,4 @@
+from .linear import linear_response as linear_response
 from .modes import mode_problem as mode_problem
 from .modes import normal_mode as normal_mode
 from .modes import normal_modes as normal_modes
