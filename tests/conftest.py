@@ -87,6 +87,11 @@ def reference(file: str) -> dict[str, dict]:
     return {one["name"]: one for one in json.loads((DATA / file).read_text())["orbits"]}
 
 
+def inside(event, value: float, known: float = 0.0) -> bool:
+    """Whether a value that is `known` to so much is within the error bar of an event, which is below 1e-8 of it."""
+    return abs(event.parameter - value) <= event.error + known and event.error < 1e-8 * abs(value)
+
+
 @contextlib.contextmanager
 def database(path: Path) -> Iterator[sqlite3.Connection]:
     """A connection whose changes are committed and which is closed: `with sqlite3.connect(path)` leaves it open."""

@@ -246,7 +246,7 @@ def test_every_kind_of_event_has_a_check():
     assert set(LOOKS) == set(KINDS)
 
 
-SOLVERS = {"solve", "lstsq", "pinv", "splu", "spsolve", "least_norm", "least_squares"}
+SOLVERS = {"solve", "dgesv", "lstsq", "pinv", "splu", "spsolve", "least_norm", "least_squares"}
 """What a step of Newton's method is solved with"""
 ITERATIONS = {
     "mechanics.newton": "the one: whole, chord and halved steps, closures, equilibria",

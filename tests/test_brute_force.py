@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from conftest import inside
 
 from benchmarks import family_events
 from benchmarks.brute_force import Follower, System, moved, recorded
@@ -74,27 +75,59 @@ def test_tori_of_the_tube_are_those_of_auto():
     assert kept_values("Brusselator along a tube, AUTO's brf", "torus") == pytest.approx(theirs, abs=1e-8)
 
 
-def test_the_branch_point_of_the_tube_lies_between_multipliers_below_and_above_one():
-    """Orbits of two lengths beside it, corrected by themselves, have their largest multiplier on either side of 1."""
-    system = replace(SYSTEMS["Brusselator along a tube, AUTO's brf"], simulate=0.0, state=(), start=0.0)
-    kept = KEPT[system.name]
-    (place,) = kept_values(system.name, "branch_point")
-    largest = {}
-    for length in (1.2352026, place, place + (place - 1.2352026)):
-        follower = Follower(replace(system, state=tuple(kept["state"]), period=kept["period"], start=kept["start"]))
+TUBE = "Brusselator along a tube, AUTO's brf"
+
+
+def tube_at(lengths, state, period, start):
+    """For each length of the tube the period and the multipliers, the largest first, of the cycle near one at `start`,
+    which is corrected by itself."""
+    system = replace(SYSTEMS[TUBE], simulate=0.0, state=tuple(state), period=period, start=start)
+    for length in lengths:
+        follower = Follower(system)
         orbit = follower.first()
         plane = np.zeros(follower.size)
         plane[follower.width + 1] = 1.0
-        for value in np.linspace(kept["start"], length, 6)[1:]:
+        for value in np.linspace(start, length, 6)[1:]:
             u = orbit.u.copy()
             u[follower.width + 1] = value
             units, extents = follower.scales(u, orbit.widths)
             old = (u[: follower.width].reshape(follower.count, follower.n), follower.rates(u, orbit.widths))
             level = value / units[follower.width + 1]
             orbit = follower.corrected(u, orbit.widths, units, extents, old, plane, level)
-        largest[length] = np.abs(np.linalg.eigvals(follower.reduced(orbit))).max()
-    below, at, above = largest.values()
+        multipliers = np.linalg.eigvals(follower.reduced(orbit))
+        yield follower.period(orbit), multipliers[np.argsort(-np.abs(multipliers))]
+
+
+def test_the_branch_point_of_the_tube_lies_between_multipliers_below_and_above_one():
+    """Orbits of two lengths beside it, corrected by themselves, have their largest multiplier on either side of 1."""
+    kept = KEPT[TUBE]
+    (place,) = kept_values(TUBE, "branch_point")
+    lengths = (1.2352026, place, place + (place - 1.2352026))
+    largest = [abs(values[0]) for _, values in tube_at(lengths, kept["state"], kept["period"], kept["start"])]
+    below, at, above = largest
     assert below < 1 - 3e-5 and abs(at - 1) < 1e-8 and above > 1 + 3e-5
+
+
+@pytest.mark.slow
+def test_tori_of_the_tube_are_within_error_bars_and_those_on_the_branch_are_beside_autos():
+    """AUTO's lie on the same curve, with its period to all digits, and have the pair off the unit circle; where
+    orbitfinder puts them it is on it, by brute force too."""
+    settings = family_events.FamilySettings(certify=False, directions="forward")
+    problem = family_events.problem_of(TUBE, KEPT[TUBE])
+    family = family_events.follow_family(problem, "L", until=2.0, points=300, settings=settings)
+    place, *tori = (one for one in family.events if one.kind in ("branch_point", "torus"))
+    theirs = [one for one in reference("cycles.json", "brf")["points"] if one["type"] == "TR"]
+    assert inside(tori[0], theirs[0]["L"], 5e-10) and inside(tori[1], theirs[1]["L"], 5e-9)
+    assert inside(place, *kept_values(TUBE, "branch_point"), 1e-10)
+    branch = family_events.of.switch_branch(family, family.events.index(place), model=problem.model)
+    family = family_events.follow_family(branch, until=2.0, points=150, settings=settings)
+    theirs = [one for one in reference("cycles.json", "brf")["points"] if one["type"].startswith("TR on")]
+    tori = [one for one in family.events if one.kind == "torus"]
+    for event, their, off, rank in zip(tori, theirs, (4e-5, 7e-7), (0, 2), strict=True):
+        near = family.points[event.index]
+        (period, away), (own, on) = tube_at((their["L"], event.parameter), near.state, near.period, near.value)
+        assert period == pytest.approx(their["period"], abs=6e-8) and abs(own - event.period) <= event.period_error
+        assert event.error < 2e-10 and abs(abs(on[rank]) - 1) < 1e-11 and abs(abs(away[rank]) - 1) > off
 
 
 def test_doublings_and_folds_are_those_of_140_bits():

@@ -114,7 +114,7 @@ def test_derivatives_are_those_of_differences():
     """Of a forced system too, whose moments move with the period."""
     model = of.ode(lambda t, x, p: [x[1], p[0] * np.cos(1.0) * t - x[0] ** 3 - 0.1 * x[1]], ["x", "v"], {"a": 0.3},
                    forcing_period=lambda p: 6.0)  # fmt: skip
-    march = Equations(model, NONE, ("a",), action=True, collocated=True).march
+    march = Equations(model, NONE, ("a",), action=True, by=Collocation).march
     random, mesh = np.random.default_rng(0), np.array([0.0, 0.2, 0.3, 0.6, 1.0])
     nodes, tail = random.normal(size=(4, 2)), np.array([3.0, 0.3])
     path, step = march.varied(nodes, mesh, tail), 1e-5

@@ -11,7 +11,17 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from orbitfinder.continuation.follow import CurveJournal, Goals, Pace, SolutionCurve, follow, reached, rise, towards
+from orbitfinder.continuation.follow import (
+    CurveJournal,
+    Goals,
+    Pace,
+    SolutionCurve,
+    follow,
+    reached,
+    rise,
+    towards,
+    zero,
+)
 from orbitfinder.continuation.problem import Linear, Point, Solver, plane, solved
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.mechanics.newton import Settings
@@ -326,3 +336,10 @@ def test_no_kind_of_problem_is_known_here():
         for word in ("orbit", "torus", "tori", "optima", "equilibri", "connection", "cycle", "family"):
             code = [line for line in text.splitlines() if word in line.lower() and "orbitfinder" not in line]
             assert not code, (file.name, code)
+
+
+def test_a_zero_at_the_end_of_a_bracket_that_round_off_moved_beyond_it():
+    assert zero(lambda x: x - 1.0, 1.0 + 1e-15, 2.0, 1e-12) == 1.0 + 1e-15
+    assert abs(zero(lambda x: x - 1.0, 0.0, 2.5, 1e-12) - 1.0) < 1e-12
+    with pytest.raises(ValueError, match="different signs"):
+        zero(lambda x: x - 1.0, 1.1, 2.0, 1e-12)

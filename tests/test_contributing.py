@@ -1,4 +1,4 @@
-"""docs/contributing.md: its six examples, written into a copy of the package, do what the page says they do."""
+"""docs/contributing.md: its examples, written into a copy of the package, do what the page says they do."""
 
 import os
 import re
@@ -32,9 +32,10 @@ def copy(tmp_path_factory):
     return folder
 
 
-def test_there_are_six():
+def test_there_are_seven():
     assert list(EXAMPLES) == [
-        "A kind of system", "A method", "A condition", "An event", "A record with its picture", "A command"
+        "A kind of system", "A method", "A discretisation", "A condition", "An event", "A record with its picture",
+        "A command",
     ]  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from conftest import inside
 
 import orbitfinder as of
 from orbitfinder.cli.group import cli
@@ -92,8 +93,8 @@ def test_a_fold_is_known_where_orbits_of_one_parameter_are_far_apart():
     """(1 - mu) of the lower one is 4e-14, and its gap all but along that: 0.04 from an orbit of the same frequency."""
     orbit = of.find_orbit(of.load_problem(ROOT / "problems" / "gallery" / "forced-duffing-lower.toml"))
     family = follow_family(orbit, "frequency", until=1.0, points=40)
-    folds = [one.parameter for one in family.events if one.kind == "fold"]
-    assert folds == pytest.approx([1.7317606717826788, 1.4529935043131847], abs=1e-10)
+    folds = [one for one in family.events if one.kind == "fold"]
+    assert [inside(*pair) for pair in zip(folds, [1.7317606717826788, 1.4529935043131847], strict=True)] == [True] * 2
 
 
 @pytest.mark.parametrize("file", sorted(RESULTS.glob("*/family.json")), ids=lambda one: one.parent.name)
@@ -125,6 +126,7 @@ def test_a_torus_moved_or_renamed_is_rejected(tmp_path):
     assert [one.kind for one in family.events] == ["torus", "stability_change"]
     event = family.events[0]
     assert event.check.passed and abs(event.check.value) <= event.check.error < 1e-5
+    assert inside(event, 0.49) and event.period_error < 1e-8
     curve, step = curve_of(family.curve, model, FamilySettings(parameter="a")), 0.1
     a, b = family.points[event.index : event.index + 2]
     along = np.array([*(b.state - a.state), b.period - a.period, b.value - a.value])

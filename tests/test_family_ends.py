@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from conftest import inside
 from scipy.optimize import fsolve
 
 import orbitfinder as of
@@ -327,7 +328,11 @@ def test_the_atmosphere_of_lorenz_1984_is_followed_until_it_is_too_fast():
 
 
 def test_a_cycle_on_which_two_equilibria_are_born_is_no_canard():
-    """On r = 1, theta' = w - cos theta, so that T = 2 pi / sqrt(w^2 - 1): it ends where they are born, at w = 1."""
+    """On r = 1, theta' = w - cos theta, so that T = 2 pi / sqrt(w^2 - 1): it ends where they are born, at w = 1.
+
+    There theta' = theta^2 / 2 - ... about (1, 0), whose eigenvalues are 0 and, across, -2, and d theta' / dw = 1: a
+    saddle-node, from whose centre the circle leaves and comes back.
+    """
 
     def field(t, x, p):
         inward, turn = 1 - x.x**2 - x.y**2, p.w - x.x
@@ -344,10 +349,10 @@ def test_a_cycle_on_which_two_equilibria_are_born_is_no_canard():
     assert end.kind == "saddle-node" and abs(end.parameter - 1.0) <= end.error < 1e-13, end.reason
 
 
-def fitzhugh_nagumo():
+def fitzhugh_nagumo(slow=0.08):
     """road.json's nerve, with both of its canards."""
     return of.ode(
-        lambda _, x, p: [x.v - x.v**3 / 3 - x.w + p.I, 0.08 * (x.v + 0.7 - 0.8 * x.w)], ["v", "w"], {"I": 1.0}
+        lambda _, x, p: [x.v - x.v**3 / 3 - x.w + p.I, slow * (x.v + 0.7 - 0.8 * x.w)], ["v", "w"], {"I": 1.0}
     )
 
 
@@ -368,7 +373,10 @@ def test_both_canards_are_passed_from_the_relaxation_cycle(tmp_path):
     folds = sorted((one for one in family.events if one.kind == "fold"), key=lambda one: one.parameter)
     known = reference("road.json", "loc-fhn-right")["values"][0]
     wanted = [float(known["mirror"]), float(known["parameter"])]
-    assert [one.parameter for one in folds] == pytest.approx(wanted, abs=6e-11)
+    assert [inside(*pair, 6e-11) for pair in zip(folds, wanted, strict=True)] == [True, True]
+    left, right = folds  # each other's image
+    assert abs(left.parameter + right.parameter - 1.75) <= left.error + right.error < 1e-12
+    assert abs(left.period - right.period) <= left.period_error + right.period_error < 1e-6
     assert [one.criticality for one in folds] == ["supercritical", "subcritical"]
     assert folds[0].words == "supercritical fold I"
     for side, one in enumerate(reference("road.json", "eq-fhn")["values"]["hopf"]):
@@ -382,17 +390,32 @@ def test_both_canards_are_passed_from_the_relaxation_cycle(tmp_path):
 
 
 @pytest.mark.slow
-def test_both_canards_are_passed_from_a_hopf_point():
-    """From the Hopf point at 1.4187 through both folds to that at 0.3313."""
+def test_both_canards_are_passed_from_a_hopf_point(caplog):
+    """From the Hopf point at 1.4187 through both folds to that at 0.3313; nothing that was seen is none."""
     model = fitzhugh_nagumo()
     rest = of.follow_equilibria(model, [-1.2, -0.6], "I", until=2.0)
     assert [one.kind for one in rest.events] == ["hopf"]
     settings = FamilySettings(certify=False, points=600)
     family = of.follow_family(of.switch_branch(rest, 0, model=model), settings=settings)
     known = reference("road.json", "loc-fhn-right")["values"][0]
-    folds = [one.parameter for one in family.events if one.kind == "fold"]
-    assert sorted(folds) == pytest.approx([float(known["mirror"]), float(known["parameter"])], abs=6e-11)
+    folds = sorted((one for one in family.events if one.kind == "fold"), key=lambda one: one.parameter)
+    wanted = [float(known["mirror"]), float(known["parameter"])]
+    assert [inside(*pair, 6e-11) for pair in zip(folds, wanted, strict=True)] == [True, True]
+    assert [one.check.passed for one in family.events] == [True] * 4 and not caplog.records
     assert sorted(hopf(family, side)[0] for side in (0, 1)) == pytest.approx([0.3312813374547458, 1.418718662545254])
+
+
+@pytest.mark.slow
+def test_a_canard_along_which_the_parameter_stays_has_its_folds(caplog):
+    """At a pace of 0.06 the current is that of the fold, to its last digit, for whole steps: the multiplier tells."""
+    model = fitzhugh_nagumo(0.06)
+    rest = of.follow_equilibria(model, [-1.2, -0.6], "I", until=2.0)
+    settings = FamilySettings(certify=False, points=600)
+    family = of.follow_family(of.switch_branch(rest, 0, model=model), settings=settings)
+    assert [one.kind for one in family.events] == ["fold", "stability_change"] * 2 and not caplog.records
+    right, left = (one for one in family.events if one.kind == "fold")
+    assert abs(left.parameter + right.parameter - 1.75) <= left.error + right.error < 1e-12
+    assert abs(left.period - right.period) <= left.period_error + right.period_error < 1e-5
 
 
 @pytest.mark.slow
@@ -402,8 +425,8 @@ def test_the_folds_of_autos_demos():
     settings = FamilySettings(certify=False)
     family = of.follow_family(of.Problem(model, of.Guess([1.5, -1.0], 9.5365)), "a", settings=settings, model=model)
     (known,) = reference("cycles.json", "fhn demo")["points"]
-    folds = [(one.parameter, one.period) for one in family.events if one.kind == "fold"]
-    assert [value for value, _ in folds] == pytest.approx([-known["a"], known["a"]], abs=6e-12)
+    folds = [one for one in family.events if one.kind == "fold"]
+    assert [inside(*pair, 6e-12) for pair in zip(folds, (-known["a"], known["a"]), strict=True)] == [True, True]
 
     def torus(_, x, p):
         apart = 0.933578 * (x.y - x.x) ** 3
@@ -415,8 +438,8 @@ def test_the_folds_of_autos_demos():
     family = of.follow_family(of.switch_branch(rest, 0, model=model), settings=replace(settings, points=60))
     (known,) = reference("cycles.json", "tor, first fold")["points"]
     fold = next(one for one in family.events if one.kind == "fold")
-    assert fold.parameter == pytest.approx(known["nu"], abs=6e-12)
-    assert fold.period == pytest.approx(known["period"], abs=6e-8)
+    assert inside(fold, known["nu"], 6e-12)
+    assert abs(fold.period - known["period"]) <= fold.period_error + 6e-9
 
 
 def turning(kind):
@@ -449,27 +472,43 @@ def test_the_side_to_which_what_is_born_is_born(kind, tmp_path):
         family = of.follow_family(problem, "a", until=0.05, settings=settings, model=model, out=tmp_path, name=wanted)
         (event,) = (one for one in family.events if one.kind == kind)
         assert event.criticality == wanted and event.words == f"{wanted} {kind.replace('_', ' ')}"
+        assert abs(event.parameter) <= event.error < 1e-9 and abs(event.period - 2 * np.pi) <= event.period_error < 1e-8
     written = json.loads((tmp_path / wanted / "family.json").read_text())["events"]
     assert [one.get("criticality") for one in written] == [wanted, None]
+    assert written[0]["error"] == written[0]["check"]["parameter_error"] == event.error
     known = of.load_family(tmp_path / wanted / "family.json")
     assert [one.criticality for one in known.events] == [wanted, ""]
     assert all(check.passed for _, check in verified(known, model))
     wrong = replace(event, check=replace(event.check, criticality="supercritical"))
     checks = [check for name, check in verified(replace(family, events=(wrong,)), model) if name.startswith("event")]
     assert not checks[0].passed and "recorded as supercritical, found subcritical" in checks[0].note
+    wrong = replace(event, check=replace(event.check, parameter_error=1e-30))
+    checks = [check for name, check in verified(replace(family, events=(wrong,)), model) if name.startswith("event")]
+    assert not checks[0].passed and "an error bar is recorded as 1e-30, found" in checks[0].note
 
 
 @pytest.mark.slow
 def test_the_side_by_the_branch_itself():
-    """Lorenz' doubling at 229.4067: the doubled orbit is stable below, where the simple one is not."""
+    """Lorenz' doubling at 229.4067: the doubled orbit is stable below, where the simple one is not; it doubles again,
+    and once more."""
     problem = of.load_problem(Path(__file__).parents[1] / "problems" / "families" / "lorenz-doubling.toml")
     settings = FamilySettings(certify=False)
     family = of.follow_family(problem, "rho", until=225.0, settings=settings)
     k = next(k for k, one in enumerate(family.events) if one.kind == "period_doubling")
     event = family.events[k]
-    assert event.criticality == "supercritical" and event.parameter == pytest.approx(229.4067085, abs=1e-7)
-    doubled = of.follow_family(of.switch_branch(family, k), points=2, settings=replace(settings, directions="away"))
-    assert all(one.value < event.parameter and one.stability != "unstable" for one in doubled.points)
+    exact = reference("curves.json", "lorenz-pd")["values"]  # of 140 bits
+    assert event.criticality == "supercritical" and inside(event, float(exact["PD1_r"]))
+    assert abs(event.period - float(exact["PD1_T"])) <= event.period_error < 1e-11
+    known, away = reference("cycles.json", "lorenz doublings")["points"], replace(settings, directions="away")
+    for one, until, digit in zip(known[1:], (217.0, 215.5), (5e-8, 5e-6), strict=True):
+        before = event.parameter
+        family = of.follow_family(of.switch_branch(family, k), until=until, settings=away)
+        k = next(k for k, each in enumerate(family.events) if each.kind == "period_doubling")
+        event = family.events[k]
+        born = [each for each in family.points if each.value > event.parameter + 0.1]
+        assert all(each.value < before and each.stability != "unstable" for each in born) and born
+        assert event.criticality == "supercritical" and inside(event, one["rho"], digit)
+        assert abs(event.period - one["period"]) <= event.period_error + digit / 100
 
 
 def test_where_no_side_is_told():

@@ -202,6 +202,10 @@ def test_fish_and_sharks_end_at_two_saddles():
     periods = {point.value: point.period for point in family.points if point.role == "at"}
     for period, q in wanted.items():  # ten digits of q, by the slope of T = -log(0.708073 - q) / 0.2211
         assert periods[q] == pytest.approx(period, abs=1e-10 / (0.2211 * (0.708073 - q)))
+    for point in family.points:  # and q at the very period, by the family's own slope
+        if point.role == "at":
+            off = (round(point.period) - point.period) * point.tangent[-1] / point.tangent[-2]
+            assert point.value + off == pytest.approx(wanted[round(point.period)], abs=1e-10)
     end = end_of(family, "heteroclinic")
     states = np.array(sorted(saddle["state"] for saddle in end.saddles))
     assert states == pytest.approx(np.array([[0.127625, 0.0], [0.651806, 0.0]]), abs=1e-6)

@@ -3,6 +3,7 @@
 import io
 import os
 import re
+from dataclasses import replace
 
 import click
 import pytest
@@ -12,7 +13,7 @@ from orbitfinder.cli import console, options
 from orbitfinder.cli.continue_ import event_words
 from orbitfinder.cli.group import PURPOSES, cli
 from orbitfinder.records.certificate import Certificate, Check
-from orbitfinder.records.family import load_family
+from orbitfinder.records.family import Reading, load_family
 
 
 @pytest.mark.parametrize("width", [40, 60, 80, 120])
@@ -101,8 +102,11 @@ def test_events_are_told_in_words_with_units() -> None:
     """Kind without underscores, the parameter's unit, the period."""
     root = os.path.dirname(os.path.dirname(__file__))
     family = load_family(os.path.join(root, "results", "families", "triple-mode-2", "family.json"))
-    said = event_words(next(one for one in family.events if one.kind == "period_doubling"), "energy")
+    said = event_words(next(one for one in family.events if one.kind == "period_doubling"), "energy", {})
     assert re.fullmatch(r"period doubling.* at energy -[\d.]+ J, period [\d.]+ s", said)
+    check = Reading(0.0, 1e-9, True, parameter_error=3e-12)
+    assert " J (+- 3e-12), period" in event_words(replace(family.events[0], check=check), "energy")
+    assert family.events[0].error is None  # of a file of before there were any
 
 
 def commands(group: click.Group, path: tuple[str, ...] = ()):

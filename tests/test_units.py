@@ -2,11 +2,13 @@
 
 import json
 from dataclasses import replace
+from functools import cache
 
 import casadi as ca
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from test_scales import rescaled
 
 import orbitfinder as of
 from orbitfinder.atlas.attempt import attempt
@@ -350,3 +352,103 @@ def test_a_stop_is_grazed_where_it_is_in_any_units(length):
     assert (grazing.kind, grazing.detail) == ("grazing", "hit")
     assert grazing.parameter * abs(1 - 2.8**2 + 0.28j) / length == pytest.approx(1.0, abs=1e-10)
     assert all(of.certify(one).passed for one in family.points)
+
+
+def peroxidase(x):
+    """Steinmetz and Larter's stiff cycle: X is a hundredth of what it is made from."""
+    chain, start = 0.1631021 * x[0] * x[1] * x[2], 0.046875 * x[0] * x[1] * x[3]
+    lost = 2500 * x[2] ** 2
+    return [-chain - start + 1.5 - 0.1175 * x[0], -chain - start + 0.75,
+            chain - lost + 2 * start - 20 * x[2] + 0.001, -start + lost - 1.104 * x[3]]  # fmt: skip
+
+
+def observed(x, b):
+    """A chemical clock, what only follows it, and what lies in a plane that it never leaves."""
+    return [
+        1 + x[0] ** 2 * x[1] - (b + 1) * x[0],
+        b * x[0] - x[0] ** 2 * x[1],
+        x[0] - x[2],
+        (x[0] - 1.2) * x[3] - x[3] ** 3,
+    ]
+
+
+def shaken(later):
+    """Duffing's oscillator whose forcing began `later`."""
+    return of.ode(lambda t, x, p: [x[1], p[0] * ca.cos(t + later) - 0.2 * x[1] - x[0] - x[0] ** 3],
+                  ["x", "v"], {"a": 0.5}, forcing_period=lambda p: 2 * np.pi)  # fmt: skip
+
+
+CLOCKS = {
+    "brusselator": (lambda _: of.systems.brusselator(rate=2.5), [1.4, 3.0], 6.6, ("rate", 2.7)),
+    "peroxidase": (lambda _: of.ode(lambda t, x, p: peroxidase(x), "ABXY"), [2.5, 5.6, 0.024, 1.4], 16.0, None),
+    "observed": (lambda _: of.ode(lambda t, x, p: observed(x, p[0]), "xyzw", {"b": 2.5}), [1.4, 3.0, 1.0, 0.0], 6.6,
+                 ("b", 2.7)),
+    "shaken": (shaken, [0.4, 0.1], 2 * np.pi, ("a", 0.6)),
+}  # fmt: skip
+
+
+def seen_of(name, units, eighth, method):
+    """What is found, refined, followed and responded of a cycle, told in units, from an eighth of its period."""
+    build, state, period, further = CLOCKS[name]
+    forced = build(0.0).forced
+    at = state if forced or not eighth else of.simulate(build(0.0), state, period * eighth / 8).states[-1]
+    model = rescaled(build(period * eighth / 8), units, **({"forcing_period": lambda p: period} if forced else {}))
+    problem = of.Problem(model, of.Guess(list(np.array(at) / units), period), method=method)
+    orbit = of.find_orbit(problem)
+    assert orbit.certificate.passed, orbit.certificate.failures
+    seen = {"period": [orbit.period], "multipliers": np.sort(np.abs(orbit.floquet_multipliers))}
+    seen["extents"] = np.ptp(orbit.samples, axis=0)[:3] * units[:3]
+    if name != "peroxidase":  # too stiff for so many steps
+        refiner = of.Refiner(replace(problem, guess=of.Guess(list(orbit.state), orbit.period)))
+        again = refiner.orbit(refiner.refine())
+        assert again.certificate.passed, again.certificate.failures
+        seen["refined"] = [again.period]
+    if not forced:
+        curve = of.phase_response(orbit, model)
+        assert curve.certificate.passed, curve.certificate.failures
+        seen["response"] = [np.abs(curve.response).max(axis=0)[0] / units[0]]
+    if further:
+        settings = of.FamilySettings(directions="forward")
+        family = of.follow_family(orbit, further[0], until=further[1], model=model, settings=settings)
+        assert family.points[-1].certified and [end.kind for end in family.ends] == ["target"]
+        seen["family"] = [family.points[-1].period, *(event.parameter for event in family.events)]
+    return seen
+
+
+SMALL_AND_LARGE = {
+    "as they are": ((1.0, 1.0, 1.0, 1.0), 3), "first small": ((1e-6, 1.0, 1e6, 1e2), 5),
+    "first large": ((1e6, 1e-6, 1e-6, 1e6), 0), "tiny": ((1e-6,) * 4, 7), "huge": ((1e6,) * 4, 1),
+    "one small": ((1.0, 1e6, 1e-6, 1.0), 4),
+}  # fmt: skip
+"""Units of components, and the eighth of the period at which t is 0"""
+
+
+@cache
+def seen_plainly(name):
+    return seen_of(name, np.ones(len(CLOCKS[name][1])), 0, None)
+
+
+@pytest.mark.parametrize(("name", "told", "method"), [
+    ("brusselator", "first small", "shooting"), ("brusselator", "one small", "collocation"),
+    *(pytest.param(name, told, method, marks=pytest.mark.slow)
+      for name in CLOCKS for told in SMALL_AND_LARGE for method in ("shooting", "collocation")),
+])  # fmt: skip
+def test_nothing_depends_on_units_of_components_nor_on_the_instant(name, told, method):
+    plain = seen_plainly(name)
+    units, eighth = SMALL_AND_LARGE[told]
+    seen = seen_of(name, np.array(units[: len(CLOCKS[name][1])]), eighth, method)
+    assert seen.keys() == plain.keys()
+    for what, digits in {"period": 1e-12, "multipliers": 1e-7, "extents": 1e-2, "refined": 1e-12, "response": 1e-2,
+                         "family": 1e-9}.items():  # fmt: skip
+        if what in plain:
+            assert np.allclose(seen[what], plain[what], rtol=digits, atol=1e-9 * (what == "multipliers")), what
+
+
+@pytest.mark.parametrize("units", [(1e6, 1e-6), pytest.param((1e-6, 1e6), marks=pytest.mark.slow)])
+def test_a_diagram_is_the_same_in_any_units_of_components(units):
+    model = rescaled(of.systems.brusselator(rate=1.8), units)
+    tree = of.diagram(model, np.array([1.0, 1.8]) / units, "rate", 2.5)
+    rests, cycles = (curve.record for curve in tree.curves)
+    assert [(event.kind, event.criticality) for event in rests.events] == [("hopf", "supercritical")]
+    assert rests.events[0].parameter == pytest.approx(2.0, rel=1e-10)
+    assert cycles.points[-1].period == pytest.approx(6.5772843419058333034, rel=1e-12)

@@ -131,9 +131,10 @@ def _fits(part: str, value: Any) -> bool:
     return part not in MADE_BY or _is_a(part)(value)
 
 
-def _alternatives(annotation: str) -> list[str]:
+@functools.lru_cache(maxsize=1024)
+def _alternatives(annotation: str) -> tuple[str, ...]:
     """The parts of A | B[C | D] | None outside brackets."""
-    return re.split(r" \| (?![^\[]*\])", annotation)
+    return tuple(re.split(r" \| (?![^\[]*\])", annotation))
 
 
 def _expected(part: str) -> str:

@@ -19,6 +19,7 @@ from orbitfinder.cli.equilibria import followed_rest
 from orbitfinder.cli.jobs import folder_of, model_of, named_orbits, whole_family
 from orbitfinder.cli.options import FILES, FINITE, NUMBERS, finish, next_step, numbers, option, picked, text, usual
 from orbitfinder.errors import InputError, plural
+from orbitfinder.mechanics.scales import lasting
 from orbitfinder.records.certificate import certified
 from orbitfinder.records.family import UNITS, Batch, Event, number_of
 from orbitfinder.records.registry import held, member
@@ -62,7 +63,7 @@ class Switch(click.ParamType):  # type: ignore[type-arg]
 @option("resolve", "Follow avoided crossings this narrow instead of stepping over them.  [default: 0.02]",
         kind=click.FloatRange(1e-6, 0.15), metavar="ARCLENGTH")  # fmt: skip
 @option("method", "shooting, or collocation for what is stiff.  [default: as its orbit was found]",
-        kind=("shooting", "collocation"))  # fmt: skip
+        metavar="METHOD")  # fmt: skip
 @option(
     "beside", "A second parameter that varies so that the period stays, of a system without an energy.", metavar="B"
 )
@@ -134,7 +135,8 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
     for k in (asked := reached(family, at)):
         point = family.points[k]
         where = f"{family.parameter} {with_unit(point.value, family.parameter)}: {folder / 'family.json'}#{k}"
-        text(f"  {where}, period {point.period:.9g} s, {point.stability}, symmetry {point.symmetry}")
+        lasts = lasting(point.period, family.system, 9)
+        text(f"  {where}, period {lasts}, {point.stability}, symmetry {point.symmetry}")
     if written:
         text(f"  and {plural(len(written), 'figure')}")
     if places and family.curve.get("test") is None:
@@ -166,7 +168,7 @@ MOST_LISTED, LAST_EVENTS = 20, 6
 def _listed(family: of.Family, places: list[int], shown: Display, most: int = MOST_LISTED) -> None:
     """The events that branches leave at, with the numbers that --switch takes."""
     for k in places[:most]:
-        shown.say(f"--switch {k}: {event_words(family.events[k], family.parameter)}")
+        shown.say(f"--switch {k}: {event_words(family.events[k], family.parameter, family.system)}")
     if len(places) > most:
         shown.say(f"and {len(places) - most} more, up to --switch {places[-1]}")
 
@@ -184,10 +186,11 @@ def _asked_where(file: Path, chosen: Mapping[str, Any], shown: Display) -> None:
     raise InputError(f"--switch: missing; give the event to leave {family.name} at: {counted(places) or 'none'}")
 
 
-def event_words(event: Event, parameter: str) -> str:
-    """An event in words: kind, where, period."""
+def event_words(event: Event, parameter: str, system: Mapping[str, Any]) -> str:
+    """An event in words: kind, where with its error bar, period."""
     kind = f"{event.kind} {event.detail}".replace("_", " ").strip()
-    return f"{kind} at {parameter} {with_unit(event.parameter, parameter)}, period {event.period:.6g} s"
+    known = "" if event.error is None else f" (+- {event.error:.1g})"
+    return f"{kind} at {parameter} {with_unit(event.parameter, parameter)}{known}, period {lasting(event.period, system, 6)}"
 
 
 def with_unit(value: float, parameter: str) -> str:
@@ -230,7 +233,8 @@ def summary(family: of.Family) -> dict[str, Any]:
     """What `--json` says of a family; its points are in family.json."""
     events = [
         {"kind": event.kind, "detail": event.detail, family.parameter: event.parameter, "period": event.period,
-         "certified": event.certified} | {name: number_of(event, name) for name in family.parameters[1:]}
+         "error": event.error, "period_error": event.period_error, "certified": event.certified}
+        | {name: number_of(event, name) for name in family.parameters[1:]}
         for event in family.events
     ]  # fmt: skip
     return {
@@ -328,15 +332,16 @@ def _reporter(
 ) -> Callable[[Batch], None]:
     """A live panel with the last events, or, without a terminal, a line an event and a line every ten points; `steps`
     grows by each that is taken."""
-    began, seen, events = time.monotonic(), [0], list[Event]()
+    began, seen, events, system = time.monotonic(), [0], list[Event](), dict[str, Any]()
 
     def report(batch: Batch) -> None:
         interrupt.check()
         steps.append(batch)
         seen[0] += len(batch.points)
         events.extend(batch.events)
+        system.update(*(point.system for point in batch.points[:1]))
         for event in () if shown.live else batch.events:
-            shown.say(event_words(event, parameter))
+            shown.say(event_words(event, parameter, system))
         if not batch.points:
             return
         point, elapsed = batch.points[-1], time.monotonic() - began
@@ -346,14 +351,17 @@ def _reporter(
             rows = [
                 ("points", f"{seen[0]}, at most {most} each way"),
                 (parameter, value + (f" on the way to {with_unit(until, parameter)}" if until is not None else "")),
-                ("period", f"{point.period:.9g} s"), ("stability", point.stability),
+                ("period", lasting(point.period, system, 9)), ("stability", point.stability),
                 ("step", f"{point.step:.2g}"), ("elapsed", f"{elapsed:.1f} s"), ("events", str(len(events))),
             ]  # fmt: skip
-            last = [f"{ordered.index(late):>3}  {event_words(late, parameter)}" for late in events[-LAST_EVENTS:]]
+            last = [
+                f"{ordered.index(late):>3}  {event_words(late, parameter, system)}" for late in events[-LAST_EVENTS:]
+            ]
             shown.show(Report(name, rows, last))
         elif seen[0] % 10 < len(batch.points):
             shown.say(
-                f"{plural(seen[0], 'point')}, {parameter} {point.value:.6g}, period {point.period:.6g} s, "
+                f"{plural(seen[0], 'point')}, {parameter} {point.value:.6g}, "
+                f"period {lasting(point.period, system, 6)}, "
                 f"step {point.step:.2g}, {point.stability}, {elapsed:.1f} s elapsed"
             )
 

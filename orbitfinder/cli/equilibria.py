@@ -68,7 +68,7 @@ def _from_a_box(
     """Follow every curve through equilibria in a box, what is told of each and whether it is whole."""
     import numpy as np
 
-    there = of.find_equilibria(model, dict(map(_side, box)), parameter)
+    there = of.find_equilibria(model, dict(map(side, box)), parameter)
     if not there:
         raise ConvergenceError("no equilibrium was met in the box; give a larger one")
     begun, passed, curves = there[0].value, list[Any](), 0
@@ -86,7 +86,7 @@ def _from_a_box(
         yield told, whole
 
 
-def _side(given: str) -> tuple[str, tuple[float, float]]:
+def side(given: str) -> tuple[str, tuple[float, float]]:
     """NAME=LOW:HIGH. `InputError` for anything else."""
     name, _, sides = given.partition("=")
     with contextlib.suppress(ValueError):

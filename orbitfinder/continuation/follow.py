@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from itertools import pairwise
 from math import nan
 from pathlib import Path
@@ -32,8 +32,8 @@ from orbitfinder.records.family import End
 from orbitfinder.records.journal import append_line, begin_journal, header_of, known_lines
 from orbitfinder.records.reading import typed
 
-LOCATED, LOOKS = 1e-12, 60
-"""An event is located to this share of a step, in so many looks at most"""
+LOCATED, LOOKS, MISSED = 1e-12, 60, 1e-9
+"""An event is located to this share of a step, in so many looks at most; a sign is known to this of the other end"""
 LEAST, SAME, BESIDE = 4, 1e-6, 0.05
 """A curve of at least so many points is closed where it is as near to its start as this share of a step.
 A change of sign that looks within a step bound is on the curve so much farther, in what they bound, at most"""
@@ -107,8 +107,12 @@ def point_limit(most: int) -> End:
 def zero(value: Callable[[float], float], low: float, high: float, tolerance: float) -> float:
     """Where a function that changes its sign between two lengths vanishes, by Brent's method.
 
-    Round-off may keep the last bracket wider than asked for.
+    Round-off may keep the last bracket wider than asked for, and the sign the same at an end that is one.
     """
+    value = cache(value)
+    near, far = sorted((low, high), key=lambda end: abs(value(end)))
+    if value(near) * value(far) > 0 and abs(value(near)) <= MISSED * abs(value(far)):
+        return near
     return float(brentq(value, low, high, xtol=tolerance, rtol=1e-14, maxiter=LOOKS, disp=False))
 
 

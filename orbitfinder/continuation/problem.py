@@ -12,7 +12,7 @@ lengths; rows are compared with 1.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol, Self
 
@@ -82,9 +82,10 @@ class Point:
     def sharp(self) -> Point:
         """The same with its tangent by the derivatives there, where the corrector's are those of a place nearby."""
         metric = self.problem.metric(self.w)
-        rows = np.vstack([self.problem.phases(self.w), metric * self.tangent])
+        rows = np.concatenate([self.problem.phases(self.w), (metric * self.tangent)[None]])
         known, linear = self.problem.linearise(self.w)
-        return replace(self, tangent=_tangent(linear.closed(rows), known.size + len(rows), metric))
+        tangent = _tangent(linear.closed(rows), known.size + len(rows), metric)
+        return Point(self.problem, self.w, tangent, self.arclength, self.step, self.iterations)
 
     def inner(self, tangent: np.ndarray) -> float:
         """<tangent, another>, in this one's metric."""
@@ -112,7 +113,7 @@ def solved(problem: Any, guess: Any, aim: Aim) -> Point:
         return np.concatenate([rows, phases @ (w.vector - origin), [aim(w)[0]]])
 
     def solver(w: Any, linear: Linear) -> Solver:
-        return linear.closed(np.vstack([phases, aim(w)[1]]))
+        return linear.closed(np.concatenate([phases, aim(w)[1][None]]))
 
     rows, linear = problem.linearise(guess)
     functions = (lambda w: closed(w, problem.rows(w)), lambda w: solver(w, problem.linearise(w)[1]))

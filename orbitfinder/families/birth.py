@@ -11,12 +11,13 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.equilibrium import Equilibria, RestEvent
+from orbitfinder.families.handover import rescued
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.rest_problem import oscillations, regular
 from orbitfinder.families.start import FIRST_STEPS, Start, begin, corrected, curve_at, unknown_parameters
 from orbitfinder.integrate.equations import hamilton
 from orbitfinder.integrate.jets import at_rest
-from orbitfinder.integrate.march import uniform
+from orbitfinder.integrate.march import Gridded, March, uniform
 from orbitfinder.loops.continued import advanced, plane
 from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.problem import Guess, Problem
@@ -25,10 +26,12 @@ from orbitfinder.mechanics.kind import build_model, loops_of, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.model import energy as energy_of
 from orbitfinder.mechanics.scales import LEAST_SHARE
+from orbitfinder.orbits.method import begins
+from orbitfinder.orbits.method import named as method_named
 from orbitfinder.records.family import Event
 
-AMPLITUDES = (0.02, 0.005, 0.001, 0.05)
-"""Of the first cycle, in the sizes of the equilibrium; the first that succeeds is taken"""
+AMPLITUDES, INTERVALS = (0.02, 0.005, 0.001, 0.05), 40
+"""Of the first cycle, in the sizes of the equilibrium, the first that succeeds is taken; of its mesh of collocation"""
 
 
 def cycle_start(
@@ -41,7 +44,8 @@ def cycle_start(
     born, name = equilibria.events[number], equilibria.parameter
     model = with_parameters(model or build_model(equilibria.system), {name: born.parameter})
     unknown_parameters(model, replace(settings, parameter=name))
-    start = _first(model, name, born, np.abs([point.state for point in equilibria.points]).max(axis=0))
+    largest = np.abs([point.state for point in equilibria.points]).max(axis=0)
+    start = _first(model, name, born, largest, settings.method)
     return start, Event(born.kind, number, born.arclength, born.parameter, born.state, born.period, float("nan"))
 
 
@@ -74,14 +78,30 @@ def mode_start(
     return start, Event("mode", -1, rest.arclength, energy, rest.state, period, energy)
 
 
-def _first(model: Model, name: str, born: RestEvent, largest: np.ndarray) -> Start:
-    """The first cycle, directed away from its birth."""
+def _first(model: Model, name: str, born: RestEvent, largest: np.ndarray, method: str | None) -> Start:
+    """The first cycle, away from its birth, by a method; None: by shooting, or what rescues where that fails."""
+    if method and begins(method):
+        return _cycle(model, name, born, largest, method_named(method).march)
+    try:
+        return _cycle(model, name, born, largest, March)
+    except ConvergenceError as error:
+        other = None if method else rescued(model, born.state, born.period)
+        if other is None:
+            raise
+        return replace(_cycle(model, name, born, largest, other.march), why=f"by shooting {error}")
+
+
+def _cycle(model: Model, name: str, born: RestEvent, largest: np.ndarray, by: type[March]) -> Start:
+    """The same by one of them."""
     real, imaginary = np.split(born.direction, 2)
-    q = real + 1j * imaginary
+    gridded = issubclass(by, Gridded)
+    q, count = real + 1j * imaginary, INTERVALS if gridded else 1
     q = q / np.abs(q / np.where(largest > 0, largest, LEAST_SHARE * largest.max() or 1.0)).max()
-    equations, why = Equations(model, named(NONE.name, model), (name,), action=True), "none was tried"
-    still = equations.unknowns(born.state[None], born.period, uniform(1.0, 1, FIRST_STEPS), np.array([born.parameter]))
-    direction = np.concatenate([q.real, np.zeros(still.vector.size - q.size)])
+    equations, why = Equations.of(model, named(NONE.name, model), (name,), by), "none was tried"
+    mesh = uniform(1.0, count, 1 if gridded else FIRST_STEPS)
+    nodes, turning = np.repeat(born.state[None], count, axis=0), np.exp(2j * np.pi * np.arange(count)[:, None] / count)
+    still = equations.unknowns(nodes, born.period, mesh, np.array([born.parameter]))
+    direction = np.concatenate([(q * turning).real.ravel(), np.zeros(still.vector.size - still.nodes.size)])
     for amplitude in AMPLITUDES:
         guess = advanced(still, direction, amplitude)
         try:

@@ -43,7 +43,7 @@ from orbitfinder.families.start import (
 )
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.continued import CRITICAL, Curve, advanced, at_place, correct, plane, scaled, tangent
-from orbitfinder.loops.loop import Equations, Unknowns
+from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import Symmetry, called, involutions, momenta_of, named, turned
 from orbitfinder.mechanics.hybrid import repeated
@@ -132,7 +132,7 @@ def _cover(curve: Curve, event: Event, symmetry: Symmetry, share: float, setting
     model, symmetry = curve.equations.model, replace(symmetry, relative=curve.equations.symmetry.relative)
     free, held = unknown_parameters(model, settings, momenta_of(symmetry, model))
     place = _repeated(curve, event, symmetry, share)
-    equations = Equations(repeated(model, event.order), symmetry, free, True, collocated=curve.equations.collocated)
+    equations = replace(curve.equations, model=repeated(model, event.order), symmetry=symmetry, free=free)
     again = curve.equations.links.repeated(place.free, event.order)
     place = replace(place, unfolding=np.zeros(equations.march.unfolding), free=again)
     there = curve_at(equations, place, held, _turns(curve, event))

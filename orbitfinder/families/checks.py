@@ -19,21 +19,24 @@ import numpy as np
 
 from orbitfinder._runtime.arguments import check
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.errors import ConvergenceError
+from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.changes import margins_called
 from orbitfinder.families.codimension_two import is_centre
 from orbitfinder.families.critical import Critical, discriminant, levelled, torus_pair
 from orbitfinder.families.doubling import bending, born
 from orbitfinder.families.motion import parameters_at
 from orbitfinder.families.passages import index_levels, multiplier_levels
-from orbitfinder.families.point import freed, parameter_value, shift_at
+from orbitfinder.families.point import extents, freed, parameter_value, shift_at
 from orbitfinder.families.registry import KINDS
-from orbitfinder.integrate.dop853 import ReferenceSettings
-from orbitfinder.loops.continued import CORRECTOR, Curve, Solution
+from orbitfinder.integrate.dop853 import TIGHTEST, ReferenceSettings
+from orbitfinder.loops.condensed import CUTOFF
+from orbitfinder.loops.conditions import pinned
+from orbitfinder.loops.continued import CORRECTOR, Curve, Solution, crossed, plane
+from orbitfinder.loops.loop import ROUND_OFF
 from orbitfinder.loops.symmetry import turned
 from orbitfinder.loops.watch import arcs, numbers, unsure
 from orbitfinder.mechanics.kind import with_parameters
-from orbitfinder.orbits.evidence import COARSER, VARIED, Tour, tour
+from orbitfinder.orbits.evidence import COARSER, VARIED, ClosureCheck, Tour, tour
 from orbitfinder.orbits.floquet import ERROR_FLOOR, analyse, judged
 from orbitfinder.orbits.hybrid import hybrid_tour, retraced
 from orbitfinder.records.family import CLOSURE, UNKNOWN, Event, Reading
@@ -167,6 +170,8 @@ class Sides:
     step: float
     outer: Sequence[Probe] = ()
     """the orbits twice as far on both sides, where a parabola through the nearer ones is not enough"""
+    parameter: str = ""
+    """what the family is followed in"""
 
     def zero(self, measure: Measure, sharp: bool = True, within: float = SHARP) -> Reading:
         """What a measure says: it is to vanish here, `within` so much of a step, and to change its sign, if it is
@@ -180,7 +185,56 @@ class Sides:
             if noise > most and not self.here.curve.equations.links:
                 noise = abs(measure(_as(self.here, self.here.coarser)) - value)
         sure = low * high < 0 and noise <= most
-        return Reading(value, noise + within * slope, bool(sure and abs(value) <= noise + within * slope))
+        read = Reading(value, noise + within * slope, bool(sure and abs(value) <= noise + within * slope))
+        return self._barred(read, (abs(value) + noise) * self.step / nonzero(slope))
+
+    def _barred(self, read: Reading, off: float) -> Reading:
+        """What was read with error bars of the parameter and the period, the event being so much arclength `off`.
+
+        At a fold the parameter is stationary, and all that is left of it is what the orbit itself is off.
+        """
+        if not (read.passed and self.across.size):
+            return read
+        curve, w = self.here.curve, self.here.solution.place
+        off += float(np.sqrt(curve.scales.metric(w) @ self.across**2))
+        bars = []
+        for name in (self.parameter or _parameter(curve), "period"):
+            low, middle, high = self.values(name)
+            slope, bend = (high - low) / (2 * self.apart), (high - 2 * middle + low) / self.apart**2
+            of_orbit = np.abs(curve.slopes(w, (pinned(curve.equations, name, middle),))[0]) @ self.across
+            bars.append(float(of_orbit + abs(slope) * off + 0.5 * abs(bend) * off**2 + ROUND_OFF * abs(middle)))
+        return replace(read, parameter_error=bars[0], period_error=bars[1])
+
+    @cached_property
+    def across(self) -> np.ndarray:
+        """How far the event's orbit (over w) may be off in the plane normal to the family; empty where nothing says.
+
+        |J^-1| (|r| + e), J the Jacobian of all rows, r what they are by the certificate's integrator and e the errors
+        of that. Where another family crosses J has no inverse along it, nor has the event moved by what is off there.
+        """
+        curve, solution = self.here.curve, self.here.solution
+        p, w = curve.equations, solution.place
+        along = self.before.solution.place.displacement(self.after.solution.place)
+        if p.links or curve.test is not None or along is None:
+            return np.zeros(0)
+        aim, columns = plane(curve, w, along), curve.scales.columns(w)
+        states, durations = solution.march.states, np.diff(w.edges) * w.period
+        try:
+            ends = ClosureCheck(p.model, p.by.stiff).ends(w.nodes, durations, freed(curve, w), extents(curve, states))
+        except IntegrationError:
+            return np.zeros(0)
+        matrix = np.vstack([solution.matrix, curve.slopes(w, (aim,))]) * columns
+        sizes = nonzero(np.linalg.norm(matrix, axis=1))
+        left, values, right = np.linalg.svd(matrix / sizes[:, None])
+        count = int((values > CUTOFF * values[0]).sum()) - self.crossed
+        inverse = columns[:, None] * (right[:count].T / values[:count]) @ left[:, :count].T / sizes
+        missed = [curve.through(w).rows(w, ends + error, aim) for error in (0.0, TIGHTEST.relative_tolerance * ends)]
+        return np.asarray(np.abs(inverse) @ (np.abs(missed[0]) + np.abs(missed[1] - missed[0])))
+
+    @cached_property
+    def crossed(self) -> bool:
+        """Whether another family crosses at the event."""
+        return crossed(self.here.curve, self.here.solution)
 
     def values(self, name: str) -> tuple[float, float, float]:
         """A quantity before, at and after the event."""
@@ -206,7 +260,8 @@ class Sides:
             rise, noise = (8 * (high - low) - (last - first)) / 12, 1.5 * noise
         value = -rise * scale * float(np.sign(bent))
         error = noise + SHARP
-        return Reading(float(value), float(error), bool(abs(value) <= error and noise <= DOUBTFUL))
+        read = Reading(float(value), float(error), bool(abs(value) <= error and noise <= DOUBTFUL))
+        return self._barred(read, (abs(value) + noise) * self.step)
 
     def turns(self, name: str) -> bool:
         """Whether a quantity is, beyond round-off, on one side of what it is here on both sides."""
@@ -246,6 +301,8 @@ def check_passage(sides: Sides, event: Event) -> Reading:
         raise ConvergenceError(f"its multiplier {event.multiplier:.6g} and order {event.order} are of another kind")
     if KINDS[event.kind].crosses and event.multiplier.real > 0 and sides.turns(_parameter(sides.here.curve)):
         raise ConvergenceError("the family turns there, so that nothing else leads through it")
+    if KINDS[event.kind].crosses and event.multiplier.real > 0 and not here.conservative and not sides.crossed:
+        raise ConvergenceError("no other family leads through it")
     return sides.zero(_level(levels[0]))
 
 
@@ -264,14 +321,17 @@ def check_fold(sides: Sides, event: Event) -> Reading:
 def _turned(sides: Sides, parameter: str) -> Reading:
     """A root at the level of mu = 1, which is sharp by the turn of a parameter if not by itself.
 
-    Where the parameter hardly moves beyond its round-off, as in a canard, it is by itself, and the parameter turns.
+    Where the parameter hardly moves beyond its round-off, as in a canard, it is by itself, and the parameter turns: as
+    is seen, or as no other family crosses there. (The rows of a loop then have full rank, so that a multiplier that
+    passes +1 takes the derivative of the parameter through 0.)
     """
     level = _level(2.0 if sides.here.about.conservative else 1.0)
     passage = sides.zero(level, sharp=False)
     if passage.passed and sides.turning(parameter).passed:
         return passage
     passage = sides.zero(level, within=DOUBTFUL)
-    return replace(passage, passed=passage.passed and sides.bends(parameter))
+    turns = sides.bends(parameter) or not (sides.here.about.conservative or sides.crossed)
+    return replace(passage, passed=passage.passed and turns)
 
 
 def fold_side(sides: Sides, event: Event) -> str:

@@ -25,7 +25,7 @@ from orbitfinder.families.rest_curves import follow_rest_curve
 from orbitfinder.families.start import corrected, curve_of, released
 from orbitfinder.loops.conditions import pinned
 from orbitfinder.loops.continued import TESTED, Curve, at_place, scaled
-from orbitfinder.loops.loop import Equations, Unknowns
+from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.symmetry import momenta_of
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
@@ -195,5 +195,5 @@ def _released(base: Curve, event: Event, names: tuple[str, str], held: tuple[str
     old, model = base.equations, base.equations.model
     free = tuple(name for name in names if name in model.parameter_names)
     fixed = {name: event.free[name] for name in old.physical if name not in free}
-    equations = Equations(with_parameters(model, fixed), old.symmetry, free, True, True, old.collocated)
+    equations = replace(old, model=with_parameters(model, fixed), free=free, alone=True)
     return released(base, unknowns_of(base, event), equations, held)

@@ -25,6 +25,8 @@ from orbitfinder.families.equilibrium import EQUILIBRIA, Equilibria, RestEvent, 
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.registry import end_kind
+from orbitfinder.families.rest_starts import find_equilibria
+from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.certificate import Certificate, Check, at_most, equal
 from orbitfinder.records.codec import Codec
@@ -35,11 +37,13 @@ NORM, SAME, NEAR, STEP = "norm", 1e-6, 0.2, 0.25
 """What is drawn instead of a coordinate, the length of the state or its root mean square; shares of the range and of a
 period in which parameters and periods of an event agree where no error bar says it, in which a curve begins near its
 event; the longest step along cycles, so that what is drawn is smooth"""
-BECAME, FILES = (
+BECAME, FILES, NAMES = (
     ("followed", "joined", "depth", "budget", "failed"),
     {"equilibria.json": load_equilibria, "family.json": load_family},
+    {"hopf": "Hopf point", "torus": "torus bifurcation", "fold": "fold of cycles"},
 )
-"""What may become of an event at which something leaves; what reads a curve, by its file's name"""
+"""What may become of an event at which something leaves; what reads a curve, by its file's name; what events are called
+where it is not their kind, folds those of cycles"""
 
 
 @dataclass(frozen=True)
@@ -96,7 +100,7 @@ class BifurcationDiagram(Shown):
 
     Examples:
         >>> tree.counts
-        '1 curve of equilibria, 1 of cycles; events: 1 followed'
+        '1 curve of equilibria with 1 Hopf point, 1 of cycles; 1 followed'
         >>> tree.curves[1].record.ends[0].kind, tree.undone
         ('target', ())
     """
@@ -119,13 +123,84 @@ class BifurcationDiagram(Shown):
         return (*left, *(f"{file} stops: {end.reason}" for file, end in ends if end_kind(end.kind).lengthened))
 
     @property
+    def remarks(self) -> tuple[str, ...]:
+        """What is worth a look, a sentence each: a bound that no equilibria reached, as their curves turned back."""
+        rests = {curve.file: curve.record for curve in self.curves if isinstance(curve.record, Equilibria)}
+        ends = {file: (rest.points[0].value, rest.points[-1].value) for file, rest in rests.items()}
+        missed = [bound for bound in self.between if not any(bound in values for values in ends.values())]
+        return tuple(
+            f"{file} turned back at {self.parameter} {self._farthest(rests[file]):.9g} and left by {self.parameter} = "
+            f"{values[0]:g}, where it begins: {self.parameter} = {missed[0]:g} was not reached; look for other curves "
+            f"with --box, or begin at that bound with --from"
+            for file, values in ends.items() if missed and values[0] == values[1] in self.between
+        )  # fmt: skip
+
+    def _farthest(self, rest: Equilibria) -> float:
+        """The value of the parameter at which equilibria are farthest from where they begin."""
+        values = [*(point.value for point in rest.points), *(event.parameter for event in rest.events)]
+        return max(values, key=lambda value: abs(value - rest.points[0].value))
+
+    @property
     def counts(self) -> str:
-        """How many curves there are, and what became of the events."""
-        rest = sum(isinstance(curve.record, Equilibria) for curve in self.curves)
+        """How many curves there are, with what, and what became of the events at which something leaves."""
+        rest = [curve.record for curve in self.curves if isinstance(curve.record, Equilibria)]
+        cycles = [curve.record for curve in self.curves if isinstance(curve.record, Family)]
         made = [fork.became for fork in self.branchings]
-        became = ", ".join(f"{made.count(word)} {word}" for word in dict.fromkeys(made)) or "none"
-        curves = plural(rest, "curve") + f" of equilibria, {len(self.curves) - rest} of cycles"
-        return f"{curves}; events: {became}"
+        became = ", ".join(f"{made.count(word)} {word}" for word in dict.fromkeys(made)) or "nothing leaves them"
+        return (
+            f"{plural(len(rest), 'curve')} of equilibria{_with(rest)}, {len(cycles)} of cycles{_with(cycles)}; {became}"
+        )
+
+
+def told(record: Equilibria | Family) -> list[int]:
+    """The numbers of the events that are worth telling: all of equilibria, of cycles those at which stability may
+    change."""
+    if isinstance(record, Equilibria):
+        return list(range(len(record.events)))
+    return [k for k, event in enumerate(record.events) if kind_of(event.kind).critical]
+
+
+def happened(diagram: BifurcationDiagram, curve: DiagramCurve) -> Iterator[str]:
+    """What happens along a curve, a line each: its events with their error bars and what became of them, why cycles
+    end, how they were followed where that was not by shooting alone."""
+    forks = {fork.event: fork for fork in diagram.branchings if fork.file == curve.file}
+    for k in told(curve.record):
+        event, fork = curve.record.events[k], forks.get(k)
+        words = fork.words if fork else _told(curve, k)
+        known = [_bar(getattr(event, "error", None))]
+        if np.isfinite(lyapunov := getattr(event, "lyapunov", np.nan)):
+            known.append(f", l1 = {lyapunov:.6g}{_bar(event.lyapunov_error)}")
+        leads = f"; {fork.became} {', '.join(fork.leads)}".rstrip() if fork else ""
+        yield f"{words}{''.join(known)}{leads}"
+    if isinstance(curve.record, Family):
+        if why := curve.record.curve.get("method_reason"):
+            yield f"by collocation: {why}"
+        for end in curve.record.ends:
+            where = "" if end.parameter is None else f" at {diagram.parameter} {end.parameter:.9g}{_bar(end.error)}"
+            yield f"ends: {end.kind}{where}" if where else f"ends: {end.kind}, {end.reason}"
+
+
+def facts(diagram: BifurcationDiagram) -> dict[str, Any]:
+    """What is shown of a diagram: its curves, what happens along each, what was left undone."""
+    names = ("counts", "name", "system", "parameter", "between", "depth", "coordinate", "remarks", "undone")
+    curves = [
+        {"file": curve.file, "depth": curve.depth, "points": len(curve.record.points)} for curve in diagram.curves
+    ]
+    lines = [{"file": curve.file, "what": line} for curve in diagram.curves for line in happened(diagram, curve)]
+    return {name: getattr(diagram, name) for name in names} | {"curves": curves, "happened": lines}
+
+
+def _bar(error: float | None) -> str:
+    """An error bar in words, nothing of one that is not known."""
+    return f" (+- {error:.1g})" if error is not None and np.isfinite(error) else ""
+
+
+def _with(records: Sequence[Equilibria | Family]) -> str:
+    """The events of some curves counted by kind."""
+    kinds = [record.events[k].kind for record in records for k in told(record)]
+    kinds = [NAMES.get(kind, kind.replace("_", " ")).removesuffix(" of cycles") for kind in kinds]
+    counted = [plural(kinds.count(kind), kind) for kind in dict.fromkeys(kinds)]
+    return f" with {', '.join(counted)}" if counted else ""
 
 
 CODEC = Codec(BifurcationDiagram, "diagram", "`orbitfinder diagram`", "make the diagram again")
@@ -191,9 +266,10 @@ def leaving(record: Equilibria | Family) -> list[int]:
 
 
 def diagram(
-    model: Model, state: Sequence[float] | np.ndarray, parameter: str, until: float, *, depth: int = 2,
-    points: int = 400, coordinate: str | None = None, limit: float | None = None, name: str = "diagram",
-    out: str | Path | None = None, progress: Callable[[DiagramCurve], None] | None = None,
+    model: Model, state: Sequence[float] | np.ndarray | None, parameter: str, until: float, *, depth: int = 2,
+    points: int = 400, coordinate: str | None = None, box: Mapping[str, Sequence[float]] | None = None,
+    method: str | None = None, limit: float | None = None, name: str = "diagram", out: str | Path | None = None,
+    progress: Callable[[DiagramCurve], None] | None = None,
 ) -> BifurcationDiagram:  # fmt: skip
     """The whole bifurcation diagram between two values of a parameter: equilibria, and breadth first what is born at
     their branch points and Hopf points, at doublings and branch points of those cycles, and so on.
@@ -203,12 +279,15 @@ def diagram(
 
     Args:
         model: the system, at the parameter's first value.
-        state: near an equilibrium there, or where a simulation to rest begins.
+        state: near an equilibrium there, or where a simulation to rest begins; with a box it may be None.
         parameter: a physical parameter.
         until: its last value; every curve ends at either.
         depth: 0: the equilibria; 1: what leaves them; 2: what leaves that; ...
         points: the most of each curve, each way.
         coordinate: what is drawn, the first unless said; "norm" for the length of the state.
+        box: from where to where of each component equilibria are looked for at both values (see `of.find_equilibria`);
+            those that are on no curve yet begin others.
+        method: of cycles, shooting | collocation; None: shooting, and collocation where that cannot carry a curve on.
         limit: s after which nothing more is followed, which `undone` says.
         name: a word for files.
         out: a folder: everything goes to OUT/<name>/, and what is finished there is not followed again.
@@ -232,14 +311,16 @@ def diagram(
                          f"{', '.join(names[:20])}")  # fmt: skip
     if depth < 0:
         raise InputError(f"depth: must be at least 0, got {depth}")
-    follow = partial(follow_equilibria, model, state, parameter)
     first = dict(zip(model.parameter_names, map(float, model.parameter_values), strict=True)).get(parameter, until)
     empty = BifurcationDiagram(name, model.system, parameter, (first, until), depth, coordinate or names[0], ())
-    tree = _Tree(empty, model, points, None if out is None else Path(out) / name, progress or (lambda curve: None))
+    settings = FamilySettings(parameter=parameter, directions="away", points=points, longest_step=STEP, method=method)
+    tree = _Tree(empty, model, settings, None if out is None else Path(out) / name, progress or (lambda curve: None))
     with contextlib.nullcontext() if tree.folder is None else locks.alone_in(tree.folder), limited(limit):
         try:
-            tree.add(DiagramCurve("equilibria/equilibria.json", 0, record=tree.rest(follow, "equilibria")))
-            tree.grow()
+            for count, (follow, value) in enumerate(_beginnings(tree, state, box), 1):
+                file = "equilibria" if count == 1 else f"box-{count}"
+                tree.add(DiagramCurve(f"{file}/equilibria.json", 0, record=tree.rest(follow, file, value)))
+                tree.grow()
         except LimitError as error:
             if not tree.curves:
                 raise
@@ -247,14 +328,36 @@ def diagram(
     return tree.made()
 
 
+def _beginnings(
+    tree: _Tree, state: Sequence[float] | np.ndarray | None, box: Mapping[str, Sequence[float]] | None
+) -> Iterator[tuple[Callable[..., Equilibria], float]]:
+    """What follows each curve that is not born on another, and from where: through the state, and through equilibria of
+    a box at both bounds that are on no curve so far. Raises `ConvergenceError` where there is none."""
+    model, name, bounds = tree.model, tree.empty.parameter, tree.empty.between
+    assert model is not None
+    if state is not None:
+        yield partial(follow_equilibria, model, state, name), bounds[0]
+    for bound in bounds if box else ():
+        there = with_parameters(model, {name: bound})
+        met = find_equilibria(there, box or {}, name)
+        size = nonzero(np.abs([rest.state for rest in met]).max(axis=0)) if met else 1.0
+        for rest in met:
+            if not any((np.abs(other - rest.state) <= SAME * size).all() for other in tree.resting(bound)):
+                yield partial(follow_equilibria, there, rest.state, name), bound
+    if not tree.curves:
+        raise ConvergenceError("no equilibrium was met in the box; give a larger one")
+
+
 class _Tree:
     """A diagram in the making: its curves, and what became of their events so far."""
 
     def __init__(
-        self, empty: BifurcationDiagram, model: Model | None = None, points: int = 0, folder: Path | None = None,
+        self, empty: BifurcationDiagram, model: Model | None = None, settings: FamilySettings | None = None,
+        folder: Path | None = None,
         report: Callable[[DiagramCurve], None] = lambda curve: None,
     ) -> None:  # fmt: skip
-        self.empty, self.model, self.points, self.folder, self.report = empty, model, points, folder, report
+        self.empty, self.model, self.folder, self.report = empty, model, folder, report
+        self.settings = settings or FamilySettings()
         self.curves, self.branchings, self.stopped = list(empty.curves), list[Branching](), "not reached yet"
 
     def made(self) -> BifurcationDiagram:
@@ -277,9 +380,14 @@ class _Tree:
         self.made()
         self.report(curve)
 
+    def resting(self, bound: float) -> list[np.ndarray]:
+        """The equilibria of all curves at a bound."""
+        rests = [curve.record for curve in self.curves if isinstance(curve.record, Equilibria)]
+        return [point.state for rest in rests for point in rest.points if point.value == bound]
+
     def grow(self) -> None:
-        """Breadth first."""
-        waiting = deque(self.curves)
+        """What leaves the last curve, breadth first."""
+        waiting = deque(self.curves[-1:])
         while waiting:
             curve = waiting.popleft()
             for k in leaving(curve.record):
@@ -308,9 +416,7 @@ class _Tree:
 
     def beside(self, curve: DiagramCurve, k: int) -> Iterator[tuple[str, Callable[[], Equilibria | Family]]]:
         """The files of what leaves at an event, and what follows each."""
-        settings = FamilySettings(
-            parameter=self.empty.parameter, directions="away", points=self.points, longest_step=STEP
-        )
+        settings = self.settings
         begin = branches if isinstance(curve.record, Family) else switch_branch
         starts = begin(curve.record, k, settings=settings, model=self.model)
         for start in starts if isinstance(starts, list) else [starts]:
@@ -320,12 +426,12 @@ class _Tree:
             follow = partial(follow_family, start, settings=settings, out=self.folder, name=start.name)
             yield f"{start.name}/family.json", partial(follow, model=self.model, between=self.empty.between)
 
-    def rest(self, follow: Callable[..., Equilibria], name: str) -> Equilibria:
-        """Equilibria between the bounds."""
-        first, until = self.empty.between
+    def rest(self, follow: Callable[..., Equilibria], name: str, value: float = np.nan) -> Equilibria:
+        """Equilibria between the bounds, that begin at a value."""
+        first, until = self.empty.between if value != self.empty.between[1] else self.empty.between[::-1]
         file = None if self.folder is None else self.folder / name / "equilibria.json"
         with contextlib.nullcontext() if file is None else kept(file, save_equilibria):
-            record = follow(until=until, at=[first], points=self.points, name=name, out=self.folder)
+            record = follow(until=until, at=[first], points=self.settings.points, name=name, out=self.folder)
         record = within(record, self.empty.between)
         before = (
             load_equilibria(file) if file and file.exists() else record
@@ -357,7 +463,7 @@ class _Tree:
         if end.parameter is None or end.period is None:
             return False
         low, high = sorted(self.empty.between)
-        near = SAME * (high - low) if isinstance(event, Event) else 10 * ((end.error or 0.0) + event.error)
+        near = SAME * (high - low) if event.error is None else 10 * ((end.error or 0.0) + event.error)
         turns = {1, getattr(event, "order", 1)}
         off = min(abs(end.period / (event.period * count) - 1) for count in turns)
         return abs(end.parameter - event.parameter) <= near and off <= 1e3 * SAME
@@ -365,7 +471,9 @@ class _Tree:
 
 def _told(curve: DiagramCurve, k: int) -> str:
     event = curve.record.events[k]
-    return f"event {k}, {event.words} at {curve.record.parameter} {event.parameter:.9g}"
+    named = f"{event.criticality} {NAMES.get(event.kind, '')}".strip() if isinstance(event, Event) else ""
+    words = named if named.endswith("of cycles") else event.words
+    return f"event {k}, {words} at {curve.record.parameter} {event.parameter:.9g}"
 
 
 def _alike(event: RestEvent, other: RestEvent) -> bool:

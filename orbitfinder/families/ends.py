@@ -10,7 +10,7 @@ import numpy as np
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError, IntegrationError, plural
-from orbitfinder.families.joins import EVEN, Invariance, Join, agrees, approaching, end_of, passed, solved
+from orbitfinder.families.joins import EVEN, Invariance, Join, agrees, approaching, end_of, passed, sampled, solved
 from orbitfinder.families.minimal import dead_point
 from orbitfinder.families.motion import full_samples
 from orbitfinder.families.passages import LOCATION
@@ -19,12 +19,14 @@ from orbitfinder.families.rest import RestPoint, can_rest, rest_of, vanishing
 from orbitfinder.families.rest_problem import lyapunov, regular
 from orbitfinder.families.run import Interval, Run, Walked, portrait
 from orbitfinder.families.saddles import SLOW, blown_up, near_saddle, rest_near, slowness
+from orbitfinder.families.stability import LARGEST
 from orbitfinder.families.start import return_gaps
 from orbitfinder.integrate.jets import at_rest
 from orbitfinder.loops.conditions import hyperplane
 from orbitfinder.loops.continued import Curve, Solution, correct
 from orbitfinder.loops.symmetry import NONE, beside, named, recognise
 from orbitfinder.mechanics.kind import with_parameters
+from orbitfinder.mechanics.scales import lasting
 from orbitfinder.records.family import End, FamilyPoint
 
 
@@ -50,8 +52,6 @@ class Shrinking:
     """it is looked for when amplitude 0 is no more than so many steps away"""
     turned: float = -0.5
     """cosine between two orbits' deviations from their means below which the second one is half a period late"""
-    compared: int = 128
-    """samples of an orbit that is compared with the one before it"""
     exploded: float = 1e-5
     explosion: float = 0.02
     """a family is in a canard when within the first share of its way in the parameter it changes by the second one"""
@@ -99,6 +99,8 @@ def end_at(run: Run, before: Walked, after: Walked) -> End | None:
         raise ConvergenceError("another family is joined within one step")
     if curve.equations.model.forced:
         return None
+    if after.point.scale >= LARGEST:
+        return _canard(run, after, f"errors grow {LARGEST:g} times in a period and more, beyond the range of numbers")
     if slowness(curve, solution)[0] <= SLOW.share:
         return None
     if after.stretch > run.settings.longest_period:
@@ -182,9 +184,10 @@ def _shrinks_to(run: Run, step: Walked, away: float) -> tuple[RestPoint | None, 
 
 def _hopf(run: Run, rest: RestPoint, more: str = "") -> End:
     name, where = run.settings.parameter, np.array2string(rest.state, precision=6)
+    system = run.curve.equations.model.system
     reason = (
         f"the orbits shrink to the Hopf point at {name} {rest.value:.12g} (+- {rest.error:.1g}), period "
-        f"{rest.period:.12g} s, of the branch of equilibria through {where}, {_leaving(run, rest)}{more}"
+        f"{lasting(rest.period, system)}, of the branch of equilibria through {where}, {_leaving(run, rest)}{more}"
     )
     return End("hopf", reason, rest.value, rest.period, rest.error)
 
@@ -203,11 +206,12 @@ def _leaving(run: Run, rest: RestPoint) -> str:
 
 def _turned_over(curve: Curve, before: Solution, solution: Solution) -> bool:
     """Whether an orbit is the one before half a period later, as behind an equilibrium."""
-    first, other = (full_samples(curve, each, SHRINKING.compared)[1][:-1] for each in (before, solution))
+    first, other = (sampled(curve, each)[:-1] for each in (before, solution))
     extents = np.ptp(first, axis=0)
-    extents = np.where(extents > 0.0, extents, np.inf)  # what does not move says nothing
-    first, other = ((each - each.mean(axis=0)) / extents for each in (first, other))
-    return bool(np.sum(first * other) < SHRINKING.turned * np.linalg.norm(first) * np.linalg.norm(other))
+    weights = np.where(extents > 0.0, extents, np.inf) ** -2.0  # what does not move says nothing
+    first, other = (each - each.mean(axis=0) for each in (first, other))
+    alike, here, there = ((a * b).sum(axis=0) @ weights for a, b in ((first, other), (first, first), (other, other)))
+    return bool(alike < SHRINKING.turned * np.sqrt(here * there))
 
 
 def _shrinking(curve: Curve, before: Solution, solution: Solution) -> bool:
@@ -225,10 +229,15 @@ def _extent_and_place(curve: Curve, solution: Solution) -> tuple[float, float]:
 
 def _at_equilibrium(run: Run, solution: Solution) -> End:
     where, period = np.array2string(centre(run.curve, solution), precision=6), solution.place.period
+    system = run.curve.equations.model.system
     rest = rest_of(run.curve, solution, run.settings.parameter) if can_rest(run.curve) else None
     known = (rest.value, rest.period, rest.error) if rest else ()
     period = rest.period if rest else period
-    return End("equilibrium", f"the orbits shrink to the equilibrium at q = {where}, period {period:.9g} s", *known)
+    return End(
+        "equilibrium",
+        f"the orbits shrink to the equilibrium at q = {where}, period {lasting(period, system, 9)}",
+        *known,
+    )
 
 
 def end_of_failure(run: Run, step: Walked, failure: str) -> End:
@@ -257,19 +266,20 @@ def _canard(run: Run, step: Walked, failure: str) -> End | None:
     """The end of a family of relaxation oscillations that changes beyond what its parameter's digits can tell."""
     if not _self_excited(run.curve):
         return None
-    k, name = run.curve.equations.physical.index(run.settings.parameter), run.settings.parameter
+    p, name = run.curve.equations, run.settings.parameter
+    k, method = p.physical.index(name), p.by.name
     values, periods = step.portraits[:, 1 + k], step.portraits[:, 0]
     apart = np.abs(values - values[-1]) > SHRINKING.exploded * np.ptp(values)
     first = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
-    sizes = nonzero(step.portraits[first:, -run.curve.equations.size :])
+    sizes = nonzero(step.portraits[first:, -p.size :])
     period, size = (float(np.max(np.ptp(rows, axis=0) / rows.max(axis=0))) for rows in (periods[first:, None], sizes))
     if values.size - first < MEETING.fewest or max(period, size) < SHRINKING.explosion:
         return None
     width = float(np.ptp(values[first:]))
     reason = (
         f"a canard explosion: within {width:.1g} of {name} {values[-1]:.12g} the period changes from "
-        f"{periods[first]:.6g} to {periods[-1]:.6g} s and the extents by {100 * size:.2g} %, along orbits that follow "
-        f"a repelling slow motion for so long that shooting cannot hold them; {failure}"
+        f"{periods[first]:.6g} to {lasting(periods[-1], p.model.system, 6)} and the extents by {100 * size:.2g} %, "
+        f"along orbits that follow a repelling slow motion for so long that {method} cannot hold them; {failure}"
     )
     return End("canard", reason, float(values[-1]), float(periods[-1]), width)
 
@@ -374,7 +384,7 @@ def _steady(curve: Curve, before: Walked) -> End:
     return End(
         "relative equilibrium",
         f"the orbits shrink to a relative equilibrium at q = {np.array2string(middle, precision=6)}, which moves "
-        f"{rates}, period {period:.9g} s",
+        f"{rates}, period {lasting(period, curve.equations.model.system, 9)}",
     )
 
 
@@ -467,4 +477,4 @@ def merged(interval: Interval, at: float, name: str) -> End | None:
     units = dict.fromkeys(curve.equations.physical, "") or {"energy": " J"}
     place = solution.place
     where = ", ".join(f"{name} {parameter_value(curve, place, name):.9g}{unit}" for name, unit in units.items())
-    return End("merged", f"joins a family {what} at {where}, period {place.period:.9g} s")
+    return End("merged", f"joins a family {what} at {where}, period {lasting(place.period, model.system, 9)}")

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -118,31 +119,37 @@ def follow_equilibria(
     judge = Judge(model, (parameter,))
     if branch is None:
         problem, rest = first_equilibrium(model, state, parameter, span)
-        ways = [_Way(problem, rest, parameter, until, sign, judge) for sign in (1.0, -1.0)[: 1 + (until is None)]]
+        ways = [Way(judge, until, sign, problem, rest) for sign in (1.0, -1.0)[: 1 + (until is None)]]
     else:
         reach = None if span is None else np.array([span])
         problem = regular(at_rest(model, (parameter,), state), state, np.array([start]), reach).seen(
             branch.largest, np.zeros(1)
         )
         rest = np.concatenate([state, np.zeros(problem.jets.extra)])
-        ways = [_Way(problem, rest, parameter, until, sign, judge, branch.direction) for sign in (1.0, -1.0)]
-    path = None if out is None else Path(out) / label
-    runs: list[tuple[SolutionCurve, _Way]] = []
-    record = partial(_record, label, model, parameter, runs)
+        ways = [Way(judge, until, sign, problem, rest, branch.direction) for sign in (1.0, -1.0)]
+    request = {"system": dict(model.system), "state": state, "parameter": parameter, "way": 0, "until":
+               until is not None, "direction": None if branch is None else branch.direction}  # fmt: skip
+    return gone(ways, label, request, at, replace(pace, points=points), out, progress)
 
+
+def gone(
+    ways: Sequence[Way], label: str, request: Mapping[str, Any], at: Sequence[float], pace: Pace,
+    out: str | Path | None, progress: Callable[[Equilibrium], None] | None, curve: Mapping[str, Any] | None = None,
+) -> Equilibria:  # fmt: skip
+    """What lies along one way after another until one closes, each kept in a journal of OUT/`label`."""
+    goals, runs = Goals(ways[0].parameter, ways[0].until, tuple(map(float, at))), list[tuple[SolutionCurve, Way]]()
+    path = None if out is None else Path(out) / label
+    record = partial(_record, label, curve or {}, runs)
     with contextlib.nullcontext() if path is None else locks.alone_in(path):
         for k, way in enumerate(ways):
-            curve = SolutionCurve()
-            runs.append((curve, way))
-            request = {"system": dict(model.system), "state": state, "parameter": parameter, "way": k, "until":
-                       until is not None, "direction": None if branch is None else branch.direction}  # fmt: skip
-            journal = CurveJournal(way, path and path / f"equilibria{k or ''}.jsonl", request, way.leads)
-            goals = Goals(parameter, until, tuple(float(value) for value in at))
-            for kept in follow(curve, journal, way.begin, goals, replace(pace, points=points), way.tests()):
+            runs.append((run := SolutionCurve(), way))
+            file = path and path / f"equilibria{k or ''}.jsonl"
+            journal = CurveJournal(way, file, {**request, "way": k}, way.leads)
+            for kept in follow(run, journal, way.begin, goals, pace, way.tests()):
                 finished(record)
                 if progress:
                     progress(kept.record)
-            if curve.end and end_kind(curve.end.kind).closed:
+            if run.end and end_kind(run.end.kind).closed:
                 break
     return record()
 
@@ -159,16 +166,20 @@ def check_goals(parameter: str, start: float, until: float | None, at: Sequence[
 
 
 @dataclass(frozen=True, eq=False)
-class _Way:
-    """One direction along the equilibria from the first: how its points begin, are tested, recorded and kept."""
+class Way:
+    """One direction along a curve from its first point: how its points begin, are tested, recorded and kept."""
 
-    problem: AtRest
-    rest: np.ndarray
-    parameter: str
+    judge: Judge
     until: float | None
     sign: float
-    judge: Judge
+    problem: AtRest
+    rest: np.ndarray
     direction: np.ndarray | None = None
+
+    @property
+    def parameter(self) -> str:
+        """What is followed in."""
+        return self.judge.parameters[0]
 
     def begin(self) -> Point:
         """The first point."""
@@ -231,6 +242,32 @@ class _Way:
         point = Point(problem, Stacked(w), tangent, float(entry["arclength"]), float(entry["step"]))
         return point, self.record(point)
 
+    def special(self, run: SolutionCurve, kept: KeptPoint, index: int) -> RestEvent | None:
+        """What is singular near a located point, solved for; None where it is nothing."""
+        problem, length = kept.point.problem, kept.point.arclength
+        z, p, _ = problem.parts(kept.point.w)
+        try:
+            extended, guess = singular(problem, z, p, kept.role)
+            w = solve_square(extended, guess)
+        except (ConvergenceError, np.linalg.LinAlgError):
+            return None
+        bars, count, d = error_bars(extended, w), extended.count, problem.jets.size
+        w = Stacked(np.where(np.abs(w.vector) <= bars, 0.0, w.vector))  # what is 0 to its error bar
+        z, p, _ = extended.parts(w)
+        if np.abs((z - kept.point.w.vector[:count]) / problem.z_sizes).max() > 1e-3:
+            return None  # another one
+        found = self.judge.record(problem, z, p, length * self.sign, eigenvalues(problem, z, p))
+        sides = [other.point for other in run.points if other.point.arclength < length][-1:]
+        sides += [other.point for other in run.points if other.point.arclength > length][:1]
+        secant = sides[-1].w.vector - sides[0].w.vector if len(sides) > 1 else kept.point.tangent
+        name, claimed, known = _told(kept.role, extended, w, bars, secant)
+        value = self.judge.flow(z[:d], float(p[0]), problem.z_sizes[:d], problem.pace, claimed)
+        check = Reading(value, CRITICAL, bool(value <= CRITICAL and found.residual <= RESIDUAL))
+        return RestEvent(
+            name, index, found.arclength, float(p[0]), float(bars[-1]), found.state, found.eigenvalues, check,
+            critical=claimed, **known,
+        )  # fmt: skip
+
 
 def _border(point: Point) -> float:
     """The determinant of the equations and their tangent, 0 where two curves cross: its sign, a root of its size."""
@@ -252,30 +289,6 @@ def _pair(point: Point) -> float:
     sums = [a + b for a, b in combinations(_eigenvalues(point).tolist(), 2)]
     odd = sum(one.imag == 0.0 and one.real < 0.0 for one in sums) % 2  # the others come in pairs
     return (-1.0 if odd else 1.0) * min(map(abs, sums), default=1.0) / float(point.problem.pace)
-
-
-def _event(kept: KeptPoint, way: _Way, index: int) -> RestEvent | None:
-    """What is singular near a located point, solved for; None where it is nothing."""
-    problem = kept.point.problem
-    z, p, _ = problem.parts(kept.point.w)
-    try:
-        extended, guess = singular(problem, z, p, kept.role)
-        w = solve_square(extended, guess)
-    except (ConvergenceError, np.linalg.LinAlgError):
-        return None
-    bars, count, d = error_bars(extended, w), extended.count, problem.jets.size
-    w = Stacked(np.where(np.abs(w.vector) <= bars, 0.0, w.vector))  # what is 0 to its error bar
-    z, p, _ = extended.parts(w)
-    if np.abs((z - kept.point.w.vector[:count]) / problem.z_sizes).max() > 1e-3:
-        return None  # another one
-    found = way.judge.record(problem, z, p, kept.point.arclength * way.sign, eigenvalues(problem, z, p))
-    name, claimed, known = _told(kept.role, extended, w, bars, kept.point.tangent)
-    value = way.judge.flow(z[:d], float(p[0]), problem.z_sizes[:d], problem.pace, claimed)
-    check = Reading(value, CRITICAL, bool(value <= CRITICAL and found.residual <= RESIDUAL))
-    return RestEvent(
-        name, index, found.arclength, float(p[0]), float(bars[-1]), found.state, found.eigenvalues, check,
-        critical=claimed, **known,
-    )  # fmt: skip
 
 
 def _told(
@@ -332,27 +345,22 @@ def _other(problem: AtRest, z: np.ndarray, p: np.ndarray, tangent: np.ndarray) -
     return np.asarray(np.append(other[:d], other[z.size :]))
 
 
-def _record(name: str, model: Model, parameter: str, runs: list[tuple[SolutionCurve, _Way]]) -> Equilibria:
+def _record(name: str, curve: Mapping[str, Any], runs: list[tuple[SolutionCurve, Way]]) -> Equilibria:
     points: list[Equilibrium] = []
-    ends: list[End] = []
     events: list[RestEvent] = []
-    for curve, way in reversed(runs):
-        own = [kept.record for kept in curve.points]
-        twice = bool(points) and way.direction is None  # the first of both ways
-        points = own[::-1] if way.sign < 0 else [*points[: len(points) - twice], *own]
-        ends.append(curve.end or End(STOPPED, "stopped"))
-    lengths = np.array([point.arclength for point in points])
-    for curve, way in runs:
-        for kept in curve.events:
-            index = int(np.searchsorted(lengths, kept.point.arclength * way.sign)) - 1
-            sides = [other.point for other in curve.points if other.point.arclength < kept.point.arclength][-1:]
-            sides += [other.point for other in curve.points if other.point.arclength > kept.point.arclength][:1]
-            secant = sides[-1].w.vector - sides[0].w.vector if len(sides) > 1 else kept.point.tangent
-            event = _event(replace(kept, point=replace(kept.point, tangent=secant)), way, max(index, 0))
-            if event is not None:
-                events.append(event)
-    events.sort(key=lambda event: event.arclength)
-    return Equilibria(name, dict(model.system), parameter, tuple(points), tuple(_apart(events)), tuple(ends))
+    for run, way in reversed(runs):
+        own = [kept.record for kept in run.points]
+        both = bool(points and own) and points[-1].arclength == own[0].arclength  # begin with the same point
+        points = own[::-1] if way.sign < 0 else [*points[: len(points) - both], *own]
+    lengths = [point.arclength for point in points]
+    for run, way in runs:
+        for kept in run.events:
+            index = max(int(np.searchsorted(lengths, kept.point.arclength * way.sign)) - 1, 0)
+            events += [event] if (event := way.special(run, kept, index)) else []
+    events.sort(key=attrgetter("arclength"))
+    ends, judge = tuple(run.end or End(STOPPED, "stopped") for run, _ in reversed(runs)), runs[0][1].judge
+    system, parameter = dict(judge.model.system), judge.parameters[0]
+    return Equilibria(name, system, parameter, tuple(points), tuple(_apart(events)), ends, curve)
 
 
 def _apart(events: list[RestEvent]) -> list[RestEvent]:

@@ -84,7 +84,9 @@ class RestEvent(Shown):
         ('hopf', 'supercritical')
     """
 
-    __repr__ = brief("kind", "parameter", "frequency", "criticality", "index")
+    __repr__ = brief(
+        "kind", "parameter", "error", "frequency", "period", "lyapunov", "lyapunov_error", "criticality", "index"
+    )
     _sparse = ("check", "direction", "criticality", "values", "errors", "normal_form")
 
     kind: str

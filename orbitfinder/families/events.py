@@ -103,7 +103,10 @@ def bifurcations(interval: Interval, most: int) -> list[tuple[Sample, Test]]:
 def find_events(interval: Interval, settings: FamilySettings) -> list[tuple[Sample, Test]]:
     """What happens in an interval, each with the orbit there."""
     turned = [*zeros(interval, (test for test in folds(interval) if _moves(interval, test)))]
-    seen = sorted(turned + bifurcations(interval, settings.resonances), key=lambda pair: pair[0].distance)
+    passed = bifurcations(interval, settings.resonances)
+    if not interval.first.about.conservative:
+        turned, passed = _by_multiplier(interval, turned, passed)
+    seen = sorted(turned + passed, key=lambda pair: pair[0].distance)
     turns = [sample.distance for sample, test in turned if test.detail != "period"]
     seen = [(p, t) for p, t in seen if not KINDS[t.kind].crosses or (_apart(p.distance, turns) and _told(interval))]
     return seen + _changes(interval, seen)
@@ -117,6 +120,41 @@ def _moves(interval: Interval, test: Test) -> bool:
     )
     value = max(abs(parameter_value(interval.curve, end.solution.place, test.detail)) for end in ends)
     return bool(steepest * interval.length > FLAT * np.finfo(float).eps * value)
+
+
+Located = list[tuple[Sample, Test]]
+
+
+def _by_multiplier(interval: Interval, turned: Located, passed: Located) -> tuple[Located, Located]:
+    """Folds where the multiplier +1 tells them better than their parameter, and what else passes.
+
+    A multiplier passes +1 where the parameter turns or another family crosses: where neither is seen, as in a canard
+    along which the parameter stays what it is to round-off, it turns.
+    """
+    others: Located = []
+    for passing, test in passed:
+        if not (KINDS[test.kind].crosses and test.multiplier.real > 0):
+            others.append((passing, test))
+            continue
+        beside = [k for k, (fold, _) in enumerate(turned) if not _apart(passing.distance, [fold.distance])]
+        for k in beside:
+            turned[k] = _sharper(interval, turned[k], (passing, test)), turned[k][1]
+        if not beside:
+            parameter = next(folds(interval))
+            crosses = _moves(interval, parameter) or interval.crossed(passing)
+            others.append((passing, test if crosses or parameter.kind != "fold" else parameter))
+    return turned, others
+
+
+def _sharper(interval: Interval, fold: tuple[Sample, Test], passing: tuple[Sample, Test]) -> Sample:
+    """Of where a parameter turns and where a multiplier is 1 what is known better: by errors over slopes beside it."""
+    (sample, test), middle, beside = fold, fold[0].distance, BESIDE * interval.length
+    low, high = (interval.sample(d) for d in (max(0.0, middle - beside), min(interval.length, middle + beside)))
+    about, value = passing[0].about, parameter_value(interval.curve, sample.solution.place, test.detail)
+    known = FLAT * np.finfo(float).eps * abs(value), about.root_errors[np.abs(about.values - 1.0).argmin()]
+    errors = [error / nonzero(abs(each.measure(high) - each.measure(low)))
+              for error, each in zip(known, (test, passing[1]), strict=True)]  # fmt: skip
+    return sample if errors[0] <= errors[1] else passing[0]
 
 
 def _told(interval: Interval) -> bool:
@@ -184,6 +222,8 @@ def _changes(interval: Interval, events: list[tuple[Sample, Test]]) -> list[tupl
 
 FLAT = 4.0
 """Round-offs that a number has to change by within a step to turn there"""
+BESIDE = 1e-3
+"""Share of a step beside a fold at which it is seen how its parameter and its multiplier change"""
 GRAZED = 0.1
 """A modulus within this share of 1 at one of the two points may have passed it and come back."""
 DEEPEST = 6
@@ -192,13 +232,12 @@ DEEPEST = 6
 
 def multipliers(sample: Sample) -> np.ndarray:
     """Multipliers of the root map, the largest modulus first."""
-    values = sample.about.multipliers
-    return values[np.argsort(-np.abs(values), kind="stable")]
+    return sample.about.ranked
 
 
 def modulus(rank: int) -> Measure:
     """The logarithm of the modulus of this rank."""
-    return lambda sample: float(np.log(nonzero(np.abs(multipliers(sample)[rank]))))
+    return lambda sample: float(sample.about.growths[rank])
 
 
 def crossings(interval: Interval) -> list[tuple[Sample, Test]]:

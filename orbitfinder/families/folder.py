@@ -17,6 +17,7 @@ from orbitfinder.families.branches import Branch
 from orbitfinder.families.changes import checked_cycle
 from orbitfinder.families.critical import Critical
 from orbitfinder.families.follow import follow
+from orbitfinder.families.handover import handed_over
 from orbitfinder.families.members import batch_certified, certified
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.registry import end_kind
@@ -222,13 +223,13 @@ def _independent(curve: Curve, settings: FamilySettings) -> ClosureCheck | None:
     prepare(model, EFFORT)
     if curve.equations.physical and not system_kind(model.system).reread:
         prepare(model, EFFORT, curve.equations.physical)
-    return ClosureCheck(model, stiff=curve.equations.collocated)
+    return ClosureCheck(model, stiff=curve.equations.by.stiff)
 
 
 def _check_again(journal: Journal, curve: Curve, folder: Path) -> None:
     """`InputError` unless every point of a journal without digests still closes, by independent means."""
     model = curve.equations.model
-    check = ClosureCheck(model, stiff=curve.equations.collocated) if model.smooth else HybridCheck(model)
+    check = ClosureCheck(model, stiff=curve.equations.by.stiff) if model.smooth else HybridCheck(model)
     for point in (journal.origin, *(p for batch in journal.batches for p in batch.points)):
         allowed = CLOSURE * max(1.0, float(np.abs(point.floquet_multipliers).max(initial=1.0)))
         turns = turned(curve.equations.model, np.array(curve.turns), point.shift)
@@ -331,7 +332,7 @@ def _header(
         "format": FORMAT, "version": VERSION, "name": name, "system": dict(curve.equations.model.system),
         "parameter": settings.parameter, "request": request, "origin": plain(origin), "source": source,
         "away": 1 if np.sum(curve.weights * origin.tangent * start.direction) > 0 else -1,
-        "curve": entry_of(curve),
+        "curve": entry_of(curve) | ({"method_reason": start.why} if start.why else {}),
     })  # fmt: skip
     return header
 
@@ -386,7 +387,9 @@ def _finish(
     def so_far() -> Family:
         return assemble(replace(journal, batches=tuple(batches)))
 
-    for run in runs:
+    waiting = list(runs)
+    while waiting:
+        run = waiting.pop(0)
         done, end = journal.steps(run.direction), journal.end(run.direction)
         if end is not None and not (end_kind(end.kind).lengthened and len(done) < settings.points):
             continue
@@ -397,8 +400,15 @@ def _finish(
             for batch in follow(run, done):
                 reached = [point for point in batch.points if point.role == "step"][-1:]
                 step = abs(reached[0].arclength - last.arclength) if reached else last.step
-                batch, last = checked(curve, batch, step), (*reached, last)[0]
+                batch, last = checked(curve, batch, step, settings.parameter), (*reached, last)[0]
                 batch = batch_certified(curve, batch) if settings.certify else batch
+                if other := handed_over(folder, replace(journal, batches=tuple(batches)), run, batch.end, last):
+                    journal, curve = other
+                    batches, check = list(journal.batches), _independent(curve, settings)
+                    waiting = [
+                        replace(each, curve=curve, origin=journal.origin, check=check) for each in (run, *waiting)
+                    ]
+                    break
                 if folder is not None:
                     append(folder, batch)
                     kept = f"{plural(len(batches) + 1, 'step')} kept in {folder}"

@@ -44,7 +44,7 @@ from orbitfinder.loops.block import Ahead, Blocks, Pacing
 from orbitfinder.loops.conditions import pinned
 from orbitfinder.loops.continued import Solution, advanced, correct, distance, plane, tangent
 from orbitfinder.loops.mesh import carried, refined, regraded, settled
-from orbitfinder.records.family import Batch, End, Event, FamilyPoint, Standing, reached
+from orbitfinder.records.family import UNKNOWN, Batch, End, Event, FamilyPoint, Standing, reached
 
 SHORTEST_SEARCH = 1e-3
 """Steps longer than this are repeated at half their length when an event in them cannot be located."""
@@ -123,7 +123,7 @@ def _attempt(run: Run, before: Walked, length: float, blocks: Blocks | None) -> 
     }
     if solution is not raw:
         whole = tangent(curve, solution, carried(curve, raw.place, whole, solution.place))
-    point, kept = _checked_point(run, solution, whole, where, last.about if solution is raw else None)
+    point, kept, whole = _checked_point(run, solution, whole, where, last.about if solution is raw else None)
     point = replace(point, wall_time=time.perf_counter() - began)
     known = ahead.accepted if ahead is not None and kept is raw else None
     if known is None and blocks is not None:
@@ -138,7 +138,7 @@ def _corrected(run: Run, before: Walked, length: float) -> Ahead:
     """The point a length on, corrected."""
     curve, settings, sample, place = run.curve, run.settings, before.sample, before.solution.place
     guess = advanced(place, sample.whole, length, before.curvature)
-    slope = before.solution.jacobian if before.drift is None else before.solution.jacobian + length * before.drift
+    slope = before.solution.slope if before.drift is None else before.solution.matrix + length * before.drift
     aim, reach = plane(curve, place, sample.whole, length), 0.5 * length + 1e-9
     raw = correct(curve, guess, aim, place, reach=reach, slope=slope, fit=regraded)
     whole = tangent(curve, raw, sample.whole)
@@ -155,17 +155,18 @@ def _corrected(run: Run, before: Walked, length: float) -> Ahead:
 
 def _checked_point(
     run: Run, solution: Solution, whole: np.ndarray, where: dict[str, Any], about: Spectrum | None
-) -> tuple[FamilyPoint, Solution]:
-    """The point of a corrected place, on a finer mesh where it does not close on this one."""
+) -> tuple[FamilyPoint, Solution, np.ndarray]:
+    """The point of a corrected place, its orbit and tangent, on a finer mesh where it does not close on this one."""
     name = run.settings.parameter
+    along = solution.place.head_of(whole)
     for trial in range(REFINEMENTS + 1):
         try:
-            along = solution.place.head_of(whole)
-            return make_point(run.curve, solution, along, name, run.check, about=about, **where), solution
+            return make_point(run.curve, solution, along, name, run.check, about=about, **where), solution, whole
         except ConvergenceError:
             if trial == REFINEMENTS:
                 raise
-            solution, about = refined(run.curve, solution, whole), None
+            finer, about = refined(run.curve, solution, whole), None
+            solution, whole = finer, carried(run.curve, solution.place, whole, finer.place)
     raise AssertionError("unreachable")
 
 
@@ -173,7 +174,8 @@ def _batch(run: Run, before: Walked, after: Walked, last: Sample) -> Batch:
     """Everything between two points, in order: events, points asked for, and the end if there is one."""
     settings, origin = run.settings, before.point
     interval, ended = make_interval(run.curve, before.sample, last), end_at(run, before, after)
-    inside = _events(interval, settings)
+    lost = run.curve.equations.gridded and min(origin.scale, after.point.scale) > UNKNOWN
+    inside = [] if lost else _events(interval, settings)  # of a canard nothing could be certified
     events = [_placed(event, run, origin) for event in inside]
     points, final = _exactly(run, before, interval, inside)
     if final:
@@ -298,7 +300,7 @@ def _solve_level(run: Run, interval: Interval, near: float, value: float) -> Sol
     """The orbit at a given value of the parameter near a distance into an interval, on a mesh that satisfies it."""
     curve, first, reach = run.curve, interval.first.solution, interval.length
     aim = pinned(curve.equations, run.settings.parameter, value)
-    slope = first.jacobian if curve.test is None else interval.slope(near)
+    slope = first.slope if curve.test is None else interval.slope(near)
     solution = correct(curve, interval.guess(near), aim, first.place, reach=reach, slope=slope)
     if distance(curve, solution.place, first.place) > 2 * reach:
         raise ConvergenceError("the exact value was found on another part of the family")

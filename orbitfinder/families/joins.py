@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 from math import gcd
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.branches import symmetric
 from orbitfinder.families.critical import Critical
+from orbitfinder.families.motion import interpolated
 from orbitfinder.families.point import freed, parameter_value
 from orbitfinder.families.rest import predicted
 from orbitfinder.families.run import Sample, Walked, parameter_slopes
@@ -29,6 +29,7 @@ from orbitfinder.loops.continued import Curve, Solution, advanced, correct, plan
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.symmetry import Involution, called, involutions, named
 from orbitfinder.mechanics.model import wrapped
+from orbitfinder.mechanics.scales import lasting
 from orbitfinder.records.family import End
 from orbitfinder.records.reading import finite
 
@@ -37,6 +38,7 @@ EVEN = (2, 4, 6)
 odd share, such as a third, it goes on as another branch."""
 SAMPLED = 480
 """Samples over a period, divisible by every `parts`"""
+EVENLY = np.linspace(0.0, 1.0, SAMPLED + 1)
 BESIDE = (1e-4, 0.5)
 """d relative to the motion: above what cubics between the steps are off, and beside another family."""
 MOST_SECANT = 16
@@ -115,7 +117,7 @@ def _sampled(curve: Curve, place: Unknowns, states: np.ndarray) -> np.ndarray:
     p = curve.equations
     mesh, states = p.symmetry.whole(place.mesh, states, curve.constant)
     slopes = p.march.rates(states, place.tail, mesh * place.period) * place.period
-    return np.asarray(CubicHermiteSpline(mesh, states, slopes)(np.linspace(0.0, 1.0, SAMPLED + 1)))
+    return interpolated(mesh, states, slopes, EVENLY)
 
 
 def _beside(curve: Curve, solution: Solution) -> list[tuple[Invariance, np.ndarray, float]]:
@@ -193,7 +195,7 @@ def _beside_join(curve: Curve, solution: Solution, kept: Invariance) -> Start | 
     states = kept.joined(sampled(curve, solution), p.model.angular)
     if not symmetry.held_by(p.model, states[0], max(curve.cycles // kept.covers, 1)):
         return None
-    equations = Equations(p.model, symmetry, p.free, action=True, collocated=p.collocated)
+    equations = Equations.of(p.model, symmetry, p.free, p.by)
     part = round((len(states) - 1) * symmetry.fraction)
     count = next(k for k in (8, 6, 5, 4, 3, 2, 1) if part % k == 0)
     # Runge-Kutta steps in a segment of the first guess of the joined orbit
@@ -270,5 +272,5 @@ def end_of(join: Join, more: str = "") -> End:
         "winding": list(curve.turns), "free": freed(curve, orbit),
         "energy": finite(parameter_value(curve, orbit, "energy")),
     }  # fmt: skip
-    reason = f"joins a family {what} at {where}, period {period:.12g} s{more}"
+    reason = f"joins a family {what} at {where}, period {lasting(period, curve.equations.model.system)}{more}"
     return End("merged", reason, join.value, float(period), float(join.error), joined)

@@ -10,7 +10,7 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.motion import watched
-from orbitfinder.families.stability import Spectrum, spectrum, transitions
+from orbitfinder.families.stability import LARGEST, Spectrum, spectrum, transitions
 from orbitfinder.loops.conditions import measured
 from orbitfinder.loops.continued import CORRECTOR, Curve, Solution
 from orbitfinder.loops.loop import Unknowns
@@ -18,7 +18,7 @@ from orbitfinder.loops.symmetry import shifting, turned
 from orbitfinder.mechanics.scales import alone, shared
 from orbitfinder.orbits.closure import carried
 from orbitfinder.orbits.evidence import ClosureCheck
-from orbitfinder.records.family import CLOSURE, Event, FamilyPoint
+from orbitfinder.records.family import CLOSURE, UNKNOWN, Event, FamilyPoint
 from orbitfinder.records.orbit import system_at
 
 LEAST = 1e-3
@@ -97,14 +97,17 @@ def make_point(
     units = extents(curve, solution.march.states)
     parts = list(transitions(curve, solution) * units / units[:, None])
     grown = max(float(np.abs(about.floquet.multipliers).max(initial=1.0)), carried(parts, np.ones(p.size))[1])
+    grown = min(grown, LARGEST)
     allowed = CLOSURE * grown
     free, shift = freed(curve, place), shift_at(curve, place)
     turns = turned(p.model, np.array(curve.turns), shift)
-    closure = 0.0 if check is None else check(place.nodes[0], place.period, turns, allowed, free, units)
+    # growth of errors beyond which an orbit is checked piece by piece as well, and then alone
+    defect = 0.0 if check is None or grown <= 1e3 else checked_pieces(curve, solution, check, free)
+    alone = check is None or (p.gridded and grown > UNKNOWN)
+    closure = defect if alone or check is None else check(place.nodes[0], place.period, turns, allowed, free, units)
     if not closure <= allowed:
         raise ConvergenceError(f"the orbit closes only to {closure:.2g} where errors grow {grown:.3g} times")
-    # growth of errors beyond which an orbit is checked piece by piece as well
-    defect = closure if check is None or grown <= 1e3 else checked_pieces(curve, solution, check, free)
+    defect = defect or closure
     where.setdefault("indices", about.indices)
     return FamilyPoint(
         name="",
@@ -144,11 +147,10 @@ def make_point(
 def action_at(curve: Curve, solution: Solution) -> float:
     """The action over the horizon (J s) of the place after Newton's last step, which may have changed the energy: by
     dE, and so the action by T dE."""
-    return (
-        solution.march.integral
-        if solution.stepped < CORRECTOR.unmoved
-        else curve.equations.varied(solution.place).integral
-    )
+    w = solution.place
+    if march := curve.equations.gridded:
+        return march.integral(w.nodes, w.mesh, w.tail)
+    return solution.march.integral if solution.stepped < CORRECTOR.unmoved else curve.equations.varied(w).integral
 
 
 def checked_pieces(curve: Curve, solution: Solution, check: ClosureCheck, free: Mapping[str, float]) -> float:
@@ -198,6 +200,6 @@ def extents(curve: Curve, states: np.ndarray) -> np.ndarray:
     """The scale (2n) of every component of a motion (k x 2n): the largest extent of coordinates, and of rates."""
     angular, moved, least = curve.equations.model.angular, np.ptp(states, axis=0), LEAST * np.abs(states).max(axis=0)
     if angular.size == moved.size:
-        return np.asarray(np.maximum(alone(moved, angular), least))
+        return np.asarray(np.maximum(alone(moved / curve.shares, angular) * curve.shares, least))
     shares = np.tile(curve.shares, 2)
     return np.asarray(shared(np.maximum(moved, least) / shares, angular) * shares)

@@ -1,7 +1,9 @@
 """The records of this room, for the registry of records."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
+from typing import Any
 
+from orbitfinder.errors import plural
 from orbitfinder.families.diagram import load_diagram
 from orbitfinder.families.equilibrium import EQUILIBRIA, Equilibria, load_equilibria
 from orbitfinder.records.registry import KINDS, Kind
@@ -14,8 +16,24 @@ def _each(equilibria: Equilibria) -> list[Equilibria]:
             for k, point in enumerate(equilibria.points)]  # fmt: skip
 
 
+def _facts(rest: Equilibria, shown: int = 2) -> Any:
+    """What is shown of equilibria: of many only the outermost."""
+    if not rest.ends:
+        return rest.points[0]
+    points, more = rest.points, len(rest.points) - 2 * shown
+    sure = sum(point.certified for point in points)
+    some = (*points[:shown], f"and {more} more", *points[-shown:]) if more > 1 else points
+    entries = {entry.name: getattr(rest, entry.name) for entry in fields(rest)}
+    return {
+        "counts": f"{len(points)} equilibria, {sure} certified; {plural(len(rest.events), 'event')}",
+        **entries,
+        "points": some,
+    }
+
+
 KINDS[EQUILIBRIA] = Kind(
-    "equilibria", load_equilibria, _each, holds=EQUILIBRIA, verify="families.rest_curves:verified",
-    facts=lambda rest: rest if rest.ends else rest.points[0],
+    "equilibria", load_equilibria, _each, holds=EQUILIBRIA, verify="families.rest_curves:verified", facts=_facts,
 )  # fmt: skip
-KINDS["diagram"] = Kind("a bifurcation diagram", load_diagram, verify="families.diagram:verified")
+KINDS["diagram"] = Kind(
+    "a bifurcation diagram", load_diagram, verify="families.diagram:verified", facts="families.diagram:facts"
+)

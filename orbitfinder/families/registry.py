@@ -152,12 +152,14 @@ LOOKS, SWITCHABLE, FOLLOWED = Told("look"), Told("branches"), Told("followed")
 @dataclass(frozen=True)
 class EndKind:
     """A kind of end: `asked` for, so that it moves with what is asked; `lengthened` by more points; `closed`, so that
-    there is no other direction; or `outside`, where the last orbit that was met is none of the family's."""
+    there is no other direction; `outside`, where the last orbit that was met is none of the family's; or `stuck`, where
+    another method may go on."""
 
     asked: bool = False
     lengthened: bool = False
     closed: bool = False
     outside: bool = False
+    stuck: bool = False
 
 
 ENDS = {
@@ -166,6 +168,9 @@ ENDS = {
     "returned": EndKind(closed=True),
     "equilibrium": EndKind(outside=True),
     "relative equilibrium": EndKind(outside=True),
+    "step underflow": EndKind(stuck=True),
+    "singularity": EndKind(stuck=True),
+    "canard": EndKind(stuck=True),
 }
 """The kinds of ends at which more is to be done than to stop"""
 

@@ -66,6 +66,8 @@ def deviations(curve: Curve, place: Unknowns, states: np.ndarray) -> tuple[np.nd
 def predicted(curve: Curve, sample: Sample, length: float) -> tuple[Unknowns, np.ndarray]:
     """The orbit so far ahead along the tangent, and its states at the mesh."""
     guess = advanced(sample.solution.place, sample.whole, length)
+    if curve.equations.gridded:  # as the rows have it to first order
+        return guess, np.vstack([guess.nodes, guess.nodes[:1] + curve.constant])
     return guess, curve.equations.march.states(guess.nodes, guess.mesh, guess.tail)
 
 
@@ -83,14 +85,14 @@ def vanishing(curve: Curve, sample: Sample, length: float) -> float:
     return length / (1.0 - share) if share < 1.0 else np.inf
 
 
-def rest_of(curve: Curve, solution: Solution, name: str, settings: Settings = NEWTON) -> RestPoint | None:
+def rest_of(curve: Curve, solution: Solution, name: str) -> RestPoint | None:
     """The equilibrium that an orbit is an oscillation about, with the family's parameter `name`; None without one."""
     extended = _Extended(curve, solution)
-    rest = equilibrium(extended.linearised, extended.start, settings=settings)
+    rest = equilibrium(extended.linearised, extended.start, settings=NEWTON)
     if not rest.converged:
         return None
     z, (_, matrix) = rest.w, extended.linearised(rest.w)
-    there, values = extended.at(z), np.linalg.eigvals(extended.slopes(z)) / z[extended.count]
+    there, values = extended.at(z), np.linalg.eigvals(extended.flow(z)[1]) / z[extended.count]
     nearest = np.argsort(np.minimum(np.abs(values - 1j), np.abs(values + 1j)))
     if not abs(abs(values[nearest[1]].imag) - 1.0) + abs(values[nearest[1]].real) < CHECKED or not there.period > 0:
         return None
@@ -114,7 +116,7 @@ class _Extended:
         self.sizes = np.concatenate([units, parameter_sizes(p.model, p.free, solution.place.free)])
         self.size, self.count = mean.size, self.sizes.size
         y = np.concatenate([mean, solution.place.free]) / self.sizes
-        values, vectors = np.linalg.eig(self.slopes(y))
+        values, vectors = np.linalg.eig(self.flow(y)[1])
         v = vectors[:, np.argmin(np.abs(values - 1j))]
         self.c = v.conj() / np.linalg.norm(v) ** 2
         self.start = np.concatenate([y, [1.0], v.real, v.imag])
@@ -124,34 +126,48 @@ class _Extended:
 
     def at(self, z: np.ndarray) -> Unknowns:
         """The equilibrium as an orbit of one node."""
-        x, free = np.split(z[: self.count] * self.sizes, [self.size])
+        head = z[: self.count] * self.sizes
         period = self.place.period / z[self.count] if z.size > self.count else self.place.period
-        return replace(self.place, nodes=x[None], period=period, free=free)
+        return replace(self.place, nodes=head[None, : self.size], period=period, free=head[self.size :])
 
-    def slopes(self, z: np.ndarray) -> np.ndarray:
-        """J."""
-        there, units = self.at(z), self.sizes[: self.size]
-        slopes = self.curve.equations.march.arcs[0].slopes(there.nodes[0], there.tail)
-        return np.asarray(slopes * units / units[:, None] * self.place.period / (2 * np.pi))
-
-    def rates(self, z: np.ndarray) -> np.ndarray:
-        """f."""
-        there = self.at(z)
-        rates = self.curve.equations.march.arcs[0].rates(there.nodes, there.tail)[0]
-        return np.asarray(rates / self.sizes[: self.size] * self.place.period / (2 * np.pi))
+    def flow(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """f and J."""
+        there, units, pace = self.at(z), self.sizes[: self.size], self.place.period / (2 * np.pi)
+        rates, slopes = self.curve.equations.march.arcs[0].linearised(there.nodes[0], there.tail)
+        return rates / units * pace, slopes * units / units[:, None] * pace
 
     def rows(self, z: np.ndarray) -> np.ndarray:
         """f, J v - i omega v, c.v, and what is held in the units that its slopes have at first."""
-        size, count, there = self.size, self.count, self.at(z)
-        v = z[count + 1 : count + 1 + size] + 1j * z[count + 1 + size :]
-        turned = np.append(self.slopes(z) @ v - 1j * z[count] * v, self.c @ v - 1.0)
-        held = self.curve.values(there, self.curve.conditions) / self.held
-        return np.concatenate([self.rates(z), turned.real, turned.imag, held])
+        v = self._vector(z)
+        rates, slopes = self.flow(z)
+        turned = np.append(slopes @ v - 1j * z[self.count] * v, self.c @ v - 1.0)
+        return np.concatenate([rates, turned.real, turned.imag, self._kept(z)])
+
+    def _vector(self, z: np.ndarray) -> np.ndarray:
+        start, end = self.count + 1, self.count + 1 + self.size
+        return np.asarray(z[start:end] + 1j * z[end:])
+
+    def _kept(self, z: np.ndarray) -> np.ndarray:
+        if not self.held.size:
+            return np.zeros(0)
+        return np.asarray(self.curve.values(self.at(z), self.curve.conditions) / self.held)
 
     def linearised(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """They and their Jacobian, by central differences; nan where omega is not positive."""
-        if not z[self.count] > 0.0:
+        """They and their Jacobian, by central differences but in v; nan where omega is not positive."""
+        size, count, v = self.size, self.count, self._vector(z)
+        if not z[count] > 0.0:
             return np.full(z.size, np.nan), np.eye(z.size)
-        steps = DIFFERENCE * np.eye(z.size)
-        slopes = np.array([self.rows(z + step) - self.rows(z - step) for step in steps]).T / (2 * DIFFERENCE)
-        return self.rows(z), slopes
+        steps = DIFFERENCE * np.eye(count + 1, z.size)
+
+        def known(near: np.ndarray) -> np.ndarray:
+            rates, slopes = self.flow(near)
+            return np.concatenate([rates, slopes @ v, self._kept(near)])
+
+        changes = np.zeros((2 * size + self.held.size, z.size), complex)
+        changes[:, : count + 1] = np.array([known(z + one) - known(z - one) for one in steps]).T / (2 * DIFFERENCE)
+        rates, turned, kept = np.split(changes, [size, 2 * size])
+        turned = np.vstack([turned, np.zeros(z.size)])
+        turned[:size, count] -= 1j * v
+        by_v = np.vstack([self.flow(z)[1] - 1j * z[count] * np.eye(size), self.c])
+        turned[:, count + 1 :] = np.hstack([by_v, 1j * by_v])
+        return self.rows(z), np.vstack([rates.real, turned.real, turned.imag, kept.real])

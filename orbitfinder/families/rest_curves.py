@@ -17,30 +17,26 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
-from orbitfinder._runtime import locks
-from orbitfinder._runtime.keeping import STOPPED, finished
 from orbitfinder._runtime.sizes import nonzero, size_of
-from orbitfinder.continuation.follow import CurveJournal, Goals, KeptPoint, SolutionCurve, advanced, follow, towards
+from orbitfinder.continuation.follow import KeptPoint, SolutionCurve, advanced, towards
 from orbitfinder.continuation.problem import Point, solved
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families import equilibria as rest
 from orbitfinder.families import rest_certificate as certificate
 from orbitfinder.families import rest_problem as equations
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
-from orbitfinder.families.registry import end_kind
 from orbitfinder.families.rest_certificate import Judge
 from orbitfinder.families.rest_problem import AtRest, Stacked
 from orbitfinder.integrate.jets import Jets, at_rest
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.certificate import Certificate, at_most, equal
-from orbitfinder.records.family import End, Reading
+from orbitfinder.records.family import Reading
 
 FORMS, PAIRS = (
     {"fold": "fold", "hopf": "hopf", "neutral_saddle": "hopf"},
@@ -216,20 +212,20 @@ def _judged(judge: Judge, least: float, each: Equilibrium | RestEvent, sizes: np
 
 
 @dataclass(frozen=True, eq=False)
-class _Track:
-    """One direction along a curve from its first point, as `follow` keeps it."""
-
-    start: Point
-    judge: Judge
-    until: float | None
-    sign: float
+class _Track(rest.Way):
+    """Along a curve from the event that it is of."""
 
     def begin(self) -> Point:
-        way = self.sign * towards(self.start, self.judge.parameters[0], self.until)
-        return replace(self.start, tangent=self.start.tangent * way)
+        assert self.direction is not None
+        point = Point(self.problem, Stacked(self.rest), self.direction)
+        return replace(point, tangent=self.direction * self.sign * towards(point, self.parameter, self.until))
 
     def leads(self, point: Point) -> bool:
-        return self.until is None or towards(point, self.judge.parameters[0], self.until) > 0
+        return self.until is None or towards(point, self.parameter, self.until) > 0
+
+    def tests(self) -> Mapping[str, Callable[[Point], float]]:
+        known, conservative = TESTS[self.problem.form].items(), self.judge.model.conservative
+        return {role: partial(_value, test) for role, test in known if role == "cusp" or not conservative}
 
     def record(self, point: Point) -> Equilibrium:
         problem, w = point.problem, point.w
@@ -242,7 +238,7 @@ class _Track:
             z[:d], float(p[0]), values[np.lexsort((-values.imag, -values.real))], verdict, point.arclength * self.sign,
             kind=kind, values=p, normal_form=NORMAL[kind](problem, w),
         )  # fmt: skip
-        judged = _judged(self.judge, self.start.problem.pace, known, problem.z_sizes[:d])
+        judged = _judged(self.judge, self.problem.pace, known, problem.z_sizes[:d])
         return replace(known, residual=float(judged[0]), certified=bool((judged <= ALLOWED).all()))
 
     def write(self, point: Point, record: Equilibrium) -> Mapping[str, Any]:  # noqa: ARG002 - made again when read
@@ -251,14 +247,14 @@ class _Track:
 
     def read(self, entry: Mapping[str, Any]) -> tuple[Point, Equilibrium]:
         w, tangent, sizes, c = (np.array(entry[name], float) for name in ("w", "tangent", "sizes", "c"))
-        if not w.size == tangent.size == self.start.w.vector.size:
+        if not w.size == tangent.size == self.rest.size:
             raise ValueError("a point of another size")
-        problem = replace(self.start.problem, p_sizes=sizes, c=c)
+        problem = replace(self.problem, p_sizes=sizes, c=c)
         point = Point(problem, Stacked(w), tangent, float(entry["arclength"]), float(entry["step"]))
         return point, self.record(point)
 
-    def special(self, kept: KeptPoint, index: int) -> RestEvent | None:
-        """What is special near a located point, solved for; None where it is nothing, and where a test jumps."""
+    def special(self, run: SolutionCurve, kept: KeptPoint, index: int) -> RestEvent | None:  # noqa: ARG002
+        """None where a test jumps, too."""
         point, test = kept.point.sharp, TESTS[kept.point.problem.form][kept.role]
         try:
             for _ in range(3):
@@ -276,8 +272,12 @@ class _Track:
             frequency=critical.imag or np.nan, critical=critical, values=there.values, errors=errors,
             normal_form=NORMAL[kept.role](problem, point.w),
         )  # fmt: skip
-        judged = _judged(self.judge, self.start.problem.pace, event, problem.z_sizes[: problem.jets.size])
+        judged = _judged(self.judge, self.problem.pace, event, problem.z_sizes[: problem.jets.size])
         return replace(event, check=Reading(float(judged[2]), float(ALLOWED[2]), bool((judged <= ALLOWED).all())))
+
+
+def _value(test: Vanishing, point: Point) -> float:
+    return test(point.problem, point.w)
 
 
 def _slope(point: Point, test: Vanishing) -> float:
@@ -308,25 +308,12 @@ def follow_rest_curve(
     form, slowest = start.problem.form, start.problem.pace
     curve = {"test": {"kind": form, "detail": ""}, "form": form, "parameters": names, "pace": slowest, "fixed": fixed}
     judge, label = Judge(model, names), name or f"{equilibria.name}-{number}-{'-'.join(names)}"
-    path, pace = None if out is None else Path(out) / label, replace(rest.PACE, points=points, located=KNOWN)
-    tests = {role: lambda point, test=test: test(point.problem, point.w) for role, test in
-             TESTS[form].items() if role == "cusp" or not model.conservative}  # fmt: skip
-    goals, runs = Goals(names[0], until, tuple(map(float, at))), list[tuple[SolutionCurve, _Track]]()
-    record = partial(_record, label, model, curve, runs)
-    with contextlib.nullcontext() if path is None else locks.alone_in(path):
-        for k, sign in enumerate((1.0, -1.0)[: 1 + (until is None)]):
-            run, track = SolutionCurve(), _Track(start, judge, until, sign)
-            runs.append((run, track))
-            request = {"system": dict(model.system), "start": start.w.vector, "curve": curve, "way": k, "until":
-                       until is not None}  # fmt: skip
-            journal = CurveJournal(track, path and path / f"equilibria{k or ''}.jsonl", request, track.leads)
-            for kept in follow(run, journal, track.begin, goals, pace, tests):
-                finished(record)
-                if progress:
-                    progress(kept.record)
-            if run.end and end_kind(run.end.kind).closed:
-                break
-    return record()
+    first = start.problem, start.w.vector, start.tangent
+    ways = [_Track(judge, until, sign, *first) for sign in (1.0, -1.0)[: 1 + (until is None)]]
+    request = {"system": dict(model.system), "start": start.w.vector, "curve": curve, "way": 0, "until":
+               until is not None}  # fmt: skip
+    pace = replace(rest.PACE, points=points, located=KNOWN)
+    return rest.gone(ways, label, request, at, pace, out, progress, curve)
 
 
 def _chosen(equilibria: Equilibria, event: int | RestEvent) -> tuple[int, RestEvent]:
@@ -377,21 +364,6 @@ def _start(
     except ConvergenceError as error:
         raise ConvergenceError(f"the {event.words} at {equilibria.parameter} = {event.parameter:.9g} does not move "
                                f"with {' and '.join(names)}: {error}") from error  # fmt: skip
-
-
-def _record(label: str, model: Model, curve: Mapping[str, Any], runs: list[tuple[SolutionCurve, _Track]]) -> Equilibria:
-    points: list[Equilibrium] = []
-    for run, track in runs:
-        own = [kept.record for kept in run.points]
-        points = [*points, *own] if track.sign > 0 else [*own[:0:-1], *points]
-    lengths, events = [point.arclength for point in points], list[RestEvent]()
-    for run, track in runs:
-        for kept in run.events:
-            index = max(int(np.searchsorted(lengths, kept.point.arclength * track.sign)) - 1, 0)
-            events += [event] if (event := track.special(kept, index)) else []
-    ends = tuple(run.end or End(STOPPED, "stopped") for run, _ in reversed(runs))
-    known = tuple(sorted(events, key=attrgetter("arclength")))
-    return Equilibria(label, dict(model.system), curve["parameters"][0], tuple(points), known, ends, curve)
 
 
 def verified(equilibria: Equilibria, model: Model | None = None) -> Certificate:

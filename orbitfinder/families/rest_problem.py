@@ -27,11 +27,12 @@ from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.integrate.jets import Jets
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.newton import Settings, Solver
+from orbitfinder.mechanics.newton import Settings, Solver, largest, stepped
 from orbitfinder.mechanics.scales import LEAST_SHARE, parameter_sizes
 
 SETTINGS = Settings(floor=1e-15, round_off=1e-13, converged=1e-12, most_evaluations=12, contraction=0.05)
-"""Rows are relative to the sizes and the pace of the equilibrium"""
+SQUARE = Settings(floor=0.0, most_evaluations=30, contraction=0.3, farthest=1e3)
+"""Rows are relative to the sizes and the pace of the equilibrium; steps to what is singular, to all sizes"""
 AHEAD, UNDAMPED = 1.25, 1e-7
 """Sizes that are outgrown become so much larger than what outgrew them. Real parts below this
 share of the largest eigenvalue are none, imaginary ones the round-off of a double 0"""
@@ -74,7 +75,8 @@ class Dense:
         return float((-1.0 if odd else 1.0) * np.exp(np.log(np.abs(diagonal)).sum() / pivots.size))
 
     def _factorised(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-        return dgetrf(np.vstack([self.matrix, rows * self.sizes]))  # type: ignore[no-any-return]
+        own = (rows * self.sizes).reshape(-1, self.sizes.size)
+        return dgetrf(np.concatenate([self.matrix, own]))  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +185,7 @@ class AtRest:
         if not isfinite(float(g.sum()) + float(gz.sum())):
             raise ConvergenceError("the equations of rest leave the numbers")
         if self.form == "regular":
-            return g, np.hstack([gz, gp]) if slopes else gz
+            return g, np.concatenate([gz, gp], axis=1) if slopes else gz
         return getattr(self, f"_{self.form}")(z, p, more, (g, gz, gp), slopes)  # type: ignore[no-any-return]
 
     def _fold(
@@ -463,25 +465,20 @@ def error_bars(problem: AtRest, w: Stacked, across: np.ndarray | None = None) ->
     return np.asarray(inverse @ (np.abs(rows) + ROUND_OFF * terms) * problem.sizes)
 
 
-def solve_square(problem: AtRest, guess: Stacked, most: int = 30) -> Stacked:
+def solve_square(problem: AtRest, guess: Stacked) -> Stacked:
     """A solution of a problem with as many rows as unknowns: whole Newton steps until they no longer shrink.
 
     Raises `ConvergenceError`.
     """
-    w, last = guess, np.inf
-    for _ in range(most):
+
+    def step(w: Stacked) -> np.ndarray:
         rows, linear = problem.linearise(w)
-        try:
-            step = linear.closed(np.zeros((0, w.vector.size)))(rows)
-        except ConvergenceError:
-            break
-        w, length = w.moved(step), float(np.abs(step / problem.sizes).max())
-        if not length < 1e3:
-            break
-        if (length < 1e-9 and length > 0.3 * last) or length == 0.0:
-            return w
-        last = length
-    raise ConvergenceError("the equations of a singular equilibrium were not solved")
+        return linear.closed(np.zeros((0, w.vector.size)))(rows)
+
+    solved = stepped(guess, step, SQUARE, Stacked.moved, lambda step: largest(step / problem.sizes))
+    if not solved.converged:
+        raise ConvergenceError("the equations of a singular equilibrium were not solved")
+    return solved.w
 
 
 Form = Callable[..., np.ndarray]

@@ -9,10 +9,12 @@ from functools import cached_property
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError
+from orbitfinder.families.motion import rates_along
 from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
 from orbitfinder.families.stability import Spectrum, matching, spectrum
 from orbitfinder.families.start import Start
 from orbitfinder.loops.block import Accepted, Blocks
+from orbitfinder.loops.condensed import Linearised
 from orbitfinder.loops.conditions import followed, pinned
 from orbitfinder.loops.continued import (
     Curve,
@@ -24,6 +26,7 @@ from orbitfinder.loops.continued import (
     correct,
     crossed,
     distance,
+    jacobian_of,
     plane,
     tangent,
 )
@@ -146,7 +149,9 @@ class Interval:
         if self.crossing:  # it would lead along the family that crosses
             return None
         share, (a, b) = distance / self.length, (self.first.solution.jacobian, self.last.solution.jacobian)
-        return np.asarray((1 - share) * a + share * b) if a.shape == b.shape else None
+        if isinstance(a, Linearised) or isinstance(b, Linearised) or a.shape != b.shape:
+            return None
+        return np.asarray((1 - share) * a + share * b)
 
     def crossed(self, sample: Sample) -> bool:
         """Whether another family crosses at an orbit of the interval."""
@@ -186,8 +191,11 @@ def parameter_slopes(curve: Curve, place: Unknowns, head: np.ndarray) -> dict[st
             slopes[invariant.name] = float(by_state @ head[:size] + by_free @ head[size + 1 :])
     slopes |= {name: float(head[size + 1 + k]) for k, name in enumerate(p.physical)}
     slopes |= {name: float(head[k]) for k, name in enumerate(p.model.state_names)}
-    others = {*followed(p.model)} - {*slopes, *(invariant.name for invariant in p.model.invariants)}
-    return slopes | {name: float(pinned(p, name, 0.0).slope(p, place) @ place.spread(head)) for name in sorted(others)}
+    if "others" not in p.derived:
+        others = {*followed(p.model)} - {*slopes, *(invariant.name for invariant in p.model.invariants)}
+        p.derived["others"] = {name: pinned(p, name, 0.0) for name in sorted(others)}
+    rows = p.derived["others"].items()
+    return slopes | {name: float(row.slope(p, place) @ place.spread(head)) for name, row in rows}
 
 
 def make_sample(curve: Curve, distance: float, solution: Solution, whole: np.ndarray, expected: np.ndarray) -> Sample:
@@ -286,16 +294,16 @@ def standing_at(curve: Curve, point: FamilyPoint, standing: Standing | None) -> 
         return at_place(curve, place), place.over(point.tangent)
     marched = place.at(standing.marched)
     path = curve.equations.varied(marched, states=True)
-    rows = curve.through(place).linearised(place, path).matrix()
-    stepped = distance(curve, place, marched)
-    solution = Solution(place, path, np.vstack([rows, standing.rows.reshape(-1, rows.shape[1])]), 0.0, stepped, marched)
-    return solution, standing.tangent
+    jacobian = jacobian_of(curve.through(place), place, path)
+    if isinstance(jacobian, np.ndarray):
+        jacobian = np.vstack([jacobian, standing.rows.reshape(-1, jacobian.shape[1])])
+    return Solution(place, path, jacobian, 0.0, distance(curve, place, marched), marched), standing.tangent
 
 
 def standing_of(curve: Curve, solution: Solution, whole: np.ndarray) -> Standing:
     """What the step after an orbit begins with."""
-    count = len(solution.jacobian) if curve.test is None else len(solution.jacobian) - 1
-    return Standing((solution.marched or solution.place).vector, whole, solution.jacobian[count:])
+    last = solution.matrix[-1:] if curve.test else np.zeros((0, whole.size))
+    return Standing((solution.marched or solution.place).vector, whole, last)
 
 
 def step_from(
@@ -320,17 +328,19 @@ def step_from(
 def accepted(curve: Curve, before: Unknowns, solution: Solution, whole: np.ndarray) -> Accepted:
     """How an orbit with its tangent stands after another."""
     curve = curve.measured(solution)
-    rows = curve.through(solution.place).linearised(solution.place, solution.march).matrix()
-    here = replace(solution, jacobian=np.vstack([rows, solution.jacobian[len(rows) :]]))
+    jacobian = jacobian_of(curve.through(solution.place), solution.place, solution.march)
+    if isinstance(jacobian, np.ndarray):
+        jacobian = np.vstack([jacobian, solution.matrix[len(jacobian) :]])
+    here = replace(solution, jacobian=jacobian)
     whole = tangent(curve, here, whole)
     return Accepted(curve, here, whole, bend(curve, solution.place, whole, before))
 
 
 def drifted(curve: Curve, before: Solution, solution: Solution) -> np.ndarray | None:
     """The change of the Jacobian with arclength from one orbit to the next, None where their segments differ."""
-    if before.place.displacement(solution.place) is None:
+    if before.place.displacement(solution.place) is None or isinstance(solution.jacobian, Linearised):
         return None
-    return np.asarray((solution.jacobian - before.jacobian) / distance(curve, before.place, solution.place))
+    return np.asarray((solution.jacobian - before.matrix) / distance(curve, before.place, solution.place))
 
 
 def portrait(curve: Curve, solution: Solution) -> np.ndarray:
@@ -338,9 +348,9 @@ def portrait(curve: Curve, solution: Solution) -> np.ndarray:
 
     The last two (d each) are good to the fourth order of the mesh.
     """
-    p, place = curve.equations, solution.place
+    place = solution.place
     times = place.mesh / place.mesh[-1]
-    lengths, rates = np.diff(times), p.march.rates(solution.march.states, place.tail, place.mesh * place.period)
+    lengths, rates = np.diff(times), rates_along(curve, solution)
 
     def mean(values: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         parts = lengths * (values[:-1] + values[1:]).T / 2 + lengths**2 * (slopes[:-1] - slopes[1:]).T / 12

@@ -18,6 +18,7 @@ import numpy as np
 
 from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.families.motion import rates_along
 from orbitfinder.families.point import extents, freed, parameter_value
 from orbitfinder.families.rest import ROUND_OFF, can_rest
 from orbitfinder.families.rest_problem import eigenvalues as eigenvalues_at
@@ -28,6 +29,7 @@ from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.mesh import STEP_ERROR
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.newton import Settings, equilibrium
+from orbitfinder.mechanics.scales import lasting
 from orbitfinder.records.family import End
 
 
@@ -71,15 +73,14 @@ def slowness(curve: Curve, solution: Solution) -> tuple[float, np.ndarray]:
 
     Turning points are not slow in this sense: the speed includes the scaled acceleration.
     """
-    mesh, states = solution.place.mesh, solution.march.states
-    speed, weights = _speed(curve, solution, mesh, states), np.diff(mesh)
+    states, weights = solution.march.states, np.diff(solution.place.mesh)
+    speed = _speeds(curve, rates_along(curve, solution))
     slow = 0.5 * (speed[1:] + speed[:-1]) < SLOW.slow * speed.max()
     return float(weights[slow].sum() / weights.sum()), states[np.argmin(speed)]
 
 
-def _speed(curve: Curve, solution: Solution, mesh: np.ndarray, states: np.ndarray) -> np.ndarray:
-    p, place = curve.equations, solution.place
-    return np.asarray(np.sqrt(p.march.rates(states, place.tail, mesh * place.period) ** 2 @ curve.weights[: p.size]))
+def _speeds(curve: Curve, rates: np.ndarray) -> np.ndarray:
+    return np.asarray(np.sqrt(rates**2 @ curve.weights[: curve.equations.size]))
 
 
 def near_saddle(curve: Curve, solution: Solution, state: np.ndarray) -> bool:
@@ -118,7 +119,8 @@ def passed(curve: Curve, solution: Solution) -> Iterator[Saddle]:
     """The saddles (state and eigenvalues) that an orbit comes near in a period, in this order, each as often."""
     mesh, states = curve.equations.symmetry.whole(solution.place.mesh, solution.march.states, curve.constant)
     mesh, states = mesh[:-1], states[:-1]
-    speed = _speed(curve, solution, mesh, states)
+    place = solution.place
+    speed = _speeds(curve, curve.equations.march.rates(states, place.tail, mesh * place.period))
     slow = speed < SLOW.slow * speed.max()
     begins = np.flatnonzero(slow & ~np.roll(slow, 1))
     for begin in begins:
@@ -133,7 +135,8 @@ def blown_up(run: Run, step: Walked, more: str = "") -> End | None:
     """The end of a family whose period has grown, at the saddles or the saddle-node that its orbits come near."""
     curve, solution, n = run.curve, step.solution, run.curve.equations.model.degrees_of_freedom
     state, resting = slowness(curve, solution)[1], can_rest(curve)
-    grown = f"the period blows up ({solution.place.period:.6g} s, {step.stretch:.3g} times the shortest)"
+    lasts = lasting(solution.place.period, curve.equations.model.system, 6)
+    grown = f"the period blows up ({lasts}, {step.stretch:.3g} times the shortest)"
     if not near_saddle(curve, solution, state):
         return _saddle_node(run, step, state, grown, more) if resting else None
     energy = parameter_value(curve, solution.place, "energy")
@@ -190,7 +193,7 @@ def noise_of(curve: Curve, solution: Solution, name: str) -> float:
     period[place.nodes.size] = 1.0
     wanted = np.zeros(period.size)
     wanted[place.vector.size - place.free.size + curve.equations.physical.index(name)] = 1.0
-    made = np.linalg.lstsq(np.vstack([solution.jacobian, period]).T, wanted, rcond=None)[0][: place.nodes.size]
+    made = np.linalg.lstsq(np.vstack([solution.matrix, period]).T, wanted, rcond=None)[0][: place.nodes.size]
     return STEP_ERROR * float(np.abs(made) @ np.tile(extents(curve, solution.march.states), len(place.nodes)))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from math import gcd
 
 import numpy as np
@@ -23,8 +23,9 @@ from orbitfinder.records.family import METHODS
 SPREAD = 1e8
 """Multipliers farther apart than this are found factor by factor: multiplied out, their matrix has lost eight digits of
 the smallest."""
-ACCURACY = 1e-14
-"""Relative error of a state-transition matrix of a few steps at least."""
+ACCURACY, LARGEST = 1e-14, 1e290
+"""Relative error of a state-transition matrix of a few steps at least; what multipliers of canards count as that are
+beyond the range of numbers"""
 
 STILL = 1e-12
 """A driven motion that extends no farther than this, in the family's metric, is at rest."""
@@ -63,7 +64,17 @@ class Spectrum:
     @cached_property
     def multipliers(self) -> np.ndarray:
         """The non-trivial multipliers of the root map, not to be written to."""
-        return np.linalg.eigvals(self.reduced).astype(complex)
+        return np.linalg.eigvals(self.reduced).astype(complex) if self.chain is None else self.chain.product.values
+
+    @cached_property
+    def ranked(self) -> np.ndarray:
+        """The same, the largest modulus first."""
+        return np.asarray(self.multipliers[np.argsort(-np.abs(self.multipliers), kind="stable")])
+
+    @cached_property
+    def growths(self) -> np.ndarray:
+        """The logarithms of their moduli."""
+        return np.asarray(np.log(nonzero(np.abs(self.ranked))))
 
     @cached_property
     def root_errors(self) -> np.ndarray:
@@ -115,9 +126,10 @@ def spectrum(curve: Curve, solution: Solution) -> Spectrum:
     whole = np.linalg.matrix_power(reduced, root)
     floquet, chain = analyse(whole, conservative), None
     values, vectors = np.linalg.eig(reduced)
-    if not p.links and (p.collocated or _lost(floquet)):
+    if not p.links and (p.gridded or _lost(floquet, curve, solution)):
         chain = _chain(curve, solution)
         values, vectors = chain.product.values, np.zeros((0, 0))
+        values = np.where(np.abs(values) < LARGEST, values, LARGEST)  # beyond the range of numbers
         floquet = judged(values**root, conservative)
     indices = judged(values).indices if conservative else floquet.indices
     krein: tuple[int, ...] = ()
@@ -136,11 +148,14 @@ def spectrum(curve: Curve, solution: Solution) -> Spectrum:
 
 def reduced_maps(curve: Curve, solutions: Sequence[Solution]) -> tuple[np.ndarray, np.ndarray, int]:
     """The root maps of orbits without the trivial multipliers (k x r x r), their bases (k x d x r), the maps' root."""
-    units, (root_maps, root) = curve.units, _root_maps(curve, solutions)
     p, places, flows = curve.equations, [solution.place for solution in solutions], _flows(curve, solutions)
     slopes = [p.quantities_at(place)[1] if p.energy else np.zeros((0, p.size)) for place in places]
-    bases = _bases(curve, [place.nodes[0] for place in places], flows, slopes)
-    reduced = np.asarray(bases.swapaxes(1, 2) @ (root_maps * units / units[:, None]) @ bases)
+    bases, units = _bases(curve, [place.nodes[0] for place in places], flows, slopes), curve.units
+    with np.errstate(over="ignore", invalid="ignore"):
+        root_maps, root = _root_maps(curve, solutions)
+        reduced = np.asarray(bases.swapaxes(1, 2) @ (root_maps * units / units[:, None]) @ bases)
+    if p.gridded:  # they are told factor by factor
+        reduced = np.clip(np.nan_to_num(reduced), -LARGEST, LARGEST)
     if not np.all(np.isfinite(reduced)):
         raise ConvergenceError("the multipliers overflow, as where a guard is grazed; take a smaller step")
     return reduced, bases, root
@@ -152,10 +167,14 @@ def keeps_pairs(curve: Curve, reduced: np.ndarray) -> bool:
     return bool(curve.equations.symplectic and np.all(np.abs(areas - 1.0) < AREA))
 
 
-def _lost(floquet: Floquet) -> bool:
-    """Whether the round-off of the largest multiplier has swallowed digits of the smallest."""
-    sizes = np.abs(floquet.multipliers)
-    return bool(sizes.size and sizes.max() > SPREAD * sizes.min())
+def _lost(floquet: Floquet, curve: Curve, solution: Solution) -> bool:
+    """Whether the round-off of the largest multiplier has swallowed digits of the smallest, or what shrinks under way
+    and grows again, as in a canard, digits of all."""
+    sizes, transitions = np.abs(floquet.multipliers), solution.march.transitions * curve.units / curve.units[:, None]
+    ahead = accumulate(transitions, lambda done, piece: piece @ done)
+    behind = [*accumulate(transitions[:0:-1], lambda done, piece: done @ piece)][::-1]
+    grown = max((np.linalg.norm(a) * np.linalg.norm(b) for a, b in zip(ahead, behind, strict=False)), default=0.0)
+    return bool(sizes.size and (sizes.max() > SPREAD * sizes.min() or grown > SPREAD * max(1.0, sizes.max())))
 
 
 def _chain(curve: Curve, solution: Solution) -> RootFactors:
@@ -163,10 +182,12 @@ def _chain(curve: Curve, solution: Solution) -> RootFactors:
     symmetry directions where it begins and ends.
     """
     p, w, units = curve.equations, solution.place, curve.units
-    each = gcd(w.steps, QUANTUM)
-    states = p.march.states(w.nodes, w.mesh, w.tail)[::each]
-    matrices = p.march.varied(states[:-1], w.mesh, w.tail).transitions * units / units[:, None]
-    matrices, places = merged(matrices)
+    if p.gridded:
+        states, matrices = solution.march.states, solution.march.transitions
+    else:
+        states = p.march.states(w.nodes, w.mesh, w.tail)[:: gcd(w.steps, QUANTUM)]
+        matrices = p.march.varied(states[:-1], w.mesh, w.tail).transitions
+    matrices, places = merged(matrices * units / units[:, None])
     states, last, symmetry = states[places], len(matrices), p.symmetry
     there = list(range(1, last + 1))
     if symmetry.reverses:  # out, turned, back, turned

@@ -12,14 +12,13 @@ from scipy.interpolate import CubicHermiteSpline
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.families.minimal import minimal_problem
-from orbitfinder.families.motion import SAMPLES, full_samples
+from orbitfinder.families.motion import SAMPLES, full_samples, whole_motion
 from orbitfinder.families.point import FamilySettings, parameter_value
-from orbitfinder.integrate.collocation import Collocation
 from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.conditions import QUANTITIES, Pin, clock, conserved, followed, measured, pinned, quantities
 from orbitfinder.loops.continued import Curve, Solution, begun, correct, kernel, make_curve, tangent
 from orbitfinder.loops.loop import Condition, Equations, Unknowns
-from orbitfinder.loops.mesh import carried, intervals, regridded, remeshed, settled, worked
+from orbitfinder.loops.mesh import carried, remeshed, settled
 from orbitfinder.loops.problem import Guess, Problem, at_forcing_period, clocked
 from orbitfinder.loops.scales import Scales
 from orbitfinder.loops.symmetry import (
@@ -40,10 +39,9 @@ from orbitfinder.loops.watch import watches
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import lengths
-from orbitfinder.orbits.collocate import collocated_equations, on_meshes, turned
+from orbitfinder.orbits import method
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.hybrid import first_unknowns
-from orbitfinder.orbits.method import COLLOCATION, method_of
 from orbitfinder.orbits.shoot import natural_pin
 from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import Orbit, refuse_controlled
@@ -53,9 +51,8 @@ FIRST_STEPS = 160
 """Runge-Kutta steps in one period of a guess, before there is an error estimate to go by."""
 LOOKS = (40, 160, 640)
 """... in one segment, to see where a motion goes"""
-NEAR, COVERED = 0.2, 1e-5
-"""A guess goes round its orbit several times where it comes back to its start within these shares of its extents,
-sampled anyhow and at the very instant"""
+COVERED = 1e-5
+"""A guess goes round its orbit several times where it comes back to its start within this share of its extents"""
 
 
 @dataclass(frozen=True)
@@ -65,6 +62,8 @@ class Start:
     curve: Curve
     solution: Solution
     direction: np.ndarray
+    why: str = ""
+    """why it is by collocation, where that was not asked for"""
 
 
 def begin(
@@ -80,20 +79,20 @@ def begin(
     problem = as_problem(origin, model)
     if not problem.model.smooth:  # all events of the cycle are watched
         problem, symmetry = replace(problem, symmetry=NONE.name), NONE.name
-    collocated = (settings.method or problem.method) == COLLOCATION
+    by = settings.method or problem.method
     free, held = unknown_parameters(problem.model, settings, momenta_of(problem.boundary, problem.model))
     by_momentum = bool(problem.relative) and settings.parameter in momenta_of(problem.boundary, problem.model)
     if (free and problem.model.conservative) or by_momentum:
         return _freed(begin(problem, replace(settings, parameter="energy"), symmetry), free, held, settings.parameter)
     if settings.beside:
         return _freed(begin(problem, replace(settings, beside=""), symmetry), free, held, settings.parameter)
-    if collocated:
-        return _collocated(problem, free)
+    if by and method.named(by).begin:
+        return _start(problem, free, by)
     wanted = problem.symmetry if symmetry == "auto" else symmetry
     base = replace(problem, symmetry=NONE.name) if wanted != problem.symmetry else problem
     chosen = bool(problem.free or problem.constraints) or problem.objective != "nearest" or problem.forcing_cycles > 1
     start = (_found_first if chosen else _tried)(base, free)
-    if start.curve.equations.collocated:
+    if start.curve.equations.gridded:
         return start
     if symmetry == "auto" and problem.model.smooth and not problem.relative:
         wanted = symmetry_of(start.curve, start.solution)
@@ -115,17 +114,15 @@ def _tried(problem: Problem, free: tuple[str, ...]) -> Start:
 
 
 def cover_of(curve: Curve, solution: Solution) -> int:
-    """How many times an orbit goes round a shorter one, looked closely at where samples come near their start."""
+    """How many times an orbit goes round a shorter one."""
     if curve.equations.links or curve.equations.model.forced:
         return 1
-    rough = full_samples(curve, solution)[1]
-    extents = nonzero(np.ptp(rough, axis=0))
-    # a guess may go round its orbit so many times
-    for covers in (k for k in range(30, 1, -1) if (return_gaps(rough, k) < NEAR * extents).all()):
-        states = full_samples(curve, solution, -(-SAMPLES // covers) * covers)[1]
-        if (return_gaps(states, covers) < COVERED * extents).all():
-            return covers
-    return 1
+    motion = whole_motion(curve, solution)
+    (begin, end), extents = motion(motion.x[[0, -1]]), nonzero(np.ptp(motion(motion.x), axis=0))
+    parts = np.arange(30, 1, -1)  # a guess may go round its orbit so many times
+    turns = 2 * np.pi * np.round((end - begin) / (2 * np.pi * parts[:, None]))
+    gaps = np.abs(motion(motion.x[-1] / parts) - begin - turns)
+    return int(parts[(gaps < COVERED * extents).all(axis=1)].max(initial=1))
 
 
 def _found_first(problem: Problem, free: tuple[str, ...]) -> Start:
@@ -133,26 +130,7 @@ def _found_first(problem: Problem, free: tuple[str, ...]) -> Start:
     orbit = find_orbit(problem)
     model = with_parameters(problem.model, orbit.provenance.get("free", {})) if problem.free else problem.model
     problem = as_problem(orbit, model)
-    return (_collocated if problem.method == COLLOCATION else _start)(problem, free)
-
-
-def _collocated(problem: Problem, free: tuple[str, ...]) -> Start:
-    """From the orbit of a problem on a mesh of collocation. Raises `InputError` where that is not its method."""
-    method_of(problem, COLLOCATION)
-    base, momenta = at_forcing_period(problem), momenta_of(problem.boundary, problem.model)
-    fixed = collocated_equations(base)
-    w = on_meshes(base, fixed)[-1]
-    w = w if base.model.forced else turned(fixed, w)
-    equations = Equations(base.model, base.boundary, free, action=True, collocated=True)
-    place = equations.unknowns(w.nodes, w.period, w.mesh)
-    if isinstance(march := fixed.march, Collocation) and isinstance(own := equations.march, Collocation):
-        stages = march.stages(w.nodes, w.mesh, w.tail)
-        own.begin(place.nodes, stages, place.mesh, place.tail)
-        place = regridded(own, place, intervals(worked(own, place)))
-    curve = curve_at(equations, place, momenta, base.turns, {held.name: held.value for held in base.pin})
-    pins = [] if free else [one for one in base.pin if one.name not in momenta]
-    aim = pinned(equations, pins[0].name, pins[0].value) if pins else _own_aim(curve, place)
-    return corrected(curve, place, aim, place)
+    return _start(problem, free, problem.method)
 
 
 def as_problem(origin: Problem | Orbit, model: Model | None = None) -> Problem:
@@ -163,12 +141,12 @@ def as_problem(origin: Problem | Orbit, model: Model | None = None) -> Problem:
     model = knowing(model or build_model(origin.system), origin.symmetry)
     model = with_parameters(model, getattr(origin, "free", {}))  # a family's orbit is at its own values
     energy = next(iter(ungenerated(model)), None)
-    method = origin.provenance.get("method")
-    method = method if method == COLLOCATION else None
-    along = (origin.times, origin.samples) if method and origin.times.size else (None, None)
+    by = origin.provenance.get("method", "")
+    by = by if method.begins(by) else None
+    along = (origin.times, origin.samples) if by and origin.times.size else (None, None)
     problem = Problem(
         model, Guess(origin.state, origin.period, *along), (Pin(energy, origin.energy),) if energy else (),
-        winding=origin.winding, name=origin.name, relative=tuple(origin.shift), method=method,
+        winding=origin.winding, name=origin.name, relative=tuple(origin.shift), method=by,
     )  # fmt: skip
     held = [pin for pin in natural_pin(problem, origin.state) if pin.name in momenta_of(problem.boundary, model)]
     return minimal_problem(replace(problem, pin=(*problem.pin, *held)) if held else problem)
@@ -219,9 +197,7 @@ def unknown_parameters(
 def _freed(base: Start, free: tuple[str, ...], held: tuple[str, ...], name: str) -> Start:
     """The same orbit on the curve on which a parameter of this name varies and what is held keeps its value."""
     p = base.curve.equations
-    curve, place = released(
-        base.curve, base.solution.place, Equations(p.model, p.symmetry, free, True, collocated=p.collocated), held
-    )
+    curve, place = released(base.curve, base.solution.place, Equations.of(p.model, p.symmetry, free, p.by), held)
     return corrected(curve, place, _own_aim(curve, place, name))
 
 
@@ -234,17 +210,27 @@ def released(old: Curve, place: Unknowns, equations: Equations, held: tuple[str,
     return replace(curve_at(equations, place, held), constant=old.constant), place
 
 
-def _start(problem: Problem, free: tuple[str, ...]) -> Start:
-    equations = Equations(problem.model, problem.boundary, free, action=True)
-    fraction, state = equations.symmetry.fraction, np.asarray(problem.guess.state, float)
-    place = equations.unknowns(state[None], problem.guess.period, uniform(fraction, 1, int(FIRST_STEPS * fraction)))
-    if equations.links:
-        place = first_unknowns(equations, problem.guess, 1, rounded(FIRST_STEPS / equations.links.count))
+def _start(problem: Problem, free: tuple[str, ...], by: str | None = None) -> Start:
+    """From the guess by shooting, or from the orbit on the mesh of a method. Raises `InputError` where that is not for
+    it."""
+    begin = method.method_of(problem, by)[1].begin if by else None
+    if begin:
+        problem = at_forcing_period(problem)
+    equations, place = (begin or _shot)(problem, free)
     momenta, pins = momenta_of(problem.boundary, problem.model), [] if free else list(problem.pin)
     curve = curve_at(equations, place, momenta, problem.turns, {held.name: held.value for held in problem.pin})
     pin = next((one for one in pins if one.name not in momenta), None)
     aim = pinned(equations, pin.name, pin.value) if pin else _own_aim(curve, place)
-    return corrected(curve, place, aim)
+    return corrected(curve, place, aim, place if begin else None)
+
+
+def _shot(problem: Problem, free: tuple[str, ...]) -> tuple[Equations, Unknowns]:
+    equations = Equations.of(problem.model, problem.boundary, free)
+    fraction, state = equations.symmetry.fraction, np.asarray(problem.guess.state, float)
+    place = equations.unknowns(state[None], problem.guess.period, uniform(fraction, 1, int(FIRST_STEPS * fraction)))
+    if equations.links:
+        place = first_unknowns(equations, problem.guess, 1, rounded(FIRST_STEPS / equations.links.count))
+    return equations, place
 
 
 def curve_at(
@@ -285,7 +271,7 @@ def ungenerated(model: Model) -> tuple[str, ...]:
 
 def _looked_at(equations: Equations, place: Unknowns) -> tuple[np.ndarray, np.ndarray]:
     """A mesh over a place and the states on it, by as few steps as reach its end: near a pole 40 are too few."""
-    if equations.collocated:
+    if equations.gridded:
         return place.mesh, equations.varied(place, states=True).states
     for count in LOOKS:
         try:
@@ -309,7 +295,8 @@ def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -
     if not set(known.relative) <= set(shifts_of(model)):
         raise InputError(f"curve.relative: {list(known.relative)} is not of this system; continue the family again")
     symmetry = related(named(known.symmetry, model), model, known.relative)
-    equations = Equations(model, symmetry, known.free, action=True, collocated=known.method == COLLOCATION)
+    march = method.named(known.method or method.SHOOTING).march
+    equations = Equations.of(model, symmetry, known.free, march)
     wanted = equations.size, equations.size + 1 + len(known.free)
     if (known.constant.shape, known.weights.shape) != (wanted[:1], wanted[1:]) or not np.all(known.weights > 0):
         raise InputError("curve: constant or weights do not fit the system; continue the family again")
@@ -340,7 +327,7 @@ def entry_of(curve: Curve) -> dict[str, Any]:
     relative = list(shifting(p.symmetry, p.model))
     known = {"symmetry": p.symmetry.name, "free": list(p.free), "constant": curve.constant, "winding": curve.turns,
              "weights": curve.weights, "held": held, "period": period}  # fmt: skip
-    known |= {"method": COLLOCATION} if p.collocated else {}
+    known |= {"method": p.by.name} if p.gridded else {}
     more = {"cycles": curve.cycles, "relative": relative, "watch": watch, "test": curve.test,
             "pins": pins}  # fmt: skip
     return known | {name: value for name, value in more.items() if value}
@@ -365,7 +352,9 @@ class CurveEntry:
     pins: Mapping[str, float] = field(default_factory=dict)
     """what else the family keeps, by name"""
     method: str = ""
-    """how its orbits are integrated, where that is by collocation"""
+    """how its orbits are integrated, where that is not by shooting"""
+    method_reason: str = ""
+    """why, where it was not asked for"""
 
 
 def _own_aim(curve: Curve, place: Unknowns, name: str = "") -> Condition:
@@ -385,7 +374,7 @@ def corrected(
     except (ConvergenceError, IntegrationError) as error:
         raise ConvergenceError(f"no orbit to start the family from: {error}; find and certify one first") from error
     toward = place.joined(np.zeros(place.nodes.shape[1]), float(not place.free.size), 0.0, np.ones(place.free.size))
-    whole = tangent(curve, solution, toward) if curve.equations.collocated else kernel(curve, solution)
+    whole = tangent(curve, solution, toward) if curve.equations.gridded else kernel(curve, solution)
     solution, place = settled(curve, solution, whole), solution.place
     curve, whole = begun(curve, solution, carried(curve, place, whole, solution.place))
     return Start(curve, solution, solution.place.head_of(whole))
@@ -463,7 +452,7 @@ def reformulated(start: Start, symmetry: Symmetry) -> Start:
     if symmetry.reverses:
         first = symmetry.rows(model.degrees_of_freedom)[0][: nodes.shape[1] // 2]
         nodes[0] -= np.linalg.pinv(first) @ off_centre(symmetry.maps[0], nodes[:1], model.angles)[0]
-    equations = Equations(model, symmetry, old.equations.free, action=True)
+    equations = Equations.of(model, symmetry, old.equations.free)
     fresh = equations.unknowns(nodes, place.period, np.zeros(0), place.free)
     curve = replace(curve_at(equations, fresh), conditions=old.conditions, weights=old.weights)
     most = max(FIRST_STEPS, (place.mesh.size - 1) / old.equations.symmetry.fraction)  # of several turns, more

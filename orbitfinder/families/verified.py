@@ -58,12 +58,15 @@ SETTLED = 1e-6
 SHARES = ((3e-3, 0), (3e-4, 0), (5e-2, 1), (2e-1, 1), (5e-1, 1))
 """How far the orbits on both sides are, in steps of the family, and whether there are others twice as far: the nearer
 ones where two events share a step, the farthest where a parameter hardly moves beyond its round-off, as in a canard"""
+SHARPER = 1e-4
+"""Share of the error bars found from an event's state alone, where errors grow, that recorded ones are at least"""
 STEPS = 480
 """Steps of a period on which an orbit is marched of which the nodes are not known"""
 
 
-def reading(curve: Curve, event: Event, along: np.ndarray, step: float) -> Reading:
-    """What the check of an event says; `along` (head) is the way the family goes there, `step` the arclength of a step.
+def reading(curve: Curve, event: Event, along: np.ndarray, step: float, parameter: str = "") -> Reading:
+    """What the check of an event says; `along` (head) is the way the family goes there, `step` the arclength of a step,
+    `parameter` what it is followed in.
 
     Raises `ConvergenceError` where it is not known well enough, or its definition is contradicted.
     """
@@ -83,7 +86,8 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float) -> Readi
                 for d in step * share * np.array([-2, -1, 0, 1, 2] if outer else [-1, 0, 1])
             ]  # fmt: skip
             before, middle, after = looks[outer : len(looks) - outer]
-            sides = Sides(before, here, middle, after, share * step, step, looks[:: len(looks) - 1] if outer else ())
+            sides = Sides(before, here, middle, after, share * step, step, looks[:: len(looks) - 1] if outer else (),
+                          parameter)  # fmt: skip
             result = kind.check(sides, event)
             check(f"EventKind {event.kind!r}, check", "Reading", result)
         except (ConvergenceError, IntegrationError) as error:
@@ -129,15 +133,15 @@ def _heading(curve: Curve, solution: Solution, along: np.ndarray) -> np.ndarray:
     return np.asarray(whole / np.sqrt(curve.scales.metric(solution.place) @ whole**2))
 
 
-def checked(curve: Curve, batch: Batch, step: float) -> Batch:
+def checked(curve: Curve, batch: Batch, step: float, parameter: str) -> Batch:
     """A step of a family with those of its events that are what they are called; the log says what the others are."""
-    return replace(batch, events=tuple(_kept(curve, batch.events, step)))
+    return replace(batch, events=tuple(_kept(curve, batch.events, step, parameter)))
 
 
-def _kept(curve: Curve, events: Sequence[Event], step: float) -> Iterator[Event]:
+def _kept(curve: Curve, events: Sequence[Event], step: float, parameter: str) -> Iterator[Event]:
     for event in events:
         try:
-            read = reading(curve, event, event.tangent, step)
+            read = reading(curve, event, event.tangent, step, parameter)
             what = f"{read.value:.2g} where {read.error:.2g} is known"
         except (ConvergenceError, IntegrationError) as error:
             read, what = None, str(error)
@@ -213,27 +217,31 @@ def _event(family: Family, curve: Curve, event: Event) -> Check:
         before, after = _neighbours(family, event)
         _told(family, curve, event, abs(after.value - before.value), abs(after.energy - before.energy))
         along = (_head(after) - _head(before)) * (1.0 if event.arclength >= 0 else -1.0)
-        again = _read_again(curve, event, along, after.arclength - before.arclength)
+        again = _read_again(curve, event, along, after.arclength - before.arclength, family.parameter)
         old = event.check
         if old is not None and not (old.passed and abs(old.value - again.value) <= old.error + again.error):
             raise ConvergenceError(f"recorded as {old.value:.3g} +- {old.error:.1g}, found {again.value:.3g}")
         if old is not None and old.criticality and old.criticality != again.criticality:
             raise ConvergenceError(f"recorded as {old.criticality}, found {again.criticality or 'neither'}")
+        bars = (again.parameter_error, event.error), (again.period_error, event.period_error)
+        for found, told in bars:
+            if found is not None and told is not None and not told >= SHARPER * found:
+                raise ConvergenceError(f"an error bar is recorded as {told:.1g}, found {found:.1g}")
     except (ConvergenceError, IntegrationError) as error:
         return refused(event.kind, error, float("nan"))
     return at_most(event.kind, abs(again.value), again.error, event.detail, again.passed)
 
 
-def _read_again(curve: Curve, event: Event, along: np.ndarray, step: float) -> Reading:
+def _read_again(curve: Curve, event: Event, along: np.ndarray, step: float, parameter: str) -> Reading:
     """What an event's state alone says; of an orbit that is lost from its start alone what its nodes do, which join."""
     try:
-        again = reading(curve, _alone(event), along, step)
+        again = reading(curve, _alone(event), along, step, parameter)
     except (ConvergenceError, IntegrationError):
         if not event.mesh.size:
             raise
         again = Reading(np.nan, np.nan, False)
     nodes = event.mesh.size > 0 and np.array_equal(event.state, event.shooting_nodes[0])
-    return again if again.passed or not nodes else reading(curve, event, along, step)
+    return again if again.passed or not nodes else reading(curve, event, along, step, parameter)
 
 
 def _alone(event: Event) -> Event:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -20,12 +20,23 @@ import numpy as np
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.compiled import compiled
-from orbitfinder.integrate.march import March, Varied
+from orbitfinder.integrate.lanes.stages import Staging, staging
+from orbitfinder.integrate.march import Gridded, Varied
 
 POINTS, REMEMBERED = 5, 8
-"""Collocation points in a step; meshes whose last stages are kept to begin with"""
+"""Collocation points in a step; motions whose stages are kept, to begin with those of the nearest on a mesh"""
 SOLVED, MOST_ITERATIONS = 1e-10, 12
 """A change of the stages, in extents of the motion, after which one more would be round-off; and the most changes"""
+ERROR, FEWEST, MOST = 1e-8, 20, 6000
+"""Error of the polynomials in extents of the motion, where intervals end it is 1e-6 times that; and the intervals of
+a mesh"""
+LOPSIDED, SLACK, SPARSEST = 2.5, 1.5, 0.1
+"""Times the mean work of an interval that one may have before a mesh is made anew, by how much their number may be off,
+and the share of the mean density that a mesh has everywhere"""
+GROWTH = 30.0
+"""Times that errors may grow over an interval"""
+BESIDE = 1e-9
+"""A motion as near as this, in extents, has the stages that first order tells, to round-off"""
 
 
 @dataclass(frozen=True)
@@ -38,6 +49,11 @@ class Tableau:
     end: np.ndarray
     weights: np.ndarray
     difference: np.ndarray
+
+    @cached_property
+    def packed(self) -> np.ndarray:
+        """Points, inner and weights."""
+        return np.concatenate([self.points, self.inner.ravel(), self.weights])
 
     def basis(self, places: np.ndarray) -> np.ndarray:
         """Lagrange's polynomials (k x m) of the stages, 0 where the step begins, at places (k) in it from 0 to 1."""
@@ -67,7 +83,8 @@ def tableau(points: int = POINTS, rule: str = "radau") -> Tableau:
 @dataclass(frozen=True)
 class Stages:
     """Steps that were solved: their beginnings (P x d), parameters (P x (T, s, free)), stages Z (P x m x d), how these
-    change with the beginnings and the parameters (P x m d x (d + 1 + ...)), the integrals (P).
+    change with the beginnings and the parameters (P x m d x (d + 1 + ...)), the integrals (P), and the last change of
+    stages in extents of the motion.
     """
 
     nodes: np.ndarray
@@ -75,11 +92,21 @@ class Stages:
     stages: np.ndarray
     slopes: np.ndarray
     integrals: np.ndarray
-    solved: bool = True
+    change: float = np.inf
 
-    def fit(self, nodes: np.ndarray, tails: np.ndarray) -> bool:
-        """Whether these are the steps that were solved."""
-        return self.solved and np.array_equal(self.nodes, nodes) and np.array_equal(self.tails, tails)
+    @cached_property
+    def _measured(self) -> tuple[np.ndarray, np.ndarray]:
+        """Beginnings and parameters in what each is measured in, and that."""
+        flat = np.concatenate([self.nodes, self.tails], axis=1)
+        units = nonzero(np.abs(flat).max(axis=0))
+        return flat / units, units
+
+    def apart(self, nodes: np.ndarray, tails: np.ndarray) -> float:
+        """How far other beginnings and parameters are, in extents."""
+        if tails.shape != self.tails.shape:
+            return np.inf
+        flat, units = self._measured
+        return float(np.abs(np.concatenate([nodes, tails], axis=1) / units - flat).max())
 
     def moved(self, nodes: np.ndarray, tails: np.ndarray) -> np.ndarray:
         """The stages (P x m x d) of beginnings and parameters nearby, to first order."""
@@ -87,11 +114,14 @@ class Stages:
         return np.asarray(self.stages + (self.slopes @ change[:, :, None])[:, :, 0].reshape(self.stages.shape))
 
 
-class Collocation(March):
+class Collocation(Gridded):
     """The segments of a loop by collocation, side by side: a `March` each of whose steps is implicit.
 
     A step begins with the stages that it had last on the same mesh, moved along with the nodes, else with cubics.
     """
+
+    name: ClassVar[str] = "collocation"
+    stiff: ClassVar[bool] = True
 
     def __init__(
         self, field: ca.Function, forced: bool = False, integrand: ca.Function | None = None, alone: bool = False,
@@ -99,7 +129,7 @@ class Collocation(March):
     ) -> None:  # fmt: skip
         super().__init__(field, forced, integrand, alone)
         self.tableau = tableau(points, rule)
-        self._known: dict[Any, Stages] = {}
+        self._known: list[tuple[Any, Stages]] = []
 
     @property
     def together(self) -> bool:
@@ -108,10 +138,10 @@ class Collocation(March):
 
     def build(self) -> None:
         """Derive and compile now what is evaluated."""
-        assert self._linear
+        assert self._staging or self._linear
 
     @cached_property
-    def _linear(self) -> ca.Function:
+    def _symbolic(self) -> ca.Function:
         """f, its derivatives by x, (t, s, free), and the integrand, in a column, as a function of (t, x, s, free)."""
         f, symbol = self.field, ca.SX.sym if self.field.is_a("SXFunction") else ca.MX.sym
         inputs = [symbol(name, f.size1_in(k)) for k, name in enumerate(("t", "x", "s", "free"))]
@@ -119,13 +149,24 @@ class Collocation(March):
         others = ca.vertcat(*[inputs[k] for k in ((0, 2, 3) if self.forced else (2, 3))])
         parts = [rate, ca.vec(ca.jacobian(rate, inputs[1])), ca.vec(ca.jacobian(rate, others))]
         added = [] if self.integrand is None else [self.integrand(*inputs)]
-        whole = ca.Function("collocated", inputs, [ca.densify(ca.vertcat(*parts, *added))])
-        return compiled(whole, effort=self._effort)
+        return ca.Function("collocated", inputs, [ca.densify(ca.vertcat(*parts, *added))])
+
+    @cached_property
+    def _staging(self) -> Staging | None:
+        added = self.integrand is not None
+        return staging(self._symbolic, self.tableau.points.size, self.forced, added, self._effort)
+
+    @cached_property
+    def _linear(self) -> ca.Function:
+        return compiled(self._symbolic, effort=self._effort)
 
     def _evaluated(self, times: np.ndarray, states: np.ndarray, tails: np.ndarray) -> tuple[np.ndarray, ...]:
         """Rates (K x d), slopes by x (K x d x d) and by the rest (K x d x r), the integrand (K) at K points."""
         size, cut = self.size, 1 + self.unfolding
-        rows = self._lanes.evaluated(self._linear, 1, times[:, None], states, tails[:, 1:cut], tails[:, cut:])
+        if self._staging is not None:
+            rows = self._staging.valued(times, states, tails)
+        else:
+            rows = self._lanes.evaluated(self._linear, 1, times[:, None], states, tails[:, 1:cut], tails[:, cut:])
         rates, slopes = rows[:, :size], rows[:, size : size + size**2].reshape(len(rows), size, size).swapaxes(1, 2)
         count = self.columns - size + self.forced
         others = rows[:, size + size**2 : size * (1 + size + count)].reshape(len(rows), count, size).swapaxes(1, 2)
@@ -133,35 +174,49 @@ class Collocation(March):
 
     def decays(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray) -> np.ndarray:
         """The fastest rate at which anything decays (k) at states (k x d) and times (k), 0 where nothing does."""
-        slopes = self._evaluated(times * self.forced, states, np.repeat(tail[None], len(states), axis=0))[1]
-        return np.asarray(np.maximum(-np.linalg.eigvals(slopes).real.min(axis=1), 0.0))
+        return np.asarray(np.maximum(-self._exponents(states, tail, times).min(axis=1), 0.0))
 
-    def _solved(self, key: Any, nodes: np.ndarray, steps: np.ndarray, begins: np.ndarray, tails: np.ndarray) -> Stages:
-        """P steps of lengths `steps` that begin at shares `begins` of the period, solved by Newton's method."""
-        known, points = self._known.get(key), self.tableau.points
-        fits = known is not None and known.tails.shape == tails.shape
-        if known is not None and known.fit(nodes, tails):
+    def growths(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """The fastest rate at which anything grows (k), in the same way."""
+        return np.asarray(np.maximum(self._exponents(states, tail, times).max(axis=1), 0.0))
+
+    def _exponents(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """The real parts of the eigenvalues of the slopes (k x d)."""
+        slopes = self._evaluated(times * self.forced, states, np.repeat(tail[None], len(states), axis=0))[1]
+        return np.asarray(np.linalg.eigvals(slopes).real)
+
+    def _nearest(self, key: Any, nodes: np.ndarray, tails: np.ndarray) -> tuple[Stages | None, float]:
+        """What is known on the same mesh of the nearest motion, and how far that is."""
+        near = [(known, known.apart(nodes, tails)) for other, known in reversed(self._known) if other == key]
+        return min(near, key=lambda pair: pair[1], default=(None, np.inf))
+
+    def _keep(self, key: Any, stages: Stages) -> None:
+        self._known = [*self._known[1 - REMEMBERED :], (key, stages)]
+
+    def _solved(
+        self, key: Any, nodes: np.ndarray, steps: np.ndarray, begins: np.ndarray, tails: np.ndarray, once: bool = False
+    ) -> Stages:
+        """P steps of lengths `steps` that begin at shares `begins` of the period, solved by Newton's method, or changed
+        by it `once`."""
+        known, away = self._nearest(key, nodes, tails)
+        if known is not None and away == 0.0 and known.change < SOLVED:
             return known
-        places, size = np.repeat(tails, points.size, axis=0), self.size
-        z = known.moved(nodes, tails) if known is not None and fits else self._cubic(nodes, steps, begins, tails)
-        moments = (begins[:, None] + steps[:, None] * points).ravel()
+        begun = known is not None and np.isfinite(away)
+        z = known.moved(nodes, tails) if begun and known is not None else self._cubic(nodes, steps, begins, tails)
         units = nonzero(np.abs(nodes).max(axis=0))
         for _ in range(MOST_ITERATIONS):
-            states = (nodes[:, None] + z).reshape(-1, size)
-            values = self._evaluated(moments * places[:, 0] * self.forced, states, places)
-            changes, integrand = self._newton(z, steps, moments, tails, values), values[3].reshape(len(nodes), -1)
-            z = z + changes[:, :, 0].reshape(z.shape)
-            change = np.abs(changes[:, :, 0].reshape(-1, size) / units).max()
+            if self._staging is not None:
+                changes, integrals = self._staging.changed(nodes, begins, steps, tails, self.tableau.packed, z)
+            else:
+                changes, integrals = self._newton(z, nodes, steps, begins, tails)
+            moved = changes[:, :, 0].reshape(z.shape)
+            z, change = z + moved, float(np.abs(moved / units).max())
             if not change < 1e6:
                 break
-            if change < SOLVED:
-                integrals = steps * tails[:, 0] * (integrand @ self.tableau.weights)
-                solved = Stages(nodes, tails, z, changes[:, :, 1:], integrals)
-                self._known[key] = solved
-                while len(self._known) > REMEMBERED:
-                    self._known.pop(next(iter(self._known)))
+            if once or change < SOLVED:
+                solved = Stages(nodes, tails, z, changes[:, :, 1:], integrals, change)
+                self._keep(key, solved)
                 return solved
-        self._known.pop(key, None)
         raise IntegrationError("the equations of collocation do not converge; start nearer, or with a finer mesh")
 
     def _cubic(self, nodes: np.ndarray, steps: np.ndarray, begins: np.ndarray, tails: np.ndarray) -> np.ndarray:
@@ -172,18 +227,23 @@ class Collocation(March):
         ahead = np.roll(nodes, -1, axis=0) - nodes
         later = np.roll(slopes / steps[:, None], -1, axis=0) * steps[:, None]
         jumps = np.append(begins[1:] - begins[:-1] > 1.5 * steps[:-1], False)
-        jumps[-1] = np.any(np.abs(ahead[-1]) > 0.5 * np.ptp(nodes, axis=0))
+        jumps[-1] = len(nodes) == 1 or np.any(np.abs(ahead[-1]) > 0.5 * np.ptp(nodes, axis=0))
         ahead[jumps] = later[jumps] = slopes[jumps]
         s = self.tableau.points[:, None]
         bent = (1 - s) * slopes[:, None] - s * later[:, None]
         return np.asarray(s**2 * (3 - 2 * s) * ahead[:, None] + s * (1 - s) * bent)
 
     def _newton(
-        self, z: np.ndarray, steps: np.ndarray, moments: np.ndarray, tails: np.ndarray, values: tuple[np.ndarray, ...]
-    ) -> np.ndarray:
-        """Newton's change of the stages and their derivatives by nodes and by (T, s, free) (P x m d x 1 + d + ...)."""
+        self, z: np.ndarray, nodes: np.ndarray, steps: np.ndarray, begins: np.ndarray, tails: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Newton's change of the stages and their derivatives by nodes and by (T, s, free) (P x m d x 1 + d + ...), and
+        the integrals (P)."""
         count, m, size = z.shape
         a, duration = self.tableau.inner, steps * tails[:, 0]
+        moments = (begins[:, None] + steps[:, None] * self.tableau.points).ravel()
+        places, states = np.repeat(tails, m, axis=0), (nodes[:, None] + z).reshape(-1, size)
+        values = self._evaluated(moments * places[:, 0] * self.forced, states, places)
+        integrals = duration * (values[3].reshape(count, m) @ self.tableau.weights)
         rates, slopes, others = (each.reshape(count, m, *each.shape[1:]) for each in values[:3])
         across = duration[:, None, None, None, None] * a[:, None, :, None] * slopes.swapaxes(1, 2)[:, None]
         matrix = np.eye(m * size) - across.reshape(count, m * size, m * size)
@@ -198,21 +258,28 @@ class Collocation(March):
             right[..., 1 + size] += duration[:, None, None] * np.einsum("ij,pja->pia", a, late)
         right[..., 2 + size :] = carried[..., 1 + self.forced :]
         try:
-            return np.asarray(np.linalg.solve(matrix, right.reshape(count, m * size, -1)))
+            return np.asarray(np.linalg.solve(matrix, right.reshape(count, m * size, -1))), integrals
         except np.linalg.LinAlgError:
-            return np.full((count, m * size, right.shape[3]), np.nan)
+            return np.full((count, m * size, right.shape[3]), np.nan), integrals
 
-    def varied_each(self, nodes: np.ndarray, mesh: np.ndarray, tails: np.ndarray, states: bool = False) -> list[Varied]:
+    def once(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> Varied:
+        """`varied` with states of segments of one step each, whose stages are changed once: Newton's method for nodes
+        and stages together."""
+        return self.varied_each(nodes[None], mesh, tail[None], True, True)[0]
+
+    def varied_each(
+        self, nodes: np.ndarray, mesh: np.ndarray, tails: np.ndarray, states: bool = False, once: bool = False
+    ) -> list[Varied]:
         """The integration of several loops on one mesh, of nodes (B x N x d) and tails (B x m), beside each other."""
         (loops, count, size), each = nodes.shape, (mesh.size - 1) // nodes.shape[1]
         now, tail = nodes.reshape(-1, size), np.repeat(tails, count, axis=0)
         grown = np.broadcast_to(np.eye(size, size + tails.shape[1]), (len(now), size, size + tails.shape[1]))
-        integrals = np.zeros(len(now))
+        integrals, change = np.zeros(len(now)), 0.0
         path = []
         for k in range(each):
             steps, begins = (np.tile(part[k::each], loops) for part in (np.diff(mesh), mesh[:-1]))
             key = (loops, k, mesh.tobytes())
-            done = self._solved(key, now, steps, begins, tail)
+            done = self._solved(key, now, steps, begins, tail, once)
             changed = np.einsum(
                 "i,pibc->pbc", self.tableau.end, done.slopes.reshape(len(now), -1, size, grown.shape[2])
             )
@@ -220,7 +287,7 @@ class Collocation(March):
             added[:, :, size:] += changed[:, :, size:]
             path.append(now)
             now, grown = now + np.einsum("i,pia->pa", self.tableau.end, done.stages), added
-            integrals = integrals + done.integrals
+            integrals, change = integrals + done.integrals, max(change, done.change)
         ends = now.reshape(loops, count, size)
         grown = grown.reshape(loops, count, size, -1)
         whole = nodes
@@ -228,7 +295,7 @@ class Collocation(March):
             inner = np.stack(path, axis=1).reshape(loops, -1, size)
             whole = np.concatenate([inner, ends[:, -1:]], axis=1)
         totals = [float(total) for total in np.reshape(integrals, (loops, -1)).sum(axis=1)]
-        return list(map(Varied, ends, grown[..., :size], grown[..., size:], whole, totals))
+        return list(map(Varied, ends, grown[..., :size], grown[..., size:], whole, totals, [change] * loops))
 
     def ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (N x d) at the ends of the segments from their nodes (N x d). Raises `IntegrationError`."""
@@ -236,12 +303,25 @@ class Collocation(March):
 
     def states(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (M + 1 x d) at the mesh."""
-        return self.varied(nodes, mesh, tail, states=True).states
+        if len(nodes) < mesh.size - 1:
+            return self.varied(nodes, mesh, tail, states=True).states
+        return np.vstack([nodes, self.ends(nodes[-1:], mesh[-2:], tail)])
 
     def stages(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """Stages Z (N x m x d) of segments of one step each."""
-        tails = np.repeat(tail[None], len(nodes), axis=0)
-        return self._solved((1, 0, mesh.tobytes()), nodes, np.diff(mesh), mesh[:-1], tails).stages
+        tails, key = np.repeat(tail[None], len(nodes), axis=0), (1, 0, mesh.tobytes())
+        known, away = self._nearest(key, nodes, tails)
+        if known is not None and away < BESIDE and known.change < SOLVED:
+            return known.moved(nodes, tails)
+        return self._solved(key, nodes, np.diff(mesh), mesh[:-1], tails).stages
+
+    def integral(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> float:
+        """The integral over segments of one step each."""
+        rule, steps, count = self.tableau, np.diff(mesh), len(nodes)
+        states = (nodes[:, None] + self.stages(nodes, mesh, tail)).reshape(-1, self.size)
+        moments = (mesh[:-1, None] + steps[:, None] * rule.points).ravel() * tail[0] * self.forced
+        values = self._evaluated(moments, states, np.repeat(tail[None], len(states), axis=0))[3]
+        return float(tail[0] * steps @ (values.reshape(count, -1) @ rule.weights))
 
     def sampled(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, places: np.ndarray) -> np.ndarray:
         """States (k x d) at places (k, in periods) of the polynomials of segments of one step each."""
@@ -254,7 +334,48 @@ class Collocation(March):
         """Begin with these stages (N x m x d) where segments of one step each are next integrated on a mesh."""
         tails = np.repeat(tail[None], len(nodes), axis=0)
         none = np.zeros((len(nodes), stages[0].size, self.size + tail.size))
-        self._known[1, 0, mesh.tobytes()] = Stages(nodes, tails, stages, none, np.zeros(len(nodes)), False)
+        self._keep((1, 0, mesh.tobytes()), Stages(nodes, tails, stages, none, np.zeros(len(nodes))))
+
+    def _worked(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
+        """The (m + 1)-th root of the error of the polynomial of m points over each interval of an orbit (N).
+
+        In its extents; more where errors grow by more than `GROWTH` over it. A mesh is right where it is the same
+        everywhere (U. Ascher, R. Mattheij, R. Russell, Numerical Solution of Boundary Value Problems for Ordinary
+        Differential Equations (1995), section 9.3).
+        """
+        rule, units = self.tableau, nonzero(np.ptp(nodes, axis=0))
+        found = curvatures(rule, self.stages(nodes, mesh, tail), mesh, units)
+        grown = self.growths(nodes, tail, mesh[:-1] * tail[0]) * tail[0] / np.log(GROWTH)
+        grown, root = np.maximum(grown, np.roll(grown, -1)), 1.0 / (rule.points.size + 1)
+        return np.asarray(np.maximum(found**root, grown * ERROR**root) * np.diff(mesh))
+
+    def wanted(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> int:
+        """As many intervals as leave the error that is allowed, in tens, no more than twice as many as there are."""
+        return self._enough(self._worked(nodes, mesh, tail))
+
+    def _enough(self, work: np.ndarray) -> int:
+        enough = work.sum() / ERROR ** (1 / (self.tableau.points.size + 1))
+        return int(np.clip(10 * np.ceil(0.1 * enough), FEWEST, min(2 * work.size, MOST)))
+
+    def fits(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> bool:
+        """Whether its intervals share the work, and are as many as the error asks for."""
+        work = self._worked(nodes, mesh, tail)
+        even = work.max() <= LOPSIDED * work.mean()
+        return bool(even and work.size <= SLACK * self._enough(work) <= SLACK**2 * work.size)
+
+    def regridded(
+        self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, count: int = 0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The orbit interpolated on a mesh of intervals of equal work."""
+        steps, rule, work = np.diff(mesh), self.tableau, self._worked(nodes, mesh, tail)
+        density = work / steps
+        density = np.maximum(density, SPARSEST * float(density @ steps))
+        total = np.append(0.0, np.cumsum(density * steps))
+        new = np.interp(np.linspace(0.0, total[-1], (count or self._enough(work)) + 1), total, mesh)
+        inside = (new[:-1, None] + np.diff(new)[:, None] * rule.points).ravel()
+        ends, between = (self.sampled(nodes, mesh, tail, places) for places in (new[:-1], inside))
+        self.begin(ends, between.reshape(len(ends), rule.points.size, -1) - ends[:, None], new, tail)
+        return ends, new
 
 
 def curvatures(rule: Tableau, stages: np.ndarray, mesh: np.ndarray, units: np.ndarray) -> np.ndarray:

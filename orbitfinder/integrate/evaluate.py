@@ -27,6 +27,7 @@ class Buffered:
     def __init__(self, function: ca.Function) -> None:
         self.function = _dense(function)  # kept, or it is freed under the evaluation
         self._buffer, self._evaluate = self.function.buffer()
+        self._fails = not self.function.is_a("SXFunction")
         self.inputs = [np.zeros((function.size2_in(k), function.size1_in(k))) for k in range(function.n_in())]
         self.outputs = [np.zeros((function.size2_out(k), function.size1_out(k))) for k in range(function.n_out())]
         for k, place in enumerate(self.inputs):
@@ -42,7 +43,7 @@ class Buffered:
                 place[...] = given
         try:
             self._evaluate()
-            failed = self._buffer.ret() != 0
+            failed = self._fails and self._buffer.ret() != 0
         except RuntimeError:
             failed = True
         if failed:

@@ -14,15 +14,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from threading import get_ident
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder.integrate.equations import hamilton
 from orbitfinder.integrate.evaluate import Buffered
 from orbitfinder.mechanics.model import Invariant, Model
 
+_jets, _canonical = Kept["Jets"](16), Kept[tuple[Buffered, Buffered, np.ndarray]](16)
 DEPENDENT = 1e-9
 """Gradients whose smallest singular value is this share of the largest, each of length 1, say the same"""
 
@@ -151,12 +154,18 @@ def at_rest(model: Model, free: tuple[str, ...], state: np.ndarray) -> Jets:
         rows = np.vstack([slopes, row / np.linalg.norm(row)])
         if np.linalg.svd(rows)[1][-1] > DEPENDENT:
             chosen, slopes = [*chosen, one], rows
-    return Jets(model, free, tuple(chosen))
+    key = Same(model), free, tuple(map(Same, chosen)), get_ident()  # a thread's own: its functions have one work space
+    return _jets(key, lambda: Jets(model, free, tuple(chosen)))
 
 
 def canonical_rates(model: Model, parameters: tuple[str, ...], beside: int) -> tuple[Buffered, Buffered, np.ndarray]:
     """Hamilton's equations along parameters: (x, value) -> y = (q, momentum) and its slopes in x; y and `beside` y for
     each of its components -> the rates of all; which components of a state x are. Of first order, y is the state."""
+    key = Same(model), parameters, beside, get_ident()
+    return _canonical(key, lambda: _canonical_rates(model, parameters, beside))
+
+
+def _canonical_rates(model: Model, parameters: tuple[str, ...], beside: int) -> tuple[Buffered, Buffered, np.ndarray]:
     known = hamilton(model, parameters)
     chosen, k = known.coordinates.chosen, known.coordinates.size
     x, y, p = map(ca.MX.sym, "xyp", (chosen.size, chosen.size, len(parameters)))

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -35,7 +36,8 @@ class Varied:
     """One integration of all segments with its derivatives.
 
     `ends` (N x d), `transitions` (N x d x d), `columns` (N x d x m) by (T, s, free); where they were asked for `states`
-    (M + 1 x d) at the mesh; the `integral` over the horizon.
+    (M + 1 x d) at the mesh; the `integral` over the horizon. `change` is what solving their equations moved last, in
+    extents of the motion, of which its square is left.
     """
 
     ends: np.ndarray
@@ -43,6 +45,7 @@ class Varied:
     columns: np.ndarray
     states: np.ndarray
     integral: float
+    change: float = 0.0
 
 
 class Refining:
@@ -73,6 +76,10 @@ class March(Refining):
     `field(t, x, s, free)` is dx/dt (d), `forced` says whether t matters; `integrand`, of the same arguments, is carried
     along. `tail` is (T, s, free) everywhere. Not to be shared by threads: its functions have one work space each.
     """
+
+    name: ClassVar[str] = "shooting"
+    stiff: ClassVar[bool] = False
+    """Its name in the table of methods, and whether what it is for is stiff"""
 
     def __init__(
         self,
@@ -205,14 +212,19 @@ class March(Refining):
 
     def slopes(self, x: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """d(dx/dt)/dx (d x d) at a state (d)."""
+        return self.linearised(x, tail)[1]
+
+    def linearised(self, x: np.ndarray, tail: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """dx/dt (d) and d(dx/dt)/dx (d x d) at a state (d)."""
         s, free = tail[1 : 1 + self.unfolding], tail[1 + self.unfolding :]
-        return self.at(slopes_of(self.field, self.integrand), 0.0, x, s, free)[1]
+        rate, slopes, *_ = self.at(slopes_of(self.field, self.integrand), 0.0, x, s, free)
+        return rate.ravel(), slopes
 
     def rates(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray | float = 0.0) -> np.ndarray:
         """dx/dt (k x d) at states (k x d), of a tail (m) or one of each (k x m)."""
         quick = self._kernel(False)
         if quick is not None:
-            clock = np.broadcast_to(np.asarray(times, float).ravel(), len(states))
+            clock = times.ravel() if isinstance(times, np.ndarray) else np.full(len(states), times)
             return quick.rates(clock, states, np.atleast_2d(tail)[:, 1:])
         s, free = tail[..., 1 : 1 + self.unfolding], tail[..., 1 + self.unfolding :]
         if len(states) == 1:
@@ -276,6 +288,35 @@ class March(Refining):
         if not self.forced:
             return np.zeros(len(nodes))
         return np.asarray(tail[0] * mesh[: -1 : (mesh.size - 1) // len(nodes)])
+
+
+class Gridded(March):
+    """A march whose segments are single steps, solved side by side, many of them on a mesh that it chooses itself.
+
+    This is a discretisation: what else follows a family asks no more of it, than `March` has and what is here.
+    """
+
+    def fits(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> bool:
+        """Whether a mesh is as fine as it should be, and where it should be, for an orbit of nodes (N x d)."""
+        raise NotImplementedError
+
+    def regridded(
+        self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, count: int = 0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes and mesh of the same orbit over `count` segments, 0 for as many as it asks for; begins with them."""
+        raise NotImplementedError
+
+    def sampled(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """States (k x d) at places (k, in periods)."""
+        raise NotImplementedError
+
+    def once(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> Varied:
+        """`varied` with states for Newton's method; what is within segments may be changed once, not solved."""
+        return self.varied(nodes, mesh, tail, states=True)
+
+    def integral(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> float:
+        """The integral over all segments."""
+        return self.varied(nodes, mesh, tail).integral
 
 
 class Marches(Refining):

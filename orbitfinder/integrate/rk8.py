@@ -95,26 +95,34 @@ def refined_march(
     start: float = 0.0,
     units: tuple[float, ...] = (),
 ) -> np.ndarray:
-    """States (k + 1 x 2n) with k = 2 least, 4 least, ...: the first whose end k / 2 steps confirm.
+    """States (k + 1 x 2n) with k = 2 least, 4 least, ...: the first that k / 2 steps confirm, all along.
 
     They agree in `units` (2n), or where there are none relative to the state.
     """
     return refined(
         lambda steps: march(field, state, duration, steps, tail, start),
         least,
-        lambda coarse, fine: agree(coarse[-1], fine[-1], units),
+        lambda coarse, fine: agree(coarse, fine[::2], units),  # what contracts forgets by the end how wrong it was
     )
 
 
 def refined(path: Callable[[int], T], steps: int, agreed: Callable[[T, T], bool]) -> T:
-    """What a path is by 2, 4, ... times so many steps: the first that half its steps confirm, or the last."""
-    coarse = path(steps)
-    for _ in range(MOST_DOUBLINGS):
+    """What a path is by 2, 4, ... times so many steps: the first that half its steps confirm, or the last.
+
+    Steps by which it leaves the numbers are too long; `IntegrationError` where the shortest are.
+    """
+    coarse: T | None = None
+    for finest in (*(False,) * MOST_DOUBLINGS, True):
+        try:
+            fine = path(steps)
+        except IntegrationError:
+            if finest:
+                raise
+        else:
+            if finest or (coarse is not None and agreed(coarse, fine)):
+                break
+            coarse = fine
         steps *= 2
-        fine = path(steps)
-        if agreed(coarse, fine):
-            break
-        coarse = fine
     return fine
 
 

@@ -173,7 +173,7 @@ def _suits(curve: Curve) -> bool:
 def _compiled(curve: Curve) -> Advance | None:
     """The compiled blocks of a curve, None where there are none."""
     p, march = curve.equations, curve.equations.march
-    if p.collocated or not (_suits(curve) and isinstance(march, March)):
+    if p.gridded or not (_suits(curve) and isinstance(march, March)):
         return None
     key = "advance", tuple((condition.name, condition.cycles) for condition in curve.conditions)
     if key not in p.derived:

@@ -11,14 +11,18 @@ large; beyond `LARGEST_PRODUCT` the whole matrix is solved instead.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import ctypes
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
 from scipy.linalg.lapack import dgecon, dgetrf, dgetrs, dlange, dtrtrs
-from scipy.sparse import csc_matrix, hstack, vstack
+from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
+from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.integrate.lanes.bordered import Chain, chains
 from orbitfinder.mechanics.newton import Solver, least_squares
 
 LARGEST_PRODUCT = 1e8
@@ -30,6 +34,27 @@ SMALL = 150
 NO_PLACES = np.zeros(0, int)
 Inner = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Segments (g), and the derivatives of a row of each by its node (g x d) and by y (g x m)"""
+
+
+@lru_cache(maxsize=32)
+def _pattern(count: int, size: int, extra: int, wide: bytes) -> tuple[np.ndarray, ...]:
+    """Where a sparse matrix is not 0: which entries of closing rows, of those `wide` all; the order of all entries in
+    columns, their rows, and where columns begin."""
+    total, cut, rows = count * size, (count - 1) * size, len(wide)
+    held = np.repeat(np.frombuffer(wide, bool)[:, None], total, axis=1)
+    held[:, :size] = held[:, cut:] = True
+    block, own = np.arange(cut).reshape(-1, size), np.broadcast_to(np.arange(size), (count - 1, size, size))
+    tail = np.indices((cut, extra)).reshape(2, -1), np.indices((rows, extra)).reshape(2, -1)
+    places = [
+        np.array([np.repeat(block.ravel(), size), (block[:, :1, None] + own).ravel()]),
+        np.array([block.ravel(), block.ravel() + size]),
+        np.array(np.nonzero(held)) + [[cut], [0]],
+        *(part + [[above], [total]] for part, above in zip(tail, (0, cut), strict=True)),
+    ]
+    row, column = np.concatenate(places, axis=1).astype(np.int32)
+    order = np.lexsort((row, column))
+    starts = np.searchsorted(column[order], np.arange(total + extra + 1)).astype(np.int32)
+    return held, order, row[order], starts
 
 
 @dataclass(frozen=True)
@@ -61,20 +86,30 @@ class Linearised:
 
     def sparse(self) -> csc_matrix:
         """The same for many segments, of which most of it is 0."""
-        (count, size, _), (rows, nodes) = self.transitions.shape, self.first.shape
+        (count, size, extra), (rows, nodes) = self.columns.shape, self.first.shape
         total, cut = count * size, (count - 1) * size
         closing = np.zeros((rows, total))
         closing[:, :nodes] = self.first
         closing[:, cut:] += self.last @ self.transitions[-1]
-        block, own = np.arange(cut).reshape(-1, size), np.broadcast_to(np.arange(size), (count - 1, size, size))
-        places = [
-            (np.repeat(block[:, :, None], size, axis=2), block[:, :1, None] + own, self.transitions[:-1]),
-            (block, block + size, np.full(block.shape, -1.0)),
-        ]
-        flat = [np.concatenate([part.ravel() for part in parts]) for parts in zip(*places, strict=True)]
-        links = csc_matrix((flat[2], (flat[0], flat[1])), shape=(cut, total))
-        tail = np.concatenate([self.columns[:-1].reshape(cut, -1), self.last @ self.columns[-1] + self.tail])
-        return csc_matrix(hstack([vstack([links, csc_matrix(closing)]), csc_matrix(tail)]))
+        tail = self.last @ self.columns[-1] + self.tail
+        shape = (cut + rows, total + extra)
+        held, order, places, starts = _pattern(count, size, extra, np.any(closing[:, size:cut], axis=1).tobytes())
+        parts = (
+            self.transitions[:-1].ravel(),
+            np.full(cut, -1.0),
+            closing[held],
+            self.columns[:-1].ravel(),
+            tail.ravel(),
+        )
+        return csc_matrix((np.concatenate(parts)[order], places, starts), shape=shape)
+
+    def bordered(self, row: np.ndarray) -> Linearised:
+        """The same with a row more, over w, after the closing ones."""
+        (rows, nodes), total = self.first.shape, self.transitions[..., 0].size
+        first = np.zeros((rows + 1, total))
+        first[:rows, :nodes], first[rows] = self.first, row[:total]
+        last, tail = np.vstack([self.last, np.zeros(self.last.shape[1])]), np.vstack([self.tail, row[total:]])
+        return replace(self, first=first, last=last, tail=tail)
 
     def _links(self) -> np.ndarray:
         """The derivatives of x_0 and of x_{k+1} - Phi_k x_k by x_0 .. x_N, the last of which is where the loop ends."""
@@ -96,19 +131,55 @@ class Linearised:
         return closing, tail
 
 
-def pivoted(system: Linearised) -> Solver:
-    """Newton's step by the sparse matrix of all segments, pivoted: of so many no product tells anything.
+def pivoted(system: Linearised, columns: np.ndarray | None = None) -> Solver:
+    """Newton's step by the matrix of all segments, pivoted: of so many no product tells anything.
 
-    Raises `LinAlgError` where it is singular, or not square.
+    `columns` are what the unknowns are measured in (over w), else 1. Raises `LinAlgError` where it is singular, or not
+    square.
     """
-    matrix = system.sparse()
-    if matrix.shape[0] != matrix.shape[1] or not np.all(np.isfinite(matrix.data)):
+    count, size, extra = system.columns.shape
+    if len(system.first) != size + extra or not all(
+        np.isfinite(part).all() for part in (system.transitions, system.columns, system.first, system.tail)
+    ):
         raise np.linalg.LinAlgError("not square or not finite")
+    if (opened := chains()) is not None and count > 1:
+        return _chained(opened, system, np.ones(count * size + extra) if columns is None else columns)
     try:
-        factors = splu(matrix)
+        factors = splu(system.sparse())
     except RuntimeError as error:
         raise np.linalg.LinAlgError(str(error)) from None
     return lambda rows: -np.asarray(factors.solve(rows))
+
+
+def _chained(opened: ctypes.CDLL, system: Linearised, columns: np.ndarray) -> Solver:
+    """The same by a `Chain`: a closing row over many nodes is a sum that is carried along them beside the state."""
+    (count, size, extra), (rows, nodes) = system.columns.shape, system.first.shape
+    first = np.zeros((rows, count, size))
+    first.reshape(rows, -1)[:, :nodes] = system.first
+    wide = np.flatnonzero(np.any(system.first[:, size:], axis=1))
+    whole, summed, sums = size + wide.size, first[wide], np.arange(wide.size)
+    phi, columns_ = np.zeros((count - 1, whole, whole)), np.zeros((count - 1, whole, extra))
+    phi[:, :size, :size], columns_[:, :size] = system.transitions[:-1], system.columns[:-1]
+    phi[:, size:, :size], phi[:, size + sums, size + sums] = summed[:, :-1].swapaxes(0, 1), 1.0
+    begin, end = np.zeros((2, rows + wide.size, whole))
+    begin[:rows, :size], end[:rows, :size] = first[:, 0], system.last @ system.transitions[-1]
+    begin[wide], end[wide, :size] = 0.0, end[wide, :size] + summed[:, -1]
+    begin[rows + sums, size + sums] = end[wide, size + sums] = 1.0
+    tail = np.zeros((rows + wide.size, extra))
+    tail[:rows] = system.last @ system.columns[-1] + system.tail
+    unit = columns[:size]
+    units = np.append(unit, nonzero(np.abs(summed * unit).max(axis=(1, 2))))
+    cut, tails = count * size, columns[count * size :]
+    chain = Chain(opened, phi=phi, columns=columns_, first=begin, last=end, tail=tail, states=units, tails=tails)
+
+    def solve(right: np.ndarray) -> np.ndarray:
+        full = np.zeros(count * whole + extra)
+        full[: (count - 1) * whole].reshape(-1, whole)[:, :size] = right[: cut - size].reshape(-1, size)
+        full[(count - 1) * whole : (count - 1) * whole + rows] = right[cut - size :]
+        found = -chain.solve(full)
+        return np.append(found[: count * whole].reshape(-1, whole)[:, :size], found[count * whole :])
+
+    return solve
 
 
 def eliminated(system: Linearised) -> Solver:

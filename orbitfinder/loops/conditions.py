@@ -116,7 +116,9 @@ def pinned(equations: Equations, name: str, value: float) -> Condition:
 
 def measured(equations: Equations, w: Unknowns, name: str) -> float:
     """What a quantity or a freed parameter is at w."""
-    return pinned(equations, name, 0.0).at(equations, w)
+    if (key := ("measured", name)) not in equations.derived:
+        equations.derived[key] = pinned(equations, name, 0.0)
+    return float(equations.derived[key].at(equations, w))
 
 
 def lowest_energy(model: Model) -> float | None:

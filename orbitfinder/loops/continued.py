@@ -16,7 +16,7 @@ import numpy as np
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied
-from orbitfinder.loops.condensed import Broyden, Factors
+from orbitfinder.loops.condensed import Broyden, Factors, Linearised, pivoted
 from orbitfinder.loops.conditions import hyperplane
 from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns, beyond
 from orbitfinder.loops.problem import clocked
@@ -129,11 +129,13 @@ NO_ROWS = np.zeros((0, 0))
 
 @dataclass(frozen=True)
 class Solution:
-    """A corrected orbit with the integration it came from and the Jacobian of all rows, a test's too, but the aim."""
+    """A corrected orbit with the integration it came from and the Jacobian of all rows, a test's too, but the aim; of a
+    collocated orbit without a test as its parts.
+    """
 
     place: Unknowns
     march: Varied
-    jacobian: np.ndarray
+    jacobian: np.ndarray | Linearised
     residual: float
     stepped: float = 0.0
     """how far, in the family's metric, the place is from where `march` was made: Newton's last step"""
@@ -141,6 +143,16 @@ class Solution:
     """where `march` was made, if that is not the place"""
     kept: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
     """what was read off it and takes long"""
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """The Jacobian, dense."""
+        return self.jacobian.matrix() if isinstance(self.jacobian, Linearised) else self.jacobian
+
+    @property
+    def slope(self) -> np.ndarray | None:
+        """What `correct` begins with nearby: no parts, which are factorised anew as quickly."""
+        return None if isinstance(self.jacobian, Linearised) else self.jacobian
 
 
 def make_curve(
@@ -183,6 +195,12 @@ def _measures(curve: Curve, w: Unknowns, slopes: np.ndarray | None = None) -> Me
         return measures
     named, aims = np.split(measures.rows, [measures.rows.size - (slopes is not None)])
     return replace(measures, rows=np.concatenate([named, [TESTED], aims]))
+
+
+def jacobian_of(curve: Curve, w: Unknowns, path: Varied) -> np.ndarray | Linearised:
+    """The Jacobian of the rows without a test and an aim: of many segments as its parts."""
+    system = curve.linearised(w, path)
+    return system if curve.equations.gridded and curve.test is None and not curve.degenerate else system.matrix()
 
 
 def _all_rows(curve: Curve, w: Unknowns, ends: np.ndarray, aim: Condition, lost: np.ndarray) -> np.ndarray:
@@ -242,30 +260,32 @@ def correct(
     slopes = curve.slopes(guess, (*curve.conditions, aim))
     w, previous, units, lost = guess, np.inf, _measures(curve, guess, slopes).rows, curve.lost(guess, (aim,), slopes)
     border, patience = (None, 2) if curve.test is None else (Border(curve, slope), 5)
-    if slope is not None and border is None and not curve.equations.collocated:
+    if slope is not None and border is None:
         w = _approached(curve, guess, aim, np.vstack([slope, slopes[-1]]), (units, lost))
     for iteration in range(CORRECTOR.most_newton):
-        path = curve.equations.varied(w, states=True)
-        rows, jacobian = _all_rows(curve, w, path.ends, aim, lost), curve.linearised(w, path).matrix()
+        path = curve.equations.changed(w) if border is None else curve.equations.varied(w, states=True)
+        rows, jacobian = _all_rows(curve, w, path.ends, aim, lost), jacobian_of(curve, w, path)
         if border is not None:
             rows = np.concatenate([rows[:-1], [border.value(Solution(w, path, jacobian, 0.0))], rows[-1:]])
-        largest = float(np.abs(rows / units).max())
+        largest = max(float(np.abs(rows / units).max()), path.change)
         stays = 0.1 if border is None else 0.7  # by less it shrinks where the border is not yet known
         ready = largest < CORRECTOR.newton_ready or (largest < CORRECTOR.newton_floor and largest > stays * previous)
         if not np.isfinite(largest) or (iteration > patience and largest > 0.5 * previous and not ready):
             raise ConvergenceError(f"the corrector stalled at a residual of {largest:.2g}; take a smaller step")
-        if not np.isfinite(jacobian).all():
+        if not np.isfinite(jacobian.transitions if isinstance(jacobian, Linearised) else jacobian).all():
             raise ConvergenceError("the variations of the corrector's orbit overflow; take a smaller step")
         if border is not None:
             slow = iteration > 0 and largest > CORRECTOR.slow * previous
+            assert isinstance(jacobian, np.ndarray)
             jacobian = np.vstack([jacobian, border.row(w, jacobian, ready or slow)])
-        whole = np.vstack([jacobian, curve.slopes(w, (aim,))])
-        step = -_solved(curve, w, whole, rows)
+        solver = _solver(curve, w, jacobian, curve.slopes(w, (aim,))[0])
+        step = -solver(rows)
         moved = w.moved(step)
         if ready:
             if border is not None:  # by so much off the bifurcation was the march
                 return Solution(moved, curve.equations.varied(moved, states=True), jacobian, largest)
-            return Solution(moved, path, jacobian, largest, distance(curve, moved, w), w)
+            kept = {"solver": (jacobian, solver)} if isinstance(jacobian, Linearised) else {}
+            return Solution(moved, path, jacobian, largest, distance(curve, moved, w), w, kept)
         if not distance(curve, moved, guess) < reach or not moved.period > 0:
             raise ConvergenceError("the corrector left the neighbourhood of its guess; take a smaller step")
         if fit is not None and largest < CORRECTOR.fitting:
@@ -340,18 +360,29 @@ def _left_free(curve: Curve, w: Unknowns, jacobian: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.qr(matrix.T, mode="complete")[0][:, len(matrix) :].T)
 
 
-def _solved(curve: Curve, w: Unknowns, matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """matrix^-1 right, of all rows; where they are degenerate without the direction that they leave to a symmetry."""
+def _solver(
+    curve: Curve, w: Unknowns, jacobian: np.ndarray | Linearised, row: np.ndarray
+) -> Callable[[np.ndarray], np.ndarray]:
+    """What multiplies by the inverse of all rows, one over w the last; where they are degenerate without the direction
+    that they leave to a symmetry."""
+    if isinstance(jacobian, Linearised):
+        try:
+            system = jacobian.bordered(row)
+            step = pivoted(system, curve.scales.columns(w))
+        except np.linalg.LinAlgError:
+            return lambda right: np.asarray(np.linalg.lstsq(system.matrix(), right, rcond=1e-12)[0])
+        return lambda right: -step(right)
+    matrix = np.vstack([jacobian, row])
     if not curve.degenerate:
         try:
-            return Factors(matrix).solve(right)
+            return Factors(matrix).solve
         except np.linalg.LinAlgError:
-            return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-12)[0])
+            return lambda right: np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-12)[0])
     columns = curve.scales.columns(w)
     measured = matrix * columns
     rows = nonzero(np.linalg.norm(measured, axis=1))
     left, sizes, across = np.linalg.svd(measured / rows[:, None])
-    return np.asarray(columns * (across[:-1].T @ ((left.T @ (right / rows))[:-1] / sizes[:-1])))
+    return lambda right: np.asarray(columns * (across[:-1].T @ ((left.T @ (right / rows))[:-1] / sizes[:-1])))
 
 
 def plane(curve: Curve, w: Unknowns, along: np.ndarray, ahead: float = 0.0) -> Condition:
@@ -363,7 +394,7 @@ def plane(curve: Curve, w: Unknowns, along: np.ndarray, ahead: float = 0.0) -> C
 def scaled(curve: Curve, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """The Jacobian of all rows but the aim in units of the metric, and those of its columns."""
     measures = _measures(curve.through(solution.place), solution.place)
-    return measures.matrix(solution.jacobian), measures.columns
+    return measures.matrix(solution.matrix), measures.columns
 
 
 def distance(curve: Curve, w: Unknowns, other: Unknowns) -> float:
@@ -373,12 +404,17 @@ def distance(curve: Curve, w: Unknowns, other: Unknowns) -> float:
 
 def tangent(curve: Curve, solution: Solution, along: np.ndarray) -> np.ndarray:
     """The family's direction over w, of unit length, with <along, t> > 0; `along` is over w or over the head."""
-    metric = curve.scales.metric(solution.place)
-    right = np.zeros(len(solution.jacobian) + 1)
+    place, metric = solution.place, curve.scales.metric(solution.place)
+    row = metric * place.over(along)
+    right = np.zeros(place.vector.size)
     right[-1] = 1.0
-    matrix = np.vstack([solution.jacobian, metric * solution.place.over(along)])
-    whole = _solved(curve, solution.place, matrix, right)
-    return np.asarray(whole / np.sqrt(metric @ whole**2))
+    known, solver = solution.kept.get(
+        "solver", (None, None)
+    )  # whatever its last row, it knows the kernel of the others
+    if known is not solution.jacobian:
+        solver = _solver(curve, place, solution.jacobian, row)
+    whole = solver(right)
+    return np.asarray(whole / np.copysign(np.sqrt(metric @ whole**2), row @ whole))
 
 
 def kernel(curve: Curve, solution: Solution) -> np.ndarray:
@@ -405,12 +441,12 @@ def advanced(w: Unknowns, whole: np.ndarray, length: float, curvature: np.ndarra
 def at_place(curve: Curve, w: Unknowns) -> Solution:
     """A Solution out of unknowns that are already on the family (those read from a file)."""
     path = curve.equations.varied(w, states=True)
-    solution = Solution(w, path, curve.through(w).linearised(w, path).matrix(), 0.0)
+    solution = Solution(w, path, jacobian_of(curve.through(w), w, path), 0.0)
     if curve.test is None:
         return solution
-    border = Border(curve)
+    border, rows = Border(curve), solution.matrix
     border.value(solution)
-    return replace(solution, jacobian=np.vstack([solution.jacobian, border.row(w, solution.jacobian)]))
+    return replace(solution, jacobian=np.vstack([rows, border.row(w, rows)]))
 
 
 def bend(curve: Curve, w: Unknowns, whole: np.ndarray, other: Unknowns) -> np.ndarray:

@@ -28,10 +28,9 @@ import numpy as np
 
 from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.integrate.collocation import Collocation
 from orbitfinder.integrate.compiled import mode
 from orbitfinder.integrate.evaluate import Buffered
-from orbitfinder.integrate.march import March, Marches, Varied
+from orbitfinder.integrate.march import Gridded, March, Marches, Varied
 from orbitfinder.loops.condensed import Inner, Linearised
 from orbitfinder.loops.symmetry import Symmetry, moved, symplectic
 from orbitfinder.mechanics.hybrid import Transition, freed, share
@@ -39,6 +38,7 @@ from orbitfinder.mechanics.model import Model, vector_field
 from orbitfinder.records.orbit import SHARE
 
 _marches = Kept[March](16)
+_equations = Kept["Equations"](16)
 NO_GUARDS = np.zeros(0)
 GRAZED = 1e-30
 """A guard's rate at least, by which what grazes it is multiplied"""
@@ -158,8 +158,7 @@ class Equations:
     """Everything about a loop that depends on the equations alone: built once, used for any number of guesses.
 
     `quantities(x, free)` gives the `levels`: values, d/dx, d/dfree. `action` says whether the action is integrated with
-    the motion, `alone` whether that keeps to one processor, `collocated` whether each segment is an interval of
-    collocation.
+    the motion, `alone` whether that keeps to one processor, `by` which march does.
     """
 
     model: Model
@@ -167,10 +166,16 @@ class Equations:
     free: tuple[str, ...] = ()
     action: bool = False
     alone: bool = False
-    collocated: bool = False
+    by: type[March] = March
     given: InitVar[March | None] = None
     """what integrates the motion, where it is there already"""
     march: March | Marches = field(init=False)
+
+    @classmethod
+    def of(cls, model: Model, symmetry: Symmetry, free: tuple[str, ...] = (), by: type[March] = March) -> Equations:
+        """Those of a family: the same ones for a thread that asks again, so that what they derive is derived once."""
+        key = Same(model), symmetry, free, by, mode(), get_ident()
+        return _equations(key, lambda: cls(model, symmetry, free, action=True, by=by))
 
     def __post_init__(self, given: March | None) -> None:
         if not self.model.smooth:
@@ -191,7 +196,7 @@ class Equations:
             unfolded,
             self.action,
             self.alone,
-            self.collocated,
+            self.by,
             arc,
             self.symmetry.parts,
             get_ident(),
@@ -203,7 +208,7 @@ class Equations:
         rate = _action_rate(model, flow, self.free) if self.action else None
         if arc is not None:
             flow, rate = self._paced(flow, arc), None if rate is None else self._paced(rate, arc)
-        return (Collocation if self.collocated else March)(flow, model.forced, rate, self.alone)
+        return self.by(flow, model.forced, rate, self.alone)
 
     def _paced(self, function: ca.Function, arc: int) -> ca.Function:
         """A rate in arc k of K in the period, of which a period of the mesh lasts K shares of the period."""
@@ -211,6 +216,11 @@ class Equations:
         parts = self.symmetry.parts
         pace = parts * self.links.count * share(self.model, arc, self.model.parameters(self.free, inputs[3]), parts)
         return ca.Function(function.name(), inputs, [pace * function(*inputs)])
+
+    @property
+    def gridded(self) -> Gridded | None:
+        """What integrates on a mesh of its own, if anything does: then there are many segments, of a step each."""
+        return self.march if isinstance(self.march, Gridded) else None
 
     @cached_property
     def links(self) -> Links:
@@ -287,7 +297,7 @@ class Equations:
         return {}
 
     @cached_property
-    def derived(self) -> dict[Any, ca.Function]:
+    def derived(self) -> dict[Any, Any]:
         """What conditions have derived for themselves, so that it is once."""
         return {}
 
@@ -316,6 +326,12 @@ class Equations:
     def varied(self, w: Unknowns, states: bool = False) -> Varied:
         """All segments of w integrated with their derivatives."""
         return self.march.varied(w.nodes, w.mesh, w.tail, states)
+
+    def changed(self, w: Unknowns) -> Varied:
+        """`varied` with states for Newton's method, which may change what is within segments once, not solve it."""
+        if march := self.gridded:
+            return march.once(w.nodes, w.mesh, w.tail)
+        return self.varied(w, states=True)
 
     def varied_each(self, places: Sequence[Unknowns], states: bool = False) -> list[Varied]:
         """The same of several w on one mesh, beside each other."""

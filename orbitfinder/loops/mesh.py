@@ -8,9 +8,8 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
-from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.integrate.collocation import Collocation, curvatures
+from orbitfinder.integrate.march import Gridded
 from orbitfinder.loops.continued import Curve, Solution, advanced, correct, plane
 from orbitfinder.loops.loop import Unknowns
 
@@ -45,15 +44,6 @@ class MeshSettings:
     moved: float = 1e-4
     """Half of a central difference along a family, in its metric"""
     most_segments: int = 60
-    collocated: float = 1e-8
-    """Error of the polynomials of collocation in extents of the motion; where intervals end it is 1e-6 times that"""
-    fewest: int = 20
-    lopsided: float = 2.5
-    """Times the mean work of an interval that one may have before a mesh is made anew"""
-    slack: float = 1.5
-    """... and by how much their number may be off"""
-    sparsest: float = 0.1
-    """Share of the mean density of a mesh that it has everywhere"""
     most_steps: int = 6000
     """A motion that asks for more Runge-Kutta steps than this in one horizon is singular."""
 
@@ -63,10 +53,8 @@ MESH = MeshSettings()
 
 def needs_mesh(curve: Curve, solution: Solution) -> bool:
     """Whether the mesh is too coarse, or a segment too unstable, for what is asked of a point."""
-    if isinstance(march := curve.equations.march, Collocation):
-        work = worked(march, solution.place)
-        count, wanted = work.size, intervals(work)
-        return bool(work.max() > MESH.lopsided * work.mean() or not count / MESH.slack < wanted < MESH.slack * count)
+    if march := curve.equations.gridded:
+        return not march.fits(solution.place.nodes, solution.place.mesh, solution.place.tail)
     some = _errors(curve, solution, MESH.sampled)
     allowed = _allowed(curve)
     if some.max() > MESH.coarse * allowed or _steep(curve, solution):
@@ -143,10 +131,10 @@ def remeshed(curve: Curve, solution: Solution) -> Unknowns:
     place = solution.place
     if curve.equations.links:
         return _remeshed_arcs(curve, solution)
-    if isinstance(march := curve.equations.march, Collocation):
+    if march := curve.equations.gridded:
         if place.steps > 1:  # of a first guess: each is an interval
             place = replace(place, nodes=solution.march.states[:-1])
-        return regridded(march, place, intervals(worked(march, place)))
+        return regridded(march, place)
     density = _spread(np.maximum(wanted_steps(curve, solution, _errors(curve, solution)), 0.15))
     growth = float(np.log(np.maximum(_growths(curve, solution), 1.5)).sum())
     count = int(np.clip(np.ceil(growth / np.log(MESH.growth)), _fewest(curve), MESH.most_segments))
@@ -161,7 +149,7 @@ def remeshed(curve: Curve, solution: Solution) -> Unknowns:
 def between(curve: Curve, solution: Solution, moments: np.ndarray) -> np.ndarray:
     """States (k x d) at moments (k, in periods), exactly where they fix the phase."""
     place, states, march = solution.place, solution.march.states, curve.equations.march
-    if isinstance(march, Collocation):
+    if isinstance(march, Gridded):
         return march.sampled(place.nodes, place.mesh, place.tail, moments)
     if curve.equations.model.forced:
         slopes = march.rates(states, place.tail, place.mesh * place.period) * place.period
@@ -215,7 +203,7 @@ def regraded(curve: Curve, solution: Solution) -> np.ndarray:
 
     Nodes, and with them the equations, stay as they are: Newton's method can do so on its way.
     """
-    if isinstance(curve.equations.march, Collocation):
+    if curve.equations.gridded:
         return solution.place.mesh
     place, errors = solution.place, _errors(curve, solution)
     if errors.max() < MESH.stale * _allowed(curve):
@@ -237,7 +225,7 @@ def refined(curve: Curve, solution: Solution, along: np.ndarray) -> Solution:
     """The same orbit with half as many steps again in every segment, for one whose shear amplifies their errors."""
     place = solution.place
     count = len(place.nodes)
-    if isinstance(march := curve.equations.march, Collocation):
+    if march := curve.equations.gridded:
         finer = regridded(march, place, int(1.5 * count))
         along = carried(curve, place, along, finer)
         return correct(curve, finer, plane(curve, finer, along), finer)
@@ -267,46 +255,21 @@ def settled(curve: Curve, solution: Solution, along: np.ndarray) -> Solution:
     for _ in range(4):
         if not needs_mesh(curve, solution):
             break
-        mesh = solution.place.mesh
-        if curve.equations.collocated:
-            mesh = solution.place.mesh
-        elif _growths(curve, solution).max() <= MESH.steepest and len(solution.place.nodes) >= _fewest(curve):
+        mesh, gridded = solution.place.mesh, curve.equations.gridded is not None
+        tame = gridded or _growths(curve, solution).max() <= MESH.steepest
+        if tame and len(solution.place.nodes) >= _fewest(curve):
             mesh = regraded(curve, solution)
         place = remeshed(curve, solution) if mesh is solution.place.mesh else replace(solution.place, mesh=mesh)
         along = carried(curve, solution.place, along, place)
         solution = correct(curve, place, plane(curve, place, along), solution.place)
-        if curve.equations.collocated:
+        if gridded:
             break
     return solution
 
 
-def worked(march: Collocation, w: Unknowns) -> np.ndarray:
-    """The (m + 1)-th root of the error of the polynomial of m points over each interval of a collocated orbit (N).
-
-    In its extents. A mesh is right where it is the same everywhere (U. Ascher, R. Mattheij, R. Russell, Numerical
-    Solution of Boundary Value Problems for Ordinary Differential Equations (1995), section 9.3).
-    """
-    rule, units = march.tableau, nonzero(np.ptp(w.nodes, axis=0))
-    found = curvatures(rule, march.stages(w.nodes, w.mesh, w.tail), w.mesh, units)
-    return np.asarray(found ** (1.0 / (rule.points.size + 1)) * np.diff(w.mesh))
-
-
-def intervals(work: np.ndarray) -> int:
-    """As many intervals as leave the error that is allowed, in tens, no more than twice as many as there are."""
-    most = min(2 * work.size, MESH.most_steps)
-    return int(np.clip(10 * np.ceil(0.1 * work.sum() / MESH.collocated ** (1 / 6)), MESH.fewest, most))
-
-
-def regridded(march: Collocation, w: Unknowns, count: int) -> Unknowns:
-    """A collocated orbit interpolated on a mesh of so many intervals of equal work, with which its march begins."""
-    steps, rule = np.diff(w.mesh), march.tableau
-    density = worked(march, w) / steps
-    density = np.maximum(density, MESH.sparsest * float(density @ steps))
-    work = np.append(0.0, np.cumsum(density * steps))
-    mesh = np.interp(np.linspace(0.0, work[-1], count + 1), work, w.mesh)
-    inside = (mesh[:-1, None] + np.diff(mesh)[:, None] * rule.points).ravel()
-    nodes, between = (march.sampled(w.nodes, w.mesh, w.tail, places) for places in (mesh[:-1], inside))
-    march.begin(nodes, between.reshape(count, rule.points.size, -1) - nodes[:, None], mesh, w.tail)
+def regridded(march: Gridded, w: Unknowns, count: int = 0) -> Unknowns:
+    """An orbit over so many segments of a march that chooses its mesh, 0 for as many as it asks for."""
+    nodes, mesh = march.regridded(w.nodes, w.mesh, w.tail, count)
     return replace(w, nodes=nodes, mesh=mesh)
 
 

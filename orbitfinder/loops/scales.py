@@ -171,12 +171,12 @@ HARMONIC = 8.0**0.5
 def sizes(model: Model, lengths: np.ndarray, states: np.ndarray, period: float) -> np.ndarray:
     """The sizes S (d) of a motion (k x d) over its whole period, none of them 0.
 
-    `lengths` (n) are those of a mechanical system's coordinates, relative to each other. Where they hardly move, or
-    their rates hardly change, a tenth of what the others say at the pace T / 2 pi.
+    `lengths` (n) are those of its coordinates, relative to each other. Where those of a mechanical system hardly move,
+    or their rates hardly change, a tenth of what the others say at the pace T / 2 pi.
     """
     moved = np.ptp(states, axis=0) / HARMONIC
     if model.rates is not None:
-        return np.asarray(alone(moved, model.angular))
+        return np.asarray(alone(moved / lengths, model.angular) * lengths)
     clock, n = period / (2 * np.pi), lengths.size
     far, fast = (float((part / lengths).max(initial=0.0)) for part in (moved[:n], moved[n:]))
     far, fast = max(far, LEAST_SHARE * fast * clock), max(fast, LEAST_SHARE * far / clock)

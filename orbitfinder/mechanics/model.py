@@ -460,6 +460,8 @@ def wrapped(gaps: np.ndarray, angles: Sequence[bool] | np.ndarray) -> np.ndarray
     """Differences of states (... x 2n) or of coordinates, the first of which are `angles`, these in [-pi, pi)."""
     turning = np.zeros(gaps.shape[-1], bool)
     turning[: len(angles)] = angles
+    if not turning.any():
+        return gaps
     return np.where(turning, (gaps + np.pi) % (2 * np.pi) - np.pi, gaps)
 
 

@@ -26,7 +26,11 @@ ALIKE = 16.0
 """Lengths that differ by less than this factor are measured alike."""
 
 STILL = 1e-12
-"""A component of a first-order state that is less than this share of another is its round-off, not of smaller units."""
+"""A component of a first-order state that is less than this share of another is its round-off, not of smaller units, but
+for one that is `acting`."""
+
+FELT, LOOKED_AT = 1e-8, 8
+"""Relative changes that are more than round-off; states at which it is asked whether they are felt"""
 
 LEAST_SHARE = 0.1
 """A component that hardly moves is measured in this share: of what others do, of what it has moved in a family."""
@@ -41,12 +45,18 @@ DIMENSIONLESS = ("henon_heiles", "restricted_three_body", "planar_oscillator", "
 
 
 def units(system: Mapping[str, Any]) -> dict[str, str]:
-    """The units of energies, times, actions and lengths: SI, or none where the equations carry none."""
-    bare = system.get("function") in DIMENSIONLESS
+    """The units of energies, times, actions and lengths: SI, or none where the equations carry none, or are rates as
+    text, which state none."""
+    bare = system.get("function") in DIMENSIONLESS or "rates" in system
     return {"energy": "", "time": "", "action": "", "length": ""} if bare else SI
 
 
 SI = {"energy": "J", "time": "s", "action": "J s", "length": "m"}
+
+
+def lasting(time: float, system: Mapping[str, Any], digits: int = 12) -> str:
+    """A time in words, with its unit where the equations carry one."""
+    return f"{time:.{digits}g} {units(system)['time']}".rstrip()
 
 
 def snapped(values: np.ndarray | float, base: float = ALIKE**2) -> np.ndarray:
@@ -125,7 +135,7 @@ def lengths(model: Model, states: np.ndarray) -> np.ndarray:
     Those of a first-order system each by itself.
     """
     if model.rates is not None:
-        return np.where(model.angular, 1.0, alone(np.ptp(states, axis=0), model.angular))
+        return np.where(model.angular, 1.0, alone(np.ptp(states, axis=0), model.angular, acts=acting_in(model, states)))
     parts, n = proportions(model, states[0]), model.degrees_of_freedom
     if model.angular.any():
         return parts
@@ -166,7 +176,7 @@ def units_of(model: Model, states: np.ndarray, period: float) -> tuple[float, ..
     largest = np.abs(states).max(axis=0)
     if model.rates is not None:
         sizes = np.maximum(largest, clock * np.abs(_pushed(model, states[0], n)))
-        return unless_one(snapped(alone(sizes, model.angular, 1.0)))
+        return unless_one(snapped(alone(sizes, model.angular, 1.0, acting_in(model, states))))
     parts, turning = proportions(model, states[0]), model.angular
     amplitudes = np.maximum(largest[:n], largest[n:] * clock) / parts
     if turning.all() and 1 / ALIKE < clock < ALIKE and 1 / ALIKE < amplitudes.max() < ALIKE:
@@ -182,18 +192,21 @@ def units_of(model: Model, states: np.ndarray, period: float) -> tuple[float, ..
 
 def extents_of(model: Model, states: np.ndarray, period: float) -> np.ndarray:
     """Extents (d) of a motion of a Model (k x d) over its period."""
-    masses = np.zeros(0) if model.rates is not None else masses_of(model.kinetic, states[0], model)
-    return extents(np.ptp(states, axis=0), masses, period, model.angular)
+    if model.rates is not None:
+        return alone(np.ptp(states, axis=0), model.angular, acts=acting_in(model, states))
+    return extents(np.ptp(states, axis=0), masses_of(model.kinetic, states[0], model), period, model.angular)
 
 
-def extents(moved: np.ndarray, masses: np.ndarray, period: float, angular: np.ndarray | None = None) -> np.ndarray:
+def extents(
+    moved: np.ndarray, masses: np.ndarray, period: float, angular: np.ndarray | None = None, acts: Acts | None = None
+) -> np.ndarray:
     """Extents (2n) of coordinates and rates from how far they moved, none of them 0; without masses `alone`.
 
     What moves less than a tenth of the length L_i, m_i L_i^2 / tau = the largest m q v of all, tau = T / 2 pi,
     is measured in that tenth: `masses` are the diagonal of the mass matrix (n).
     """
     if not masses.size:
-        return alone(moved, angular)
+        return alone(moved, angular, acts=acts)
     far, fast = np.split(moved, 2)
     clock, weights = period / (2 * np.pi), nonzero(masses)
     # what turns steadily has moved, although its rate has not changed
@@ -213,7 +226,13 @@ def shared(moved: np.ndarray, angular: np.ndarray) -> np.ndarray:
     return np.repeat(nonzero(np.array([moved[:n].max(), moved[n:].max()])), n)
 
 
-def alone(moved: np.ndarray, angular: np.ndarray | None = None, share: float = LEAST_SHARE) -> np.ndarray:
+Acts = Callable[[np.ndarray], np.ndarray]
+"""Which of some components (a mask d) are no round-off, however small they are"""
+
+
+def alone(
+    moved: np.ndarray, angular: np.ndarray | None = None, share: float = LEAST_SHARE, acts: Acts | None = None
+) -> np.ndarray:
     """Extents (d) of a first-order motion from how far its components moved, none of them 0.
 
     Each may have a unit of its own; what hardly moves at all is measured in a share of what the others do, `angular`
@@ -221,8 +240,57 @@ def alone(moved: np.ndarray, angular: np.ndarray | None = None, share: float = L
     """
     turning = np.zeros(moved.size, bool) if angular is None else angular
     largest = np.where(turning, moved[turning].max(initial=0.0), moved[~turning].max(initial=0.0))
-    shares = np.where(moved > STILL * largest, moved, share * largest)
+    moves = moved > STILL * largest
+    if acts is not None and (small := ~moves & (moved > 0.0)).any():
+        moves |= acts(small)
+    shares = np.where(moves, moved, share * largest)
     return np.where(np.isfinite(largest) & (largest > 0.0), shares, 1.0)
+
+
+def acting_in(model: Model, states: np.ndarray) -> Acts:
+    """`acting` in a motion (k x d) of a first-order Model."""
+    rate, given = model.rate, model.parameter_values
+    return acting(lambda rows: np.array([rate(0.0, row, given).full().ravel() for row in rows]), states)
+
+
+def acting(rates: Callable[[np.ndarray], np.ndarray], states: np.ndarray) -> Acts:
+    """Which small components of a motion (k x d) act, by the rates (k x d) of states: in whatever units they are told.
+
+    Half of it is felt by the rate of another that moves, or it is driven by those: its rate is not in proportion to it.
+    The round-off of what stays at 0, such as in a plane that is invariant, is neither.
+    """
+
+    def acts(small: np.ndarray) -> np.ndarray:
+        few = states[:: max(1, len(states) // LOOKED_AT)]
+        least = FELT * np.abs(few).max(axis=0) if len(few) > 1 else 0.0
+        asked, idle = small & ~(np.ptp(few, axis=0) < least), small.copy()
+        now = rates(few)
+        jolted = few * (1.0 + FELT * (-1.0) ** np.arange(small.size))
+        while True:
+            offset = 2 * rates(np.where(idle, few / 2, few)) - now
+            noise = 2 * rates(np.where(idle, jolted / 2, jolted)) - rates(jolted) - offset
+            driven = np.abs(offset).max(axis=0) > np.abs(noise).max(axis=0)
+            more = asked & idle & (driven | _felt(rates, few, now, asked & idle, ~idle))
+            if not more.any():
+                return asked & ~idle
+            idle &= ~more
+
+    return acts
+
+
+def _felt(
+    rates: Callable[[np.ndarray], np.ndarray],
+    states: np.ndarray,
+    now: np.ndarray,
+    asked: np.ndarray,
+    moving: np.ndarray,
+) -> np.ndarray:
+    """Whose halves (a mask d) change the rates `now` (k x d) of those that are moving."""
+    felt, most = np.zeros(asked.size, bool), FELT * np.abs(now).max(axis=0)
+    for k in np.flatnonzero(asked):
+        half = states * np.where(np.arange(asked.size) == k, 0.5, 1.0)
+        felt[k] = bool(((np.abs(rates(half) - now).max(axis=0) > most) & moving).any())
+    return felt
 
 
 def parameter_sizes(model: Model, names: Sequence[str], values: np.ndarray, least: float = 1e-3) -> np.ndarray:

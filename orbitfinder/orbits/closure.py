@@ -105,9 +105,12 @@ def _closed(transitions: Sequence[np.ndarray], sizes: np.ndarray) -> list[np.nda
 def carried(transitions: Sequence[np.ndarray], sizes: np.ndarray) -> tuple[np.ndarray, float]:
     """Phi(T, 0) and A, the largest norm with which an error made where a piece begins comes to the end."""
     monodromy, carry = np.eye(sizes.size), []
-    for piece in reversed(transitions):
-        monodromy = monodromy @ piece
-        carry.append(monodromy * sizes)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for piece in reversed(transitions):
+            monodromy = monodromy @ piece
+            carry.append(monodromy * sizes)
+    if not np.isfinite(carry).all():
+        return monodromy, np.inf
     norms = np.linalg.norm(np.reshape(carry, (-1, sizes.size, sizes.size)), 2, axis=(1, 2))
     largest = float(np.fmax.reduce(norms, initial=sizes.max()))
     return monodromy, largest if np.isfinite(largest) else np.inf

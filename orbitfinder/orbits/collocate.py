@@ -6,7 +6,9 @@ and pivoted. It starts from a lap of a simulation (`guesses.settled`); its certi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -28,6 +30,7 @@ from orbitfinder.mechanics.newton import Settings, Solver, full
 from orbitfinder.orbits.floquet import Floquet, complement, generated, judged
 from orbitfinder.orbits.guesses.settled import cycles, lap
 from orbitfinder.orbits.measure import provenance, recorded
+from orbitfinder.orbits.method import Method
 from orbitfinder.orbits.product import merged, product
 from orbitfinder.records.orbit import Orbit
 
@@ -44,6 +47,14 @@ NEWTON = Settings(floor=1e-12, round_off=1e-8, converged=1e-8, most_evaluations=
 STIFF, QUIET = 2e4, 1e-3
 """Fastest decay on the way times the period from which on explicit steps are limited by stability, not by accuracy.
 What a rate of decay counts beside a pace where it is chosen where t = 0 lies: both make the certificate's gap"""
+
+
+def by(
+    march: type[Collocation], suits: Callable[[Problem], str] = lambda problem: "",
+    rescues: Callable[[Problem], bool] = lambda problem: False,
+) -> Method:  # fmt: skip
+    """The method of a kind of collocation: what it suits unasked, and what it is tried for where another failed."""
+    return Method(suits, partial(found, march), refused, rescues, march, partial(begun, march))
 
 
 def refused(problem: Problem) -> str:
@@ -74,77 +85,96 @@ def stiff(problem: Problem) -> str:
     try:
         with np.errstate(all="ignore"):
             guess = lap(problem.model, problem.guess)
-            decays = stiffness(collocated_equations(problem), guess)
+            decays = stiffness(_equations(Collocation, problem), guess)
     except (ConvergenceError, IntegrationError, np.linalg.LinAlgError):
         return ""
     return f"stiff: what decays fastest does so {decays:.2g} times in a period" if decays > STIFF else ""
 
 
-def found(problem: Problem, settings: SolveSettings, report: Callback | None, began: float) -> tuple[Orbit, Model]:
+def found(
+    march: type[Collocation], problem: Problem, settings: SolveSettings, report: Callback | None, began: float
+) -> tuple[Orbit, Model]:
     """The orbit of a smooth system, by collocation."""
     problem = at_forcing_period(problem)
-    equations = collocated_equations(problem)
-    solved = on_meshes(problem, equations, report)
+    equations = _equations(march, problem)
+    solved = _on_meshes(problem, equations, report)
     w = solved[-1]
     values = dict(zip(equations.free, map(float, w.free), strict=True))
     model = with_parameters(problem.model, values)
     orbit = measured(replace(problem, model=model), equations, w)
     bar = abs(w.period - solved[-2].period) + float(np.spacing(w.period)) * len(w.nodes) ** 0.5
     said = provenance(problem, settings, began) | {
-        "method": "collocation", "intervals": len(w.nodes), "period_error": float(bar),
+        "method": march.name, "intervals": len(w.nodes), "period_error": float(bar),
         "decays": float(_march(equations).decays(w.nodes, w.tail, w.mesh[:-1] * w.period).max() * w.period),
     }  # fmt: skip
     return replace(orbit, provenance=said | ({"free": values} if values else {})), model
 
 
-def collocated_equations(problem: Problem) -> Equations:
-    """The equations of a problem, integrated by collocation."""
-    return Equations(problem.model, problem.boundary, tuple(problem.free), action=True, collocated=True)
+def begun(march: type[Collocation], problem: Problem, free: tuple[str, ...]) -> tuple[Equations, Unknowns]:
+    """The equations of a family by collocation, and the orbit of a problem in their unknowns."""
+    fixed = _equations(march, problem)
+    w = _on_meshes(problem, fixed, alone=True)[-1]
+    w = w if problem.model.forced else _turned(fixed, w)
+    equations = Equations.of(problem.model, problem.boundary, free, march)
+    place, own = equations.unknowns(w.nodes, w.period, w.mesh), _march(equations)
+    own.begin(place.nodes, _march(fixed).stages(w.nodes, w.mesh, w.tail), place.mesh, place.tail)
+    return equations, regridded(own, place)
 
 
-def on_meshes(problem: Problem, equations: Equations, report: Callback | None = None) -> list[Unknowns]:
-    """The orbit of a problem on finer and finer meshes until two periods agree, the coarser first.
+def _equations(march: type[Collocation], problem: Problem) -> Equations:
+    return Equations(problem.model, problem.boundary, tuple(problem.free), action=True, by=march)
+
+
+def _on_meshes(
+    problem: Problem, equations: Equations, report: Callback | None = None, alone: bool = False
+) -> list[Unknowns]:
+    """The orbit of a problem on finer and finer meshes until two periods agree, the coarser first; or `alone` on the
+    first from which a family's own mesh can be told.
 
     Raises `ConvergenceError` where none do.
     """
     guess = lap(problem.model, problem.guess)
     if not settles(problem):
-        return _refined(problem, equations, guess, FINEST, report)
+        return _refined(problem, equations, guess, FINEST, report, alone)
     failed = ConvergenceError("the guess leads nowhere; give a state near the cycle and its period")
-    for near in cycles(problem.model, problem.guess, stiffness(equations, guess) > STIFF):
+    for near in cycles(problem.model, problem.guess, guess, stiffness(equations, guess) > STIFF):
         own = problem.guess.trajectory is None and np.array_equal(near.state, np.asarray(problem.guess.state, float))
         try:
-            return _refined(problem, equations, near, min(QUICK, FINEST) if own else FINEST, report)
+            return _refined(problem, equations, near, min(QUICK, FINEST) if own else FINEST, report, alone)
         except ConvergenceError as error:
             failed = error
     raise failed
 
 
 def _refined(
-    problem: Problem, equations: Equations, guess: Guess, finest: int, report: Callback | None
+    problem: Problem, equations: Equations, guess: Guess, finest: int, report: Callback | None, alone: bool
 ) -> list[Unknowns]:
     """The same from a lap."""
-    march, solved, count, failed, change = _march(equations), list[Unknowns](), FINER * COARSEST, "", np.inf
+    march, solved, failed, change = _march(equations), list[Unknowns](), "", np.inf
+    count = COARSEST if alone else FINER * COARSEST
     while count <= finest:
         limit.check()
         try:
             now = regridded(march, solved[-1], count) if solved else _begun(problem, equations, guess, count)
-            for _ in range(2):  # the mesh of an orbit that is known, and that of the better one
-                now = regridded(march, closed(problem, equations, now), count)
             now = closed(problem, equations, now)
+            if alone and march.wanted(now.nodes, now.mesh, now.tail) < 2 * count:
+                return [now]
+            for _ in range(2):  # the mesh of an orbit that is known, and that of the better one
+                now = closed(problem, equations, regridded(march, now, count))
         except (ConvergenceError, IntegrationError) as error:
             failed, count = str(error), FINER * count
             continue
         solved.append(now)
         before, change = change, abs(now.period / solved[-2].period - 1) if len(solved) > 1 else np.inf
         if report:
-            report(Progress(f"collocation, {count} intervals", len(solved), min(change, 1.0), now.period, 0.0))
+            report(Progress(f"{equations.by.name}, {count} intervals", len(solved), min(change, 1.0), now.period, 0.0))
         if change <= AGREED or (change <= SETTLED and change > 0.5 * before):
             return solved
         count *= FINER
     if change <= SETTLED:
         return solved
-    raise ConvergenceError(f"collocation on up to {finest} intervals found no orbit: {failed or 'meshes do not agree'}")
+    name, why = equations.by.name, failed or "meshes do not agree"
+    raise ConvergenceError(f"{name} on up to {finest} intervals found no orbit: {why}")
 
 
 def _begun(problem: Problem, equations: Equations, guess: Guess, count: int) -> Unknowns:
@@ -190,7 +220,7 @@ def closed(problem: Problem, equations: Equations, w: Unknowns) -> Unknowns:
 def measured(problem: Problem, equations: Equations, w: Unknowns) -> Orbit:
     """The Orbit (without certificate) on its mesh, begun where its certificate sees best."""
     model, march = problem.model, _march(equations)
-    w = w if model.forced or problem.pin else turned(equations, w)
+    w = w if model.forced or problem.pin else _turned(equations, w)
     path, places = equations.varied(w, states=True), np.linspace(0.0, 1.0, EVEN + 1)
     even = march.sampled(w.nodes, w.mesh, w.tail, places)
     return recorded(
@@ -199,7 +229,7 @@ def measured(problem: Problem, equations: Equations, w: Unknowns) -> Orbit:
     )  # fmt: skip
 
 
-def turned(equations: Equations, w: Unknowns) -> Unknowns:
+def _turned(equations: Equations, w: Unknowns) -> Unknowns:
     """The same orbit begun where neither its pace nor what decays makes much of errors."""
     march = _march(equations)
     units = nonzero(np.ptp(w.nodes, axis=0))

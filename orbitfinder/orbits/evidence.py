@@ -41,7 +41,7 @@ from orbitfinder.loops.symmetry import Involution, symplectic
 from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.kind import system_kind, with_parameters
 from orbitfinder.mechanics.model import Model, altered, constraint_of, energies
-from orbitfinder.mechanics.scales import extents, extents_of, masses_of, snapped
+from orbitfinder.mechanics.scales import Acts, acting, acting_in, extents, extents_of, masses_of, snapped
 from orbitfinder.orbits.closure import Closure, closes, gap, shift
 from orbitfinder.orbits.floquet import Floquet, analyse, complement, generated, reduce_monodromy, symplectic_unit
 
@@ -229,21 +229,28 @@ def units_of(
     first = np.abs(start) + period * np.abs(rate) + period * np.where(np.isfinite(turned), turned, 0.0)
     if not np.all(np.isfinite(first) & (first < 1e100)):
         return np.ones(start.size)
-    units = in_momenta(first, masses, period, angular)
+    rates = partial(_rates, field)
+    units = in_momenta(first, masses, period, angular, acting(rates, start[None]))
     path = integrate_in(units, field, start, np.linspace(0.0, period, 65), ROUGH)
-    return known_in(path, masses, period, angular)
+    return known_in(path, masses, period, angular, acting(rates, path))
 
 
-def known_in(path: np.ndarray, masses: np.ndarray, period: float, angular: np.ndarray | None) -> np.ndarray:
+def _rates(field: VectorField, states: np.ndarray) -> np.ndarray:
+    return np.array([field(0.0, state) for state in states])
+
+
+def known_in(path: np.ndarray, masses: np.ndarray, period: float, angular: np.ndarray | None, acts: Acts) -> np.ndarray:
     """`in_momenta` of a motion (k x m), nothing near the round-off of what it is measured from."""
-    units = in_momenta(np.ptp(path, axis=0), masses, period, angular)
+    units = in_momenta(np.ptp(path, axis=0), masses, period, angular, acts)
     return np.asarray(np.maximum(units, KNOWN * np.abs(path).max(axis=0)))
 
 
-def in_momenta(moved: np.ndarray, masses: np.ndarray, period: float, angular: np.ndarray | None = None) -> np.ndarray:
+def in_momenta(
+    moved: np.ndarray, masses: np.ndarray, period: float, angular: np.ndarray | None, acts: Acts
+) -> np.ndarray:
     """`extents` in (q, p) of what moved so far in (q, p); without masses, of a first-order system, `alone`."""
     weights = np.append(np.ones(moved.size - masses.size), masses)
-    found = extents(moved / nonzero(weights), masses, period, angular)
+    found = extents(moved / nonzero(weights), masses, period, angular, acts)
     return np.asarray(np.where(weights > 0, weights, 1.0) * found)
 
 
@@ -456,7 +463,7 @@ def gather(
     at = np.searchsorted(motion.times, evenly(period))
     path, states = motion.path[at], motion.states[at]
     moved = np.ptp(motion.reaching(path), axis=0)
-    loop = _looped(model, motion, in_momenta(moved, motion.masses, period), path, period)
+    loop = _looped(model, motion, in_momenta(moved, motion.masses, period, None, acting_in(model, path)), path, period)
     monodromy, growth, varied = _products(loop.pieces)
     kinetic, potential = energies(model, states)
     total = kinetic + potential
@@ -540,7 +547,8 @@ def tour(
     own = system_kind(model.system).motion(model)
     given = model, state, period, turns, evenly(period), TIGHTEST
     motion = own(*given) if own else canonical_motion(*given, varied)
-    units, half = known_in(motion.reaching(motion.path), motion.masses, period, model.angular), None
+    acts, half = acting_in(model, motion.path), None
+    units = known_in(motion.reaching(motion.path), motion.masses, period, model.angular, acts)
     loop, equations = _looped(model, motion, units, motion.path, period), Hamiltonian(model)
     if beside is not None and loop.closes.gap > GROWN and not own:
         told, joins = _beside(equations, motion, units, *beside, varied)

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.integrate import trapezoid
 
 from orbitfinder._runtime import __version__
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError
 from orbitfinder.integrate.cvodes import Flow, transition
 from orbitfinder.integrate.equations import accelerations, action_rate, invariant_gradients, with_action
@@ -274,8 +275,9 @@ def loop_action(
     if tame and abs(found - action(model, times[::2], states[::2])) <= RESOLVED * abs(found):
         return found
     field, duration = with_action(model, flow.field), times[-1] / len(nodes)
+    units = (*flow.units, nonzero(abs(found))) if flow.units else ()
     ends = [
-        graded_end(field, np.append(node, 0.0), (k * duration, (k + 1) * duration), tail_of(flow))
+        graded_end(field, np.append(node, 0.0), (k * duration, (k + 1) * duration), tail_of(flow), units)
         for k, node in enumerate(nodes)
     ]
     return found if any(end is None for end in ends) else float(sum(end[-1] for end in ends if end is not None))

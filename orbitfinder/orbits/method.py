@@ -10,7 +10,9 @@ import numpy as np
 from orbitfinder._runtime.arguments import Registry, shown
 from orbitfinder._runtime.rooms import filled
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
+from orbitfinder.integrate.march import March
 from orbitfinder.loops.ipopt import Callback, SolveSettings
+from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.orbit import Orbit
@@ -29,26 +31,49 @@ class Method:
     """(problem) -> why it cannot be asked for, or nothing; without it, where it suits alone"""
     rescues: Callable[[Problem], bool] = lambda problem: False
     """(problem) -> whether it is tried where another method has failed"""
+    march: type[March] = March
+    """What integrates the families of its orbits; one of its own has the method's `name`"""
+    begin: Callable[[Problem, tuple[str, ...]], tuple[Equations, Unknowns]] | None = None
+    """(problem, freed parameters) -> the equations of a family by its march and the orbit in their unknowns"""
 
 
 METHODS = Registry(Method)
 """Every method by its name; others may join (`method_of` asks them all)"""
-SHOOTING, COLLOCATION = "shooting", "collocation"
-"""The method for what suits no other, and that for what is stiff"""
+SHOOTING = March.name
+"""The method for what suits no other"""
+
+
+def named(name: str) -> Method:
+    """The method of a name. Raises `InputError` for an unknown one."""
+    filled("methods")
+    if name not in METHODS:
+        known = [each for each, method in METHODS.items() if each == SHOOTING or method.begin]
+        raise InputError(f"method: unknown {name!r}{closest(name, METHODS)}; use {' or '.join(known)}")
+    return METHODS[name]
+
+
+def begins(name: str) -> bool:
+    """Whether families begin by a method of this name, with a march of its own."""
+    filled("methods")
+    return name in METHODS and METHODS[name].begin is not None
+
+
+def rescuer(problem: Problem, failed: str = SHOOTING) -> str | None:
+    """The name of the method that is tried where another has failed, if any is."""
+    filled("methods")
+    return next((key for key, each in METHODS.items() if key != failed and each.rescues(problem)), None)
 
 
 def method_of(problem: Problem, asked: str | None = None) -> tuple[str, Method, str]:
     """The method for a Problem, its name, and why: the one `asked` for, else the latest entry that it suits, shooting
     where none does. Raises `InputError` for one that is unknown or not for this problem."""
-    filled("methods")
     if asked is None:
+        filled("methods")
         for name, method in reversed(METHODS.items()):
             if name != SHOOTING and (why := method.suits(problem)):
                 return name, method, why if isinstance(why, str) else ""
         return SHOOTING, METHODS[SHOOTING], ""
-    if asked not in METHODS:
-        raise InputError(f"method: unknown {asked!r}{closest(asked, METHODS)}; use {SHOOTING} or {COLLOCATION}")
-    method = METHODS[asked]
+    method = named(asked)
     refused = method.refuses(problem) if method.refuses else "" if method.suits(problem) else "it is not of its kind"
     if refused:
         raise InputError(f"method: {asked} is not for this problem, {refused}; leave method out")
@@ -62,7 +87,7 @@ def solved(problem: Problem, settings: SolveSettings, progress: Callback | None,
     try:
         given = method.find(problem, settings, progress, began)
     except (ConvergenceError, IntegrationError) as error:
-        other = next((key for key, each in METHODS.items() if key != name and each.rescues(problem)), None)
+        other = rescuer(problem, name)
         if asked is not None or other is None:
             raise
         try:

@@ -114,14 +114,17 @@ class FamilyPoint(Orbit):
 @dataclass(frozen=True)
 class Reading:
     """What the check of an event read: a `value` that is 0 at such an event, its `error`, and whether it `passed`; and
-    whether the event is supercritical or subcritical, where that was told."""
+    where that was told, whether the event is supercritical or subcritical, and the error bars of its parameter and
+    period."""
 
-    _sparse = ("criticality",)
+    _sparse = ("criticality", "parameter_error", "period_error")
 
     value: float
     error: float
     passed: bool
     criticality: str = ""
+    parameter_error: float | None = None
+    period_error: float | None = None
 
 
 @dataclass(frozen=True)
@@ -137,10 +140,10 @@ class Event(Shown):
     closes.
     """
 
-    __repr__ = brief("kind", "detail", "parameter", "period", "index")
+    __repr__ = brief("kind", "detail", "parameter", "error", "period", "index")
     _called = FamilyPoint._called
-    _entries = (..., "criticality")
-    _sparse = ("check", "watch", "criticality")
+    _entries = (..., "criticality", "error", "period_error")
+    _sparse = ("check", "watch", "criticality", "error", "period_error")
 
     kind: str
     index: int
@@ -170,6 +173,18 @@ class Event(Shown):
         is not, or unstable where it is stable; of a fold by where its orbits are, at larger or at smaller values of the
         parameter. "" where that is not told."""
         return self.check.criticality if self.check else ""
+
+    @property
+    def error(self) -> float | None:
+        """The error bar of the parameter: how far along the family the event may be off, by what its test is known to,
+        and across it, by how the independent integrator closes the orbit. None in older files, of hybrid cycles and
+        along two parameters."""
+        return self.check.parameter_error if self.check else None
+
+    @property
+    def period_error(self) -> float | None:
+        """The same of the period."""
+        return self.check.period_error if self.check else None
 
     @property
     def words(self) -> str:

@@ -15,22 +15,26 @@ from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
 from orbitfinder.families.members import extents
 from orbitfinder.families.registry import Look, kind_of
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.scales import unit_names
 from orbitfinder.mechanics.scales import units as units_of
-from orbitfinder.records.family import Family
+from orbitfinder.records.family import End, Family
 from orbitfinder.show.diagram import Diagram
 from orbitfinder.show.plot import two_parameters
 from orbitfinder.show.rest import stretched
 from orbitfinder.show.style import bare, dress, legend, new_figure, place_labels, save_all
 from orbitfinder.show.svg import COLOURS, axis
 
-RESTS, OTHER = {"hopf": Look(size=6.0), "neutral_saddle": Look("x", colour="#8C8C8C")}, Look("*", size=9.0)
-"""How events of equilibria look that families have not, and ends of cycles, such as a homoclinic orbit"""
-ORDINARY, SILENT = (
+RESTS, OTHER = {
+    "hopf": Look(size=6.0), "neutral_saddle": Look("x", colour="#8C8C8C"),
+    "fold": Look("d", colour="#4D4D4D", size=6.5),
+}, Look("*", size=9.0)  # fmt: skip
+"""How events of equilibria look that families have not or otherwise, and ends of cycles, such as a homoclinic orbit"""
+ORDINARY, SILENT, ENDLESS = (
     ("target", "point limit", "hopf", "merged", "returned", "stopped", "equilibrium"),
     ("turn", "neutral_saddle"),
+    ("homoclinic", "heteroclinic", "saddle-node"),
 )
-"""Ends that are not marked, as nothing happens there or it is marked anyway; events whose parameters are not told"""
+"""Ends that are not marked, as nothing happens there or it is marked anyway; events whose parameters are not told; ends
+at an infinite period, whose parameter is that there"""
 MOST, LABELLED, LONG, NAMES = 6, 14, 30.0, ("cycles", "cycles born on cycles")
 """Components that are drawn, the first; labels; ratio of periods drawn in logarithms; curves of cycles by birth"""
 ROBUST, ROOM, MARGIN, CLOSE = (2.0, 98.0), 0.3, 0.05, 0.01
@@ -53,12 +57,13 @@ class Panel:
             self.heights.append(path[:, 1])
         self.shown.setdefault(name, Line2D([], [], color=colour, linewidth=2.4))
 
-    def mark(self, kind: str, place: Sequence[float]) -> None:
-        """Something that happens at a place, with the parameter there."""
-        look: Look = RESTS.get(kind) or (KINDS[kind].look if kind in KINDS else OTHER)
+    def mark(self, kind: str, place: Sequence[float], resting: bool = False) -> None:
+        """Something that happens at a place, to equilibria or to cycles, with the parameter there."""
+        look: Look = RESTS[kind] if resting and kind in RESTS else KINDS[kind].look if kind in KINDS else OTHER
+        name = kind.replace("_", " ") + {"fold": (" of cycles", " of equilibria")}.get(kind, ("", ""))[resting]
         style = {"marker": look.marker, "markersize": look.size, "linestyle": "none", "color": look.colour, "zorder": 4}
         drawn = self.axes.plot(*place, markerfacecolor="white" if look.hollow else look.colour, **style)
-        self.shown.setdefault(kind.replace("_", " ").replace("hopf", "Hopf"), drawn[0])
+        self.shown.setdefault(name.replace("hopf", "Hopf"), drawn[0])
         if kind not in SILENT:
             self.labels.append((f"{place[0]:.5g}", float(place[0]), float(place[1])))
 
@@ -77,10 +82,19 @@ class Panel:
         if len(places) == 1:
             self.axes.plot(*line.T, "o", color=COLOURS[0])
         for event in rest.events:
-            self.mark(event.kind, (event.parameter, height(event.state)))
+            self.mark(event.kind, (event.parameter, height(event.state)), True)
 
-    def cycles(self, family: Family, heights: np.ndarray, name: str) -> None:
-        """Cycles by a number of each point and then of each event."""
+    def endless(self, end: End, place: np.ndarray) -> None:
+        """The end of cycles at an infinite period: where the parameter goes, and that the period goes on."""
+        style = {"color": OTHER.colour, "linestyle": ":", "linewidth": 1.0}
+        self.shown.setdefault("infinite period", self.axes.axvline(end.parameter, **style))
+        self.axes.annotate(
+            "", (end.parameter, 1.0), (place[0], place[1]), ("data", "axes fraction"), "data",
+            arrowprops={"arrowstyle": "->", "color": OTHER.colour, "shrinkA": 0.0, "shrinkB": 0.0},
+        )  # fmt: skip
+
+    def cycles(self, family: Family, heights: np.ndarray, name: str, periods: bool = False) -> None:
+        """Cycles by a number of each point and then of each event, their periods maybe."""
         drawn = Diagram(family, (family.parameter, ""), np.column_stack([family.places[:, 0], heights]))
         self.line(drawn.stretches, COLOURS[NAMES.index(name) + 2], name)
         for event, place in zip(family.events, drawn.events, strict=True):
@@ -88,7 +102,9 @@ class Panel:
                 self.mark(event.kind, place)
         last = int(np.argmax([abs(point.arclength) for point in family.points]))
         for end, k in zip(family.ends, (last,) if len(family.ends) == 1 else (0, -1), strict=False):
-            if end.kind not in ORDINARY:
+            if periods and end.kind in ENDLESS and end.parameter is not None:
+                self.endless(end, drawn.points[k])
+            elif end.kind not in ORDINARY:
                 self.mark(end.kind, drawn.points[k])
 
     def window(self) -> None:
@@ -115,17 +131,17 @@ def save_diagram_figure(diagram: BifurcationDiagram, folder: str | Path, model: 
         if isinstance(curve.record, Equilibria):
             upper.rest(curve.record, lambda state: float(np.linalg.norm(state) if norm else state[number]))
             for event in (event for event in curve.record.events if below and np.isfinite(event.period)):
-                below[0].mark(event.kind, (event.parameter, event.period))
+                below[0].mark(event.kind, (event.parameter, event.period), True)
     for curve in families:
         name, sizes = NAMES[curve.parent.endswith("family.json")], extents(curve.record, model)[:, :, number]
         for column in (2,) if norm else (1, 0):
             upper.cycles(curve.record, sizes[:, column], name)
-        below[0].cycles(curve.record, np.array([member.period for member in curve.record.members]), name)
+        below[0].cycles(curve.record, np.array([member.period for member in curve.record.members]), name, True)
     dress(upper.axes, "" if below else diagram.parameter, NORM if norm else axis(model, number))
     for panel in below:
         periods = np.concatenate(panel.heights)
         panel.axes.set_yscale("log" if periods.max() > LONG * periods.min() else "linear")
-        dress(panel.axes, diagram.parameter, "period (s)" if any(unit_names(model)) else "period")
+        dress(panel.axes, diagram.parameter, "period (s)" if units_of(diagram.system)["time"] else "period")
     upper.window()
     legend(figure, shown, "lower center", ncols=4)
     room = MARGIN / 2 * (diagram.between[1] - diagram.between[0])

@@ -262,6 +262,7 @@ def _item(member: FamilyPoint | Event, family: Family, simulator: Simulator) -> 
         "energy": level(member.energy),
         "period": member.period,
         "value": at.value if event is None else event.parameter,
+        "error": None if event is None else event.error,
         "arclength": member.arclength,
         "action": at.action if point else None,
         "closure": at.closure if point else None,

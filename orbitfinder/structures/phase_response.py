@@ -43,7 +43,7 @@ from orbitfinder.records.orbit import Orbit, refuse_controlled
 
 STEPS = ReferenceSettings(1e-9, 1e-10)
 """What steps are chosen by: a tighter one is lost in round-off where rates are 0 / 0, as Hodgkin and Huxley's"""
-HYPERBOLIC, JOINED, LINEAR, KICKED = 1e-6, 1e-9, 1e-7, 1e-6
+HYPERBOLIC, JOINED, LINEAR, KICKED = 1e-6, 1e-9, 1e-8, 1e-6
 """How far multipliers are from the unit circle; what may be left where pieces of the cycle meet (in extents), of the
 adjoint and Z . f = 1, and of finite kicks"""
 KICKS, SIZES, DECAYED, LONGEST = 6, 1e-3 * 0.25 ** np.arange(4), 1e-8, 40

@@ -299,11 +299,14 @@ static void sized(const Work *o, const Passage *q, double period, double *sizes)
   for (int i = 0; i < D; i++) sizes[i] = (high[i] - low[i]) / sqrt(8.0);
   if (f->first_order) {
     double turning = 0, others = 0;
-    for (int i = 0; i < D; i++) if (f->angular[i] != 0) turning = fmax(turning, sizes[i]); else others = fmax(others, sizes[i]);
+    for (int i = 0; i < D; i++) {
+      double size = sizes[i] / f->lengths[i];
+      if (f->angular[i] != 0) turning = fmax(turning, size); else others = fmax(others, size);
+    }
     for (int i = 0; i < D; i++) {
       double largest = f->angular[i] != 0 ? turning : others;
-      if (!(largest > 0 && isfinite(largest))) sizes[i] = 1.0;
-      else if (!(sizes[i] > f->still * largest)) sizes[i] = f->least_share * largest;
+      if (!(largest > 0 && isfinite(largest))) sizes[i] = f->lengths[i];
+      else if (!(sizes[i] / f->lengths[i] > f->still * largest)) sizes[i] = f->least_share * largest * f->lengths[i];
     }
     return;
   }

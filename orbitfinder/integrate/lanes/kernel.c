@@ -21,7 +21,11 @@
 
 typedef double V __attribute__((vector_size(8 * LANES)));
 typedef int64_t I __attribute__((vector_size(8 * LANES)));
+#ifdef __OPTIMIZE__
 #define INLINE static inline __attribute__((always_inline))
+#else /* as at -O0 a sine would be written out 26 times for what takes as long */
+#define INLINE static inline
+#endif
 
 INLINE V all(double x) { V v; for (int l = 0; l < LANES; l++) v[l] = x; return v; }
 INLINE V kept(I mask, V x) { return (V)(mask & (I)x); }

@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 from orbitfinder._runtime import limit
 from orbitfinder._runtime.quiet import captured
 from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.equations import acceleration_slopes, accelerations
 from orbitfinder.integrate.field import rates_of, vector_field
@@ -61,13 +62,12 @@ def simulated(model: Model, state: np.ndarray, duration: float, units: np.ndarra
     return Settling(solution.t, solution.y.T * size, lambda times: np.asarray(solution.sol(times).T * size))
 
 
-def cycles(model: Model, guess: Guess, stiff: bool) -> Iterator[Guess]:
-    """Guesses whose trajectories are a lap of a cycle: its own, or its motion where that comes near its start and is
-    not stiff, so that its jumps are where they belong, and then what it settles on.
+def cycles(model: Model, guess: Guess, own: Guess, stiff: bool) -> Iterator[Guess]:
+    """Guesses whose trajectories are a lap of a cycle: its `own` (see `lap`) where that is given, or comes near its
+    start and is not stiff, so that its jumps are where they belong, and then what it settles on.
 
     Raises `ConvergenceError` where it settles on nothing that comes back after about the guess's period.
     """
-    own = lap(model, guess)
     if guess.trajectory is not None or (not stiff and _apart(model, own) <= NEAR):
         yield own
     if guess.trajectory is not None:
@@ -148,17 +148,12 @@ def _lap(
     crossed = np.flatnonzero((heights[:-1] < 0) & (heights[1:] >= 0))
     if not crossed.size:
         return None
-    moments = np.array([_root(lambda t: float((course.at(np.array([t]))[0] - start) @ normal), *times[k : k + 2])
-                        for k in crossed])  # fmt: skip
+
+    def height(t: float) -> float:
+        return float((course.at(np.array([t]))[0] - start) @ normal)
+
+    moments = np.array([zero(height, times[k], times[k + 1], 1e-15 * period) for k in crossed])
     apart = np.abs((course.at(moments) - start) / units).max(axis=1)
     least = apart.min()
     first = int(np.argmax(apart <= max(2 * least, BACK / 10)))
     return _between(course, float(now), float(moments[first] - now)), float(apart[first])
-
-
-def _root(height: Callable[[float], float], low: float, high: float) -> float:
-    """Where a height that changes its sign is 0."""
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if height(middle) < 0 else (low, middle)
-    return high
