@@ -23,6 +23,7 @@ from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
 from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.continuation.problem import Point
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.mechanics.lagrange import mass_matrix_and_bias
 from orbitfinder.mechanics.model import Model
@@ -317,9 +318,8 @@ class Balanced:
 
     def at(self, w: Series, tangent: np.ndarray) -> tuple[Self, Series, np.ndarray]:
         """With the sizes of an accepted w."""
-        renewed = self.measured(w)
-        tangent = tangent / np.sqrt(float(tangent @ (renewed.metric(w) * tangent)))
-        return renewed, w, tangent
+        renewed = self.measured(w)  # and with its own tangent: the corrector's is that of its guess, beyond a fold of none
+        return renewed, w, Point(renewed, w, tangent).sharp.tangent
 
     def measured(self, w: Series) -> Self:
         """With the sizes of a motion."""
