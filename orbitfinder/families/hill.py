@@ -22,7 +22,7 @@ from orbitfinder.families.balance_problem import Balanced, Pattern, Series
 
 SOUGHT, VECTORS, CONVERGED = 2, 14, 1e-4
 """Exponents about a shift, vectors that they are sought in, their relative error"""
-SMALL, STEP = 40, 0.12
+SMALL, STEP = 40, 0.3
 """Coordinates up to which all exponents are found, by a march; its steps in units of the fastest motion"""
 ALIKE, ROUND_OFF = 1e-7, 1e-8
 """Exponents nearer than this are one. Real parts below it are none"""
@@ -82,7 +82,7 @@ class Hill:
 
     def _monodromy(self, problem: Balanced, w: Series) -> np.ndarray:
         """Of (u, u') over tau = 0 to 2 pi, by Runge and Kutta's steps of fourth order, many at once."""
-        n, value = self.equations.size, float(w.vector[-1])
+        value = float(w.vector[-1])
         first = self._rates(problem, w, np.zeros(1), value)[0]
         fastest = float(np.abs(np.linalg.eigvals(first)).max())
         steps = 1 << int(np.ceil(np.log2(2 * np.pi * fastest / STEP)))
@@ -96,7 +96,6 @@ class Hill:
         maps = one + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         while len(maps) > 1:
             maps = maps[1::2] @ maps[::2]
-        assert maps.shape[1] in (n, 2 * n)
         return np.asarray(maps[0])
 
     def _rates(self, problem: Balanced, w: Series, times: np.ndarray, value: float) -> np.ndarray:
@@ -111,7 +110,9 @@ class Hill:
             slopes[k, :, i, j] = entry
         if not slopes[2].any():  # first order
             return np.asarray(-np.linalg.solve(slopes[1], slopes[0]))
-        below = -np.linalg.solve(slopes[2], np.concatenate([slopes[0], slopes[1]], axis=2))
+        steady = not np.any(self.equations.varying[:, 2] == 2)
+        inverse = np.linalg.inv(slopes[2][:1] if steady else slopes[2])
+        below = -(inverse @ np.concatenate([slopes[0], slopes[1]], axis=2))
         above = np.broadcast_to(np.hstack([np.zeros((n, n)), np.eye(n)]), (times.size, n, 2 * n))
         return np.concatenate([above, below], axis=1)
 
