@@ -10,7 +10,6 @@ from scipy import sparse
 import orbitfinder as of
 from orbitfinder.families.balance import balanced_family
 from orbitfinder.loops.problem import Problem
-from orbitfinder.orbits.evidence import ClosureCheck
 
 ROAD = {entry["id"]: entry for entry in json.loads((Path(__file__).parent / "data" / "road.json").read_text())}
 
@@ -45,15 +44,3 @@ def test_amplitudes_are_those_of_another_program(name, count):
         nodes = np.fft.rfft(point.shooting_nodes[:, 0]) / 4
         assert point.stability == "asymptotically stable"
         assert abs(nodes[1]) == pytest.approx(float(known["first_harmonic_x1_H15"]), rel=1e-3)  # of 8 states, aliased
-
-
-def test_folds_are_those_of_another_program():
-    """The lower one to ten digits, and orbits that close by the certificate's integrator."""
-    family = followed(masses(20, 0.155, damping=0.004), 0.1536, points=60)
-    known = {value["fold"]: float(value["w_H15"]) for value in ROAD["chain-20-fold-c004"]["values"]}
-    first = min(family.events, key=lambda event: event.arclength)
-    assert first.kind == "fold" and first.check.passed
-    assert first.parameter == pytest.approx(known["lower"], abs=1e-10)
-    point = family.points[0]
-    check = ClosureCheck(masses(20, 0.155, damping=0.004).model, stiff=True)
-    assert check(point.state, point.period, np.zeros(20), 1e-11) < 1e-9
