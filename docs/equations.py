@@ -208,7 +208,14 @@ LATTICE = [
     ("V", r"\sum_{i=0}^{N}\frac{k}{2}\,d_i^2+\frac{\alpha}{3}\,d_i^3+\frac{\beta}{4}\,d_i^4,"
      r"\qquad d_i=y_{i+1}-y_i,\quad y_0=y_{N+1}=0"),
 ]  # fmt: skip
-GENERAL = {"chain": CHAIN, "linkage": CLOSED, "mechanism": BODIES, "robot": BODIES}
+STRUCTURE = [(r"M\ddot q+C\dot q+Kq+f(q,\dot q)", r"p\cos(\omega t+\varphi)")]
+GENERAL = {
+    "chain": CHAIN,
+    "linkage": CLOSED,
+    "mechanism": BODIES,
+    "robot": BODIES,
+    "structure": STRUCTURE,
+}
 NAMED = {"hodgkin_huxley": NERVE, "cart_chain": LATTICE}
 
 

@@ -16,6 +16,7 @@ FIRST = {
     "mechanism": ("bodies", "joints"),
     "robot": ("file",),
     "equations": (),
+    "structure": ("mass", "damping", "stiffness"),
 }
 """What each function that makes a system takes first; the rest is given by name"""
 BEYOND = ("controls", "limits", "cycle", "scales")
@@ -72,6 +73,8 @@ def guess_lines(given: Mapping[str, Any], model: Model) -> list[str]:
     closed = model.constraint is not None and kind in ("linkage", "mechanism")
     if closed or "angles" in given:
         return closed_guess(given, model, kind == "mechanism")
+    if given.get("linear"):
+        return [f"guess = {call('of.guesses.linear_response', [Code('model')])}"]
     if isinstance(given.get("mode"), int):
         return [f"guess = {call('of.guesses.normal_mode', mode(given, model))}"]
     if "mode" in given:

@@ -152,6 +152,8 @@ def kind_of(entry: Entry) -> str:
         if model.rates is None and not model.hybrid:
             return "forced"
         return "hybrid" if model.hybrid else "fields" if model.hamiltonian else "first-order"
+    if system["kind"] == "structure":
+        return "forced"
     if system["kind"] != "python":
         return f"{system['kind']}s"
     from orbitfinder.mechanisms.machines import MACHINES

@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -14,12 +15,17 @@ from scipy.interpolate import CubicHermiteSpline
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
+from orbitfinder.families import birth
+from orbitfinder.families.verified import verified
 from orbitfinder.integrate.collocation import Collocation, tableau
+from orbitfinder.integrate.compiled import compiling
 from orbitfinder.integrate.march import uniform
+from orbitfinder.loops import mesh
 from orbitfinder.loops.condensed import Linearised, pivoted
 from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.orbits import collocate
+from orbitfinder.orbits.closure import carried
 
 ROAD = {entry["id"]: entry["values"] for entry in json.loads((Path(__file__).parent / "data/road.json").read_text())}
 COLLOCATION = of.SolveSettings(method="collocation")
@@ -84,7 +90,8 @@ def found(name):
         "steinmetz-larter": (steinmetz_larter(), [2.5, 5.6, 0.024, 1.4], 16.0),
         "hindmarsh-rose": (hindmarsh_rose(), [-1.0, -4.0, 1.8], 160.0),
     }[name]
-    return of.find_orbit(of.Problem(model, of.Guess(state, period), name=name)), model
+    method = None if name == "vdp-100" else "collocation"
+    return of.find_orbit(of.Problem(model, of.Guess(state, period), name=name, method=method)), model
 
 
 def inside(orbit, period, most):
@@ -118,6 +125,10 @@ def test_derivatives_are_those_of_differences():
     random, mesh = np.random.default_rng(0), np.array([0.0, 0.2, 0.3, 0.6, 1.0])
     nodes, tail = random.normal(size=(4, 2)), np.array([3.0, 0.3])
     path, step = march.varied(nodes, mesh, tail), 1e-5
+    with compiling("off"):
+        slow = Collocation(march.field, True, march.integrand).varied(nodes, mesh, tail)
+    for name in ("ends", "transitions", "columns", "integral"):
+        assert np.allclose(getattr(path, name), getattr(slow, name), rtol=0, atol=1e-13), name
     for k in range(2):
         sides = [march.ends(nodes + s * np.eye(2)[k], mesh, tail) for s in (step, -step)]
         assert np.allclose((sides[0] - sides[1]) / (2 * step), path.transitions[:, :, k], atol=1e-8)
@@ -125,15 +136,45 @@ def test_derivatives_are_those_of_differences():
         assert np.allclose((sides[0] - sides[1]) / (2 * step), path.columns[:, :, k], atol=1e-8)
 
 
-def test_the_whole_matrix_is_the_dense_one():
+def test_a_driven_oscillator_is_collocated():
+    """Nothing turns and no phase is free: the monodromy is not reduced. A quarter later is another t = 0."""
+    for cosine, sine in ((1.0, 0.0), (0.0, 1.0)):
+        model = of.ode(
+            lambda t, x, p: [x[1], p[0] * ca.cos(t) + p[1] * ca.sin(t) - 0.2 * x[1] - x[0] - x[0] ** 3], ["x", "v"],
+            {"a": cosine / 2, "b": sine / 2}, forcing_period=lambda p: 2 * np.pi,
+        )  # fmt: skip
+        orbit = of.find_orbit(of.Problem(model, of.Guess([0.4, 0.1], 2 * np.pi)), COLLOCATION)
+        assert orbit.certificate.passed, orbit.certificate.failures
+        assert np.prod(orbit.floquet_multipliers).real == pytest.approx(np.exp(-0.4 * np.pi), rel=1e-10)
+
+
+@pytest.mark.parametrize("compiler", ["auto", "off"])
+def test_the_whole_matrix_is_the_dense_one(compiler):
     random, (count, d, m) = np.random.default_rng(0), (7, 3, 2)
     sizes = (count, d, d), (count, d, m), (d + m, count * d), (d + m, d), (d + m, m)
     system = Linearised(*(random.normal(size=size) for size in sizes))
     rows = random.normal(size=count * d + m)
     assert np.abs(system.sparse().toarray() - system.matrix()).max() == 0.0
-    assert np.allclose(pivoted(system)(rows), -np.linalg.solve(system.matrix(), rows), atol=1e-12)
-    with pytest.raises(np.linalg.LinAlgError):
-        pivoted(replace(system, first=system.first[:-1], last=system.last[:-1], tail=system.tail[:-1]))
+    with compiling(compiler):
+        for columns in (None, 10.0 ** random.uniform(-3, 3, rows.size)):
+            assert np.allclose(pivoted(system, columns)(rows), -np.linalg.solve(system.matrix(), rows), atol=1e-12)
+        with pytest.raises(np.linalg.LinAlgError):
+            pivoted(replace(system, first=system.first[:-1], last=system.last[:-1], tail=system.tail[:-1]))
+        with pytest.raises(np.linalg.LinAlgError):
+            pivoted(replace(system, first=0 * system.first, last=0 * system.last, tail=0 * system.tail))
+
+
+def test_what_grows_and_decays_along_a_chain_is_solved_to_round_off():
+    """Blocks of singular values from 1e-6 to 1e3 in directions that know nothing of each other, and rows over all."""
+    random, (count, d, m) = np.random.default_rng(0), (130, 3, 2)
+    turns = np.linalg.qr(random.normal(size=(2, count, d, d)))[0]
+    blocks = turns[0] * 10.0 ** random.uniform(-6, 3, (count, 1, d)) @ turns[1]
+    first = np.vstack([np.eye(d, count * d), random.normal(size=(m, count * d))])
+    last = -np.eye(d + m, d)
+    system = Linearised(blocks, random.normal(size=(count, d, m)), first, last, random.normal(size=(d + m, m)))
+    rows, matrix = random.normal(size=count * d + m), system.matrix()
+    step = pivoted(system)(rows)
+    assert np.abs(matrix @ step + rows).max() < 1e-14 * (np.abs(matrix) @ np.abs(step)).max()
 
 
 @pytest.mark.parametrize(("name", "key"), [("vdp-100", "period_quad"), ("steinmetz-larter", "period_quad")])
@@ -142,7 +183,13 @@ def test_stiff_cycles_of_the_road(name, key):
     assert orbit.certificate.passed, orbit.certificate.failures
     assert inside(orbit, ROAD[name][key], 1e-12)
     assert orbit.provenance["method"] == "collocation"
-    assert orbit.provenance["method_reason"].startswith("stiff" if name == "vdp-100" else "shooting failed: ")
+    assert orbit.provenance.get("method_reason", "").startswith("stiff" if name == "vdp-100" else "")
+
+
+def test_what_shooting_does_not_find_is_collocated():
+    problem = of.Problem(van_der_pol(20), of.Guess([2.0, 0.0], 40.0))
+    told = of.find_orbit(problem, of.SolveSettings(with_certificate=False)).provenance
+    assert (told["method"], told["method_reason"].split(": ")[0]) == ("collocation", "shooting failed")
 
 
 @pytest.mark.slow
@@ -194,6 +241,7 @@ def test_the_stiffest_are_certified(model, state, period, reference):
 
 
 @pytest.mark.parametrize(("model", "state", "period"), [
+    (steinmetz_larter(), [2.5, 5.6, 0.024, 1.4], 16.0),
     (brusselator(), [1.4, 3.0], 6.6), (van_der_pol(5), [2.0, 0.1], 11.6), (fitzhugh_nagumo(), [-0.3, -0.19], 39.5),
     (lorenz(28.0), [-13.763610682134, -19.578751942451, 27.0], 1.5587),
 ])  # fmt: skip
@@ -227,7 +275,7 @@ def test_multipliers_keep_their_size():
 
 def test_units_do_not_matter():
     plain = found("steinmetz-larter")[0]
-    for units in ((1e-6, 1e3, 1.0, 1e6), (1e3, 1.0, 1e-3, 1e2)):
+    for units in ((1e-6, 1e3, 1.0, 1e6), (1e6, 1.0, 1e-6, 1e2)):
         state = np.array([2.5, 5.6, 0.024, 1.4]) * units
         orbit = of.find_orbit(of.Problem(steinmetz_larter(units), of.Guess(list(state), 16.0)), COLLOCATION)
         assert orbit.certificate.passed, orbit.certificate.failures
@@ -274,8 +322,18 @@ def test_a_family_grows_stiff_and_is_closed_by_the_second_integrator_on_the_way(
 def test_a_family_is_followed_kept_and_verified(tmp_path):
     problem = of.Problem(van_der_pol(1), of.Guess([2.0, 0.0], 6.7), name="relaxation", method="collocation")
     settings = of.FamilySettings(directions="forward", longest_step=0.8)
+    batches = []
+
+    def stopped(batch):
+        batches.append(batch)
+        if len(batches) == 5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        of.follow_family(problem, "mu", until=10.0, at=[5.0], settings=settings, out=tmp_path, progress=stopped)
     family = of.follow_family(problem, "mu", until=10.0, at=[5.0], settings=settings, out=tmp_path)
     assert family.ends[-1].kind == "target"
+    assert [point.value for point in family.points[1:5]] == [batch.points[-1].value for batch in batches[:4]]
     assert abs(family.points[-1].period - float(ROAD["vdp-10"]["period_quad"])) < 1e-11
     five = next(point for point in family.points if point.value == 5.0)
     assert abs(five.period - 11.612230667719588) < 1e-11
@@ -284,6 +342,39 @@ def test_a_family_is_followed_kept_and_verified(tmp_path):
     assert loaded.curve["method"] == "collocation"
     again = of.follow_family(problem, "mu", until=10.0, at=[5.0], settings=settings, out=tmp_path)
     assert [point.period for point in again.points] == [point.period for point in family.points]
+
+
+@pytest.mark.slow
+def test_events_of_a_neuron_do_not_depend_on_units_and_phase():
+    """Morris and Lecar's fold of cycles and its curve in two parameters, against shooting."""
+
+    def neuron(units):
+        def field(t, x, p):
+            v, w = x[0] / units[0], x[1] / units[1]
+            opened, wanted = (1 + ca.tanh((v + 1.2) / 18)) / 2, (1 + ca.tanh((v - 2) / 30)) / 2
+            rate = (p[0] - 2 * (v + 60) - 4.4 * opened * (v - 120) - 8 * w * (v + 84)) / 20
+            return [units[0] * rate, units[1] * p[1] * (wanted - w) * ca.cosh((v - 2) / 60)]
+
+        return of.ode(field, ["V", "w"], {"I": 214.0, "phi": 0.04})
+
+    base = of.find_orbit(of.Problem(neuron((1.0, 1.0)), of.Guess([0.0, 0.4], 74.0)))
+    seen, curved = [], []
+    for method, units, phase in (("shooting", (1.0, 1.0), 0.0), ("collocation", (1.0, 1.0), 0.0),
+                                 ("collocation", (1e-3, 1e3), 0.37), ("collocation", (1e3, 1e-3), 0.7)):  # fmt: skip
+        model, state = neuron(units), base.samples[int(phase * len(base.samples))] * units
+        plain = units == (1.0, 1.0)
+        settings = of.FamilySettings(method=method, directions="forward", first_step=0.1, points=16, certify=plain)
+        family = of.follow_family(of.Problem(model, of.Guess(list(state), base.period)), "I", settings=settings)
+        assert [event.kind for event in family.events] == ["fold", "stability_change"]
+        seen.append([family.events[0].parameter, family.events[0].period])
+        if not plain:
+            continue
+        assert all(event.certified for event in family.events)
+        settings = of.FamilySettings(directions="forward", points=1, certify=False)
+        curve = of.follow_curve(family, 0, ("phi", "I"), at=[0.0405], settings=settings, model=model)
+        curved.append(next(point for point in curve.points if point.value == 0.0405).free["I"])
+    assert np.allclose(seen, seen[0], rtol=2e-12, atol=0.0), seen
+    assert abs(curved[0] / curved[1] - 1) < 2e-12
 
 
 def test_a_doubling_and_the_branch_there():
@@ -318,3 +409,63 @@ def test_files_and_commands(tmp_path):
         '[find]\nmethod = "collocation"\npin = { energy = -1.0 }\n'
     )
     assert of.load_problem(tmp_path / "q.toml").method == "collocation"
+
+
+def test_a_family_of_shooting_goes_on_by_collocation(tmp_path, monkeypatch):
+    """Where shooting may take no more steps, here a few: what it followed is read by collocation and says why."""
+    monkeypatch.setattr(mesh, "MESH", replace(mesh.MESH, most_steps=180))
+    problem = of.Problem(brusselator(3.0), of.Guess([1.0, 2.0], 7.1), name="stiffer")
+    settings = of.FamilySettings(directions="forward", longest_step=0.4, shortest_step=1e-3)
+    alone = of.follow_family(problem, "b", until=5.0, settings=replace(settings, method="shooting"))
+    assert alone.ends[-1].kind == "singularity" and "method" not in alone.curve
+    family = of.follow_family(problem, "b", until=5.0, at=[3.25], settings=settings, out=tmp_path)
+    assert family.curve["method"] == "collocation" and family.ends[-1].reason == "reached b = 5.0"
+    reason = family.curve["method_reason"]
+    assert reason.startswith("shooting ended at b ") and "its mesh would become too fine" in reason
+    assert np.all(np.diff(family.values("value")) > 0) and len(family.points) > len(alone.points)
+    same = of.follow_family(replace(problem, method="collocation"), "b", until=5.0, at=[3.25], settings=settings)
+    for value in (3.25, 5.0):
+        periods = [next(p.period for p in each.points if p.value == value) for each in (family, same)]
+        assert abs(periods[0] / periods[1] - 1) < 1e-12
+    loaded = of.load_family(tmp_path / "stiffer" / "family.json")
+    asked = next(point for point in loaded.points if point.value == 3.25)
+    assert asked.certified and all(check.passed for _, check in verified(loaded, brusselator()))
+    again = of.follow_family(problem, "b", until=5.0, at=[3.25], settings=settings, out=tmp_path)
+    assert [point.period for point in again.points] == [point.period for point in family.points]
+
+
+def test_cycles_are_born_by_collocation(monkeypatch):
+    """Asked for, and where shooting finds none at the Hopf point."""
+    model = brusselator(1.8)
+    rest = of.follow_equilibria(model, [1.0, 1.8], "b", until=2.4)
+    settings = of.FamilySettings(directions="away", method="collocation")
+    asked = of.follow_family(of.switch_branch(rest, 0, settings=settings, model=model), "b", points=3, model=model)
+    assert asked.curve["method"] == "collocation" and "method_reason" not in asked.curve
+    cycle = birth._cycle
+
+    def stiff(*given):
+        if given[-1] is not Collocation:
+            raise ConvergenceError("too stiff")
+        return cycle(*given)
+
+    monkeypatch.setattr(birth, "_cycle", stiff)
+    other = of.follow_family(of.switch_branch(rest, 0, model=model), "b", points=3, model=model)
+    assert other.curve["method_reason"] == "by shooting too stiff"
+    assert [point.period for point in other.points] == [point.period for point in asked.points]
+    with pytest.raises(ConvergenceError, match="too stiff"):
+        of.switch_branch(rest, 0, settings=of.FamilySettings(method="shooting"), model=model)
+
+
+def test_canards_leave_the_range_of_numbers():
+    """Errors that grow beyond it do so infinitely, without a warning."""
+    assert carried([np.diag([1e200, 1.0])] * 2, np.ones(2))[1] == np.inf
+
+
+def test_another_orbit_may_have_had_the_mesh():
+    """Stages that are carried on from far off lead nowhere; those from the nodes alone do."""
+    equations = Equations(fitzhugh_nagumo(), NONE, (), action=True, by=Collocation)
+    march, mesh_, tail = equations.march, uniform(1.0, 40, 1), np.array([39.0])
+    angles = 2 * np.pi * mesh_[:-1, None]
+    far, near = (size * np.hstack([np.cos(angles), np.sin(angles)]) for size in (40.0, 1.0))
+    march.begin(near, 1e3 * np.ones((40, 5, 2)), mesh_, tail)
+    assert np.isfinite(march.ends(near, mesh_, tail)).all() and far.size == near.size

@@ -274,7 +274,8 @@ def test_compiler_that_cannot_say_its_version(tmp_path, monkeypatch):
 
 def test_compiler_that_hangs(tmp_path, monkeypatch, fresh):
     """It is ended with its children after the time-out."""
-    fake_compiler(tmp_path, monkeypatch, f"echo $$ > {tmp_path}/pid; sleep 60 & echo $! > {tmp_path}/child; wait")
+    hangs = f"echo $$ > {tmp_path}/pid; sleep 60 & echo $! > {tmp_path}/child; wait"
+    fake_compiler(tmp_path, monkeypatch, f"[ $2 = -dM ] && exit 1; {hangs}")
     monkeypatch.setattr("orbitfinder.integrate.compiled.TIMEOUT", 0.5)
     assert "took longer than 0.5 s" in stays_interpreted(example())
     for name in ("pid", "child"):

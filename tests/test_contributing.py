@@ -2,7 +2,6 @@
 
 import os
 import re
-import shlex
 import shutil
 import subprocess
 import sys
@@ -20,7 +19,7 @@ FENCE = re.compile(r'^```(\w+)(?: title="([^"]+)")?\n(.*?)^```', re.MULTILINE | 
 def copy(tmp_path_factory):
     """The package with all examples written into it."""
     folder = tmp_path_factory.mktemp("copy")
-    shutil.copytree(ROOT / "orbitfinder", folder / "orbitfinder", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(ROOT / "orbitfinder", folder / "orbitfinder")  # with its bytecode
     for text in EXAMPLES.values():
         files = [(title, body) for _, title, body in FENCE.findall(text) if title]
         assert 1 <= len([title for title, _ in files if title.startswith("orbitfinder/")]) <= 2
@@ -39,6 +38,16 @@ def test_there_are_seven():
     ]  # fmt: skip
 
 
+RUN = """
+import shlex, sys
+from orbitfinder.cli.group import cli
+
+for line in sys.argv[1:]:
+    if code := cli(shlex.split(line)[1:], standalone_mode=False):
+        sys.exit(f"{line}: exit code {code}")
+"""
+
+
 def test_every_example_does_what_the_page_says(copy):
     """In the order of the page, each in a process of its own; what is said to be printed is."""
     environment = {**os.environ, "PYTHONPATH": str(copy), "MPLBACKEND": "Agg"}
@@ -46,11 +55,11 @@ def test_every_example_does_what_the_page_says(copy):
         printed = ""
         for language, _, body in FENCE.findall(text):
             if language == "sh":
-                for line in body.splitlines():
-                    words = [sys.executable, "-P", "-m", *shlex.split(line)]
-                    done = subprocess.run(words, cwd=copy, env=environment, capture_output=True, text=True)
-                    assert done.returncode == 0, f"{name}: {line}\n{done.stdout}{done.stderr}"
-                    printed += done.stdout
+                assert all(line.startswith("orbitfinder ") for line in body.splitlines())
+                words = [sys.executable, "-P", "-c", RUN, *body.splitlines()]
+                done = subprocess.run(words, cwd=copy, env=environment, capture_output=True, text=True)
+                assert done.returncode == 0, f"{name}: {body}\n{done.stdout}{done.stderr}"
+                printed += done.stdout
             elif language == "text":
                 for line in body.splitlines():
                     assert " ".join(line.split()) in " ".join(printed.split()), f"{name}: {line}\n{printed}"

@@ -64,7 +64,7 @@ def copy(tmp_path_factory):
     kept = {room for rooms in FLOORS[:CORE] for room in rooms}
     for path in sorted(PACKAGE.iterdir()):
         if path.is_dir() and path.name in kept:
-            shutil.copytree(path, folder / "orbitfinder" / path.name, ignore=shutil.ignore_patterns("__pycache__"))
+            shutil.copytree(path, folder / "orbitfinder" / path.name)
         elif path.is_file() and path.stem in (*kept, "__init__", "py"):
             (folder / "orbitfinder").mkdir(exist_ok=True)
             shutil.copy(path, folder / "orbitfinder")

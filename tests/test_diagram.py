@@ -2,19 +2,23 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from conftest import inside
 from matplotlib.figure import Figure
 from test_equilibria import hodgkin_huxley, lorenz, morris_lecar
 
 import orbitfinder as of
 from orbitfinder.cli.group import cli
-from orbitfinder.errors import InputError, LimitError
+from orbitfinder.errors import ConvergenceError, InputError, LimitError
 from orbitfinder.families import folder as family_folder
-from orbitfinder.families.diagram import verified, within
+from orbitfinder.families.checks import Probe, Sides
+from orbitfinder.families.diagram import happened, load_diagram, verified, within
+from orbitfinder.records.family import End
 from orbitfinder.records.registry import load
 from orbitfinder.show.equilibria import Panel, save_diagram_figure
 
@@ -42,9 +46,16 @@ def test_two_hopf_points_of_a_nerve_are_joined_by_one_family(nerve):
     cycles = "equilibria-0/family.json"
     assert became(tree) == [(RESTS, 0, "followed", (cycles,)), (RESTS, 1, "joined", (cycles,))]
     assert tree.undone == () and tree.between == (50.0, 250.0) and tree.coordinate == "V"
-    assert tree.counts == "1 curve of equilibria, 1 of cycles; events: 1 followed, 1 joined"
-    folds = [event.parameter for event in record(tree, cycles).events if event.kind == "fold"]
-    assert abs(folds[0] - 216.899801389411483947485) < 1e-9 and len(folds) == 2
+    counts = "1 curve of equilibria with 2 Hopf points, 1 of cycles with 2 folds; 1 followed, 1 joined"
+    assert tree.counts == counts and tree.remarks == ()
+    hopf, (first, *_, last) = list(happened(tree, tree.curves[0])), list(happened(tree, tree.curves[1]))
+    assert hopf[0].startswith("event 0, subcritical hopf at I 93.8576184 (+- ") and ", l1 = 0.00" in hopf[0]
+    assert hopf[0].endswith("; followed equilibria-0/family.json") and hopf[1].endswith("; joined " + cycles)
+    assert first.startswith("event 0, subcritical fold of cycles at I 216.899801")
+    assert last.startswith("ends: hopf at I 212.018816 (+- ")
+    folds = [event for event in record(tree, cycles).events if event.kind == "fold"]
+    assert inside(folds[0], 216.899801389411483947485) and len(folds) == 2
+    assert abs(folds[0].period - 77.9290518026875238) <= folds[0].period_error < 1e-8
     again = load(folder / "diagram.json")
     assert became(again) == became(tree) and [curve.file for curve in again.curves] == [RESTS, cycles]
     assert [p.value for p in record(again, cycles).points] == [p.value for p in record(tree, cycles).points]
@@ -271,8 +282,35 @@ def test_equilibria_are_cut_at_the_bounds():
     assert [event.kind for event in curve.record.events] == ["fold"] and curve.record.ends[
         -1
     ].reason == "reached r = 1.0"
+    (remark,) = tree.remarks
+    assert "left by r = 1, where it begins: r = -1 was not reached; look for other curves with --box" in remark
+    assert remark.startswith("equilibria/equilibria.json turned back at r ")
     part = within(curve.record, (0.5, 1.0))
     assert len(part.points) < len(curve.record.points) and not part.events and min(p.value for p in part.points) >= 0.5
+
+
+def test_other_curves_begin_in_a_box(tmp_path):
+    """At both bounds, those that are on no curve yet; also without a state; a curve that is met twice is one."""
+    lines = of.ode(lambda t, x, p: [(x[0] - 3) * (p[0] - x[0] ** 2) * (x[0] + 4 + p[0])], ["x"], parameters={"r": 1.0})
+    for state in ([1.0], None):
+        tree = of.diagram(lines, state, "r", -1.0, box={"x": (-6.0, 6.0)}, out=tmp_path, name=f"box-{state is None}")
+        files = [curve.file for curve in tree.curves]
+        assert files[0] == RESTS and files[1:] == ["box-2/equilibria.json", "box-3/equilibria.json"]
+        states = sorted(round(float(point.state[0]), 9) for curve in tree.curves for point in curve.record.points
+                        if point.value in (1.0, -1.0))  # fmt: skip
+        assert states == [-5.0, -3.0, -1.0, 1.0, 3.0, 3.0] and tree.remarks == ()
+        assert verified(load_diagram(tmp_path / tree.name / "diagram.json"), lines).passed
+    with pytest.raises(ConvergenceError, match="no equilibrium was met in the box; give a larger one"):
+        of.diagram(lines, None, "r", -1.0, box={"x": (10.0, 11.0)})
+
+
+def test_an_infinite_period_is_an_arrow():
+    """At the parameter that is told there, not where the last cycle is."""
+    axes, shown = Figure().subplots(), {}
+    Panel(axes, shown).endless(End("homoclinic", "", 1.0, 70.0, 1e-9), np.array([1.1, 70.0]))
+    (arrow,) = axes.texts
+    assert arrow.xy == (1.0, 1.0) and arrow.xyann == (1.1, 70.0) and "infinite period" in shown
+    assert list(axes.lines[0].get_xdata()) == [1.0, 1.0]
 
 
 def test_the_picture(nerve, tmp_path, monkeypatch):
@@ -288,7 +326,7 @@ def test_the_picture(nerve, tmp_path, monkeypatch):
     solid = [line for line in upper.lines if line.get_linestyle() == "-" and len(line.get_xdata()) > 2]
     assert len(solid) == 4 and any(abs(line.get_xdata().max() - 216.8998) < 1e-3 for line in solid)
     names = [text.get_text() for text in drawn[0].legends[0].get_texts()]
-    assert names == ["stable", "unstable", "equilibria", "Hopf", "cycles", "fold"] and len(values) > 100
+    assert names == ["stable", "unstable", "equilibria", "Hopf", "cycles", "fold of cycles"] and len(values) > 100
     written = {text.get_text() for text in upper.texts if text.get_text()}
     assert written == {"93.858", "212.02", "216.9", "88.293"}
     assert drawn[1].axes[0].get_ylabel() == "norm" and len(drawn[1].axes[0].lines) < len(upper.lines)
@@ -314,6 +352,9 @@ def test_the_command(tmp_path):
             cli, [command, str(home / "diagram.json")] + ["-o", str(tmp_path)] * (command == "plot")
         )
         assert done.exit_code == 0, done.output
+        assert command != "show" or ", what event 0, supercritical hopf at rate 2 (+- " in done.output
+    done = CliRunner().invoke(cli, [*words, "--box", "u=0:1", "--no-figures"])
+    assert done.exit_code == 2 and "--box: v missing; say from where to where of each component" in done.stderr
     done = CliRunner().invoke(cli, [*words, "--points", "15", "--no-figures", "--name", "few"])
     assert done.exit_code == 1 and "followed equilibria-0/family.json" in done.stdout
     done = CliRunner().invoke(cli, [*words, "--across", "w"])
@@ -321,3 +362,20 @@ def test_the_command(tmp_path):
     file.write_text(table + "search = { period = [1.0, 9.0] }\n")
     done = CliRunner().invoke(cli, words)
     assert done.exit_code == 2 and "guess: missing; give the state near an equilibrium" in done.stderr
+
+
+def test_what_is_read_there_is_known_as_well_as_it_is_read_again():
+    """Where the integration's own error is too coarse a bound: the farthest of five other readings, not one of them."""
+    curve = SimpleNamespace(equations=SimpleNamespace(links=None))
+
+    def probe(value, **known):
+        made = Probe(curve, None)
+        made.__dict__.update(about=value, **known)
+        return made
+
+    here = probe(0.02, tour=True, doubted=[0.021, 0.035, 0.012], coarser=0.0201)
+    sides = Sides(probe(-1.0), here, probe(0.008), probe(1.0), apart=3e-4, step=1.0)
+    sides.__dict__["across"] = np.zeros(0)  # no error bars
+    read = sides.zero(lambda look: look.about, within=0.0)
+    assert read.error == pytest.approx(0.015) and not read.passed  # the coarser integration alone says 1e-4
+    assert sides.zero(lambda look: look.about, within=4e-6).passed

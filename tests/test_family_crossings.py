@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag
 
+import orbitfinder as of
 from orbitfinder.families.events import bifurcations
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
@@ -40,9 +41,11 @@ def read(family, s, root):
     """What is read at one map."""
     matrix = family(s)
     values, floquet = np.linalg.eigvals(matrix).astype(complex), analyse(matrix, False)
+    ranked = values[np.argsort(-np.abs(values), kind="stable")]
     about = SimpleNamespace(
-        root=root, reduced=matrix, multipliers=values, floquet=floquet, conservative=False, blur=0.0
-    )
+        root=root, reduced=matrix, multipliers=values, ranked=ranked, growths=np.log(np.abs(ranked)), floquet=floquet,
+        conservative=False, blur=0.0,
+    )  # fmt: skip
     return Sample(s, None, None, about, NONE, NONE, {})
 
 
@@ -164,6 +167,17 @@ def test_doubling_of_a_driven_pendulum(tmp_path):
     assert [event.kind for event in family.events] == ["period_doubling", "stability_change"]
     assert family.events[0].parameter == pytest.approx(1.0663728624552, abs=1e-9)
     assert family.events[1].detail == "becomes unstable" and family.points[-1].stability == "unstable"
+
+
+def test_the_symmetry_breaking_of_lorenzs_cycle(tmp_path):
+    """In a formulation without the symmetry, so that the rows are singular there; rho by SciPy, from half a period."""
+    model = of.ode(lambda t, x, p: [10 * (x[1] - x[0]), x[0] * (p[0] - x[2]) - x[1], x[0] * x[1] - 8 / 3 * x[2]],
+                   ["x", "y", "z"], {"rho": 320.0})  # fmt: skip
+    problem = Problem(model, Guess([-47.1114, -18.5885, 328.3983], 0.4066))
+    family = follow_family(problem, "rho", until=300.0, out=tmp_path, name="lorenz")
+    assert [event.kind for event in family.events] == ["branch_point", "stability_change"]
+    assert (family.points[0].stability, family.points[-1].stability) == ("unstable", "asymptotically stable")
+    assert abs(family.events[0].parameter - 312.9735329841723) <= family.events[0].error < 1e-7
 
 
 @pytest.mark.slow

@@ -105,7 +105,7 @@ def morris_lecar(unit=1.0):
     return of.ode(field, ["V", "w"], {"current": 100.0})
 
 
-@pytest.mark.parametrize("unit", [1.0, 200.0])
+@pytest.mark.parametrize("unit", [1.0, pytest.param(200.0, marks=pytest.mark.slow)])
 def test_both_hopf_points_of_morris_and_lecar(unit):
     """And the two folds between them, in mV as in units of 200 mV."""
     model = morris_lecar(unit)
@@ -150,7 +150,7 @@ def test_a_canard_is_said_for_what_it_is():
     family = of.follow_family(orbit, "current", settings=DOWN, model=model)
     assert hopf(family) == (pytest.approx(0.3312813374547458, rel=1e-10), pytest.approx(22.805916865386, rel=1e-10))
     slower = of.follow_family(orbit, "rate", until=0.02, settings=DOWN, model=model).points[0]
-    end = of.follow_family(slower, "current", settings=replace(DOWN, points=600)).ends[0]
+    end = of.follow_family(slower, "current", settings=replace(DOWN, points=600, method="shooting")).ends[0]
     assert end.kind == "canard" and end.parameter == pytest.approx(0.2997912, abs=1e-6) and end.error < 1e-5
     assert "the period changes from" in end.reason and "shooting cannot hold them" in end.reason
 
@@ -311,7 +311,8 @@ def test_the_atmosphere_of_lorenz_1984_is_followed_until_it_is_too_fast():
 
     model = of.ode(field, ["x", "y", "z"], {"F": 4.0})
     settled = of.simulate(model, [1.0, 1.0, 0.1], 400.0).states[-1]
-    family = of.follow_family(of.Problem(model, of.Guess(list(settled), 1.544)), "F")
+    alone = of.FamilySettings(method="shooting")
+    family = of.follow_family(of.Problem(model, of.Guess(list(settled), 1.544)), "F", settings=alone)
     kinds = [one.kind for one in family.events if one.kind != "stability_change"]
     assert kinds == ["period_doubling", "period_doubling", "fold", "fold"]
     hopf, other = sorted(family.ends, key=lambda one: one.kind)

@@ -130,7 +130,9 @@ def test_five_bar_family_in_a_length(tmp_path):
     assert slope == pytest.approx((8 * (high - low) - (beyond - far)) / (12 * h), abs=2e-9)
 
 
-@pytest.mark.parametrize(("name", "until", "hold"), [("mass2", 1.1, "energy"), ("length1", 0.605, "period")])
+@pytest.mark.parametrize(("name", "until", "hold"), [
+    pytest.param("mass2", 1.1, "energy", marks=pytest.mark.slow), ("length1", 0.605, "period"),
+])  # fmt: skip
 def test_linkage_families_in_other_parameters(name, until, hold, tmp_path):
     """Masses and lengths, at constant energy or period; the last orbit closes on the linkage built anew; resumed."""
     problem = load_problem(FAMILIES / "five-bar-length.toml")

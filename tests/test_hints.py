@@ -74,7 +74,7 @@ def test_degrees_in_the_place_of_radians_are_hinted_at():
 
 
 def test_a_failure_says_that_angles_are_in_rad():
-    problem = of.Problem(of.chain(2), of.Guess([60.0, 0, 0, 0], 2.0), of.pin(energy=-5.0))
+    problem = of.Problem(of.chain(1), of.Guess([60.0, 0.0], 2.0), of.pin(energy=-2.0))
     with (
         pytest.warns(Hint),
         pytest.raises(ConvergenceError, match="no orbit found .*; angles are in rad, and 60 degrees are 1.0472 rad"),

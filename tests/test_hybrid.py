@@ -580,7 +580,7 @@ def test_grazing_ends_a_family_where_the_linear_oscillator_touches_the_stop():
     """Amplitude force / |1 - w^2 + i c w| = stop: the impact that becomes one of speed 0, to round-off."""
     guess = of.Guess([0.0, -1.0, 1.0], 2.24)
     orbit = of.find_orbit(of.Problem(impact_oscillator(frequency=2.8), guess, winding=(0, 0, 1)))
-    settings = of.FamilySettings(parameter="stop", directions="forward", points=60)
+    settings = of.FamilySettings(parameter="stop", directions="forward", points=60, certify=False)
     family = of.follow_family(orbit, "stop", settings=settings)
     grazing = family.events[-1]
     assert (grazing.kind, grazing.detail) == ("grazing", "hit")
@@ -731,6 +731,7 @@ def test_a_simulation_that_would_never_end_is_given_up(walker):
         of.simulate(of.chain(1), [0.1, 0.0], 1e300)
 
 
+@pytest.mark.slow
 def test_five_links_without_a_torso_are_four():
     """The same gait, multipliers and all, as the kneed walker's; a torso below nothing is refused."""
     four, five = kneed_walker(), five_link_walker(torso_mass=0.0)

@@ -65,7 +65,7 @@ RUNS = {
     ),
 }  # fmt: skip
 """The command of each kind, the file that it makes, and commands that come before"""
-QUICK = {"curve": ("40", "12"), "sweep": ("stiffness=28:33:30", "stiffness=28:33:12"), "torus": ("", "")}
+QUICK = {"sweep": ("stiffness=28:33:30", "stiffness=28:33:12"), "torus": ("", "")}
 """Those that are killed once in the ordinary run, and what is shorter there; all are in the slow one, whole"""
 
 

@@ -36,6 +36,7 @@ SPRING = ROOT / "problems" / "gallery" / "spring-pendulum-swing.toml"
 OSCILLATOR = ROOT / "problems" / "control" / "maintained-oscillator.toml"
 DOUBLE = ROOT / "problems" / "examples" / "double-mode-2.toml"
 STOPS = [signal.SIGINT, signal.SIGTERM, "limit"]
+QUICK = [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow), "limit"]
 SAID = {signal.SIGINT: "Interrupted", signal.SIGTERM: "Interrupted", "limit": "(limit)"}
 CODES = {signal.SIGINT: 130, signal.SIGTERM: 130, "limit": 1}
 
@@ -75,7 +76,7 @@ def test_tori_that_were_found_stay(tmp_path, monkeypatch, how):
     assert len(found.tori) == 2 and found.end == "stopped" and all(sure(one.certificate) for one in found.tori)
 
 
-@pytest.mark.parametrize("how", STOPS)
+@pytest.mark.parametrize("how", QUICK)
 def test_optima_that_were_found_stay(tmp_path, monkeypatch, how):
     from orbitfinder.control import optima
 
@@ -207,7 +208,7 @@ def test_stopped_tori_go_on(calm, tmp_path, monkeypatch, how):
     assert whole.read_bytes() == stopped.read_bytes()
 
 
-@pytest.mark.parametrize("how", STOPS)
+@pytest.mark.parametrize("how", QUICK)
 def test_stopped_optima_go_on(calm, tmp_path, monkeypatch, how):
     """The third, of which the certificate was not finished, is the first that is solved again."""
     from orbitfinder.control import optima

@@ -47,7 +47,7 @@ def test_one_thread_inside_and_all_of_them_after():
     assert threads() == {2}
 
 
-def test_searches_and_certificates_run_on_one_thread(monkeypatch):
+def test_searches_certificates_and_families_run_on_one_thread(monkeypatch):
     """Seen from inside the search and from inside the certificate, called by the search and by itself."""
     seen: list[tuple[str, set[int]]] = []
     for module, name in ((solve, "measure"), (certifying, "gather")):
@@ -61,6 +61,8 @@ def test_searches_and_certificates_run_on_one_thread(monkeypatch):
     orbit = of.find_orbit(of.Problem(of.chain(1), of.Guess([1.0, 0.0], pendulum_period(1.0)), of.pin(theta1=1.0)))
     assert of.certify(orbit).passed
     assert seen == [("measure", {1}), ("gather", {1}), ("gather", {1})]
+    of.follow_family(orbit, points=2, progress=lambda batch: seen.append(("family", threads())))
+    assert ("family", {1}) in seen and all(at == {1} for _, at in seen)
     assert threads() == {2}
 
 

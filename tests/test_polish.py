@@ -4,10 +4,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.dop853 import TIGHTEST, integrate
 from orbitfinder.integrate.field import vector_field
-from orbitfinder.integrate.rk8 import MOST_DOUBLINGS
+from orbitfinder.integrate.rk8 import MOST_DOUBLINGS, march, refined_march
 from orbitfinder.loops import polish
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.polish import end_of, graded_end, segment, tail_of
@@ -68,7 +69,7 @@ def test_equal_steps_stand_where_graded_ones_take_too_many(monkeypatch):
     np.testing.assert_array_equal(end_of(flow, start, span, tail_of(flow), 25), equal[-1])
 
 
-def test_steps_that_leave_the_numbers_are_too_long():
+def test_graded_steps_that_leave_the_numbers_are_too_long():
     """y' = -50 y^3 from 10 explodes in steps of 1/8 s; graded ones end at 10 / sqrt(1 + 10^4 t)."""
     t, y, s, free = ca.SX.sym("t"), ca.SX.sym("y", 2), ca.SX.sym("s", 0), ca.SX.sym("free", 0)
     field = ca.Function("field", [t, y, s, free], [-50 * y**3])
@@ -86,3 +87,15 @@ def test_the_action_is_taken_from_equal_times_where_they_tell_it(report_orbits):
     few = slice(None, None, (len(times) - 1) // 8)
     assert abs(action(model, times[few], states[few]) / wanted - 1) > 1e-6
     assert loop_action(model, flow, orbit.nodes, times[few], states[few]) == pytest.approx(wanted, rel=1e-13)
+
+
+def test_equal_steps_that_leave_the_numbers_are_halved():
+    """x' = -x^3 from 10: 8 steps a unit of time overflow, more do not; what is singular is still told."""
+    x = ca.SX.sym("x")
+    none = [ca.SX.sym(name, 0) for name in ("s", "free")]
+    field = ca.Function("f", [t := ca.SX.sym("t"), x, *none], [-(x**3)])
+    with pytest.raises(IntegrationError, match="not finite"):
+        march(field, np.array([10.0]), 1.0, 8, np.zeros(0))
+    assert refined_march(field, np.array([10.0]), 1.0, 8, np.zeros(0))[-1, 0] == pytest.approx(2.01**-0.5, rel=1e-12)
+    with pytest.raises(IntegrationError, match="not finite"):
+        refined_march(ca.Function("f", [t, x, *none], [x**3]), np.array([10.0]), 1.0, 8, np.zeros(0))

@@ -17,7 +17,13 @@ REPORT = {
 }
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+LONG = {"double-least-unstable", "five-link-walker", "kneed-walker", "simplest-walker-period-4"}
+"""Files that take some five seconds each"""
+
+
+@pytest.mark.parametrize(
+    "path", [pytest.param(path, id=path.stem, marks=[pytest.mark.slow] * (path.stem in LONG)) for path in FILES]
+)
 def test_problem_file_certifies(path):
     """[expected] is part of the certificate, so a wrong orbit does not pass."""
     loaded = load_problem_file(path)

@@ -43,6 +43,7 @@ def proved(mode):
     return prove_branch(mode, BREAKING - 1e-7, BREAKING + 1e-7)
 
 
+@pytest.mark.slow
 def test_the_symmetry_breaking_of_the_triple_pendulum_is_proved(proved):
     """One orbit for each energy, and a determinant of proved signs, opposite at the two ends."""
     assert proved.proved and proved.pieces[0].low < BREAKING < proved.pieces[-1].high

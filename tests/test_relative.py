@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import casadi as ca
@@ -25,9 +26,12 @@ GRAVITY = 9.8
 PROBLEMS = Path(__file__).parents[1] / "problems" / "gallery"
 
 
+GAUSS = cache(np.polynomial.legendre.leggauss)
+
+
 def gauss(values) -> float:
     """Integral from 0 to pi."""
-    at, weights = np.polynomial.legendre.leggauss(300)
+    at, weights = GAUSS(300)
     return float(np.pi / 2 * weights @ values(np.pi / 2 * (at + 1)))
 
 

@@ -105,7 +105,7 @@ def test_events_are_told_in_words_with_units() -> None:
     said = event_words(next(one for one in family.events if one.kind == "period_doubling"), "energy", {})
     assert re.fullmatch(r"period doubling.* at energy -[\d.]+ J, period [\d.]+ s", said)
     check = Reading(0.0, 1e-9, True, parameter_error=3e-12)
-    assert " J (+- 3e-12), period" in event_words(replace(family.events[0], check=check), "energy")
+    assert " J (+- 3e-12), period" in event_words(replace(family.events[0], check=check), "energy", {})
     assert family.events[0].error is None  # of a file of before there were any
 
 

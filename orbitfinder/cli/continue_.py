@@ -19,7 +19,6 @@ from orbitfinder.cli.equilibria import followed_rest
 from orbitfinder.cli.jobs import folder_of, model_of, named_orbits, whole_family
 from orbitfinder.cli.options import FILES, FINITE, NUMBERS, finish, next_step, numbers, option, picked, text, usual
 from orbitfinder.errors import InputError, plural
-from orbitfinder.mechanics.scales import lasting
 from orbitfinder.records.certificate import certified
 from orbitfinder.records.family import UNITS, Batch, Event, number_of
 from orbitfinder.records.registry import held, member
@@ -135,7 +134,7 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
     for k in (asked := reached(family, at)):
         point = family.points[k]
         where = f"{family.parameter} {with_unit(point.value, family.parameter)}: {folder / 'family.json'}#{k}"
-        lasts = lasting(point.period, family.system, 9)
+        lasts = _lasting(point.period, family.system, 9)
         text(f"  {where}, period {lasts}, {point.stability}, symmetry {point.symmetry}")
     if written:
         text(f"  and {plural(len(written), 'figure')}")
@@ -190,7 +189,14 @@ def event_words(event: Event, parameter: str, system: Mapping[str, Any]) -> str:
     """An event in words: kind, where with its error bar, period."""
     kind = f"{event.kind} {event.detail}".replace("_", " ").strip()
     known = "" if event.error is None else f" (+- {event.error:.1g})"
-    return f"{kind} at {parameter} {with_unit(event.parameter, parameter)}{known}, period {lasting(event.period, system, 6)}"
+    value, period = with_unit(event.parameter, parameter), _lasting(event.period, system, 6)
+    return f"{kind} at {parameter} {value}{known}, period {period}"
+
+
+def _lasting(time: float, system: Mapping[str, Any], digits: int) -> str:
+    from orbitfinder.mechanics.scales import lasting  # which loads CasADi
+
+    return lasting(time, system, digits)
 
 
 def with_unit(value: float, parameter: str) -> str:
@@ -351,7 +357,7 @@ def _reporter(
             rows = [
                 ("points", f"{seen[0]}, at most {most} each way"),
                 (parameter, value + (f" on the way to {with_unit(until, parameter)}" if until is not None else "")),
-                ("period", lasting(point.period, system, 9)), ("stability", point.stability),
+                ("period", _lasting(point.period, system, 9)), ("stability", point.stability),
                 ("step", f"{point.step:.2g}"), ("elapsed", f"{elapsed:.1f} s"), ("events", str(len(events))),
             ]  # fmt: skip
             last = [
@@ -361,7 +367,7 @@ def _reporter(
         elif seen[0] % 10 < len(batch.points):
             shown.say(
                 f"{plural(seen[0], 'point')}, {parameter} {point.value:.6g}, "
-                f"period {lasting(point.period, system, 6)}, "
+                f"period {_lasting(point.period, system, 6)}, "
                 f"step {point.step:.2g}, {point.stability}, {elapsed:.1f} s elapsed"
             )
 

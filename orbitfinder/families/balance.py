@@ -1,13 +1,23 @@
-"""Families of driven motions of large systems by harmonic balance: as many orders as what is left between asks for."""
+"""Families by harmonic balance: what is followed are coefficients, what is recorded are orbits as any other method's.
+
+Up to `SMALL` coordinates that are not stiff, the equations of shooting stand beside those of balance: an orbit's nodes
+are the series' states, and multipliers, closure, events with their checks and error bars are read as of any family, by
+one march. Of more coordinates multipliers are Hill's, as few as it takes (`orbits.hill`), closure is by implicit steps,
+and folds and changes of stability are located in harmonics.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
+from operator import attrgetter
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
+from orbitfinder._runtime import locks
 from orbitfinder.continuation.follow import (
     CurveJournal,
     Goals,
@@ -15,269 +25,331 @@ from orbitfinder.continuation.follow import (
     Pace,
     SolutionCurve,
     follow,
-    point_limit,
     rise,
     towards,
 )
-from orbitfinder.continuation.problem import Point, solved
+from orbitfinder.continuation.problem import Point
 from orbitfinder.errors import ConvergenceError, InputError
-from orbitfinder.families.balance_problem import Balanced, Basis, Equations, Pattern, Series
-from orbitfinder.families.hill import Exponents, Hill
-from orbitfinder.families.point import FamilySettings
-from orbitfinder.integrate.evaluate import one_thread
-from orbitfinder.loops.problem import Problem
+from orbitfinder.families.events import event_at, find_events
+from orbitfinder.families.members import batch_certified, certified
+from orbitfinder.families.point import FamilySettings, make_point
+from orbitfinder.families.registry import end_kind
+from orbitfinder.families.run import Sample, ahead, make_interval, make_sample
+from orbitfinder.families.start import curve_at, entry_of
+from orbitfinder.families.verified import checked
+from orbitfinder.integrate.march import uniform
+from orbitfinder.loops.continued import Curve, at_place, tangent
+from orbitfinder.loops.loop import Equations
+from orbitfinder.loops.problem import Problem, at_forcing_period
+from orbitfinder.loops.symmetry import NONE
+from orbitfinder.loops.watch import Watch
 from orbitfinder.mechanics.kind import with_parameters
-from orbitfinder.mechanics.model import Model, energy
-from orbitfinder.mechanics.newton import Settings, Solver, full
-from orbitfinder.mechanics.scales import parameter_sizes
+from orbitfinder.mechanics.model import energy
+from orbitfinder.mechanics.scales import extents_of
+from orbitfinder.orbits.balance import NAME, begun, refused, samples_of, states_of
+from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.evidence import ClosureCheck
-from orbitfinder.orbits.guesses.linear import linear_response
+from orbitfinder.orbits.hill import exponents, monodromy
+from orbitfinder.orbits.implicit import SMALL, ImplicitCheck, gathered
 from orbitfinder.orbits.measure import action
-from orbitfinder.records.family import CLOSURE, METHODS, End, Event, Family, FamilyPoint, Reading
+from orbitfinder.records.codec import plain
+from orbitfinder.records.family import (
+    CLOSURE,
+    Batch,
+    End,
+    Event,
+    Family,
+    FamilyPoint,
+    Reading,
+    restored,
+    save_family,
+    situated,
+)
+from orbitfinder.records.family import (
+    METHODS as MULTIPLIERS,
+)
 from orbitfinder.records.orbit import system_at
 
-FIRST, LEFT, HIGHEST = 5, 1e-12, 400
-"""The highest order at first; what may be left of the equations between the times that they are balanced at, in the sizes
-of their terms; the highest order that is tried"""
-NODES, SAMPLES = 8, 256
-"""States that a record keeps, and times that its action is summed over"""
-NEWTON = Settings(floor=1e-9, round_off=1e-9, converged=1e-9, most_evaluations=40, halving=True)
-"""From a guess"""
-ZERO = 1e-5
-"""An exponent of a fold is none to this"""
+NODES, STEPS = 16, 256
+"""States at equal times that shooting stands on, and its steps of a period at least"""
+STOPPED = End("stopped", "stopped")
+ZERO = 1e-6
+"""An exponent that is 0 at an event is as near to it"""
 
 
-def balanced_family(
-    problem: Problem, settings: FamilySettings, until: float | None, at: Sequence[float], name: str,
-    progress: Callable[[FamilyPoint], None] | None = None,
+def followed(
+    problem: Problem, settings: FamilySettings, until: float | None, at: Sequence[float], name: str, folder: Path | None,
+    request: Mapping[str, Any], source: Mapping[str, Any], watch: Mapping[str, Watch],
+    progress: Callable[[Batch], None] | None,
 ) -> Family:  # fmt: skip
-    """The family of a driven motion in a parameter. Raises `InputError` and `ConvergenceError`."""
-    with one_thread():
-        way = _Way(problem, settings, until)
-        runs = [_Run(way, sign, until, tuple(at)) for sign in (0.0,) if until is not None] or [
-            _Run(way, sign, None, tuple(at)) for sign in (1.0, -1.0)
-        ]
-        for run in runs:
-            run.walk(progress)
-        return _assembled(way, runs, name)
+    """The family of a driven motion in a parameter, each direction kept in a journal of the folder.
 
-
-class _Way:
-    """What is followed: the equations, where they start, records of their points."""
-
-    def __init__(self, problem: Problem, settings: FamilySettings, until: float | None) -> None:
-        model, parameter = problem.model, settings.parameter
-        if refused := refusal(problem):
-            raise InputError(f"method: balance is not for this problem, {refused}; leave method out")
-        self.model, self.parameter, self.settings = model, parameter, settings
-        self.start = float(model.parameter_values[model.parameter_index(parameter)])
-        self.cycles = problem.forcing_cycles
-        self.equations = Equations(model, parameter, self.cycles)
-        self.check = ClosureCheck(model, stiff=True) if settings.certify else None
-        self.hills = dict[int, Hill]()
-        self.first = self._begun(problem, until)
-
-    def _begun(self, problem: Problem, until: float | None) -> tuple[Balanced, Point]:
-        model, start = self.model, np.array([self.start])
-        size = float(parameter_sizes(model, (self.parameter,), start)[0])
-        size = max(size, 0.0 if until is None else abs(until - self.start))
-        n, guess = self.equations.size, problem.guess
-        if guess.trajectory is None:
-            guess = linear_response(model)
-        assert guess.times is not None and guess.states is not None
-        top = FIRST
-        while True:
-            basis = Basis(tuple(range(1, top + 1, 2)) if self.equations.odd else tuple(range(top + 1)))
-            problem_ = Balanced(Pattern(self.equations, basis), np.ones(n), size, np.ones(n))
-            motion = np.array([np.interp(basis.times, 2 * np.pi * guess.times / guess.period, q)
-                               for q in np.asarray(guess.states, float).T[:n]])  # fmt: skip
-            w = Series(np.append((motion @ basis.back.T).ravel(), self.start))
-            problem_ = problem_.measured(w)
-            try:
-                return self.refined(problem_, self._near(problem_, w), None)
-            except ConvergenceError:
-                if (top := 2 * top + 1) > 4 * FIRST + 3:
-                    raise
-
-    def _near(self, problem: Balanced, w: Series) -> Series:
-        """A guess brought near by whole Newton steps at its parameter, halved where they leave more."""
-        row = problem.aim(w, self.parameter, self.start)[1][None]
-
-        def linearised(w: Series) -> tuple[np.ndarray, Solver]:
-            rows, linear = problem.linearise(w)
-            return np.append(rows, 0.0), linear.closed(row)
-
-        return full(w, linearised, NEWTON, lambda w, step: w.moved(step)).w
-
-    def refined(self, problem: Balanced, w: Series, tangent: np.ndarray | None) -> tuple[Balanced, Point]:
-        """The motion at the parameter's value on as many orders as it takes."""
-        value = float(w.vector[-1])
-        while True:
-            point = solved(problem, w, lambda w: problem.aim(w, self.parameter, value))  # noqa: B023 - of this round
-            problem = problem.measured(point.w)
-            if self.enough(problem, point.w):
+    Raises `InputError` and `ConvergenceError`.
+    """
+    problem, parameter = at_forcing_period(problem), settings.parameter
+    if why := refused(problem) or ("beside is for motions without a drive" if settings.beside else ""):
+        raise InputError(f"method: balance is not for this problem, {why}; leave method out")
+    problem.model.parameter_index(parameter)
+    first = begun(problem, parameter, until)
+    own = (_Marched if _tame(first) else _Large)(problem, settings, name, watch, first)
+    runs = [_Run(own, sign, Goals(parameter, goal, exact), first) for sign, goal, exact in _ways(first, settings, until, at)]
+    with nullcontext() if folder is None else locks.alone_in(folder):
+        for k, run in enumerate(runs):
+            path = folder and folder / f"balance{k or ''}.jsonl"
+            run.walk(CurveJournal(run, path, {**request, "method": NAME, "way": [k, run.sign, run.goals.until is None]}), progress)
+            if end_kind(run.end.kind).closed:
                 break
-            problem, w, tangent = problem.finer(point.w, tangent)
-        point = replace(point, problem=problem)
-        sharp = point.sharp
-        sign = 1.0 if tangent is None else np.sign(sharp.inner(tangent)) or 1.0
-        return problem, replace(sharp, tangent=sign * sharp.tangent)
+        family = _assembled(own, runs, source)
+        if folder is not None:
+            save_family(family, folder)
+    return family
 
-    def enough(self, problem: Balanced, w: Series) -> bool:
-        """Whether the orders of a problem are. Raises `ConvergenceError` where none that are tried would be."""
-        left = problem.left(w)
-        if not left <= LEFT and max(problem.basis.orders) > HIGHEST:
-            raise ConvergenceError(f"{max(problem.basis.orders)} harmonics leave {left:.2g} of the equations between "
-                                   "their times; make what has corners smoother")  # fmt: skip
-        return left <= LEFT
 
-    def exponents(self, problem: Balanced, w: Series) -> Exponents:
-        """Those of a point, remembered with it."""
-        if "exponents" not in w.known:
-            w.known["exponents"] = self.hill(problem).exponents(problem, w)
-        return w.known["exponents"]  # type: ignore[no-any-return]
+def _tame(point: Point) -> bool:
+    """Whether explicit steps follow a motion's variations, all of which are found."""
+    return point.problem.equations.size <= SMALL and monodromy(point.problem, point.w) is not None
 
-    def hill(self, problem: Balanced) -> Hill:
-        """What finds exponents on the orders of a problem."""
-        return self.hills.setdefault(problem.basis.count, Hill(problem))
 
-    def states(self, problem: Balanced, w: Series, times: np.ndarray) -> np.ndarray:
-        """States (s x 2n, or d) at times in rad."""
-        motion = problem.basis.motion(problem.coefficients(w), times)
-        pace = self.equations.pace(float(w.vector[-1]))
-        return np.vstack(motion[:1] if self.model.rates is not None else [motion[0], pace * motion[1]]).T
+def _ways(
+    first: Point, settings: FamilySettings, until: float | None, at: Sequence[float]
+) -> Iterator[tuple[float, float | None, tuple[float, ...]]]:
+    """Signs of the first change of the parameter, ends and values of the directions that are gone in."""
+    start, wanted = first.value(settings.parameter), tuple(map(float, at))
+    signs = {"both": (1.0, -1.0), "forward": (1.0,), "backward": (-1.0,), "away": (1.0,)}.get(settings.directions)
+    if signs is None:
+        raise InputError(f"directions: must be both, forward, backward or away, got {settings.directions!r}")
+    if until is not None and settings.directions == "both":
+        signs = (1.0 if until > start else -1.0,)
+    elif wanted and settings.directions == "both":
+        yield from ((sign, last, wanted) for sign in signs
+                    for last in [max(wanted, key=lambda value: sign * value)] if sign * (last - start) > 0)  # fmt: skip
+        return
+    yield from ((sign, until, wanted) for sign in signs)
 
-    def point(self, problem: Balanced, w: Series, **where: Any) -> FamilyPoint:
+
+class Recorder(Protocol):
+    """How points in harmonics become members of a family, and what happens between two of them."""
+
+    def tests(self) -> Mapping[str, Callable[[Point], float]]:
+        """What is located in harmonics."""
+
+    def point(self, point: Point, **where: Any) -> FamilyPoint:
         """The record of a motion. Raises `ConvergenceError` where it does not close by an independent integrator."""
-        value = float(w.vector[-1])
-        free, about = {self.parameter: value}, self.exponents(problem, w)
-        model = with_parameters(self.model, free)
-        period = 2 * np.pi / self.equations.pace(value)
-        mesh = np.linspace(0.0, 1.0, SAMPLES + 1)
-        states = self.states(problem, w, 2 * np.pi * mesh)
-        grown = max(1.0, float(np.abs(about.multipliers).max(initial=1.0)))
-        closure = 0.0
-        if self.check is not None:
-            units = np.maximum(np.ptp(states, axis=0), 1e-3 * np.ptp(states, axis=0).max())
-            closure = self.check(states[0], period, np.zeros(self.equations.size), CLOSURE * grown, free, units)
-        nodes = states[:-1 : SAMPLES // NODES]
-        return FamilyPoint(
-            name="", system=system_at(self.model.system, free), winding=(), shift={}, nodes=nodes[:1],
-            times=np.zeros(0), samples=np.zeros((0, states.shape[1])), tolerance=CLOSURE, value=value, state=states[0],
-            period=period, energy=energy(model, states[0]), action=action(model, mesh * period, states),
-            closure=closure, scale=grown, floquet_multipliers=about.multipliers, pair_defect=0.0,
-            multiplier_method=METHODS[-1], stability=about.stability, krein=(), root=1, indices=np.zeros(0, complex),
-            symmetry="none", unfolding=(), free=free, shooting_nodes=nodes, mesh=mesh, tangent=np.zeros(0), **where,
-        )  # fmt: skip
+
+    def events(self, before: KeptPoint, after: KeptPoint, seen: Sequence[KeptPoint]) -> list[Event]:
+        """What happens in a step, of which some was `seen` in harmonics, each with its check."""
 
 
-class _Run:
-    """One direction from the first point: a curve for each set of orders, joined."""
+class _Marched:
+    """Orbits of few coordinates, on the equations of shooting."""
 
-    def __init__(self, way: _Way, sign: float, until: float | None, at: tuple[float, ...]) -> None:
-        self.way, self.goals = way, Goals(way.parameter, until, at)
-        first = way.first[1]
-        side = sign or towards(first, way.parameter, until)
-        if sign:
-            side *= np.sign(rise(first, way.parameter)) or 1.0
-        self.begin, self.side = replace(first, tangent=side * first.tangent, step=way.settings.first_step), sign or 1.0
-        self.points, self.events, self.end = list[KeptPoint](), list[KeptPoint](), End("stopped", "stopped")
+    def __init__(self, problem: Problem, settings: FamilySettings, name: str, watch: Mapping[str, Watch], first: Point) -> None:
+        self.problem, self.settings, self.name = problem, settings, name
+        equations = Equations.of(problem.model, NONE, (settings.parameter,))
+        self._equations, self._mesh = equations, uniform(1.0, NODES, STEPS // NODES)
+        place = self._place(first)
+        self.curve: Curve = replace(curve_at(equations, place), watch=watch)
+        self.check = ClosureCheck(problem.model) if settings.certify else None
+        self._samples = dict[int, Sample]()
+        sample = self.sample(first)
+        self.curve = self.curve.measured(sample.solution)
+        self._samples.clear()
+        self.entry = entry_of(self.curve) | {"method": NAME}
 
-    def walk(self, progress: Callable[[FamilyPoint], None] | None) -> None:
-        """Until it ends; where orders no longer do, again from the point before with more."""
-        s = self.way.settings
-        tests = {"fold": lambda point: rise(point, self.way.parameter)} if s.events else {}
-        while True:
-            curve, count = SolutionCurve(), len(self.points)
-            pace = Pace(
-                first=self.begin.step, shortest=s.shortest_step, longest=s.longest_step, quick=4, slow=8,
-                points=s.points - max(0, count - 1), bend=float(np.cos(s.sharpest_turn)),
-            )  # fmt: skip
-            short = self._walked(curve, follow(curve, CurveJournal(self), lambda: self.begin, self.goals, pace, tests), progress)
-            if short is None:
-                self.end = curve.end or point_limit(s.points)
-                return
-            before = self.points[-1].point
-            finer, w, tangent = before.problem.finer(before.w, before.tangent)
-            _, point = self.way.refined(finer, w, tangent)
-            self.begin = replace(point, arclength=before.arclength, step=before.step)
-
-    def _walked(
-        self, curve: SolutionCurve, points: Iterator[KeptPoint], progress: Callable[[FamilyPoint], None] | None
-    ) -> Point | None:
-        """What a curve adds, and the point at which its orders are too few."""
-        again = bool(self.points)
-        for kept in points:
-            if not self.way.enough(kept.point.problem, kept.point.w):
-                return kept.point
-            if again:  # the point that it begins with is known
-                again = False
-                continue
-            self.points.append(kept)
-            last = self.points[-2].point.arclength if len(self.points) > 1 else -1.0
-            self.events += [event for event in curve.events if last < event.point.arclength <= kept.point.arclength]
-            if progress:
-                progress(self.record_of(kept, len(self.points) - 1))
-        return None
-
-    def record(self, point: Point) -> None:
-        """Made when it is asked for."""
-
-    def write(self, point: Point, record: Any) -> dict[str, Any]:  # noqa: ARG002 - of `Keeping`
-        """Nothing is kept on disk."""
+    def tests(self) -> Mapping[str, Callable[[Point], float]]:
         return {}
 
-    def read(self, entry: Any) -> tuple[Point, Any]:  # noqa: ARG002 - of `Keeping`
-        """Nothing is kept on disk."""
-        raise NotImplementedError
+    def _place(self, point: Point) -> Any:
+        shares = self._mesh[:: STEPS // NODES][:-1]
+        value = float(point.w.vector[-1])
+        period = 2 * np.pi / point.problem.equations.pace(value)
+        return self._equations.unknowns(states_of(point, shares), period, self._mesh, np.array([value]))
 
-    def record_of(self, kept: KeptPoint, index: int) -> FamilyPoint:
-        """The orbit of a point."""
-        point = kept.point
-        return self.way.point(
-            point.problem, point.w, index=index, arclength=self.side * point.arclength, step=point.step, role=kept.role
-        )
+    def sample(self, point: Point, expected: np.ndarray | None = None) -> Sample:
+        """The orbit of a point with its tangent and multipliers."""
+        if id(point) not in self._samples:
+            solution = at_place(self.curve, self._place(point))
+            moved = replace(point, w=point.w.moved(1e-6 * point.tangent))
+            along = (self._place(moved).vector - solution.place.vector) / 1e-6
+            whole = tangent(self.curve, solution, along)
+            nothing = np.zeros(0, complex) if expected is None else expected
+            self._samples = {**dict([*self._samples.items()][-1:]), id(point): make_sample(self.curve, 0.0, solution, whole, nothing)}
+        return self._samples[id(point)]
 
-    def event_of(self, kept: KeptPoint) -> Event:
-        """A fold, checked by the exponent that is 0 there."""
-        point, way = kept.point, self.way
-        value, critical = float(point.w.vector[-1]), way.hill(point.problem).nearest(point.problem, point.w)
-        state = way.states(point.problem, point.w, np.zeros(1))[0]
-        model = with_parameters(way.model, {way.parameter: value})
-        off = float(abs(critical))
-        return Event(
-            "fold", 0, self.side * point.arclength, value, state, 2 * np.pi / way.equations.pace(value),
-            energy(model, state), way.parameter, multiplier=complex(np.exp(2 * np.pi * critical)),
-            free={way.parameter: value}, check=Reading(off, ZERO, off <= ZERO),
+    def point(self, point: Point, **where: Any) -> FamilyPoint:
+        sample = self.sample(point)
+        return make_point(self.curve, sample.solution, sample.head, self.settings.parameter, self.check,
+                          about=sample.about, **where)  # fmt: skip
+
+    def events(self, before: KeptPoint, after: KeptPoint, seen: Sequence[KeptPoint]) -> list[Event]:  # noqa: ARG002
+        if not self.settings.events:
+            return []
+        first = self.sample(before.point)
+        last = self.sample(after.point, first.indices)
+        length, step = ahead(self.curve, first, last.solution), after.point.arclength - before.point.arclength
+        interval = make_interval(self.curve, first, replace(last, distance=length))
+        found = [event_at(self.curve, *each, self.settings.parameter) for each in find_events(interval, self.settings)]
+        batch = checked(self.curve, Batch(1, events=tuple(found)), length, self.settings.parameter)
+        batch = batch_certified(self.curve, batch) if self.settings.certify else batch
+        return [replace(event, arclength=before.point.arclength + event.arclength * step / length) for event in batch.events]
+
+    def certified(self, point: FamilyPoint) -> FamilyPoint:
+        return certified(self.curve, point)
+
+
+class _Large:
+    """Orbits of many coordinates, or stiff ones, by their series alone."""
+
+    def __init__(self, problem: Problem, settings: FamilySettings, name: str, watch: Mapping[str, Watch], first: Point) -> None:
+        self.problem, self.settings, self.name, self.watch = problem, settings, name, watch
+        self.model, self.parameter = problem.model, settings.parameter
+        if problem.model.rates is not None:
+            raise InputError("method: balance is for at most 40 coordinates of a first-order system, or stiff ones of "
+                             "mechanics; describe it by masses, or leave method out")  # fmt: skip
+        self.check = ImplicitCheck(self.model, problem.forcing_cycles) if settings.certify else None
+        self.grown = 1.0
+        if settings.certify:  # what errors grow by hardly changes along a family
+            period = 2 * np.pi / first.problem.equations.pace(float(first.w.vector[-1]))
+            self.grown = gathered(self.model, states_of(first, np.zeros(1))[0], period)[0].closes.amplification
+        self.entry = {"method": NAME, "winding": [0] * self.model.degrees_of_freedom, "cycles": problem.forcing_cycles}
+
+    def tests(self) -> Mapping[str, Callable[[Point], float]]:
+        return {"fold": lambda point: rise(point, self.parameter), "change": changing} if self.settings.events else {}
+
+    def point(self, point: Point, **where: Any) -> FamilyPoint:
+        value = float(point.w.vector[-1])
+        free, about = {self.parameter: value}, exponents(point.problem, point.w)
+        model, period = with_parameters(self.model, free), 2 * np.pi / point.problem.equations.pace(value)
+        count = samples_of(point)
+        mesh = np.linspace(0.0, 1.0, count + 1)
+        states, closure = states_of(point, mesh), 0.0
+        if self.check is not None:
+            closure = self.check(states[0], period, free, extents_of(model, states, period))
+            if not closure <= CLOSURE * self.grown:
+                raise ConvergenceError(f"the orbit closes only to {closure:.2g} where errors grow {self.grown:.3g} times")
+        every = count // (2 << int(np.ceil(np.log2(max(point.problem.basis.orders) + 1))))
+        nodes, shares = states[:-1:every], mesh[::every]
+        return FamilyPoint(
+            name="", system=system_at(self.model.system, free), winding=tuple(self.entry["winding"]), shift={},
+            nodes=states[:1], times=np.zeros(0), samples=np.zeros((0, states.shape[1])), tolerance=CLOSURE, value=value,
+            state=states[0], period=period, energy=energy(model, states[0]), action=action(model, mesh * period, states),
+            closure=closure, defect=closure, scale=self.grown, floquet_multipliers=about.multipliers, pair_defect=0.0,
+            multiplier_method=MULTIPLIERS[-1], stability=about.stability, krein=(), root=1, indices=np.zeros(0, complex),
+            symmetry=NONE.name, unfolding=(), free=free, shooting_nodes=nodes, mesh=shares, tangent=np.zeros(0), **where,
         )  # fmt: skip
 
+    def events(self, before: KeptPoint, after: KeptPoint, seen: Sequence[KeptPoint]) -> list[Event]:
+        return [event for kept in seen if (event := self._event(kept, before.point, after.point)) is not None]
 
-def _assembled(way: _Way, runs: Sequence[_Run], name: str) -> Family:
-    points, events, ends = list[FamilyPoint](), list[Event](), list[End]()
-    for run in reversed(runs):
-        own = [run.record_of(kept, k) for k, kept in enumerate(run.points)]
-        points = own[::-1] if run.side < 0 else [*points[: len(points) - (len(runs) > 1)], *own]
-        events += [run.event_of(kept) for kept in run.events]
-        ends.append(run.end)
-    points = [replace(point, index=k) for k, point in enumerate(points)]
+    def _event(self, kept: KeptPoint, before: Point, after: Point) -> Event | None:
+        """A located event with its check: the exponent that is on the axis there."""
+        point = kept.point
+        balanced, value = point.problem, float(point.w.vector[-1])
+        about = exponents(balanced, point.w)
+        if not about.values.size:
+            return None
+        critical = about.values[np.argmin(np.abs(about.values.real))]
+        if kept.role == "fold":
+            critical = about.values[np.argmin(np.abs(about.values))]
+        turned = abs((critical.imag + 0.5) % 1.0 - 0.5)
+        kind = kept.role if kept.role == "fold" else (
+            "branch_point" if turned < ZERO else "period_doubling" if turned > 0.5 - ZERO else "torus")  # fmt: skip
+        off = abs(critical) if kind == "fold" else abs(critical.real)
+        state = states_of(point, np.zeros(1))[0]
+        known = abs(after.value(self.parameter) - before.value(self.parameter))
+        error = balanced.known(point.w) if kind == "fold" else known * (off + ZERO * 1e-2) / max(
+            abs(changing(after) - changing(before)), ZERO)  # fmt: skip
+        if off > ZERO:
+            return None
+        return Event(
+            kind, 0, point.arclength, value, state, 2 * np.pi / balanced.equations.pace(value),
+            energy(with_parameters(self.model, {self.parameter: value}), state), self.parameter if kind == "fold" else "",
+            multiplier=complex(np.exp(2 * np.pi * critical)), free={self.parameter: value},
+            check=Reading(float(off), ZERO, bool(off <= ZERO), parameter_error=float(error)),
+        )  # fmt: skip
+
+    def certified(self, point: FamilyPoint) -> FamilyPoint:
+        return replace(point, certified=certify(point, with_parameters(self.model, point.free)).passed)
+
+
+def changing(point: Point) -> float:
+    """The largest real part of what exponents may cross the axis elsewhere than at a fold."""
+    about = exponents(point.problem, point.w)
+    others = about.values[about.values.imag > 1e-7].real
+    return float(others.max(initial=about.rest if np.isfinite(about.rest) else -1.0))
+
+
+@dataclass(eq=False)
+class _Run:
+    """One direction from the first point."""
+
+    own: Any
+    sign: float
+    goals: Goals
+    first: Point
+    points: list[KeptPoint] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
+    end: End = STOPPED
+
+    def begin(self) -> Point:
+        s = self.own.settings
+        side = self.sign * towards(self.first, s.parameter, None)
+        return replace(self.first, tangent=side * self.first.tangent, step=s.first_step)
+
+    def walk(self, journal: CurveJournal, progress: Callable[[Batch], None] | None) -> None:
+        """Until it ends."""
+        s, curve = self.own.settings, SolutionCurve()
+        pace = Pace(first=s.first_step, shortest=s.shortest_step, longest=s.longest_step, quick=4, slow=8,
+                    points=s.points, bend=float(np.cos(s.sharpest_turn)), closed=True)  # fmt: skip
+        for kept in follow(curve, journal, self.begin, self.goals, pace, self.own.tests()):
+            events = list[Event]()
+            if self.points:
+                before = self.points[-1]
+                seen = [e for e in curve.events if before.point.arclength < e.point.arclength <= kept.point.arclength]
+                events = self.own.events(before, kept, seen)
+            self.points.append(kept)
+            self.events += [replace(event, arclength=self.sign * event.arclength) for event in events]
+            if progress:
+                progress(Batch(int(self.sign), (self._placed(kept),), tuple(self.events[len(self.events) - len(events) :])))
+        self.end = curve.end or self.end
+
+    def _placed(self, kept: KeptPoint) -> FamilyPoint:
+        return replace(kept.record, arclength=self.sign * kept.point.arclength, role=kept.role)
+
+    def placed(self) -> list[FamilyPoint]:
+        """The points in the order of their arclength."""
+        own = [self._placed(kept) for kept in self.points]
+        return own[::-1] if self.sign < 0 else own
+
+    def record(self, point: Point) -> FamilyPoint:
+        """Its orbit."""
+        return self.own.point(point, index=0, arclength=point.arclength, step=point.step)
+
+    def write(self, point: Point, record: FamilyPoint) -> Mapping[str, Any]:
+        """Both in plain numbers."""
+        return {"w": point.w.vector, "tangent": point.tangent, "arclength": point.arclength, "step": point.step,
+                "orders": list(point.problem.basis.orders), "orbit": plain(record)}  # fmt: skip
+
+    def read(self, entry: Mapping[str, Any]) -> tuple[Point, FamilyPoint]:
+        """Both from what was written."""
+        problem, w = self.first.problem.on(tuple(entry["orders"]), np.array(entry["w"], float))
+        point = Point(problem, w, np.array(entry["tangent"], float), float(entry["arclength"]), float(entry["step"]))
+        record = restored(FamilyPoint, entry["orbit"])
+        return point, situated(record, 0, "", self.own.problem.model.system, self.own.entry)
+
+
+def _assembled(own: Any, runs: Sequence[_Run], source: Mapping[str, Any]) -> Family:
+    walked = [run for run in reversed(runs) if run.points]
+    points = list[FamilyPoint]()
+    for run in walked:
+        some = run.placed()
+        points += some[bool(points) :] if run.sign > 0 else some
+    if own.settings.certify:
+        points = [own.certified(one) if one.role != "step" or k in (0, len(points) - 1) else one for k, one in enumerate(points)]
+    system, entry = dict(own.problem.model.system), own.entry
+    points = [situated(point, k, own.name, system, entry) for k, point in enumerate(points)]
     lengths = [point.arclength for point in points]
-    events = sorted(
-        (replace(event, index=max(int(np.searchsorted(lengths, event.arclength)) - 1, 0)) for event in events),
-        key=lambda event: event.arclength,
-    )
-    return Family(name, dict(way.model.system), way.parameter, tuple(points), tuple(events), tuple(ends),
-                  source={"kind": "balance"})  # fmt: skip
-
-
-def refusal(problem: Problem) -> str:
-    """Why harmonic balance cannot be the method for a problem, or nothing."""
-    model: Model = problem.model
-    if not model.forced:
-        return "nothing drives it"
-    if not model.smooth or model.constraint is not None or not model.scalar or problem.control is not None:
-        return "it has impacts, constraints or controls"
-    if problem.turns.any() or problem.relative:
-        return "it goes round"
-    return ""
-
-
+    events = sorted((event for run in walked for event in run.events), key=attrgetter("arclength"))
+    events = [replace(event, index=int(np.searchsorted(lengths, event.arclength)) - 1) for event in events]
+    return Family(own.name, system, own.settings.parameter, tuple(points), tuple(events),
+                  tuple(run.end for run in walked), entry, source)  # fmt: skip

@@ -41,6 +41,7 @@ from orbitfinder.families.start import (
     symmetry_of,
     unknown_parameters,
 )
+from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.continued import CRITICAL, Curve, advanced, at_place, correct, plane, scaled, tangent
 from orbitfinder.loops.loop import Unknowns
@@ -348,6 +349,7 @@ class Branch:
         }  # fmt: skip
 
 
+@one_thread()
 def switch_branch(
     family: Family | Equilibria | str | Path,
     event: int | str | Event | RestEvent,

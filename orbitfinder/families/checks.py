@@ -10,6 +10,7 @@ two indices; the product of a pair less 1; what is extremal; a margin of a hybri
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import SimpleNamespace
@@ -47,6 +48,9 @@ DOUBTFUL = 4e-5
 """... and what is read there is known this well"""
 DRAWS, SAFETY = 3, 10.0
 """Errors of the size of the integration's with which the map is read again, and what their largest is multiplied by"""
+TOLERANCES = VARIED, COARSER, ReferenceSettings(relative_tolerance=1e-11, absolute_tolerance=1e-12)
+"""At which variations are integrated, one after the other: where rates are 0 / 0, as Hodgkin and Huxley's are at two
+voltages, their round-off may leave no step that is short enough for the first"""
 ALIKE = 1e-6
 """Multipliers nearer than this are one"""
 
@@ -63,7 +67,15 @@ class Probe:
     @cached_property
     def tour(self) -> Tour:
         """The loop gone round. Raises `ConvergenceError` where it is not known well enough."""
-        return _known(self._round(VARIED))
+        return _known(self._gone[0])
+
+    @cached_property
+    def _gone(self) -> tuple[Tour, ReferenceSettings]:
+        """The same, and at which of `TOLERANCES`: at the first at which a step can be made."""
+        for settings in () if self.curve.equations.links else TOLERANCES[:-1]:
+            with suppress(IntegrationError):
+                return self._round(settings), settings
+        return self._round(TOLERANCES[-1]), TOLERANCES[-1]
 
     def _round(self, varied: ReferenceSettings) -> Tour:
         p, w = self.curve.equations, self.solution.place
@@ -88,12 +100,14 @@ class Probe:
         if not missed <= known + ALIKE:
             raise ConvergenceError(f"its multipliers miss the divergence of the flow by exp({missed:.2g})")
         random = np.random.default_rng(0)
-        return [self._read(self.tour.map(random, VARIED.relative_tolerance)) for _ in range(DRAWS)]
+        return [self._read(self.tour.map(random, self._gone[1].relative_tolerance)) for _ in range(DRAWS)]
 
     @cached_property
     def coarser(self) -> Any:
         """The same at ten times the tolerance, which is off by more than the map is."""
-        return self._read(self._round(COARSER).map())
+        settings = self._gone[1]
+        coarser = ReferenceSettings(10 * settings.relative_tolerance, 10 * settings.absolute_tolerance)
+        return self._read(self._round(coarser).map())
 
     def _read(self, reduced: np.ndarray) -> Any:
         values, pairs = np.linalg.eigvals(reduced).astype(complex), self.tour.conservative
@@ -172,6 +186,8 @@ class Sides:
     """the orbits twice as far on both sides, where a parabola through the nearer ones is not enough"""
     parameter: str = ""
     """what the family is followed in"""
+    farthest: bool = False
+    """whether none are farther"""
 
     def zero(self, measure: Measure, sharp: bool = True, within: float = SHARP) -> Reading:
         """What a measure says: it is to vanish here, `within` so much of a step, and to change its sign, if it is
@@ -181,9 +197,11 @@ class Sides:
         slope = abs(high - low) * self.step / (2 * self.apart)
         noise, most = 0.0, DOUBTFUL * slope if sharp else min(abs(low), abs(high))
         if self.here.__dict__.get("tour"):
-            noise = max(SAFETY * abs(measure(_as(self.here, about)) - value) for about in self.here.doubted)
-            if noise > most and not self.here.curve.equations.links:
-                noise = abs(measure(_as(self.here, self.here.coarser)) - value)
+            doubted = [_as(self.here, about) for about in self.here.doubted]
+            noise = max(SAFETY * abs(measure(each) - value) for each in doubted)
+            if noise > most and not self.here.curve.equations.links:  # told by how far all other readings of it are
+                again = (_as(self.here, self.here.coarser), self.middle, *doubted)
+                noise = max(abs(measure(each) - value) for each in again)
         sure = low * high < 0 and noise <= most
         read = Reading(value, noise + within * slope, bool(sure and abs(value) <= noise + within * slope))
         return self._barred(read, (abs(value) + noise) * self.step / nonzero(slope))
@@ -269,6 +287,12 @@ class Sides:
         known = 8 * np.finfo(float).eps * abs(middle)
         return bool(min(low - middle, high - middle) > known or max(low - middle, high - middle) < -known)
 
+    def passes(self, name: str) -> bool:
+        """Whether a quantity goes on, beyond round-off."""
+        low, middle, high = self.values(name)
+        known = 8 * np.finfo(float).eps * abs(middle)
+        return bool((low - middle) * (middle - high) > 0 and min(abs(low - middle), abs(high - middle)) > known)
+
     def bends(self, name: str) -> bool:
         """Whether a quantity goes as a parabola through four orbits beside this, however little it does."""
         if not self.outer:
@@ -330,8 +354,8 @@ def _turned(sides: Sides, parameter: str) -> Reading:
     if passage.passed and sides.turning(parameter).passed:
         return passage
     passage = sides.zero(level, within=DOUBTFUL)
-    turns = sides.bends(parameter) or not (sides.here.about.conservative or sides.crossed)
-    return replace(passage, passed=passage.passed and turns)
+    still = sides.farthest and not (sides.here.about.conservative or sides.crossed or sides.passes(parameter))
+    return replace(passage, passed=passage.passed and (still or sides.bends(parameter)))
 
 
 def fold_side(sides: Sides, event: Event) -> str:

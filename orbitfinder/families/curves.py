@@ -23,6 +23,7 @@ from orbitfinder.families.folder import Progress, follow_family, parameter_of
 from orbitfinder.families.point import FamilySettings, parameter_value, unknowns_of
 from orbitfinder.families.rest_curves import follow_rest_curve
 from orbitfinder.families.start import corrected, curve_of, released
+from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.loops.conditions import pinned
 from orbitfinder.loops.continued import TESTED, Curve, at_place, scaled
 from orbitfinder.loops.loop import Unknowns
@@ -33,6 +34,7 @@ from orbitfinder.records.family import Event, Family
 from orbitfinder.records.registry import held
 
 
+@one_thread()
 def follow_curve(
     family: Family | Equilibria | str | Path,
     event: int | Event | RestEvent,

@@ -26,6 +26,7 @@ from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.registry import end_kind
 from orbitfinder.families.rest_starts import find_equilibria
+from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.certificate import Certificate, Check, at_most, equal
@@ -166,15 +167,15 @@ def happened(diagram: BifurcationDiagram, curve: DiagramCurve) -> Iterator[str]:
     forks = {fork.event: fork for fork in diagram.branchings if fork.file == curve.file}
     for k in told(curve.record):
         event, fork = curve.record.events[k], forks.get(k)
-        words = fork.words if fork else _told(curve, k)
+        words, colon, why = (fork.words if fork else _told(curve, k)).partition(": ")
         known = [_bar(getattr(event, "error", None))]
         if np.isfinite(lyapunov := getattr(event, "lyapunov", np.nan)):
             known.append(f", l1 = {lyapunov:.6g}{_bar(event.lyapunov_error)}")
         leads = f"; {fork.became} {', '.join(fork.leads)}".rstrip() if fork else ""
-        yield f"{words}{''.join(known)}{leads}"
+        yield f"{words}{''.join(known)}{colon}{why}{leads}"
     if isinstance(curve.record, Family):
-        if why := curve.record.curve.get("method_reason"):
-            yield f"by collocation: {why}"
+        if reason := curve.record.curve.get("method_reason"):
+            yield f"by collocation: {reason}"
         for end in curve.record.ends:
             where = "" if end.parameter is None else f" at {diagram.parameter} {end.parameter:.9g}{_bar(end.error)}"
             yield f"ends: {end.kind}{where}" if where else f"ends: {end.kind}, {end.reason}"
@@ -265,6 +266,7 @@ def leaving(record: Equilibria | Family) -> list[int]:
     return [k for k, kind in enumerate(kinds) if kind.branches and kind.critical]
 
 
+@one_thread()
 def diagram(
     model: Model, state: Sequence[float] | np.ndarray | None, parameter: str, until: float, *, depth: int = 2,
     points: int = 400, coordinate: str | None = None, box: Mapping[str, Sequence[float]] | None = None,
@@ -438,7 +440,8 @@ class _Tree:
         )  # in which events have the same last digits
         states = [[(point.value, *point.state) for point in each.points] for each in (record, before)]
         same = states[0] == states[1] and len(record.events) == len(before.events)
-        return before if same and all(map(_alike, record.events, before.events)) else record
+        alike = same and all(map(_alike, record.events, before.events))
+        return replace(record, events=before.events) if alike else record
 
     def known(self, curve: DiagramCurve, event: RestEvent | Event) -> DiagramCurve | None:
         """The curve that ends at an event, or that it is an event of as well."""

@@ -33,6 +33,7 @@ from orbitfinder.families.rest_problem import (
     solve_square,
 )
 from orbitfinder.families.rest_starts import first_equilibrium, refuse_moving
+from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.integrate.jets import at_rest
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model, check_state
@@ -73,6 +74,7 @@ def rest_branch(equilibria: Equilibria, number: int, model: Model | None = None)
     return RestBranch(equilibria.name, number, there, state, event.direction, name, called, largest)
 
 
+@one_thread()
 def follow_equilibria(
     model: Model | RestBranch, state: Sequence[float] | np.ndarray | None = None, parameter: str | None = None,
     until: float | None = None, *, at: Sequence[float] = (), points: int = PACE.points, pace: Pace = PACE,

@@ -36,7 +36,7 @@ from orbitfinder.families.passages import (
 )
 from orbitfinder.families.point import FamilySettings, freed, parameter_value
 from orbitfinder.families.registry import KINDS
-from orbitfinder.families.run import Interval, Sample, is_real
+from orbitfinder.families.run import PASSING, Interval, Sample, is_real
 from orbitfinder.loops.continued import Curve
 from orbitfinder.loops.symmetry import momenta_of
 from orbitfinder.orbits.floquet import ERROR_FLOOR
@@ -118,7 +118,7 @@ def _moves(interval: Interval, test: Test) -> bool:
         (interval.first, interval.last),
         max(abs(test.measure(end)) for end in (interval.first, interval.last)),
     )
-    value = max(abs(parameter_value(interval.curve, end.solution.place, test.detail)) for end in ends)
+    value = max(_value(interval, end, test) for end in ends)
     return bool(steepest * interval.length > FLAT * np.finfo(float).eps * value)
 
 
@@ -128,33 +128,37 @@ Located = list[tuple[Sample, Test]]
 def _by_multiplier(interval: Interval, turned: Located, passed: Located) -> tuple[Located, Located]:
     """Folds where the multiplier +1 tells them better than their parameter, and what else passes.
 
-    A multiplier passes +1 where the parameter turns or another family crosses: where neither is seen, as in a canard
-    along which the parameter stays what it is to round-off, it turns.
+    A multiplier passes +1 where the parameter turns or another family crosses: where no other does, it turns, and if
+    that is not seen, as in a canard along which it stays what it is to round-off. What turns there without a multiplier
+    at +1 is round-off.
     """
-    others: Located = []
-    for passing, test in passed:
-        if not (KINDS[test.kind].crosses and test.multiplier.real > 0):
-            others.append((passing, test))
-            continue
-        beside = [k for k, (fold, _) in enumerate(turned) if not _apart(passing.distance, [fold.distance])]
-        for k in beside:
-            turned[k] = _sharper(interval, turned[k], (passing, test)), turned[k][1]
-        if not beside:
-            parameter = next(folds(interval))
-            crosses = _moves(interval, parameter) or interval.crossed(passing)
-            others.append((passing, test if crosses or parameter.kind != "fold" else parameter))
-    return turned, others
+    passing = [pair for pair in passed if KINDS[pair[1].kind].crosses and pair[1].multiplier.real > 0]
+    known, parameter = Located(), next(folds(interval))
+    for sample, test in turned:
+        beside = [pair for pair in passing if not _apart(pair[0].distance, [sample.distance])]
+        turns = _unsure(interval, sample, test, FLAT * np.finfo(float).eps * _value(interval, sample, test))
+        if beside:
+            about = beside[0][0].about
+            error = float(about.root_errors[np.abs(about.values - 1.0).argmin()])
+            sample = sample if turns <= _unsure(interval, *beside[0], error) else beside[0][0]
+        if beside or (turns < 1.0 and np.abs(sample.about.values - 1.0).min(initial=np.inf) < PASSING):
+            known.append((sample, test))
+    alone = [pair for pair in passing if _apart(pair[0].distance, [sample.distance for sample, _ in known])]
+    told = KINDS[parameter.kind].followed is not None
+    still = [id(test) for sample, test in alone if told and not interval.crossed(sample)]
+    return known, [(sample, parameter if id(test) in still else test) for sample, test in passed]
 
 
-def _sharper(interval: Interval, fold: tuple[Sample, Test], passing: tuple[Sample, Test]) -> Sample:
-    """Of where a parameter turns and where a multiplier is 1 what is known better: by errors over slopes beside it."""
-    (sample, test), middle, beside = fold, fold[0].distance, BESIDE * interval.length
+def _unsure(interval: Interval, sample: Sample, test: Test, error: float) -> float:
+    """How well it is known where a measure that is known to an error vanishes: in the steps beside it over which it is
+    seen how it changes."""
+    middle, beside = sample.distance, BESIDE * interval.length
     low, high = (interval.sample(d) for d in (max(0.0, middle - beside), min(interval.length, middle + beside)))
-    about, value = passing[0].about, parameter_value(interval.curve, sample.solution.place, test.detail)
-    known = FLAT * np.finfo(float).eps * abs(value), about.root_errors[np.abs(about.values - 1.0).argmin()]
-    errors = [error / nonzero(abs(each.measure(high) - each.measure(low)))
-              for error, each in zip(known, (test, passing[1]), strict=True)]  # fmt: skip
-    return sample if errors[0] <= errors[1] else passing[0]
+    return float(error / nonzero(abs(test.measure(high) - test.measure(low))))
+
+
+def _value(interval: Interval, sample: Sample, test: Test) -> float:
+    return abs(parameter_value(interval.curve, sample.solution.place, test.detail))
 
 
 def _told(interval: Interval) -> bool:
@@ -220,10 +224,9 @@ def _changes(interval: Interval, events: list[tuple[Sample, Test]]) -> list[tupl
 # Source: Yu. A. Kuznetsov, Elements of Applied Bifurcation Theory (2004), sections 5.3 and 10.2.
 
 
-FLAT = 4.0
-"""Round-offs that a number has to change by within a step to turn there"""
-BESIDE = 1e-3
-"""Share of a step beside a fold at which it is seen how its parameter and its multiplier change"""
+FLAT, BESIDE = 4.0, 1e-3
+"""Round-offs that a number has to change by within a step to turn there; share of a step beside a fold at which it is
+seen how its parameter and its multiplier change"""
 GRAZED = 0.1
 """A modulus within this share of 1 at one of the two points may have passed it and come back."""
 DEEPEST = 6

@@ -22,9 +22,10 @@ from orbitfinder.families.members import batch_certified, certified
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.registry import end_kind
 from orbitfinder.families.run import Run, first_point, in_scales
-from orbitfinder.families.start import Start, begin, curve_of, entry_of, unknown_parameters
+from orbitfinder.families.start import Start, as_problem, begin, curve_of, entry_of, method_of, unknown_parameters
 from orbitfinder.families.verified import checked
 from orbitfinder.integrate.equations import prepare
+from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.loops.continued import Curve
 from orbitfinder.loops.problem import Problem
 from orbitfinder.loops.symmetry import turned
@@ -33,6 +34,7 @@ from orbitfinder.mechanics.kind import build_model, system_kind
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.orbits.hybrid import HybridCheck
+from orbitfinder.orbits.method import named
 from orbitfinder.records.codec import plain
 from orbitfinder.records.family import (
     CLOSURE,
@@ -63,6 +65,7 @@ Asked = tuple[int, float | None, tuple[float, ...]]
 Origin = str | Path | Orbit | Problem | Start | Branch
 
 
+@one_thread()
 def follow_family(
     origin: Origin,
     parameter: str | None = None,
@@ -138,6 +141,12 @@ def follow_family(
     watch, stop = _watched(origin, watch), stop or {}
     check_stop(stop, watch)
     request, source = _request(origin, settings, at, watch)
+    if isinstance(origin, (Orbit, Problem)) and (by := settings.method or method_of(origin)) and named(by).follow:
+        if stop or between:
+            raise InputError(f"stop, between: not by {by}; say until, or method shooting")
+        problem = as_problem(origin, model)
+        known = watches(watch, problem.model)
+        return named(by).follow(problem, settings, until, at, label, folder, request, source, known, progress)  # type: ignore[misc]
     with contextlib.nullcontext() if folder is None else locks.alone_in(folder):
         journal = None if folder is None else read_journal(folder)
         born = origin.event.parameter if isinstance(origin, Branch) and isinstance(origin.number, int) else None
@@ -402,7 +411,8 @@ def _finish(
                 step = abs(reached[0].arclength - last.arclength) if reached else last.step
                 batch, last = checked(curve, batch, step, settings.parameter), (*reached, last)[0]
                 batch = batch_certified(curve, batch) if settings.certify else batch
-                if other := handed_over(folder, replace(journal, batches=tuple(batches)), run, batch.end, last):
+                known = replace(journal, batches=tuple(batches)) if batch.end else None
+                if known and (other := handed_over(folder, known, run, batch.end, last)):
                     journal, curve = other
                     batches, check = list(journal.batches), _independent(curve, settings)
                     waiting = [

@@ -43,6 +43,7 @@ from orbitfinder.families.stability import Spectrum
 from orbitfinder.loops.block import Ahead, Blocks, Pacing
 from orbitfinder.loops.conditions import pinned
 from orbitfinder.loops.continued import Solution, advanced, correct, distance, plane, tangent
+from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.mesh import carried, refined, regraded, settled
 from orbitfinder.records.family import UNKNOWN, Batch, End, Event, FamilyPoint, Standing, reached
 
@@ -107,9 +108,13 @@ def _attempt(run: Run, before: Walked, length: float, blocks: Blocks | None) -> 
     began = time.perf_counter()
     curve, settings, sample, place = run.curve, run.settings, before.sample, before.solution.place
     ahead = None if blocks is None else blocks.next(curve, (place, sample.whole, before.curvature), length)
-    step = _corrected(run, before, length) if ahead is None else ahead
+    nearly = None
+    if ahead is not None and not ahead.fits:
+        nearly = ahead.solution.place.on(regraded(curve, ahead.solution))
+        ahead = ahead if nearly.mesh is ahead.solution.place.mesh else None
+    step = _corrected(run, before, length, nearly) if ahead is None else ahead
     raw, whole = step.solution, step.whole
-    solution = raw if ahead is not None else settled(curve, raw, whole)
+    solution = raw if ahead is not None and ahead.fits else settled(curve, raw, whole)
     last = make_sample(curve, length, raw, whole, before.point.indices + before.trend)
     if curve.equations.links and (cut := _cut(run, before, last)) is not None:
         return before, cut
@@ -134,13 +139,14 @@ def _attempt(run: Run, before: Walked, length: float, blocks: Blocks | None) -> 
     return after, replace(batch, standing=standing_of(curve, kept, whole)) if stands else batch
 
 
-def _corrected(run: Run, before: Walked, length: float) -> Ahead:
-    """The point a length on, corrected."""
+def _corrected(run: Run, before: Walked, length: float, nearly: Unknowns | None = None) -> Ahead:
+    """The point a length on, corrected: from where it nearly is, on a mesh that fits it, where that is known."""
     curve, settings, sample, place = run.curve, run.settings, before.sample, before.solution.place
     guess = advanced(place, sample.whole, length, before.curvature)
     slope = before.solution.slope if before.drift is None else before.solution.matrix + length * before.drift
     aim, reach = plane(curve, place, sample.whole, length), 0.5 * length + 1e-9
-    raw = correct(curve, guess, aim, place, reach=reach, slope=slope, fit=regraded)
+    fit = regraded if nearly is None else None
+    raw = correct(curve, nearly or guess, aim, place, reach=reach, slope=slope, fit=fit)
     whole = tangent(curve, raw, sample.whole)
     turn = float(np.arccos(np.clip(np.sum(curve.scales.metric(place) * sample.whole * whole), -1.0, 1.0)))
     if turn > settings.sharpest_turn:

@@ -16,8 +16,9 @@ from orbitfinder.families.members import batch_certified
 from orbitfinder.families.point import freed, make_point, parameter_value, unknowns_of
 from orbitfinder.families.registry import end_kind
 from orbitfinder.families.run import Run, in_scales
+from orbitfinder.loops.conditions import pinned
 from orbitfinder.loops.continued import Curve, Solution, correct, plane
-from orbitfinder.loops.loop import Equations
+from orbitfinder.loops.loop import Condition, Equations
 from orbitfinder.loops.mesh import regridded
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import NONE
@@ -66,7 +67,8 @@ def _read(journal: Journal, old: Curve, new: Curve, check: ClosureCheck | None, 
     def point(member: FamilyPoint) -> FamilyPoint:
         kept = ("index", "arclength", "step", "role", "indices", "wall_time")
         where = {entry: getattr(member, entry) for entry in kept}
-        return make_point(new, _on_mesh(old, new, member), member.tangent, name, check, **where)
+        exact = pinned(new.equations, name, member.value) if member.role != "step" else None
+        return make_point(new, _on_mesh(old, new, member, exact), member.tangent, name, check, **where)
 
     def event(member: Event) -> Event:
         w = _on_mesh(old, new, member).place
@@ -85,11 +87,11 @@ def _read(journal: Journal, old: Curve, new: Curve, check: ClosureCheck | None, 
     return Journal(header, tuple(map(batch, journal.batches)))
 
 
-def _on_mesh(old: Curve, new: Curve, member: FamilyPoint | Event) -> Solution:
-    """The orbit of a point or event of shooting on a mesh of another method that fits it."""
+def _on_mesh(old: Curve, new: Curve, member: FamilyPoint | Event, aim: Condition | None = None) -> Solution:
+    """The orbit of a point or event of shooting on a mesh of another method that fits it, where an aim is met."""
     march, place = new.equations.gridded, unknowns_of(old, member)
     assert march is not None
     states = old.equations.march.states(place.nodes, place.mesh, place.tail)
     place = replace(place, nodes=states[:-1])  # each step an interval
     place = regridded(march, place)
-    return correct(new, place, plane(new, place, member.tangent), place)
+    return correct(new, place, aim or plane(new, place, member.tangent), place)

@@ -38,7 +38,6 @@ EVEN = (2, 4, 6)
 odd share, such as a third, it goes on as another branch."""
 SAMPLED = 480
 """Samples over a period, divisible by every `parts`"""
-EVENLY = np.linspace(0.0, 1.0, SAMPLED + 1)
 BESIDE = (1e-4, 0.5)
 """d relative to the motion: above what cubics between the steps are off, and beside another family."""
 MOST_SECANT = 16
@@ -117,7 +116,7 @@ def _sampled(curve: Curve, place: Unknowns, states: np.ndarray) -> np.ndarray:
     p = curve.equations
     mesh, states = p.symmetry.whole(place.mesh, states, curve.constant)
     slopes = p.march.rates(states, place.tail, mesh * place.period) * place.period
-    return interpolated(mesh, states, slopes, EVENLY)
+    return interpolated(mesh, states, slopes, np.linspace(0.0, 1.0, SAMPLED + 1))
 
 
 def _beside(curve: Curve, solution: Solution) -> list[tuple[Invariance, np.ndarray, float]]:

@@ -18,14 +18,15 @@ from scipy.optimize import minimize_scalar
 from orbitfinder._runtime.arguments import check
 from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.families.run import Interval, Sample, ahead, is_real, real_indices
+from orbitfinder.families.run import JUNCTION, Interval, Sample, ahead, is_real, real_indices
 from orbitfinder.families.stability import matching
 from orbitfinder.loops.continued import crossed
 
 LOCATION = 2e-11
 """Arclength within which an event is located."""
-TOLD = 1e-4
-"""Smallest singular value, relative to the next, with which an orbit is known to 1e-10 beside a crossing family."""
+TOLD, WIDER = 1e-4, (1, 2, 4)
+"""Smallest singular value, relative to the next, with which an orbit is known to 1e-10 beside a crossing family; times
+the usual way from a crossing at which orbits are looked for that are"""
 STRAIGHT = 0.02
 """Share of the little way past a crossing family by which a measure that vanishes there is off its straight line."""
 UNTOLD = 1e-3
@@ -96,6 +97,7 @@ def located(interval: Interval, measure: Measure, low: float, high: float) -> Sa
         return interval.sample((low, high)[int(abs(ends[1]) < abs(ends[0]))])
     sample = interval.sample(zero(value, low, high, LOCATION))
     if interval.crossed(sample):
+        sample = replace(sample, whole=interval.heading(sample.distance))  # its rows tell neither family's tangent
         with suppress(ConvergenceError, IntegrationError):  # as of a step that is too short to look beyond
             return _across(interval, measure, sample)
     return sample
@@ -113,8 +115,11 @@ def zeros(interval: Interval, tests: Iterable[Test]) -> Iterator[tuple[Sample, T
 
 def _across(interval: Interval, measure: Measure, near: Sample) -> Sample:
     """The orbit `near` a crossing of two families at which a measure vanishes, as orbits on both sides tell."""
-    about = interval.about(near.distance)
-    if any(crossed(interval.curve, end.solution, TOLD) for end in (about.first, about.last)):
+    for wide in WIDER:
+        about = interval.about(near.distance, wide * JUNCTION)
+        if not any(crossed(interval.curve, end.solution, TOLD) for end in (about.first, about.last)):
+            break
+    else:
         return near  # the families part too slowly
 
     def sample(distance: float) -> Sample:

@@ -32,6 +32,7 @@ from orbitfinder.families import rest_problem as equations
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
 from orbitfinder.families.rest_certificate import Judge
 from orbitfinder.families.rest_problem import AtRest, Stacked
+from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.integrate.jets import Jets, at_rest
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
@@ -295,6 +296,7 @@ def _errors(point: Point, test: Vanishing) -> np.ndarray:
     return np.asarray((bars + np.abs(tangent) * share)[-2:])
 
 
+@one_thread()
 def follow_rest_curve(
     equilibria: Equilibria, event: int | RestEvent, names: tuple[str, str], until: float | None, at: Sequence[float],
     points: int, out: str | Path | None, name: str | None, model: Model, progress: Callable[[Equilibrium], None] | None,

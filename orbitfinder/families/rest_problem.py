@@ -30,8 +30,10 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.newton import Settings, Solver, largest, stepped
 from orbitfinder.mechanics.scales import LEAST_SHARE, parameter_sizes
 
-SETTINGS = Settings(floor=1e-15, round_off=1e-13, converged=1e-12, most_evaluations=12, contraction=0.05)
-SQUARE = Settings(floor=0.0, most_evaluations=30, contraction=0.3, farthest=1e3)
+SETTINGS, SQUARE = (
+    Settings(floor=1e-15, round_off=1e-13, converged=1e-12, most_evaluations=12, contraction=0.05),
+    Settings(floor=0.0, most_evaluations=30, contraction=0.3, farthest=1e3),
+)
 """Rows are relative to the sizes and the pace of the equilibrium; steps to what is singular, to all sizes"""
 AHEAD, UNDAMPED = 1.25, 1e-7
 """Sizes that are outgrown become so much larger than what outgrew them. Real parts below this

@@ -6,20 +6,22 @@ that are known (deflation). Source: P. E. Farrell, A. Birkisson, S. W. Funke, SI
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.integrate import solve_ivp
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.families.equilibrium import Equilibrium
 from orbitfinder.families.rest_certificate import NOISE, Judge
 from orbitfinder.families.rest_problem import AtRest, eigenvalues, regular, without_noise
+from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.integrate.jets import Jets, at_rest
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.newton import Settings, equilibrium
-from orbitfinder.orbits.guesses.settled import simulated
 
 NEAR = Settings(floor=1e-14, round_off=1e-9, converged=1e-9, most_evaluations=40, farthest=1e3)
 ANYWHERE = replace(NEAR, longest=1.0, patience=12, progress=0.9)
@@ -48,8 +50,8 @@ def first_equilibrium(
 
     Raises `ConvergenceError`.
     """
-    for rested in (False, True):
-        start = _rested(model, state) if rested else state
+    for simulated in (False, True):
+        start = _rested(model, state) if simulated else state
         jets = at_rest(model, (parameter,), start)
         value = np.array([model.parameter_values[model.parameter_index(parameter)]])
         problem = regular(jets, start, value, None if span is None else np.array([span])).seen(state, value)
@@ -95,15 +97,21 @@ def _apart(problem: AtRest, z: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def _rested(model: Model, state: np.ndarray) -> np.ndarray:
-    """Where a motion is after a long time; the state itself where it cannot be simulated."""
-    rates = model.rate(0.0, state, model.parameter_values).full().ravel()
-    pace = float(np.abs(rates / nonzero(np.abs(state))).max()) or 1.0
-    try:
-        return np.asarray(simulated(model, state, FARTHEST / pace).states[-1])
-    except IntegrationError:
-        return state
+    """Where a motion is after a long time, by BDF; the state itself where it cannot be integrated."""
+    values = model.parameter_values
+
+    def rates(_: float, x: np.ndarray) -> np.ndarray:
+        return np.asarray(model.rate(0.0, x, values).full().ravel())
+
+    pace = float(np.abs(rates(0.0, state) / nonzero(np.abs(state))).max()) or 1.0
+    with np.errstate(all="ignore"), contextlib.suppress(ValueError, ArithmeticError):
+        least = 1e-9 * float(np.abs(state).max())
+        path = solve_ivp(rates, (0.0, FARTHEST / pace), state, method="BDF", rtol=1e-6, atol=least)
+        return np.asarray(path.y[:, -1]) if np.isfinite(path.y[:, -1]).all() else state
+    return state
 
 
+@one_thread()
 def find_equilibria(
     model: Model, box: Mapping[str, Sequence[float]], parameter: str | None = None, starts: int = 100, seed: int = 0
 ) -> list[Equilibrium]:

@@ -158,12 +158,12 @@ class Interval:
         passing = np.abs(sample.about.values - 1.0).min(initial=np.inf) < PASSING
         return bool(passing) and self.curve.test is None and crossed(self.curve, sample.solution)
 
-    def about(self, distance: float) -> Interval:
+    def about(self, distance: float, junction: float = JUNCTION) -> Interval:
         """The interval about a place where another family crosses, between orbits that can each be told from it.
 
         There the aim no longer says which family is meant; the orbits inside stay on the cubic in that direction.
         """
-        first, last = (self.computed(place) for place in (distance - JUNCTION, distance + JUNCTION))
+        first, last = (self.computed(place) for place in (distance - junction, distance + junction))
         length = ahead(self.curve, first, last.solution)
         curve = replace(self.curve, degenerate=True)
         return make_interval(curve, replace(first, distance=0.0), replace(last, distance=length))

@@ -51,15 +51,14 @@ ROUNDED = 1e-12
 """Relative error of a number that follows from the state"""
 SAME_STEP = 1e-6
 """... or this share of how much it changes in the step, if that is more"""
-GROWN = 1.5
-"""A family that ends homoclinic has a period this many times its shortest"""
+GROWN, SHARPER = 1.5, 1e-4
+"""A family that ends homoclinic has a period this many times its shortest; recorded error bars are at least this share
+of those found from an event's state alone, with which errors grow"""
 SETTLED = 1e-6
 """Equilibria and eigenvalues at such an end are known to this, relative"""
 SHARES = ((3e-3, 0), (3e-4, 0), (5e-2, 1), (2e-1, 1), (5e-1, 1))
 """How far the orbits on both sides are, in steps of the family, and whether there are others twice as far: the nearer
 ones where two events share a step, the farthest where a parameter hardly moves beyond its round-off, as in a canard"""
-SHARPER = 1e-4
-"""Share of the error bars found from an event's state alone, where errors grow, that recorded ones are at least"""
 STEPS = 480
 """Steps of a period on which an orbit is marched of which the nodes are not known"""
 
@@ -87,7 +86,7 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float, paramete
             ]  # fmt: skip
             before, middle, after = looks[outer : len(looks) - outer]
             sides = Sides(before, here, middle, after, share * step, step, looks[:: len(looks) - 1] if outer else (),
-                          parameter)  # fmt: skip
+                          parameter, share == SHARES[-1][0])  # fmt: skip
             result = kind.check(sides, event)
             check(f"EventKind {event.kind!r}, check", "Reading", result)
         except (ConvergenceError, IntegrationError) as error:
@@ -217,19 +216,28 @@ def _event(family: Family, curve: Curve, event: Event) -> Check:
         before, after = _neighbours(family, event)
         _told(family, curve, event, abs(after.value - before.value), abs(after.energy - before.energy))
         along = (_head(after) - _head(before)) * (1.0 if event.arclength >= 0 else -1.0)
-        again = _read_again(curve, event, along, after.arclength - before.arclength, family.parameter)
-        old = event.check
+        step, old = after.arclength - before.arclength, event.check
+        again = _read_again(curve, event, along, step, family.parameter)
         if old is not None and not (old.passed and abs(old.value - again.value) <= old.error + again.error):
             raise ConvergenceError(f"recorded as {old.value:.3g} +- {old.error:.1g}, found {again.value:.3g}")
         if old is not None and old.criticality and old.criticality != again.criticality:
             raise ConvergenceError(f"recorded as {old.criticality}, found {again.criticality or 'neither'}")
-        bars = (again.parameter_error, event.error), (again.period_error, event.period_error)
-        for found, told in bars:
-            if found is not None and told is not None and not told >= SHARPER * found:
-                raise ConvergenceError(f"an error bar is recorded as {told:.1g}, found {found:.1g}")
+        sharper = _too_sharp(event, again)
+        if sharper and event.mesh.size:  # by its nodes it is known better than by its state alone
+            sharper = _too_sharp(event, reading(curve, event, along, step, family.parameter))
+        if sharper:
+            raise ConvergenceError(sharper)
     except (ConvergenceError, IntegrationError) as error:
         return refused(event.kind, error, float("nan"))
     return at_most(event.kind, abs(again.value), again.error, event.detail, again.passed)
+
+
+def _too_sharp(event: Event, again: Reading) -> str:
+    """What is wrong with the error bars of an event read again, or nothing."""
+    for now, told in ((again.parameter_error, event.error), (again.period_error, event.period_error)):
+        if now is not None and told is not None and not told >= SHARPER * now:
+            return f"an error bar is recorded as {told:.1g}, found {now:.1g}"
+    return ""
 
 
 def _read_again(curve: Curve, event: Event, along: np.ndarray, step: float, parameter: str) -> Reading:

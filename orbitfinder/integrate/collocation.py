@@ -198,11 +198,22 @@ class Collocation(Gridded):
     ) -> Stages:
         """P steps of lengths `steps` that begin at shares `begins` of the period, solved by Newton's method, or changed
         by it `once`."""
-        known, away = self._nearest(key, nodes, tails)
+        (known, away), solved = self._nearest(key, nodes, tails), None
         if known is not None and away == 0.0 and known.change < SOLVED:
             return known
-        begun = known is not None and np.isfinite(away)
-        z = known.moved(nodes, tails) if begun and known is not None else self._cubic(nodes, steps, begins, tails)
+        if known is not None and np.isfinite(away):
+            solved = self._from(known.moved(nodes, tails), nodes, steps, begins, tails, once)
+        if solved is None:  # also where another orbit had the mesh
+            solved = self._from(self._cubic(nodes, steps, begins, tails), nodes, steps, begins, tails, once)
+        if solved is None:
+            raise IntegrationError("the equations of collocation do not converge; start nearer, or with a finer mesh")
+        self._keep(key, solved)
+        return solved
+
+    def _from(
+        self, z: np.ndarray, nodes: np.ndarray, steps: np.ndarray, begins: np.ndarray, tails: np.ndarray, once: bool
+    ) -> Stages | None:
+        """The same from first stages, None where they lead nowhere."""
         units = nonzero(np.abs(nodes).max(axis=0))
         for _ in range(MOST_ITERATIONS):
             if self._staging is not None:
@@ -214,10 +225,8 @@ class Collocation(Gridded):
             if not change < 1e6:
                 break
             if once or change < SOLVED:
-                solved = Stages(nodes, tails, z, changes[:, :, 1:], integrals, change)
-                self._keep(key, solved)
-                return solved
-        raise IntegrationError("the equations of collocation do not converge; start nearer, or with a finer mesh")
+                return Stages(nodes, tails, z, changes[:, :, 1:], integrals, change)
+        return None
 
     def _cubic(self, nodes: np.ndarray, steps: np.ndarray, begins: np.ndarray, tails: np.ndarray) -> np.ndarray:
         """Stages (P x m x d) on the cubics through nodes and rates, the last of which ends where the first begins; on

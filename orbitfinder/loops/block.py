@@ -70,6 +70,8 @@ class Ahead:
     next: float
     accepted: Accepted | None = None
     """how it stands, where that is known"""
+    fits: bool = True
+    """False where its mesh is stale or may be far too fine, which the driver must see to"""
 
 
 class Blocks:
@@ -109,9 +111,10 @@ class Blocks:
         for k in range(made):
             raw, turn, stretch, missed = passage[0][k], *map(float, passage[7][k, :3])
             accepted = _accepted(curve, w, standing, passage, k)
-            solution = replace(accepted.solution, jacobian=passage[6][k])
+            solution, fits = replace(accepted.solution, jacobian=passage[6][k]), bool(passage[7][k, 6])
             where = before, float(standing[5][k, 0])
-            ahead.append(Ahead(*where, solution, raw, turn, stretch, missed, float(standing[5][k + 1, 0]), accepted))
+            after = float(standing[5][k + 1, 0])
+            ahead.append(Ahead(*where, solution, raw, turn, stretch, missed, after, accepted, fits))
             before = solution.place
         return ahead
 
@@ -137,7 +140,7 @@ def _rows(w: Unknowns, count: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """What stands at a point and before `count` others, and what is met on the way to each (see `advance.c`)."""
     (segments, d), f, n, cut = w.nodes.shape, w.free.size, w.vector.size, w.nodes.size
     standing = [(n,), (n,), (n,), (2 * d + 1 + 4 * f,), (cut,), (1,)]
-    passage = [(n,), (n,), (segments, d), (segments, d, d), (segments, d, n - cut), (w.mesh.size, d), (n - 1, n), (6,)]
+    passage = [(n,), (n,), (segments, d), (segments, d, d), (segments, d, n - cut), (w.mesh.size, d), (n - 1, n), (7,)]
     return [np.zeros((count + 1, *shape)) for shape in standing], [np.empty((count, *shape)) for shape in passage]
 
 

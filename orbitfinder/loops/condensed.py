@@ -22,7 +22,7 @@ from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.integrate.lanes.bordered import Chain, chains
+from orbitfinder.integrate.lanes.bordered import Bordered, chains
 from orbitfinder.mechanics.newton import Solver, least_squares
 
 LARGEST_PRODUCT = 1e8
@@ -48,8 +48,8 @@ def _pattern(count: int, size: int, extra: int, wide: bytes) -> tuple[np.ndarray
     places = [
         np.array([np.repeat(block.ravel(), size), (block[:, :1, None] + own).ravel()]),
         np.array([block.ravel(), block.ravel() + size]),
-        np.array(np.nonzero(held)) + [[cut], [0]],
-        *(part + [[above], [total]] for part, above in zip(tail, (0, cut), strict=True)),
+        np.add(np.nonzero(held), [[cut], [0]]),
+        *(np.add(part, [[above], [total]]) for part, above in zip(tail, (0, cut), strict=True)),
     ]
     row, column = np.concatenate(places, axis=1).astype(np.int32)
     order = np.lexsort((row, column))
@@ -94,14 +94,9 @@ class Linearised:
         tail = self.last @ self.columns[-1] + self.tail
         shape = (cut + rows, total + extra)
         held, order, places, starts = _pattern(count, size, extra, np.any(closing[:, size:cut], axis=1).tobytes())
-        parts = (
-            self.transitions[:-1].ravel(),
-            np.full(cut, -1.0),
-            closing[held],
-            self.columns[:-1].ravel(),
-            tail.ravel(),
-        )
-        return csc_matrix((np.concatenate(parts)[order], places, starts), shape=shape)
+        links = (self.transitions[:-1].ravel(), np.full(cut, -1.0))
+        entries = np.concatenate([*links, closing[held], self.columns[:-1].ravel(), tail.ravel()])
+        return csc_matrix((entries[order], places, starts), shape=shape)
 
     def bordered(self, row: np.ndarray) -> Linearised:
         """The same with a row more, over w, after the closing ones."""
@@ -152,7 +147,7 @@ def pivoted(system: Linearised, columns: np.ndarray | None = None) -> Solver:
 
 
 def _chained(opened: ctypes.CDLL, system: Linearised, columns: np.ndarray) -> Solver:
-    """The same by a `Chain`: a closing row over many nodes is a sum that is carried along them beside the state."""
+    """The same by `Bordered`: a closing row over many nodes is a sum that is carried along them beside the state."""
     (count, size, extra), (rows, nodes) = system.columns.shape, system.first.shape
     first = np.zeros((rows, count, size))
     first.reshape(rows, -1)[:, :nodes] = system.first
@@ -170,14 +165,14 @@ def _chained(opened: ctypes.CDLL, system: Linearised, columns: np.ndarray) -> So
     unit = columns[:size]
     units = np.append(unit, nonzero(np.abs(summed * unit).max(axis=(1, 2))))
     cut, tails = count * size, columns[count * size :]
-    chain = Chain(opened, phi=phi, columns=columns_, first=begin, last=end, tail=tail, states=units, tails=tails)
+    chain = Bordered(opened, phi=phi, columns=columns_, first=begin, last=end, tail=tail, states=units, tails=tails)
 
     def solve(right: np.ndarray) -> np.ndarray:
         full = np.zeros(count * whole + extra)
         full[: (count - 1) * whole].reshape(-1, whole)[:, :size] = right[: cut - size].reshape(-1, size)
         full[(count - 1) * whole : (count - 1) * whole + rows] = right[cut - size :]
-        found = -chain.solve(full)
-        return np.append(found[: count * whole].reshape(-1, whole)[:, :size], found[count * whole :])
+        answer = -chain.solve(full)
+        return np.append(answer[: count * whole].reshape(-1, whole)[:, :size], answer[count * whole :])
 
     return solve
 

@@ -116,6 +116,8 @@ def pinned(equations: Equations, name: str, value: float) -> Condition:
 
 def measured(equations: Equations, w: Unknowns, name: str) -> float:
     """What a quantity or a freed parameter is at w."""
+    if name in equations.free:
+        return float(w.free[equations.free.index(name)])
     if (key := ("measured", name)) not in equations.derived:
         equations.derived[key] = pinned(equations, name, 0.0)
     return float(equations.derived[key].at(equations, w))

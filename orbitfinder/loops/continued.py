@@ -408,10 +408,8 @@ def tangent(curve: Curve, solution: Solution, along: np.ndarray) -> np.ndarray:
     row = metric * place.over(along)
     right = np.zeros(place.vector.size)
     right[-1] = 1.0
-    known, solver = solution.kept.get(
-        "solver", (None, None)
-    )  # whatever its last row, it knows the kernel of the others
-    if known is not solution.jacobian:
+    known, solver = solution.kept.get("solver", (None, None))
+    if known is not solution.jacobian:  # else the kernel is known, whatever the row of the aim was
         solver = _solver(curve, place, solution.jacobian, row)
     whole = solver(right)
     return np.asarray(whole / np.copysign(np.sqrt(metric @ whole**2), row @ whole))

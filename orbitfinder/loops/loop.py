@@ -190,17 +190,8 @@ class Equations:
         """What integrates the loop, or one of its arcs in periods of its own: once for loops of a thread that differ in
         their links alone."""
         unfolded = tuple(invariant.name for invariant in self.symmetry.unfolded(model))
-        key = (
-            Same(self.model),
-            self.free,
-            unfolded,
-            self.action,
-            self.alone,
-            self.by,
-            arc,
-            self.symmetry.parts,
-            get_ident(),
-        )
+        parts = self.symmetry.parts
+        key = Same(self.model), self.free, unfolded, self.action, self.alone, self.by, arc, parts, get_ident()
         return _marches((key, mode()), lambda: self._derived(model, arc))
 
     def _derived(self, model: Model, arc: int | None) -> March:

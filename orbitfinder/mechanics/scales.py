@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder._runtime.sizes import nonzero
+from orbitfinder._runtime.sizes import LEAST, nonzero
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.model import Model
 
@@ -26,8 +26,8 @@ ALIKE = 16.0
 """Lengths that differ by less than this factor are measured alike."""
 
 STILL = 1e-12
-"""A component of a first-order state that is less than this share of another is its round-off, not of smaller units, but
-for one that is `acting`."""
+"""A component of a first-order state that is less than this share of another is its round-off, not of smaller units,
+but for one that is `acting`."""
 
 FELT, LOOKED_AT = 1e-8, 8
 """Relative changes that are more than round-off; states at which it is asked whether they are felt"""
@@ -241,7 +241,7 @@ def alone(
     turning = np.zeros(moved.size, bool) if angular is None else angular
     largest = np.where(turning, moved[turning].max(initial=0.0), moved[~turning].max(initial=0.0))
     moves = moved > STILL * largest
-    if acts is not None and (small := ~moves & (moved > 0.0)).any():
+    if acts is not None and (small := ~moves & (moved > LEAST)).any():
         moves |= acts(small)
     shares = np.where(moves, moved, share * largest)
     return np.where(np.isfinite(largest) & (largest > 0.0), shares, 1.0)
@@ -257,7 +257,7 @@ def acting(rates: Callable[[np.ndarray], np.ndarray], states: np.ndarray) -> Act
     """Which small components of a motion (k x d) act, by the rates (k x d) of states: in whatever units they are told.
 
     Half of it is felt by the rate of another that moves, or it is driven by those: its rate is not in proportion to it.
-    The round-off of what stays at 0, such as in a plane that is invariant, is neither.
+    The round-off of what stays at 0, such as in a plane that is invariant or on a section, is neither.
     """
 
     def acts(small: np.ndarray) -> np.ndarray:
@@ -266,13 +266,19 @@ def acting(rates: Callable[[np.ndarray], np.ndarray], states: np.ndarray) -> Act
         asked, idle = small & ~(np.ptp(few, axis=0) < least), small.copy()
         now = rates(few)
         jolted = few * (1.0 + FELT * (-1.0) ** np.arange(small.size))
+        most = FELT * np.abs(now).max(axis=0)
+        if len(few) > 1:  # what stays though its rate would move it, as on a section, is held at 0
+            paces = np.abs(now).max(axis=0) / nonzero(np.ptp(few, axis=0))
+            asked &= paces <= paces[~small].max(initial=0.0) / STILL
         while True:
-            offset = 2 * rates(np.where(idle, few / 2, few)) - now
-            noise = 2 * rates(np.where(idle, jolted / 2, jolted)) - rates(jolted) - offset
-            driven = np.abs(offset).max(axis=0) > np.abs(noise).max(axis=0)
-            more = asked & idle & (driven | _felt(rates, few, now, asked & idle, ~idle))
+            more = _felt(rates, few, now, asked & idle, ~idle)
+            if not more.any():  # who is felt is no constant of the others
+                offset = 2 * rates(np.where(idle, few / 2, few)) - now
+                noise = 2 * rates(np.where(idle, jolted / 2, jolted)) - rates(jolted) - offset
+                driven = np.abs(offset).max(axis=0) > np.maximum(np.abs(noise).max(axis=0), most)
+                more = asked & idle & driven
             if not more.any():
-                return asked & ~idle
+                return np.asarray(asked & ~idle)
             idle &= ~more
 
     return acts
@@ -284,7 +290,7 @@ def _felt(
     now: np.ndarray,
     asked: np.ndarray,
     moving: np.ndarray,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Whose halves (a mask d) change the rates `now` (k x d) of those that are moving."""
     felt, most = np.zeros(asked.size, bool), FELT * np.abs(now).max(axis=0)
     for k in np.flatnonzero(asked):

@@ -48,7 +48,7 @@ def structure(
     s(-d - gap)). "friction": dry, limit tanh(d' / smoothing). What has a corner is smooth here: s(x) = (x + sqrt(x^2 +
     smoothing^2)) / 2 is max(0, x) to half the smoothing (m) at most, and friction is viscous below its smoothing (m/s):
     make it smaller until nothing changes. Each number is a physical parameter: `tip_stiffness` of an element `tip`,
-    `amplitude` and `frequency` of the load; text names one that several share. SI units, or any that go together.
+    `amplitude` and `frequency` of the load; text names what several share. SI units, or any that go together.
 
     Args:
         mass: M (n x n), symmetric and positive definite; a matrix, SciPy's sparse too, the path of a Matrix Market
@@ -85,7 +85,7 @@ def structure(
     size = given["mass"].shape[0]
     for name, matrix in given.items():
         if matrix.shape != (size, size):
-            raise InputError(f"{name}: shape {matrix.shape}, but mass is {size} x {size}; give matrices of one size")
+            raise InputError(f"{name}: shape {matrix.shape}, but mass is {size} x {size}; give them one size")
     m, k = (_symmetric(name, given[name]) for name in ("mass", "stiffness"))
     c = given.get("damping", sparse.csc_matrix((size, size)))
     written = _Written(size, names, parameters or {})
@@ -104,7 +104,7 @@ def structure(
     loose = [not k[:, i].nnz and i not in written.held for i in range(size)]
     system = {
         "kind": "structure", "mass": market(m), "stiffness": market(k), "damping": market(c) if c.nnz else None,
-        "elements": {name: dict(one) for name, one in (elements or {}).items()}, "names": list(names) or None,
+        "elements": {name: dict(element) for name, element in (elements or {}).items()}, "names": list(names) or None,
         "forcing": None if forcing is None else dict(forcing), "parameters": dict(written.given),
     }  # fmt: skip
     return mechanical_model(
@@ -119,12 +119,12 @@ def market(matrix: Any) -> str:
     full = sparse.coo_matrix(matrix)
     full.sum_duplicates()
     alike = (abs(full - full.T)).nnz == 0
-    one = sparse.coo_matrix(sparse.tril(full)) if alike else full
+    kept = sparse.coo_matrix(sparse.tril(full)) if alike else full
     lines = [
         f"{MARKET} matrix coordinate real {'symmetric' if alike else 'general'}",
-        f"{full.shape[0]} {full.shape[1]} {one.nnz}",
+        f"{full.shape[0]} {full.shape[1]} {kept.nnz}",
     ]
-    lines += [f"{i + 1} {j + 1} {float(x)!r}" for i, j, x in zip(one.row, one.col, one.data, strict=True)]
+    lines += [f"{i + 1} {j + 1} {float(x)!r}" for i, j, x in zip(kept.row, kept.col, kept.data, strict=True)]
     return "\n".join([*lines, ""])
 
 
@@ -139,16 +139,16 @@ def _matrix(name: str, given: Matrix) -> Any:
         text = str(given)
         given = _read(name, "text", text.encode()) if _is_text(text) else _read(name, *_file(name, Path(text)))
     try:
-        found = sparse.csc_matrix(given, dtype=float)
+        columns = sparse.csc_matrix(given, dtype=float)
     except (TypeError, ValueError) as error:
         raise InputError(f"{name}: no matrix of numbers ({shortened(error, 80)}); give n x n real numbers") from error
-    if not np.isfinite(found.data).all():
+    if not np.isfinite(columns.data).all():
         raise InputError(f"{name}: has entries that are not finite; write it anew")
-    if found.shape[0] != found.shape[1] or not found.shape[0]:
-        raise InputError(f"{name}: shape {found.shape}; a square matrix is wanted, n x n")
-    found.sum_duplicates()
-    found.eliminate_zeros()
-    return found
+    if columns.shape[0] != columns.shape[1] or not columns.shape[0]:
+        raise InputError(f"{name}: shape {columns.shape}; a square matrix is wanted, n x n")
+    columns.sum_duplicates()
+    columns.eliminate_zeros()
+    return columns
 
 
 def _file(name: str, path: Path) -> tuple[str, bytes]:
@@ -162,12 +162,12 @@ def _read(name: str, file: str, data: bytes) -> Any:
     """The matrix in a file's bytes, by what they begin with."""
     try:
         if data.startswith(b"PK"):
-            with np.load(BytesIO(data)) as found:
-                if "format" in found:
+            with np.load(BytesIO(data)) as archive:
+                if "format" in archive:
                     return sparse.load_npz(BytesIO(data))
-                if len(found.files) != 1:
-                    raise ValueError(f"it has {len(found.files)} arrays and one is wanted")
-                return found[found.files[0]]
+                if len(archive.files) != 1:
+                    raise ValueError(f"it has {len(archive.files)} arrays, a single array is wanted")
+                return archive[archive.files[0]]
         if not data.lstrip().startswith(MARKET.encode()):
             raise ValueError(f"it begins with neither {MARKET} nor as .npz does")
         return mmread(BytesIO(data.lstrip()))
@@ -201,14 +201,14 @@ def _factors(mass: Any, names: Sequence[str]) -> SuperLU | None:
     if mass.nnz == mass.shape[0]:
         return None
     try:
-        found = splu(mass, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        pivots = found.U.diagonal()
+        factors = splu(mass, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        pivots = factors.U.diagonal()
     except RuntimeError:
         pivots = np.zeros(1)
-    if not pivots.min() > SINGULAR * pivots.max() or not np.array_equal(found.perm_r, found.perm_c):
+    if not pivots.min() > SINGULAR * pivots.max() or not np.array_equal(factors.perm_r, factors.perm_c):
         raise InputError(f"mass: not positive definite (pivots from {pivots.min():.3g} to {pivots.max():.3g}); a "
                          "combination of coordinates moves no mass, or its sign is wrong")  # fmt: skip
-    return found
+    return factors
 
 
 def _solved(factors: SuperLU | None, mass: Any, right: Any) -> Any:
@@ -321,7 +321,7 @@ class _Written:
             self.outer[self._place("forcing.at", name)] += _number(f"forcing.at.{name}", share) * load
 
     def _parameter(self, where: str, name: str, value: Any, key: str) -> Any:
-        """The symbol of a number, or of the shared one that a text names."""
+        """The symbol of a number, or of what a text names."""
         if isinstance(value, str):
             if value not in self.given:
                 hint = closest(value, self.given)

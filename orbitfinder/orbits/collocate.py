@@ -27,6 +27,7 @@ from orbitfinder.loops.symmetry import recognise, symplectic
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.newton import Settings, Solver, full
+from orbitfinder.mechanics.scales import extents_of
 from orbitfinder.orbits.floquet import Floquet, complement, generated, judged
 from orbitfinder.orbits.guesses.settled import cycles, lap
 from orbitfinder.orbits.measure import provenance, recorded
@@ -180,7 +181,9 @@ def _refined(
 def _begun(problem: Problem, equations: Equations, guess: Guess, count: int) -> Unknowns:
     """A guess's trajectory on a first mesh, which shares out its steps, its way and its time."""
     times, states = np.asarray(guess.times, float) / guess.period, np.asarray(guess.states, float)
-    way = np.append(0.0, np.cumsum(np.abs(np.diff(states, axis=0) / nonzero(np.ptp(states, axis=0))).max(axis=1)))
+    way = np.append(
+        0.0, np.cumsum(np.abs(np.diff(states, axis=0) / extents_of(problem.model, states, guess.period)).max(axis=1))
+    )
     work = np.linspace(0.0, 1.0, len(times)) + way / way[-1] + times
     mesh = np.interp(np.linspace(0.0, work[-1], count + 1), work, times)
     mesh[-1] = 1.0
@@ -197,7 +200,7 @@ def _begun(problem: Problem, equations: Equations, guess: Guess, count: int) -> 
 def closed(problem: Problem, equations: Equations, w: Unknowns) -> Unknowns:
     """The orbit on the mesh of a first guess, by Newton's method. Raises `ConvergenceError`, `IntegrationError`."""
     loop = loop_of(problem, equations, w, equations.ends(w)[-1], problem.pin)
-    units = nonzero(np.ptp(w.nodes, axis=0))
+    units = extents_of(problem.model, w.nodes, w.period)
     free = np.where(w.free != 0.0, np.abs(w.free), 1.0)
     measures = Measures.of(loop, w, w.joined(units, w.period, 1.0 / w.period, free))
 
@@ -232,7 +235,7 @@ def measured(problem: Problem, equations: Equations, w: Unknowns) -> Orbit:
 def _turned(equations: Equations, w: Unknowns) -> Unknowns:
     """The same orbit begun where neither its pace nor what decays makes much of errors."""
     march = _march(equations)
-    units = nonzero(np.ptp(w.nodes, axis=0))
+    units = extents_of(equations.model, w.nodes, w.period)
     paces = np.linalg.norm(march.rates(w.nodes, w.tail) / units, axis=1) * w.period
     decays = march.decays(w.nodes, w.tail, w.mesh[:-1] * w.period) * w.period
     k = int(np.argmin(paces + QUIET * decays / nonzero(paces)))
@@ -244,7 +247,7 @@ def _turned(equations: Equations, w: Unknowns) -> Unknowns:
 
 def _multipliers(model: Model, equations: Equations, w: Unknowns, transitions: np.ndarray) -> Floquet:
     """The non-trivial multipliers, of the transitions one after another that are never multiplied out."""
-    units = nonzero(np.ptp(w.nodes, axis=0))
+    units = extents_of(model, w.nodes, w.period)
     matrices, places = merged(transitions * units / units[:, None])
     nodes = np.vstack([w.nodes, w.nodes[:1]])[places]
     directions = np.array([generated(model, x) for x in nodes])

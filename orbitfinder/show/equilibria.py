@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -121,7 +122,8 @@ def save_diagram_figure(diagram: BifurcationDiagram, folder: str | Path, model: 
     families = [curve for curve in diagram.curves if isinstance(curve.record, Family)]
     number = (*model.state_names[: model.degrees_of_freedom], NORM).index(diagram.coordinate)
     norm = number == model.degrees_of_freedom
-    figure = new_figure(8.0, 6.8 if families else 4.8, diagram.name, diagram.counts)
+    counts = "\n".join(textwrap.wrap(diagram.counts, 80))
+    figure = new_figure(8.0, 6.8 if families else 4.8, diagram.name, counts)
     axes = figure.subplots(
         2 if families else 1, 1, sharex=True, squeeze=False, height_ratios=(2.2, 1)[: 1 + bool(families)]
     )

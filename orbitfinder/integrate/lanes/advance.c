@@ -35,28 +35,6 @@ static double norm2(const double *a, const double *b, ptrdiff_t n) {
   return sqrt(sum);
 }
 
-/* LU with the largest pivot of each column; 0 where there is none. */
-static int factored(double *a, ptrdiff_t *order, ptrdiff_t n) {
-  for (ptrdiff_t c = 0; c < n; c++) {
-    ptrdiff_t best = c;
-    for (ptrdiff_t r = c + 1; r < n; r++) if (fabs(a[r * n + c]) > fabs(a[best * n + c])) best = r;
-    order[c] = best;
-    if (!(fabs(a[best * n + c]) > 0)) return 0;
-    if (best != c) for (ptrdiff_t k = 0; k < n; k++) {
-      double x = a[c * n + k]; a[c * n + k] = a[best * n + k]; a[best * n + k] = x;
-    }
-    double inverse = 1.0 / a[c * n + c];
-    for (ptrdiff_t r = c + 1; r < n; r++) {
-      double share = a[r * n + c];
-      if (share == 0.0) continue;
-      share *= inverse;
-      a[r * n + c] = share;
-      for (ptrdiff_t k = c + 1; k < n; k++) a[r * n + k] -= share * a[c * n + k];
-    }
-  }
-  return 1;
-}
-
 static void solved(const double *a, const ptrdiff_t *order, double *b, ptrdiff_t n) {
   for (ptrdiff_t c = 0; c < n; c++) {
     double x = b[order[c]]; b[order[c]] = b[c]; b[c] = x;
@@ -256,10 +234,10 @@ static void row_units(const Work *o, const Standing *from, double level) {
 static int factored_with(const Work *o, const double *aim) {
   memcpy(o->matrix, o->kept, o->n * o->rows * sizeof(double));
   memcpy(o->matrix + o->n * o->rows, aim, o->n * sizeof(double));
-  return factored(o->matrix, o->order, o->n);
+  return eliminated(o->matrix, o->order, o->n, o->n, o->n);
 }
 
-/* Whether the mesh serves: no step's error is stale, no segment steep, and the steps are not far too many. */
+/* Whether the mesh serves: no segment is steep; 2 where a step's error is stale, or the steps may be far too many. */
 static int serves(const Work *o, const Passage *q, const double *scales) {
   const Frame *f = o->f;
   const ptrdiff_t M = f->segments * f->steps, every = (ptrdiff_t)f->sampled;
@@ -279,7 +257,8 @@ static int serves(const Work *o, const Passage *q, const double *scales) {
   }
   for (ptrdiff_t k = 0; k < f->segments * D * D; k++)
     steep = fmax(steep, fabs(q->phi[k]) * scales[k % D] / scales[k / D % D]);
-  return worst < f->stale * f->allowed && needed * f->spare >= count && D * steep <= f->steepest;
+  if (!(D * steep <= f->steepest) || !isfinite(worst)) return 0;
+  return worst < f->stale * f->allowed && needed * f->spare >= count ? 1 : 2;
 }
 
 /* The sizes of the whole motion (see `loops.scales.sizes`). */
@@ -400,7 +379,7 @@ static int accepted(const Work *o, const Standing *from, const Standing *to, con
   return 1;
 }
 
-/* The point after one; 0 where the driver must see to it. */
+/* The point after one; 0 where the driver must see to it, 2 where to its mesh alone. */
 static int stepped(const Work *o, const Standing *from, const Standing *to, const Passage *q) {
   const Frame *f = o->f;
   double length = *from->length, level, turn, stretch, missed;
@@ -422,13 +401,15 @@ static int stepped(const Work *o, const Standing *from, const Standing *to, cons
   turn = acos(fmax(-1.0, fmin(1.0, inner(o, from->tangent, q->raw))));
   stretch = fabs(to->w[o->cut] / from->w[o->cut] - 1.0);
   if (!(turn <= f->sharpest) || (stretch > f->stretch && length > 1e-4)) return 0;
-  if (!serves(o, q, from->scales)) return 0;
+  int fits = serves(o, q, from->scales);
+  if (!fits) return 0;
   missed = apart(o, o->guess, to->w);
   q->facts[0] = turn; q->facts[1] = stretch; q->facts[2] = missed;
   double bendable = fmin(0.4 * f->sharpest / fmax(turn, 1e-9), 0.6 * f->stretch / fmax(stretch, 1e-9));
   double ease = fmax(0.5, fmin(1.5, pow(f->prediction / fmax(missed, 1e-12), 1.0 / 3)));
   *to->length = fmin(f->longest, length * fmin(ease, fmax(0.5, bendable)));
-  return accepted(o, from, to, q);
+  q->facts[6] = fits == 1;
+  return accepted(o, from, to, q) ? fits : 0;
 }
 
 /* A point whose w, tangent and place of its march are known already. */
@@ -446,7 +427,7 @@ static int replayed(const Work *o, const Standing *from, const Standing *to, con
    of which w, tangent and march were given. */
 ptrdiff_t advance(const Frame *f, ptrdiff_t count, int known, double *const *standing, double *const *passage) {
   const ptrdiff_t N = f->segments, M = N * f->steps, cut = N * D, n = cut + TAILS, rows = n - 1, wide = 2 * D + 1 + 4 * FREE;
-  const ptrdiff_t before[] = {n, n, n, wide, cut, 1}, on[] = {n, n, N * D, N * D * D, N * D * TAILS, (M + 1) * D, rows * n, 6};
+  const ptrdiff_t before[] = {n, n, n, wide, cut, 1}, on[] = {n, n, N * D, N * D * D, N * D * TAILS, (M + 1) * D, rows * n, 7};
   ptrdiff_t made = 0, size = n * n + rows * n + 8 * n + M * D + N;
   double *space = malloc(size * sizeof(double)), *p = space;
   ptrdiff_t *order = malloc(n * sizeof(ptrdiff_t));
@@ -474,7 +455,8 @@ ptrdiff_t advance(const Frame *f, ptrdiff_t count, int known, double *const *sta
       for (int k = 0; k < 8; k++) q[k] = passage[k] + made * on[k];
       Standing from = {s[0], s[1], s[2], s[3], s[4], s[5]}, to = {s[6], s[7], s[8], s[9], s[10], s[11]};
       Passage way = {q[0], q[1], q[2], q[3], q[4], q[5], q[6], q[7]};
-      if (!(known ? replayed : stepped)(&o, &from, &to, &way)) break;
+      int fits = (known ? replayed : stepped)(&o, &from, &to, &way);
+      if (fits != 1) { made += fits == 2; break; }
     }
   }
   free(space);

@@ -90,7 +90,7 @@ def _code(field: ca.Function, integrand: ca.Function | None, conditions: ca.Func
         emitted(scalars(field), "flow"),
         emitted(scalars(conditions), "conditions"),
     )
-    return "".join([heads, *bodies, source("advance.c")])
+    return "".join([heads, *bodies, source("pivots.c"), source("advance.c")])
 
 
 def _opened(path: Path) -> Advance:

@@ -5,8 +5,6 @@
    x_1, x_2, ... are eliminated one after another between the two blocks of rows that hold them, by the largest pivot of
    both: what grows and what decays along the chain keep their digits alike. Source: S. Wright, SIAM Journal on
    Scientific and Statistical Computing 13 (1992) 742-764 (structured LU). What is left is of x_0, x_{N-1} and y. */
-#include <math.h>
-#include <stddef.h>
 #include <string.h>
 
 typedef struct {
@@ -18,24 +16,6 @@ typedef struct {
 #define CLOSING (d + m)
 #define LEFT (2 * d + m)             /* unknowns that are left at last */
 #define PIECE (2 * d * WIDTH)        /* numbers kept of an elimination */
-
-/* The first columns of some rows reduced by those of the largest pivots, shares kept in their place; 0 without one. */
-static int reduced(double *a, ptrdiff_t *order, ptrdiff_t rows, ptrdiff_t columns, ptrdiff_t width) {
-  for (ptrdiff_t c = 0; c < columns; c++) {
-    ptrdiff_t best = c;
-    for (ptrdiff_t r = c + 1; r < rows; r++) if (fabs(a[r * width + c]) > fabs(a[best * width + c])) best = r;
-    order[c] = best;
-    if (!(fabs(a[best * width + c]) > 0)) return 0;
-    if (best != c) for (ptrdiff_t k = 0; k < width; k++) {
-      double x = a[c * width + k]; a[c * width + k] = a[best * width + k]; a[best * width + k] = x;
-    }
-    for (ptrdiff_t r = c + 1; r < rows; r++) {
-      double share = a[r * width + c] /= a[c * width + c];
-      if (share != 0.0) for (ptrdiff_t k = c + 1; k < width; k++) a[r * width + k] -= share * a[c * width + k];
-    }
-  }
-  return 1;
-}
 
 static void swapped(double *b, const ptrdiff_t *order, ptrdiff_t columns) {
   for (ptrdiff_t c = 0; c < columns; c++) if (order[c] != c) { double x = b[c]; b[c] = b[order[c]]; b[order[c]] = x; }
@@ -64,7 +44,7 @@ int factored(const Chain *o, double *kept, ptrdiff_t *order, double *now) {
       row[2 * d + i] = -1.0;
       for (ptrdiff_t j = 0; j < m; j++) row[3 * d + j] = o->columns[(k * d + i) * m + j] * v[j] / u[i];
     }
-    if (!reduced(piece, order + (k - 1) * d, 2 * d, d, WIDTH)) return 0;
+    if (!eliminated(piece, order + (k - 1) * d, 2 * d, d, WIDTH)) return 0;
     for (ptrdiff_t i = 0; i < d; i++) { /* the rows that are left hold x_0 and x_{k+1} */
       double *row = now + i * WIDTH, *from = piece + (d + i) * WIDTH;
       memcpy(row, from + 2 * d, d * sizeof *row);
@@ -85,7 +65,7 @@ int factored(const Chain *o, double *kept, ptrdiff_t *order, double *now) {
     sizes[r] = largest > 0 ? largest : 1.0;
     for (ptrdiff_t j = 0; j < LEFT; j++) row[j] /= sizes[r];
   }
-  return reduced(last, order + (n - 2) * d, LEFT, LEFT, LEFT);
+  return eliminated(last, order + (n - 2) * d, LEFT, LEFT, LEFT);
 }
 
 /* The solution of `right` (N d + m) in its place. */

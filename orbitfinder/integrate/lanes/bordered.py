@@ -13,15 +13,15 @@ from orbitfinder._runtime import limit
 from orbitfinder.integrate.compiled import Unavailable, attempted, library, mode
 from orbitfinder.integrate.lanes.kernel import source
 
-SIZES = ("n", "d", "m")
-ARRAYS = ("phi", "columns", "first", "last", "tail", "states", "tails")
-
 
 class _Chain(ctypes.Structure):
-    _fields_ = [*((name, ctypes.c_ssize_t) for name in SIZES), *((name, ctypes.c_void_p) for name in ARRAYS)]  # fmt: skip
+    _fields_ = [
+        *((name, ctypes.c_ssize_t) for name in "ndm"),
+        *((name, ctypes.c_void_p) for name in ("phi", "columns", "first", "last", "tail", "states", "tails")),
+    ]  # fmt: skip
 
 
-class Chain:
+class Bordered:
     """The LU factors of rows Phi_k x_k - x_{k+1} + C_k y (N - 1 of d) and A x_0 + B x_{N-1} + G y (d + m).
 
     Phi (N - 1 x d x d), C (N - 1 x d x m), `first` A and `last` B (d + m x d), `tail` G (d + m x m); unknowns are
@@ -29,11 +29,11 @@ class Chain:
     """
 
     def __init__(self, opened: ctypes.CDLL, **arrays: np.ndarray) -> None:
-        self._opened, self._arrays = opened, {name: np.ascontiguousarray(arrays[name], float) for name in ARRAYS}
+        self._opened = opened
+        self._arrays = {name: np.ascontiguousarray(array, float) for name, array in arrays.items()}
         links, d, m = self._arrays["columns"].shape
         n, left, width = links + 1, 2 * d + m, 3 * d + m
-        sizes = dict(zip(SIZES, (n, d, m), strict=True))
-        self._raw = _Chain(**sizes, **{name: array.ctypes.data for name, array in self._arrays.items()})
+        self._raw = _Chain(n=n, d=d, m=m, **{name: array.ctypes.data for name, array in self._arrays.items()})
         self._kept = np.empty((n - 2) * 2 * d * width + left * left + d + m)
         self._order, self._work = np.empty((n - 2) * d + left, np.intp), np.empty(max(d * width, left))
         limit.check()
@@ -45,9 +45,9 @@ class Chain:
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """matrix^-1 right (N d + m)."""
-        found, (kept, order, work) = np.array(right, float), self._places()
-        self._opened.solved(ctypes.byref(self._raw), kept, order, found.ctypes.data, work)
-        return found
+        answer, (kept, order, work) = np.array(right, float), self._places()
+        self._opened.solved(ctypes.byref(self._raw), kept, order, answer.ctypes.data, work)
+        return answer
 
 
 def chains() -> ctypes.CDLL | None:
@@ -57,7 +57,8 @@ def chains() -> ctypes.CDLL | None:
 
 @lru_cache(maxsize=8)
 def _made(*_: str | None) -> ctypes.CDLL | None:
-    return attempted("bordered", lambda: library(source("bordered.c"), lambda path, new: _opened(path), None))
+    code = source("pivots.c") + source("bordered.c")
+    return attempted("bordered", lambda: library(code, lambda path, new: _opened(path), None))
 
 
 def _opened(path: Path) -> ctypes.CDLL:

@@ -33,10 +33,10 @@ class Staging:
     def valued(self, times: np.ndarray, states: np.ndarray, tails: np.ndarray) -> np.ndarray:
         """The function (k x numbers) at times (k), states (k x d) and (T, s, free) (k x m)."""
         limit.check()
-        found = np.empty((len(states), self._numbers))
+        values = np.empty((len(states), self._numbers))
         given = [np.ascontiguousarray(each, float) for each in (times, states, tails)]
-        self._valued(len(states), *(each.ctypes.data for each in (*given, found)))
-        return found
+        self._valued(len(states), *(each.ctypes.data for each in (*given, values)))
+        return values
 
     def changed(
         self, nodes: np.ndarray, begins: np.ndarray, steps: np.ndarray, tails: np.ndarray, rule: np.ndarray,
@@ -48,11 +48,11 @@ class Staging:
         """
         limit.check()
         count, size = len(nodes), nodes.shape[1]
-        found, integrals = np.empty((count, z[0].size, 1 + size + tails.shape[1])), np.empty(count)
+        changes, integrals = np.empty((count, z[0].size, 1 + size + tails.shape[1])), np.empty(count)
         given = [np.ascontiguousarray(each, float) for each in (nodes, begins, steps, tails, rule, z)]
-        if self._changed(count, *(each.ctypes.data for each in (*given, found, integrals))):
-            found.fill(np.nan)
-        return found, integrals
+        if self._changed(count, *(each.ctypes.data for each in (*given, changes, integrals))):
+            changes.fill(np.nan)
+        return changes, integrals
 
 
 def staging(linear: ca.Function, points: int, forced: bool, added: bool, effort: float | None) -> Staging | None:

@@ -49,9 +49,7 @@ def simulated(model: Model, state: np.ndarray, duration: float, units: np.ndarra
         limit.check()
         return np.asarray(field(t, x * size) / size)
 
-    def steepness(
-        t: float, x: np.ndarray
-    ) -> np.ndarray:  # without it, or with differences, it takes a stiff field for none
+    def steepness(t: float, x: np.ndarray) -> np.ndarray:  # without it, a stiff field is taken for none
         return np.asarray(slopes(t, x * size)) * size / size[:, None]
 
     with np.errstate(all="ignore"), captured():

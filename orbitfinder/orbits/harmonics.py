@@ -1,13 +1,10 @@
 """Driven motions as a continuation problem by harmonic balance, for large systems: sparse from end to end.
 
-With tau = omega t one period of the drive, q(tau) = sum_k c_k b_k(tau) in cosines and sines b_k of some orders, and
-
-    G(tau, q, q', q'', p) = M a + h,    v = omega q', a = omega^2 q'',    omega = 2 pi cycles / (the drive's period)
-
-(of a first-order system v - f(t, x, p)), the rows are <b_l, G> = 0 (Galerkin), by sums over equal times (AFT). Entries of
-the slopes of G that are the same at all states cost a 2 x 2 block an order, the others a full one. Where G(tau + pi, -q,
--q', -q'') = -G odd orders suffice. Sources: T. Cameron, J. Griffin, J. Appl. Mech. 56 (1989) 149-154; M. Krack, J. Gross,
-Harmonic Balance for Nonlinear Vibration Problems (2019).
+With tau = omega t one turn of the motion, q(tau) = sum_k c_k b_k(tau) in cosines and sines b_k of some orders, the rows
+are <b_l, G> = 0 (Galerkin) of the residual G (`integrate.residual`), by sums over equal times (AFT). Entries of the
+slopes of G that are the same at all states cost a 2 x 2 block an order, the others a full one. Where G(tau + pi, -q,
+-q', -q'') = -G odd orders and half of the times suffice. Sources: T. Cameron, J. Griffin, J. Appl. Mech. 56 (1989)
+149-154; M. Krack, J. Gross, Harmonic Balance for Nonlinear Vibration Problems (2019).
 """
 
 from __future__ import annotations
@@ -17,24 +14,26 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
 
-import casadi as ca
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.continuation.problem import Point
+from orbitfinder.continuation.problem import Point, plane, solved
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.mechanics.lagrange import mass_matrix_and_bias
-from orbitfinder.mechanics.model import Model
+from orbitfinder.integrate.residual import Residual
 from orbitfinder.mechanics.newton import Settings, Solver
 
 SETTINGS = Settings(floor=1e-14, round_off=1e-11, converged=1e-11, most_evaluations=12, contraction=0.02)
 """Rows are relative to the sizes of their terms"""
 SAMPLES = 4
 """Times over a period, in multiples of the highest order: products of three are not taken for others"""
-LEAST, REFINED = 1e-3, 2
-"""Share of the largest size that a coordinate's counts as at least. Refinements of a bordered solution"""
+LEAST, REFINED, POWERS = 1e-3, 2, 4
+"""Share of the largest size that a coordinate's counts as at least. Refinements of a bordered solution, iterations for a
+kernel"""
+LEFT, NOISY, HIGHEST = 1e-12, 0.1, 400
+"""The next orders are no larger than this, in the sizes of the coordinates, or than so many round-offs; the highest order
+that is tried"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,90 +48,14 @@ class Series:
         return Series(self.vector + step)
 
 
-class Equations:
-    """G of a Model with one parameter free, and its slopes, over many times in a call."""
-
-    def __init__(self, model: Model, name: str, cycles: int = 1) -> None:
-        self.model, self.name, self.size = model, name, model.degrees_of_freedom
-        tau, free = ca.SX.sym("tau"), ca.SX.sym("free")
-        shape = [ca.SX.sym(label, self.size) for label in ("q", "dq", "ddq")]
-        p = model.parameters((name,), free)
-        assert model.forcing_period is not None
-        pace = 2 * np.pi * cycles / model.forcing_period(p)
-        q, v, a = shape[0], pace * shape[1], pace**2 * shape[2]
-        rows = self._rows(tau / pace, q, v, a, p)
-        entries, places = [], []
-        for k, column in enumerate(shape):
-            slopes = ca.jacobian(rows, column)
-            i, j = slopes.sparsity().get_triplet()
-            entries.append(ca.vertcat(*slopes.nonzeros()) if slopes.nnz() else ca.SX(0, 1))
-            places += [(row, along, k) for row, along in zip(i, j, strict=True)]
-        every, state = ca.vertcat(*entries), ca.vertcat(tau, *shape)
-        varies = np.array(ca.which_depends(every, state, 1, True), bool) if every.numel() else np.zeros(0, bool)
-        table = np.array(places, int).reshape(-1, 3)
-        self.varying, self.steady = table[varies], table[~varies]
-        given = [tau, *shape, free]
-        picked = [every[np.flatnonzero(which).tolist()] for which in (varies, ~varies)]
-        self.free = (name,)
-        self._over = ca.Function("over", given, [rows, picked[0], ca.jacobian(rows, free)])
-        self._fixed = ca.Function("fixed", [free], [ca.densify(picked[1])])
-        self._rows_alone = ca.Function("rows", given, [ca.densify(rows)])
-        self._pace = ca.Function("pace", [free], [pace])
-        self._maps = dict[tuple[str, int], ca.Function]()
-
-    def _rows(self, t: Any, q: Any, v: Any, a: Any, p: Any) -> Any:
-        model = self.model
-        if model.rates is not None:
-            return v - model.rates(t, q, p)
-        x, rate, clock = ca.SX.sym("x", self.size), ca.SX.sym("v", self.size), ca.SX.sym("t")
-        kinetic = model.kinetic(x, rate, p)
-        if model.gyroscopic is not None:
-            kinetic += model.gyroscopic(x, rate, p)
-        forces = None if model.forces is None else model.forces(clock, x, rate, p)
-        mass, bias = mass_matrix_and_bias(kinetic, model.potential(x, p), x, rate, forces)
-        given = ca.mtimes(mass, a) + bias
-        return ca.substitute([ca.densify(given)], [x, rate, clock], [q, v, t])[0]
-
-    def pace(self, value: float) -> float:
-        """omega, in rad/s."""
-        return float(self._pace(value))
-
-    def over(self, times: np.ndarray, motion: list[np.ndarray], value: float) -> list[np.ndarray]:
-        """At times (s) and q, q', q'' (n x s each): G (n x s), its varying slopes (k x s), dG/dp (n x s)."""
-        return [part.full() for part in self._mapped(self._over, times.size)(times[None], *motion, value)]
-
-    def rows(self, times: np.ndarray, motion: list[np.ndarray], value: float) -> np.ndarray:
-        """G alone."""
-        return np.asarray(self._mapped(self._rows_alone, times.size)(times[None], *motion, value).full())
-
-    def fixed(self, value: float) -> np.ndarray:
-        """The slopes that are the same at all states."""
-        return np.asarray(self._fixed(value).full().ravel())
-
-    def _mapped(self, function: ca.Function, count: int) -> ca.Function:
-        key = (function.name(), count)
-        if key not in self._maps:
-            self._maps[key] = function.map(count)
-        return self._maps[key]
-
-    @cached_property
-    def odd(self) -> bool:
-        """Whether G(tau + pi, -q, -q', -q'') = -G."""
-        random, value = np.random.default_rng(0), float(self.model.parameter_values[self.model.parameter_index(self.name)])
-        times = random.uniform(0, 2 * np.pi, 3)
-        motion = [random.normal(size=(self.size, 3)) for _ in range(3)]
-        one, other = self.rows(times, motion, value), self.rows(times + np.pi, [-part for part in motion], value)
-        return bool(np.abs(one + other).max() <= 1e-9 * np.abs(one).max())
-
-
-class Basis:
+class Fourier:
     """Cosines and sines of some orders over equal times, what takes values to coefficients, and their derivatives."""
 
     def __init__(self, orders: tuple[int, ...]) -> None:
         self.orders = orders
         self.count = sum(2 if k else 1 for k in orders)
-        samples = SAMPLES * (max(orders) + 1)
-        self.times = 2 * np.pi * np.arange(samples) / samples
+        samples, parts = SAMPLES * (max(orders) + 1), 2 if all(k % 2 for k in orders) else 1
+        self.times = 2 * np.pi * np.arange(samples // parts) / samples
         self.values, self.slope = self.at(self.times), np.zeros((self.count, self.count))
         for k, place in zip(orders, self.places, strict=True):
             if k:
@@ -164,7 +87,7 @@ class Pattern:
     1, D + s and its square.
     """
 
-    def __init__(self, equations: Equations, basis: Basis, powers: Sequence[np.ndarray] | None = None) -> None:
+    def __init__(self, equations: Residual, basis: Fourier, powers: Sequence[np.ndarray] | None = None) -> None:
         self.equations, self.basis, count = equations, basis, basis.count
         powers = basis.powers if powers is None else powers
         self.turning, self.products, rows, columns = [], [], [], []
@@ -184,6 +107,7 @@ class Pattern:
         places, self.slots = np.unique(np.concatenate(columns) * self.whole + np.concatenate(rows), return_inverse=True)
         self.indices = (places % self.whole).astype(np.int32)
         self.starts = np.searchsorted(places, np.arange(self.whole + 1) * self.whole).astype(np.int32)
+        self.derived = dict[Any, Any]()  # what else is worked out once on these orders
 
     def matrix(self, fixed: np.ndarray, varying: np.ndarray) -> Any:
         """The sparse matrix of steady slopes and of samples (k x s) of the others."""
@@ -197,7 +121,7 @@ class Pattern:
         return sparse.csc_matrix((data, self.indices, self.starts), shape=(self.whole, self.whole))
 
 
-class Bordered:
+class Condensed:
     """The derivatives: a sparse matrix by the coefficients and a column by the parameter, in units."""
 
     def __init__(self, matrix: Any, column: np.ndarray, sizes: np.ndarray) -> None:
@@ -210,6 +134,14 @@ class Bordered:
             return splu(self.matrix)
         except RuntimeError:
             raise ConvergenceError("the equations of the harmonics are singular") from None
+
+    def kernel(self) -> tuple[np.ndarray, np.ndarray]:
+        """The left and right vectors that a matrix which is nearly singular takes to almost nothing, of length 1."""
+        both = np.random.default_rng(0).normal(size=(2, self.column.size))
+        for _ in range(POWERS):
+            both = np.array([self.factors.solve(both[0], "T"), self.factors.solve(both[1])])
+            both /= np.linalg.norm(both, axis=1, keepdims=True)
+        return both[0], both[1]
 
     def closed(self, rows: np.ndarray) -> Solver:
         """See `continuation.problem.Linear`."""
@@ -246,12 +178,12 @@ class Balanced:
     settings: Settings = SETTINGS
 
     @property
-    def basis(self) -> Basis:
+    def basis(self) -> Fourier:
         """Of the harmonics."""
         return self.pattern.basis
 
     @property
-    def equations(self) -> Equations:
+    def equations(self) -> Residual:
         """Whose motions they are."""
         return self.pattern.equations
 
@@ -269,7 +201,7 @@ class Balanced:
             raise ConvergenceError("the equations of motion leave the numbers")
         return np.asarray((samples @ self.basis.back.T / self.row_sizes[:, None]).ravel())
 
-    def linearise(self, w: Series) -> tuple[np.ndarray, Bordered]:
+    def linearise(self, w: Series) -> tuple[np.ndarray, Condensed]:
         """F(w) and its derivatives, remembered with w."""
         problem, *found = w.known.get("linear", (None,))
         if problem is not self:
@@ -278,7 +210,7 @@ class Balanced:
             across, down = np.repeat(self.sizes, count), np.repeat(1.0 / self.row_sizes, count)
             data = matrix.data * down[matrix.indices] * np.repeat(across, np.diff(matrix.indptr))
             scaled = sparse.csc_matrix((data, matrix.indices, matrix.indptr), shape=matrix.shape)
-            found = [rows, Bordered(scaled, column * self.p_size, np.append(across, self.p_size))]
+            found = [rows, Condensed(scaled, column * self.p_size, np.append(across, self.p_size))]
             w.known["linear"] = (self, *found)
         return found[0], found[1]
 
@@ -317,9 +249,39 @@ class Balanced:
         return (float(w.vector[-1]) - value) / self.p_size, row
 
     def at(self, w: Series, tangent: np.ndarray) -> tuple[Self, Series, np.ndarray]:
-        """With the sizes of an accepted w."""
+        """With the sizes of an accepted w, and as many orders as it takes. Raises `ConvergenceError`."""
         renewed = self.measured(w)  # and with its own tangent: the corrector's is that of its guess, beyond a fold of none
+        while not renewed.enough(w):
+            renewed, w, tangent = renewed.finer(w, tangent)
+            w = solved(renewed, w, plane(renewed, w, tangent)).w
+            renewed = renewed.measured(w)
         return renewed, w, Point(renewed, w, tangent).sharp.tangent
+
+    def on(self, orders: tuple[int, ...], vector: np.ndarray) -> tuple[Self, Series]:
+        """With these orders and the sizes of coefficients (w) of them."""
+        known = self.equations.patterns
+        if orders not in known:
+            known[orders] = Pattern(self.equations, Fourier(orders))
+        w = Series(vector)
+        if vector.size != known[orders].whole + 1:
+            raise ValueError("coefficients of another size")
+        return replace(self, pattern=known[orders]).measured(w), w
+
+    def known(self, w: Series) -> float:
+        """What the parameter of a fold is known to: what round-off and the next orders make of it."""
+        rows, linear = self.linearise(w)
+        left, _ = linear.kernel()
+        lost = np.finfo(float).eps * np.linalg.norm(left) + abs(left @ rows)
+        return float(self.p_size * lost / abs(left @ linear.column))
+
+    def enough(self, w: Series) -> bool:
+        """Whether the orders are. Raises `ConvergenceError` where none that are tried would be."""
+        left, lost = self.left(w)
+        enough = left <= max(LEFT, NOISY * lost)
+        if not enough and max(self.basis.orders) > HIGHEST:
+            raise ConvergenceError(f"after {max(self.basis.orders)} harmonics the next is still {left:.2g} of the motion; "
+                                   "make what has corners smoother")  # fmt: skip
+        return enough
 
     def measured(self, w: Series) -> Self:
         """With the sizes of a motion."""
@@ -331,25 +293,48 @@ class Balanced:
         return replace(self, sizes=sizes, row_sizes=nonzero(rows))
 
     def carried(self, w: Series, onto: Series) -> Series:  # noqa: ARG002 - of the protocol
-        """Itself: a curve keeps its harmonics."""
-        return w
+        """w, or a direction, of as many orders or fewer on its own."""
+        return Series(self._padded(w.vector))
 
-    def left(self, w: Series) -> float:
-        """The largest row of G between the times that it was balanced at, in the sizes of its terms."""
-        between = self.basis.times + np.pi / self.basis.times.size
-        samples = self.equations.rows(between, self.basis.motion(self.coefficients(w), between), float(w.vector[-1]))
-        return float(np.abs(samples / self.row_sizes[:, None]).max())
+    def _padded(self, vector: np.ndarray) -> np.ndarray:
+        if vector.size == self.pattern.whole + 1:
+            return vector
+        old = vector[:-1].reshape(self.equations.size, -1)
+        wide = np.zeros((self.equations.size, self.basis.count))
+        wide[:, : old.shape[1]] = old
+        return np.append(wide.ravel(), vector[-1])
 
-    def finer(self, w: Series, tangent: np.ndarray | None = None) -> tuple[Self, Series, np.ndarray | None]:
+    def left(self, w: Series) -> tuple[float, float]:
+        """About the largest coefficient of the next two orders, and what round-off makes there, in the sizes of the
+        coordinates."""
+        known = self.pattern.derived
+        if "next" not in known:
+            top, odd = max(self.basis.orders), 0 not in self.basis.orders
+            known["next"] = Pattern(self.equations, Fourier(orders(top + 4 if odd else top + 2, odd)[-2:]))
+        after: Pattern = known["next"]
+        motion = self.basis.motion(self.coefficients(w), after.basis.times)
+        rows, varying, _ = self.equations.over(after.basis.times, motion, float(w.vector[-1]))
+        steady = np.broadcast_to(varying.mean(axis=1, keepdims=True), varying.shape)
+        try:
+            factors = splu(after.matrix(self.equations.fixed(float(w.vector[-1])), steady))
+        except RuntimeError:
+            return np.inf, 0.0
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], (self.equations.size, after.basis.count))
+        noise = np.finfo(float).eps * self.row_sizes[:, None] * signs
+        both = factors.solve(np.column_stack([(rows @ after.basis.back.T).ravel(), noise.ravel()]))
+        sizes = np.repeat(self.sizes, after.basis.count)
+        largest, lost = np.abs(both / sizes[:, None]).max(axis=0)
+        return float(largest), float(lost)
+
+    def finer(self, w: Series, tangent: np.ndarray) -> tuple[Self, Series, np.ndarray]:
         """With more orders, w and a tangent padded."""
-        old, odd = self.basis, 0 not in self.basis.orders
-        top = max(old.orders) + max(2, 2 * (max(old.orders) // 4))
-        basis = Basis(tuple(range(1, top + 2, 2)) if odd else tuple(range(top + 1)))
+        top = max(self.basis.orders)
+        basis = Fourier(orders(top + max(2, 2 * (top // 4)), 0 not in self.basis.orders))
+        made = replace(self, pattern=Pattern(self.equations, basis))
+        more = Series(made._padded(w.vector))
+        return made.measured(more), more, made._padded(tangent)
 
-        def padded(vector: np.ndarray) -> np.ndarray:
-            wide = np.zeros((self.equations.size, basis.count))
-            wide[:, : old.count] = vector[:-1].reshape(-1, old.count)
-            return np.append(wide.ravel(), vector[-1])
 
-        made, more = replace(self, pattern=Pattern(self.equations, basis)), Series(padded(w.vector))
-        return made.measured(more), more, None if tangent is None else padded(tangent)
+def orders(top: int, odd: bool) -> tuple[int, ...]:
+    """All to the highest, or the odd ones."""
+    return tuple(range(1, top + 1, 2)) if odd else tuple(range(top + 1))

@@ -1,0 +1,7 @@
+"""The methods whose families are followed here, for the table of methods."""
+
+from orbitfinder.families.balance import followed
+from orbitfinder.orbits import balance
+from orbitfinder.orbits.method import METHODS, Method
+
+METHODS[balance.NAME] = Method(lambda problem: False, balance.found, balance.refused, follow=followed)
