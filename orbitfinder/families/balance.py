@@ -17,7 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from orbitfinder._runtime import locks
+from orbitfinder._runtime import interrupt, locks
 from orbitfinder.continuation.follow import (
     CurveJournal,
     Goals,
@@ -29,9 +29,9 @@ from orbitfinder.continuation.follow import (
     towards,
 )
 from orbitfinder.continuation.problem import Point
-from orbitfinder.errors import ConvergenceError, InputError
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.events import event_at, find_events
-from orbitfinder.families.members import batch_certified, certified
+from orbitfinder.families.members import batch_certified, certified, series
 from orbitfinder.families.point import FamilySettings, make_point
 from orbitfinder.families.registry import end_kind
 from orbitfinder.families.run import Sample, ahead, make_interval, make_sample
@@ -44,7 +44,7 @@ from orbitfinder.loops.problem import Problem, at_forcing_period
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.loops.watch import Watch
 from orbitfinder.mechanics.kind import with_parameters
-from orbitfinder.mechanics.model import energy
+from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.scales import extents_of
 from orbitfinder.orbits.balance import NAME, begun, refused, samples_of, states_of
 from orbitfinder.orbits.certify import certify
@@ -52,6 +52,8 @@ from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.orbits.hill import exponents, monodromy
 from orbitfinder.orbits.implicit import SMALL, ImplicitCheck, gathered
 from orbitfinder.orbits.measure import action
+from orbitfinder.records.certificate import Check, at_most
+from orbitfinder.records.certificate import refused as unsound
 from orbitfinder.records.codec import plain
 from orbitfinder.records.family import (
     CLOSURE,
@@ -73,8 +75,9 @@ from orbitfinder.records.orbit import system_at
 NODES, STEPS = 16, 256
 """States at equal times that shooting stands on, and its steps of a period at least"""
 STOPPED = End("stopped", "stopped")
-ZERO = 1e-6
-"""An exponent that is 0 at an event is as near to it"""
+ZERO, AGAIN, SAMPLED, ROUNDED = 1e-6, 1e-5, 64, 1e-12
+"""An exponent that is 0 at an event is as near to it, what is verified of it again as this; states that units are taken
+from; relative error of a number"""
 
 
 def followed(
@@ -222,12 +225,10 @@ class _Large:
         model, period = with_parameters(self.model, free), 2 * np.pi / point.problem.equations.pace(value)
         count = samples_of(point)
         mesh = np.linspace(0.0, 1.0, count + 1)
-        states, closure = states_of(point, mesh), 0.0
-        if self.check is not None:
-            closure = self.check(states[0], period, free, extents_of(model, states, period))
-            if not closure <= CLOSURE * self.grown:
-                raise ConvergenceError(f"the orbit closes only to {closure:.2g} where errors grow {self.grown:.3g} times")
-        every = count // (2 << int(np.ceil(np.log2(max(point.problem.basis.orders) + 1))))
+        states, (closes, closure) = states_of(point, mesh), self._closes(point)
+        if not closes:
+            raise ConvergenceError(f"the orbit closes only to {closure:.2g} where errors grow {self.grown:.3g} times")
+        every = count // nodes_of(point)
         nodes, shares = states[:-1:every], mesh[::every]
         return FamilyPoint(
             name="", system=system_at(self.model.system, free), winding=tuple(self.entry["winding"]), shift={},
@@ -237,6 +238,15 @@ class _Large:
             multiplier_method=MULTIPLIERS[-1], stability=about.stability, krein=(), root=1, indices=np.zeros(0, complex),
             symmetry=NONE.name, unfolding=(), free=free, shooting_nodes=nodes, mesh=shares, tangent=np.zeros(0), **where,
         )  # fmt: skip
+
+    def _closes(self, point: Point) -> tuple[bool, float]:
+        """Whether a motion closes as well as errors let it, and its gap in extents."""
+        if self.check is None:
+            return True, 0.0
+        value = float(point.w.vector[-1])
+        period, states = 2 * np.pi / point.problem.equations.pace(value), states_of(point, np.linspace(0.0, 1.0, 65))
+        closure = self.check(states[0], period, {self.parameter: value}, extents_of(self.model, states, period))
+        return closure <= CLOSURE * self.grown, closure
 
     def events(self, before: KeptPoint, after: KeptPoint, seen: Sequence[KeptPoint]) -> list[Event]:
         return [event for kept in seen if (event := self._event(kept, before.point, after.point)) is not None]
@@ -261,15 +271,68 @@ class _Large:
             abs(changing(after) - changing(before)), ZERO)  # fmt: skip
         if off > ZERO:
             return None
+        nodes = states_of(point, np.linspace(0.0, 1.0, nodes_of(point) + 1))[:-1]
+        certain = bool(self.check and self._closes(point)[0])
         return Event(
             kind, 0, point.arclength, value, state, 2 * np.pi / balanced.equations.pace(value),
             energy(with_parameters(self.model, {self.parameter: value}), state), self.parameter if kind == "fold" else "",
-            multiplier=complex(np.exp(2 * np.pi * critical)), free={self.parameter: value},
+            multiplier=complex(np.exp(2 * np.pi * critical)), free={self.parameter: value}, tangent=heading(point),
+            shooting_nodes=nodes, mesh=np.linspace(0.0, 1.0, len(nodes) + 1), certified=certain,
             check=Reading(float(off), ZERO, bool(off <= ZERO), parameter_error=float(error)),
         )  # fmt: skip
 
     def certified(self, point: FamilyPoint) -> FamilyPoint:
         return replace(point, certified=certify(point, with_parameters(self.model, point.free)).passed)
+
+
+def nodes_of(point: Point) -> int:
+    """States at equal times, a power of two of them, that tell a series."""
+    return 2 << int(np.ceil(np.log2(max(point.problem.basis.orders) + 1)))
+
+
+def heading(point: Point) -> np.ndarray:
+    """d(x(0), T, the parameter) / d(arclength)."""
+    balanced, w, tangent = point.problem, point.w, point.tangent
+    motion = [part[:, 0] for part in balanced.basis.motion(balanced.coefficients(w), np.zeros(1))]
+    moved = [part[:, 0] for part in balanced.basis.motion(tangent[:-1].reshape(len(motion[0]), -1), np.zeros(1))]
+    pace, change = balanced.equations.pace(float(w.vector[-1])), tangent[-1] * balanced.equations.rise(float(w.vector[-1]))
+    return np.concatenate([moved[0], pace * moved[1] + change * motion[1],
+                           [-2 * np.pi * change / pace**2, tangent[-1]]])  # fmt: skip
+
+
+def reverified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
+    """Every event and end of a family of many coordinates, each with its check made again by implicit steps."""
+    check, name = ImplicitCheck(model, int(family.curve.get("cycles", 1))), family.parameter
+    values = family.values("value")
+    for k, event in enumerate(family.events):
+        interrupt.check()
+        yield f"event {k}, {name} {event.parameter:.12g}", _again(family, check, event)
+    for k, end in enumerate(family.ends):
+        off = float(np.abs(values[[0, -1]] - float(end.reason.rpartition("=")[2])).min()) if end.kind == "target" else 0.0
+        said = end.reason if end.kind == "target" else "nothing was solved for"
+        yield f"end {k}", at_most(end.kind, off, ROUNDED * float(np.abs(values).max()), said)
+
+
+def _again(family: Family, check: ImplicitCheck, event: Event) -> Check:
+    """An event's orbit closes, and what it claims: at a fold the family's direction comes back as it was, along which the
+    parameter rests; elsewhere a multiplier of its own is recomputed on the unit circle."""
+    try:
+        model = with_parameters(check.model, {family.parameter: event.parameter})
+        seen = gathered(model, event.state, event.period)[0] if event.kind != "fold" else None
+        states = series(event.shooting_nodes, SAMPLED)
+        units = extents_of(model, states, event.period)
+        closure = check(event.state, event.period, event.free, units)
+        if not closure <= CLOSURE * family.points[0].scale:
+            raise ConvergenceError(f"its orbit closes only to {closure:.2g}")
+        if not np.isclose(event.period, float(model.forcing_period(model.parameter_values)) * check.cycles, rtol=ROUNDED):  # type: ignore[misc]
+            raise ConvergenceError(f"its period is not that of the drive at {family.parameter} {event.parameter:.12g}")
+        if seen is None:
+            off = check.kept(event.state, event.period, event.free, units, event.tangent[: units.size])
+        else:
+            off = float(np.abs(seen.floquet.multipliers - event.multiplier).min()) + abs(abs(event.multiplier) - 1.0)
+    except (ConvergenceError, IntegrationError, IndexError, ValueError) as error:
+        return unsound(event.kind, error, float("nan"))
+    return at_most(event.kind, off, AGAIN, event.detail)
 
 
 def changing(point: Point) -> float:

@@ -290,8 +290,16 @@ def _looked_at(equations: Equations, place: Unknowns) -> tuple[np.ndarray, np.nd
     raise AssertionError("unreachable")
 
 
+def by_series(entry: Mapping[str, Any]) -> bool:
+    """Whether a family is known by its series alone, and no equations of shooting stand beside it."""
+    return "method" in entry and "constant" not in entry
+
+
 def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -> Curve:
     """The very curve that the `curve` entry of a journal or family.json stands for."""
+    if by_series(entry):
+        raise InputError(f"curve: a family of many coordinates by {entry['method']}, of which this is not known; follow it "
+                         "in fewer coordinates, or by another method")  # fmt: skip
     known = read_as(CurveEntry, entry, "curve", "continue the family again")
     model = knowing(model, known.symmetry)
     if known.symmetry not in symmetries_of(model):

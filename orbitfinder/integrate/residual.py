@@ -44,7 +44,7 @@ class Residual:
         self._over = ca.Function("over", given, [rows, picked[0], ca.jacobian(rows, free)])
         self._fixed = ca.Function("fixed", [free], [ca.densify(picked[1])])
         self._rows_alone = ca.Function("rows", given, [ca.densify(rows)])
-        self._pace = ca.Function("pace", [free], [pace])
+        self._pace = ca.Function("pace", [free], [pace, ca.jacobian(ca.SX(pace), free)])
         self._maps, self.patterns = dict[tuple[str, int], ca.Function](), dict[Any, Any]()
 
     def _rows(self, t: Any, q: Any, v: Any, a: Any, p: Any) -> Any:
@@ -67,7 +67,11 @@ class Residual:
 
     def pace(self, value: float) -> float:
         """omega, in rad/s."""
-        return float(self._pace(value))
+        return float(self._pace(value)[0])
+
+    def rise(self, value: float) -> float:
+        """d omega / d parameter."""
+        return float(self._pace(value)[1])
 
     def over(self, times: np.ndarray, motion: list[np.ndarray], value: float) -> list[np.ndarray]:
         """At times (s, in rad) and q, q', q'' (n x s each): G (n x s), its varying slopes (k x s), dG/dp (n x s)."""

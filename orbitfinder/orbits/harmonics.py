@@ -31,7 +31,7 @@ SAMPLES = 4
 LEAST, REFINED, POWERS = 1e-3, 2, 4
 """Share of the largest size that a coordinate's counts as at least. Refinements of a bordered solution, iterations for a
 kernel"""
-LEFT, NOISY, HIGHEST = 1e-12, 0.1, 400
+LEFT, NOISY, HIGHEST = 3e-14, 0.1, 400
 """The next orders are no larger than this, in the sizes of the coordinates, or than so many round-offs; the highest order
 that is tried"""
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -40,7 +41,7 @@ SETTLED, MOST, SLOW = 1e-15, 60, 0.7
 """Change of the coordinates, in extents, after which an iteration has ended; its steps at most; what a step leaves that
 no longer contracts"""
 RESOLVED, POWERS, FINEST = 1.5, 30, 512
-"""Radians of the fastest mode in a step, iterations that find it, the most steps: what is faster is damped or not, no more"""
+"""Radians of the fastest mode in a step, iterations that find it, the most steps that follow it"""
 SMALL = 40
 """Coordinates up to which motions are certified by explicit steps and all their variations"""
 
@@ -109,27 +110,31 @@ class Implicit:
         return sparse.csc_matrix((data, self.indices, self.starts), shape=(n, n))
 
     def path(
-        self, state: np.ndarray, period: float, steps: int, units: np.ndarray, varied: bool = False
+        self, state: np.ndarray, period: float, steps: int, units: np.ndarray, varied: np.ndarray | None = None
     ) -> tuple[np.ndarray, list[np.ndarray]]:
-        """States (steps + 1 x 2n) at equal times over a period and, where asked for, the state-transition matrices of its
-        pieces."""
+        """States (steps + 1 x 2n) at equal times over a period, and what becomes of variations (2n x k) in each of its
+        pieces. Raises `IntegrationError`."""
         n, h, now, pieces = self.residual.size, period / steps, np.asarray(state, float), list[np.ndarray]()
         a = np.repeat(self.many(np.zeros(1), now[None])[:, n:].T, STAGES, axis=1)
-        whole, found = np.eye(2 * n), [now]
+        whole, found = varied, [now]
         for k in range(steps):
             limit.check()
-            end, a = self._stepped(k * h, now, h, a, units)
-            if varied:
-                whole = self._varied(k * h, now, h, a, whole)
-                if (k + 1) % (steps // PIECES) == 0:
-                    pieces.append(whole)
-                    whole = np.eye(2 * n)
-            now, a = end, a @ self._ahead.T
+            now, whole, a = self.both(k * h, now, h, a, units, whole)
+            if whole is not None and (k + 1) % (steps // PIECES) == 0:
+                pieces.append(whole)
+                whole = varied
             found.append(now)
         return np.array(found), pieces
 
+    def both(
+        self, t: float, state: np.ndarray, h: float, a: np.ndarray, units: np.ndarray, varied: np.ndarray | None
+    ) -> tuple[np.ndarray, Any, np.ndarray]:
+        """A state (2n) and variations (2n x k) after a step, and the stages (n x s) that the next begins with."""
+        end, a = self._stepped(t, state, h, a, units)
+        return end, None if varied is None else self._varied(t, state, h, a, varied), a @ self._ahead.T
+
     def steps(self, state: np.ndarray, period: float) -> int:
-        """As many steps of a period as follow the fastest mode at a state, a power of two, within bounds."""
+        """As many steps of a period as follow the fastest mode at a state, a power of two, or fewer where that is stiff."""
         n = self.residual.size
         slopes = self._slopes(np.zeros(1), state[:n, None], state[n:, None], np.zeros((n, 1)))[:, 0]
         stiff, mass = (self._matrix(slopes * (self.table[:, 2] == kind)) for kind in (0, 2))
@@ -140,7 +145,7 @@ class Implicit:
             size = float(np.linalg.norm(shape))
             shape = shape / size
         wanted = np.sqrt(size) * period / RESOLVED
-        return int(2 ** np.ceil(np.log2(np.clip(wanted, 2 * STEPS, FINEST))))
+        return STEPS if wanted > FINEST else int(2 ** np.ceil(np.log2(max(wanted, STEPS))))
 
     @cached_property
     def _ahead(self) -> np.ndarray:
@@ -178,13 +183,14 @@ def suits(model: Model) -> bool:
 
 
 def gathered(model: Model, state: np.ndarray, period: float) -> tuple[Recomputed, float]:
-    """What `Implicit` says of a state (2n) and a period; and how far fewer steps end elsewhere, in extents. Raises
+    """What `Implicit` says of a state (2n) and a period; and how far more steps end elsewhere, in extents. Raises
     `IntegrationError`."""
     motion, n = Implicit(model, model.forcing_cycles(period)), model.degrees_of_freedom
     rough = motion.path(state, period, STEPS, np.abs(state) + np.abs(state).max() + SETTLED)[0]
     units = extents_of(model, rough, period)
-    coarse = motion.path(state, period, STEPS, units)[0]
-    states, pieces = motion.path(state, period, motion.steps(state, period), units, True)
+    steps = motion.steps(state, period)
+    finer = motion.path(state, period, 2 * steps, units)[0]
+    states, pieces = motion.path(state, period, steps, units, np.eye(2 * n))
     scaled = [one * units / units[:, None] for one in pieces]
     missed, none = (states[-1] - states[0]) / units, np.zeros((0, 2 * n))
     loop = Tour(closes(missed, scaled, states / units, None), scaled, none, none, False, units, np.eye(2 * n))
@@ -193,7 +199,7 @@ def gathered(model: Model, state: np.ndarray, period: float) -> tuple[Recomputed
         times, states, units, loop, float(np.abs(states[-1] - states[0]).max()), action(model, times, states),
         energy(model, states[0]), judged(np.linalg.eigvals(loop.map()).astype(complex), False),
     )  # fmt: skip
-    return seen, float(np.abs((coarse[-1] - states[-1]) / units).max())
+    return seen, float(np.abs((finer[-1] - states[-1]) / units).max())
 
 
 class ImplicitCheck:
@@ -206,3 +212,14 @@ class ImplicitCheck:
         """The largest gap after a period, in `units` (2n). Raises `IntegrationError`."""
         path = Implicit(with_parameters(self.model, free), self.cycles).path(state, period, STEPS, units)[0]
         return float(np.abs((path[-1] - path[0]) / units).max())
+
+    def kept(self, state: np.ndarray, period: float, free: Mapping[str, float], units: np.ndarray, along: np.ndarray) -> float:
+        """By what share of it a variation (2n) comes back changed after a period, all in `units` (2n)."""
+        motion = Implicit(with_parameters(self.model, free), self.cycles)
+        begin = along[:, None] / float(np.abs(along / units).max())
+        now, back = np.asarray(state, float), begin
+        h = period / STEPS
+        a = np.repeat(motion.many(np.zeros(1), now[None])[:, along.size // 2 :].T, STAGES, axis=1)
+        for k in range(STEPS):
+            now, back, a = motion.both(k * h, now, h, a, units, back)
+        return float(np.abs((back - begin)[:, 0] / units).max())

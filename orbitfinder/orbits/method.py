@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +15,7 @@ from orbitfinder.loops.ipopt import Callback, SolveSettings
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.model import Model
+from orbitfinder.records.certificate import Check
 from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import Orbit
 
@@ -38,6 +39,8 @@ class Method:
     """(problem, freed parameters) -> the equations of a family by its march and the orbit in their unknowns"""
     follow: Callable[..., Family] | None = None
     """what follows a family that no march does (`families.balance.followed`)"""
+    verify: Callable[[Family, Model], Iterable[tuple[str, Check]]] | None = None
+    """(family, model) -> the checks of its events and ends, where it has no equations of shooting"""
 
 
 METHODS = Registry(Method)
