@@ -480,7 +480,8 @@ class _Arclength:
         events, tested = list[KeptPoint](), dict[str, float]()
         if before.w.vector.size != after.w.vector.size:  # on the mesh of what comes after
             onto, across = after.problem.carried, type(before.w)(before.tangent)
-            before = replace(before, problem=after.problem, w=onto(before.w, after.w), tangent=onto(across, after.w).vector)
+            w, tangent = onto(before.w, after.w), onto(across, after.w).vector
+            before = replace(before, problem=after.problem, w=w, tangent=tangent)
         middle = between(before, after, 0.5) if self.tests else after
         same = self.last if after.problem is before.problem else {}  # in the same metric
         for name, test in self.tests.items():

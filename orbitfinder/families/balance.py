@@ -81,8 +81,8 @@ from; relative error of a number"""
 
 
 def followed(
-    problem: Problem, settings: FamilySettings, until: float | None, at: Sequence[float], name: str, folder: Path | None,
-    request: Mapping[str, Any], source: Mapping[str, Any], watch: Mapping[str, Watch],
+    problem: Problem, settings: FamilySettings, until: float | None, at: Sequence[float], name: str,
+    folder: Path | None, request: Mapping[str, Any], source: Mapping[str, Any], watch: Mapping[str, Watch],
     progress: Callable[[Batch], None] | None,
 ) -> Family:  # fmt: skip
     """The family of a driven motion in a parameter, each direction kept in a journal of the folder.
@@ -95,11 +95,16 @@ def followed(
     problem.model.parameter_index(parameter)
     first = begun(problem, parameter, until)
     own = (_Marched if _tame(first) else _Large)(problem, settings, name, watch, first)
-    runs = [_Run(own, sign, Goals(parameter, goal, exact), first) for sign, goal, exact in _ways(first, settings, until, at)]
+    runs = [
+        _Run(own, sign, Goals(parameter, goal, exact), first) for sign, goal, exact in _ways(first, settings, until, at)
+    ]
     with nullcontext() if folder is None else locks.alone_in(folder):
         for k, run in enumerate(runs):
             path = folder and folder / f"balance{k or ''}.jsonl"
-            run.walk(CurveJournal(run, path, {**request, "method": NAME, "way": [k, run.sign, run.goals.until is None]}), progress)
+            run.walk(
+                CurveJournal(run, path, {**request, "method": NAME, "way": [k, run.sign, run.goals.until is None]}),
+                progress,
+            )
             if end_kind(run.end.kind).closed:
                 break
         family = _assembled(own, runs, source)
@@ -146,7 +151,9 @@ class Recorder(Protocol):
 class _Marched:
     """Orbits of few coordinates, on the equations of shooting."""
 
-    def __init__(self, problem: Problem, settings: FamilySettings, name: str, watch: Mapping[str, Watch], first: Point) -> None:
+    def __init__(
+        self, problem: Problem, settings: FamilySettings, name: str, watch: Mapping[str, Watch], first: Point
+    ) -> None:
         self.problem, self.settings, self.name = problem, settings, name
         equations = Equations.of(problem.model, NONE, (settings.parameter,))
         self._equations, self._mesh = equations, uniform(1.0, NODES, STEPS // NODES)
@@ -176,7 +183,10 @@ class _Marched:
             along = (self._place(moved).vector - solution.place.vector) / 1e-6
             whole = tangent(self.curve, solution, along)
             nothing = np.zeros(0, complex) if expected is None else expected
-            self._samples = {**dict([*self._samples.items()][-1:]), id(point): make_sample(self.curve, 0.0, solution, whole, nothing)}
+            self._samples = {
+                **dict([*self._samples.items()][-1:]),
+                id(point): make_sample(self.curve, 0.0, solution, whole, nothing),
+            }
         return self._samples[id(point)]
 
     def point(self, point: Point, **where: Any) -> FamilyPoint:
@@ -194,7 +204,9 @@ class _Marched:
         found = [event_at(self.curve, *each, self.settings.parameter) for each in find_events(interval, self.settings)]
         batch = checked(self.curve, Batch(1, events=tuple(found)), length, self.settings.parameter)
         batch = batch_certified(self.curve, batch) if self.settings.certify else batch
-        return [replace(event, arclength=before.point.arclength + event.arclength * step / length) for event in batch.events]
+        return [
+            replace(event, arclength=before.point.arclength + event.arclength * step / length) for event in batch.events
+        ]
 
     def certified(self, point: FamilyPoint) -> FamilyPoint:
         return certified(self.curve, point)
@@ -203,18 +215,21 @@ class _Marched:
 class _Large:
     """Orbits of many coordinates, or stiff ones, by their series alone."""
 
-    def __init__(self, problem: Problem, settings: FamilySettings, name: str, watch: Mapping[str, Watch], first: Point) -> None:
+    def __init__(
+        self, problem: Problem, settings: FamilySettings, name: str, watch: Mapping[str, Watch], first: Point
+    ) -> None:
         self.problem, self.settings, self.name, self.watch = problem, settings, name, watch
         self.model, self.parameter = problem.model, settings.parameter
         if problem.model.rates is not None:
             raise InputError("method: balance is for at most 40 coordinates of a first-order system, or stiff ones of "
                              "mechanics; describe it by masses, or leave method out")  # fmt: skip
-        self.check = ImplicitCheck(self.model, problem.forcing_cycles) if settings.certify else None
+        self.check = ImplicitCheck(self.model, self.parameter, problem.forcing_cycles) if settings.certify else None
         self.grown = 1.0
         if settings.certify:  # what errors grow by hardly changes along a family
             period = 2 * np.pi / first.problem.equations.pace(float(first.w.vector[-1]))
             self.grown = gathered(self.model, states_of(first, np.zeros(1))[0], period)[0].closes.amplification
-        self.entry = {"method": NAME, "winding": [0] * self.model.degrees_of_freedom, "cycles": problem.forcing_cycles}
+        still = [0] * self.model.degrees_of_freedom
+        self.entry: dict[str, Any] = {"method": NAME, "winding": still, "cycles": problem.forcing_cycles}
 
     def tests(self) -> Mapping[str, Callable[[Point], float]]:
         return {"fold": lambda point: rise(point, self.parameter), "change": changing} if self.settings.events else {}
@@ -230,13 +245,15 @@ class _Large:
             raise ConvergenceError(f"the orbit closes only to {closure:.2g} where errors grow {self.grown:.3g} times")
         every = count // nodes_of(point)
         nodes, shares = states[:-1:every], mesh[::every]
+        none = np.zeros(0)
         return FamilyPoint(
-            name="", system=system_at(self.model.system, free), winding=tuple(self.entry["winding"]), shift={},
-            nodes=states[:1], times=np.zeros(0), samples=np.zeros((0, states.shape[1])), tolerance=CLOSURE, value=value,
-            state=states[0], period=period, energy=energy(model, states[0]), action=action(model, mesh * period, states),
-            closure=closure, defect=closure, scale=self.grown, floquet_multipliers=about.multipliers, pair_defect=0.0,
-            multiplier_method=MULTIPLIERS[-1], stability=about.stability, krein=(), root=1, indices=np.zeros(0, complex),
-            symmetry=NONE.name, unfolding=(), free=free, shooting_nodes=nodes, mesh=shares, tangent=np.zeros(0), **where,
+            name="", system=system_at(self.model.system, free), winding=(0,) * model.degrees_of_freedom, shift={},
+            nodes=states[:1], times=none, samples=np.zeros((0, states.shape[1])), tolerance=CLOSURE, value=value,
+            state=states[0], period=period, energy=energy(model, states[0]),
+            action=action(model, mesh * period, states), closure=closure, defect=closure, scale=self.grown,
+            floquet_multipliers=about.multipliers, pair_defect=0.0, multiplier_method=MULTIPLIERS[-1],
+            stability=about.stability, krein=(), root=1, indices=none.astype(complex), symmetry=NONE.name,
+            unfolding=(), free=free, shooting_nodes=nodes, mesh=shares, tangent=heading(point), **where,
         )  # fmt: skip
 
     def _closes(self, point: Point) -> tuple[bool, float]:
@@ -245,7 +262,7 @@ class _Large:
             return True, 0.0
         value = float(point.w.vector[-1])
         period, states = 2 * np.pi / point.problem.equations.pace(value), states_of(point, np.linspace(0.0, 1.0, 65))
-        closure = self.check(states[0], period, {self.parameter: value}, extents_of(self.model, states, period))
+        closure = self.check(states[0], period, value, extents_of(self.model, states, period))
         return closure <= CLOSURE * self.grown, closure
 
     def events(self, before: KeptPoint, after: KeptPoint, seen: Sequence[KeptPoint]) -> list[Event]:
@@ -273,11 +290,12 @@ class _Large:
             return None
         nodes = states_of(point, np.linspace(0.0, 1.0, nodes_of(point) + 1))[:-1]
         certain = bool(self.check and self._closes(point)[0])
+        free, detail = {self.parameter: value}, self.parameter if kind == "fold" else ""
         return Event(
             kind, 0, point.arclength, value, state, 2 * np.pi / balanced.equations.pace(value),
-            energy(with_parameters(self.model, {self.parameter: value}), state), self.parameter if kind == "fold" else "",
-            multiplier=complex(np.exp(2 * np.pi * critical)), free={self.parameter: value}, tangent=heading(point),
-            shooting_nodes=nodes, mesh=np.linspace(0.0, 1.0, len(nodes) + 1), certified=certain,
+            energy(with_parameters(self.model, free), state), detail, free=free, tangent=heading(point),
+            multiplier=complex(np.exp(2 * np.pi * critical)), shooting_nodes=nodes,
+            mesh=np.linspace(0.0, 1.0, len(nodes) + 1), certified=certain,
             check=Reading(float(off), ZERO, bool(off <= ZERO), parameter_error=float(error)),
         )  # fmt: skip
 
@@ -295,39 +313,46 @@ def heading(point: Point) -> np.ndarray:
     balanced, w, tangent = point.problem, point.w, point.tangent
     motion = [part[:, 0] for part in balanced.basis.motion(balanced.coefficients(w), np.zeros(1))]
     moved = [part[:, 0] for part in balanced.basis.motion(tangent[:-1].reshape(len(motion[0]), -1), np.zeros(1))]
-    pace, change = balanced.equations.pace(float(w.vector[-1])), tangent[-1] * balanced.equations.rise(float(w.vector[-1]))
+    pace, change = (
+        balanced.equations.pace(float(w.vector[-1])),
+        tangent[-1] * balanced.equations.rise(float(w.vector[-1])),
+    )
     return np.concatenate([moved[0], pace * moved[1] + change * motion[1],
                            [-2 * np.pi * change / pace**2, tangent[-1]]])  # fmt: skip
 
 
 def reverified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
     """Every event and end of a family of many coordinates, each with its check made again by implicit steps."""
-    check, name = ImplicitCheck(model, int(family.curve.get("cycles", 1))), family.parameter
+    name, cycles = family.parameter, int(family.curve.get("cycles", 1))
+    check = ImplicitCheck(model, name, cycles)
     values = family.values("value")
     for k, event in enumerate(family.events):
         interrupt.check()
         yield f"event {k}, {name} {event.parameter:.12g}", _again(family, check, event)
     for k, end in enumerate(family.ends):
-        off = float(np.abs(values[[0, -1]] - float(end.reason.rpartition("=")[2])).min()) if end.kind == "target" else 0.0
-        said = end.reason if end.kind == "target" else "nothing was solved for"
+        met = end.kind == "target"
+        off = float(np.abs(values[[0, -1]] - float(end.reason.rpartition("=")[2])).min()) if met else 0.0
+        said = end.reason if met else "nothing was solved for"
         yield f"end {k}", at_most(end.kind, off, ROUNDED * float(np.abs(values).max()), said)
 
 
 def _again(family: Family, check: ImplicitCheck, event: Event) -> Check:
-    """An event's orbit closes, and what it claims: at a fold the family's direction comes back as it was, along which the
-    parameter rests; elsewhere a multiplier of its own is recomputed on the unit circle."""
+    """An event's orbit closes, and what it claims: at a fold the family's direction comes back as it was, along which
+    the parameter rests; elsewhere a multiplier of its own is recomputed on the unit circle."""
     try:
         model = with_parameters(check.model, {family.parameter: event.parameter})
         seen = gathered(model, event.state, event.period)[0] if event.kind != "fold" else None
         states = series(event.shooting_nodes, SAMPLED)
         units = extents_of(model, states, event.period)
-        closure = check(event.state, event.period, event.free, units)
+        closure = check(event.state, event.period, event.parameter, units)
         if not closure <= CLOSURE * family.points[0].scale:
             raise ConvergenceError(f"its orbit closes only to {closure:.2g}")
-        if not np.isclose(event.period, float(model.forcing_period(model.parameter_values)) * check.cycles, rtol=ROUNDED):  # type: ignore[misc]
+        if not np.isclose(
+            event.period, float(model.forcing_period(model.parameter_values)) * check.cycles, rtol=ROUNDED
+        ):  # type: ignore[misc]
             raise ConvergenceError(f"its period is not that of the drive at {family.parameter} {event.parameter:.12g}")
         if seen is None:
-            off = check.kept(event.state, event.period, event.free, units, event.tangent[: units.size])
+            off = check.kept(event.state, event.period, event.parameter, units, event.tangent[: units.size])
         else:
             off = float(np.abs(seen.floquet.multipliers - event.multiplier).min()) + abs(abs(event.multiplier) - 1.0)
     except (ConvergenceError, IntegrationError, IndexError, ValueError) as error:
@@ -373,7 +398,9 @@ class _Run:
             self.points.append(kept)
             self.events += [replace(event, arclength=self.sign * event.arclength) for event in events]
             if progress:
-                progress(Batch(int(self.sign), (self._placed(kept),), tuple(self.events[len(self.events) - len(events) :])))
+                progress(
+                    Batch(int(self.sign), (self._placed(kept),), tuple(self.events[len(self.events) - len(events) :]))
+                )
         self.end = curve.end or self.end
 
     def _placed(self, kept: KeptPoint) -> FamilyPoint:
@@ -408,7 +435,10 @@ def _assembled(own: Any, runs: Sequence[_Run], source: Mapping[str, Any]) -> Fam
         some = run.placed()
         points += some[bool(points) :] if run.sign > 0 else some
     if own.settings.certify:
-        points = [own.certified(one) if one.role != "step" or k in (0, len(points) - 1) else one for k, one in enumerate(points)]
+        points = [
+            own.certified(one) if one.role != "step" or k in (0, len(points) - 1) else one
+            for k, one in enumerate(points)
+        ]
     system, entry = dict(own.problem.model.system), own.entry
     points = [situated(point, k, own.name, system, entry) for k, point in enumerate(points)]
     lengths = [point.arclength for point in points]

@@ -155,7 +155,8 @@ def as_problem(origin: Problem | Orbit, model: Model | None = None) -> Problem:
 
 def method_of(origin: Problem | Orbit) -> str | None:
     """The method that an origin asks for or was found by, where families begin by it."""
-    by = origin.method if isinstance(origin, Problem) else {**getattr(origin, "curve", {}), **origin.provenance}.get("method")
+    known = {} if isinstance(origin, Problem) else {**getattr(origin, "curve", {}), **origin.provenance}
+    by = origin.method if isinstance(origin, Problem) else known.get("method")
     return by if by and method.begins(by) else None
 
 
@@ -298,8 +299,8 @@ def by_series(entry: Mapping[str, Any]) -> bool:
 def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -> Curve:
     """The very curve that the `curve` entry of a journal or family.json stands for."""
     if by_series(entry):
-        raise InputError(f"curve: a family of many coordinates by {entry['method']}, of which this is not known; follow it "
-                         "in fewer coordinates, or by another method")  # fmt: skip
+        raise InputError(f"curve: {entry['method']} of many coordinates knows no branches and curves; follow the "
+                         "family by another method")  # fmt: skip
     known = read_as(CurveEntry, entry, "curve", "continue the family again")
     model = knowing(model, known.symmetry)
     if known.symmetry not in symmetries_of(model):

@@ -103,6 +103,7 @@ class Residual:
     def slopes(self, times: np.ndarray, motion: list[np.ndarray], value: float) -> np.ndarray:
         """All slopes (3 x s x n x n) by q, q' and q'' at times, dense."""
         found = np.zeros((3, times.size, self.size, self.size))
-        for table, entries in ((self.varying, self.over(times, motion, value)[1]), (self.steady, self.fixed(value)[:, None])):
+        moving, fixed = self.over(times, motion, value)[1], self.fixed(value)[:, None]
+        for table, entries in ((self.varying, moving), (self.steady, fixed)):
             found[table[:, 2], :, table[:, 0], table[:, 1]] = entries
         return found

@@ -96,7 +96,7 @@ def _near(balanced: Balanced, w: Series) -> Series:
 
     near = full(w, linearised, NEWTON, lambda w, step: w.moved(step))
     if not near.converged:
-        raise ConvergenceError(f"harmonic balance stalls at rows of {near.size:.2g}; give a trajectory nearer to the motion")
+        raise ConvergenceError(f"harmonic balance stalls at rows of {near.size:.2g}; give a trajectory near the motion")
     return near.w
 
 

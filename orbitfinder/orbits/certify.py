@@ -64,7 +64,7 @@ BADLY = 1e-9
 """Multipliers whose products are as far from 1 as this are looked at for better ones"""
 RECORDED = "recorded - recomputed, relative"
 KNOWN = 3.0
-"""Times that an orbit of a stiff structure may be off what other steps say of its end, which are round-off of its forces"""
+"""Times that an orbit of a stiff structure may be off what other steps say of its end: round-off of its forces"""
 MEETING = 1e-4
 """How near to each other mu and 1 / mu are where their sum is known better than they are"""
 TRIED = 12
@@ -574,7 +574,9 @@ def _same_symmetry(orbit: Orbit, evidence: Evidence, model: Model) -> Check:
 def _multiplier_distance(orbit: Orbit, floquet: Floquet) -> float:
     """Largest relative distance between recorded and recomputed multipliers, matched one to one.
 
-    Of many coordinates few may be recorded. Where mu and 1 / mu meet, at +1 and -1, both are known to the square root of what their sum is known to: there the
+    Of many coordinates few may be recorded.
+
+    Where mu and 1 / mu meet, at +1 and -1, both are known to the square root of what their sum is known to: there the
     sum is compared, of which mu - 1 / mu is the derivative, relative to `MEETING`.
     """
     recorded, found = orbit.floquet_multipliers, floquet.multipliers

@@ -29,11 +29,10 @@ SETTINGS = Settings(floor=1e-14, round_off=1e-11, converged=1e-11, most_evaluati
 SAMPLES = 4
 """Times over a period, in multiples of the highest order: products of three are not taken for others"""
 LEAST, REFINED, POWERS = 1e-3, 2, 4
-"""Share of the largest size that a coordinate's counts as at least. Refinements of a bordered solution, iterations for a
-kernel"""
+"""Share of the largest size that a coordinate's is at least. Refinements of a solution, iterations for a kernel"""
 LEFT, NOISY, HIGHEST = 3e-14, 0.1, 400
-"""The next orders are no larger than this, in the sizes of the coordinates, or than so many round-offs; the highest order
-that is tried"""
+"""The next orders are no larger than this, in the sizes of the coordinates, or than so many round-offs; the highest
+order that is tried"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +82,8 @@ class Fourier:
 class Pattern:
     """Where blocks of slopes go in the sparse matrix of all rows, worked out once.
 
-    `powers` (3 of K x K) are what takes coefficients of a motion to those of q, q', q''; for a motion e^(s tau) q they are
-    1, D + s and its square.
+    `powers` (3 of K x K) are what takes coefficients of a motion to those of q, q', q''; for a motion e^(s tau) q they
+    are 1, D + s and its square.
     """
 
     def __init__(self, equations: Residual, basis: Fourier, powers: Sequence[np.ndarray] | None = None) -> None:
@@ -250,7 +249,7 @@ class Balanced:
 
     def at(self, w: Series, tangent: np.ndarray) -> tuple[Self, Series, np.ndarray]:
         """With the sizes of an accepted w, and as many orders as it takes. Raises `ConvergenceError`."""
-        renewed = self.measured(w)  # and with its own tangent: the corrector's is that of its guess, beyond a fold of none
+        renewed = self.measured(w)  # with its own tangent: the corrector's is that of its guess, beyond a fold of none
         while not renewed.enough(w):
             renewed, w, tangent = renewed.finer(w, tangent)
             w = solved(renewed, w, plane(renewed, w, tangent)).w
@@ -279,8 +278,8 @@ class Balanced:
         left, lost = self.left(w)
         enough = left <= max(LEFT, NOISY * lost)
         if not enough and max(self.basis.orders) > HIGHEST:
-            raise ConvergenceError(f"after {max(self.basis.orders)} harmonics the next is still {left:.2g} of the motion; "
-                                   "make what has corners smoother")  # fmt: skip
+            raise ConvergenceError(f"after {max(self.basis.orders)} harmonics the next is still {left:.2g} of the "
+                                   "motion; make what has corners smoother")  # fmt: skip
         return enough
 
     def measured(self, w: Series) -> Self:

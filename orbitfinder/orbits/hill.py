@@ -1,16 +1,16 @@
 """Stability of motions that harmonic balance found, by Hill's matrix: the Floquet exponents that may cross the axis.
 
-A small motion e^(s tau) u(tau) beside a periodic one has A(s) u = 0, A(s) the matrix of harmonic balance with d/dtau + s
-for d/dtau; exponents come again with every i, or 2 i among odd orders. About shifts sigma along the axis
+A small motion e^(s tau) u(tau) beside a periodic one has A(s) u = 0, A(s) the matrix of harmonic balance with d/dtau +
+s for d/dtau; exponents come again with every i, or 2 i among odd orders. About shifts sigma along the axis
 
     A(sigma + theta) = A + theta B + theta^2 C,      (u, mu u) -> (mu u, -A^-1 (B mu u + C u)),   mu = 1 / theta,
 
-and Arnoldi's method finds the largest mu, one sparse factorisation a shift. Which shifts there are says the first order
-of averaging: with frequencies w_i, rates of decay g_i and modes of the mean matrices, the k-th harmonic K of the
-stiffness couples two modes by c = K_ij / 2 sqrt(w_i w_j), and where they are d = w_i + w_j - k off a resonance they grow
-by Re sqrt(((g_i - g_j + i d) / 2)^2 + c^2) - (g_i + g_j) / 2. With twice the c, pairs that grow are looked for, and what
-all others do at most bounds the `rest`. Sources: B. Bentvelsen, A. Lazarus, Nonlinear Dyn. 91 (2018) 1349-1370; A.
-Nayfeh, D. Mook, Nonlinear Oscillations (1979), section 5.4.
+and Arnoldi's method finds the largest mu, one sparse factorisation a shift. Which shifts there are says the first
+order of averaging: with frequencies w_i, rates of decay g_i and modes of the mean matrices, the k-th harmonic K of the
+stiffness couples two modes by c = K_ij / 2 sqrt(w_i w_j), and where they are d = w_i + w_j - k off a resonance they
+grow by Re sqrt(((g_i - g_j + i d) / 2)^2 + c^2) - (g_i + g_j) / 2. With twice the c, pairs that grow are looked for,
+and what all others do at most bounds the `rest`: a bound of first order, by a factor of two. Sources: B. Bentvelsen, A.
+Lazarus, Nonlinear Dyn. 91 (2018) 1349-1370; A. Nayfeh, D. Mook, Nonlinear Oscillations (1979), section 5.4.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def _few(problem: Balanced, w: Series) -> Exponents:
 
 
 def _suspects(problem: Balanced, w: Series) -> tuple[np.ndarray, np.ndarray, float]:
-    """Frequencies (k) that may grow with another, how far their exponents may be off, and what the rest does at most."""
+    """Frequencies (k) that may grow with another, how far their exponents may be off, what the rest does at most."""
     equations, undecided = problem.equations, (np.zeros(0), np.zeros(0), np.inf)
     n, moving, samples = equations.size, equations.varying, problem.sampled(w)[1]
     mean = np.zeros((3, n, n))
@@ -175,7 +175,8 @@ def _shifted(problem: Balanced, shift: complex) -> list[Pattern]:
     known, basis = problem.pattern.derived, problem.basis
     if shift not in known:
         one, moved = np.eye(basis.count), basis.slope + (shift if shift.imag else 0.0) * np.eye(basis.count)
-        powers = [[one, moved, moved @ moved], [0 * one, one, 2 * moved], [0 * one, 0 * one, one]]
+        none = np.zeros_like(one)
+        powers = [[one, moved, moved @ moved], [none, one, 2 * moved], [none, none, one]]
         known[shift] = [Pattern(problem.equations, basis, each) for each in powers]
     return known[shift]  # type: ignore[no-any-return]
 

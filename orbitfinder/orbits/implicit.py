@@ -4,14 +4,13 @@ With stages a_i (accelerations, n each) of a step h from (q, v), t_i = t + c_i h
 
     v_i = v + h sum_j A_ij a_j,    q_i = q + c_i h v + h^2 sum_j (A^2)_ij a_j,    a_i = a(t_i, q_i, v_i).
 
-The iteration's matrix is of the equations by the energies (`integrate.residual`), sparse, one factorisation for each pair
-of eigenvalues of A; what it ends with, and so the motion, is of the accelerations alone. Variations solve all stages
-together. Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II (1996), sections IV.5 and IV.8.
+The iteration's matrix is of the equations by the energies (`integrate.residual`), sparse, one factorisation for each
+pair of eigenvalues of A; what it ends with, and so the motion, is of the accelerations alone. Variations solve all
+stages together. Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II (1996), sections IV.5, IV.8.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
 
@@ -47,11 +46,12 @@ SMALL = 40
 
 
 class Implicit:
-    """The motions of a mechanical Model with a drive, from a state for a period of so many cycles of the drive."""
+    """The motions of a mechanical Model with a drive, from a state for a period, by its equations (at a `value` of what
+    is free there)."""
 
-    def __init__(self, model: Model, cycles: int = 1) -> None:
-        self.model, self.residual = model, Residual(model, "", cycles)
-        self.many, self.pace = rates_of(vector_field(accelerations(model)))[0], self.residual.pace(0.0)
+    def __init__(self, model: Model, residual: Residual, value: float = 0.0) -> None:
+        self.residual, self.value = residual, value
+        self.many, self.pace = rates_of(vector_field(accelerations(model)))[0], residual.pace(value)
         rule, n = tableau(STAGES, "legendre"), self.residual.size
         self.places, self.inner, self.weights = rule.points, rule.inner, rule.weights
         values, vectors = np.linalg.eig(self.inner)
@@ -64,8 +64,8 @@ class Implicit:
     def _slopes(self, times: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """dG/dq, dG/dv, dG/da (k x s, by `table`) at times (s) and n x s of each."""
         motion = [q, v / self.pace, a / self.pace**2]
-        varying = self.residual.over(self.pace * times, motion, 0.0)[1]
-        fixed = np.broadcast_to(self.residual.fixed(0.0)[:, None], (len(self.residual.steady), times.size))
+        varying = self.residual.over(self.pace * times, motion, self.value)[1]
+        fixed = np.broadcast_to(self.residual.fixed(self.value)[:, None], (len(self.residual.steady), times.size))
         return np.concatenate([varying, fixed]) / self.pace ** self.table[:, 2:]
 
     def _stepped(
@@ -134,7 +134,7 @@ class Implicit:
         return end, None if varied is None else self._varied(t, state, h, a, varied), a @ self._ahead.T
 
     def steps(self, state: np.ndarray, period: float) -> int:
-        """As many steps of a period as follow the fastest mode at a state, a power of two, or fewer where that is stiff."""
+        """As many steps of a period as follow the fastest mode, a power of two, or fewer where that is stiff."""
         n = self.residual.size
         slopes = self._slopes(np.zeros(1), state[:n, None], state[n:, None], np.zeros((n, 1)))[:, 0]
         stiff, mass = (self._matrix(slopes * (self.table[:, 2] == kind)) for kind in (0, 2))
@@ -185,7 +185,7 @@ def suits(model: Model) -> bool:
 def gathered(model: Model, state: np.ndarray, period: float) -> tuple[Recomputed, float]:
     """What `Implicit` says of a state (2n) and a period; and how far more steps end elsewhere, in extents. Raises
     `IntegrationError`."""
-    motion, n = Implicit(model, model.forcing_cycles(period)), model.degrees_of_freedom
+    motion, n = Implicit(model, Residual(model, "", model.forcing_cycles(period))), model.degrees_of_freedom
     rough = motion.path(state, period, STEPS, np.abs(state) + np.abs(state).max() + SETTLED)[0]
     units = extents_of(model, rough, period)
     steps = motion.steps(state, period)
@@ -203,19 +203,22 @@ def gathered(model: Model, state: np.ndarray, period: float) -> tuple[Recomputed
 
 
 class ImplicitCheck:
-    """The closure of orbits of a large structure by `Implicit`, at the model's parameters or at freed ones."""
+    """The closure of orbits of a large structure by `Implicit`, at values of one of its parameters."""
 
-    def __init__(self, model: Model, cycles: int = 1) -> None:
-        self.model, self.cycles = model, cycles
+    def __init__(self, model: Model, name: str, cycles: int = 1) -> None:
+        self.model, self.name, self.cycles, self._residual = model, name, cycles, Residual(model, name, cycles)
 
-    def __call__(self, state: np.ndarray, period: float, free: Mapping[str, float], units: np.ndarray) -> float:
+    def _at(self, value: float) -> Implicit:
+        return Implicit(with_parameters(self.model, {self.name: value}), self._residual, value)
+
+    def __call__(self, state: np.ndarray, period: float, value: float, units: np.ndarray) -> float:
         """The largest gap after a period, in `units` (2n). Raises `IntegrationError`."""
-        path = Implicit(with_parameters(self.model, free), self.cycles).path(state, period, STEPS, units)[0]
+        path = self._at(value).path(state, period, STEPS, units)[0]
         return float(np.abs((path[-1] - path[0]) / units).max())
 
-    def kept(self, state: np.ndarray, period: float, free: Mapping[str, float], units: np.ndarray, along: np.ndarray) -> float:
+    def kept(self, state: np.ndarray, period: float, value: float, units: np.ndarray, along: np.ndarray) -> float:
         """By what share of it a variation (2n) comes back changed after a period, all in `units` (2n)."""
-        motion = Implicit(with_parameters(self.model, free), self.cycles)
+        motion = self._at(value)
         begin = along[:, None] / float(np.abs(along / units).max())
         now, back = np.asarray(state, float), begin
         h = period / STEPS

@@ -42,7 +42,8 @@ CLOSURE = 1e-11
 UNKNOWN = 1e10
 """Where errors grow more than this in a period, its closure and multipliers say nothing"""
 METHODS = ("product", "periodic QR", "Hill")
-"""How multipliers were computed: as eigenvalues of the state-transition matrices' product, factor by factor, or by Hill's matrix."""
+"""How multipliers were computed: as eigenvalues of the state-transition matrices' product, factor by factor, or, as few
+as it takes, of Hill's matrix."""
 AGAIN = "continue the family again"
 
 
