@@ -63,7 +63,7 @@ PAIRED, LARGEST_DEFECT = 10.0, 0.1
 BADLY = 1e-9
 """Multipliers whose products are as far from 1 as this are looked at for better ones"""
 RECORDED = "recorded - recomputed, relative"
-KNOWN = 3.0
+KNOWN = 10.0
 """Times that an orbit of a stiff structure may be off what other steps say of its end: round-off of its forces"""
 MEETING = 1e-4
 """How near to each other mu and 1 / mu are where their sum is known better than they are"""

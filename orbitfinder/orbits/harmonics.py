@@ -24,8 +24,8 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.integrate.residual import Residual
 from orbitfinder.mechanics.newton import Settings, Solver
 
-SETTINGS = Settings(floor=1e-14, round_off=1e-11, converged=1e-11, most_evaluations=12, contraction=0.02)
-"""Rows are relative to the sizes of their terms"""
+SETTINGS = Settings(floor=1e-17, round_off=1e-11, converged=1e-11, most_evaluations=12, contraction=0.02)
+"""Rows are relative to the sizes of their terms, of which those of a stiff structure are round-off of far larger ones"""
 SAMPLES = 4
 """Times over a period, in multiples of the highest order: products of three are not taken for others"""
 LEAST, REFINED, POWERS = 1e-3, 2, 4
