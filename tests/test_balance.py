@@ -1,4 +1,4 @@
-"""Harmonic balance: against exact solutions, shooting, programs outside this project and the certificates' integrators."""
+"""Harmonic balance: against exact solutions, shooting, other programs and the certificates' integrators."""
 
 import json
 from dataclasses import replace
@@ -58,7 +58,9 @@ def test_shooting_finds_the_same_motion():
     other = of.find_orbit(replace(problem, guess=of.Guess(one.state, one.period)))
     assert one.certificate.passed
     assert one.state == pytest.approx(other.state, abs=1e-9)
-    assert np.sort_complex(one.floquet_multipliers) == pytest.approx(np.sort_complex(other.floquet_multipliers), abs=1e-8)
+    assert np.sort_complex(one.floquet_multipliers) == pytest.approx(
+        np.sort_complex(other.floquet_multipliers), abs=1e-8
+    )
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +79,7 @@ def resonance(tmp_path_factory):
 
 
 def test_a_resonance_curve_is_that_of_shooting(resonance):
-    """Both folds to 1e-10 and their error bars; every orbit asked for exactly, certified; stability changes at folds."""
+    """Both folds to 1e-10 and their error bars; orbits asked for, certified; stability changes at folds."""
     family = of.load_family(resonance[0] / "duffing" / "family.json")
     first = of.Guess(family.points[0].state, family.points[0].period)
     shot = of.follow_family(replace(duffing(1.2, force=0.3), guess=first), "frequency", until=2.0)
@@ -102,7 +104,8 @@ def test_it_is_read_again_verified_and_drawn(resonance):
     again = CliRunner().invoke(cli, command)
     assert again.exit_code == 0
     assert file.read_bytes() == before
-    for told in (["verify", str(file), f"{file}#4"], ["show", str(file)], ["plot", str(file), "-o", str(folder / "p")]):
+    drawn = ["plot", str(file), "-o", str(folder / "p")]
+    for told in (["verify", str(file), f"{file}#4"], ["show", str(file)], drawn):
         answer = CliRunner().invoke(cli, told)
         assert answer.exit_code == 0, answer.output
     assert list((folder / "p").glob("*.png"))
@@ -215,7 +218,7 @@ def test_what_it_is_not_for_is_said(problem, words):
 
 def test_messages_of_families():
     settings = of.FamilySettings(method="balance")
-    with pytest.raises(InputError, match="stop, between: not by balance"):
+    with pytest.raises(InputError, match="stop, between, beside: not by balance"):
         of.follow_family(duffing(), "frequency", settings=settings, between=(0.1, 0.2))
     with pytest.raises(InputError, match="unknown 'balanced', did you mean 'balance'"):
         of.follow_family(duffing(), "frequency", settings=of.FamilySettings(method="balanced"))

@@ -2,7 +2,7 @@
 
 Up to `SMALL` coordinates that are not stiff, the equations of shooting stand beside those of balance: an orbit's nodes
 are the series' states, and multipliers, closure, events with their checks and error bars are read as of any family, by
-one march. Of more coordinates multipliers are Hill's, as few as it takes (`orbits.hill`), closure is by implicit steps,
+a march. Of more coordinates multipliers are Hill's, as few as it takes (`orbits.hill`), closure is by implicit steps,
 and folds and changes of stability are located in harmonics.
 """
 
@@ -18,6 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from orbitfinder._runtime import interrupt, locks
+from orbitfinder._runtime.keeping import STOPPED
 from orbitfinder.continuation.follow import (
     CurveJournal,
     Goals,
@@ -30,6 +31,7 @@ from orbitfinder.continuation.follow import (
 )
 from orbitfinder.continuation.problem import Point
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.families.entries import KINDS
 from orbitfinder.families.events import event_at, find_events
 from orbitfinder.families.members import batch_certified, certified, series
 from orbitfinder.families.point import FamilySettings, make_point
@@ -42,7 +44,7 @@ from orbitfinder.loops.continued import Curve, at_place, tangent
 from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.problem import Problem, at_forcing_period
 from orbitfinder.loops.symmetry import NONE
-from orbitfinder.loops.watch import Watch
+from orbitfinder.loops.watch import Number, Watch, watches
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.scales import extents_of
@@ -74,47 +76,46 @@ from orbitfinder.records.orbit import system_at
 
 NODES, STEPS = 16, 256
 """States at equal times that shooting stands on, and its steps of a period at least"""
-STOPPED = End("stopped", "stopped")
 ZERO, AGAIN, SAMPLED, ROUNDED = 1e-6, 1e-5, 64, 1e-12
 """An exponent that is 0 at an event is as near to it, what is verified of it again as this; states that units are taken
 from; relative error of a number"""
 
 
 def followed(
-    problem: Problem, settings: FamilySettings, until: float | None, at: Sequence[float], name: str,
-    folder: Path | None, request: Mapping[str, Any], source: Mapping[str, Any], watch: Mapping[str, Watch],
+    problem: Problem, settings: FamilySettings, goals: tuple[float | None, Sequence[float], bool], name: str,
+    folder: Path | None, asked: tuple[Mapping[str, Any], Mapping[str, Any]], watch: Mapping[str, str | Number],
     progress: Callable[[Batch], None] | None,
 ) -> Family:  # fmt: skip
     """The family of a driven motion in a parameter, each direction kept in a journal of the folder.
 
-    Raises `InputError` and `ConvergenceError`.
+    `goals` are its end, values to be met, and whether there are others, of which it knows none; `asked` the request
+    that a journal answers and what the family was started from. Raises `InputError` and `ConvergenceError`.
     """
-    problem, parameter = at_forcing_period(problem), settings.parameter
-    if why := refused(problem) or ("beside is for motions without a drive" if settings.beside else ""):
+    problem, parameter, (until, at, others) = at_forcing_period(problem), settings.parameter, goals
+    if why := refused(problem):
         raise InputError(f"method: balance is not for this problem, {why}; leave method out")
+    if others or settings.beside:
+        raise InputError("stop, between, beside: not by balance; give until, or leave method out")
     problem.model.parameter_index(parameter)
     first = begun(problem, parameter, until)
-    own = (_Marched if _tame(first) else _Large)(problem, settings, name, watch, first)
-    runs = [
-        _Run(own, sign, Goals(parameter, goal, exact), first) for sign, goal, exact in _ways(first, settings, until, at)
-    ]
+    own = (_Marched if _tame(first) else _Large)(problem, settings, name, watches(watch, problem.model), first)
+    ways = _ways(first, settings, until, at)
+    runs = [_Direction(own, sign, Goals(parameter, goal, exact), first) for sign, goal, exact in ways]
     with nullcontext() if folder is None else locks.alone_in(folder):
         for k, run in enumerate(runs):
             path = folder and folder / f"balance{k or ''}.jsonl"
-            run.walk(
-                CurveJournal(run, path, {**request, "method": NAME, "way": [k, run.sign, run.goals.until is None]}),
-                progress,
-            )
+            request = {**asked[0], "method": NAME, "way": [run.sign, run.goals.until is None]}
+            run.walk(CurveJournal(run, path, request), progress)
             if end_kind(run.end.kind).closed:
                 break
-        family = _assembled(own, runs, source)
+        family = _assembled(own, runs, asked[1])
         if folder is not None:
             save_family(family, folder)
     return family
 
 
 def _tame(point: Point) -> bool:
-    """Whether explicit steps follow a motion's variations, all of which are found."""
+    """Whether explicit steps follow a motion's variations, all of which are known."""
     return point.problem.equations.size <= SMALL and monodromy(point.problem, point.w) is not None
 
 
@@ -201,8 +202,10 @@ class _Marched:
         last = self.sample(after.point, first.indices)
         length, step = ahead(self.curve, first, last.solution), after.point.arclength - before.point.arclength
         interval = make_interval(self.curve, first, replace(last, distance=length))
-        found = [event_at(self.curve, *each, self.settings.parameter) for each in find_events(interval, self.settings)]
-        batch = checked(self.curve, Batch(1, events=tuple(found)), length, self.settings.parameter)
+        located = [
+            event_at(self.curve, *each, self.settings.parameter) for each in find_events(interval, self.settings)
+        ]
+        batch = checked(self.curve, Batch(1, events=tuple(located)), length, self.settings.parameter)
         batch = batch_certified(self.curve, batch) if self.settings.certify else batch
         return [
             replace(event, arclength=before.point.arclength + event.arclength * step / length) for event in batch.events
@@ -266,7 +269,12 @@ class _Large:
         return closure <= CLOSURE * self.grown, closure
 
     def events(self, before: KeptPoint, after: KeptPoint, seen: Sequence[KeptPoint]) -> list[Event]:
-        return [event for kept in seen if (event := self._event(kept, before.point, after.point)) is not None]
+        located = [event for kept in seen if (event := self._event(kept, before.point, after.point)) is not None]
+        stable = [kept.record.stability != "unstable" for kept in (before, after)]
+        if len(located) == 1 and stable[0] != stable[1]:
+            detail = f"becomes {'stable' if stable[1] else 'unstable'}"
+            located.append(replace(located[0], kind="stability_change", detail=detail))
+        return located
 
     def _event(self, kept: KeptPoint, before: Point, after: Point) -> Event | None:
         """A located event with its check: the exponent that is on the axis there."""
@@ -275,24 +283,21 @@ class _Large:
         about = exponents(balanced, point.w)
         if not about.values.size:
             return None
-        critical = about.values[np.argmin(np.abs(about.values.real))]
-        if kept.role == "fold":
-            critical = about.values[np.argmin(np.abs(about.values))]
+        turns = KINDS[kept.role].extremal if kept.role in KINDS else False
+        critical = about.values[np.argmin(np.abs(about.values if turns else about.values.real))]
         turned = abs((critical.imag + 0.5) % 1.0 - 0.5)
-        kind = kept.role if kept.role == "fold" else (
-            "branch_point" if turned < ZERO else "period_doubling" if turned > 0.5 - ZERO else "torus")  # fmt: skip
-        off = abs(critical) if kind == "fold" else abs(critical.real)
-        state = states_of(point, np.zeros(1))[0]
-        known = abs(after.value(self.parameter) - before.value(self.parameter))
-        error = balanced.known(point.w) if kind == "fold" else known * (off + ZERO * 1e-2) / max(
-            abs(changing(after) - changing(before)), ZERO)  # fmt: skip
+        other = "branch_point" if turned < ZERO else "period_doubling" if turned > 0.5 - ZERO else "torus"
+        off, known = abs(critical) if turns else abs(critical.real), abs(changing(after) - changing(before))
+        step = abs(after.value(self.parameter) - before.value(self.parameter))
+        error = balanced.known(point.w) if turns else step * (off + 0.01 * ZERO) / max(known, ZERO)
         if off > ZERO:
             return None
         nodes = states_of(point, np.linspace(0.0, 1.0, nodes_of(point) + 1))[:-1]
+        state, period = nodes[0], 2 * np.pi / balanced.equations.pace(value)
         certain = bool(self.check and self._closes(point)[0])
-        free, detail = {self.parameter: value}, self.parameter if kind == "fold" else ""
+        free, detail = {self.parameter: value}, self.parameter if turns else ""
         return Event(
-            kind, 0, point.arclength, value, state, 2 * np.pi / balanced.equations.pace(value),
+            kept.role if turns else other, 0, point.arclength, value, state, period,
             energy(with_parameters(self.model, free), state), detail, free=free, tangent=heading(point),
             multiplier=complex(np.exp(2 * np.pi * critical)), shooting_nodes=nodes,
             mesh=np.linspace(0.0, 1.0, len(nodes) + 1), certified=certain,
@@ -330,7 +335,7 @@ def reverified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
         interrupt.check()
         yield f"event {k}, {name} {event.parameter:.12g}", _again(family, check, event)
     for k, end in enumerate(family.ends):
-        met = end.kind == "target"
+        met = end.reason.startswith("reached ")
         off = float(np.abs(values[[0, -1]] - float(end.reason.rpartition("=")[2])).min()) if met else 0.0
         said = end.reason if met else "nothing was solved for"
         yield f"end {k}", at_most(end.kind, off, ROUNDED * float(np.abs(values).max()), said)
@@ -341,15 +346,14 @@ def _again(family: Family, check: ImplicitCheck, event: Event) -> Check:
     the parameter rests; elsewhere a multiplier of its own is recomputed on the unit circle."""
     try:
         model = with_parameters(check.model, {family.parameter: event.parameter})
-        seen = gathered(model, event.state, event.period)[0] if event.kind != "fold" else None
+        turns = abs(event.multiplier - 1.0) <= AGAIN and (KINDS[event.kind].extremal or KINDS[event.kind].verdict)
+        seen = None if turns else gathered(model, event.state, event.period)[0]
         states = series(event.shooting_nodes, SAMPLED)
         units = extents_of(model, states, event.period)
         closure = check(event.state, event.period, event.parameter, units)
         if not closure <= CLOSURE * family.points[0].scale:
             raise ConvergenceError(f"its orbit closes only to {closure:.2g}")
-        if not np.isclose(
-            event.period, float(model.forcing_period(model.parameter_values)) * check.cycles, rtol=ROUNDED
-        ):  # type: ignore[misc]
+        if abs(event.period / check.period(event.parameter) - 1.0) > ROUNDED:
             raise ConvergenceError(f"its period is not that of the drive at {family.parameter} {event.parameter:.12g}")
         if seen is None:
             off = check.kept(event.state, event.period, event.parameter, units, event.tangent[: units.size])
@@ -368,7 +372,7 @@ def changing(point: Point) -> float:
 
 
 @dataclass(eq=False)
-class _Run:
+class _Direction:
     """One direction from the first point."""
 
     own: Any
@@ -377,7 +381,7 @@ class _Run:
     first: Point
     points: list[KeptPoint] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
-    end: End = STOPPED
+    end: End = field(default_factory=lambda: End(STOPPED, "stopped"))
 
     def begin(self) -> Point:
         s = self.own.settings
@@ -398,13 +402,13 @@ class _Run:
             self.points.append(kept)
             self.events += [replace(event, arclength=self.sign * event.arclength) for event in events]
             if progress:
-                progress(
-                    Batch(int(self.sign), (self._placed(kept),), tuple(self.events[len(self.events) - len(events) :]))
-                )
+                new = tuple(self.events[len(self.events) - len(events) :])
+                progress(Batch(int(self.sign), (self._placed(kept),), new))
         self.end = curve.end or self.end
 
     def _placed(self, kept: KeptPoint) -> FamilyPoint:
-        return replace(kept.record, arclength=self.sign * kept.point.arclength, role=kept.role)
+        record: FamilyPoint = kept.record
+        return replace(record, arclength=self.sign * kept.point.arclength, role=kept.role)
 
     def placed(self) -> list[FamilyPoint]:
         """The points in the order of their arclength."""
@@ -413,7 +417,8 @@ class _Run:
 
     def record(self, point: Point) -> FamilyPoint:
         """Its orbit."""
-        return self.own.point(point, index=0, arclength=point.arclength, step=point.step)
+        record: FamilyPoint = self.own.point(point, index=0, arclength=point.arclength, step=point.step)
+        return record
 
     def write(self, point: Point, record: FamilyPoint) -> Mapping[str, Any]:
         """Both in plain numbers."""
@@ -424,11 +429,12 @@ class _Run:
         """Both from what was written."""
         problem, w = self.first.problem.on(tuple(entry["orders"]), np.array(entry["w"], float))
         point = Point(problem, w, np.array(entry["tangent"], float), float(entry["arclength"]), float(entry["step"]))
-        record = restored(FamilyPoint, entry["orbit"])
-        return point, situated(record, 0, "", self.own.problem.model.system, self.own.entry)
+        record: FamilyPoint = restored(FamilyPoint, entry["orbit"])
+        record = situated(record, 0, "", self.own.problem.model.system, self.own.entry)
+        return point, record
 
 
-def _assembled(own: Any, runs: Sequence[_Run], source: Mapping[str, Any]) -> Family:
+def _assembled(own: Any, runs: Sequence[_Direction], source: Mapping[str, Any]) -> Family:
     walked = [run for run in reversed(runs) if run.points]
     points = list[FamilyPoint]()
     for run in walked:
@@ -436,8 +442,8 @@ def _assembled(own: Any, runs: Sequence[_Run], source: Mapping[str, Any]) -> Fam
         points += some[bool(points) :] if run.sign > 0 else some
     if own.settings.certify:
         points = [
-            own.certified(one) if one.role != "step" or k in (0, len(points) - 1) else one
-            for k, one in enumerate(points)
+            own.certified(point) if point.role != "step" or k in (0, len(points) - 1) else point
+            for k, point in enumerate(points)
         ]
     system, entry = dict(own.problem.model.system), own.entry
     points = [situated(point, k, own.name, system, entry) for k, point in enumerate(points)]

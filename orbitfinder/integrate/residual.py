@@ -1,4 +1,4 @@
-"""The equations of motion as one residual over a period, for harmonic balance and for steps of implicit methods.
+"""The equations of motion as a residual over a period, for harmonic balance and for steps of implicit methods.
 
 With tau = omega t, omega = 2 pi cycles / (the drive's period), and ' for d/dtau,
 
@@ -18,7 +18,7 @@ from orbitfinder.mechanics.model import Model
 
 
 class Residual:
-    """G of a Model with one parameter free (or none, ""), and its slopes, over many times in a call."""
+    """G of a Model with a parameter free (or nothing, ""), and its slopes, over many times in a call."""
 
     def __init__(self, model: Model, name: str, cycles: int = 1) -> None:
         self.model, self.name, self.size = model, name, model.degrees_of_freedom
@@ -97,13 +97,13 @@ class Residual:
         random, value = np.random.default_rng(0), self.start
         times = random.uniform(0, 2 * np.pi, 3)
         motion = [random.normal(size=(self.size, 3)) for _ in range(3)]
-        one, other = self.rows(times, motion, value), self.rows(times + np.pi, [-part for part in motion], value)
-        return bool(np.abs(one + other).max() <= 1e-9 * np.abs(one).max())
+        here, there = self.rows(times, motion, value), self.rows(times + np.pi, [-part for part in motion], value)
+        return bool(np.abs(here + there).max() <= 1e-9 * np.abs(here).max())
 
     def slopes(self, times: np.ndarray, motion: list[np.ndarray], value: float) -> np.ndarray:
         """All slopes (3 x s x n x n) by q, q' and q'' at times, dense."""
-        found = np.zeros((3, times.size, self.size, self.size))
+        slopes = np.zeros((3, times.size, self.size, self.size))
         moving, fixed = self.over(times, motion, value)[1], self.fixed(value)[:, None]
         for table, entries in ((self.varying, moving), (self.steady, fixed)):
-            found[table[:, 2], :, table[:, 0], table[:, 1]] = entries
-        return found
+            slopes[table[:, 2], :, table[:, 0], table[:, 1]] = entries
+        return slopes

@@ -22,19 +22,16 @@ from orbitfinder.mechanics.scales import parameter_sizes
 from orbitfinder.orbits.floquet import Floquet, judged
 from orbitfinder.orbits.guesses.linear import linear_response
 from orbitfinder.orbits.guesses.settled import lap
-from orbitfinder.orbits.harmonics import Balanced, Fourier, Pattern, Series, orders
+from orbitfinder.orbits.harmonics import Balanced, Coefficients, Fourier, Pattern, orders
 from orbitfinder.orbits.hill import exponents
 from orbitfinder.orbits.implicit import SMALL
 from orbitfinder.orbits.measure import action, provenance, recorded
 from orbitfinder.records.orbit import Orbit
 
-NAME = "balance"
 FIRST, SHARES = (5, 11), (1.0, 0.5, -1.0, 1.5, -1.5, 0.25)
 """Highest orders that a guess is tried with; sizes of the linear response, in phase or not"""
-SAMPLES = 256
-"""Equal times that a motion is recorded and its action summed at, at least"""
-NEWTON = Settings(floor=1e-9, round_off=1e-9, converged=1e-9, most_evaluations=40, halving=True)
-"""From a guess"""
+NAME, SAMPLES = "balance", 256
+"""Of the method. Equal times that a motion is recorded and its action summed at, at least"""
 
 
 def refused(problem: Problem) -> str:
@@ -65,7 +62,7 @@ def begun(problem: Problem, parameter: str, until: float | None = None) -> Point
         basis = Fourier(orders(top, equations.odd))
         balanced = Balanced(Pattern(equations, basis), np.ones(n), size, np.ones(n))
         motion = np.array([np.interp(basis.times, 2 * np.pi * times / times[-1], q) for q in states.T[:n]])
-        w = Series(np.append((motion @ basis.back.T).ravel(), start))
+        w = Coefficients(np.append((motion @ basis.back.T).ravel(), start))
         balanced = balanced.measured(w)
         try:
             return _settled(balanced, _near(balanced, w), start)
@@ -86,21 +83,22 @@ def _trajectories(model: Model, guess: Guess, n: int) -> Iterator[tuple[np.ndarr
         yield from ((times, share * states) for share in SHARES)
 
 
-def _near(balanced: Balanced, w: Series) -> Series:
+def _near(balanced: Balanced, w: Coefficients) -> Coefficients:
     """A guess brought near by whole Newton steps at its parameter, halved where they leave more."""
     row = balanced.aim(w, "", balanced.equations.start)[1][None]
 
-    def linearised(w: Series) -> tuple[np.ndarray, Solver]:
+    def linearised(w: Coefficients) -> tuple[np.ndarray, Solver]:
         rows, linear = balanced.linearise(w)
         return np.append(rows, 0.0), linear.closed(row)
 
-    near = full(w, linearised, NEWTON, lambda w, step: w.moved(step))
+    settings = Settings(floor=1e-9, round_off=1e-9, converged=1e-9, most_evaluations=40, halving=True)
+    near = full(w, linearised, settings, lambda w, step: w.moved(step))
     if not near.converged:
         raise ConvergenceError(f"harmonic balance stalls at rows of {near.size:.2g}; give a trajectory near the motion")
     return near.w
 
 
-def _settled(balanced: Balanced, w: Series, value: float) -> Point:
+def _settled(balanced: Balanced, w: Coefficients, value: float) -> Point:
     """The motion at a value of the parameter, its tangent along what the parameter moves."""
     while True:
         point = solved(balanced, w, lambda w: balanced.aim(w, "", value))  # noqa: B023 - of this round
@@ -118,7 +116,7 @@ def states_of(point: Point, shares: np.ndarray) -> np.ndarray:
     return np.vstack(motion[:1] if equations.model.rates is not None else [motion[0], pace * motion[1]]).T
 
 
-def found(problem: Problem, settings: SolveSettings, report: Callback | None, began: float) -> tuple[Orbit, Model]:
+def balanced(problem: Problem, settings: SolveSettings, report: Callback | None, began: float) -> tuple[Orbit, Model]:
     """The orbit of a driven system, by harmonic balance."""
     problem = at_forcing_period(problem)
     point = begun(problem, "")

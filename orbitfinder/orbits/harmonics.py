@@ -1,8 +1,8 @@
 """Driven motions as a continuation problem by harmonic balance, for large systems: sparse from end to end.
 
-With tau = omega t one turn of the motion, q(tau) = sum_k c_k b_k(tau) in cosines and sines b_k of some orders, the rows
+With tau = omega t a turn of the motion, q(tau) = sum_k c_k b_k(tau) in cosines and sines b_k of some orders, the rows
 are <b_l, G> = 0 (Galerkin) of the residual G (`integrate.residual`), by sums over equal times (AFT). Entries of the
-slopes of G that are the same at all states cost a 2 x 2 block an order, the others a full one. Where G(tau + pi, -q,
+slopes of G that are the same at all states cost a 2 x 2 block an order, the others a full block. Where G(tau + pi, -q,
 -q', -q'') = -G odd orders and half of the times suffice. Sources: T. Cameron, J. Griffin, J. Appl. Mech. 56 (1989)
 149-154; M. Krack, J. Gross, Harmonic Balance for Nonlinear Vibration Problems (2019).
 """
@@ -24,27 +24,24 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.integrate.residual import Residual
 from orbitfinder.mechanics.newton import Settings, Solver
 
-SETTINGS = Settings(floor=1e-17, round_off=1e-11, converged=1e-11, most_evaluations=12, contraction=0.02)
-"""Rows are relative to the sizes of their terms, of which those of a stiff structure are round-off of far larger ones"""
-SAMPLES = 4
-"""Times over a period, in multiples of the highest order: products of three are not taken for others"""
-LEAST, REFINED, POWERS = 1e-3, 2, 4
-"""Share of the largest size that a coordinate's is at least. Refinements of a solution, iterations for a kernel"""
+SAMPLES, LEAST, REFINED, POWERS = 4, 1e-3, 2, 4
+"""Times over a period, in multiples of the highest order: products of three are not taken for others. Share of the
+largest size that a coordinate's is at least; refinements of a solution; iterations for a kernel"""
 LEFT, NOISY, HIGHEST = 3e-14, 0.1, 400
 """The next orders are no larger than this, in the sizes of the coordinates, or than so many round-offs; the highest
 order that is tried"""
 
 
 @dataclass(frozen=True, eq=False)
-class Series:
-    """Coefficients of all coordinates, one after another, and the parameter last."""
+class Coefficients:
+    """Coefficients of all coordinates in their order, and the parameter last."""
 
     vector: np.ndarray
     known: dict[str, Any] = field(default_factory=dict)
 
-    def moved(self, step: np.ndarray) -> Series:
+    def moved(self, step: np.ndarray) -> Coefficients:
         """So much farther."""
-        return Series(self.vector + step)
+        return Coefficients(self.vector + step)
 
 
 class Fourier:
@@ -157,11 +154,11 @@ class Condensed:
             return np.append(inside - last * across, last)
 
         def solve(right: np.ndarray) -> np.ndarray:
-            found = once(right)
+            answer = once(right)
             for _ in range(REFINED):
-                left = np.append(self.matrix @ found[:-1] + self.column * found[-1], aim @ found)
-                found = found + once(right - left)
-            return np.asarray(-found * self.sizes)
+                left = np.append(self.matrix @ answer[:-1] + self.column * answer[-1], aim @ answer)
+                answer = answer + once(right - left)
+            return np.asarray(-answer * self.sizes)
 
         return solve
 
@@ -174,7 +171,12 @@ class Balanced:
     sizes: np.ndarray
     p_size: float
     row_sizes: np.ndarray
-    settings: Settings = SETTINGS
+    settings: Settings = field(
+        default_factory=lambda: Settings(
+            floor=1e-17, round_off=1e-11, converged=1e-11, most_evaluations=12, contraction=0.02
+        )
+    )
+    """rows are relative to the sizes of their terms, and those that load a stiff structure far smaller"""
 
     @property
     def basis(self) -> Fourier:
@@ -186,11 +188,11 @@ class Balanced:
         """Whose motions they are."""
         return self.pattern.equations
 
-    def coefficients(self, w: Series) -> np.ndarray:
+    def coefficients(self, w: Coefficients) -> np.ndarray:
         """Of each coordinate (n x K)."""
         return w.vector[:-1].reshape(-1, self.basis.count)
 
-    def rows(self, w: Series) -> np.ndarray:
+    def rows(self, w: Coefficients) -> np.ndarray:
         """F(w)."""
         motion, value = self.basis.motion(self.coefficients(w)), float(w.vector[-1])
         return self._measured(self.equations.rows(self.basis.times, motion, value))
@@ -200,34 +202,34 @@ class Balanced:
             raise ConvergenceError("the equations of motion leave the numbers")
         return np.asarray((samples @ self.basis.back.T / self.row_sizes[:, None]).ravel())
 
-    def linearise(self, w: Series) -> tuple[np.ndarray, Condensed]:
+    def linearise(self, w: Coefficients) -> tuple[np.ndarray, Condensed]:
         """F(w) and its derivatives, remembered with w."""
-        problem, *found = w.known.get("linear", (None,))
+        problem, *answer = w.known.get("linear", (None,))
         if problem is not self:
             rows, matrix, column = self.slopes(w)
             count = self.basis.count
             across, down = np.repeat(self.sizes, count), np.repeat(1.0 / self.row_sizes, count)
             data = matrix.data * down[matrix.indices] * np.repeat(across, np.diff(matrix.indptr))
             scaled = sparse.csc_matrix((data, matrix.indices, matrix.indptr), shape=matrix.shape)
-            found = [rows, Condensed(scaled, column * self.p_size, np.append(across, self.p_size))]
-            w.known["linear"] = (self, *found)
-        return found[0], found[1]
+            answer = [rows, Condensed(scaled, column * self.p_size, np.append(across, self.p_size))]
+            w.known["linear"] = (self, *answer)
+        return answer[0], answer[1]
 
-    def slopes(self, w: Series) -> tuple[np.ndarray, Any, np.ndarray]:
+    def slopes(self, w: Coefficients) -> tuple[np.ndarray, Any, np.ndarray]:
         """F(w), the sparse matrix of <b_l, dG/dc_k> in its own units, and F's change with the parameter."""
         rows, varying, by_p = self.sampled(w)
         fixed = self.equations.fixed(float(w.vector[-1]))
         return self._measured(rows), self.pattern.matrix(fixed, varying), self._measured(by_p)
 
-    def sampled(self, w: Series) -> list[np.ndarray]:
+    def sampled(self, w: Coefficients) -> list[np.ndarray]:
         """What is known of G at the times."""
         return self.equations.over(self.basis.times, self.basis.motion(self.coefficients(w)), float(w.vector[-1]))
 
-    def phases(self, w: Series) -> np.ndarray:
+    def phases(self, w: Coefficients) -> np.ndarray:
         """None: the drive has the clock."""
         return np.zeros((0, w.vector.size))
 
-    def metric(self, w: Series) -> np.ndarray:  # noqa: ARG002 - of the protocol
+    def metric(self, w: Coefficients) -> np.ndarray:  # noqa: ARG002 - of the protocol
         """The mean square of the coordinates over the motion, and of the parameter."""
         return self._metric
 
@@ -237,17 +239,17 @@ class Balanced:
         profile = np.outer(1.0 / self.sizes**2, squares).ravel() / self.sizes.size
         return np.append(profile, self.p_size**-2.0)
 
-    def value(self, w: Series, name: str) -> float:  # noqa: ARG002 - of the protocol
+    def value(self, w: Coefficients, name: str) -> float:  # noqa: ARG002 - of the protocol
         """Of the parameter."""
         return float(w.vector[-1])
 
-    def aim(self, w: Series, name: str, value: float) -> tuple[float, np.ndarray]:  # noqa: ARG002 - of the protocol
+    def aim(self, w: Coefficients, name: str, value: float) -> tuple[float, np.ndarray]:  # noqa: ARG002 - of the protocol
         """The parameter at a value, in its unit."""
         row = np.zeros(w.vector.size)
         row[-1] = 1.0 / self.p_size
         return (float(w.vector[-1]) - value) / self.p_size, row
 
-    def at(self, w: Series, tangent: np.ndarray) -> tuple[Self, Series, np.ndarray]:
+    def at(self, w: Coefficients, tangent: np.ndarray) -> tuple[Self, Coefficients, np.ndarray]:
         """With the sizes of an accepted w, and as many orders as it takes. Raises `ConvergenceError`."""
         renewed = self.measured(w)  # with its own tangent: the corrector's is that of its guess, beyond a fold of none
         while not renewed.enough(w):
@@ -256,24 +258,24 @@ class Balanced:
             renewed = renewed.measured(w)
         return renewed, w, Point(renewed, w, tangent).sharp.tangent
 
-    def on(self, orders: tuple[int, ...], vector: np.ndarray) -> tuple[Self, Series]:
+    def on(self, orders: tuple[int, ...], vector: np.ndarray) -> tuple[Self, Coefficients]:
         """With these orders and the sizes of coefficients (w) of them."""
         known = self.equations.patterns
         if orders not in known:
             known[orders] = Pattern(self.equations, Fourier(orders))
-        w = Series(vector)
+        w = Coefficients(vector)
         if vector.size != known[orders].whole + 1:
             raise ValueError("coefficients of another size")
         return replace(self, pattern=known[orders]).measured(w), w
 
-    def known(self, w: Series) -> float:
+    def known(self, w: Coefficients) -> float:
         """What the parameter of a fold is known to: what round-off and the next orders make of it."""
         rows, linear = self.linearise(w)
         left, _ = linear.kernel()
         lost = np.finfo(float).eps * np.linalg.norm(left) + abs(left @ rows)
         return float(self.p_size * lost / abs(left @ linear.column))
 
-    def enough(self, w: Series) -> bool:
+    def enough(self, w: Coefficients) -> bool:
         """Whether the orders are. Raises `ConvergenceError` where none that are tried would be."""
         left, lost = self.left(w)
         enough = left <= max(LEFT, NOISY * lost)
@@ -282,7 +284,7 @@ class Balanced:
                                    "motion; make what has corners smoother")  # fmt: skip
         return enough
 
-    def measured(self, w: Series) -> Self:
+    def measured(self, w: Coefficients) -> Self:
         """With the sizes of a motion."""
         coefficients = np.abs(self.coefficients(w))
         sizes = np.sqrt((coefficients**2).sum(axis=1))
@@ -291,9 +293,9 @@ class Balanced:
         rows = matrix.reshape(-1, self.basis.count).max(axis=1)
         return replace(self, sizes=sizes, row_sizes=nonzero(rows))
 
-    def carried(self, w: Series, onto: Series) -> Series:  # noqa: ARG002 - of the protocol
+    def carried(self, w: Coefficients, onto: Coefficients) -> Coefficients:  # noqa: ARG002 - of the protocol
         """w, or a direction, of as many orders or fewer on its own."""
-        return Series(self._padded(w.vector))
+        return Coefficients(self._padded(w.vector))
 
     def _padded(self, vector: np.ndarray) -> np.ndarray:
         if vector.size == self.pattern.whole + 1:
@@ -303,7 +305,7 @@ class Balanced:
         wide[:, : old.shape[1]] = old
         return np.append(wide.ravel(), vector[-1])
 
-    def left(self, w: Series) -> tuple[float, float]:
+    def left(self, w: Coefficients) -> tuple[float, float]:
         """About the largest coefficient of the next two orders, and what round-off makes there, in the sizes of the
         coordinates."""
         known = self.pattern.derived
@@ -325,12 +327,12 @@ class Balanced:
         largest, lost = np.abs(both / sizes[:, None]).max(axis=0)
         return float(largest), float(lost)
 
-    def finer(self, w: Series, tangent: np.ndarray) -> tuple[Self, Series, np.ndarray]:
+    def finer(self, w: Coefficients, tangent: np.ndarray) -> tuple[Self, Coefficients, np.ndarray]:
         """With more orders, w and a tangent padded."""
         top = max(self.basis.orders)
         basis = Fourier(orders(top + max(2, 2 * (top // 4)), 0 not in self.basis.orders))
         made = replace(self, pattern=Pattern(self.equations, basis))
-        more = Series(made._padded(w.vector))
+        more = Coefficients(made._padded(w.vector))
         return made.measured(more), more, made._padded(tangent)
 
 

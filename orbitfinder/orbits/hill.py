@@ -1,11 +1,11 @@
-"""Stability of motions that harmonic balance found, by Hill's matrix: the Floquet exponents that may cross the axis.
+"""Stability of motions by harmonic balance, from Hill's matrix: the Floquet exponents that may cross the axis.
 
-A small motion e^(s tau) u(tau) beside a periodic one has A(s) u = 0, A(s) the matrix of harmonic balance with d/dtau +
+A small motion e^(s tau) u(tau) beside a periodic unit has A(s) u = 0, A(s) the matrix of harmonic balance with d/dtau +
 s for d/dtau; exponents come again with every i, or 2 i among odd orders. About shifts sigma along the axis
 
     A(sigma + theta) = A + theta B + theta^2 C,      (u, mu u) -> (mu u, -A^-1 (B mu u + C u)),   mu = 1 / theta,
 
-and Arnoldi's method finds the largest mu, one sparse factorisation a shift. Which shifts there are says the first
+and Arnoldi's method finds the largest mu, a sparse factorisation a shift. Which shifts there are says the first
 order of averaging: with frequencies w_i, rates of decay g_i and modes of the mean matrices, the k-th harmonic K of the
 stiffness couples two modes by c = K_ij / 2 sqrt(w_i w_j), and where they are d = w_i + w_j - k off a resonance they
 grow by Re sqrt(((g_i - g_j + i d) / 2)^2 + c^2) - (g_i + g_j) / 2. With twice the c, pairs that grow are looked for,
@@ -23,19 +23,19 @@ from scipy.sparse.linalg import ArpackError, LinearOperator, eigs, splu
 
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.integrate.collocation import tableau
-from orbitfinder.orbits.harmonics import Balanced, Pattern, Series
+from orbitfinder.orbits.harmonics import Balanced, Coefficients, Pattern
 from orbitfinder.orbits.implicit import SMALL
 
 SOUGHT, MOST_SOUGHT, VECTORS, CONVERGED = 2, 12, 14, 1e-5
 """Exponents about a shift, at first and at most, vectors that they are sought in, their relative error"""
 STEP, MOST_STEPS = 0.5, 4096
-"""Steps of a march that finds all exponents, in units of the fastest motion, and the most that there may be"""
+"""Steps of a march for all exponents, in units of the fastest motion, and the most that there may be"""
 ALIKE, ROUND_OFF = 1e-7, 1e-8
-"""Exponents nearer than this are one. Real parts below it are none"""
+"""Exponents nearer than this are the same. Real parts below it are none"""
 MARGIN, NEARBY, MOST_SHIFTS = 2.0, 0.05, 8
 """By how much couplings may be larger than in first order; how far apart shifts are; shifts at most"""
 SYMMETRIC, MOST_MODES = 1e-9, 400
-"""Relative difference from a matrix's transpose that is none; coordinates up to which all modes are found"""
+"""Relative difference from a matrix's transpose that is none; coordinates up to which all modes are known"""
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,9 @@ class Exponents:
     @property
     def multipliers(self) -> np.ndarray:
         """e^(2 pi s), each with its conjugate."""
-        found = np.exp(2 * np.pi * self.values)
+        picked = np.exp(2 * np.pi * self.values)
         pairs = self.values[(self.values.imag > ALIKE) & (np.abs(self.values.imag % 0.5 - 0.25) < 0.25 - ALIKE)]
-        return found if np.any(self.values.imag < -ALIKE) else np.append(found, np.exp(2 * np.pi * pairs.conj()))
+        return picked if np.any(self.values.imag < -ALIKE) else np.append(picked, np.exp(2 * np.pi * pairs.conj()))
 
     @property
     def stability(self) -> str:
@@ -64,7 +64,7 @@ class Exponents:
         return "asymptotically stable" if worst < -ROUND_OFF else "marginal"
 
 
-def exponents(problem: Balanced, w: Series) -> Exponents:
+def exponents(problem: Balanced, w: Coefficients) -> Exponents:
     """Those of a motion, remembered with it. Raises `ConvergenceError` where Arnoldi's method finds none."""
     if "exponents" not in w.known:
         whole = monodromy(problem, w) if problem.equations.size <= SMALL else None
@@ -72,31 +72,31 @@ def exponents(problem: Balanced, w: Series) -> Exponents:
             w.known["exponents"] = _few(problem, w)
         else:
             with np.errstate(divide="ignore"):
-                found = np.log(np.linalg.eigvals(whole).astype(complex)) / (2 * np.pi)
-            w.known["exponents"] = Exponents(found[np.argsort(-found.real)], -np.inf)
+                picked = np.log(np.linalg.eigvals(whole).astype(complex)) / (2 * np.pi)
+            w.known["exponents"] = Exponents(picked[np.argsort(-picked.real)], -np.inf)
     return w.known["exponents"]  # type: ignore[no-any-return]
 
 
-def nearest(problem: Balanced, w: Series) -> complex:
+def nearest(problem: Balanced, w: Coefficients) -> complex:
     """The exponent nearest to 0 among the orders themselves: 0 at a fold."""
     values = _about(problem, w, 0j, SOUGHT)[0]
     return complex(values[np.argmin(np.abs(values))])
 
 
-def _few(problem: Balanced, w: Series) -> Exponents:
+def _few(problem: Balanced, w: Coefficients) -> Exponents:
     """Those near what may grow."""
     spacing = 1.0 if 0 in problem.basis.orders else 2.0
     suspects, reaches, rest = _suspects(problem, w)
-    there = suspects - (spacing - 1.0)  # e^(i f tau) is e^(s tau) times one of the orders, f - 1 is 0 among odd ones
+    there = suspects - (spacing - 1.0)  # e^(i f tau) is e^(s tau) times an order, f - 1 is 0 among odd ones
     there = np.abs((there + spacing / 2) % spacing - spacing / 2)
     shifts = np.rint(there / NEARBY) * NEARBY
     values, places = list[complex](), sorted({*shifts.tolist()})
     for shift in places[:MOST_SHIFTS]:
         own = shifts == shift
         needed = float((np.abs(there[own] - shift) + reaches[own]).max(initial=0.0))
-        found, radius = _about(problem, w, complex(0.0, shift), min(MOST_SOUGHT, SOUGHT + 2 * int(own.sum())))
+        picked, radius = _about(problem, w, complex(0.0, shift), min(MOST_SOUGHT, SOUGHT + 2 * int(own.sum())))
         rest = rest if radius >= needed else np.inf
-        values += found.tolist()
+        values += picked.tolist()
     alone: list[complex] = []
     for value in sorted(values, key=lambda s: -s.real):
         there_ = complex(value.real, abs((value.imag + spacing / 2) % spacing - spacing / 2))
@@ -105,14 +105,14 @@ def _few(problem: Balanced, w: Series) -> Exponents:
     return Exponents(np.array(alone, complex), rest if len(places) <= MOST_SHIFTS else np.inf)
 
 
-def _suspects(problem: Balanced, w: Series) -> tuple[np.ndarray, np.ndarray, float]:
+def _suspects(problem: Balanced, w: Coefficients) -> tuple[np.ndarray, np.ndarray, float]:
     """Frequencies (k) that may grow with another, how far their exponents may be off, what the rest does at most."""
     equations, undecided = problem.equations, (np.zeros(0), np.zeros(0), np.inf)
     n, moving, samples = equations.size, equations.varying, problem.sampled(w)[1]
     mean = np.zeros((3, n, n))
     for table, entries in ((moving, samples.mean(axis=1)), (equations.steady, equations.fixed(float(w.vector[-1])))):
         np.add.at(mean, (table[:, 2], table[:, 0], table[:, 1]), entries)
-    lopsided = max(np.abs(one - one.T).max() / max(np.abs(one).max(), np.finfo(float).tiny) for one in mean)
+    lopsided = max(np.abs(part - part.T).max() / max(np.abs(part).max(), np.finfo(float).tiny) for part in mean)
     if n > MOST_MODES or np.any(moving[:, 2] == 2) or lopsided > SYMMETRIC or not mean[2].any():
         return undecided
     squares, modes = eigh(mean[0], mean[2])
@@ -125,7 +125,7 @@ def _suspects(problem: Balanced, w: Series) -> tuple[np.ndarray, np.ndarray, flo
     harmonics = np.fft.rfft(samples, axis=1) / samples.shape[1]
     period = 1 if 0 in problem.basis.orders else 2
     worth = np.abs(harmonics[:, 1:]).max(axis=0, initial=0.0)
-    rest, found = -float(decays.min()), dict[int, float]()
+    rest, picked = -float(decays.min()), dict[int, float]()
     for k in np.flatnonzero(worth > ROUND_OFF * worth.max(initial=0.0)) + 1:
         coupling = np.zeros((n, n))
         for kind in (0, 1):
@@ -139,12 +139,12 @@ def _suspects(problem: Balanced, w: Series) -> tuple[np.ndarray, np.ndarray, flo
         grown = np.sqrt((0.5 * (decays[i] - decays[j] + 1j * off)) ** 2 + c**2).real - 0.5 * (decays[i] + decays[j])
         rest = max(rest, float(grown[grown <= 0].max(initial=-np.inf)))
         for mode, reach in zip((*i[grown > 0], *j[grown > 0]), (*c[grown > 0], *c[grown > 0]), strict=True):
-            found[mode] = max(found.get(mode, 0.0), float(reach))
-    which = np.array(sorted(found), int)
-    return frequencies[which], np.array([found[k] for k in which.tolist()]), rest
+            picked[mode] = max(picked.get(mode, 0.0), float(reach))
+    which = np.array(sorted(picked), int)
+    return frequencies[which], np.array([picked[k] for k in which.tolist()]), rest
 
 
-def _about(problem: Balanced, w: Series, shift: complex, count: int) -> tuple[np.ndarray, float]:
+def _about(problem: Balanced, w: Coefficients, shift: complex, count: int) -> tuple[np.ndarray, float]:
     """So many exponents about a shift, and the radius of the disc in which there are no others."""
     varying, fixed = problem.sampled(w)[1], problem.equations.fixed(float(w.vector[-1]))
     a, b, c = (pattern.matrix(fixed, varying) for pattern in _shifted(problem, shift))
@@ -163,10 +163,10 @@ def _about(problem: Balanced, w: Series, shift: complex, count: int) -> tuple[np
     operator = LinearOperator((2 * size, 2 * size), matvec=applied, dtype=kind)
     vectors = min(max(VECTORS, 3 * count), 2 * size - 1)
     try:
-        found = eigs(operator, count, which="LM", v0=start, ncv=vectors, tol=CONVERGED, return_eigenvectors=False)
+        picked = eigs(operator, count, which="LM", v0=start, ncv=vectors, tol=CONVERGED, return_eigenvectors=False)
     except ArpackError as error:
-        raise ConvergenceError(f"the exponents about {shift} are not found ({error})") from None
-    theta = 1.0 / found
+        raise ConvergenceError(f"the exponents about {shift} are not told ({error})") from None
+    theta = 1.0 / picked
     return shift + theta, float(np.abs(theta).max())
 
 
@@ -174,14 +174,14 @@ def _shifted(problem: Balanced, shift: complex) -> list[Pattern]:
     """A, B and C at a shift, kept with the orders."""
     known, basis = problem.pattern.derived, problem.basis
     if shift not in known:
-        one, moved = np.eye(basis.count), basis.slope + (shift if shift.imag else 0.0) * np.eye(basis.count)
-        none = np.zeros_like(one)
-        powers = [[one, moved, moved @ moved], [none, one, 2 * moved], [none, none, one]]
+        unit, moved = np.eye(basis.count), basis.slope + (shift if shift.imag else 0.0) * np.eye(basis.count)
+        none = np.zeros_like(unit)
+        powers: list[list[np.ndarray]] = [[unit, moved, moved @ moved], [none, unit, 2 * moved], [none, none, unit]]
         known[shift] = [Pattern(problem.equations, basis, each) for each in powers]
     return known[shift]  # type: ignore[no-any-return]
 
 
-def monodromy(problem: Balanced, w: Series) -> np.ndarray | None:
+def monodromy(problem: Balanced, w: Coefficients) -> np.ndarray | None:
     """Of (u, u') over tau = 0 to 2 pi, by Gauss' steps of order eight, all at once; None of a motion that is stiff."""
     first = _rates(problem, w, np.zeros(1))[0]
     size, rule = len(first), tableau(4, "legendre")
@@ -200,7 +200,7 @@ def monodromy(problem: Balanced, w: Series) -> np.ndarray | None:
     return np.asarray(maps[0])
 
 
-def _rates(problem: Balanced, w: Series, times: np.ndarray) -> np.ndarray:
+def _rates(problem: Balanced, w: Coefficients, times: np.ndarray) -> np.ndarray:
     """The matrices (s x d x d) of the linearised equations at times (rad), d/dtau of (u, u')."""
     n, motion = problem.equations.size, problem.basis.motion(problem.coefficients(w), times)
     slopes = problem.equations.slopes(times, motion, float(w.vector[-1]))

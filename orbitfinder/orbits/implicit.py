@@ -4,7 +4,7 @@ With stages a_i (accelerations, n each) of a step h from (q, v), t_i = t + c_i h
 
     v_i = v + h sum_j A_ij a_j,    q_i = q + c_i h v + h^2 sum_j (A^2)_ij a_j,    a_i = a(t_i, q_i, v_i).
 
-The iteration's matrix is of the equations by the energies (`integrate.residual`), sparse, one factorisation for each
+The iteration's matrix is of the equations by the energies (`integrate.residual`), sparse, with a factorisation for each
 pair of eigenvalues of A; what it ends with, and so the motion, is of the accelerations alone. Variations solve all
 stages together. Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II (1996), sections IV.5, IV.8.
 """
@@ -32,17 +32,14 @@ from orbitfinder.orbits.evidence import Recomputed, Tour
 from orbitfinder.orbits.floquet import judged
 from orbitfinder.orbits.measure import action
 
-STAGES, STEPS = 6, 64
-"""Of a step, and steps of a period at first"""
-PIECES = 16
-"""State-transition matrices of a period"""
+STAGES, STEPS, PIECES = 6, 64, 16
+"""Of a step; steps and state-transition matrices of a period"""
 SETTLED, MOST, SLOW = 1e-15, 60, 0.7
 """Change of the coordinates, in extents, after which an iteration has ended; its steps at most; what a step leaves that
 no longer contracts"""
-RESOLVED, POWERS, FINEST = 1.5, 30, 512
-"""Radians of the fastest mode in a step, iterations that find it, the most steps that follow it"""
-SMALL = 40
-"""Coordinates up to which motions are certified by explicit steps and all their variations"""
+RESOLVED, POWERS, FINEST, SMALL = 1.5, 30, 512, 40
+"""Radians of the fastest mode in a step, iterations that find it, the most steps that follow it;
+coordinates up to which motions are certified by explicit steps and all their variations"""
 
 
 class Implicit:
@@ -88,7 +85,7 @@ class Implicit:
         for _ in range(MOST):
             missed = self.many(times, np.hstack([q.T, v.T]))[:, n:].T - a
             right = (mass @ missed) @ self.into.T
-            solved = np.array([one.solve(np.ascontiguousarray(right[:, k])) for k, one in enumerate(factors)])
+            solved = np.array([factor.solve(np.ascontiguousarray(right[:, k])) for k, factor in enumerate(factors)])
             change = 2 * (self.out @ solved).real.T
             moved = float(np.abs(h**2 * change / units[:n, None]).max())
             if not np.isfinite(moved):
@@ -116,15 +113,15 @@ class Implicit:
         pieces. Raises `IntegrationError`."""
         n, h, now, pieces = self.residual.size, period / steps, np.asarray(state, float), list[np.ndarray]()
         a = np.repeat(self.many(np.zeros(1), now[None])[:, n:].T, STAGES, axis=1)
-        whole, found = varied, [now]
+        whole, path = varied, [now]
         for k in range(steps):
             limit.check()
             now, whole, a = self.both(k * h, now, h, a, units, whole)
             if whole is not None and (k + 1) % (steps // PIECES) == 0:
                 pieces.append(whole)
                 whole = varied
-            found.append(now)
-        return np.array(found), pieces
+            path.append(now)
+        return np.array(path), pieces
 
     def both(
         self, t: float, state: np.ndarray, h: float, a: np.ndarray, units: np.ndarray, varied: np.ndarray | None
@@ -191,7 +188,7 @@ def gathered(model: Model, state: np.ndarray, period: float) -> tuple[Recomputed
     steps = motion.steps(state, period)
     finer = motion.path(state, period, 2 * steps, units)[0]
     states, pieces = motion.path(state, period, steps, units, np.eye(2 * n))
-    scaled = [one * units / units[:, None] for one in pieces]
+    scaled = [piece * units / units[:, None] for piece in pieces]
     missed, none = (states[-1] - states[0]) / units, np.zeros((0, 2 * n))
     loop = Tour(closes(missed, scaled, states / units, None), scaled, none, none, False, units, np.eye(2 * n))
     times = np.linspace(0.0, period, len(states))
@@ -203,13 +200,17 @@ def gathered(model: Model, state: np.ndarray, period: float) -> tuple[Recomputed
 
 
 class ImplicitCheck:
-    """The closure of orbits of a large structure by `Implicit`, at values of one of its parameters."""
+    """The closure of orbits of a large structure by `Implicit`, at values of a parameter."""
 
     def __init__(self, model: Model, name: str, cycles: int = 1) -> None:
         self.model, self.name, self.cycles, self._residual = model, name, cycles, Residual(model, name, cycles)
 
     def _at(self, value: float) -> Implicit:
         return Implicit(with_parameters(self.model, {self.name: value}), self._residual, value)
+
+    def period(self, value: float) -> float:
+        """Of the motions there."""
+        return 2 * float(np.pi) / self._residual.pace(value)
 
     def __call__(self, state: np.ndarray, period: float, value: float, units: np.ndarray) -> float:
         """The largest gap after a period, in `units` (2n). Raises `IntegrationError`."""
