@@ -391,7 +391,7 @@ class _Direction:
     def walk(self, journal: CurveJournal, progress: Callable[[Batch], None] | None) -> None:
         """Until it ends."""
         s, curve = self.own.settings, SolutionCurve()
-        pace = Pace(first=s.first_step, shortest=s.shortest_step, longest=s.longest_step, quick=4, slow=8,
+        pace = Pace(first=s.first_step, shortest=s.shortest_step, longest=s.longest_step, quick=6, slow=12,
                     points=s.points, bend=float(np.cos(s.sharpest_turn)), closed=True)  # fmt: skip
         for kept in follow(curve, journal, self.begin, self.goals, pace, self.own.tests()):
             events = list[Event]()

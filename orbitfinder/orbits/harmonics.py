@@ -24,9 +24,10 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.integrate.residual import Residual
 from orbitfinder.mechanics.newton import Settings, Solver
 
-SAMPLES, LEAST, REFINED, POWERS = 4, 1e-3, 2, 4
+SAMPLES, LEAST, REFINED, POWERS, KEPT = 4, 1e-3, 2, 4, 0.4
 """Times over a period, in multiples of the highest order: products of three are not taken for others. Share of the
-largest size that a coordinate's is at least; refinements of a solution; iterations for a kernel"""
+largest size that a coordinate's is at least; refinements of a solution; iterations for a kernel; sizes are kept until
+their logarithms change by so much"""
 LEFT, NOISY, HIGHEST = 3e-14, 0.1, 400
 """The next orders are no larger than this, in the sizes of the coordinates, or than so many round-offs; the highest
 order that is tried"""
@@ -173,7 +174,7 @@ class Balanced:
     row_sizes: np.ndarray
     settings: Settings = field(
         default_factory=lambda: Settings(
-            floor=1e-17, round_off=1e-11, converged=1e-11, most_evaluations=12, contraction=0.02
+            floor=1e-17, round_off=1e-11, converged=1e-11, most_evaluations=20, contraction=0.3
         )
     )
     """rows are relative to the sizes of their terms, and those that load a stiff structure far smaller"""
@@ -218,12 +219,20 @@ class Balanced:
     def slopes(self, w: Coefficients) -> tuple[np.ndarray, Any, np.ndarray]:
         """F(w), the sparse matrix of <b_l, dG/dc_k> in its own units, and F's change with the parameter."""
         rows, varying, by_p = self.sampled(w)
-        fixed = self.equations.fixed(float(w.vector[-1]))
-        return self._measured(rows), self.pattern.matrix(fixed, varying), self._measured(by_p)
+        pattern, matrix = w.known.get("matrix", (None, None))
+        if pattern is not self.pattern:
+            matrix = self.pattern.matrix(self.equations.fixed(float(w.vector[-1])), varying)
+            w.known["matrix"] = self.pattern, matrix
+        return self._measured(rows), matrix, self._measured(by_p)
 
     def sampled(self, w: Coefficients) -> list[np.ndarray]:
-        """What is known of G at the times."""
-        return self.equations.over(self.basis.times, self.basis.motion(self.coefficients(w)), float(w.vector[-1]))
+        """What is known of G at the times, remembered with w."""
+        basis, samples = w.known.get("sampled", (None, []))
+        if basis is not self.basis:
+            motion = self.basis.motion(self.coefficients(w))
+            samples = self.equations.over(self.basis.times, motion, float(w.vector[-1]))
+            w.known["sampled"] = self.basis, samples
+        return samples  # type: ignore[no-any-return]
 
     def phases(self, w: Coefficients) -> np.ndarray:
         """None: the drive has the clock."""
@@ -251,7 +260,10 @@ class Balanced:
 
     def at(self, w: Coefficients, tangent: np.ndarray) -> tuple[Self, Coefficients, np.ndarray]:
         """With the sizes of an accepted w, and as many orders as it takes. Raises `ConvergenceError`."""
-        renewed = self.measured(w)  # with its own tangent: the corrector's is that of its guess, beyond a fold of none
+        renewed = self.measured(w)
+        sizes = [(renewed.sizes, self.sizes), (renewed.row_sizes, self.row_sizes)]
+        if all(np.abs(np.log(new / old)).max() < KEPT for new, old in sizes):
+            renewed = self  # with its own tangent: the corrector's is that of its guess, beyond a fold of none
         while not renewed.enough(w):
             renewed, w, tangent = renewed.finer(w, tangent)
             w = solved(renewed, w, plane(renewed, w, tangent)).w
