@@ -26,7 +26,7 @@ from orbitfinder.integrate.collocation import tableau
 from orbitfinder.orbits.harmonics import Balanced, Coefficients, Pattern
 from orbitfinder.orbits.implicit import SMALL
 
-SOUGHT, MOST_SOUGHT, VECTORS, CONVERGED = 2, 12, 14, 1e-5
+SOUGHT, MOST_SOUGHT, VECTORS, CONVERGED = 2, 24, 14, 1e-5
 """Exponents about a shift, at first and at most, vectors that they are sought in, their relative error"""
 STEP, MOST_STEPS = 0.5, 4096
 """Steps of a march for all exponents, in units of the fastest motion, and the most that there may be"""
@@ -94,7 +94,10 @@ def _few(problem: Balanced, w: Coefficients) -> Exponents:
     for shift in places[:MOST_SHIFTS]:
         own = shifts == shift
         needed = float((np.abs(there[own] - shift) + reaches[own]).max(initial=0.0))
-        picked, radius = _about(problem, w, complex(0.0, shift), min(MOST_SOUGHT, SOUGHT + 2 * int(own.sum())))
+        count, radius = SOUGHT + 2 * int(own.sum()), 0.0
+        while radius < needed and count <= MOST_SOUGHT:
+            picked, radius = _about(problem, w, complex(0.0, shift), count)
+            count *= 2
         rest = rest if radius >= needed else np.inf
         values += picked.tolist()
     alone: list[complex] = []

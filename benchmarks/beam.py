@@ -17,7 +17,7 @@ from scipy import sparse
 from scipy.io import mmwrite
 from scipy.linalg import eigh
 
-FOLDER = Path(__file__).parent
+FOLDER = Path(__file__).parents[1] / "problems" / "structures"
 LENGTH, SIDE, DENSITY, YOUNG = 0.7, 0.014, 7800.0, 2.05e11
 """m, m, kg/m^3, Pa"""
 SHARE = 0.01
