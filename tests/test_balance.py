@@ -12,6 +12,7 @@ from scipy import sparse
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError, OrbitfinderError
+from orbitfinder.families.members import extents
 from orbitfinder.families.verified import verified
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.orbits.balance import begun, states_of
@@ -166,6 +167,9 @@ def test_planted_errors_of_a_large_family_are_rejected(chain):
     assert "stability" in of.certify(replace(point, stability="unstable"), there).failures
     assert "energy" in of.certify(replace(point, energy=1.01 * point.energy), there).failures
     assert all(check.passed for _, check in verified(chain, model))
+    assert extents(chain, model)[-1, 1, 0] == pytest.approx(
+        float(ROAD["chain-100"]["values"][-1]["amp_x1_H15"]), rel=1e-4
+    )
     wrong = replace(chain, ends=(replace(chain.ends[0], reason="reached frequency = 0.0331"),))
     assert [check.name for _, check in verified(wrong, model) if not check.passed] == ["target"]
 
