@@ -37,7 +37,7 @@ STAGES, STEPS, PIECES = 6, 64, 16
 SETTLED, MOST, SLOW = 1e-15, 60, 0.7
 """Change of the coordinates, in extents, after which an iteration has ended; its steps at most; what a step leaves that
 no longer contracts"""
-RESOLVED, POWERS, FINEST, SMALL = 3.0, 30, 512, 40
+RESOLVED, POWERS, FINEST, SMALL = 1.5, 30, 512, 40
 """Radians of the fastest mode in a step, iterations that find it, the most steps that follow it;
 coordinates up to which motions are certified by explicit steps and all their variations"""
 
