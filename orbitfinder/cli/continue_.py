@@ -61,7 +61,7 @@ class Switch(click.ParamType):  # type: ignore[type-arg]
 @option("branch", "Which of the branches there.", 1, (1,))
 @option("resolve", "Follow avoided crossings this narrow instead of stepping over them.  [default: 0.02]",
         kind=click.FloatRange(1e-6, 0.15), metavar="ARCLENGTH")  # fmt: skip
-@option("method", "shooting, or collocation for what is stiff.  [default: as its orbit was found]",
+@option("method", "shooting, collocation (stiff) or balance (driven).  [default: as its orbit was found]",
         metavar="METHOD")  # fmt: skip
 @option(
     "beside", "A second parameter that varies so that the period stays, of a system without an energy.", metavar="B"

@@ -18,7 +18,7 @@ from orbitfinder.records.reading import write_atomically
 @click.command()
 @click.argument("files", nargs=-1, required=True, type=FILES, metavar="FILE...")
 @option("jobs", "Processes side by side.", 1, (1, 256))
-@option("method", "shooting, or collocation for what is stiff.  [default: by a measured stiffness]",
+@option("method", "shooting, collocation (stiff) or balance (driven).  [default: by a measured stiffness]",
         metavar="METHOD")  # fmt: skip
 @usual("Folder for DIR/<name>/orbit.json.", "orbits", figures="Draw the certified orbits.", compiled=True)
 def run(

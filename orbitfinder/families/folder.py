@@ -7,7 +7,7 @@ import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from orbitfinder.families.members import batch_certified, certified
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.registry import end_kind
 from orbitfinder.families.run import Run, first_point, in_scales
-from orbitfinder.families.start import Start, begin, curve_of, entry_of, unknown_parameters
+from orbitfinder.families.start import Start, as_problem, begin, curve_of, entry_of, method_of, unknown_parameters
 from orbitfinder.families.verified import checked
 from orbitfinder.integrate.equations import prepare
 from orbitfinder.integrate.evaluate import one_thread
@@ -34,6 +34,7 @@ from orbitfinder.mechanics.kind import build_model, system_kind
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.orbits.hybrid import HybridCheck
+from orbitfinder.orbits.method import named
 from orbitfinder.records.codec import plain
 from orbitfinder.records.family import (
     CLOSURE,
@@ -124,11 +125,7 @@ def follow_family(
     See Also:
         `of.switch_branch` at its events, `of.follow_curve` in two parameters, `of.load_family`.
     """
-    given: Any = origin
-    if not isinstance(given, Origin):
-        made = {"Family": "give one of its points, or a branch: switch_branch(family, event)"}
-        remedy = made.get(type(given).__name__, "give an Orbit, its file, a Problem, or what switch_branch gives")
-        raise InputError(f"origin: a {type(given).__name__}; {remedy}")
+    _refuse_others(origin)
     settings = replace(settings or FamilySettings(), parameter=_chosen(parameter, settings, origin))
     settings = settings if points is None else replace(settings, points=points)
     if isinstance(origin, (str, Path)):
@@ -140,6 +137,9 @@ def follow_family(
     watch, stop = _watched(origin, watch), stop or {}
     check_stop(stop, watch)
     request, source = _request(origin, settings, at, watch)
+    if follow_by := _own_way(origin, settings):
+        asked, wanted = (request, source), (until, at, bool(stop or between))
+        return follow_by(as_problem(cast(Any, origin), model), settings, wanted, label, folder, asked, watch, progress)
     with contextlib.nullcontext() if folder is None else locks.alone_in(folder):
         journal = None if folder is None else read_journal(folder)
         born = origin.event.parameter if isinstance(origin, Branch) and isinstance(origin.number, int) else None
@@ -167,6 +167,20 @@ def follow_family(
         if folder is not None:
             journal = _reopened(folder, journal, {run.direction: run.goals for run in runs})
         return _finish(folder, journal, curve, settings, runs, progress)
+
+
+def _refuse_others(given: Any) -> None:
+    """`InputError` for what no family starts from."""
+    if not isinstance(given, Origin):
+        made = {"Family": "give one of its points, or a branch: switch_branch(family, event)"}
+        remedy = made.get(type(given).__name__, "give an Orbit, its file, a Problem, or what switch_branch gives")
+        raise InputError(f"origin: a {type(given).__name__}; {remedy}")
+
+
+def _own_way(origin: Any, settings: FamilySettings) -> Callable[..., Family] | None:
+    """What follows the family of an orbit by the method that is asked for, where no march does."""
+    by = (settings.method or method_of(origin)) if isinstance(origin, Orbit | Problem) else None
+    return named(by).follow if by else None
 
 
 def _same(known: Mapping[str, Any], request: Mapping[str, Any]) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 from orbitfinder.errors import InputError
 from orbitfinder.families.motion import full_samples
 from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
-from orbitfinder.families.start import curve_in, curve_of
+from orbitfinder.families.start import by_series, curve_in, curve_of
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.continued import Curve, at_place
@@ -68,8 +68,16 @@ def _period(orbit: Orbit, model: Model, count: int) -> tuple[np.ndarray, np.ndar
         return sampled(model, orbit.state, orbit.period)
     if not isinstance(orbit, FamilyPoint) or not (orbit.curve and orbit.mesh.size):
         return dense(build_flow(model, (), model.invariants), orbit.nodes, orbit.period)
+    if by_series(orbit.curve):
+        return np.linspace(0.0, orbit.period, count + 1), series(orbit.shooting_nodes, count)
     curve = curve_of(orbit.curve, model, FamilySettings(parameter=next(iter(orbit.free), "energy")))
     return full_samples(curve, at_place(curve, unknowns_of(curve, orbit)), count)
+
+
+def series(nodes: np.ndarray, count: int) -> np.ndarray:
+    """States (count + 1 x d) at equal times over a period, of the trigonometric series through some (N x d)."""
+    found = np.fft.irfft(np.fft.rfft(nodes, axis=0), count, axis=0) * (count / len(nodes))
+    return np.vstack([found, found[:1]])
 
 
 def response(family: Family, model: Model) -> tuple[str, np.ndarray]:
@@ -141,12 +149,17 @@ def amplitudes(family: Family, model: Model) -> np.ndarray:
 def extents(family: Family, model: Model) -> np.ndarray:
     """The least value, the greatest and the root mean square (k x 3 x n + 1) over a period of every coordinate, and of
     the length of the state, of each point and then of each event."""
-    curve = curve_in(family, model)
-    mesh, n = uniform(curve.equations.symmetry.fraction, 1, MOTION), model.degrees_of_freedom
+    n, alone = model.degrees_of_freedom, by_series(family.curve)
+    if not alone:
+        curve = curve_in(family, model)
+        mesh = uniform(curve.equations.symmetry.fraction, 1, MOTION)
 
     def extent(member: FamilyPoint | Event) -> np.ndarray:
-        known = member if member.mesh.size else replace(member, shooting_nodes=member.state[None], mesh=mesh)
-        states = full_samples(curve, at_place(curve, unknowns_of(curve, known)), SAMPLES)[1]
+        if alone:
+            states = series(member.shooting_nodes, SAMPLES)
+        else:
+            known = member if member.mesh.size else replace(member, shooting_nodes=member.state[None], mesh=mesh)
+            states = full_samples(curve, at_place(curve, unknowns_of(curve, known)), SAMPLES)[1]
         rows = np.column_stack([states[:, :n], np.linalg.norm(states, axis=1)])
         return np.array([rows.min(axis=0), rows.max(axis=0), np.sqrt((rows[1:] ** 2).mean(axis=0))])
 

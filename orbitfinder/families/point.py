@@ -48,7 +48,7 @@ class FamilySettings:
         resonances: period-q resonances are looked for up to this q.
         events: whether bifurcations are looked for.
         certify: whether each point's closure is checked by the second integrator.
-        method: shooting | collocation; None: how its orbit was found.
+        method: shooting | collocation | balance; None: how its orbit was found.
 
     Examples:
         >>> coarse = of.FamilySettings(longest_step=0.5, events=False, directions="forward")

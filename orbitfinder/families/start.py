@@ -43,7 +43,7 @@ from orbitfinder.orbits import method
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.hybrid import first_unknowns
 from orbitfinder.orbits.shoot import natural_pin
-from orbitfinder.records.family import Family
+from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit, refuse_controlled
 from orbitfinder.records.reading import read_as
 
@@ -141,15 +141,23 @@ def as_problem(origin: Problem | Orbit, model: Model | None = None) -> Problem:
     model = knowing(model or build_model(origin.system), origin.symmetry)
     model = with_parameters(model, getattr(origin, "free", {}))  # a family's orbit is at its own values
     energy = next(iter(ungenerated(model)), None)
-    by = origin.provenance.get("method", "")
-    by = by if method.begins(by) else None
+    by = method_of(origin)
     along = (origin.times, origin.samples) if by and origin.times.size else (None, None)
+    if by and isinstance(origin, FamilyPoint) and origin.mesh.size == len(origin.shooting_nodes) + 1:
+        along = origin.mesh * origin.period, np.vstack([origin.shooting_nodes, origin.shooting_nodes[:1]])
     problem = Problem(
         model, Guess(origin.state, origin.period, *along), (Pin(energy, origin.energy),) if energy else (),
         winding=origin.winding, name=origin.name, relative=tuple(origin.shift), method=by,
     )  # fmt: skip
     held = [pin for pin in natural_pin(problem, origin.state) if pin.name in momenta_of(problem.boundary, model)]
     return minimal_problem(replace(problem, pin=(*problem.pin, *held)) if held else problem)
+
+
+def method_of(origin: Problem | Orbit) -> str | None:
+    """The method that an origin asks for or was found by, where families begin by it."""
+    known = {} if isinstance(origin, Problem) else {**getattr(origin, "curve", {}), **origin.provenance}
+    by = origin.method if isinstance(origin, Problem) else known.get("method")
+    return by if by and method.begins(by) else None
 
 
 def unknown_parameters(
@@ -283,8 +291,16 @@ def _looked_at(equations: Equations, place: Unknowns) -> tuple[np.ndarray, np.nd
     raise AssertionError("unreachable")
 
 
+def by_series(entry: Mapping[str, Any]) -> bool:
+    """Whether a family is known by its series alone, and no equations of shooting stand beside it."""
+    return "method" in entry and "constant" not in entry
+
+
 def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -> Curve:
     """The very curve that the `curve` entry of a journal or family.json stands for."""
+    if by_series(entry):
+        raise InputError(f"curve: {entry['method']} of many coordinates knows no branches and curves; follow the "
+                         "family by another method")  # fmt: skip
     known = read_as(CurveEntry, entry, "curve", "continue the family again")
     model = knowing(model, known.symmetry)
     if known.symmetry not in symmetries_of(model):

@@ -20,7 +20,7 @@ from orbitfinder.families.critical import Critical, levelled
 from orbitfinder.families.entries import kind_of
 from orbitfinder.families.point import unknowns_of
 from orbitfinder.families.saddles import homoclinic_limit, noise_of, saddle_node_limit
-from orbitfinder.families.start import curve_in, fitted
+from orbitfinder.families.start import by_series, curve_in, fitted
 from orbitfinder.integrate.equations import hamilton
 from orbitfinder.integrate.field import vector_field
 from orbitfinder.integrate.march import uniform
@@ -32,6 +32,7 @@ from orbitfinder.mechanics.newton import equilibrium
 from orbitfinder.orbits.evidence import gather, tour
 from orbitfinder.orbits.floquet import judged
 from orbitfinder.orbits.hybrid import PATIENCE, cycle_from
+from orbitfinder.orbits.method import named
 from orbitfinder.records.certificate import Certificate, Check, at_most, equal, refused
 from orbitfinder.records.family import (
     AGAIN,
@@ -158,6 +159,9 @@ def verified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
 
     Raises `InputError`.
     """
+    if by_series(family.curve) and (again := named(str(family.curve["method"])).verify):
+        yield from again(family, model)
+        return
     curve = _in_scales(family, family_curve(family, model))
     for k, event in enumerate(family.events):
         interrupt.check()
@@ -395,6 +399,10 @@ def point_checks(family: Family, number: int, certificate: Certificate, model: M
     point = family.points[number]
     if not family.curve:
         return certificate
+    if by_series(family.curve):
+        off = abs(point.value - point.free.get(family.parameter, np.nan))
+        return Certificate((*certificate.checks, at_most("value", off, 0.0, f"of {family.parameter}")),
+                           certificate.scale, certificate.closure)  # fmt: skip
     curve = family_curve(family, model)
     look = Probe(curve, settled_on(curve, point))
     value = look.value(family.parameter)

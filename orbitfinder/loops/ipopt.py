@@ -44,7 +44,7 @@ class SolveSettings:
         most_segments: at most so many.
         with_certificate: whether the orbit is certified.
         limit: s after which the search is given up with a `LimitError`; None for none.
-        method: shooting | collocation, or another of the table of methods; None: the problem's, or the one that suits.
+        method: shooting | collocation | balance, or another of the table; None: the problem's, or the one that suits.
 
     Raises:
         InputError: for a number that is out of range.

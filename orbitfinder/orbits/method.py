@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +15,8 @@ from orbitfinder.loops.ipopt import Callback, SolveSettings
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.model import Model
+from orbitfinder.records.certificate import Check
+from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import Orbit
 
 
@@ -35,6 +37,10 @@ class Method:
     """What integrates the families of its orbits; one of its own has the method's `name`"""
     begin: Callable[[Problem, tuple[str, ...]], tuple[Equations, Unknowns]] | None = None
     """(problem, freed parameters) -> the equations of a family by its march and the orbit in their unknowns"""
+    follow: Callable[..., Family] | None = None
+    """what follows a family that no march does (`families.balance.followed`)"""
+    verify: Callable[[Family, Model], Iterable[tuple[str, Check]]] | None = None
+    """(family, model) -> the checks of its events and ends, where it has no equations of shooting"""
 
 
 METHODS = Registry(Method)
@@ -47,15 +53,15 @@ def named(name: str) -> Method:
     """The method of a name. Raises `InputError` for an unknown one."""
     filled("methods")
     if name not in METHODS:
-        known = [each for each, method in METHODS.items() if each == SHOOTING or method.begin]
+        known = [each for each, method in METHODS.items() if each == SHOOTING or begins(each)]
         raise InputError(f"method: unknown {name!r}{closest(name, METHODS)}; use {' or '.join(known)}")
     return METHODS[name]
 
 
 def begins(name: str) -> bool:
-    """Whether families begin by a method of this name, with a march of its own."""
+    """Whether families begin by a method of this name, with a march of its own or none."""
     filled("methods")
-    return name in METHODS and METHODS[name].begin is not None
+    return name in METHODS and bool(METHODS[name].begin or METHODS[name].follow)
 
 
 def rescuer(problem: Problem, failed: str = SHOOTING) -> str | None:

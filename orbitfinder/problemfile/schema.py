@@ -409,7 +409,7 @@ class FindTable(Table):
         [],
     )
     method: str | None = key(
-        "shooting, or collocation for what is stiff; when left out, chosen by a measured stiffness"
+        "shooting, collocation for what is stiff, balance for what is driven; when left out, by a measured stiffness"
     )
     segments: int | None = key("shooting segments, at least 1; chosen automatically when left out", ge=1, le=1000)
     tolerance: float = key(

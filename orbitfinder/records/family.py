@@ -41,8 +41,9 @@ CLOSURE = 1e-11
 """Largest independent closure of an accepted point, relative to the motion, times what errors grow by."""
 UNKNOWN = 1e10
 """Where errors grow more than this in a period, its closure and multipliers say nothing"""
-METHODS = ("product", "periodic QR")
-"""How multipliers were computed: as eigenvalues of the state-transition matrices' product, or factor by factor."""
+METHODS = ("product", "periodic QR", "Hill")
+"""How multipliers were computed: as eigenvalues of the state-transition matrices' product, factor by factor, or, as few
+as it takes, of Hill's matrix."""
 AGAIN = "continue the family again"
 
 

@@ -530,8 +530,9 @@ def multipliers_along(family: Family) -> Figure:
     figure = new_figure(8.0, 6.4 if paired else 4.4, f"{family.name}: stability along the family")
     upper, lower = figure.subplots(2, 1, sharex=True) if paired else (figure.subplots(), None)
     values = family.values("value")
-    sizes = np.abs(np.stack([point.floquet_multipliers for point in family.points]))
-    upper.semilogy(values, nonzero(sizes), ".", color=COLOURS[0], markersize=3)
+    sizes = np.abs(np.concatenate([point.floquet_multipliers for point in family.points]))
+    where = np.repeat(values, [point.floquet_multipliers.size for point in family.points])
+    upper.semilogy(where, nonzero(sizes), ".", color=COLOURS[0], markersize=3)
     if lower is None:
         upper.axhline(1.0, color="0.5", linewidth=0.7)
         dress(upper, axis_name(family), "|multiplier|")

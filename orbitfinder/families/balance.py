@@ -1,0 +1,454 @@
+"""Families by harmonic balance: what is followed are coefficients, what is recorded are orbits as any other method's.
+
+Up to `SMALL` coordinates that are not stiff, the equations of shooting stand beside those of balance: an orbit's nodes
+are the series' states, and multipliers, closure, events with their checks and error bars are read as of any family, by
+a march. Of more coordinates multipliers are Hill's, as few as it takes (`orbits.hill`), closure is by implicit steps,
+and folds and changes of stability are located in harmonics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
+from operator import attrgetter
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from orbitfinder._runtime import interrupt, locks
+from orbitfinder._runtime.keeping import STOPPED
+from orbitfinder.continuation.follow import (
+    CurveJournal,
+    Goals,
+    KeptPoint,
+    Pace,
+    SolutionCurve,
+    follow,
+    rise,
+    towards,
+)
+from orbitfinder.continuation.problem import Point
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.families.entries import KINDS
+from orbitfinder.families.events import event_at, find_events
+from orbitfinder.families.members import batch_certified, certified, series
+from orbitfinder.families.point import FamilySettings, make_point
+from orbitfinder.families.registry import end_kind
+from orbitfinder.families.run import Sample, ahead, make_interval, make_sample
+from orbitfinder.families.start import curve_at, entry_of
+from orbitfinder.families.verified import checked
+from orbitfinder.integrate.march import uniform
+from orbitfinder.loops.continued import Curve, at_place, tangent
+from orbitfinder.loops.loop import Equations
+from orbitfinder.loops.problem import Problem, at_forcing_period
+from orbitfinder.loops.symmetry import NONE
+from orbitfinder.loops.watch import Number, Watch, watches
+from orbitfinder.mechanics.kind import with_parameters
+from orbitfinder.mechanics.model import Model, energy
+from orbitfinder.mechanics.scales import extents_of
+from orbitfinder.orbits.balance import NAME, begun, refused, samples_of, states_of
+from orbitfinder.orbits.certify import certify
+from orbitfinder.orbits.evidence import ClosureCheck
+from orbitfinder.orbits.hill import exponents, monodromy
+from orbitfinder.orbits.implicit import SMALL, ImplicitCheck, gathered
+from orbitfinder.orbits.measure import action
+from orbitfinder.records.certificate import Check, at_most
+from orbitfinder.records.certificate import refused as unsound
+from orbitfinder.records.codec import plain
+from orbitfinder.records.family import (
+    CLOSURE,
+    Batch,
+    End,
+    Event,
+    Family,
+    FamilyPoint,
+    Reading,
+    restored,
+    save_family,
+    situated,
+)
+from orbitfinder.records.family import (
+    METHODS as MULTIPLIERS,
+)
+from orbitfinder.records.orbit import system_at
+
+NODES, STEPS = 16, 256
+"""States at equal times that shooting stands on, and its steps of a period at least"""
+ZERO, AGAIN, SAMPLED, ROUNDED = 1e-6, 1e-5, 64, 1e-12
+"""An exponent that is 0 at an event is as near to it, what is verified of it again as this; states that units are taken
+from; relative error of a number"""
+
+
+def followed(
+    problem: Problem, settings: FamilySettings, goals: tuple[float | None, Sequence[float], bool], name: str,
+    folder: Path | None, asked: tuple[Mapping[str, Any], Mapping[str, Any]], watch: Mapping[str, str | Number],
+    progress: Callable[[Batch], None] | None,
+) -> Family:  # fmt: skip
+    """The family of a driven motion in a parameter, each direction kept in a journal of the folder.
+
+    `goals` are its end, values to be met, and whether there are others, of which it knows none; `asked` the request
+    that a journal answers and what the family was started from. Raises `InputError` and `ConvergenceError`.
+    """
+    problem, parameter, (until, at, others) = at_forcing_period(problem), settings.parameter, goals
+    if why := refused(problem):
+        raise InputError(f"method: balance is not for this problem, {why}; leave method out")
+    if others or settings.beside:
+        raise InputError("stop, between, beside: not by balance; give until, or leave method out")
+    problem.model.parameter_index(parameter)
+    first = begun(problem, parameter, until)
+    own = (_Marched if _tame(first) else _Large)(problem, settings, name, watches(watch, problem.model), first)
+    ways = _ways(first, settings, until, at)
+    runs = [_Direction(own, sign, Goals(parameter, goal, exact), first) for sign, goal, exact in ways]
+    with nullcontext() if folder is None else locks.alone_in(folder):
+        for k, run in enumerate(runs):
+            path = folder and folder / f"balance{k or ''}.jsonl"
+            request = {**asked[0], "method": NAME, "way": [run.sign, run.goals.until is None]}
+            run.walk(CurveJournal(run, path, request), progress)
+            if end_kind(run.end.kind).closed:
+                break
+        family = _assembled(own, runs, asked[1])
+        if folder is not None:
+            save_family(family, folder)
+    return family
+
+
+def _tame(point: Point) -> bool:
+    """Whether explicit steps follow a motion's variations, all of which are known."""
+    return point.problem.equations.size <= SMALL and monodromy(point.problem, point.w) is not None
+
+
+def _ways(
+    first: Point, settings: FamilySettings, until: float | None, at: Sequence[float]
+) -> Iterator[tuple[float, float | None, tuple[float, ...]]]:
+    """Signs of the first change of the parameter, ends and values of the directions that are gone in."""
+    start, wanted = first.value(settings.parameter), tuple(map(float, at))
+    signs = {"both": (1.0, -1.0), "forward": (1.0,), "backward": (-1.0,), "away": (1.0,)}.get(settings.directions)
+    if signs is None:
+        raise InputError(f"directions: must be both, forward, backward or away, got {settings.directions!r}")
+    if until is not None and settings.directions == "both":
+        signs = (1.0 if until > start else -1.0,)
+    elif wanted and settings.directions == "both":
+        yield from ((sign, last, wanted) for sign in signs
+                    for last in [max(wanted, key=lambda value: sign * value)] if sign * (last - start) > 0)  # fmt: skip
+        return
+    yield from ((sign, until, wanted) for sign in signs)
+
+
+class Recorder(Protocol):
+    """How points in harmonics become members of a family, and what happens between two of them."""
+
+    def tests(self) -> Mapping[str, Callable[[Point], float]]:
+        """What is located in harmonics."""
+
+    def point(self, point: Point, **where: Any) -> FamilyPoint:
+        """The record of a motion. Raises `ConvergenceError` where it does not close by an independent integrator."""
+
+    def events(self, before: KeptPoint, after: KeptPoint, seen: Sequence[KeptPoint]) -> list[Event]:
+        """What happens in a step, of which some was `seen` in harmonics, each with its check."""
+
+
+class _Marched:
+    """Orbits of few coordinates, on the equations of shooting."""
+
+    def __init__(
+        self, problem: Problem, settings: FamilySettings, name: str, watch: Mapping[str, Watch], first: Point
+    ) -> None:
+        self.problem, self.settings, self.name = problem, settings, name
+        equations = Equations.of(problem.model, NONE, (settings.parameter,))
+        self._equations, self._mesh = equations, uniform(1.0, NODES, STEPS // NODES)
+        place = self._place(first)
+        self.curve: Curve = replace(curve_at(equations, place), watch=watch)
+        self.check = ClosureCheck(problem.model) if settings.certify else None
+        self._samples = dict[int, Sample]()
+        sample = self.sample(first)
+        self.curve = self.curve.measured(sample.solution)
+        self._samples.clear()
+        self.entry = entry_of(self.curve) | {"method": NAME}
+
+    def tests(self) -> Mapping[str, Callable[[Point], float]]:
+        return {}
+
+    def _place(self, point: Point) -> Any:
+        shares = self._mesh[:: STEPS // NODES][:-1]
+        value = float(point.w.vector[-1])
+        period = 2 * np.pi / point.problem.equations.pace(value)
+        return self._equations.unknowns(states_of(point, shares), period, self._mesh, np.array([value]))
+
+    def sample(self, point: Point, expected: np.ndarray | None = None) -> Sample:
+        """The orbit of a point with its tangent and multipliers."""
+        if id(point) not in self._samples:
+            solution = at_place(self.curve, self._place(point))
+            moved = replace(point, w=point.w.moved(1e-6 * point.tangent))
+            along = (self._place(moved).vector - solution.place.vector) / 1e-6
+            whole = tangent(self.curve, solution, along)
+            nothing = np.zeros(0, complex) if expected is None else expected
+            self._samples = {
+                **dict([*self._samples.items()][-1:]),
+                id(point): make_sample(self.curve, 0.0, solution, whole, nothing),
+            }
+        return self._samples[id(point)]
+
+    def point(self, point: Point, **where: Any) -> FamilyPoint:
+        sample = self.sample(point)
+        return make_point(self.curve, sample.solution, sample.head, self.settings.parameter, self.check,
+                          about=sample.about, **where)  # fmt: skip
+
+    def events(self, before: KeptPoint, after: KeptPoint, seen: Sequence[KeptPoint]) -> list[Event]:  # noqa: ARG002
+        if not self.settings.events:
+            return []
+        first = self.sample(before.point)
+        last = self.sample(after.point, first.indices)
+        length, step = ahead(self.curve, first, last.solution), after.point.arclength - before.point.arclength
+        interval = make_interval(self.curve, first, replace(last, distance=length))
+        located = [
+            event_at(self.curve, *each, self.settings.parameter) for each in find_events(interval, self.settings)
+        ]
+        batch = checked(self.curve, Batch(1, events=tuple(located)), length, self.settings.parameter)
+        batch = batch_certified(self.curve, batch) if self.settings.certify else batch
+        return [
+            replace(event, arclength=before.point.arclength + event.arclength * step / length) for event in batch.events
+        ]
+
+    def certified(self, point: FamilyPoint) -> FamilyPoint:
+        return certified(self.curve, point)
+
+
+class _Large:
+    """Orbits of many coordinates, or stiff ones, by their series alone."""
+
+    def __init__(
+        self, problem: Problem, settings: FamilySettings, name: str, watch: Mapping[str, Watch], first: Point
+    ) -> None:
+        self.problem, self.settings, self.name, self.watch = problem, settings, name, watch
+        self.model, self.parameter = problem.model, settings.parameter
+        if problem.model.rates is not None:
+            raise InputError("method: balance is for at most 40 coordinates of a first-order system, or stiff ones of "
+                             "mechanics; describe it by masses, or leave method out")  # fmt: skip
+        self.check = ImplicitCheck(self.model, self.parameter, problem.forcing_cycles) if settings.certify else None
+        self.grown = 1.0
+        if settings.certify:  # what errors grow by hardly changes along a family
+            period = 2 * np.pi / first.problem.equations.pace(float(first.w.vector[-1]))
+            self.grown = gathered(self.model, states_of(first, np.zeros(1))[0], period)[0].closes.amplification
+        still = [0] * self.model.degrees_of_freedom
+        self.entry: dict[str, Any] = {"method": NAME, "winding": still, "cycles": problem.forcing_cycles}
+
+    def tests(self) -> Mapping[str, Callable[[Point], float]]:
+        return {"fold": lambda point: rise(point, self.parameter), "change": changing} if self.settings.events else {}
+
+    def point(self, point: Point, **where: Any) -> FamilyPoint:
+        value = float(point.w.vector[-1])
+        free, about = {self.parameter: value}, exponents(point.problem, point.w)
+        model, period = with_parameters(self.model, free), 2 * np.pi / point.problem.equations.pace(value)
+        count = samples_of(point)
+        mesh = np.linspace(0.0, 1.0, count + 1)
+        states, (closes, closure) = states_of(point, mesh), self._closes(point)
+        if not closes:
+            raise ConvergenceError(f"the orbit closes only to {closure:.2g} where errors grow {self.grown:.3g} times")
+        every = count // nodes_of(point)
+        nodes, shares = states[:-1:every], mesh[::every]
+        none = np.zeros(0)
+        return FamilyPoint(
+            name="", system=system_at(self.model.system, free), winding=(0,) * model.degrees_of_freedom, shift={},
+            nodes=states[:1], times=none, samples=np.zeros((0, states.shape[1])), tolerance=CLOSURE, value=value,
+            state=states[0], period=period, energy=energy(model, states[0]),
+            action=action(model, mesh * period, states), closure=closure, defect=closure, scale=self.grown,
+            floquet_multipliers=about.multipliers, pair_defect=0.0, multiplier_method=MULTIPLIERS[-1],
+            stability=about.stability, krein=(), root=1, indices=none.astype(complex), symmetry=NONE.name,
+            unfolding=(), free=free, shooting_nodes=nodes, mesh=shares, tangent=heading(point), **where,
+        )  # fmt: skip
+
+    def _closes(self, point: Point) -> tuple[bool, float]:
+        """Whether a motion closes as well as errors let it, and its gap in extents."""
+        if self.check is None:
+            return True, 0.0
+        value = float(point.w.vector[-1])
+        period, states = 2 * np.pi / point.problem.equations.pace(value), states_of(point, np.linspace(0.0, 1.0, 65))
+        closure = self.check(states[0], period, value, extents_of(self.model, states, period))
+        return closure <= CLOSURE * self.grown, closure
+
+    def events(self, before: KeptPoint, after: KeptPoint, seen: Sequence[KeptPoint]) -> list[Event]:
+        located = [event for kept in seen if (event := self._event(kept, before.point, after.point)) is not None]
+        stable = [kept.record.stability != "unstable" for kept in (before, after)]
+        if len(located) == 1 and stable[0] != stable[1]:
+            detail = f"becomes {'stable' if stable[1] else 'unstable'}"
+            located.append(replace(located[0], kind="stability_change", detail=detail))
+        return located
+
+    def _event(self, kept: KeptPoint, before: Point, after: Point) -> Event | None:
+        """A located event with its check: the exponent that is on the axis there."""
+        point = kept.point
+        balanced, value = point.problem, float(point.w.vector[-1])
+        about = exponents(balanced, point.w)
+        if not about.values.size:
+            return None
+        turns = KINDS[kept.role].extremal if kept.role in KINDS else False
+        critical = about.values[np.argmin(np.abs(about.values if turns else about.values.real))]
+        turned = abs((critical.imag + 0.5) % 1.0 - 0.5)
+        other = "branch_point" if turned < ZERO else "period_doubling" if turned > 0.5 - ZERO else "torus"
+        off, known = abs(critical) if turns else abs(critical.real), abs(changing(after) - changing(before))
+        step = abs(after.value(self.parameter) - before.value(self.parameter))
+        error = balanced.known(point.w) if turns else step * (off + 0.01 * ZERO) / max(known, ZERO)
+        if off > ZERO:
+            return None
+        nodes = states_of(point, np.linspace(0.0, 1.0, nodes_of(point) + 1))[:-1]
+        state, period = nodes[0], 2 * np.pi / balanced.equations.pace(value)
+        certain = bool(self.check and self._closes(point)[0])
+        free, detail = {self.parameter: value}, self.parameter if turns else ""
+        return Event(
+            kept.role if turns else other, 0, point.arclength, value, state, period,
+            energy(with_parameters(self.model, free), state), detail, free=free, tangent=heading(point),
+            multiplier=complex(np.exp(2 * np.pi * critical)), shooting_nodes=nodes,
+            mesh=np.linspace(0.0, 1.0, len(nodes) + 1), certified=certain,
+            check=Reading(float(off), ZERO, bool(off <= ZERO), parameter_error=float(error)),
+        )  # fmt: skip
+
+    def certified(self, point: FamilyPoint) -> FamilyPoint:
+        return replace(point, certified=certify(point, with_parameters(self.model, point.free)).passed)
+
+
+def nodes_of(point: Point) -> int:
+    """States at equal times, a power of two of them, that tell a series."""
+    return 2 << int(np.ceil(np.log2(max(point.problem.basis.orders) + 1)))
+
+
+def heading(point: Point) -> np.ndarray:
+    """d(x(0), T, the parameter) / d(arclength)."""
+    balanced, w, tangent = point.problem, point.w, point.tangent
+    motion = [part[:, 0] for part in balanced.basis.motion(balanced.coefficients(w), np.zeros(1))]
+    moved = [part[:, 0] for part in balanced.basis.motion(tangent[:-1].reshape(len(motion[0]), -1), np.zeros(1))]
+    pace, change = (
+        balanced.equations.pace(float(w.vector[-1])),
+        tangent[-1] * balanced.equations.rise(float(w.vector[-1])),
+    )
+    return np.concatenate([moved[0], pace * moved[1] + change * motion[1],
+                           [-2 * np.pi * change / pace**2, tangent[-1]]])  # fmt: skip
+
+
+def reverified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
+    """Every event and end of a family of many coordinates, each with its check made again by implicit steps."""
+    name, cycles = family.parameter, int(family.curve.get("cycles", 1))
+    check = ImplicitCheck(model, name, cycles)
+    values = family.values("value")
+    for k, event in enumerate(family.events):
+        interrupt.check()
+        yield f"event {k}, {name} {event.parameter:.12g}", _again(family, check, event)
+    for k, end in enumerate(family.ends):
+        met = end.reason.startswith("reached ")
+        off = float(np.abs(values[[0, -1]] - float(end.reason.rpartition("=")[2])).min()) if met else 0.0
+        said = end.reason if met else "nothing was solved for"
+        yield f"end {k}", at_most(end.kind, off, ROUNDED * float(np.abs(values).max()), said)
+
+
+def _again(family: Family, check: ImplicitCheck, event: Event) -> Check:
+    """An event's orbit closes, and what it claims: at a fold the family's direction comes back as it was, along which
+    the parameter rests; elsewhere a multiplier of its own is recomputed on the unit circle."""
+    try:
+        model = with_parameters(check.model, {family.parameter: event.parameter})
+        turns = abs(event.multiplier - 1.0) <= AGAIN and (KINDS[event.kind].extremal or KINDS[event.kind].verdict)
+        seen = None if turns else gathered(model, event.state, event.period)[0]
+        states = series(event.shooting_nodes, SAMPLED)
+        units = extents_of(model, states, event.period)
+        closure = check(event.state, event.period, event.parameter, units)
+        if not closure <= CLOSURE * family.points[0].scale:
+            raise ConvergenceError(f"its orbit closes only to {closure:.2g}")
+        if abs(event.period / check.period(event.parameter) - 1.0) > ROUNDED:
+            raise ConvergenceError(f"its period is not that of the drive at {family.parameter} {event.parameter:.12g}")
+        if seen is None:
+            off = check.kept(event.state, event.period, event.parameter, units, event.tangent[: units.size])
+        else:
+            off = float(np.abs(seen.floquet.multipliers - event.multiplier).min()) + abs(abs(event.multiplier) - 1.0)
+    except (ConvergenceError, IntegrationError, IndexError, ValueError) as error:
+        return unsound(event.kind, error, float("nan"))
+    return at_most(event.kind, off, AGAIN, event.detail)
+
+
+def changing(point: Point) -> float:
+    """The largest real part of what exponents may cross the axis elsewhere than at a fold."""
+    about = exponents(point.problem, point.w)
+    others = about.values[about.values.imag > 1e-7].real
+    return float(others.max(initial=about.rest if np.isfinite(about.rest) else -1.0))
+
+
+@dataclass(eq=False)
+class _Direction:
+    """One direction from the first point."""
+
+    own: Any
+    sign: float
+    goals: Goals
+    first: Point
+    points: list[KeptPoint] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
+    end: End = field(default_factory=lambda: End(STOPPED, "stopped"))
+
+    def begin(self) -> Point:
+        s = self.own.settings
+        side = self.sign * towards(self.first, s.parameter, None)
+        return replace(self.first, tangent=side * self.first.tangent, step=s.first_step)
+
+    def walk(self, journal: CurveJournal, progress: Callable[[Batch], None] | None) -> None:
+        """Until it ends."""
+        s, curve = self.own.settings, SolutionCurve()
+        pace = Pace(first=s.first_step, shortest=s.shortest_step, longest=s.longest_step, quick=6, slow=12,
+                    points=s.points, bend=float(np.cos(s.sharpest_turn)), closed=True)  # fmt: skip
+        for kept in follow(curve, journal, self.begin, self.goals, pace, self.own.tests()):
+            events = list[Event]()
+            if self.points:
+                before = self.points[-1]
+                seen = [e for e in curve.events if before.point.arclength < e.point.arclength <= kept.point.arclength]
+                events = self.own.events(before, kept, seen)
+            self.points.append(kept)
+            self.events += [replace(event, arclength=self.sign * event.arclength) for event in events]
+            if progress:
+                new = tuple(self.events[len(self.events) - len(events) :])
+                progress(Batch(int(self.sign), (self._placed(kept),), new))
+        self.end = curve.end or self.end
+
+    def _placed(self, kept: KeptPoint) -> FamilyPoint:
+        record: FamilyPoint = kept.record
+        return replace(record, arclength=self.sign * kept.point.arclength, role=kept.role)
+
+    def placed(self) -> list[FamilyPoint]:
+        """The points in the order of their arclength."""
+        own = [self._placed(kept) for kept in self.points]
+        return own[::-1] if self.sign < 0 else own
+
+    def record(self, point: Point) -> FamilyPoint:
+        """Its orbit."""
+        record: FamilyPoint = self.own.point(point, index=0, arclength=point.arclength, step=point.step)
+        return record
+
+    def write(self, point: Point, record: FamilyPoint) -> Mapping[str, Any]:
+        """Both in plain numbers."""
+        return {"w": point.w.vector, "tangent": point.tangent, "arclength": point.arclength, "step": point.step,
+                "orders": list(point.problem.basis.orders), "orbit": plain(record)}  # fmt: skip
+
+    def read(self, entry: Mapping[str, Any]) -> tuple[Point, FamilyPoint]:
+        """Both from what was written."""
+        problem, w = self.first.problem.on(tuple(entry["orders"]), np.array(entry["w"], float))
+        point = Point(problem, w, np.array(entry["tangent"], float), float(entry["arclength"]), float(entry["step"]))
+        record: FamilyPoint = restored(FamilyPoint, entry["orbit"])
+        record = situated(record, 0, "", self.own.problem.model.system, self.own.entry)
+        return point, record
+
+
+def _assembled(own: Any, runs: Sequence[_Direction], source: Mapping[str, Any]) -> Family:
+    walked = [run for run in reversed(runs) if run.points]
+    points = list[FamilyPoint]()
+    for run in walked:
+        some = run.placed()
+        points += some[bool(points) :] if run.sign > 0 else some
+    if own.settings.certify:
+        points = [
+            own.certified(point) if point.role != "step" or k in (0, len(points) - 1) else point
+            for k, point in enumerate(points)
+        ]
+    system, entry = dict(own.problem.model.system), own.entry
+    points = [situated(point, k, own.name, system, entry) for k, point in enumerate(points)]
+    lengths = [point.arclength for point in points]
+    events = sorted((event for run in walked for event in run.events), key=attrgetter("arclength"))
+    events = [replace(event, index=int(np.searchsorted(lengths, event.arclength)) - 1) for event in events]
+    return Family(own.name, system, own.settings.parameter, tuple(points), tuple(events),
+                  tuple(run.end for run in walked), entry, source)  # fmt: skip

@@ -1,0 +1,9 @@
+"""The methods whose families are followed here, for the table of methods."""
+
+from orbitfinder.families.balance import followed, reverified
+from orbitfinder.orbits import balance
+from orbitfinder.orbits.method import METHODS, Method
+
+METHODS[balance.NAME] = Method(
+    lambda problem: False, balance.balanced, balance.refused, follow=followed, verify=reverified
+)

@@ -1,0 +1,109 @@
+"""The equations of motion as a residual over a period, for harmonic balance and for steps of implicit methods.
+
+With tau = omega t, omega = 2 pi cycles / (the drive's period), and ' for d/dtau,
+
+    G(tau, q, q', q'', p) = M a + h,    v = omega q', a = omega^2 q'';    of a first-order system v - f(t, x, p).
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder.mechanics.lagrange import mass_matrix_and_bias
+from orbitfinder.mechanics.model import Model
+
+
+class Residual:
+    """G of a Model with a parameter free (or nothing, ""), and its slopes, over many times in a call."""
+
+    def __init__(self, model: Model, name: str, cycles: int = 1) -> None:
+        self.model, self.name, self.size = model, name, model.degrees_of_freedom
+        tau, free = ca.SX.sym("tau"), ca.SX.sym("free")
+        shape = [ca.SX.sym(label, self.size) for label in ("q", "dq", "ddq")]
+        p = model.parameters((name,) if name else (), free)
+        assert model.forcing_period is not None
+        pace = 2 * np.pi * cycles / model.forcing_period(p)
+        q, v, a = shape[0], pace * shape[1], pace**2 * shape[2]
+        rows = self._rows(tau / pace, q, v, a, p)
+        entries, places = [], []
+        for k, column in enumerate(shape):
+            slopes = ca.jacobian(rows, column)
+            i, j = slopes.sparsity().get_triplet()
+            entries.append(ca.vertcat(*slopes.nonzeros()) if slopes.nnz() else ca.SX(0, 1))
+            places += [(row, along, k) for row, along in zip(i, j, strict=True)]
+        every, state = ca.vertcat(*entries), ca.vertcat(tau, *shape)
+        varies = np.array(ca.which_depends(every, state, 1, True), bool) if every.numel() else np.zeros(0, bool)
+        table = np.array(places, int).reshape(-1, 3)
+        self.varying, self.steady = table[varies], table[~varies]
+        given = [tau, *shape, free]
+        picked = [every[np.flatnonzero(which).tolist()] for which in (varies, ~varies)]
+        self._over = ca.Function("over", given, [rows, picked[0], ca.jacobian(rows, free)])
+        self._fixed = ca.Function("fixed", [free], [ca.densify(picked[1])])
+        self._rows_alone = ca.Function("rows", given, [ca.densify(rows)])
+        self._pace = ca.Function("pace", [free], [pace, ca.jacobian(ca.SX(pace), free)])
+        self._maps, self.patterns = dict[tuple[str, int], ca.Function](), dict[Any, Any]()
+
+    def _rows(self, t: Any, q: Any, v: Any, a: Any, p: Any) -> Any:
+        model = self.model
+        if model.rates is not None:
+            return v - model.rates(t, q, p)
+        x, rate, clock = ca.SX.sym("x", self.size), ca.SX.sym("v", self.size), ca.SX.sym("t")
+        kinetic = model.kinetic(x, rate, p)
+        if model.gyroscopic is not None:
+            kinetic += model.gyroscopic(x, rate, p)
+        forces = None if model.forces is None else model.forces(clock, x, rate, p)
+        mass, bias = mass_matrix_and_bias(kinetic, model.potential(x, p), x, rate, forces)
+        given = ca.mtimes(mass, a) + bias
+        return ca.substitute([ca.densify(given)], [x, rate, clock], [q, v, t])[0]
+
+    @property
+    def start(self) -> float:
+        """The model's own value of the parameter."""
+        return float(self.model.parameter_values[self.model.parameter_index(self.name)]) if self.name else 0.0
+
+    def pace(self, value: float) -> float:
+        """omega, in rad/s."""
+        return float(self._pace(value)[0])
+
+    def rise(self, value: float) -> float:
+        """d omega / d parameter."""
+        return float(self._pace(value)[1])
+
+    def over(self, times: np.ndarray, motion: list[np.ndarray], value: float) -> list[np.ndarray]:
+        """At times (s, in rad) and q, q', q'' (n x s each): G (n x s), its varying slopes (k x s), dG/dp (n x s)."""
+        return [part.full() for part in self._mapped(self._over, times.size)(times[None], *motion, value)]
+
+    def rows(self, times: np.ndarray, motion: list[np.ndarray], value: float) -> np.ndarray:
+        """G alone."""
+        return np.asarray(self._mapped(self._rows_alone, times.size)(times[None], *motion, value).full())
+
+    def fixed(self, value: float) -> np.ndarray:
+        """The slopes that are the same at all states."""
+        return np.asarray(self._fixed(value).full().ravel())
+
+    def _mapped(self, function: ca.Function, count: int) -> ca.Function:
+        key = (function.name(), count)
+        if key not in self._maps:
+            self._maps[key] = function.map(count)
+        return self._maps[key]
+
+    @cached_property
+    def odd(self) -> bool:
+        """Whether G(tau + pi, -q, -q', -q'') = -G."""
+        random, value = np.random.default_rng(0), self.start
+        times = random.uniform(0, 2 * np.pi, 3)
+        motion = [random.normal(size=(self.size, 3)) for _ in range(3)]
+        here, there = self.rows(times, motion, value), self.rows(times + np.pi, [-part for part in motion], value)
+        return bool(np.abs(here + there).max() <= 1e-9 * np.abs(here).max())
+
+    def slopes(self, times: np.ndarray, motion: list[np.ndarray], value: float) -> np.ndarray:
+        """All slopes (3 x s x n x n) by q, q' and q'' at times, dense."""
+        slopes = np.zeros((3, times.size, self.size, self.size))
+        moving, fixed = self.over(times, motion, value)[1], self.fixed(value)[:, None]
+        for table, entries in ((self.varying, moving), (self.steady, fixed)):
+            slopes[table[:, 2], :, table[:, 0], table[:, 1]] = entries
+        return slopes

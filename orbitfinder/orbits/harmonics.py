@@ -1,0 +1,353 @@
+"""Driven motions as a continuation problem by harmonic balance, for large systems: sparse from end to end.
+
+With tau = omega t a turn of the motion, q(tau) = sum_k c_k b_k(tau) in cosines and sines b_k of some orders, the rows
+are <b_l, G> = 0 (Galerkin) of the residual G (`integrate.residual`), by sums over equal times (AFT). Entries of the
+slopes of G that are the same at all states cost a 2 x 2 block an order, the others a full block. Where G(tau + pi, -q,
+-q', -q'') = -G odd orders and half of the times suffice. Sources: T. Cameron, J. Griffin, J. Appl. Mech. 56 (1989)
+149-154; M. Krack, J. Gross, Harmonic Balance for Nonlinear Vibration Problems (2019).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import SuperLU, splu
+
+from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.continuation.problem import Point, plane, solved
+from orbitfinder.errors import ConvergenceError
+from orbitfinder.integrate.residual import Residual
+from orbitfinder.mechanics.newton import Settings, Solver
+
+SAMPLES, LEAST, REFINED, POWERS, KEPT = 4, 1e-3, 2, 4, 0.4
+"""Times over a period, in multiples of the highest order: products of three are not taken for others. Share of the
+largest size that a coordinate's is at least; refinements of a solution; iterations for a kernel; sizes are kept until
+their logarithms change by so much"""
+LEFT, NOISY, HIGHEST = 3e-14, 0.1, 400
+"""The next orders are no larger than this, in the sizes of the coordinates, or than so many round-offs; the highest
+order that is tried"""
+
+
+@dataclass(frozen=True, eq=False)
+class Coefficients:
+    """Coefficients of all coordinates in their order, and the parameter last."""
+
+    vector: np.ndarray
+    known: dict[str, Any] = field(default_factory=dict)
+
+    def moved(self, step: np.ndarray) -> Coefficients:
+        """So much farther."""
+        return Coefficients(self.vector + step)
+
+
+class Fourier:
+    """Cosines and sines of some orders over equal times, what takes values to coefficients, and their derivatives."""
+
+    def __init__(self, orders: tuple[int, ...]) -> None:
+        self.orders = orders
+        self.count = sum(2 if k else 1 for k in orders)
+        samples, parts = SAMPLES * (max(orders) + 1), 2 if all(k % 2 for k in orders) else 1
+        self.times = 2 * np.pi * np.arange(samples // parts) / samples
+        self.values, self.slope = self.at(self.times), np.zeros((self.count, self.count))
+        for k, place in zip(orders, self.places, strict=True):
+            if k:
+                self.slope[place, place + 1], self.slope[place + 1, place] = k, -k
+        self.back = np.array([row / (row @ row) for row in self.values.T])
+        self.powers = [np.eye(self.count), self.slope, self.slope @ self.slope]
+
+    @cached_property
+    def places(self) -> np.ndarray:
+        """Where each order begins."""
+        return np.cumsum([0] + [2 if k else 1 for k in self.orders])[:-1]
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        """All of them (s x K)."""
+        parts = [np.ones((times.size, 1)) if k == 0 else np.column_stack([np.cos(k * times), np.sin(k * times)])
+                 for k in self.orders]  # fmt: skip
+        return np.hstack(parts)
+
+    def motion(self, coefficients: np.ndarray, times: np.ndarray | None = None) -> list[np.ndarray]:
+        """q, q', q'' (n x s) of coefficients (n x K)."""
+        values = self.values if times is None else self.at(times)
+        return [coefficients @ (power.T @ values.T) for power in self.powers]
+
+
+class Pattern:
+    """Where blocks of slopes go in the sparse matrix of all rows, worked out once.
+
+    `powers` (3 of K x K) are what takes coefficients of a motion to those of q, q', q''; for a motion e^(s tau) q they
+    are 1, D + s and its square.
+    """
+
+    def __init__(self, equations: Residual, basis: Fourier, powers: Sequence[np.ndarray] | None = None) -> None:
+        self.equations, self.basis, count = equations, basis, basis.count
+        powers = basis.powers if powers is None else powers
+        self.turning, self.products, rows, columns = [], [], [], []
+        block = np.indices((count, count)).reshape(2, -1)
+        for k, power in enumerate(powers):
+            pairs, (i, j) = equations.steady[equations.steady[:, 2] == k], np.nonzero(power)
+            self.turning.append(power[i, j])
+            rows.append((pairs[:, :1] * count + i).ravel())
+            columns.append((pairs[:, 1:2] * count + j).ravel())
+        for k, power in enumerate(powers):
+            pairs = equations.varying[equations.varying[:, 2] == k] if power.any() else equations.varying[:0]
+            products = np.einsum("as,sb->sab", basis.back, basis.values @ power)
+            self.products.append(products.reshape(basis.times.size, -1))
+            rows.append((pairs[:, :1] * count + block[0]).ravel())
+            columns.append((pairs[:, 1:2] * count + block[1]).ravel())
+        self.idle, self.whole = [not power.any() for power in powers], equations.size * count
+        places, self.slots = np.unique(np.concatenate(columns) * self.whole + np.concatenate(rows), return_inverse=True)
+        self.indices = (places % self.whole).astype(np.int32)
+        self.starts = np.searchsorted(places, np.arange(self.whole + 1) * self.whole).astype(np.int32)
+        self.derived = dict[Any, Any]()  # what else is worked out once on these orders
+
+    def matrix(self, fixed: np.ndarray, varying: np.ndarray) -> Any:
+        """The sparse matrix of steady slopes and of samples (k x s) of the others."""
+        steady, moving = self.equations.steady[:, 2], self.equations.varying[:, 2]
+        parts = [np.outer(fixed[steady == k], self.turning[k]).ravel() for k in range(3)]
+        parts += [(varying[moving == k] @ self.products[k]).ravel() for k in range(3) if not self.idle[k]]
+        values = np.concatenate(parts)
+        data: Any = np.bincount(self.slots, values.real, self.indices.size)
+        if np.iscomplexobj(values):
+            data = data + 1j * np.bincount(self.slots, values.imag, self.indices.size)
+        return sparse.csc_matrix((data, self.indices, self.starts), shape=(self.whole, self.whole))
+
+
+class Condensed:
+    """The derivatives: a sparse matrix by the coefficients and a column by the parameter, in units."""
+
+    def __init__(self, matrix: Any, column: np.ndarray, sizes: np.ndarray) -> None:
+        self.matrix, self.column, self.sizes = matrix, column, sizes
+
+    @cached_property
+    def factors(self) -> SuperLU:
+        """Of the matrix alone. Raises `ConvergenceError` where it is singular."""
+        try:
+            return splu(self.matrix)
+        except RuntimeError:
+            raise ConvergenceError("the equations of the harmonics are singular") from None
+
+    def kernel(self) -> tuple[np.ndarray, np.ndarray]:
+        """The left and right vectors that a matrix which is nearly singular takes to almost nothing, of length 1."""
+        both = np.random.default_rng(0).normal(size=(2, self.column.size))
+        for _ in range(POWERS):
+            both = np.array([self.factors.solve(both[0], "T"), self.factors.solve(both[1])])
+            both /= np.linalg.norm(both, axis=1, keepdims=True)
+        return both[0], both[1]
+
+    def closed(self, rows: np.ndarray) -> Solver:
+        """See `continuation.problem.Linear`."""
+        (aim,) = rows * self.sizes
+        row, corner = aim[:-1], aim[-1]
+        across = self.factors.solve(self.column)
+        pivot = corner - row @ across
+        if pivot == 0.0 or not np.isfinite(pivot):
+            raise ConvergenceError("the equations of the harmonics are singular")
+
+        def once(right: np.ndarray) -> np.ndarray:
+            inside = self.factors.solve(right[:-1])
+            last = (right[-1] - row @ inside) / pivot
+            return np.append(inside - last * across, last)
+
+        def solve(right: np.ndarray) -> np.ndarray:
+            answer = once(right)
+            for _ in range(REFINED):
+                left = np.append(self.matrix @ answer[:-1] + self.column * answer[-1], aim @ answer)
+                answer = answer + once(right - left)
+            return np.asarray(-answer * self.sizes)
+
+        return solve
+
+
+@dataclass(frozen=True, eq=False)
+class Balanced:
+    """The problem: sizes of the coordinates (n) and of the parameter, what rows (n) are measured in."""
+
+    pattern: Pattern
+    sizes: np.ndarray
+    p_size: float
+    row_sizes: np.ndarray
+    settings: Settings = field(
+        default_factory=lambda: Settings(
+            floor=1e-17, round_off=1e-11, converged=1e-11, most_evaluations=20, contraction=0.3
+        )
+    )
+    """rows are relative to the sizes of their terms, and those that load a stiff structure far smaller"""
+
+    @property
+    def basis(self) -> Fourier:
+        """Of the harmonics."""
+        return self.pattern.basis
+
+    @property
+    def equations(self) -> Residual:
+        """Whose motions they are."""
+        return self.pattern.equations
+
+    def coefficients(self, w: Coefficients) -> np.ndarray:
+        """Of each coordinate (n x K)."""
+        return w.vector[:-1].reshape(-1, self.basis.count)
+
+    def rows(self, w: Coefficients) -> np.ndarray:
+        """F(w)."""
+        motion, value = self.basis.motion(self.coefficients(w)), float(w.vector[-1])
+        return self._measured(self.equations.rows(self.basis.times, motion, value))
+
+    def _measured(self, samples: np.ndarray) -> np.ndarray:
+        if not np.isfinite(samples).all():
+            raise ConvergenceError("the equations of motion leave the numbers")
+        return np.asarray((samples @ self.basis.back.T / self.row_sizes[:, None]).ravel())
+
+    def linearise(self, w: Coefficients) -> tuple[np.ndarray, Condensed]:
+        """F(w) and its derivatives, remembered with w."""
+        problem, *answer = w.known.get("linear", (None,))
+        if problem is not self:
+            rows, matrix, column = self.slopes(w)
+            count = self.basis.count
+            across, down = np.repeat(self.sizes, count), np.repeat(1.0 / self.row_sizes, count)
+            data = matrix.data * down[matrix.indices] * np.repeat(across, np.diff(matrix.indptr))
+            scaled = sparse.csc_matrix((data, matrix.indices, matrix.indptr), shape=matrix.shape)
+            answer = [rows, Condensed(scaled, column * self.p_size, np.append(across, self.p_size))]
+            w.known["linear"] = (self, *answer)
+        return answer[0], answer[1]
+
+    def slopes(self, w: Coefficients) -> tuple[np.ndarray, Any, np.ndarray]:
+        """F(w), the sparse matrix of <b_l, dG/dc_k> in its own units, and F's change with the parameter."""
+        rows, varying, by_p = self.sampled(w)
+        pattern, matrix = w.known.get("matrix", (None, None))
+        if pattern is not self.pattern:
+            matrix = self.pattern.matrix(self.equations.fixed(float(w.vector[-1])), varying)
+            w.known["matrix"] = self.pattern, matrix
+        return self._measured(rows), matrix, self._measured(by_p)
+
+    def sampled(self, w: Coefficients) -> list[np.ndarray]:
+        """What is known of G at the times, remembered with w."""
+        basis, samples = w.known.get("sampled", (None, []))
+        if basis is not self.basis:
+            motion = self.basis.motion(self.coefficients(w))
+            samples = self.equations.over(self.basis.times, motion, float(w.vector[-1]))
+            w.known["sampled"] = self.basis, samples
+        return samples  # type: ignore[no-any-return]
+
+    def phases(self, w: Coefficients) -> np.ndarray:
+        """None: the drive has the clock."""
+        return np.zeros((0, w.vector.size))
+
+    def metric(self, w: Coefficients) -> np.ndarray:  # noqa: ARG002 - of the protocol
+        """The mean square of the coordinates over the motion, and of the parameter."""
+        return self._metric
+
+    @cached_property
+    def _metric(self) -> np.ndarray:
+        squares = (self.basis.values**2).mean(axis=0)
+        profile = np.outer(1.0 / self.sizes**2, squares).ravel() / self.sizes.size
+        return np.append(profile, self.p_size**-2.0)
+
+    def value(self, w: Coefficients, name: str) -> float:  # noqa: ARG002 - of the protocol
+        """Of the parameter."""
+        return float(w.vector[-1])
+
+    def aim(self, w: Coefficients, name: str, value: float) -> tuple[float, np.ndarray]:  # noqa: ARG002 - of the protocol
+        """The parameter at a value, in its unit."""
+        row = np.zeros(w.vector.size)
+        row[-1] = 1.0 / self.p_size
+        return (float(w.vector[-1]) - value) / self.p_size, row
+
+    def at(self, w: Coefficients, tangent: np.ndarray) -> tuple[Self, Coefficients, np.ndarray]:
+        """With the sizes of an accepted w, and as many orders as it takes. Raises `ConvergenceError`."""
+        renewed = self.measured(w)
+        sizes = [(renewed.sizes, self.sizes), (renewed.row_sizes, self.row_sizes)]
+        if all(np.abs(np.log(new / old)).max() < KEPT for new, old in sizes):
+            renewed = self  # with its own tangent: the corrector's is that of its guess, beyond a fold of none
+        while not renewed.enough(w):
+            renewed, w, tangent = renewed.finer(w, tangent)
+            w = solved(renewed, w, plane(renewed, w, tangent)).w
+            renewed = renewed.measured(w)
+        return renewed, w, Point(renewed, w, tangent).sharp.tangent
+
+    def on(self, orders: tuple[int, ...], vector: np.ndarray) -> tuple[Self, Coefficients]:
+        """With these orders and the sizes of coefficients (w) of them."""
+        known = self.equations.patterns
+        if orders not in known:
+            known[orders] = Pattern(self.equations, Fourier(orders))
+        w = Coefficients(vector)
+        if vector.size != known[orders].whole + 1:
+            raise ValueError("coefficients of another size")
+        return replace(self, pattern=known[orders]).measured(w), w
+
+    def known(self, w: Coefficients) -> float:
+        """What the parameter of a fold is known to: what round-off and the next orders make of it."""
+        rows, linear = self.linearise(w)
+        left, _ = linear.kernel()
+        lost = np.finfo(float).eps * np.linalg.norm(left) + abs(left @ rows)
+        return float(self.p_size * lost / abs(left @ linear.column))
+
+    def enough(self, w: Coefficients) -> bool:
+        """Whether the orders are. Raises `ConvergenceError` where none that are tried would be."""
+        left, lost = self.left(w)
+        enough = left <= max(LEFT, NOISY * lost)
+        if not enough and max(self.basis.orders) > HIGHEST:
+            raise ConvergenceError(f"after {max(self.basis.orders)} harmonics the next is still {left:.2g} of the "
+                                   "motion; make what has corners smoother")  # fmt: skip
+        return enough
+
+    def measured(self, w: Coefficients) -> Self:
+        """With the sizes of a motion."""
+        coefficients = np.abs(self.coefficients(w))
+        sizes = np.sqrt((coefficients**2).sum(axis=1))
+        sizes = np.maximum(sizes, LEAST * sizes.max()) if sizes.any() else np.ones_like(sizes)
+        matrix = abs(self.slopes(w)[1]) @ np.repeat(sizes, self.basis.count)
+        rows = matrix.reshape(-1, self.basis.count).max(axis=1)
+        return replace(self, sizes=sizes, row_sizes=nonzero(rows))
+
+    def carried(self, w: Coefficients, onto: Coefficients) -> Coefficients:  # noqa: ARG002 - of the protocol
+        """w, or a direction, of as many orders or fewer on its own."""
+        return Coefficients(self._padded(w.vector))
+
+    def _padded(self, vector: np.ndarray) -> np.ndarray:
+        if vector.size == self.pattern.whole + 1:
+            return vector
+        old = vector[:-1].reshape(self.equations.size, -1)
+        wide = np.zeros((self.equations.size, self.basis.count))
+        wide[:, : old.shape[1]] = old
+        return np.append(wide.ravel(), vector[-1])
+
+    def left(self, w: Coefficients) -> tuple[float, float]:
+        """About the largest coefficient of the next two orders, and what round-off makes there, in the sizes of the
+        coordinates."""
+        known = self.pattern.derived
+        if "next" not in known:
+            top, odd = max(self.basis.orders), 0 not in self.basis.orders
+            known["next"] = Pattern(self.equations, Fourier(orders(top + 4 if odd else top + 2, odd)[-2:]))
+        after: Pattern = known["next"]
+        motion = self.basis.motion(self.coefficients(w), after.basis.times)
+        rows, varying, _ = self.equations.over(after.basis.times, motion, float(w.vector[-1]))
+        steady = np.broadcast_to(varying.mean(axis=1, keepdims=True), varying.shape)
+        try:
+            factors = splu(after.matrix(self.equations.fixed(float(w.vector[-1])), steady))
+        except RuntimeError:
+            return np.inf, 0.0
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], (self.equations.size, after.basis.count))
+        noise = np.finfo(float).eps * self.row_sizes[:, None] * signs
+        both = factors.solve(np.column_stack([(rows @ after.basis.back.T).ravel(), noise.ravel()]))
+        sizes = np.repeat(self.sizes, after.basis.count)
+        largest, lost = np.abs(both / sizes[:, None]).max(axis=0)
+        return float(largest), float(lost)
+
+    def finer(self, w: Coefficients, tangent: np.ndarray) -> tuple[Self, Coefficients, np.ndarray]:
+        """With more orders, w and a tangent padded."""
+        top = max(self.basis.orders)
+        basis = Fourier(orders(top + max(2, 2 * (top // 4)), 0 not in self.basis.orders))
+        made = replace(self, pattern=Pattern(self.equations, basis))
+        more = Coefficients(made._padded(w.vector))
+        return made.measured(more), more, made._padded(tangent)
+
+
+def orders(top: int, odd: bool) -> tuple[int, ...]:
+    """All to the highest, or the odd ones."""
+    return tuple(range(1, top + 1, 2)) if odd else tuple(range(top + 1))

@@ -1,0 +1,216 @@
+"""Stability of motions by harmonic balance, from Hill's matrix: the Floquet exponents that may cross the axis.
+
+A small motion e^(s tau) u(tau) beside a periodic unit has A(s) u = 0, A(s) the matrix of harmonic balance with d/dtau +
+s for d/dtau; exponents come again with every i, or 2 i among odd orders. About shifts sigma along the axis
+
+    A(sigma + theta) = A + theta B + theta^2 C,      (u, mu u) -> (mu u, -A^-1 (B mu u + C u)),   mu = 1 / theta,
+
+and Arnoldi's method finds the largest mu, a sparse factorisation a shift. Which shifts there are says the first
+order of averaging: with frequencies w_i, rates of decay g_i and modes of the mean matrices, the k-th harmonic K of the
+stiffness couples two modes by c = K_ij / 2 sqrt(w_i w_j), and where they are d = w_i + w_j - k off a resonance they
+grow by Re sqrt(((g_i - g_j + i d) / 2)^2 + c^2) - (g_i + g_j) / 2. With twice the c, pairs that grow are looked for,
+and what all others do at most bounds the `rest`: a bound of first order, by a factor of two. Sources: B. Bentvelsen, A.
+Lazarus, Nonlinear Dyn. 91 (2018) 1349-1370; A. Nayfeh, D. Mook, Nonlinear Oscillations (1979), section 5.4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import eigh
+from scipy.sparse.linalg import ArpackError, LinearOperator, eigs, splu
+
+from orbitfinder.errors import ConvergenceError
+from orbitfinder.integrate.collocation import tableau
+from orbitfinder.orbits.harmonics import Balanced, Coefficients, Pattern
+from orbitfinder.orbits.implicit import SMALL
+
+SOUGHT, MOST_SOUGHT, VECTORS, CONVERGED = 2, 24, 14, 1e-5
+"""Exponents about a shift, at first and at most, vectors that they are sought in, their relative error"""
+STEP, MOST_STEPS = 0.5, 4096
+"""Steps of a march for all exponents, in units of the fastest motion, and the most that there may be"""
+ALIKE, ROUND_OFF = 1e-7, 1e-8
+"""Exponents nearer than this are the same. Real parts below it are none"""
+MARGIN, NEARBY, MOST_SHIFTS = 2.0, 0.05, 8
+"""By how much couplings may be larger than in first order; how far apart shifts are; shifts at most"""
+SYMMETRIC, MOST_MODES = 1e-9, 400
+"""Relative difference from a matrix's transpose that is none; coordinates up to which all modes are known"""
+
+
+@dataclass(frozen=True)
+class Exponents:
+    """Exponents s (in units of omega), the least stable first, and the largest real part that any `rest` may have:
+    infinite where nothing is known of it."""
+
+    values: np.ndarray
+    rest: float
+
+    @property
+    def multipliers(self) -> np.ndarray:
+        """e^(2 pi s), each with its conjugate."""
+        picked = np.exp(2 * np.pi * self.values)
+        pairs = self.values[(self.values.imag > ALIKE) & (np.abs(self.values.imag % 0.5 - 0.25) < 0.25 - ALIKE)]
+        return picked if np.any(self.values.imag < -ALIKE) else np.append(picked, np.exp(2 * np.pi * pairs.conj()))
+
+    @property
+    def stability(self) -> str:
+        """In the words of other orbits, or that it is undecided."""
+        worst = float(self.values.real.max(initial=-np.inf))
+        if worst > ROUND_OFF:
+            return "unstable"
+        if not self.rest < 0:
+            return "undecided"
+        return "asymptotically stable" if worst < -ROUND_OFF else "marginal"
+
+
+def exponents(problem: Balanced, w: Coefficients) -> Exponents:
+    """Those of a motion, remembered with it. Raises `ConvergenceError` where Arnoldi's method finds none."""
+    if "exponents" not in w.known:
+        whole = monodromy(problem, w) if problem.equations.size <= SMALL else None
+        if whole is None:
+            w.known["exponents"] = _few(problem, w)
+        else:
+            with np.errstate(divide="ignore"):
+                picked = np.log(np.linalg.eigvals(whole).astype(complex)) / (2 * np.pi)
+            w.known["exponents"] = Exponents(picked[np.argsort(-picked.real)], -np.inf)
+    return w.known["exponents"]  # type: ignore[no-any-return]
+
+
+def nearest(problem: Balanced, w: Coefficients) -> complex:
+    """The exponent nearest to 0 among the orders themselves: 0 at a fold."""
+    values = _about(problem, w, 0j, SOUGHT)[0]
+    return complex(values[np.argmin(np.abs(values))])
+
+
+def _few(problem: Balanced, w: Coefficients) -> Exponents:
+    """Those near what may grow."""
+    spacing = 1.0 if 0 in problem.basis.orders else 2.0
+    suspects, reaches, rest = _suspects(problem, w)
+    there = suspects - (spacing - 1.0)  # e^(i f tau) is e^(s tau) times an order, f - 1 is 0 among odd ones
+    there = np.abs((there + spacing / 2) % spacing - spacing / 2)
+    shifts = np.rint(there / NEARBY) * NEARBY
+    values, places = list[complex](), sorted({*shifts.tolist()})
+    for shift in places[:MOST_SHIFTS]:
+        own = shifts == shift
+        needed = float((np.abs(there[own] - shift) + reaches[own]).max(initial=0.0))
+        count, radius = SOUGHT + 2 * int(own.sum()), 0.0
+        while radius < needed and count <= MOST_SOUGHT:
+            picked, radius = _about(problem, w, complex(0.0, shift), count)
+            count *= 2
+        rest = rest if radius >= needed else np.inf
+        values += picked.tolist()
+    alone: list[complex] = []
+    for value in sorted(values, key=lambda s: -s.real):
+        there_ = complex(value.real, abs((value.imag + spacing / 2) % spacing - spacing / 2))
+        if not any(abs(there_ - other) < ALIKE for other in alone):
+            alone.append(there_)
+    return Exponents(np.array(alone, complex), rest if len(places) <= MOST_SHIFTS else np.inf)
+
+
+def _suspects(problem: Balanced, w: Coefficients) -> tuple[np.ndarray, np.ndarray, float]:
+    """Frequencies (k) that may grow with another, how far their exponents may be off, what the rest does at most."""
+    equations, undecided = problem.equations, (np.zeros(0), np.zeros(0), np.inf)
+    n, moving, samples = equations.size, equations.varying, problem.sampled(w)[1]
+    mean = np.zeros((3, n, n))
+    for table, entries in ((moving, samples.mean(axis=1)), (equations.steady, equations.fixed(float(w.vector[-1])))):
+        np.add.at(mean, (table[:, 2], table[:, 0], table[:, 1]), entries)
+    lopsided = max(np.abs(part - part.T).max() / max(np.abs(part).max(), np.finfo(float).tiny) for part in mean)
+    if n > MOST_MODES or np.any(moving[:, 2] == 2) or lopsided > SYMMETRIC or not mean[2].any():
+        return undecided
+    squares, modes = eigh(mean[0], mean[2])
+    if not squares[0] > 0:
+        return undecided
+    frequencies = np.sqrt(squares)
+    decays = np.einsum("ij,ik,kj->j", modes, mean[1], modes, optimize=True) / 2
+    if not decays.min() > 0:
+        return undecided
+    harmonics = np.fft.rfft(samples, axis=1) / samples.shape[1]
+    period = 1 if 0 in problem.basis.orders else 2
+    worth = np.abs(harmonics[:, 1:]).max(axis=0, initial=0.0)
+    rest, picked = -float(decays.min()), dict[int, float]()
+    for k in np.flatnonzero(worth > ROUND_OFF * worth.max(initial=0.0)) + 1:
+        coupling = np.zeros((n, n))
+        for kind in (0, 1):
+            own = moving[:, 2] == kind
+            sides = modes[moving[own, 0]], modes[moving[own, 1]]
+            part = np.abs((sides[0] * harmonics[own, k, None]).T @ sides[1])
+            coupling += part * (frequencies if kind else 1.0)
+        coupling = MARGIN * (coupling + coupling.T) / (4 * np.sqrt(np.outer(frequencies, frequencies)))
+        i, j = np.nonzero(np.triu(coupling**2 > 0.25 * np.outer(decays, decays)))
+        c, off = coupling[i, j], frequencies[i] + frequencies[j] - k * period
+        grown = np.sqrt((0.5 * (decays[i] - decays[j] + 1j * off)) ** 2 + c**2).real - 0.5 * (decays[i] + decays[j])
+        rest = max(rest, float(grown[grown <= 0].max(initial=-np.inf)))
+        for mode, reach in zip((*i[grown > 0], *j[grown > 0]), (*c[grown > 0], *c[grown > 0]), strict=True):
+            picked[mode] = max(picked.get(mode, 0.0), float(reach))
+    which = np.array(sorted(picked), int)
+    return frequencies[which], np.array([picked[k] for k in which.tolist()]), rest
+
+
+def _about(problem: Balanced, w: Coefficients, shift: complex, count: int) -> tuple[np.ndarray, float]:
+    """So many exponents about a shift, and the radius of the disc in which there are no others."""
+    varying, fixed = problem.sampled(w)[1], problem.equations.fixed(float(w.vector[-1]))
+    a, b, c = (pattern.matrix(fixed, varying) for pattern in _shifted(problem, shift))
+    try:
+        factors = splu(a)
+    except RuntimeError:
+        return np.array([shift]), 0.0  # an exponent itself
+    size = a.shape[0]
+    kind = complex if shift.imag else float
+
+    def applied(both: np.ndarray) -> np.ndarray:
+        x, y = both[:size], both[size:]
+        return np.concatenate([y, -factors.solve(np.asarray(b @ y + c @ x, kind))])
+
+    start = np.random.default_rng(0).normal(size=2 * size).astype(kind)
+    operator = LinearOperator((2 * size, 2 * size), matvec=applied, dtype=kind)
+    vectors = min(max(VECTORS, 3 * count), 2 * size - 1)
+    try:
+        picked = eigs(operator, count, which="LM", v0=start, ncv=vectors, tol=CONVERGED, return_eigenvectors=False)
+    except ArpackError as error:
+        raise ConvergenceError(f"the exponents about {shift} are not told ({error})") from None
+    theta = 1.0 / picked
+    return shift + theta, float(np.abs(theta).max())
+
+
+def _shifted(problem: Balanced, shift: complex) -> list[Pattern]:
+    """A, B and C at a shift, kept with the orders."""
+    known, basis = problem.pattern.derived, problem.basis
+    if shift not in known:
+        unit, moved = np.eye(basis.count), basis.slope + (shift if shift.imag else 0.0) * np.eye(basis.count)
+        none = np.zeros_like(unit)
+        powers: list[list[np.ndarray]] = [[unit, moved, moved @ moved], [none, unit, 2 * moved], [none, none, unit]]
+        known[shift] = [Pattern(problem.equations, basis, each) for each in powers]
+    return known[shift]  # type: ignore[no-any-return]
+
+
+def monodromy(problem: Balanced, w: Coefficients) -> np.ndarray | None:
+    """Of (u, u') over tau = 0 to 2 pi, by Gauss' steps of order eight, all at once; None of a motion that is stiff."""
+    first = _rates(problem, w, np.zeros(1))[0]
+    size, rule = len(first), tableau(4, "legendre")
+    steps = 1 << int(np.ceil(np.log2(2 * np.pi * max(1.0, float(np.abs(np.linalg.eigvals(first)).max())) / STEP)))
+    if steps > MOST_STEPS:
+        return None
+    h, count = 2 * np.pi / steps, rule.points.size
+    times = (h * (np.arange(steps)[:, None] + rule.points)).ravel()
+    rates = _rates(problem, w, times).reshape(steps, count, size, size)
+    across = rule.inner[None, :, None, :, None] * rates[:, :, :, None, :]
+    matrix = np.eye(count * size) - h * across.reshape(steps, count * size, count * size)
+    stages = np.linalg.solve(matrix, rates.reshape(steps, count * size, size)).reshape(steps, count, size, size)
+    maps = np.eye(size) + h * np.einsum("i,kiab->kab", rule.weights, stages)
+    while len(maps) > 1:
+        maps = maps[1::2] @ maps[::2]
+    return np.asarray(maps[0])
+
+
+def _rates(problem: Balanced, w: Coefficients, times: np.ndarray) -> np.ndarray:
+    """The matrices (s x d x d) of the linearised equations at times (rad), d/dtau of (u, u')."""
+    n, motion = problem.equations.size, problem.basis.motion(problem.coefficients(w), times)
+    slopes = problem.equations.slopes(times, motion, float(w.vector[-1]))
+    if not slopes[2].any():  # first order
+        return np.asarray(-np.linalg.solve(slopes[1], slopes[0]))
+    steady = not np.any(problem.equations.varying[:, 2] == 2)
+    inverse = np.linalg.inv(slopes[2][:1] if steady else slopes[2])
+    below = -(inverse @ np.concatenate([slopes[0], slopes[1]], axis=2))
+    above = np.broadcast_to(np.hstack([np.zeros((n, n)), np.eye(n)]), (times.size, n, 2 * n))
+    return np.concatenate([above, below], axis=1)

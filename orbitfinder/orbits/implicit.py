@@ -1,0 +1,229 @@
+"""Motions of large driven structures by steps that no fast mode limits: Gauss' method on the accelerations as given.
+
+With stages a_i (accelerations, n each) of a step h from (q, v), t_i = t + c_i h and A the matrix of the method,
+
+    v_i = v + h sum_j A_ij a_j,    q_i = q + c_i h v + h^2 sum_j (A^2)_ij a_j,    a_i = a(t_i, q_i, v_i).
+
+The iteration's matrix is of the equations by the energies (`integrate.residual`), sparse, with a factorisation for each
+pair of eigenvalues of A; what it ends with, and so the motion, is of the accelerations alone. Variations solve all
+stages together. Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II (1996), sections IV.5, IV.8.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from orbitfinder._runtime import limit
+from orbitfinder.errors import IntegrationError
+from orbitfinder.integrate.collocation import tableau
+from orbitfinder.integrate.equations import accelerations
+from orbitfinder.integrate.field import rates_of, vector_field
+from orbitfinder.integrate.residual import Residual
+from orbitfinder.mechanics.kind import with_parameters
+from orbitfinder.mechanics.model import Model, energy
+from orbitfinder.mechanics.scales import extents_of
+from orbitfinder.orbits.closure import closes
+from orbitfinder.orbits.evidence import Recomputed, Tour
+from orbitfinder.orbits.floquet import judged
+from orbitfinder.orbits.measure import action
+
+STAGES, STEPS, PIECES = 6, 64, 16
+"""Of a step; steps and state-transition matrices of a period"""
+SETTLED, MOST, SLOW = 1e-15, 60, 0.7
+"""Change of the coordinates, in extents, after which an iteration has ended; its steps at most; what a step leaves that
+no longer contracts"""
+RESOLVED, POWERS, FINEST, SMALL = 1.5, 30, 512, 40
+"""Radians of the fastest mode in a step, iterations that find it, the most steps that follow it;
+coordinates up to which motions are certified by explicit steps and all their variations"""
+
+
+class Implicit:
+    """The motions of a mechanical Model with a drive, from a state for a period, by its equations (at a `value` of what
+    is free there)."""
+
+    def __init__(self, model: Model, residual: Residual, value: float = 0.0) -> None:
+        self.residual, self.value = residual, value
+        self.many, self.pace = rates_of(vector_field(accelerations(model)))[0], residual.pace(value)
+        rule, n = tableau(STAGES, "legendre"), self.residual.size
+        self.places, self.inner, self.weights = rule.points, rule.inner, rule.weights
+        values, vectors = np.linalg.eig(self.inner)
+        own = values.imag > 0  # the others are their conjugates
+        self.eigenvalues, self.out, self.into = values[own], vectors[:, own], np.linalg.inv(vectors)[own]
+        self.table = np.concatenate([self.residual.varying, self.residual.steady])
+        places, self.slots = np.unique(self.table[:, 1] * n + self.table[:, 0], return_inverse=True)
+        self.indices, self.starts = places % n, np.searchsorted(places, np.arange(n + 1) * n)
+
+    def _slopes(self, times: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """dG/dq, dG/dv, dG/da (k x s, by `table`) at times (s) and n x s of each."""
+        motion = [q, v / self.pace, a / self.pace**2]
+        varying = self.residual.over(self.pace * times, motion, self.value)[1]
+        fixed = np.broadcast_to(self.residual.fixed(self.value)[:, None], (len(self.residual.steady), times.size))
+        return np.concatenate([varying, fixed]) / self.pace ** self.table[:, 2:]
+
+    def _stepped(
+        self, t: float, state: np.ndarray, h: float, a: np.ndarray, units: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The state after a step and its stages (n x s), from a guess of them. Raises `IntegrationError`."""
+        n, times, square = self.residual.size, t + h * self.places, self.inner @ self.inner
+        q0, v0 = state[:n, None], state[n:, None]
+
+        def stages(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            return q0 + h * self.places * v0 + h**2 * a @ square.T, v0 + h * a @ self.inner.T
+
+        q, v = stages(a)
+        middle = STAGES // 2
+        slopes = self._slopes(times[middle : middle + 1], *(part[:, middle : middle + 1] for part in (q, v, a)))[:, 0]
+        mass = self._matrix(slopes * (self.table[:, 2] == 2))
+        weights = (h * self.eigenvalues[:, None]) ** (2 - self.table[:, 2])
+        factors = [splu(self._matrix(slopes * weight)) for weight in weights]
+        before = np.inf
+        for _ in range(MOST):
+            missed = self.many(times, np.hstack([q.T, v.T]))[:, n:].T - a
+            right = (mass @ missed) @ self.into.T
+            solved = np.array([factor.solve(np.ascontiguousarray(right[:, k])) for k, factor in enumerate(factors)])
+            change = 2 * (self.out @ solved).real.T
+            moved = float(np.abs(h**2 * change / units[:n, None]).max())
+            if not np.isfinite(moved):
+                break
+            a = a + change
+            q, v = stages(a)
+            if moved <= SETTLED or (moved > SLOW * before and moved < 1e-6):
+                end = np.concatenate([q0[:, 0] + h * v0[:, 0] + h**2 * a @ (self.weights @ self.inner),
+                                      v0[:, 0] + h * a @ self.weights])  # fmt: skip
+                return end, a
+            before = moved
+        raise IntegrationError("the steps of an implicit method do not converge; start nearer to the motion")
+
+    def _matrix(self, entries: np.ndarray) -> sparse.csc_matrix:
+        n, size = self.residual.size, self.indices.size
+        data = np.bincount(self.slots, entries.real, size)
+        if np.iscomplexobj(entries):
+            data = data + 1j * np.bincount(self.slots, entries.imag, size)
+        return sparse.csc_matrix((data, self.indices, self.starts), shape=(n, n))
+
+    def path(
+        self, state: np.ndarray, period: float, steps: int, units: np.ndarray, varied: np.ndarray | None = None
+    ) -> tuple[np.ndarray, list[np.ndarray]]:
+        """States (steps + 1 x 2n) at equal times over a period, and what becomes of variations (2n x k) in each of its
+        pieces. Raises `IntegrationError`."""
+        n, h, now, pieces = self.residual.size, period / steps, np.asarray(state, float), list[np.ndarray]()
+        a = np.repeat(self.many(np.zeros(1), now[None])[:, n:].T, STAGES, axis=1)
+        whole, path = varied, [now]
+        for k in range(steps):
+            limit.check()
+            now, whole, a = self.both(k * h, now, h, a, units, whole)
+            if whole is not None and (k + 1) % (steps // PIECES) == 0:
+                pieces.append(whole)
+                whole = varied
+            path.append(now)
+        return np.array(path), pieces
+
+    def both(
+        self, t: float, state: np.ndarray, h: float, a: np.ndarray, units: np.ndarray, varied: np.ndarray | None
+    ) -> tuple[np.ndarray, Any, np.ndarray]:
+        """A state (2n) and variations (2n x k) after a step, and the stages (n x s) that the next begins with."""
+        end, a = self._stepped(t, state, h, a, units)
+        return end, None if varied is None else self._varied(t, state, h, a, varied), a @ self._ahead.T
+
+    def steps(self, state: np.ndarray, period: float) -> int:
+        """As many steps of a period as follow the fastest mode, a power of two, or fewer where that is stiff."""
+        n = self.residual.size
+        slopes = self._slopes(np.zeros(1), state[:n, None], state[n:, None], np.zeros((n, 1)))[:, 0]
+        stiff, mass = (self._matrix(slopes * (self.table[:, 2] == kind)) for kind in (0, 2))
+        shape, size = np.random.default_rng(0).normal(size=n), 0.0
+        factors = splu(mass)
+        for _ in range(POWERS):
+            shape = factors.solve(stiff @ shape)
+            size = float(np.linalg.norm(shape))
+            shape = shape / size
+        wanted = np.sqrt(size) * period / RESOLVED
+        return STEPS if wanted > FINEST else int(2 ** np.ceil(np.log2(max(wanted, STEPS))))
+
+    @cached_property
+    def _ahead(self) -> np.ndarray:
+        """What takes stages of a step to the polynomial's values at those of the next."""
+        powers = self.places[:, None] ** np.arange(STAGES)
+        return np.asarray((1 + self.places)[:, None] ** np.arange(STAGES) @ np.linalg.inv(powers))
+
+    def _varied(self, t: float, state: np.ndarray, h: float, a: np.ndarray, whole: np.ndarray) -> np.ndarray:
+        """A matrix (2n x k) of variations carried over a step with stages a."""
+        n, count, inner, square = self.residual.size, STAGES, self.inner, self.inner @ self.inner
+        q = state[:n, None] + h * self.places * state[n:, None] + h**2 * a @ square.T
+        v = state[n:, None] + h * a @ inner.T
+        slopes, kinds = self._slopes(t + h * self.places, q, v, a), self.table[:, 2]
+        parts = np.array([h**2 * square, h * inner, np.eye(count)])
+        entries = slopes[:, :, None] * parts[kinds]  # (row, stage i) by (column, stage j)
+        rows = (self.table[:, 0, None] * count + np.arange(count))[:, :, None]
+        columns = (self.table[:, 1, None] * count + np.arange(count))[:, None, :]
+        shape = entries.shape
+        matrix = sparse.csc_matrix((entries.ravel(), (np.broadcast_to(rows, shape).ravel(),
+                                   np.broadcast_to(columns, shape).ravel())), shape=(n * count, n * count))  # fmt: skip
+        right = np.zeros((n, count, whole.shape[1]))
+        for i in range(count):
+            k, c = (self._matrix(slopes[:, i] * (kinds == kind)) for kind in (0, 1))
+            right[:, i] = -(k @ (whole[:n] + self.places[i] * h * whole[n:]) + c @ whole[n:])
+        stages = splu(matrix).solve(right.reshape(n * count, -1)).reshape(n, count, -1)
+        moved = h**2 * np.einsum("nik,i->nk", stages, self.weights @ inner)
+        return np.vstack([whole[:n] + h * whole[n:] + moved,
+                          whole[n:] + h * np.einsum("nik,i->nk", stages, self.weights)])  # fmt: skip
+
+
+def suits(model: Model) -> bool:
+    """Whether a model's motions are certified so: driven ones of many coordinates, which may be stiff."""
+    plain = model.smooth and model.scalar and model.constraint is None and model.rates is None and not model.invariants
+    return bool(plain and model.forced and model.degrees_of_freedom > SMALL)
+
+
+def gathered(model: Model, state: np.ndarray, period: float) -> tuple[Recomputed, float]:
+    """What `Implicit` says of a state (2n) and a period; and how far more steps end elsewhere, in extents. Raises
+    `IntegrationError`."""
+    motion, n = Implicit(model, Residual(model, "", model.forcing_cycles(period))), model.degrees_of_freedom
+    rough = motion.path(state, period, STEPS, np.abs(state) + np.abs(state).max() + SETTLED)[0]
+    units = extents_of(model, rough, period)
+    steps = motion.steps(state, period)
+    finer = motion.path(state, period, 2 * steps, units)[0]
+    states, pieces = motion.path(state, period, steps, units, np.eye(2 * n))
+    scaled = [piece * units / units[:, None] for piece in pieces]
+    missed, none = (states[-1] - states[0]) / units, np.zeros((0, 2 * n))
+    loop = Tour(closes(missed, scaled, states / units, None), scaled, none, none, False, units, np.eye(2 * n))
+    times = np.linspace(0.0, period, len(states))
+    seen = Recomputed(
+        times, states, units, loop, float(np.abs(states[-1] - states[0]).max()), action(model, times, states),
+        energy(model, states[0]), judged(np.linalg.eigvals(loop.map()).astype(complex), False),
+    )  # fmt: skip
+    return seen, float(np.abs((finer[-1] - states[-1]) / units).max())
+
+
+class ImplicitCheck:
+    """The closure of orbits of a large structure by `Implicit`, at values of a parameter."""
+
+    def __init__(self, model: Model, name: str, cycles: int = 1) -> None:
+        self.model, self.name, self.cycles, self._residual = model, name, cycles, Residual(model, name, cycles)
+
+    def _at(self, value: float) -> Implicit:
+        return Implicit(with_parameters(self.model, {self.name: value}), self._residual, value)
+
+    def period(self, value: float) -> float:
+        """Of the motions there."""
+        return 2 * float(np.pi) / self._residual.pace(value)
+
+    def __call__(self, state: np.ndarray, period: float, value: float, units: np.ndarray) -> float:
+        """The largest gap after a period, in `units` (2n). Raises `IntegrationError`."""
+        path = self._at(value).path(state, period, STEPS, units)[0]
+        return float(np.abs((path[-1] - path[0]) / units).max())
+
+    def kept(self, state: np.ndarray, period: float, value: float, units: np.ndarray, along: np.ndarray) -> float:
+        """By what share of it a variation (2n) comes back changed after a period, all in `units` (2n)."""
+        motion = self._at(value)
+        begin = along[:, None] / float(np.abs(along / units).max())
+        now, back = np.asarray(state, float), begin
+        h = period / STEPS
+        a = np.repeat(motion.many(np.zeros(1), now[None])[:, along.size // 2 :].T, STAGES, axis=1)
+        for k in range(STEPS):
+            now, back, a = motion.both(k * h, now, h, a, units, back)
+        return float(np.abs((back - begin)[:, 0] / units).max())

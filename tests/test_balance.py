@@ -1,0 +1,230 @@
+"""Harmonic balance: against exact solutions, shooting, other programs and the certificates' integrators."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy import sparse
+
+import orbitfinder as of
+from orbitfinder.cli.group import cli
+from orbitfinder.errors import InputError, OrbitfinderError
+from orbitfinder.families.members import extents
+from orbitfinder.families.verified import verified
+from orbitfinder.mechanics.kind import with_parameters
+from orbitfinder.orbits.balance import begun, states_of
+from orbitfinder.orbits.hill import exponents, monodromy
+from orbitfinder.orbits.implicit import gathered
+
+ROAD = {entry["id"]: entry for entry in json.loads((Path(__file__).parent / "data" / "road.json").read_text())}
+BALANCE = of.SolveSettings(method="balance")
+
+
+def masses(count, frequency, damping=0.02, cubic=0.1):
+    """The forced chain of road.json."""
+    rows = sparse.diags_array([-np.ones(count - 1), 2 * np.ones(count), -np.ones(count - 1)], offsets=[-1, 0, 1])
+    springs = {f"s{i}": {"kind": "cubic", "at": f"q{i}", "to": f"q{i - 1}", "stiffness": "cubic"}
+               for i in range(2, count + 1)}  # fmt: skip
+    springs |= {name: {"kind": "cubic", "at": at, "stiffness": "cubic"}
+                for name, at in (("s1", "q1"), ("wall", f"q{count}"))}  # fmt: skip
+    one = sparse.eye_array(count)
+    load = {"at": "q1", "amplitude": 0.3, "frequency": frequency}
+    model = of.structure(one, damping * one, rows, springs, load, parameters={"cubic": cubic})
+    return of.Problem(model, of.guesses.linear_response(model), name="masses")
+
+
+def duffing(frequency=0.6, **numbers):
+    model = of.systems.forced_duffing(frequency=frequency, **numbers)
+    return of.Problem(model, of.guesses.linear_response(model), name="duffing")
+
+
+def test_a_linear_motion_is_its_linear_response():
+    """Exact: x = Re (1 - w^2 + i c w)^-1 e^(i w t), and multipliers exp of the eigenvalues times the period."""
+    orbit = of.find_orbit(duffing(1.3, cubic=0.0, force=0.2, damping=0.05), BALANCE)
+    assert orbit.certificate.passed, orbit.certificate.failures
+    assert orbit.provenance["method"] == "balance"
+    answer = 0.2 / (1 - 1.3**2 + 0.05j * 1.3)
+    assert orbit.state == pytest.approx([answer.real, -1.3 * answer.imag], rel=1e-13)
+    moduli = np.exp(-0.025 * orbit.period)
+    assert np.abs(orbit.floquet_multipliers) == pytest.approx([moduli, moduli], rel=1e-9)
+
+
+def test_shooting_finds_the_same_motion():
+    """Two discretisations agree to 1e-9, state and multipliers."""
+    problem = duffing(1.5, force=0.3)
+    one = of.find_orbit(problem, BALANCE)
+    other = of.find_orbit(replace(problem, guess=of.Guess(one.state, one.period)))
+    assert one.certificate.passed
+    assert one.state == pytest.approx(other.state, abs=1e-9)
+    assert np.sort_complex(one.floquet_multipliers) == pytest.approx(
+        np.sort_complex(other.floquet_multipliers), abs=1e-8
+    )
+
+
+@pytest.fixture(scope="module")
+def resonance(tmp_path_factory):
+    """Duffing's resonance curve from a problem file by commands, with where it is."""
+    folder = tmp_path_factory.mktemp("balance")
+    file = folder / "duffing.toml"
+    file.write_text('name = "duffing"\n[system]\nkind = "python"\nfunction = "forced_duffing"\n'
+                    "arguments = { force = 0.3, frequency = 1.2 }\n[guess]\nlinear = true\n"
+                    '[find]\nmethod = "balance"\n')  # fmt: skip
+    command = ["continue", str(file), "--parameter", "frequency", "--until", "2.0", "--at", "1.7", "--out", str(folder),
+               "--no-figures"]  # fmt: skip
+    answer = CliRunner().invoke(cli, command)
+    assert answer.exit_code == 0, answer.output
+    return folder, command, answer.output
+
+
+def test_a_resonance_curve_is_that_of_shooting(resonance):
+    """Both folds to 1e-10 and their error bars; orbits asked for, certified; stability changes at folds."""
+    family = of.load_family(resonance[0] / "duffing" / "family.json")
+    first = of.Guess(family.points[0].state, family.points[0].period)
+    shot = of.follow_family(replace(duffing(1.2, force=0.3), guess=first), "frequency", until=2.0)
+    folds, others = ([each for each in one.events if each.kind == "fold"] for one in (family, shot))
+    assert len(folds) == len(others) == 2
+    for one, other in zip(folds, others, strict=True):
+        assert one.parameter == pytest.approx(other.parameter, abs=1e-10)
+        assert abs(one.parameter - other.parameter) <= 3 * (one.error + other.error)
+        assert one.certified
+    changes = [event for event in family.events if event.kind == "stability_change"]
+    assert [event.parameter for event in changes] == [event.parameter for event in folds]
+    assert len([point for point in family.points if point.value == 1.7 and point.certified]) == 3
+    assert family.curve["method"] == "balance"
+    assert max(point.closure for point in family.points) < 1e-11
+
+
+def test_it_is_read_again_verified_and_drawn(resonance):
+    """The command again reads; more points go on; `verify` of the family and a point, `show` and `plot` take it."""
+    folder, command, _ = resonance
+    file = folder / "duffing" / "family.json"
+    before = file.read_bytes()
+    again = CliRunner().invoke(cli, command)
+    assert again.exit_code == 0
+    assert file.read_bytes() == before
+    drawn = ["plot", str(file), "-o", str(folder / "p")]
+    for told in (["verify", str(file), f"{file}#4"], ["show", str(file)], drawn):
+        answer = CliRunner().invoke(cli, told)
+        assert answer.exit_code == 0, answer.output
+    assert list((folder / "p").glob("*.png"))
+
+
+def test_a_run_that_was_cut_goes_on_where_it_stopped(tmp_path):
+    """The journal's last line cut off gives the same family, and what was done is not done again."""
+    given = {"until": 1.5, "settings": of.FamilySettings(method="balance", events=False, certify=False)}
+    whole = of.follow_family(duffing(), "frequency", out=tmp_path, **given)
+    journal = tmp_path / "duffing" / "balance.jsonl"
+    lines = journal.read_text().splitlines(keepends=True)
+    journal.write_text("".join(lines[: len(lines) // 2]) + lines[len(lines) // 2][:40])
+    again = of.follow_family(duffing(), "frequency", out=tmp_path, **given)
+    assert np.array_equal(again.values("value"), whole.values("value"))
+    assert np.array_equal(again.values("closure"), whole.values("closure"))
+
+
+def test_more_orders_converge_geometrically():
+    """What the next orders add falls by the same factor again and again, and no more are taken than tell it."""
+    point = begun(duffing(0.6, force=0.5), "frequency")
+    highest = max(point.problem.basis.orders)
+    assert point.problem.left(point.w)[0] < 3e-14
+    coefficients = np.hypot(*point.problem.coefficients(point.w)[0].reshape(-1, 2).T)
+    assert coefficients[-1] < 1e-12 * coefficients[0]
+    assert 9 < highest < 40
+
+
+@pytest.fixture(scope="module")
+def chain():
+    """The chain of 100 masses from road.json's first frequency to its last, each in between exactly."""
+    first, *rest = ROAD["chain-100"]["values"]
+    settings = of.FamilySettings(method="balance")
+    at = [known["w"] for known in rest[:-1]]
+    return of.follow_family(masses(100, first["w"]), "frequency", until=rest[-1]["w"], at=at, settings=settings)
+
+
+@pytest.mark.slow
+def test_amplitudes_of_100_masses_are_those_of_another_program(chain):
+    """The first harmonic of the first mass to 13 digits; orbits asked for are certified by implicit steps."""
+    assert [end.kind for end in chain.ends] == ["target"]
+    for known in ROAD["chain-100"]["values"]:
+        (point,) = (point for point in chain.points if point.value == known["w"])
+        first = np.abs(np.fft.rfft(point.shooting_nodes[:, 0])[1]) * 2 / len(point.shooting_nodes)
+        assert first == pytest.approx(float(known["first_harmonic_x1_H15"]), rel=1e-13)
+        assert point.stability == "asymptotically stable"
+    assert chain.points[0].certified
+    assert chain.points[-1].certified
+
+
+@pytest.mark.slow
+def test_planted_errors_of_a_large_family_are_rejected(chain):
+    """A state, a parameter, a verdict and an end that are wrong, each by a check of its name."""
+    point, model = chain.points[-1], masses(100, 0.03).model
+    there = with_parameters(model, point.free)
+    assert of.certify(point, there).passed
+    moved = replace(point, state=point.state * (1 + 1e-6), nodes=point.nodes * (1 + 1e-6))
+    assert "closure" in of.certify(moved, there).failures
+    assert "stability" in of.certify(replace(point, stability="unstable"), there).failures
+    assert "energy" in of.certify(replace(point, energy=1.01 * point.energy), there).failures
+    assert all(check.passed for _, check in verified(chain, model))
+    assert extents(chain, model)[-1, 1, 0] == pytest.approx(
+        float(ROAD["chain-100"]["values"][-1]["amp_x1_H15"]), rel=1e-4
+    )
+    wrong = replace(chain, ends=(replace(chain.ends[0], reason="reached frequency = 0.0331"),))
+    assert [check.name for _, check in verified(wrong, model) if not check.passed] == ["target"]
+
+
+def test_a_torus_of_many_coordinates_is_not_missed():
+    """41 lightly damped masses past a torus bifurcation: the few exponents that Hill's matrix finds are among all that
+    the certificate's integrator does, the one that grows first."""
+    problem = masses(41, 0.225, damping=0.0005)
+    point = begun(problem, "frequency")
+    about = exponents(point.problem, point.w)
+    assert about.stability == "unstable"
+    assert about.values[0].imag > 0.01
+    seen = gathered(problem.model, states_of(point, np.zeros(1))[0], 2 * np.pi / 0.225)[0]
+    assert seen.floquet.stability == "unstable"
+    growing = about.multipliers[np.abs(about.multipliers) > 1]
+    assert np.sort_complex(growing) == pytest.approx(
+        np.sort_complex(seen.floquet.multipliers[np.abs(seen.floquet.multipliers) > 1]), abs=1e-6
+    )
+
+
+def test_what_does_not_grow_is_bounded():
+    """All 82 multipliers of 41 masses at rest from resonances are within the bound, and the verdict needs no other."""
+    problem = masses(41, 0.08, damping=0.002)
+    point = begun(problem, "frequency")
+    about = exponents(point.problem, point.w)
+    assert (about.values.size, about.stability) == (0, "asymptotically stable")
+    seen = gathered(problem.model, states_of(point, np.zeros(1))[0], 2 * np.pi / 0.08)[0]
+    assert np.log(np.abs(seen.floquet.multipliers)).max() / (2 * np.pi) <= about.rest + 1e-9
+
+
+def test_a_march_of_order_eight_finds_all_exponents():
+    """Of a linear oscillator: -c / 2 +- i sqrt(1 - c^2 / 4), in units of the frequency."""
+    point = begun(duffing(1.3, cubic=0.0, damping=0.1), "frequency")
+    found = np.linalg.eigvals(monodromy(point.problem, point.w))
+    exact = np.exp((-0.05 + 1j * np.sqrt(1 - 0.05**2) * np.array([1, -1])) * 2 * np.pi / 1.3)
+    assert np.sort_complex(found) == pytest.approx(np.sort_complex(exact), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("problem", "words"),
+    [
+        (lambda: of.Problem(of.systems.van_der_pol(), of.Guess([2.0, 0.0], 6.6)), "nothing drives it"),
+        (lambda: replace(duffing(), free=("force",)), "freed parameters"),
+    ],
+)
+def test_what_it_is_not_for_is_said(problem, words):
+    with pytest.raises(OrbitfinderError, match=words):
+        of.find_orbit(problem(), BALANCE)
+
+
+def test_messages_of_families():
+    settings = of.FamilySettings(method="balance")
+    with pytest.raises(InputError, match="stop, between, beside: not by balance"):
+        of.follow_family(duffing(), "frequency", settings=settings, between=(0.1, 0.2))
+    with pytest.raises(InputError, match="unknown 'balanced', did you mean 'balance'"):
+        of.follow_family(duffing(), "frequency", settings=of.FamilySettings(method="balanced"))
+    with pytest.raises(InputError, match="directions"):
+        of.follow_family(duffing(), "frequency", settings=replace(settings, directions="up"))
