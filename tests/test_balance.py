@@ -228,3 +228,12 @@ def test_messages_of_families():
         of.follow_family(duffing(), "frequency", settings=of.FamilySettings(method="balanced"))
     with pytest.raises(InputError, match="directions"):
         of.follow_family(duffing(), "frequency", settings=replace(settings, directions="up"))
+
+
+@pytest.mark.slow
+def test_the_beam_of_the_problem_file_is_certified():
+    """200 coordinates, stiff: its samples lie on the certificate's motion, and a state a little off is no orbit."""
+    orbit = of.find_orbit(of.load_problem(Path("problems/structures/beam.toml")))
+    assert orbit.certificate.passed and orbit.stability == "asymptotically stable"
+    moved = replace(orbit, state=orbit.state * (1 + 1e-5))
+    assert {"closure", "distance"} & set(of.certify(moved).failures)

@@ -63,8 +63,9 @@ PAIRED, LARGEST_DEFECT = 10.0, 0.1
 BADLY = 1e-9
 """Multipliers whose products are as far from 1 as this are looked at for better ones"""
 RECORDED = "recorded - recomputed, relative"
-KNOWN = 10.0
-"""Times that an orbit of a stiff structure may be off what other steps say of its end: round-off of its forces"""
+KNOWN, LEAST_KNOWN = 10.0, 1e-6
+"""Times that an orbit of a stiff structure may be off what other steps say of its end, by round-off of its forces; how
+badly that may be known"""
 MEETING = 1e-4
 """How near to each other mu and 1 / mu are where their sum is known better than they are"""
 TRIED = 12
@@ -354,7 +355,7 @@ def _smooth_checks(trial: Trial) -> Iterator[Check | None]:
 def _large_checks(trial: Trial) -> Iterator[Check | None]:
     """The checks of a driven structure of many coordinates: its motion by implicit steps, from state and period."""
     seen, orbit, model = trial.seen, trial.orbit, trial.model
-    known = min(KNOWN * trial.second, LARGEST_PICTURE)
+    known = min(KNOWN * trial.second, LEAST_KNOWN)
     yield from trial.closing("Gauss' steps on the accelerations; ", second="by fewer steps, elsewhere", known=known)
     yield _forcing_check(orbit, model)
     yield _Nearby(model, seen).time_dependence()

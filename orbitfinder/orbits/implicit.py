@@ -180,14 +180,14 @@ def suits(model: Model) -> bool:
 
 
 def gathered(model: Model, state: np.ndarray, period: float) -> tuple[Recomputed, float]:
-    """What `Implicit` says of a state (2n) and a period; and how far more steps end elsewhere, in extents. Raises
-    `IntegrationError`."""
+    """What `Implicit` says of a state (2n) and a period; and how far half as many steps, those of the variations, end
+    elsewhere, in extents. Raises `IntegrationError`."""
     motion, n = Implicit(model, Residual(model, "", model.forcing_cycles(period))), model.degrees_of_freedom
     rough = motion.path(state, period, STEPS, np.abs(state) + np.abs(state).max() + SETTLED)[0]
     units = extents_of(model, rough, period)
     steps = motion.steps(state, period)
-    finer = motion.path(state, period, 2 * steps, units)[0]
-    states, pieces = motion.path(state, period, steps, units, np.eye(2 * n))
+    states = motion.path(state, period, 2 * steps, units)[0]
+    coarse, pieces = motion.path(state, period, steps, units, np.eye(2 * n))
     scaled = [piece * units / units[:, None] for piece in pieces]
     missed, none = (states[-1] - states[0]) / units, np.zeros((0, 2 * n))
     loop = Tour(closes(missed, scaled, states / units, None), scaled, none, none, False, units, np.eye(2 * n))
@@ -196,7 +196,7 @@ def gathered(model: Model, state: np.ndarray, period: float) -> tuple[Recomputed
         times, states, units, loop, float(np.abs(states[-1] - states[0]).max()), action(model, times, states),
         energy(model, states[0]), judged(np.linalg.eigvals(loop.map()).astype(complex), False),
     )  # fmt: skip
-    return seen, float(np.abs((finer[-1] - states[-1]) / units).max())
+    return seen, float(np.abs((states[-1] - coarse[-1]) / units).max())
 
 
 class ImplicitCheck:
