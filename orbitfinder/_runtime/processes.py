@@ -7,6 +7,7 @@ in place of the library's own, before any line of ours.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import importlib
 import json
 import multiprocessing
@@ -159,3 +160,9 @@ def _end_with_parent() -> None:
         os.kill(os.getpid(), signal.SIGTERM)  # finish a file that is being written
     time.sleep(LAST_WORDS)
     os._exit(128 + signal.SIGTERM)
+
+
+def trim() -> None:
+    """Give freed memory back to the system where the C library (glibc's) keeps it in pieces: 2 MB a thousand starts."""
+    with contextlib.suppress(OSError, TypeError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)

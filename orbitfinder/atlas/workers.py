@@ -80,6 +80,7 @@ def perform(context: Context, seed: int, jobs: Sequence[Job], known: ArrayLike) 
         name = CONTINUATION if jobs[0].source is not None else strategy_of(context, jobs[0].number)
         spent = time.process_time() - began
         made = [Attempt(jobs[0].number, name, reason=f"error: {type(error).__name__}", seconds=spent)]
+    processes.trim()
     return [each if each.orbit is None else replace(each, orbit=_light(each.orbit)) for each in made]
 
 
