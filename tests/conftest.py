@@ -172,7 +172,6 @@ def own_cache(tmp_path_factory):
             patch.setenv("CC", quick_compiler())
         patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
         patch.setattr(os, "fsync", lambda handle: None)  # for when the power fails; here it waits for the disk
-        patch.setattr("orbitfinder.show.style.DPI", 75)  # half of what users have: a quarter of the pixels
         yield
 
 

@@ -66,7 +66,8 @@ def test_a_process_that_dies_is_replaced_and_says_where(tmp_path):
 
 @pytest.fixture(scope="module")
 def loopback():
-    distributed = pytest.importorskip("distributed")
+    import distributed
+
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
     ) as running:
@@ -102,7 +103,8 @@ def test_sweeps_and_maps_on_a_cluster_are_those_of_one_process(loopback, tmp_pat
 @pytest.mark.filterwarnings("default", "ignore:unclosed")
 def test_what_is_wrong_on_a_cluster_is_said(loopback):
     """A worker of another version, a task that fails, a scheduler that is gone."""
-    distributed = pytest.importorskip("distributed")
+    import distributed
+
     with cluster.scheduler_at(loopback, "test", None) as far:
         far.luggage = cluster.Luggage({**far.luggage.versions, "orbitfinder": "0.1.0"})
         with tasks.crew(int, what="test", scheduler=far) as answers, pytest.raises(

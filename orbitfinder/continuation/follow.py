@@ -480,10 +480,9 @@ class _Arclength:
     def _events(self, before: Point, after: Point) -> tuple[list[KeptPoint], dict[str, float]]:
         """Where tests change their signs within a step, by both ends and the middle, and their values at its end."""
         events, tested = list[KeptPoint](), dict[str, float]()
-        if before.w.vector.size != after.w.vector.size:  # on the mesh of what comes after
-            onto, across = after.problem.carried, type(before.w)(before.tangent)
-            w, tangent = onto(before.w, after.w), onto(across, after.w).vector
-            before = replace(before, problem=after.problem, w=w, tangent=tangent)
+        if self.tests and before.w.vector.size != after.w.vector.size:  # on the mesh of what comes after
+            w, moved = (after.problem.carried(one, after.w) for one in (before.w, before.w.moved(before.tangent)))
+            before = replace(before, problem=after.problem, w=w, tangent=moved.vector - w.vector)
         middle = between(before, after, 0.5) if self.tests else after
         same = self.last if after.problem is before.problem else {}  # in the same metric
         for name, test in self.tests.items():

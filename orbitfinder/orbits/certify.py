@@ -288,7 +288,7 @@ class Trial:
             off, held = abs(self.orbit.closure - self.gap), self.orbit.tolerance
         yield at_most("recorded_closure", off, held * self.scale, RECORDED)
         yield at_most("floquet_multipliers", _multiplier_distance(self.orbit, self.seen.floquet), room, "relative")
-        yield same("stability", self.orbit.stability, _undecided(self.orbit) or self.seen.floquet.stability)
+        yield same("stability", self.orbit.stability, _undecided(self.orbit, self.model) or self.seen.floquet.stability)
 
     def record(self) -> Check | None:
         """The digest of the file."""
@@ -572,9 +572,11 @@ def _same_symmetry(orbit: Orbit, evidence: Evidence, model: Model) -> Check:
     return same("symmetry", orbit.symmetry, orbit.symmetry if orbit.symmetry in names else names[0])
 
 
-def _undecided(orbit: Orbit) -> str:
+def _undecided(orbit: Orbit, model: Model) -> str:
     """The verdict on a point of a dissipative family whose recorded error bars decide, else ""."""
     if not isinstance(orbit, FamilyPoint) or orbit.multiplier_errors.shape != orbit.floquet_multipliers.shape:
+        return ""
+    if symplectic(model):
         return ""
     told = verdict(orbit.floquet_multipliers, orbit.multiplier_errors)
     return told if told == "marginal" == orbit.stability else ""

@@ -118,8 +118,8 @@ def _rests(model: Model, low: np.ndarray, high: np.ndarray) -> list[tuple[np.nda
     jets, rests, none = Jets(model, ()), list[tuple[np.ndarray, str]](), np.zeros(0)
 
     def linearised(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        rows, slopes, _ = jets.first(x, none, none)
-        return rows.ravel(), slopes.T
+        rows, *slopes = jets.first(x, none, none)
+        return rows, np.transpose(slopes)
 
     for start in places[:, :-1, :-1][:, both].T:
         rest = equilibrium(linearised, start, high - low)

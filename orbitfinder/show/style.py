@@ -25,8 +25,6 @@ STRETCHES = {True: ("stable", "-"), False: ("unstable", "--"), None: ("undecided
 """The names and lines of stretches of a curve that are stable or not, or of which nothing decides"""
 LEAST_SIDE, SLIVER = 0.4, 0.08
 """The shorter side of a picture with ground (and of what is drawn wider than it is), and how narrow that is"""
-DPI = 150
-"""Dots an inch of a PNG file"""
 APART = 4.0
 """Pixels between two names, which move a little when the figure is laid out around them"""
 
@@ -206,7 +204,7 @@ def save_both(figure: Any, stem: Path) -> list[Path]:
 
 def _saved(figure: Any, path: Path, **more: Any) -> Path:
     buffer = io.BytesIO()
-    figure.savefig(buffer, dpi=DPI, **more)
+    figure.savefig(buffer, dpi=150, **more)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, buffer.getvalue())
     return path
