@@ -43,7 +43,7 @@ from orbitfinder.families.start import (
 )
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.loops.conditions import Pin
-from orbitfinder.loops.continued import CRITICAL, Curve, advanced, at_place, correct, plane, scaled, tangent
+from orbitfinder.loops.continued import CRITICAL, Curve, Solution, advanced, at_place, correct, plane, scaled, tangent
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import Symmetry, called, involutions, momenta_of, named, turned
@@ -64,6 +64,8 @@ CLOSER, OUTSIDE = 3, 1e-6
 there: between the two an event of the new family would be missed."""
 DIFFERENCE = 1e-4
 """Arclength of the differences by which the old family's own direction is told."""
+OFF = 0.1
+"""By so much, relative, they may be off its tangent."""
 MIRRORED = 1e-7
 """Energies and periods of mirror images agree to this share of their distance from the old orbit's."""
 
@@ -140,12 +142,7 @@ def _cover(curve: Curve, event: Event, symmetry: Symmetry, share: float, setting
     if not equations.links:
         there = replace(there, weights=curve.weights.copy())
     place = fitted(there, place)
-    matrix, units = scaled(there, at_place(there, place))
-    _, sizes, rows = np.linalg.svd(matrix)
-    sizes = np.concatenate([sizes, np.zeros(len(rows) - len(sizes))])
-    # the largest kernel possible: tangent, and two directions of a circle
-    kernel = units * rows[-3:][sizes[-3:] < CRITICAL * sizes[-4]]
-    weights = np.sqrt(there.scales.metric(place))
+    kernel, weights = _kernel(there, at_place(there, place)), np.sqrt(there.scales.metric(place))
     vectors, own = kernel * weights, _moved_along(curve, event, place, share) * weights
     along = np.linalg.lstsq(vectors.T, own, rcond=None)[0]
     own, others = along @ vectors, np.linalg.svd(np.atleast_2d(along))[2][1:]
@@ -154,15 +151,39 @@ def _cover(curve: Curve, event: Event, symmetry: Symmetry, share: float, setting
     return Cover(event, there, place, tuple(_round(across, event.order)))
 
 
+def _kernel(curve: Curve, solution: Solution) -> np.ndarray:
+    """The kernel (k x w) of a family's Jacobian: its tangent, and what else vanishes with it."""
+    matrix, units = scaled(curve, solution)
+    _, sizes, rows = np.linalg.svd(matrix)
+    sizes = np.concatenate([sizes, np.zeros(len(rows) - len(sizes))])
+    # the largest kernel possible: tangent, and two directions of a circle
+    return np.asarray(units * rows[-3:][sizes[-3:] < CRITICAL * sizes[-4]])
+
+
+def _along(curve: Curve, base: Unknowns, head: np.ndarray) -> np.ndarray:
+    """The old family's direction over w, of unit length: the vector of the kernel with this `head`."""
+    kernel, sizes = _kernel(curve, at_place(curve, base)), base.head_of(np.sqrt(curve.scales.metric(base)))
+    heads = np.array([base.head_of(vector) for vector in kernel])
+    share = np.linalg.lstsq((heads * sizes).T, head * sizes, rcond=None)[0]
+    whole = share @ kernel
+    return np.asarray(whole / np.sqrt(curve.scales.metric(base) @ whole**2))
+
+
 def _moved_along(curve: Curve, event: Event, place: Unknowns, share: float) -> np.ndarray:
     """How the unknowns of a cover, which begins at a share of the period, move along the old family, by differences."""
-    base = unknowns_of(curve, event)
-    whole, ends = tangent(curve, at_place(curve, base), event.tangent), []
+    base, metric = unknowns_of(curve, event), curve.scales.metric(unknowns_of(curve, event))
+    whole, ends, moved = _along(curve, base, event.tangent), [], []
     moments = (share + place.edges[:-1] * event.order) % 1.0
     for sign in (-1.0, 1.0):
-        shifted = correct(curve, base, plane(curve, base, whole, sign * DIFFERENCE), base)
+        length = sign * DIFFERENCE
+        shifted = correct(curve, advanced(base, whole, length), plane(curve, base, whole, length), base)
+        moved.append(base.displacement(shifted.place))
         times, states = full_samples(curve, shifted)
         ends.append(np.array([np.interp(moments * shifted.place.period, times, column) for column in states.T]).T)
+    if moved[0] is not None and moved[1] is not None:
+        off = (moved[1] - moved[0]) / (2 * DIFFERENCE) - whole
+        if metric @ off**2 > OFF**2:  # the family that crosses was met, and what leaves would be this one
+            raise ConvergenceError(f"the direction of the family at its {event.kind} cannot be told")
     nodes = (ends[1] - ends[0]) / (2 * DIFFERENCE)
     head, size = base.head_of(whole), curve.equations.size
     moving = curve.equations.links.repeated(head[size + 1 :], event.order, 0.0)
