@@ -156,7 +156,7 @@ def test_a_false_hamiltonian_is_refused(loop):
         prove(orbit, altered(model, rates=leaking))
     with pytest.raises(InputError, match="conserves energy is declared"):
         prove(orbit, altered(model, hamiltonian=False))
-    with pytest.raises(InputError, match="forced systems cannot be proved"):
+    with pytest.raises(InputError, match="when its drive repeats cannot be read off"):
         prove(orbit, altered(model, forcing_period=ca.Function("T", [p], [1.0])))
     with pytest.raises(InputError, match="orbits with events cannot be proved"):
         programs(of.systems.simplest_walker())

@@ -407,12 +407,13 @@ def prove_branch(
     symmetry: str | None = None,
 ) -> ProvedBranch:  # fmt: skip
     """The proof of a family's part between two energies (J), with its events there. Raises `InputError`."""
-    origin, say = _nearest(family, low, high), progress or (lambda line: None)
+    say = progress or (lambda line: None)
     with precision(ROUGH.bits):
-        model = model or provable_model(origin)
+        model = model or provable_model(family.points[0])
         codes = programs(model)
         if codes.energy is None:
             raise InputError("system: it conserves no energy; a branch is proved over an interval of energies")
+        origin = _nearest(family, low, high)
         start = approach(model, origin, chosen_symmetry(origin, model, codes, symmetry), 1)
         equations = make_equations(model, codes, start, arb(origin.energy))
         inner = [event for event in family.events if low < event.energy < high and event.kind not in SAID]

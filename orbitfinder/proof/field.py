@@ -6,6 +6,7 @@ with tau the duration (s) of a segment and s the unfolding parameter. Both are c
 extended state z = (q, v, s, tau) (size d + 2, d = 2n), so that one integrator gives the derivatives with
 respect to everything that the theorem varies. Of a first-order system q is the whole state (d = n), v is empty and
 q' = tau (f(q) + s grad I(q)); the programs' results are then all of the rates, and none where v makes half of them.
+Of a driven system q is the whole state and the time, q' = tau (f(t, x), 1).
 """
 
 from __future__ import annotations
@@ -20,9 +21,15 @@ import numpy as np
 
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.model import Model
-from orbitfinder.proof.balls import Vector, arb, arb_mat, decimal, exact, identity
+from orbitfinder.proof.balls import Vector, arb, arb_mat, decimal, exact, fmpq, identity
+from orbitfinder.proof.invariance import Multiple, drive
 from orbitfinder.proof.program import ScalarProgram, program
 from orbitfinder.proof.series import BALLS, Recurrence, coefficients, outputs, recurrence, whole_series
+
+NUMERICAL = (
+    "system: its equations are solved numerically inside the graph (many coordinates, linkages), "
+    "which ball arithmetic cannot follow; only systems with closed-form accelerations can be proved"
+)
 
 
 @dataclass(frozen=True)
@@ -37,6 +44,8 @@ class Programs:
     jacobian: ScalarProgram
     energy: ScalarProgram | None
     mass: ScalarProgram | None
+    clock: Multiple | None = None
+    """the frequency of what drives it (rad/s), of a driven system"""
 
     @property
     def all(self) -> tuple[ScalarProgram, ...]:
@@ -45,9 +54,11 @@ class Programs:
 
 
 def programs(model: Model) -> Programs:
-    """The programs of an autonomous Model. `InputError` says what cannot be proved."""
+    """The programs of a Model. `InputError` says what cannot be proved."""
     check_provable(model)
     n = model.degrees_of_freedom
+    if model.forced:
+        return _driven(model)
     q, v, s = ca.SX.sym("q", n), ca.SX.sym("v", len(model.state_names) - n), ca.SX.sym("s")
     p = ca.SX.sym("p", len(model.parameter_values))
     if model.rates is not None:
@@ -55,10 +66,7 @@ def programs(model: Model) -> Programs:
     unfoldings = [invariant.unfolding for invariant in model.invariants]
     graphs = [model.acceleration, model.kinetic, model.potential, *unfoldings]
     if not all(graph.is_a("SXFunction") for graph in graphs):
-        raise InputError(
-            "system: its equations are solved numerically inside the graph (many coordinates, linkages), "
-            "which ball arithmetic cannot follow; only systems with closed-form accelerations can be proved"
-        )
+        raise InputError(NUMERICAL)
     rates, inputs, x = model.acceleration(0.0, q, v, p), [q, v, s, p], ca.vertcat(q, v)
     energy = mass = None
     for invariant in model.invariants:
@@ -89,19 +97,31 @@ def _alone(model: Model, rates: ca.Function, x: ca.SX, v: ca.SX, s: ca.SX, p: ca
     return Programs(*_with_slopes("rates", inputs, rate, ca.vertcat(x, s)), energy, None)
 
 
+def _driven(model: Model) -> Programs:
+    """The programs of a driven system with the time as its last component; the graph says when its drive repeats."""
+    y, v, s = ca.SX.sym("y", len(model.state_names) + 1), ca.SX.sym("v", 0), ca.SX.sym("s")
+    p = ca.SX.sym("p", len(model.parameter_values))
+    if not model.scalar:
+        raise InputError(NUMERICAL)
+    rate = ca.vertcat(model.rate(y[-1], y[:-1], p), 1.0)
+    rates, slopes = _with_slopes("driven", [y, v, s, p], rate, ca.vertcat(y, s))
+    clock = drive(rates, y.numel() - 1)
+    if clock is None:
+        raise InputError(
+            "system: when its drive repeats cannot be read off its equations; a theorem needs time in sines and "
+            "cosines of multiples of one frequency alone"
+        )
+    return Programs(rates, slopes, None, None, clock)
+
+
 def check_provable(model: Model) -> None:
-    """`InputError` unless the theorem covers the Model: autonomous, the energy its only integral, or without any."""
+    """`InputError` unless the theorem covers the Model: the energy its only integral, or without any."""
     if not model.smooth:
         raise InputError("system: orbits with events cannot be proved yet; the theorem is about smooth flows")
     if model.constraint is not None:
         raise InputError(
             "system: systems under constraints cannot be proved yet; of a mechanism give independent = [...], "
             "or prove a chain"
-        )
-    if model.forced:
-        raise InputError(
-            "system: forced systems cannot be proved yet, the theorem is about fields that do not depend on time; "
-            "prove an orbit of an autonomous one"
         )
     if not model.invariants:
         return
@@ -130,7 +150,7 @@ class Field:
     """The field with its parameters filled in, at the precision in force when it was made."""
 
     size: int
-    """n, degrees of freedom, of a first-order system d"""
+    """n, degrees of freedom, of a first-order or a driven system d"""
     dimension: int
     """d, components of the state"""
     plain: Recurrence
@@ -138,6 +158,8 @@ class Field:
     energy_program: ScalarProgram | None
     mass_program: ScalarProgram | None
     parameters: Vector
+    frequency: Any = None
+    """of what drives it (rad/s)"""
 
     def states(self, z: Sequence[Any], order: int) -> list[Vector]:
         """Series of (q, v) (d lists of order + 1 balls) of the solution through z (d + 2)."""
@@ -175,15 +197,18 @@ def make_field(model: Model, codes: Programs | None = None) -> Field:
     codes = codes or programs(model)
     parameters = [decimal(float(value)) for value in model.parameter_values]
     constants = {3: parameters}
-    return Field(
+    size, whole, plain, frequency = (
         model.degrees_of_freedom,
         len(model.state_names),
         recurrence(codes.rates, constants),
-        recurrence(codes.jacobian, constants),
-        codes.energy,
-        codes.mass,
-        parameters,
+        None,
     )
+    if (clock := codes.clock) is not None:
+        size = whole = whole + 1
+        frequency = arb(fmpq(clock.factor.numerator, clock.factor.denominator))
+        frequency = abs(frequency if clock.value is None else frequency * plain.fixed[clock.value])
+    varied = recurrence(codes.jacobian, constants)
+    return Field(size, whole, plain, varied, codes.energy, codes.mass, parameters, frequency)
 
 
 class Jet:

@@ -10,7 +10,8 @@
 
 A first-order system has its whole state (d components) where a mechanical one has (q, v), and the brake and declared
 reversals hold those that they flip. Where it conserves nothing, without the rows of the energy and without s, there are
-no such reversals: the section alone fixes an orbit.
+no such reversals: the section alone fixes an orbit. Of a driven system the time is the last component of the state, 0
+at the first node and the drive's k periods at the end, which takes the section's place.
 
 Unknowns: the first node's free components, the other nodes (2n each), s where it is used, and the
 segments' duration tau = T / (parts N). Equations: N - 1 times continuity (2n), then as above.
@@ -45,7 +46,8 @@ class Formulation:
     """A symmetry's boundary conditions for n coordinates in N segments.
 
     `constants` (d integers) are those of the symmetry's boundary rows in multiples of pi; `turns` (n integers) the
-    whole turns of a period; `conserved` says that the energy is held.
+    whole turns of a period; `conserved` says that the energy is held. `drive` is the duration (s, a ball) of the
+    periods of a drive that the orbit takes.
     """
 
     symmetry: Symmetry
@@ -54,11 +56,22 @@ class Formulation:
     constants: tuple[int, ...]
     turns: tuple[int, ...]
     conserved: bool = True
+    drive: Any = None
 
     @property
     def dimension(self) -> int:
-        """d, components of the state."""
+        """d, components of the state, the time of a driven system among them."""
+        return self.components + int(self.drive is not None)
+
+    @property
+    def components(self) -> int:
+        """The same without the time."""
         return self.size if self.symmetry.first_order else 2 * self.size
+
+    @property
+    def sectioned(self) -> bool:
+        """True when a section fixes the phase: neither a reversal nor a drive does."""
+        return not self.symmetry.reverses and self.drive is None
 
     @property
     def parts(self) -> int:
@@ -73,8 +86,7 @@ class Formulation:
     @property
     def square(self) -> bool:
         """True when there are as many equations as unknowns: a reversal may hold too many components, or too few."""
-        section = int(not self.symmetry.reverses)
-        equations = self.dimension * (self.segments - 1) + len(self.ends) + section + int(self.conserved)
+        equations = self.dimension * (self.segments - 1) + len(self.ends) + int(self.sectioned) + int(self.conserved)
         return equations == self.unknowns
 
     @property
@@ -85,14 +97,16 @@ class Formulation:
     @property
     def ends(self) -> tuple[int, ...]:
         """Components of the last state that conditions are put on."""
-        return tuple(int(i) for i in np.nonzero(self.symmetry.rows(self.size)[1])[1])
+        ends = (int(i) for i in np.nonzero(self.symmetry.rows(self.size)[1])[1])
+        return (*ends, *range(self.components, self.dimension))
 
     @property
     def mirror(self) -> tuple[int, ...]:
         """Signs (d) with which the first node's components enter the conditions at the end."""
         if self.symmetry.reverses:
             return (0,) * self.dimension
-        return tuple(int(sign) for sign in np.diag(self.symmetry.rows(self.size)[0]))
+        signs = (int(sign) for sign in np.diag(self.symmetry.rows(self.size)[0]))
+        return (*signs, *[0] * (self.dimension - self.components))
 
     @property
     def unknowns(self) -> int:
@@ -102,6 +116,8 @@ class Formulation:
     @property
     def targets(self) -> list[Any]:
         """What the components `ends` of the last state are to be, as balls."""
+        if self.drive is not None:
+            return [arb.pi() * k for k in self.constants] + [self.drive]
         return [arb.pi() * k for k in self.constants[-len(self.ends) :]]
 
     def nodes(self, unknowns: Vector) -> list[Vector]:
@@ -162,9 +178,13 @@ class Approach:
 
 
 def approach(
-    model: Model, orbit: Orbit, symmetry: Symmetry, segments: int | None, phase: float | None = None
-) -> Approach:
-    """Nodes of the orbit in a formulation, by DOP853 from the recorded state; `phase`: which symmetric instant."""
+    model: Model, orbit: Orbit, symmetry: Symmetry, segments: int | None, phase: float | None = None,
+    frequency: Any = None,
+) -> Approach:  # fmt: skip
+    """Nodes of the orbit in a formulation, by DOP853 from the recorded state; `phase`: which symmetric instant.
+
+    `frequency` (rad/s, a ball) is that of what drives the system.
+    """
     n, period = model.degrees_of_freedom, orbit.period
     if orbit.state.size != len(model.state_names) or len(orbit.winding) != n:
         raise InputError(
@@ -178,17 +198,22 @@ def approach(
     if not (np.all(np.isfinite(orbit.state)) and np.isfinite(period) and period > 0):
         raise InputError("state: state or period is not a usable number; run the problem again")
     field = vector_field(accelerations(model))
-    times = np.linspace(0.0, period, SCAN + 1)
-    states = integrate(field, orbit.state, times, SECOND)
-    angles = np.asarray(model.angles)
-    begin = symmetric_instant(field, times, states, symmetry, angles, phase)
+    angles, begin = np.asarray(model.angles), 0.0
+    if symmetry.reverses:
+        times = np.linspace(0.0, period, SCAN + 1)
+        begin = symmetric_instant(field, times, integrate(field, orbit.state, times, SECOND), symmetry, angles, phase)
     parts, count = symmetry.parts, segments or default_segments(orbit, symmetry)
     grid = begin + np.linspace(0.0, period / parts, count + 1)
     path = integrate(field, orbit.state, np.concatenate([[0.0], grid]) if begin > 0 else grid, SECOND)[-count - 1 :]
     constants = symmetry.constants(angles, path[0], path[-1], orbit.winding) / np.pi
     turns = tuple(int(k) for k in orbit.winding)
-    form = Formulation(symmetry, n, count, tuple(map(round, constants)), turns, bool(model.invariants))
-    return Approach(form, path[:-1], period / parts / count, (-begin / period) % 1.0, field(0.0, path[0]))
+    nodes, flow, drive = path[:-1], field(0.0, path[0]), None
+    if frequency is not None:
+        cycles = max(1, round(period * float(frequency.mid()) / (2 * np.pi)))
+        drive = 2 * cycles * arb.pi() / frequency
+        nodes, flow = np.column_stack([nodes, grid[:-1]]), np.append(flow, 1.0)
+    form = Formulation(symmetry, n, count, tuple(map(round, constants)), turns, bool(model.invariants), drive)
+    return Approach(form, nodes, period / parts / count, (-begin / period) % 1.0, flow)
 
 
 def default_segments(orbit: Orbit, symmetry: Symmetry) -> int:
@@ -201,12 +226,10 @@ def symmetric_instant(
     field: object, times: np.ndarray, states: np.ndarray, symmetry: Symmetry, angles: np.ndarray,
     phase: float | None = None,
 ) -> float:  # fmt: skip
-    """The time (s) at which the horizon may start, a rest (brake) for example; 0 where any instant will do.
+    """The time (s) at which the horizon of a reversal may start, a rest (brake) for example.
 
     There are two, half a period apart and equal but for round-off: a `phase` (see `Approach`) says which.
     """
-    if not symmetry.reverses:
-        return 0.0
 
     def distance(x: np.ndarray) -> float:
         return float(np.sum(off_centre(symmetry.maps[0], x[None], angles) ** 2))

@@ -7,7 +7,9 @@ sine of an odd value is odd, a product of two odd values even), so an answer "ye
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from math import gcd
 
 import numpy as np
 
@@ -106,4 +108,90 @@ def _turned(
             factor = numbers.get(other)
             if counts and factor is not None and float(factor).is_integer():
                 return {key: int(factor) * count for key, count in counts.items()}
+    return None
+
+
+# The period of a drive. Followed is v(t + T) - v(t) = rate T of each value v: nothing for what depends on numbers and
+# parameters alone, or on the state; a sine or a cosine of a value that grows like that is periodic.
+
+
+@dataclass(frozen=True)
+class Multiple:
+    """A rational multiple of a value (its number in the program) that depends on parameters alone; of 1 where None."""
+
+    factor: Fraction
+    value: int | None = None
+
+    def times(self, other: Multiple) -> Multiple | None:
+        """The product, where at most one is not a number."""
+        if self.value is not None and other.value is not None:
+            return None
+        return Multiple(self.factor * other.factor, other.value if self.value is None else self.value)
+
+
+NO_RATE = Multiple(Fraction(0))
+
+
+def drive(code: ScalarProgram, clock: int) -> Multiple | None:
+    """The angular frequency w of a drive: entry `clock` of argument 0 is time, and results do not change with 2 pi / w.
+
+    None where that does not follow from the graph: time enters only in sines and cosines of multiples of it.
+    """
+    numbers: list[Multiple | None] = [None] * code.size
+    rates: list[Multiple] = [NO_RATE] * code.size
+    met: list[Multiple] = []
+    for target, number in code.constants:
+        numbers[target] = Multiple(Fraction(number))
+    first: dict[int, int] = {}
+    for target, argument, entry in code.inputs:
+        if argument == 3:
+            numbers[target] = Multiple(Fraction(1), first.setdefault(entry, target))
+        elif (argument, entry) == (0, clock):
+            rates[target] = Multiple(Fraction(1))
+    for name, target, a, b in code.operations:
+        numbers[target] = _number(name, target, numbers[a], Multiple(Fraction(1)) if b < 0 else numbers[b])
+        rate = _rate(name, (rates[a], NO_RATE if b < 0 else rates[b]), (numbers[a], None if b < 0 else numbers[b]))
+        if rate is None:
+            return None
+        if name in ("sin", "cos"):
+            met += [rates[a]] if rates[a].factor else []
+        else:
+            rates[target] = rate
+    unlike = len({one.value for one in met}) != 1
+    if unlike or any(rates[place].factor for result in code.outputs for place in result.values()):
+        return None
+    common = max(one.factor.denominator for one in met)
+    for one in met:
+        common = common * one.factor.denominator // gcd(common, one.factor.denominator)
+    return Multiple(Fraction(gcd(*(abs(int(one.factor * common)) for one in met)), common), met[0].value)
+
+
+def _number(name: str, target: int, a: Multiple | None, b: Multiple | None) -> Multiple | None:
+    """What a value that depends on parameters alone is, None of others."""
+    if a is None or b is None:
+        return None
+    if name == "mul" and (product := a.times(b)) is not None:
+        return product
+    if name == "div" and b.value is None and b.factor:
+        return Multiple(a.factor / b.factor, a.value)
+    return Multiple(-a.factor, a.value) if name == "neg" else Multiple(Fraction(1), target)
+
+
+def _rate(name: str, rates: tuple[Multiple, Multiple], numbers: tuple[Multiple | None, ...]) -> Multiple | None:
+    """How fast a value grows with time on the average, None where that is not said."""
+    a, b = rates
+    if not (a.factor or b.factor) or name in ("sin", "cos"):
+        return NO_RATE
+    if name in ("add", "sub", "neg"):
+        other = Multiple(-b.factor, b.value) if name == "sub" else b
+        if name == "neg":
+            return Multiple(-a.factor, a.value)
+        if not (a.factor and b.factor):
+            return a if a.factor else other
+        return Multiple(a.factor + other.factor, a.value) if a.value == b.value else None
+    for mine, number in ((a, numbers[1]), (b, numbers[0])):
+        if mine.factor and number is not None and name == "mul":
+            return mine.times(number)
+    if name == "div" and a.factor and (divisor := numbers[1]) is not None and divisor.value is None and divisor.factor:
+        return Multiple(a.factor / divisor.factor, a.value)
     return None

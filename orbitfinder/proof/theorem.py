@@ -17,7 +17,7 @@ import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, plural
-from orbitfinder.loops.symmetry import Symmetry, named
+from orbitfinder.loops.symmetry import ALONE, NONE, Symmetry, named
 from orbitfinder.mechanics.kind import build_model, system_kind
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import Vector, arb, decimal, magnitude, precision, radius
@@ -156,6 +156,10 @@ def proved_until(
 
 def chosen_symmetry(orbit: Orbit, model: Model, codes: Programs, asked: str | None) -> Symmetry:
     """The symmetry that is asked for, or else what the equations provably have of the recorded one."""
+    if codes.clock is not None:
+        if asked not in (None, "none"):
+            raise InputError(f"symmetry: orbits of driven systems are proved without any, got {asked!r}; leave it out")
+        return ALONE if model.rates is not None else NONE
     if asked is not None:
         return named(asked, model)
     return usable_symmetry(codes.rates, codes.energy, named(orbit.symmetry, model), model.degrees_of_freedom)
@@ -172,7 +176,7 @@ def _prove(
     orbit: Orbit, model: Model, codes: Programs, symmetry: Symmetry, options: Options, say: Progress,
     enough: Callable[[Proof], bool],
 ) -> Proof:  # fmt: skip
-    start = approach(model, orbit, symmetry, options.segments, options.phase)
+    start = approach(model, orbit, symmetry, options.segments, options.phase, frequency(model, codes))
     check_graph(codes, start.formulation, model)
     equations = make_equations(model, codes, start, level(orbit, codes))
     centre, rounds = solve(equations, unknowns_at(start), options, CENTRE)
@@ -196,6 +200,11 @@ def _prove(
             path = trajectory(equations, path.box, finer)
 
 
+def frequency(model: Model, codes: Programs) -> Any:
+    """The frequency of what drives a system (rad/s) as a ball, None where nothing does."""
+    return None if codes.clock is None else make_field(model, codes).frequency
+
+
 def level(orbit: Orbit, codes: Programs) -> Any:
     """The recorded energy as a ball, None where none is conserved."""
     return None if codes.energy is None else decimal(orbit.energy)
@@ -209,7 +218,7 @@ def unknowns_at(start: Approach) -> Vector:
 def make_equations(model: Model, codes: Programs, start: Approach, energy: Any) -> TheoremEquations:
     """The theorem's equations; the section is normal to the flow at the first node."""
     section = None
-    if not start.formulation.symmetry.reverses:
+    if start.formulation.sectioned:
         section = ([float(x) for x in start.nodes[0]], [float(x) for x in start.flow])
     return TheoremEquations(make_field(model, codes), start.formulation, energy, section)
 
@@ -221,7 +230,8 @@ def check_graph(codes: Programs, form: Formulation, model: Model) -> None:
     if not has_symmetry(codes.rates, codes.energy, form.symmetry, form.size):
         raise NotProved(f"the equations' {form.symmetry.name} symmetry could not be read off their graph; use none")
     turning = any(form.constants) or any(form.turns)
-    if turning and not all(turns_leave(code, model.angles) for code in codes.all):
+    turned = [*model.angles, *[False] * (form.dimension - len(model.angles))]
+    if turning and not all(turns_leave(code, turned) for code in codes.all):
         raise NotProved("the equations' invariance under whole turns could not be read off their graph")
 
 
@@ -244,7 +254,10 @@ def enclosed(equations: TheoremEquations, centre: Vector, settings: TaylorSettin
 
 def verdict(path: Trajectory) -> Stability:
     """The stability of an enclosed orbit."""
-    return stability(reduced(path, monodromy(path)), path.formulation.conserved)
+    form, matrix = path.formulation, monodromy(path)
+    if form.drive is not None:
+        return stability(matrix, conserved=False)
+    return stability(reduced(path, matrix), form.conserved)
 
 
 def check_motion(path: Trajectory, model: Model, state: str, along: str) -> None:
@@ -271,7 +284,7 @@ def conclusions(orbit: Orbit, model: Model, path: Trajectory, start: Approach, o
     return {
         "segments": form.segments, "period": path.period, "phase": start.phase,
         "tightness": radius(path.box),
-        "nodes": [node[: form.dimension] for node in form.nodes(path.box)],
+        "nodes": [node[: form.components] for node in form.nodes(path.box)],
         "unfolding": path.box[-2] if form.unfolded else None,
         "distance": distance, "period_distance": apart, "minimal": minimal, "divisors": divisors,
         "stability": verdict(path),
@@ -285,16 +298,16 @@ def gaps(orbit: Orbit, path: Trajectory, start: Approach, angles: Sequence[bool]
     recorded, corrected along the flow.
     """
     recorded, turn = [arb(float(x)) for x in orbit.state], 2 * arb.pi()
-    d = path.formulation.dimension
+    d = path.formulation.components
     turning = [*angles, *([False] * (d - len(angles)))]
 
     def difference(phase: Fraction) -> Vector:
-        raw = [a - b for a, b in zip(path.state(phase % 1), recorded, strict=True)]
+        raw = [a - b for a, b in zip(path.state(phase % 1), recorded, strict=path.formulation.drive is None)]
         whole = [round(float((x / turn).mid())) if angle else 0 for x, angle in zip(raw, turning, strict=True)]
         return [x - k * turn for x, k in zip(raw, whole, strict=True)]
 
     phase = Fraction(start.phase)
-    for _ in range(3):
+    for _ in range(3 if path.formulation.drive is None else 0):  # a drive's phase is what it is
         apart = np.array([float(x.mid()) for x in difference(phase)])
         here = path.state(phase % 1)
         flow = np.array([float(x.mid()) for x in path.field.rates([*here, arb(0), arb(1)])[:d]])
@@ -364,7 +377,7 @@ def refine(
         model = model or provable_model(orbit)
         codes = programs(model)
         chosen = chosen_symmetry(orbit, model, codes, symmetry)
-        start = approach(model, orbit, chosen, None)
+        start = approach(model, orbit, chosen, None, frequency=frequency(model, codes))
         equations = make_equations(model, codes, start, level(orbit, codes))
         rough = solve(equations, unknowns_at(start), TaylorSettings(), 1e-20)[0]
         centre, rounds = solve(equations, rough, settings, 10.0 ** -(digits + GUARD // 2))
@@ -384,6 +397,6 @@ def refine(
         node = form.nodes(image)[0]
         return RefinedOrbit(
             digits, enclose and not reason, reason, chosen.name, equations.energy,
-            node[-1] * form.segments * form.parts, node[: form.dimension],
+            node[-1] * form.segments * form.parts, node[: form.components],
             Fraction(start.phase), settings, time.perf_counter() - began,
         )  # fmt: skip

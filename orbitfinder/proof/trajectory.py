@@ -74,7 +74,8 @@ def horizon(equations: TheoremEquations, box: Vector, arcs: Sequence[Arc]) -> Tr
 
 def monodromy(path: Trajectory) -> Any:
     """dx(T)/dx(0) (d square) from the horizon's, by the symmetry."""
-    phi, size = path.horizon_matrix, path.formulation.dimension
+    size = path.formulation.components
+    phi = block(path.horizon_matrix, size, 0, size)
     root, power = path.formulation.symmetry.root(
         phi,
         lambda other: phi.solve(other, algorithm="precond"),
@@ -105,7 +106,7 @@ def positive_definite(matrix: Any) -> bool:
 
 def moves(path: Trajectory) -> bool:
     """True when some component of the field is provably not zero at the first node."""
-    return any(not x.contains(0) for x in path.field.rates(path.first)[: path.formulation.dimension])
+    return any(not x.contains(0) for x in path.field.rates(path.first)[: path.formulation.components])
 
 
 def escape(path: Trajectory, angles: Sequence[bool]) -> tuple[Fraction, int] | None:
@@ -139,8 +140,10 @@ def minimal_period(path: Trajectory, angles: Sequence[bool]) -> tuple[bool, int,
     """Whether T is proved minimal, the largest k for which T/k was looked at, and what stood in the way.
 
     A period T/k below the escape time is impossible; for the other k, x(T/k) must differ from x(0) in
-    some component (angles modulo whole turns).
+    some component (angles modulo whole turns). Of a driven system k divides the drive's periods, which are returned.
     """
+    if path.formulation.drive is not None:
+        return _cycles(path, angles)
     left = escape(path, angles)
     if left is None:
         return False, 0, "no component of the state is monotone at first"
@@ -150,6 +153,20 @@ def minimal_period(path: Trajectory, angles: Sequence[bool]) -> tuple[bool, int,
         apart = [a - b for a, b in zip(path.state(Fraction(1, k)), start, strict=True)]
         if not any(_apart(x, i < len(angles) and angles[i]) for i, x in enumerate(apart)):
             return False, k, f"the state at T/{k} could not be told from the first"
+    return True, most, ""
+
+
+def _cycles(path: Trajectory, angles: Sequence[bool]) -> tuple[bool, int, str]:
+    """Whether no smaller number of the drive's periods than T is a period, their number in T, what stood in the way."""
+    frequency = path.field.frequency
+    most = round(float((path.formulation.drive * frequency / (2 * arb.pi())).mid()))
+    start = path.state(Fraction(0))
+    for k in (k for k in range(1, most) if most % k == 0):
+        apart = [
+            a - b for a, b in zip(path.state(Fraction(k, most)), start[: path.formulation.components], strict=False)
+        ]
+        if not any(_apart(x, i < len(angles) and angles[i]) for i, x in enumerate(apart)):
+            return False, most, f"the state after {k} of the drive's {most} periods could not be told from the first"
     return True, most, ""
 
 
@@ -201,7 +218,7 @@ class Stability:
 
 
 def stability(reduced: Any, conserved: bool = True) -> Stability:
-    """The verdict on a reduced monodromy (2n - 2 square, d - 1 where nothing is conserved).
+    """The verdict on a reduced monodromy (2n - 2 square, d - 1 where nothing is conserved, d of a driven system).
 
     The reduced matrix is real and preserves a symplectic form, so with mu also conj(mu), 1/mu and
     1/conj(mu) are multipliers. An enclosure that holds one multiplier and meets the mirror images
