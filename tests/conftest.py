@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
+from orbitfinder.integrate.compiled import exposed
 from orbitfinder.integrate.cvodes import Flow
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
@@ -156,8 +157,10 @@ def quick_compiler() -> str:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def own_cache(tmp_path_factory):
-    """Compiled functions go to a folder of this run, which its processes share, not to the user's cache.
+def own_cache(pytestconfig, tmp_path_factory):
+    """Compiled functions go to a folder of the tests, which its processes share, not to the user's cache.
+
+    It is pytest's own where nobody else may write: what one run compiled, .ci/run's second finds.
 
     Commands keep the bytecode of the package, as they do unless told otherwise: each of them would compile it anew.
     Linear algebra has one thread: where as many processes as processors test, threads wait for each other, and the
@@ -165,6 +168,9 @@ def own_cache(tmp_path_factory):
     """
     base = tmp_path_factory.getbasetemp()
     folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "cache"
+    kept = getattr(pytestconfig, "cache", None)
+    if kept and not exposed(kept.mkdir("orbitfinder").resolve()):
+        folder = kept.mkdir("orbitfinder")
     folder.mkdir(mode=0o700, exist_ok=True)
     with threadpool_limits(1, user_api="blas"), pytest.MonkeyPatch.context() as patch:
         patch.setenv("ORBITFINDER_CACHE", str(folder))
