@@ -63,7 +63,10 @@ def data_of(files, page):
 
 def test_a_table_has_the_closed_form_in_every_row(file, tmp_path):
     """u = 1, v = b, and the eigenvalues of [[b - 1, 1], [-b, -1]]."""
-    (written,) = run("export", file, "--to", "csv", "-o", tmp_path).split()
+    written, happened, ends = run("export", file, "--to", "csv", "-o", tmp_path).split()
+    (hopf,) = csv.DictReader(Path(happened).read_text().splitlines())
+    assert hopf["kind"] == "hopf" and abs(float(hopf["rate"]) - 2) < 1e-9 and abs(float(hopf["frequency"]) - 1) < 1e-9
+    assert "reached rate" in Path(ends).read_text()
     rows = [*csv.DictReader(Path(written).read_text().splitlines())]
     assert [*rows[0]] == ["index", "rate", "u", "v", "eigenvalue_1_re", "eigenvalue_1_im", "eigenvalue_2_re",
                           "eigenvalue_2_im", "stability", "residual", "certified"]  # fmt: skip
@@ -82,7 +85,7 @@ def test_json_has_the_rows_and_null_for_what_is_unknown(file, tmp_path):
     rest = of.load_equilibria(file)
     unknown = replace(rest, points=(replace(rest.points[0], residual=float("nan")), *rest.points[1:]))
     of.save_equilibria(unknown, tmp_path / "equilibria.json")
-    (written,) = run("export", tmp_path / "equilibria.json", "--to", "json", "-o", tmp_path / "out").split()
+    written = run("export", tmp_path / "equilibria.json", "--to", "json", "-o", tmp_path / "out").split()[0]
     rows = json.loads(Path(written).read_text())
     assert rows[0]["residual"] is None and [row["v"] for row in rows] == [point.state[1] for point in rest.points]
 
@@ -93,7 +96,7 @@ def test_a_table_replaces_no_record_and_other_formats_say_what_they_hold(file, t
     said = run("export", tmp_path / "equilibria.json", "--to", "json", code=2)
     assert "equilibria.json is a record, which a table would replace; give another folder" in said
     assert (tmp_path / "equilibria.json").read_bytes() == before
-    assert "c files hold orbits, and these are equilibria; use one of csv, json" in run(
+    assert "c files hold orbits, and chemistry is a table; use one of csv, parquet, json" in run(
         "export", file, "--to", "c", "-o", tmp_path, code=2
     )
 

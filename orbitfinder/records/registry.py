@@ -9,13 +9,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 from orbitfinder._runtime.arguments import Registry, check
-from orbitfinder._runtime.rooms import filled
+from orbitfinder._runtime.rooms import filled, loaded
 from orbitfinder.errors import InputError
 from orbitfinder.records.codec import outline
 from orbitfinder.records.family import load_family
@@ -185,22 +184,6 @@ def shown(path: str | Path) -> tuple[str, Mapping[str, Any]]:
     record = load(path)
     found: Mapping[str, Any] = outline(loaded(kind.facts)(record) if kind.facts else record)
     return name, found
-
-
-def loaded(named: Answer) -> Callable[..., Any]:
-    """What is named, its module imported."""
-    if callable(named):
-        return named
-    module, _, name = named.partition(":")
-    try:
-        found = getattr(import_module(f"orbitfinder.{module}"), name, None)
-    except ModuleNotFoundError as error:
-        if error.name is None or not f"orbitfinder.{module}".startswith(error.name):
-            raise
-        found = None
-    if not callable(found):
-        raise InputError(f"Kind: there is no {named!r} in orbitfinder; name 'room.file:function' in the entry of KINDS")
-    return found  # type: ignore[no-any-return]
 
 
 def load_orbit(path: str | Path) -> Orbit:
