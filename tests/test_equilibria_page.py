@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -79,6 +80,13 @@ def test_a_table_has_the_closed_form_in_every_row(file, tmp_path):
         assert np.allclose(sorted(found, key=np.imag), sorted(wanted, key=np.imag), atol=1e-12)
         assert np.allclose([float(row["u"]), float(row["v"])], [1.0, b], rtol=1e-14) and int(row["index"]) == k
         assert row["stability"] == ("stable" if b < 2 else "unstable") and row["certified"] == "True"
+
+
+def test_show_gives_the_commands_that_follow_a_hopf_point(file, tmp_path):
+    (hopf,) = json.loads(run("show", file, "--json"))["results"][0]["events"]
+    assert "cycles of the period are born" in hopf["what"] and len(hopf["follow"]) == 2
+    for command in hopf["follow"]:
+        run(*shlex.split(command)[1:], "--points", 2, "--no-figures", "--out", tmp_path)
 
 
 def test_json_has_the_rows_and_null_for_what_is_unknown(file, tmp_path):

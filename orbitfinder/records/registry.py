@@ -178,11 +178,11 @@ def answers_of(kind: Kind) -> list[str]:
     return ["show", *(verb for verb in VERBS if getattr(kind, verb))]
 
 
-def shown(path: str | Path) -> tuple[str, Mapping[str, Any]]:
+def shown(path: str | Path) -> tuple[str, dict[str, Any]]:
     """The kind of FILE or FILE#K, and what it holds, in short (see `outline`)."""
     name, kind = held(path)
     record = load(path)
-    found: Mapping[str, Any] = outline(loaded(kind.facts)(record) if kind.facts else record)
+    found: dict[str, Any] = outline(loaded(kind.facts)(record) if kind.facts else record)
     return name, found
 
 
