@@ -72,6 +72,8 @@ class Outcome:
     written: tuple[str, ...] = ()
     reduction: str = ""
     """what the orbit is relative in, with the momenta held; or that it is a relative equilibrium"""
+    units: dict[str, str] = field(default_factory=dict)
+    """words for those of its numbers"""
 
     @property
     def passed(self) -> bool:
@@ -174,6 +176,7 @@ def progress(name: str, iteration: Iteration) -> Report:
 def _written(job: ProblemJob, orbit: Orbit, model: Model, began: float) -> Outcome:
     """Write the result under the name it deserves; figures only of certified orbits."""
     from orbitfinder.mechanics.kind import with_parameters
+    from orbitfinder.mechanics.scales import units
     from orbitfinder.orbits.reduction import reduction
 
     certificate, folder = orbit.certificate, job.out / job.name
@@ -195,7 +198,7 @@ def _written(job: ProblemJob, orbit: Orbit, model: Model, began: float) -> Outco
         orbit.symmetry,
         dict(orbit.provenance.get("free", {})), failures,
         tuple(str(path) for path in written),
-        reduction(with_parameters(model, orbit.provenance.get("free", {})), orbit),
+        reduction(with_parameters(model, orbit.provenance.get("free", {})), orbit), units(orbit.system),
     )  # fmt: skip
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 from orbitfinder.errors import InputError
 from orbitfinder.exports.formats import TABLES
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import given_units, unit_names, units
 from orbitfinder.records.reading import finite, json_bytes, write_atomically
 from orbitfinder.records.registry import kind_of
 from orbitfinder.records.table import Tabled
@@ -55,6 +57,15 @@ def _parquet(columns: Mapping[str, Any], told: Told, system: str) -> bytes:
     return sink.getvalue()
 
 
+def _told(columns: Mapping[str, Any], model: Model) -> Told:
+    """The unit of each column of a system's table, where it has one."""
+    words, n = units(model.system), model.degrees_of_freedom
+    own = {**dict(zip(model.state_names[:n], unit_names(model), strict=True)), **given_units(model.system)}
+    own |= {"period": words["time"], "energy": words["energy"], "action": words["action"]}
+    found = {name: own.get(re.sub("^(amplitude|min|max)_", "", name), "") for name in columns}
+    return {name: (unit, "") for name, unit in found.items() if unit}
+
+
 def export_table(record: Any, to: str, folder: Path, model: Model) -> list[Path]:
     """What `export --to` writes of a record of many points: NAME.csv (or parquet, json), its other tables that have
     rows NAME-events.csv, NAME-ends.csv; never over a record. Raises `InputError`."""
@@ -67,6 +78,6 @@ def export_table(record: Any, to: str, folder: Path, model: Model) -> list[Path]
         if target.exists() and kind_of(target):
             raise InputError(f"--out: {target} is a record, which a table would replace; give another folder")
         if of == "points" or len(next(iter(columns.values()))):
-            write_atomically(target, table_bytes(columns, to, system=record.system))
+            write_atomically(target, table_bytes(columns, to, _told(columns, model), record.system))
             written.append(target)
     return written

@@ -23,7 +23,7 @@ from orbitfinder.mechanics.constrained import Loops
 from orbitfinder.mechanics.controls import check_constant, with_controls
 from orbitfinder.mechanics.hybrid import at_numbers, with_cycle
 from orbitfinder.mechanics.model import Model, altered
-from orbitfinder.mechanics.scales import with_scales
+from orbitfinder.mechanics.scales import with_scales, with_units
 from orbitfinder.records.orbit import system_at
 
 BUILT_IN = "orbitfinder.systems"
@@ -84,9 +84,10 @@ def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model
 
 
 def _built(kind: SystemKind, system: Mapping[str, Any], trusted: Path | None) -> Model:
-    model = kind.build(system, trusted)
+    bare = {key: value for key, value in system.items() if key != "units"}
+    model = kind.build(bare, trusted)
     check(f"SystemKind {system.get('kind')!r}, build", "Model", model)
-    return model
+    return with_units(model, system.get("units"))
 
 
 def system_kind(system: Mapping[str, Any]) -> SystemKind:
@@ -138,7 +139,8 @@ def python_model(system: Mapping[str, Any], trusted: Path | None = None) -> Mode
         raise InputError(f"system.function: {module}.{name} returned {type(model).__name__}; return a Model")
     scales = system.get("scales", model.scales)
     if module != BUILT_IN:
-        model = replace(model, system=described({}, module, name, arguments))
+        told = {key: model.system[key] for key in ("units",) if key in model.system}
+        model = replace(model, system=described(told, module, name, arguments))
     if not isinstance(scales, Mapping):
         raise InputError("system.scales: must be a table of names and sizes")
     model = with_scales(_controlled(model, system), scales)
