@@ -24,7 +24,7 @@ from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.control import Control, Task
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.constrained import maximal_states
-from orbitfinder.mechanics.kind import OTHER, PROBLEM, build_model, described, loops_of, system_kind
+from orbitfinder.mechanics.kind import OTHER, PROBLEM, build_model, described, loops_of, neighbours, system_kind
 from orbitfinder.mechanics.model import Model, constraint_of
 from orbitfinder.mechanics.scales import with_units
 from orbitfinder.mechanisms.robot import robot
@@ -262,7 +262,8 @@ def _load_python(source: Path, trust: bool) -> ProblemFile:
         )
     file_bytes(source, "problem file")
     try:
-        made = runpy.run_path(str(source))[PROBLEM]()
+        with neighbours(source.parent):
+            made = runpy.run_path(str(source))[PROBLEM]()
     except KeyError as error:
         raise InputError(f"{source}: problem: missing ({error}); define a function problem() in it") from error
     except Exception as error:

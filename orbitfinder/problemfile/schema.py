@@ -520,7 +520,9 @@ class ControlTable(Table):
     harmonics: int = key("of a Fourier series, beside its constant", 5)
     method: Literal["shooting", "collocation"] = key("how intervals are integrated", "shooting")
     guess: dict[str, float | list[float]] = key(
-        "where coefficients start, by control, one number or all of them; 0 when left out", {}
+        "where coefficients start, by control, one number or all of them: in the order of time, of a Fourier series "
+        "constant, cos 1, sin 1, cos 2, sin 2, ...; 0 when left out",
+        {},
     )
     numbers: dict[str, float] = key("named numbers that cost and tasks may mention, such as { weight = 0.1 }", {})
     task: list[TaskTable] = key("what the motion must do, each as [[control.task]]", [])
