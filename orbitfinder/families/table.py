@@ -52,12 +52,11 @@ def equilibria_tables(rest: Equilibria, model: Model | None = None) -> Tables:
     model, points, events = model or build_model(rest.system), rest.points, rest.events
 
     def columns(members: Sequence[Any], own: str, more: dict[str, Any]) -> dict[str, Any]:
-        pairs = [member.values if len(rest.parameters) > 1 else [getattr(member, own)] for member in members]
-        values, states = (
-            np.array(rows, float).reshape(len(members), -1).T for rows in (pairs, [m.state for m in members])
-        )
-        parameters = dict(zip(rest.parameters, values if members else [[]] * 2, strict=False))
-        return placed(parameters, {**dict(zip(model.state_names, states, strict=False)), **more})
+        places = [member.values if len(rest.parameters) > 1 else [getattr(member, own)] for member in members]
+        values = np.reshape(places, (len(members), len(rest.parameters))).T
+        states = np.reshape([member.state for member in members], (len(members), len(model.state_names))).T
+        parameters = dict(zip(rest.parameters, values, strict=True))
+        return placed(parameters, {**dict(zip(model.state_names, states, strict=True)), **more})
 
     spectra = np.array([point.eigenvalues for point in points]).T
     eigenvalues = {
