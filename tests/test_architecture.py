@@ -346,7 +346,6 @@ ASKED = {
     "mechanisms.linkage": "named in a message",
     "mechanisms.structure": "the table of elements",
     "records.family": "a fold of the period in files of 0.1, which is a turn",
-    "cli.show": "the tables of events, for what follows them",
 }
 KIND = re.compile(r"\[\"kind\"\]|\.get\(\"kind\"\)|\w\.kind [!=]=|\bkind [!=]= \"")
 

@@ -15,11 +15,11 @@ import orbitfinder as of
 from orbitfinder.control.find import gather_controlled
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.minimal import native_state
-from orbitfinder.loops.control import METHODS, history
+from orbitfinder.loops.control import METHODS, Basis, history
 from orbitfinder.mechanics.controls import actuated, with_controls
 from orbitfinder.mechanics.expression import expression
 from orbitfinder.mechanics.kind import build_model, with_parameters
-from orbitfinder.mechanics.model import vector_field
+from orbitfinder.mechanics.model import altered, vector_field
 from orbitfinder.mechanisms.linkage import minimal_linkage
 
 
@@ -350,6 +350,20 @@ def test_hybrid_events_are_required_to_be_events() -> None:
     shares = {name: value * 1.001 for name, value in orbit.control["shares"].items()}
     failures = of.certify(replace(orbit, control=dict(orbit.control) | {"shares": shares})).failures
     assert "event: liftoff" in failures
+    model = build_model(orbit.system)
+    turned = tuple(replace(each, direction=-each.direction) for each in model.hybrid.transitions)
+    other = altered(model, hybrid=replace(model.hybrid, transitions=turned))
+    (event, *_) = (check for check in of.certify(orbit, other).checks if check.name.startswith("event: "))
+    assert not event.passed and "crossed the other way than its direction says" in event.note
+
+
+def test_the_order_of_fourier_coefficients_is_what_is_said() -> None:
+    """Constant, cos 1, sin 1, cos 2, sin 2 of the phase."""
+    basis, phase = Basis("fourier", 8, 2), 0.1
+    angle = 2 * np.pi * phase
+    wanted = [1.0, np.cos(angle), np.sin(angle), np.cos(2 * angle), np.sin(2 * angle)]
+    assert np.allclose(np.array(basis.values(0.0, phase), float), wanted)
+    assert "constant, cos 1, sin 1, cos 2, sin 2" in (of.Control.__doc__ or "")
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -63,7 +64,10 @@ def data_of(files, page):
 
 def test_a_table_has_the_closed_form_in_every_row(file, tmp_path):
     """u = 1, v = b, and the eigenvalues of [[b - 1, 1], [-b, -1]]."""
-    (written,) = run("export", file, "--to", "csv", "-o", tmp_path).split()
+    written, happened, ends = run("export", file, "--to", "csv", "-o", tmp_path).split()
+    (hopf,) = csv.DictReader(Path(happened).read_text().splitlines())
+    assert hopf["kind"] == "hopf" and abs(float(hopf["rate"]) - 2) < 1e-9 and abs(float(hopf["frequency"]) - 1) < 1e-9
+    assert "reached rate" in Path(ends).read_text()
     rows = [*csv.DictReader(Path(written).read_text().splitlines())]
     assert [*rows[0]] == ["index", "rate", "u", "v", "eigenvalue_1_re", "eigenvalue_1_im", "eigenvalue_2_re",
                           "eigenvalue_2_im", "stability", "residual", "certified"]  # fmt: skip
@@ -78,11 +82,18 @@ def test_a_table_has_the_closed_form_in_every_row(file, tmp_path):
         assert row["stability"] == ("stable" if b < 2 else "unstable") and row["certified"] == "True"
 
 
+def test_show_gives_the_commands_that_follow_a_hopf_point(file, tmp_path):
+    (hopf,) = json.loads(run("show", file, "--json"))["results"][0]["events"]
+    assert "cycles of the period are born" in hopf["what"] and len(hopf["follow"]) == 2
+    for command in hopf["follow"]:
+        run(*shlex.split(command)[1:], "--points", 2, "--no-figures", "--out", tmp_path)
+
+
 def test_json_has_the_rows_and_null_for_what_is_unknown(file, tmp_path):
     rest = of.load_equilibria(file)
     unknown = replace(rest, points=(replace(rest.points[0], residual=float("nan")), *rest.points[1:]))
     of.save_equilibria(unknown, tmp_path / "equilibria.json")
-    (written,) = run("export", tmp_path / "equilibria.json", "--to", "json", "-o", tmp_path / "out").split()
+    written = run("export", tmp_path / "equilibria.json", "--to", "json", "-o", tmp_path / "out").split()[0]
     rows = json.loads(Path(written).read_text())
     assert rows[0]["residual"] is None and [row["v"] for row in rows] == [point.state[1] for point in rest.points]
 
@@ -93,7 +104,7 @@ def test_a_table_replaces_no_record_and_other_formats_say_what_they_hold(file, t
     said = run("export", tmp_path / "equilibria.json", "--to", "json", code=2)
     assert "equilibria.json is a record, which a table would replace; give another folder" in said
     assert (tmp_path / "equilibria.json").read_bytes() == before
-    assert "c files hold orbits, and these are equilibria; use one of csv, json" in run(
+    assert "c files hold orbits, and chemistry is a table; use one of csv, parquet, json" in run(
         "export", file, "--to", "c", "-o", tmp_path, code=2
     )
 

@@ -1,6 +1,7 @@
 """`orbitfinder continue` from files: branches of a family, orbits of every kind of system, mistakes."""
 
 import json
+import shlex
 import shutil
 from pathlib import Path
 
@@ -62,6 +63,36 @@ def test_triple_1_by_commands_alone(second_mode, tmp_path):
         and load_family(tmp_path / "triple-mode-2-2-1" / "family.json").values("period").tolist()
         == family.values("period").tolist()
     )
+
+
+def test_show_says_what_breaks_what_is_born_and_commands_that_run(second_mode, tmp_path):
+    """Each event has its sentence; a command of each kind is run as it is printed."""
+    events = json.loads(invoke("show", second_mode, "--json").stdout)["results"][0]["events"]
+    lines, run = invoke("show", second_mode).stdout, set()
+    assert all(event["what"] and event["what"] in lines for event in events)
+    doubled = next(event for event in events if event["kind"] == "period_doubling")
+    assert f"born are orbits of period {2 * doubled['period']:.9g}" in doubled["what"]
+    broken = next(event for event in events if event["kind"] == "branch_point")
+    assert "what breaks is brake or reflection, which these orbits have" in broken["what"]
+    assert not any("--curve" in command for command in broken["follow"])  # lasts while its symmetry does
+    for event in events:
+        for command in event["follow"]:
+            way = command.split()[3]
+            assert command in lines
+            if way in run:
+                continue
+            run.add(way)
+            words = shlex.split(command)[1:]
+            done = invoke(*words, "--points", 2, "--no-figures", "--out", tmp_path)
+            assert done.exit_code == 0, (command, done.output)
+    assert run == {"--switch", "--curve"}
+
+
+def test_a_family_without_its_nodes_says_that_nothing_follows_from_it_alone(second_mode, tmp_path):
+    shutil.copy(second_mode, tmp_path / "family.json")
+    assert "family.npz is not beside it: continue the family again" in invoke("show", tmp_path / "family.json").stdout
+    events = json.loads(invoke("show", tmp_path / "family.json", "--json").stdout)["results"][0]["events"]
+    assert not any(event.get("follow") for event in events)
 
 
 @pytest.mark.parametrize(

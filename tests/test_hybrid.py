@@ -614,8 +614,11 @@ def test_a_spoke_that_would_pull_ends_the_wheels_family():
     """g cos(slope + a) = l w^2 before the strike: tan(slope) = 1 / (9 tan(pi / 8)) for eight spokes."""
     orbit = of.find_orbit(of.Problem(rimless_wheel(), of.Guess([0.08 - np.pi / 8, 1.2], 1.0)))
     family = of.follow_family(orbit, "slope", settings=of.FamilySettings(parameter="slope", directions="forward"))
-    lost = family.events[-1]
+    lost, table = family.events[-1], family.table()
     assert (lost.kind, lost.detail) == ("holds", "spoke force")
+    assert np.allclose(table.amplitude_theta, np.pi / 8, rtol=1e-3) and np.array_equal(
+        table.slope, family.values("slope")
+    )
     assert lost.parameter == pytest.approx(np.arctan(1 / (9 * np.tan(np.pi / 8))), abs=1e-11)
 
 

@@ -132,6 +132,10 @@ def test_records_are_read_and_doctored_ones_refused(plane, tmp_path):
     file = of.save_map(plane, tmp_path / "map.json")
     model, again = mathieu(), load(file)
     assert again.counts == plane.counts and np.array_equal(again.nodes, plane.nodes)
+    table, first = again.tables()["points"], np.argmax(plane.known)
+    assert list(table)[:3] == ["index", *plane.parameters] and len(table["index"]) == plane.blank.size
+    assert table["largest_multiplier"][first] == plane.values("multiplier").ravel()[first]
+    assert (table["certified"] == "True").sum() == len(plane.sample)
     assert verified(again, model).passed
     nodes, wrong = plane.nodes.copy(), plane.verdicts.copy()
     nodes[3, 4] *= 1.0 + 1e-6

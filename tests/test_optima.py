@@ -245,6 +245,12 @@ def test_optima_are_saved_loaded_drawn_and_members_verified(tmp_path: Path, fold
     np.testing.assert_array_equal(again.values, folded.values)
     np.testing.assert_array_equal(again.costs, folded.costs)
     assert of.certify(of.load_orbit(f"{path}#2")).passed
+    table, known = again.tables(), folded.tables()["points"]  # the motions integrated again, and as they are known
+    assert (
+        np.array_equal(table["points"]["cost"], folded.costs) and table["events"]["point"][0] == folded.changes[0].index
+    )
+    assert np.allclose(table["points"]["amplitude_x"], known["amplitude_x"], rtol=1e-5)
+    assert np.array_equal(table["points"][folded.parameter], folded.values) and all(known["certified"])
     assert of.save_optima_figure(again, tmp_path).stat().st_size > 5000
     assert "10 points, 10 of them certified" in folded.counts
     document = json.loads(path.read_text())

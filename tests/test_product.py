@@ -60,7 +60,8 @@ TAKEN = {
     "verify": ORBITS | {"family", "optima", "tori", "tori#", "connection", "controller", "diagram", "map"} | RESTING,
     "plot": ORBITS | {"family", "atlas", "optima", "tori", "tori#", "section", "manifold", "connection", "controller",
                       "diagram", "map"} | RESTING,
-    "animate": ORBITS, "export": ORBITS | {"controller"} | RESTING, "studio": ORBITS | {"family", "atlas"},
+    "animate": ORBITS, "export": ORBITS | {"controller", "family", "optima", "tori", "tori#", "map"} | RESTING,
+    "studio": ORBITS | {"family", "atlas"},
     "page": {*KINDS} - {"branch-proof", "controller", "diagram", "map", "journal", "text"},
 }  # fmt: skip
 """What a verb answers; of anything else it says in one sentence what takes it"""

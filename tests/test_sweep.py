@@ -74,6 +74,9 @@ def test_values_that_are_not_reached_say_why(duffing):
     """At cubic = -1 / amplitude^2 = -1.5625 the motion starts on the saddle and stays there; below, it runs away."""
     found = of.sweep(duffing, cubic=[0.5, -1.6, -2.0])
     assert [row.certified for row in found.rows] == [True, False, False]
+    table = found.tables()["points"]
+    assert table["cubic"] == [0.5, -1.6, -2.0] and np.isfinite(table["period"]).tolist() == [True, False, False]
+    assert table["stability"][1:] == ["", ""]
     assert found.records[1]["period"] is None and found.rows[1].orbit is None
     assert found.rows[1].reason.startswith("not reached: from cubic = -1.5") and "fold" in found.rows[1].reason
     impossible = of.sweep(of.Problem(of.chain(1), of.Guess([0.5, 0.0], 1.7), of.pin(energy=-4.5)), energy=[-4.0, -5.0])

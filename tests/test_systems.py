@@ -1,6 +1,7 @@
 """The built-in systems: known results, symmetric variants, and rebuilding from a description."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ from orbitfinder.mechanics.model import energy
 from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.find import find_orbit
+from orbitfinder.orbits.simulate import simulate
+from orbitfinder.problemfile.read import load_problem
 from orbitfinder.records.orbit import save_orbit
 from orbitfinder.records.registry import load_orbit
 from orbitfinder.systems import FUNCTIONS
@@ -168,10 +171,56 @@ def test_foreign_code_runs_only_for_a_trusted_file(tmp_path):
         build_model({"kind": "python", "module": "../mine", "function": "make"}, tmp_path)
 
 
+def test_a_simulation_at_other_parameters():
+    """It is that of the model at these; others are refused."""
+    model = FUNCTIONS["duffing"](1.0, 0.0)
+    run = simulate(model, [1.0, 0.0], 2.0, samples=5, parameters={"stiffness": 4.0})
+    assert np.allclose(run.states[:, 0], np.cos(2 * run.times), atol=1e-9)
+    assert np.allclose(simulate(model, [1.0, 0.0], 2.0, samples=5).states[:, 0], np.cos(run.times), atol=1e-9)
+    with pytest.raises(InputError, match="stifness"):
+        simulate(model, [1.0, 0.0], 2.0, parameters={"stifness": 4.0})
+
+
+def test_a_module_beside_the_file_imports_its_neighbours(tmp_path):
+    """At its top and later, of a Python problem file too; of two folders each its own, and none stays behind."""
+    text = (
+        "import own_numbers\nimport orbitfinder as of\ndef made(cubic=own_numbers.CUBIC):\n    import own_more\n"
+        "    return of.systems.duffing(own_more.STIFFNESS, cubic)\n"
+        "def problem():\n    return of.Problem(made(), of.Guess([1.0, 0.0], 5.0), of.pin(x=1.0), name='own')\n"
+    )
+    for name, cubic in (("a", 2.0), ("b", 3.0)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "mine.py").write_text(text)
+        (tmp_path / name / "own_numbers.py").write_text(f"CUBIC = {cubic}\n")
+        (tmp_path / name / "own_more.py").write_text("STIFFNESS = 1.5\n")
+        model = build_model({"kind": "python", "module": "mine", "function": "made"}, tmp_path / name)
+        assert model.parameter_values.tolist() == [1.5, cubic]
+        read = load_problem(tmp_path / name / "mine.py", trust=True).model
+        assert read.parameter_values.tolist() == [1.5, cubic]
+    assert not {"own_numbers", "own_more"} & set(sys.modules) and str(tmp_path / "a") not in sys.path
+
+
+def test_a_builder_whose_numbers_are_not_its_models_parameters_is_refused_where_it_is_read(tmp_path):
+    """What worked until `verify`, which could not give the parameter to it."""
+    text = (
+        "import orbitfinder as of\ndef made(k=1.0, size=3):\n    return of.systems.duffing(k, 0.5)\n"
+        "def right(stiffness=1.0, size=3):\n    return of.systems.duffing(stiffness, 0.5)\n"
+    )
+    (tmp_path / "mine.py").write_text(text)
+    system = {"kind": "python", "module": "mine", "function": "made"}
+    said = "system.arguments: mine.made takes 'k', which is no parameter of its Model, and not the Model's 'stiffness'"
+    with pytest.raises(InputError, match=said):
+        build_model(system, tmp_path)
+    (tmp_path / "p.toml").write_text(
+        '[system]\nkind = "python"\nmodule = "mine"\nfunction = "made"\n[guess]\nstate = [1.0, 0.0]\nperiod = 5.0\n'
+    )
+    with pytest.raises(InputError, match="call both the same"):
+        load_problem(tmp_path / "p.toml", trust=True)
+    assert build_model(system | {"function": "right"}, tmp_path).parameter_names == ("stiffness", "cubic")
+
+
 def test_a_problem_file_asks_for_trust_and_gets_it(tmp_path):
     """The same through a TOML file."""
-    from orbitfinder.problemfile.read import load_problem
-
     (tmp_path / "mine.py").write_text(
         "from orbitfinder.systems import FUNCTIONS\ndef make():\n    return FUNCTIONS['duffing']()\n"
     )

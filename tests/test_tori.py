@@ -245,6 +245,9 @@ def test_at_a_fixed_rotation_number_and_the_file(golden, tmp_path):
     assert all(one.certificate.passed for one in found.tori)
     again = of.load_tori(of.save_tori(found, tmp_path / "tori.json"))
     assert again.end == found.end and again.held == found.held
+    table = again.tables()["points"]
+    assert table["rotation"] == [one.rotation for one in found.tori] and all(table["certified"])
+    assert np.allclose(table["frequency_2"] / table["frequency_1"], table["rotation"])
     for one, other in zip(found.tori, again.tori, strict=True):
         assert np.array_equal(one.curve, other.curve) and one.period == other.period
         assert one.certificate.checks == other.certificate.checks

@@ -80,7 +80,13 @@ def test_without_its_entry_it_is_drawn_and_not_believed(folder, tmp_path):
 def test_it_is_shown_with_what_leads_on(folder, known):
     code, said = run("show", folder / "family.json", "--json")
     (event,) = json.loads(said)["results"][0]["events"]
-    assert code == 0 and event["kind"] == "on_time" and event["follow"] == ["--curve 0 --parameters A,B"]
+    way = f"orbitfinder continue {folder / 'family.json'} --curve 0 --parameters energy,length1"
+    assert (
+        code == 0
+        and event["kind"] == "on_time"
+        and event["follow"] == [way]
+        and event["what"] == "the period is 1.72 s"
+    )
 
 
 def test_no_branch_leaves_there(folder, known, tmp_path):

@@ -1,7 +1,11 @@
 """What a user watches of an orbit: a column, a stop and an event, by closed forms; in files, after a kill, verified."""
 
 import json
+import sys
+from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -83,6 +87,59 @@ def test_columns_are_the_closed_forms(resonance):
     assert [one.watch for one in (*again.points, *again.events)] == [
         one.watch for one in (*family.points, *family.events)
     ]
+
+
+def test_the_table_has_the_closed_forms_and_goes_to_files(resonance, tmp_path, monkeypatch):
+    """A row a point by the parameter's own name, the amplitude of the coordinate, events and ends; in three formats,
+    and as a data frame where there is pandas."""
+    family, folder = resonance
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    table, events, ends = family.table(), family.table("events"), family.table("ends")
+    assert table.dtype.names == (
+        "index", "frequency", "period", "energy", "action", "amplitude_x", "min_x", "max_x",
+        "largest_multiplier", "stability", "certified", "closure", "peak", "spread", "power",
+    )  # fmt: skip
+    assert all(np.array_equal(table[name], family.values(name)) for name in ("frequency", "peak", "closure"))
+    assert np.allclose(table.amplitude_x, amplitude(table.frequency), rtol=2e-5, atol=0)
+    assert np.allclose(table.largest_multiplier, np.exp(-DAMPING * table.period / 2), rtol=1e-9)
+    assert [*events.detail] == [one.detail for one in family.events]
+    assert events.amplitude_x[0] == pytest.approx(amplitude(events.frequency[0]), rel=2e-5)
+    assert [*ends.kind] == [one.kind for one in family.ends] and ends.reason[-1] == "reached frequency = 2.0"
+    with pytest.raises(InputError, match="of: unknown table 'orbits'; it has points, events, ends"):
+        family.table("orbits")
+    with pytest.raises(InputError, match="name: unknown 'frequncy', did you mean 'frequency'"):
+        family.values("frequncy")
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=dict))
+    assert type(family.table()) is dict and np.array_equal(family.table()["frequency"], table.frequency)
+    monkeypatch.delitem(sys.modules, "pandas")
+    formats = ("csv", "json", "parquet") if find_spec("pyarrow") else ("csv", "json")
+    for to in formats:
+        done = CliRunner().invoke(cli, ["export", str(folder / "family.json"), "--to", to, "-o", str(tmp_path)])
+        assert done.exit_code == 0, done.output
+        names = [f"line{part}.{to}" for part in ("", "-events", "-ends")]
+        assert done.output.split() == [str(tmp_path / name) for name in names]
+    read = np.genfromtxt(tmp_path / "line.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    rows = json.loads((tmp_path / "line.json").read_text())
+    assert read.dtype.names == table.dtype.names == tuple(rows[0])
+    assert np.array_equal(read["amplitude_x"], table.amplitude_x) and rows[-1]["amplitude_x"] == table.amplitude_x[-1]
+    if len(formats) > 2:
+        from pyarrow import parquet
+
+        assert parquet.read_table(tmp_path / "line.parquet").to_pylist() == rows
+    refused = CliRunner().invoke(cli, ["export", str(folder / "family.json"), "--to", "c", "-o", str(tmp_path)])
+    assert refused.exit_code == 2 and "c files hold orbits, and line is a table; use one of csv" in refused.stderr
+
+
+def test_a_point_of_a_family_has_samples_where_it_is_asked_for(resonance):
+    family, _ = resonance
+    assert family.points[3].samples.size == 0 and len(family) == len(family.points) == len([*family])
+    point = family[3]
+    assert point.samples.shape == (point.times.size, 2) and np.array_equal(point.samples[0], family.points[3].state)
+    assert np.abs(point.samples[:, 0]).max() == pytest.approx(amplitude(point.value), rel=2e-5)
+    assert np.array_equal(family[-1].state, family.points[-1].state)
+    nowhere = replace(family, points=(replace(family.points[0], system={"kind": "mine"}),))
+    with pytest.raises(InputError, match=r"cannot rebuild 'mine'.*or of.simulate\(model, point.state, point.period"):
+        nowhere[0]
 
 
 def test_events_are_where_the_numbers_are_extremal(resonance):

@@ -7,9 +7,13 @@ there if that room is installed, and is complete without it.
 from __future__ import annotations
 
 import pkgutil
+from collections.abc import Callable
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
+from typing import Any
+
+from orbitfinder.errors import InputError
 
 PACKAGE = __name__.partition(".")[0]
 
@@ -21,3 +25,19 @@ def filled(registry: str) -> None:
         name = f"{PACKAGE}.{room.name}.{registry}"
         if room.ispkg and find_spec(name):
             import_module(name)
+
+
+def loaded(named: str | Callable[..., Any]) -> Callable[..., Any]:
+    """What is named as "room.file:function", its module imported; a function itself. Raises `InputError`."""
+    if callable(named):
+        return named
+    module, _, name = named.partition(":")
+    try:
+        entry = getattr(import_module(f"{PACKAGE}.{module}"), name, None)
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"{PACKAGE}.{module}".startswith(error.name):
+            raise
+        entry = None
+    if not callable(entry):
+        raise InputError(f"Kind: there is no {named!r} in orbitfinder; name 'room.file:function' in the entry of KINDS")
+    return entry  # type: ignore[no-any-return]

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Callable
 from typing import Any
 
 from orbitfinder.atlas.signature import in_words
 from orbitfinder.atlas.store import Atlas, AtlasRow, Filter, named_state, proved
-from orbitfinder.errors import InputError
+from orbitfinder.exports.tables import table_bytes
 from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.records.orbit import orbit_from_document
 
@@ -44,9 +42,11 @@ def _documents(atlas: Atlas, chosen: Filter | None) -> bytes:
     return (json.dumps(list(atlas.documents(chosen)), indent=1, allow_nan=False) + "\n").encode()
 
 
-def _table(atlas: Atlas, chosen: Filter | None) -> tuple[list[str], list[dict[str, Any]]]:
+def _table(atlas: Atlas, chosen: Filter | None, to: str) -> bytes:
     states = atlas.model.state_names
-    return list(flat_names(states)), [flat(atlas, row, states) for row in atlas.rows(chosen)]
+    rows, names = [flat(atlas, row, states) for row in atlas.rows(chosen)], flat_names(states)
+    told = {name: FIELDS.get(name, STATE) for name in names}
+    return table_bytes({name: [row[name] for row in rows] for name in names}, to, told, atlas.system)
 
 
 def flat_names(state_names: tuple[str, ...]) -> tuple[str, ...]:
@@ -68,36 +68,8 @@ def flat(atlas: Atlas, row: AtlasRow, state_names: tuple[str, ...]) -> dict[str,
     return {name: known[name] for name in flat_names(state_names)}
 
 
-def as_csv(names: list[str], rows: list[dict[str, Any]]) -> bytes:
-    """A CSV file with a header line; numbers round-trip exactly."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, names, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue().encode()
-
-
-def as_parquet(names: list[str], rows: list[dict[str, Any]], system: str) -> bytes:
-    """A Parquet file that says the system (JSON), and the unit and meaning of each column, in its metadata.
-
-    Raises `InputError` without the extra `parquet`.
-    """
-    try:
-        import pyarrow  # noqa: PLC0415  an extra
-        from pyarrow import parquet  # noqa: PLC0415  an extra
-    except ImportError as error:
-        raise InputError("kind: parquet needs pyarrow; pip install 'orbitfinder[parquet]', or use csv") from error
-    table = pyarrow.table({name: [row[name] for row in rows] for name in names})
-    told = {name: dict(zip(("unit", "meaning"), FIELDS.get(name, STATE), strict=True)) for name in names}
-    fields = [table.schema.field(name).with_metadata(told[name]) for name in names]
-    fields = [field.with_type(pyarrow.float64()) if pyarrow.types.is_null(field.type) else field for field in fields]
-    sink = io.BytesIO()
-    parquet.write_table(table.cast(pyarrow.schema(fields, {"system": system})), sink)
-    return sink.getvalue()
-
-
 WRITERS: dict[str, Callable[[Atlas, Filter | None], bytes]] = {
     "json": _documents,
-    "csv": lambda atlas, chosen: as_csv(*_table(atlas, chosen)),
-    "parquet": lambda atlas, chosen: as_parquet(*_table(atlas, chosen), json.dumps(atlas.system, sort_keys=True)),
+    "csv": lambda atlas, chosen: _table(atlas, chosen, "csv"),
+    "parquet": lambda atlas, chosen: _table(atlas, chosen, "parquet"),
 }

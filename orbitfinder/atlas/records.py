@@ -3,9 +3,10 @@
 from pathlib import Path
 from typing import Any
 
+from orbitfinder._runtime.rooms import loaded
 from orbitfinder.records.orbit import AGAIN
 from orbitfinder.records.reading import json_file
-from orbitfinder.records.registry import KINDS, Kind, loaded
+from orbitfinder.records.registry import KINDS, Kind
 
 
 def _facts(atlas: Any) -> dict[str, Any]:

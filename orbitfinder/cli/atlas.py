@@ -85,10 +85,13 @@ def list_orbits(book: Path, order: str, **options: Any) -> None:
       orbitfinder atlas list triple.sqlite --period ,3 --order "instability"
     """
     with of.Atlas(book) as opened:
-        rows = opened.rows(chosen(options), order)
+        from orbitfinder.mechanics.scales import worded
+
+        rows, system = opened.rows(chosen(options), order), opened.system
     wide = not on_terminal() or shutil.get_terminal_size().columns > 103  # from there on the whole table fits
-    action, closure = (f" {'action (J s)':>13}", f" {'closure':>9}") if wide else ("", "")
-    head = f"{'id':>6} {'energy (J)':>12} {'period (s)':>14}{action}  {'symmetry':<18}{'stability':<11}"
+    energy, period, acts = (worded(name, system) for name in ("energy (J)", "period (s)", "action (J s)"))
+    action, closure = (f" {acts:>13}", f" {'closure':>9}") if wide else ("", "")
+    head = f"{'id':>6} {energy:>12} {period:>14}{action}  {'symmetry':<18}{'stability':<11}"
     text(f"{head}{'largest |mu|':>12}{closure}")
     for row in rows:
         action, closure = (f" {row.action:>13.6f}", f" {row.closure:>9.1e}") if wide else ("", "")
@@ -112,6 +115,7 @@ def show(book: Path, number: int, trust: bool) -> None:
       orbitfinder atlas show triple.sqlite 12 --json > orbit.json && orbitfinder verify orbit.json
     """
     from orbitfinder.atlas.store import named_state, proved
+    from orbitfinder.mechanics.scales import worded
 
     with of.Atlas(book, trusted=trusted(book, trust)) as opened:
         document = opened.document(number)
@@ -124,7 +128,8 @@ def show(book: Path, number: int, trust: bool) -> None:
     for key, unit in (("period", "s"), ("energy", "J"), ("action", "J s"), ("closure", ""), ("symmetry", ""),
                       ("stability", "")):  # fmt: skip
         value = document[key]
-        text(f"  {key:<22}{f'{value:.12g}' if isinstance(value, float) else value} {unit}".rstrip())
+        line = f"{f'{value:.12g}' if isinstance(value, float) else value} {unit}".rstrip()
+        text(f"  {key:<22}{worded(line, document['system'])}")
     for name, value in named_state(document, names).items():
         text(f"  {name:<22}{value:.12g}")
     text(f"  {'signature':<22}{row.signature}")

@@ -20,7 +20,7 @@ from orbitfinder.cli.jobs import folder_of, model_of, named_orbits, whole_family
 from orbitfinder.cli.options import FILES, FINITE, NUMBERS, finish, next_step, numbers, option, picked, text, usual
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.certificate import certified
-from orbitfinder.records.family import UNITS, Batch, Event, number_of
+from orbitfinder.records.family import Batch, Event, number_of
 from orbitfinder.records.registry import held, member
 
 if TYPE_CHECKING:
@@ -133,7 +133,8 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
         text(f"  ended: {end.kind} ({end.reason})")
     for k in (asked := reached(family, at)):
         point = family.points[k]
-        where = f"{family.parameter} {with_unit(point.value, family.parameter)}: {folder / 'family.json'}#{k}"
+        value = with_unit(point.value, family.parameter, family.system)
+        where = f"{family.parameter} {value}: {folder / 'family.json'}#{k}"
         lasts = _lasting(point.period, family.system, 9)
         text(f"  {where}, period {lasts}, {point.stability}, symmetry {point.symmetry}")
     if written:
@@ -189,7 +190,7 @@ def event_words(event: Event, parameter: str, system: Mapping[str, Any]) -> str:
     """An event in words: kind, where with its error bar, period."""
     kind = f"{event.kind} {event.detail}".replace("_", " ").strip()
     known = "" if event.error is None else f" (+- {event.error:.1g})"
-    value, period = with_unit(event.parameter, parameter), _lasting(event.period, system, 6)
+    value, period = with_unit(event.parameter, parameter, system), _lasting(event.period, system, 6)
     return f"{kind} at {parameter} {value}{known}, period {period}"
 
 
@@ -199,9 +200,11 @@ def _lasting(time: float, system: Mapping[str, Any], digits: int) -> str:
     return lasting(time, system, digits)
 
 
-def with_unit(value: float, parameter: str) -> str:
-    """A value of a family's parameter; of physical ones no unit is known."""
-    return f"{value:.9g} {UNITS.get(parameter, '')}".rstrip()
+def with_unit(value: float, parameter: str, system: Mapping[str, Any]) -> str:
+    """A value of a family's parameter, with its unit where that is known."""
+    from orbitfinder.mechanics.scales import measured
+
+    return measured(value, {"period": "time"}.get(parameter, parameter), system)
 
 
 def _optima(
@@ -351,12 +354,12 @@ def _reporter(
         if not batch.points:
             return
         point, elapsed = batch.points[-1], time.monotonic() - began
-        value = with_unit(point.value, parameter)
+        value = with_unit(point.value, parameter, system)
         if shown.live:
             ordered = sorted(events, key=attrgetter("arclength"))  # as they are numbered in family.json
             rows = [
                 ("points", f"{seen[0]}, at most {most} each way"),
-                (parameter, value + (f" on the way to {with_unit(until, parameter)}" if until is not None else "")),
+                (parameter, value + ("" if until is None else f" on the way to {with_unit(until, parameter, system)}")),
                 ("period", _lasting(point.period, system, 9)), ("stability", point.stability),
                 ("step", f"{point.step:.2g}"), ("elapsed", f"{elapsed:.1f} s"), ("events", str(len(events))),
             ]  # fmt: skip

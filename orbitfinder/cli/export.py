@@ -22,17 +22,19 @@ from orbitfinder.records.registry import answer
 @option("to", "What to write.", kind=tuple(dict.fromkeys((*FORMATS, *TABLES))), required=True)
 @usual("Folder for the files; default: beside each ORBIT.json.", trust=SYSTEM_TRUST, json=False)
 def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> None:
-    """Write each ORBIT.json for another program.
+    """Write each ORBIT.json for another program, or what has many points as a table.
 
     csv: times and states, as `csv` in [guess] reads them. auto: NAME.f90, c.NAME and NAME.dat for AUTO-07p
     (then: @r NAME). julia: NAME.jl for BifurcationKit.jl. c: the right-hand side in plain C.
-    Of a controller.json csv are its gains, c itself in C and Python; of an equilibria.json csv and json its points.
+    Of a controller.json csv are its gains, c itself in C and Python. Families, equilibria, optima, tori
+    and maps are tables, csv, parquet or json: NAME.csv a row a point, NAME-events.csv and NAME-ends.csv what happens.
     FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas.
 
     \b
     Examples:
       orbitfinder export orbits/triple-1/orbit.json --to csv
       orbitfinder export orbits/triple-1/orbit.json --to auto -o auto
+      orbitfinder export families/triple-mode-2/family.json --to csv
     """
     for file, record, model in named_orbits(files, trust, verb="export", out=out):
         folder = file.parent if out is None else out

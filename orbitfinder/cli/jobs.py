@@ -10,7 +10,7 @@ import contextlib
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -72,6 +72,8 @@ class Outcome:
     written: tuple[str, ...] = ()
     reduction: str = ""
     """what the orbit is relative in, with the momenta held; or that it is a relative equilibrium"""
+    units: dict[str, str] = field(default_factory=dict)
+    """words for those of its numbers"""
 
     @property
     def passed(self) -> bool:
@@ -142,12 +144,13 @@ def run_job(job: ProblemJob, shown: Display | None = None) -> Outcome:
     from orbitfinder.atlas.choose import solve
     from orbitfinder.problemfile.read import load_problem_file
 
-    began = time.perf_counter()
-    report = None if shown is None else (lambda iteration: shown.show(progress(job.name, iteration)))
+    began, system = time.perf_counter(), dict[str, Any]()
+    report = None if shown is None else (lambda iteration: shown.show(progress(job.name, iteration, system)))
     try:
         with limited(job.limit, job.spent):
             loaded = job.loaded or load_problem_file(job.file, job.trust)
             problem = replace(loaded.wanted, method=job.method or loaded.wanted.method)
+            system.update(problem.model.system)
             orbit = solve(problem, loaded.starts, loaded.seed, report)
     except InputError:
         raise
@@ -161,12 +164,14 @@ def run_job(job: ProblemJob, shown: Display | None = None) -> Outcome:
         ) from error
 
 
-def progress(name: str, iteration: Iteration) -> Report:
+def progress(name: str, iteration: Iteration, system: Mapping[str, Any]) -> Report:
     """One step of a search."""
-    at, defect, period = iteration, f"{iteration.defect:.2e}", f"{iteration.period:.9g}"
-    line = f"{name}: {at.stage} {at.iteration}, defect {defect}, period {period} s, {at.elapsed:.1f} s elapsed"
+    from orbitfinder.mechanics.scales import lasting
+
+    at, defect, period = iteration, f"{iteration.defect:.2e}", lasting(iteration.period, system, 9)
+    line = f"{name}: {at.stage} {at.iteration}, defect {defect}, period {period}, {at.elapsed:.1f} s elapsed"
     return Report(line, [
-        ("problem", "stage", "iteration", "defect", "period (s)", "elapsed (s)"),
+        ("problem", "stage", "iteration", "defect", "period", "elapsed (s)"),
         (name, at.stage, str(at.iteration), defect, period, f"{at.elapsed:.1f}"),
     ])  # fmt: skip
 
@@ -174,6 +179,7 @@ def progress(name: str, iteration: Iteration) -> Report:
 def _written(job: ProblemJob, orbit: Orbit, model: Model, began: float) -> Outcome:
     """Write the result under the name it deserves; figures only of certified orbits."""
     from orbitfinder.mechanics.kind import with_parameters
+    from orbitfinder.mechanics.scales import units
     from orbitfinder.orbits.reduction import reduction
 
     certificate, folder = orbit.certificate, job.out / job.name
@@ -195,7 +201,7 @@ def _written(job: ProblemJob, orbit: Orbit, model: Model, began: float) -> Outco
         orbit.symmetry,
         dict(orbit.provenance.get("free", {})), failures,
         tuple(str(path) for path in written),
-        reduction(with_parameters(model, orbit.provenance.get("free", {})), orbit),
+        reduction(with_parameters(model, orbit.provenance.get("free", {})), orbit), units(orbit.system),
     )  # fmt: skip
 
 

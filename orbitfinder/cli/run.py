@@ -58,9 +58,10 @@ def _print_outcome(outcome: Outcome, width: int) -> None:
     if outcome.period is None:
         text(f"{name} {outcome.status}: {outcome.message}")
         return
+    levels = {"period": (outcome.period, "time"), "energy": (outcome.energy, "energy")}
+    told = [f"{key} {x:.12g} {outcome.units[unit]}" for key, (x, unit) in levels.items() if x is not None]
     text(
-        f"{name} {outcome.status}, period {outcome.period:.12g} s, "
-        + (f"energy {outcome.energy:.12g} J, " if outcome.energy is not None else "")
+        f"{name} {outcome.status}, {', '.join(map(str.rstrip, told))}, "
         + f"closure {outcome.closure:.1e}, {outcome.stability}, symmetry {outcome.symmetry}"
         + "".join(f", {key} = {value:.12g}" for key, value in outcome.chosen.items())
     )
@@ -86,6 +87,7 @@ def simulate(file: Path, duration: float | None, out: Path | None, trust: bool) 
       orbitfinder simulate problems/examples/double.toml --out runs
     """
     from orbitfinder.exports.write import csv_text
+    from orbitfinder.mechanics.scales import worded
     from orbitfinder.problemfile.read import load_problem_file
 
     loaded = load_problem_file(file, trust)
@@ -96,13 +98,14 @@ def simulate(file: Path, duration: float | None, out: Path | None, trust: bool) 
     result = of.simulate(loaded.model, loaded.start, loaded.duration if duration is None else duration)
     document = {"name": loaded.name} | result.document()
     kind, more = ("drift", "") if result.conserved else ("change", ", which this system does not conserve")
-    text(f"{loaded.name}: {result.times[-1]:g} s simulated")
+    system = loaded.model.system
+    text(worded(f"{loaded.name}: {result.times[-1]:g} s simulated", system))
     if document["energy"] is not None:
-        text(f"  {'energy':<22}{document['energy']:.12g} J")
-        text(f"  {f'energy {kind}':<22}{document[f'energy_{kind}']:.2e} J{more}")
+        text(worded(f"  {'energy':<22}{document['energy']:.12g} J", system))
+        text(worded(f"  {f'energy {kind}':<22}{document[f'energy_{kind}']:.2e} J{more}", system))
         text(f"  {'relative to exchanged':<22}{document[f'relative_energy_{kind}']:.2e}")
     for moment, event in result.events[:20]:
-        text(f"  {event:<22}at {moment:.12g} s")
+        text(worded(f"  {event:<22}at {moment:.12g} s", system))
     if more_events := result.events[20:]:
         text(f"  {'':<22}and {plural(len(more_events), 'more event')}")
     text(f"  {'end state':<22}" + ", ".join(f"{name} = {x:.9g}" for name, x in document["end"].items()))

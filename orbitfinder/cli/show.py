@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,7 @@ def show(files: tuple[Path, ...]) -> None:
     results = []
     for file in files:
         kind, facts = shown(file)
-        _followed(facts)
+        _followed(file, facts)
         results.append({"file": str(file), "kind": kind, **facts})
         text(f"{file}: {kinds()[kind].words}")
         for line in _lines(facts):
@@ -39,22 +40,27 @@ def show(files: tuple[Path, ...]) -> None:
     finish("show", {"results": results})
 
 
-def _followed(facts: Mapping[str, Any]) -> None:
-    """Say of the events of a family with which options `continue FILE` follows each."""
-    from orbitfinder.families.entries import FOLLOWED, SWITCHABLE
-
-    for k, event in enumerate(facts.get("events", ())):
-        ways = {f"--switch {k}": [*SWITCHABLE, "hopf"], f"--curve {k} --parameters A,B": FOLLOWED}
-        event["follow"] = [way for way, kinds in ways.items() if event["kind"] in kinds]
+def _followed(file: Path, facts: dict[str, Any]) -> None:
+    """Say of events what they are, what happens there, and the commands that follow them."""
+    if any("event" in row for row in facts.get("events", ())):
+        told = [{**row["event"], **row} for row in facts["events"]]
+        command = f"orbitfinder continue {shlex.quote(str(file))}"
+        facts["events"] = [
+            {name: entry for name, entry in row.items() if name != "event"}
+            | {"follow": [f"{command} {way}" for way in row.get("follow", ())]} for row in told
+        ]  # fmt: skip
 
 
 def _lines(facts: Mapping[str, Any], margin: str = "  ") -> Iterator[str]:
-    """A line for each entry, those of lists of tables below it."""
+    """A line for each entry, those of lists of tables below it, and what follows from events below these."""
     for name, value in facts.items():
         rows = value if isinstance(value, list) and any(isinstance(entry, Mapping) for entry in value) else ()
         yield f"{margin}{name.replace('_', ' '):<20}{'' if rows else _words(value)}".rstrip()
         for k, row in enumerate(rows):
-            yield f"{margin}{k:>6}  {_words(row)}"
+            below = [row.get("what", ""), *row["follow"]] if isinstance(row, Mapping) and "follow" in row else []
+            own = {name: entry for name, entry in row.items() if name not in ("what", "follow")} if below else row
+            yield f"{margin}{k:>6}  {_words(own)}"
+            yield from (f"{margin}{'':>8}{line}" for line in below if line)
 
 
 def _words(value: Any) -> str:

@@ -50,8 +50,8 @@ def sweep(
     if len(values) < len(given):
         raise InputError("--parameter: the same name twice; give each once")
     with limited(limit):
-        from orbitfinder.atlas.export import as_csv
         from orbitfinder.atlas.shard import shard_from
+        from orbitfinder.exports.tables import table_bytes
         from orbitfinder.problemfile.read import load_problem_file
         from orbitfinder.records.reading import finite, write_atomically, write_json
 
@@ -59,7 +59,7 @@ def sweep(
             """The table and, in the folder that goes with it, the orbits; all of the files."""
             home = path.parent if path.stem == "sweep" else path.with_suffix("")
             files = [of.save_orbit(orbit, home / orbit.name / "orbit.json") for orbit in swept.orbits if orbits]
-            write_atomically(path.with_suffix(".csv"), as_csv(list(swept.records[0]), swept.records))
+            write_atomically(path.with_suffix(".csv"), table_bytes(swept.tables()["points"], "csv"))
             return [path.with_suffix(".csv"), write_json(path, finite(swept.records)), *files]
 
         if part := shard_from(shard):

@@ -401,6 +401,12 @@ def _unseen(motion: _Controlled) -> tuple[float, float]:
     return changed, widest
 
 
+def controlled_samples(orbit: Orbit, model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states of a controlled orbit over its period, by its record alone. Raises `InputError`."""
+    assert orbit.control is not None
+    return _sampled(_Controlled(model, orbit.control, orbit.symmetry, tuple(orbit.shift), orbit.state, orbit.period))
+
+
 def _sampled(motion: _Controlled) -> tuple[np.ndarray, np.ndarray]:
     """Times and states of a picture: instants where segments meet once, those of events twice."""
     times, states = [], []

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder._runtime.notebook import Shown, brief
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import plural
 from orbitfinder.records.certificate import certified
 from orbitfinder.records.codec import Codec
 from orbitfinder.records.orbit import Orbit, Orbits
+from orbitfinder.records.table import Tabled
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Optima(Shown):
+class Optima(Tabled):
     """Controlled orbits along a family of optima.
 
     Args:
@@ -52,6 +53,7 @@ class Optima(Shown):
     """
 
     __repr__ = brief("name", "parameter", "points", "changes", "end")
+    _tables = "control.table:optima_tables"
     _entries = (..., "end", "values", "descents", "changes", "points")
 
     name: str

@@ -4,9 +4,10 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
+from orbitfinder._runtime.rooms import loaded
 from orbitfinder.control.controller import load_controller
 from orbitfinder.control.optimum import load_optima
-from orbitfinder.records.registry import KINDS, Kind, loaded
+from orbitfinder.records.registry import KINDS, Kind
 
 
 def _drawn(optima: Any, folder: Path, _: Any) -> list[Path]:
@@ -15,7 +16,7 @@ def _drawn(optima: Any, folder: Path, _: Any) -> list[Path]:
 
 KINDS["optima"] = Kind(
     "a family of optima", load_optima, attrgetter("points"), apart=True, verify="orbits.certify:certify", plot=_drawn,
-    page="site.gather:add_optima",
+    page="site.gather:add_optima", export="exports.tables:export_table",
 )  # fmt: skip
 KINDS["controller"] = Kind(
     "a controller", load_controller, verify="control.feedback:certify_controller",

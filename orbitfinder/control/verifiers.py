@@ -47,7 +47,8 @@ def _checks(trial: Trial) -> Iterator[Check | None]:
     for name, value in fit.violations.items():
         yield _task_check(name, value, allowed)
     for name, miss, _ in seen.events:
-        yield at_most(f"event: {name}", miss, allowed.distance, "miss of its guard, in periods")
+        wrong = "" if np.isfinite(miss) else "; it is crossed the other way than its direction says, or not allowed"
+        yield at_most(f"event: {name}", miss, allowed.distance, f"miss of its guard, in periods{wrong}")
     for name, _, early in seen.events:
         yield at_most(f"earlier: {name}", early, 0.0, "crossings of its guard before")
     yield from holding(seen.held, allowed)

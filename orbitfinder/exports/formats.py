@@ -27,5 +27,5 @@ FORMATS = Registry(Format, {
     "julia": Format("exports.julia:julia_files"),
     "c": Format("exports.c99:c_files"),
 })  # fmt: skip
-TABLES = ("csv", "json")
+TABLES = ("csv", "parquet", "json")
 """What records of many points are written as, a row each"""

@@ -15,6 +15,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, vector_field
+from orbitfinder.mechanics.scales import worded
 from orbitfinder.records.orbit import Orbit
 
 SAMPLES = 513
@@ -55,8 +56,11 @@ class Source:
         plain = "".join(letter if letter.isprintable() and letter.isascii() else "?" for letter in title)
         return [
             f"{plain.replace('*/', '* /')}",
-            f"period {self.orbit.period!r} s"
-            + (f", energy {self.orbit.energy!r} J" if np.isfinite(self.orbit.energy) else ""),
+            worded(
+                f"period {self.orbit.period!r} s"
+                + (f", energy {self.orbit.energy!r} J" if np.isfinite(self.orbit.energy) else ""),
+                self.orbit.system,
+            ),
             f"written by orbitfinder {__version__}",
         ]
 

@@ -1,9 +1,12 @@
-"""Records as tables, a row a point: CSV, and JSON as a list of rows by their columns."""
+"""Records as tables, a row a point: CSV, Parquet, and JSON as a list of rows by their columns."""
 
 from __future__ import annotations
 
 import csv
 import io
+import json
+import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,33 +14,70 @@ import numpy as np
 
 from orbitfinder.errors import InputError
 from orbitfinder.exports.formats import TABLES
-from orbitfinder.families.equilibrium import Equilibria
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import given_units, unit_names, units
 from orbitfinder.records.reading import finite, json_bytes, write_atomically
 from orbitfinder.records.registry import kind_of
+from orbitfinder.records.table import Tabled
+
+Told = Mapping[str, tuple[str, str]]
+"""The unit and the meaning of columns"""
 
 
-def table_bytes(columns: dict[str, Any], to: str) -> bytes:
-    """Columns of one length as one of `TABLES`; digits that round-trip, in JSON null for what is not finite."""
+def table_bytes(
+    columns: Mapping[str, Any], to: str, told: Told | None = None, system: Mapping[str, Any] | None = None
+) -> bytes:
+    """Columns of equal length as one of `TABLES`; digits that round-trip, CSV has nothing and JSON null for what is no
+    number. Parquet says the system (JSON) and what is `told` of columns in its metadata.
+
+    Raises `InputError` for parquet without its extra.
+    """
+    if to == "parquet":
+        return _parquet(columns, told or {}, json.dumps(dict(system or {}), sort_keys=True))
     rows = [*zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)]
     if to == "json":
         return json_bytes(finite([dict(zip(columns, row, strict=True)) for row in rows]))
-    csv.writer(text := io.StringIO(), lineterminator="\n").writerows([columns, *rows])
+    shown = [["" if value != value else value for value in row] for row in rows]
+    csv.writer(text := io.StringIO(), lineterminator="\n").writerows([[*columns], *shown])
     return text.getvalue().encode()
 
 
-def export_equilibria(equilibria: Equilibria, to: str, folder: Path, model: Model) -> list[Path]:
-    """What `export --to` writes of equilibria: NAME.csv or NAME.json, never over a record. Raises `InputError`."""
-    target, points = folder / f"{equilibria.name}.{to}", equilibria.points
+def _parquet(columns: Mapping[str, Any], told: Told, system: str) -> bytes:
+    try:
+        import pyarrow  # noqa: PLC0415  an extra
+        from pyarrow import parquet  # noqa: PLC0415  an extra
+    except ImportError as error:
+        raise InputError("kind: parquet needs pyarrow; pip install 'orbitfinder[parquet]', or use csv") from error
+    table = pyarrow.table({name: np.asarray(values).tolist() for name, values in columns.items()})
+    known = {name: dict(zip(("unit", "meaning"), told[name], strict=True)) for name in columns if name in told}
+    fields = [table.schema.field(name).with_metadata(known.get(name)) for name in columns]
+    fields = [field.with_type(pyarrow.float64()) if pyarrow.types.is_null(field.type) else field for field in fields]
+    sink = io.BytesIO()
+    parquet.write_table(table.cast(pyarrow.schema(fields, {"system": system})), sink)
+    return sink.getvalue()
+
+
+def _told(columns: Mapping[str, Any], model: Model) -> Told:
+    """The unit of each column of a system's table, where it has one."""
+    words, n = units(model.system), model.degrees_of_freedom
+    own = {**dict(zip(model.state_names[:n], unit_names(model), strict=True)), **given_units(model.system)}
+    own |= {"period": words["time"], "energy": words["energy"], "action": words["action"]}
+    found = {name: own.get(re.sub("^(amplitude|min|max)_", "", name), "") for name in columns}
+    return {name: (unit, "") for name, unit in found.items() if unit}
+
+
+def export_table(record: Any, to: str, folder: Path, model: Model) -> list[Path]:
+    """What `export --to` writes of a record of many points: NAME.csv (or parquet, json), its other tables that have
+    rows NAME-events.csv, NAME-ends.csv; never over a record. Raises `InputError`."""
+    tabled: Tabled = record
     if to not in TABLES:
-        raise InputError(f"to: {to} files hold orbits, and these are equilibria; use one of {', '.join(TABLES)}")
-    if target.exists() and kind_of(target):
-        raise InputError(f"--out: {target} is a record, which a table would replace; give another folder")
-    states, values = (np.array([getattr(point, name) for point in points]).T for name in ("state", "eigenvalues"))
-    columns = {"index": range(len(points)), equilibria.parameter: [point.value for point in points]}
-    columns |= dict(zip(model.state_names, states, strict=True))
-    for k, eigenvalue in enumerate(values, 1):
-        columns |= {f"eigenvalue_{k}_re": eigenvalue.real, f"eigenvalue_{k}_im": eigenvalue.imag}
-    columns |= {name: [getattr(point, name) for point in points] for name in ("stability", "residual", "certified")}
-    write_atomically(target, table_bytes(columns, to))
-    return [target]
+        raise InputError(f"to: {to} files hold orbits, and {record.name} is a table; use one of {', '.join(TABLES)}")
+    written = list[Path]()
+    for of, columns in tabled.tables(model).items():
+        target = folder / f"{record.name}{'' if of == 'points' else f'-{of}'}.{to}"
+        if target.exists() and kind_of(target):
+            raise InputError(f"--out: {target} is a record, which a table would replace; give another folder")
+        if of == "points" or len(next(iter(columns.values()))):
+            write_atomically(target, table_bytes(columns, to, _told(columns, model), record.system))
+            written.append(target)
+    return written

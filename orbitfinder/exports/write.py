@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from orbitfinder._runtime.arguments import check
+from orbitfinder._runtime.rooms import loaded
 from orbitfinder.errors import InputError
 from orbitfinder.exports.formats import FORMATS
 from orbitfinder.exports.source import samples_of, source_of
@@ -15,7 +16,6 @@ from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.orbit import Orbit, refuse_controlled
 from orbitfinder.records.reading import write_atomically
-from orbitfinder.records.registry import loaded
 
 
 def csv_text(state_names: Sequence[str], times: np.ndarray, states: np.ndarray) -> str:

@@ -16,6 +16,7 @@ from orbitfinder._runtime import locks
 from orbitfinder._runtime.keeping import kept
 from orbitfinder._runtime.limit import limited
 from orbitfinder._runtime.notebook import Shown, brief
+from orbitfinder._runtime.rooms import loaded
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, LimitError, closest, plural
 from orbitfinder.families.branches import LEAVING, branches, switch_branch
@@ -32,7 +33,7 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.records.certificate import Certificate, Check, at_most, equal
 from orbitfinder.records.codec import Codec
 from orbitfinder.records.family import End, Event, Family, load_family, reached, save_family
-from orbitfinder.records.registry import kinds, loaded
+from orbitfinder.records.registry import kinds
 
 NORM, SAME, NEAR, STEP = "norm", 1e-6, 0.2, 0.25
 """What is drawn instead of a coordinate, the length of the state or its root mean square; shares of the range and of a

@@ -25,7 +25,7 @@ from orbitfinder.loops.conditions import hyperplane
 from orbitfinder.loops.continued import Curve, Solution, correct
 from orbitfinder.loops.symmetry import NONE, beside, named, recognise
 from orbitfinder.mechanics.kind import with_parameters
-from orbitfinder.mechanics.scales import lasting
+from orbitfinder.mechanics.scales import lasting, measured
 from orbitfinder.records.family import End, FamilyPoint
 
 
@@ -472,7 +472,6 @@ def merged(interval: Interval, at: float, name: str) -> End | None:
     if not mirrored(interval, at):
         return None
     what = f"of period T/{covers}" if covers > 1 else f"of symmetry {seen}"
-    units = dict.fromkeys(curve.equations.physical, "") or {"energy": " J"}
-    place = solution.place
-    where = ", ".join(f"{name} {parameter_value(curve, place, name):.9g}{unit}" for name, unit in units.items())
+    place, names = solution.place, curve.equations.physical or ("energy",)
+    where = ", ".join(f"{name} {measured(parameter_value(curve, place, name), name, model.system)}" for name in names)
     return End("merged", f"joins a family {what} at {where}, period {lasting(place.period, model.system, 9)}")

@@ -12,6 +12,7 @@ import numpy as np
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.records.codec import Codec, Complexes, Unknown
 from orbitfinder.records.family import End, Reading
+from orbitfinder.records.table import Tabled
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,7 @@ CRITICAL: dict[str, Callable[[RestEvent], bool]] = {
 
 
 @dataclass(frozen=True)
-class Equilibria(Shown):
+class Equilibria(Tabled):
     """Equilibria along a parameter, or folds or Hopf points of equilibria along two.
 
     Args:
@@ -149,6 +150,7 @@ class Equilibria(Shown):
 
     __repr__ = brief("name", "parameter", "points", "events", "ends")
     _sparse = ("curve",)
+    _tables = "families.table:equilibria_tables"
     name: str
     system: Mapping[str, Any]
     parameter: str

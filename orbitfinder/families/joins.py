@@ -29,7 +29,7 @@ from orbitfinder.loops.continued import Curve, Solution, advanced, correct, plan
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.symmetry import Involution, called, involutions, named
 from orbitfinder.mechanics.model import wrapped
-from orbitfinder.mechanics.scales import lasting
+from orbitfinder.mechanics.scales import lasting, measured
 from orbitfinder.records.family import End
 from orbitfinder.records.reading import finite
 
@@ -274,9 +274,8 @@ def end_of(join: Join, more: str = "") -> End:
     alone = join.kept.involution is not None and join.kept.parts == 1
     what = "that is its own mirror image" if alone else f"of symmetry {symmetry}"
     what = what if join.kept.covers == 1 else f"of period T/{join.kept.covers}"
-    told = {name: (parameter_value(curve, place, name), "") for name in curve.equations.physical}
-    told = told or {"energy": (parameter_value(curve, place, "energy"), " J")}
-    where = ", ".join(f"{quantity} {value:.12g}{unit}" for quantity, (value, unit) in told.items())
+    system, names = curve.equations.model.system, curve.equations.physical or ("energy",)
+    where = ", ".join(f"{name} {measured(parameter_value(curve, place, name), name, system, 12)}" for name in names)
     period = place.period * join.kept.covers
     orbit = join.regular.place if alone else place  # at the join itself both families meet in one formulation
     joined = {
@@ -284,5 +283,5 @@ def end_of(join: Join, more: str = "") -> End:
         "winding": list(curve.turns), "free": freed(curve, orbit),
         "energy": finite(parameter_value(curve, orbit, "energy")),
     }  # fmt: skip
-    reason = f"joins a family {what} at {where}, period {lasting(period, curve.equations.model.system)}{more}"
+    reason = f"joins a family {what} at {where}, period {lasting(period, system)}{more}"
     return End("merged", reason, join.value, float(period), float(join.error), joined)

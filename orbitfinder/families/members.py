@@ -16,7 +16,7 @@ from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.continued import Curve, at_place
 from orbitfinder.loops.symmetry import recognise
-from orbitfinder.mechanics.kind import with_parameters
+from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certified as with_certificate
 from orbitfinder.orbits.certify import certify
@@ -54,6 +54,16 @@ def whole(orbit: Orbit, model: Model) -> Orbit:
         return replace(orbit, times=times, samples=samples)
     symmetry = recognise(times, samples, model)
     return with_certificate(_alone(orbit, times=times, samples=samples, symmetry=symmetry, closure=0.0), model)
+
+
+def sampled_point(point: FamilyPoint) -> FamilyPoint:
+    """A point with times and samples over its period. Raises `InputError` where no file describes its system."""
+    try:
+        model = build_model(point.system)
+    except InputError as error:
+        raise InputError(f"{error}; or of.simulate(model, point.state, point.period, parameters=point.free)") from error
+    times, samples = _period(point, model, SAMPLES)
+    return replace(point, times=times, samples=samples)
 
 
 def _alone(point: FamilyPoint, **changed: Any) -> Orbit:

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder._runtime.notebook import Shown, brief
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.orbits.floquet import STABILITIES
 from orbitfinder.records.codec import Codec, Dense
+from orbitfinder.records.table import Tabled, Tables, placed
 
 COLOURED, BLANK = ("stability", "multiplier", "amplitude", "period"), (
     "", "no orbit beside it was reached", "Newton's method does not converge, as beyond a fold or an end",
@@ -23,7 +24,7 @@ UNTRIED, DIVERGED, ENDLESS, ELSEWHERE, RESTING, STOPPED = range(1, len(BLANK))
 
 
 @dataclass(frozen=True)
-class ParameterMap(Shown):
+class ParameterMap(Tabled):
     """An orbit at each of R x C places in a plane of two parameters, all of a family.
 
     Args:
@@ -95,6 +96,21 @@ class ParameterMap(Shown):
             "amplitude": self.amplitudes[..., self.moving], "period": self.periods,
         }  # fmt: skip
         return np.where(self.known, numbers[by], np.nan)
+
+    def own_tables(self) -> Tables:
+        """Its table, a row a pixel; `certified` of those of the sample, "" of the others."""
+        row, column = (each.ravel() for each in np.indices(self.blank.shape))
+        sure = np.full(self.blank.shape, "", object)
+        sure[self.sample[:, 0], self.sample[:, 1]] = np.where(self.sample[:, 2], "True", "False")
+        words = np.where(self.known, np.array(STABILITIES)[self.verdicts], "")
+        amplitudes = np.where(self.known[..., None], self.amplitudes, np.nan)
+        across, up = self.parameters
+        return {"points": placed({across: self.columns[column], up: self.rows[row]}, {
+            "row": row, "column": column, "period": self.values("period").ravel(),
+            **{f"amplitude_{name}": amplitudes[..., k].ravel() for k, name in enumerate(self.coordinates)},
+            "largest_multiplier": self.values("multiplier").ravel(), "stability": words.ravel(),
+            "certified": sure.ravel().astype(str), "blank": np.array(BLANK)[self.blank].ravel(),
+        })}  # fmt: skip
 
     @property
     def moving(self) -> int:

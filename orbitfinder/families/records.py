@@ -1,13 +1,14 @@
 """The records of this room, for the registry of records."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 from orbitfinder.errors import plural
 from orbitfinder.families.diagram import load_diagram
 from orbitfinder.families.equilibrium import EQUILIBRIA, Equilibria, load_equilibria
+from orbitfinder.families.happening import facts
 from orbitfinder.families.plane import load_map
-from orbitfinder.records.registry import KINDS, Kind
+from orbitfinder.records.registry import KINDS, Kind, answers
 
 __all__ = ["EQUILIBRIA"]
 
@@ -24,14 +25,14 @@ def _facts(rest: Equilibria, shown: int = 2) -> Any:
     points, more = rest.points, len(rest.points) - 2 * shown
     sure = sum(point.certified for point in points)
     some = (*points[:shown], f"and {more} more", *points[-shown:]) if more > 1 else points
-    entries = {entry.name: getattr(rest, entry.name) for entry in fields(rest)}
     return {
         "counts": f"{len(points)} equilibria, {sure} certified; {plural(len(rest.events), 'event')}",
-        **entries,
+        **facts(rest),
         "points": some,
     }
 
 
+answers("family", facts=facts)
 KINDS[EQUILIBRIA] = Kind(
     "equilibria", load_equilibria, _each, holds=EQUILIBRIA, verify="families.rest_curves:verified", facts=_facts,
 )  # fmt: skip

@@ -29,7 +29,7 @@ from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.mesh import STEP_ERROR
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.newton import Settings, equilibrium
-from orbitfinder.mechanics.scales import lasting
+from orbitfinder.mechanics.scales import lasting, measured
 from orbitfinder.records.family import End
 
 
@@ -135,13 +135,18 @@ def blown_up(run: Run, step: Walked, more: str = "") -> End | None:
     """The end of a family whose period has grown, at the saddles or the saddle-node that its orbits come near."""
     curve, solution, n = run.curve, step.solution, run.curve.equations.model.degrees_of_freedom
     state, resting = slowness(curve, solution)[1], can_rest(curve)
-    lasts = lasting(solution.place.period, curve.equations.model.system, 6)
+    system = curve.equations.model.system
+    lasts = lasting(solution.place.period, system, 6)
     grown = f"the period blows up ({lasts}, {step.stretch:.3g} times the shortest)"
     known = list(passed(curve, solution)) if resting else []
     if not near_saddle(curve, solution, state) or (resting and not known):  # of a canard: no saddle holds it up
         return _saddle_node(run, step, state, grown, more) if resting else None
     energy = parameter_value(curve, solution.place, "energy")
-    grown += f" at energy {energy:.9g} J" if np.isfinite(energy) and run.settings.parameter != "energy" else ""
+    grown += (
+        f" at energy {measured(energy, 'energy', system)}"
+        if np.isfinite(energy) and run.settings.parameter != "energy"
+        else ""
+    )
     if not known:
         where = np.array2string(state[:n], precision=4, suppress_small=True)
         return End("homoclinic", f"{grown}, slowest near q = {where}{more}")

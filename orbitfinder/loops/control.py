@@ -90,7 +90,8 @@ class Control:
         final: added to it, of the state at t = 0, parameters and period.
         tasks: what the motion must do.
         method: shooting or collocation.
-        guess: values of the controls to start from, by name.
+        guess: where coefficients start, by control: one number for all of them, or each: of splines in the order
+            of time, of a Fourier series constant, cos 1, sin 1, cos 2, sin 2, ... of the phase.
         numbers: that cost and tasks use by name, so that `of.follow_optima` may follow them.
 
     Raises:

@@ -20,6 +20,7 @@ from orbitfinder.mechanics.first_order import Named, hamiltonian, ode
 from orbitfinder.mechanics.kind import KINDS, SystemKind
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import with_units
 
 Reader = Callable[[str, str], Any]
 """(text, its field) -> its value in symbols"""
@@ -49,6 +50,7 @@ def equations(
     invariants: Mapping[str, str] | None = None,
     angles: Sequence[str] = (),
     period: str | float | None = None,
+    units: Mapping[str, str] | None = None,
 ) -> Model:
     """The Model of equations as text: x' = f(t, x, p), Hamilton's of H(q, p), or Lagrange's of T - V with forces.
 
@@ -69,6 +71,7 @@ def equations(
         invariants: first integrals by name, which keep their value along motions; the energy of others is known.
         angles: states or coordinates that may turn.
         period: of the explicit dependence on the time, a number or a text of parameters such as "2*pi/omega".
+        units: words for time, length, mass, angle, or a state or parameter by name ("ms", "mV"); nothing is converted.
 
     Returns:
         A Model, which files describe by its text.
@@ -85,7 +88,7 @@ def equations(
     See Also:
         `of.ode`, `of.hamiltonian` and `of.lagrange` from Python functions, `of.from_xpp` for XPPAUT's files.
     """
-    given = {key: _plain(value) for key, value in locals().items() if value is not None and value != ()}
+    given = {k: _plain(value) for k, value in locals().items() if value is not None and value != () and k != "units"}
     given = {"kind": "equations", "parameters": {}} | given
     form = _form(given)
     names = [*(states or rates or ())] if form == "rates" else [*coordinates, *momenta]
@@ -97,7 +100,8 @@ def equations(
         given["forces"] = dict(zip(names, acting, strict=True))
     _check_names(given, form, names)
     _check_time(given, form)
-    return {"rates": _first_order, "hamiltonian": _hamiltonian, "kinetic": _lagrange}[form](given, names)
+    made = {"rates": _first_order, "hamiltonian": _hamiltonian, "kinetic": _lagrange}[form](given, names)
+    return with_units(made, units)
 
 
 def _plain(value: Any) -> Any:

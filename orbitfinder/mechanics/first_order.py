@@ -16,6 +16,7 @@ from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.controls import Limits, with_controls
 from orbitfinder.mechanics.lagrange import strangers
 from orbitfinder.mechanics.model import Dynamics, Invariant, Mechanics, Model, Structure, altered
+from orbitfinder.mechanics.scales import NEUTRAL, with_units
 
 Field = Callable[[Any, "Named", "Named"], Any]
 """(t, x, p) -> x'"""
@@ -84,6 +85,7 @@ def ode(
     points: Callable[[Named, Named], Any] | None = None,
     controls: Sequence[str] = (),
     limits: Limits | None = None,
+    units: Mapping[str, str] | None = None,
 ) -> Model:
     """The Model of a first-order system x' = f(t, x, p).
 
@@ -101,6 +103,7 @@ def ode(
         points: function (x, p) of positions (down, right; 2 x k, m) that pictures join by lines.
         controls: parameters that may vary in time.
         limits: of the controls: greatest magnitude, or lowest and highest, by name.
+        units: words for time, length, mass, angle, or a state or parameter by name ("ms", "mV"); nothing is converted.
 
     Returns:
         A Model with `rates`; its velocities are empty.
@@ -125,6 +128,7 @@ def ode(
     if isinstance(integrals, Mapping):
         integrals = [symbols.invariant(name, _expression(name, scalar, symbols)) for name, scalar in integrals.items()]
     made = with_controls(_model(rate, symbols, integrals, angles, forcing_period, symmetries, system), controls, limits)
+    made = with_units(made, units)
     return made if points is None else altered(made, points=symbols.positions(points))
 
 
@@ -140,6 +144,7 @@ def hamiltonian(
     forcing_period: Callable[[Named], Any] | float | None = None,
     symmetries: Mapping[str, tuple[int, Mapping[str, int]]] | None = None,
     system: Mapping[str, Any] | None = None,
+    units: Mapping[str, str] | None = None,
 ) -> Model:
     """The Model of Hamilton's equations q' = dH/dp, p' = -dH/dq, with the state x = (q, p).
 
@@ -157,6 +162,7 @@ def hamiltonian(
         forcing_period: of an explicit dependence on time, a number or a function of the parameters.
         symmetries: {name: (sense of time, {component: -1})}.
         system: a description from which files rebuild the Model.
+        units: words for time, length, mass, angle, or a state or parameter by name ("ms", "mV"); nothing is converted.
 
     Returns:
         A Model with `rates`, `hamiltonian` true.
@@ -182,7 +188,7 @@ def hamiltonian(
         expression = _expression(name, scalar, symbols)
         _check_commutes(name, expression, rate, symbols)
         integrals.append(symbols.invariant(name, expression, symbols.turned(expression)))
-    return _model(rate, symbols, integrals, angles, forcing_period, symmetries, system, level)
+    return with_units(_model(rate, symbols, integrals, angles, forcing_period, symmetries, system, level), units)
 
 
 class _Symbols:
@@ -267,7 +273,7 @@ def _model(
         (name, _sense(name, sense), symbols.signs(moved)) for name, (sense, moved) in (symmetries or {}).items()
     )
     return Model(
-        dict(system or {"kind": "custom"}),
+        dict(system or {"kind": "custom", "units": NEUTRAL}),
         Dynamics(
             symbols.names, tuple(symbols.values), np.array(list(symbols.values.values()), float),
             symbols.function("acceleration", ca.SX(0, 1), timed=True),

@@ -8,8 +8,11 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import inspect
 import json
-from collections.abc import Callable, Mapping
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import get_ident
@@ -23,7 +26,7 @@ from orbitfinder.mechanics.constrained import Loops
 from orbitfinder.mechanics.controls import check_constant, with_controls
 from orbitfinder.mechanics.hybrid import at_numbers, with_cycle
 from orbitfinder.mechanics.model import Model, altered
-from orbitfinder.mechanics.scales import with_scales
+from orbitfinder.mechanics.scales import with_scales, with_units
 from orbitfinder.records.orbit import system_at
 
 BUILT_IN = "orbitfinder.systems"
@@ -84,9 +87,10 @@ def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model
 
 
 def _built(kind: SystemKind, system: Mapping[str, Any], trusted: Path | None) -> Model:
-    model = kind.build(system, trusted)
+    bare = {key: value for key, value in system.items() if key != "units"}
+    model = kind.build(bare, trusted)
     check(f"SystemKind {system.get('kind')!r}, build", "Model", model)
-    return model
+    return with_units(model, system.get("units"))
 
 
 def system_kind(system: Mapping[str, Any]) -> SystemKind:
@@ -127,7 +131,8 @@ def python_model(system: Mapping[str, Any], trusted: Path | None = None) -> Mode
         raise InputError("system: a python system needs module and function (text) and arguments (a table)")
     function = _built_in(name) if module == BUILT_IN else _foreign(module, name, trusted)
     try:
-        model = with_parameters(function().model, arguments) if name == PROBLEM else function(**arguments)
+        with neighbours(trusted):
+            model = with_parameters(function().model, arguments) if name == PROBLEM else function(**arguments)
     except InputError:
         raise
     except TypeError as error:
@@ -136,13 +141,47 @@ def python_model(system: Mapping[str, Any], trusted: Path | None = None) -> Mode
         raise InputError(f"system.function: {module}.{name} failed with {type(error).__name__}: {error}") from error
     if not isinstance(model, Model):
         raise InputError(f"system.function: {module}.{name} returned {type(model).__name__}; return a Model")
+    if module != BUILT_IN and name != PROBLEM:
+        _check_arguments(f"{module}.{name}", function, arguments, model)
     scales = system.get("scales", model.scales)
     if module != BUILT_IN:
-        model = replace(model, system=described({}, module, name, arguments))
+        told = {key: model.system[key] for key in ("units",) if key in model.system}
+        model = replace(model, system=described(told, module, name, arguments))
     if not isinstance(scales, Mapping):
         raise InputError("system.scales: must be a table of names and sizes")
     model = with_scales(_controlled(model, system), scales)
     return with_cycle(model, system["cycle"]) if "cycle" in system else model
+
+
+def _check_arguments(where: str, function: Callable[..., Any], given: Mapping[str, Any], model: Model) -> None:
+    """`InputError` for numbers under other names than the Model's parameters, which files could not give back."""
+    taken = inspect.signature(function).parameters
+    if any(each.kind is each.VAR_KEYWORD for each in taken.values()):
+        return
+    values = {name: given.get(name, each.default) for name, each in taken.items()}
+    strange = [name for name, x in values.items() if isinstance(x, float) and name not in model.parameter_names]
+    missing = [name for name in model.parameter_names if name not in taken]
+    if strange and missing:
+        raise InputError(
+            f"system.arguments: {where} takes {strange[0]!r}, which is no parameter of its Model, and not the Model's "
+            f"{missing[0]!r}, so that no file could give that back; call both the same"
+        )
+
+
+@contextmanager
+def neighbours(folder: Path | None) -> Iterator[None]:
+    """Modules of a trusted folder may be imported meanwhile, and are then forgotten: others may have the same names."""
+    before, place = set(sys.modules), str(folder)
+    if folder is not None:
+        sys.path.insert(0, place)
+    try:
+        yield
+    finally:
+        if folder is not None:
+            sys.path.remove(place)
+        for name in set(sys.modules) - before:
+            if folder and Path(getattr(sys.modules[name], "__file__", None) or ".").parent == folder:
+                del sys.modules[name]
 
 
 def described(
@@ -195,7 +234,8 @@ def _foreign(module: str, name: str, trusted: Path | None) -> Callable[..., Any]
             spec = importlib.util.spec_from_file_location(f"orbitfinder_trusted_{module}", place)
             assert spec is not None and spec.loader is not None
             imported = importlib.util.module_from_spec(spec)
-            spec.loader.exec_module(imported)
+            with neighbours(place.parent):
+                spec.loader.exec_module(imported)
         else:
             imported = importlib.import_module(module)
     except Exception as error:

@@ -15,7 +15,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.mechanics.controls import Limits, checked_controls, checked_limits, divided
 from orbitfinder.mechanics.factorise import acceleration_function
 from orbitfinder.mechanics.model import Drive, Dynamics, Invariant, Mechanics, Model, Structure, altered
-from orbitfinder.mechanics.scales import with_scales
+from orbitfinder.mechanics.scales import with_scales, with_units
 
 
 @dataclass(frozen=True)
@@ -191,6 +191,7 @@ def lagrange(
     scales: Mapping[str, float] | None = None,
     controls: Sequence[str] = (),
     limits: Limits | None = None,
+    units: Mapping[str, str] | None = None,
 ) -> Model:
     """The Model of a system given by its kinetic and its potential energy, CasADi SX expressions.
 
@@ -216,6 +217,7 @@ def lagrange(
             angles, where no motion shows them yet (modes, searches).
         controls: parameters that may vary in time.
         limits: of the controls: greatest magnitude, or lowest and highest, by name.
+        units: words for time, length, mass, angle, or a state or parameter by name ("ms", "mN"); nothing is converted.
 
     Returns:
         A Model.
@@ -255,7 +257,7 @@ def lagrange(
         controls=controls,
         limits=limits,
     )
-    return with_scales(altered(model, strokes=tuple(strokes)), scales)
+    return with_units(with_scales(altered(model, strokes=tuple(strokes)), scales), units)
 
 
 def _reversals(symmetries: Mapping[str, Sequence[int]], count: int) -> tuple[tuple[str, int, tuple[int, ...]], ...]:

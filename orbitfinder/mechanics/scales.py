@@ -12,6 +12,7 @@ what is within a factor of 16 counts as equal, and the rest are powers of two, w
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -39,24 +40,85 @@ WIDE = 2.0**16
 """Conditions that change by less than 256 with the unknowns, such as energies in J, are rows as they are."""
 
 
-DIMENSIONLESS = ("henon_heiles", "restricted_three_body", "planar_oscillator", "van_der_pol", "lorenz", "rossler",
-                 "brusselator", "fitzhugh_nagumo")  # fmt: skip
-"""Systems of orbitfinder.systems and .flows whose equations carry no units"""
+DIMENSIONLESS = ("henon_heiles", "restricted_three_body", "restricted_three_body_canonical", "planar_oscillator",
+                 "van_der_pol", "lorenz", "rossler", "brusselator", "fitzhugh_nagumo", "hodgkin_huxley")  # fmt: skip
+"""Systems of orbitfinder.systems and .flows whose equations carry no units, or their own"""
+OWN = {"hodgkin_huxley": {"time": "ms", "V": "mV", "current": "uA/cm^2"}}
+SI = {"time": "s", "length": "m", "mass": "kg", "angle": "rad", "energy": "J", "action": "J s"}
+NEUTRAL = dict.fromkeys(SI, "") | {"angle": "rad"}
+WORD = re.compile(r"[\w %/^*.()-]{0,24}")
+"""A unit as it may be called"""
 
 
 def units(system: Mapping[str, Any]) -> dict[str, str]:
-    """The units of energies, times, actions and lengths: SI, or none where the equations carry none, or are rates as
-    text, which state none."""
-    bare = system.get("function") in DIMENSIONLESS or "rates" in system
-    return {"energy": "", "time": "", "action": "", "length": ""} if bare else SI
+    """The words for units of `SI`'s quantities, and of states and parameters by name: those given, else SI, or none
+    where equations carry none, or are rates as text, which state none. Of other than SI's, kg m^2/s^2 and that times s
+    are energy and action."""
+    bare, told = system.get("function") in DIMENSIONLESS or "rates" in system, system.get("units", {})
+    given = {**OWN.get(str(system.get("function")), {}), **(told if isinstance(told, Mapping) else {})}
+    given = {name: word for name, word in given.items() if isinstance(word, str) and WORD.fullmatch(word)}
+    known = (NEUTRAL if bare else SI) | given
+    time, length, mass, _, energy, action = (known[name] for name in SI)
+    if "energy" not in given and any(given.get(name, SI[name]) != SI[name] for name in ("time", "length", "mass")):
+        energy = f"{mass} {length}^2/{time}^2" if mass and length and time else ""
+    if "action" not in given and energy != SI["energy"]:
+        action = f"{energy} {time}" if energy and time else ""
+    return known | {"energy": energy, "action": action}
 
 
-SI = {"energy": "J", "time": "s", "action": "J s", "length": "m"}
+def with_units(model: Model, given: Mapping[str, str] | None) -> Model:
+    """The Model whose quantities have these units in words, its description included; `InputError` for others.
+
+    Nothing is converted. Of a first-order system only those are known that are given.
+    """
+    if not given:
+        return model
+    known = [*SI, *model.state_names, *model.parameter_names]
+    for name, word in given.items():
+        if name not in known:
+            raise InputError(f"units: unknown {name!r}{closest(name, known)}; give words for {', '.join(known[:20])}")
+        if not (isinstance(word, str) and WORD.fullmatch(word)):
+            raise InputError(f"units.{name}: {str(word)[:30]!r} is no unit; give a word such as 'ms' or 'N/mm'")
+    whole = (NEUTRAL if model.rates is not None else {}) | dict(given)
+    return replace(model, system={**model.system, "units": whole})
 
 
 def lasting(time: float, system: Mapping[str, Any], digits: int = 12) -> str:
     """A time in words, with its unit where the equations carry one."""
-    return f"{time:.{digits}g} {units(system)['time']}".rstrip()
+    return measured(time, "time", system, digits)
+
+
+def measured(value: float, quantity: str, system: Mapping[str, Any], digits: int = 9) -> str:
+    """A value in words, with the unit of its quantity, or of a parameter by name, where that is told."""
+    told = units(system) if quantity in ("time", "energy") else given_units(system)
+    return f"{value:.{digits}g} {told.get(quantity, '')}".rstrip()
+
+
+def given_units(system: Mapping[str, Any]) -> dict[str, str]:
+    """The words for units of states and parameters by name."""
+    return {name: word for name, word in units(system).items() if name not in SI}
+
+
+UNIT, QUANTITIES = re.compile(r" \(([^()]*)\)|(?<=\d) (J|s)\b"), {word: name for name, word in SI.items()}
+"""Units as texts have them: after a name in brackets, after a number"""
+
+
+def worded(text: str, system: Mapping[str, Any]) -> str:
+    """A text in SI units with a system's words in their place, and without units where it has none."""
+    words = units(system)
+
+    def told(unit: str) -> str | None:
+        parts = [part if part == "1" else words.get(QUANTITIES.get(part, "")) for part in unit.split("/")]
+        return None if None in parts else "/".join(map(str, parts)) * ("" not in parts)
+
+    def converted(match: re.Match[str]) -> str:
+        found = [told(unit) for unit in (match[1] or match[2]).split(" or ")]
+        if None in found:
+            return match[0]
+        kept = " or ".join(dict.fromkeys(filter(None, found)))
+        return (f" ({kept})" if match[1] else f" {kept}") if kept else ""
+
+    return text if all(words[name] == SI[name] for name in SI) else UNIT.sub(converted, text)
 
 
 def snapped(values: np.ndarray | float, base: float = ALIKE**2) -> np.ndarray:
@@ -68,12 +130,13 @@ def snapped(values: np.ndarray | float, base: float = ALIKE**2) -> np.ndarray:
 
 
 def unit_names(model: Model) -> list[str]:
-    """Unit of each coordinate: rad for angles, m otherwise; none is known of a first-order system's components."""
-    n = model.degrees_of_freedom
-    if model.rates is not None:
-        return ["rad" if angle else "" for angle in model.angular]
-    angles = model.angles or (True,) * n
-    return ["rad" if angle else "m" for angle in angles]
+    """Unit of each coordinate: its own, that of angles, or of lengths; none is known of other components of a
+    first-order system."""
+    words, n = units(model.system), model.degrees_of_freedom
+    angles = model.angular if model.rates is not None else model.angles or (True,) * n
+    other = "" if model.rates is not None else words["length"]
+    named = zip(model.state_names[:n], angles, strict=True)
+    return [given_units(model.system).get(name, words["angle"] if angle else other) for name, angle in named]
 
 
 def masses_of(kinetic: Callable[..., Any], state: np.ndarray, model: Model | None = None) -> np.ndarray:

@@ -38,6 +38,7 @@ from orbitfinder.mechanics.lagrange import (
     take_apart,
 )
 from orbitfinder.mechanics.model import Baumgarte, Model
+from orbitfinder.mechanics.scales import with_units
 from orbitfinder.mechanisms.closing import LoopClosure, Table, independent_rows_at, point_sizes
 
 GROUND = "ground"
@@ -251,6 +252,7 @@ def mechanism(
     values: Table | None = None,
     scales: Mapping[str, float] | None = None,
     drawn: Table | None = None,
+    units: Mapping[str, str] | None = None,
 ) -> Model:
     """The Model of a mechanism in the plane or in space, described as drawn: bodies, joints, springs, dampers, motors.
 
@@ -276,6 +278,7 @@ def mechanism(
         values: numbers that replace parameters.
         scales: sizes to measure in, by name.
         drawn: what pictures show beside the bodies.
+        units: words for time, length, mass, angle, or a state or parameter by name ("ms", "mV"); nothing is converted.
 
     Returns:
         A Model; with a constraint where there are loops.
@@ -308,7 +311,7 @@ def mechanism(
     motion = _Energies.of(drawing)
     numbers.finish()
     made = _closed(drawing, motion, baumgarte) if drawing.closing else _tree(drawing, motion)
-    return replace(made, scales={k: float(v) for k, v in scales.items()}) if scales else made
+    return with_units(replace(made, scales={k: float(v) for k, v in (scales or {}).items()}), units)
 
 
 def _description(tables: Mapping[str, Any], gravity: Any, dimension: Any, redundant: Any) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ from orbitfinder.errors import InputError, IntegrationError, plural
 from orbitfinder.integrate.automaton import MOST_EVENTS, Automaton
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.integrate.dop853 import integrate
+from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model, energies
 
 SAMPLES_PER_SECOND = 100
@@ -69,8 +70,9 @@ class Simulation(Shown):
 
 
 def simulate(
-    model: Model, state: Sequence[float] | np.ndarray, duration: float, samples: int | None = None
-) -> Simulation:
+    model: Model, state: Sequence[float] | np.ndarray, duration: float, samples: int | None = None,
+    parameters: Mapping[str, float] | None = None,
+) -> Simulation:  # fmt: skip
     """The motion of a Model from a state.
 
     A hybrid system begins in the first mode of its cycle and goes through its events; a sample at an event is after
@@ -81,6 +83,7 @@ def simulate(
         state: where it begins (2n).
         duration: s.
         samples: how many equal times, both ends included; 100 a second if None.
+        parameters: values of physical parameters by name, the model's own where left out.
 
     Returns:
         `times` (k, s), `states` (k x 2n) and what the energy drifts by.
@@ -99,6 +102,7 @@ def simulate(
     """
     if not 0 < duration < LONGEST:
         raise InputError(f"duration: must be positive and below {LONGEST:g} s, got {duration}; give a time in s")
+    model = with_parameters(model, parameters or {})
     count = samples or int(min(max(duration * SAMPLES_PER_SECOND, 100), MOST_SAMPLES)) + 1
     if not model.smooth:
         return _simulated(model, checked_state(model, state), np.linspace(0.0, duration, count))

@@ -47,6 +47,7 @@ from orbitfinder.records.codec import plain
 from orbitfinder.records.journal import Checkpoints, checkpoints, packed, unpacked
 from orbitfinder.records.orbit import SHARE, Orbit, orbit_from_document, orbit_to_document
 from orbitfinder.records.reading import typed
+from orbitfinder.records.table import Tabled, Tables
 
 LIMIT = 3600.0
 """Seconds after which a sweep stops unless told otherwise."""
@@ -83,8 +84,8 @@ class Row(Shown):
 
 
 @dataclass(frozen=True)
-class Sweep(Shown):
-    """The rows of a sweep in the order of their values; `records` is a table, `pandas.DataFrame(sweep.records)`."""
+class Sweep(Tabled):
+    """The rows of a sweep in the order of their values, and as a `table()`."""
 
     __repr__ = brief("parameters", "certified", "seconds")
 
@@ -98,6 +99,11 @@ class Sweep(Shown):
         """A dict a row: parameters, whether certified, the reason why not, numbers, instability, the state."""
         return [row.record(self.state_names) for row in self.rows]
 
+    def own_tables(self) -> Tables:
+        """Its table, with nothing where there is no orbit."""
+        rows = [{k: missing(k) if x is None else x for k, x in row.items()} for row in self.records]
+        return {"points": {name: [row[name] for row in rows] for name in rows[0]}}
+
     @property
     def certified(self) -> int:
         """How many rows have a certified orbit."""
@@ -107,6 +113,11 @@ class Sweep(Shown):
     def orbits(self) -> tuple[Orbit, ...]:
         """The certified orbits."""
         return tuple(row.orbit for row in self.rows if row.orbit is not None and not row.reason)
+
+
+def missing(name: str) -> Any:
+    """What stands in a table where there is no orbit."""
+    return "" if name in ("symmetry", "stability") else np.nan
 
 
 Progress = Callable[[Row, int, int], None]

@@ -24,8 +24,9 @@ from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.control import Control, Task
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.constrained import maximal_states
-from orbitfinder.mechanics.kind import OTHER, PROBLEM, build_model, described, loops_of, system_kind
+from orbitfinder.mechanics.kind import OTHER, PROBLEM, build_model, described, loops_of, neighbours, system_kind
 from orbitfinder.mechanics.model import Model, constraint_of
+from orbitfinder.mechanics.scales import with_units
 from orbitfinder.mechanisms.robot import robot
 from orbitfinder.orbits.guesses.linear import linear_response
 from orbitfinder.orbits.guesses.modes import normal_mode, rest_near
@@ -171,7 +172,7 @@ def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust
     model = (
         robot_of(system, source.parent) if "file" in system else build_model(system, source.parent if trust else None)
     )
-    problem = None
+    model, problem = with_units(model, table.units), None
     if table.guess is not None and not _resting(table.guess, model):
         guess = replace(guess_from_table(table.guess, model, source.parent), free=table.guess.free)
         problem = _problem(name, model, guess, table)
@@ -261,7 +262,8 @@ def _load_python(source: Path, trust: bool) -> ProblemFile:
         )
     file_bytes(source, "problem file")
     try:
-        made = runpy.run_path(str(source))[PROBLEM]()
+        with neighbours(source.parent):
+            made = runpy.run_path(str(source))[PROBLEM]()
     except KeyError as error:
         raise InputError(f"{source}: problem: missing ({error}); define a function problem() in it") from error
     except Exception as error:

@@ -100,6 +100,8 @@ def table_of(kind: str, build: Callable[..., Any]) -> type[Table]:
     said = dict(re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", text, re.MULTILINE))
     fields: dict[str, Any] = {"kind": (Literal[kind], Field(description="which system this is"))}
     for name, given in inspect.signature(build).parameters.items():
+        if name == "units":  # a table of the file itself
+            continue
         known = TYPES.get(getattr(given.annotation, "__name__", given.annotation), Any)
         default = ... if given.default is given.empty else None if given.default == () else given.default
         if (taken := own.get(name, (known, default))) is not None:
@@ -518,7 +520,9 @@ class ControlTable(Table):
     harmonics: int = key("of a Fourier series, beside its constant", 5)
     method: Literal["shooting", "collocation"] = key("how intervals are integrated", "shooting")
     guess: dict[str, float | list[float]] = key(
-        "where coefficients start, by control, one number or all of them; 0 when left out", {}
+        "where coefficients start, by control, one number or all of them: in the order of time, of a Fourier series "
+        "constant, cos 1, sin 1, cos 2, sin 2, ...; 0 when left out",
+        {},
     )
     numbers: dict[str, float] = key("named numbers that cost and tasks may mention, such as { weight = 0.1 }", {})
     task: list[TaskTable] = key("what the motion must do, each as [[control.task]]", [])
@@ -541,6 +545,11 @@ class ProblemTable(Table):
         {}, description="numbers of each orbit of a family by name: text of states, parameters, the period and max(), "
         "min() and mean() over the motion, such as peak = 'max(theta1)'; `continue --stop peak=1.5` ends there",
     )  # fmt: skip
+    units: dict[str, Line] = key(
+        "words for the units of time, length, mass, angle, or of a state or parameter by name, such as time = 'ms' or "
+        "V = 'mV', for texts, tables and pictures; nothing is converted",
+        {},
+    )
     search: SearchTable | None = key("what `orbitfinder search` looks for")
     simulate: SimulateTable = key("what `orbitfinder simulate` does", SimulateTable())
     expected: ExpectedTable = key("numbers that the orbit must reproduce", ExpectedTable())

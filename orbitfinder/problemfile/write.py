@@ -99,7 +99,8 @@ def orbit_text(document: Mapping[str, Any], expected: bool = True) -> str | None
         return None
     about = {key: _line(document[key]) for key in ("title", "source") if document.get(key)}
     tables = {
-        "system": {key: value for key, value in system.items() if value is not None},
+        "system": {key: value for key, value in system.items() if value is not None and key != "units"},
+        **({"units": system["units"]} if system.get("units") else {}),
         "guess": {"state": document["state"], "period": period},
         "find": _find(document),
     }

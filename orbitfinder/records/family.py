@@ -9,8 +9,8 @@ last. family.json carries the digest of its own entries (`record`) and of the ar
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from operator import attrgetter
 from pathlib import Path
@@ -20,7 +20,8 @@ import numpy as np
 
 from orbitfinder._runtime import notebook as display
 from orbitfinder._runtime.notebook import Shown, brief
-from orbitfinder.errors import InputError, plural
+from orbitfinder._runtime.rooms import loaded
+from orbitfinder.errors import InputError, closest, plural
 from orbitfinder.records.codec import Complexes, Filed, Unknown, check_format, entries_of, layout, plain
 from orbitfinder.records.journal import append_line, read_lines
 from orbitfinder.records.orbit import Orbit, system_at
@@ -32,6 +33,7 @@ from orbitfinder.records.reading import (
     write_json,
     write_npz,
 )
+from orbitfinder.records.table import Tabled
 
 FORMAT, VERSION = "orbitfinder/family", 1
 JOURNAL = "family.jsonl"
@@ -260,12 +262,13 @@ class Batch:
 
 
 @dataclass(frozen=True)
-class Family(Shown):
+class Family(Tabled):
     """Orbits joined by arclength, ordered along the curve, with events and the reason of each end.
 
-    `values(name)` is a number of every point (a watched number too), `places` what varies at every point and then at
-    every event, `counts` how many are closed and certified. A curve of bifurcations has two `parameters`, of which the
-    first is its `parameter`.
+    `values(name)` is a number of every point (of a parameter by its name, a watched number too), `table()` all of them
+    as a table, `family[k]` the k-th orbit with its samples, `places` what varies at every point and then at every
+    event, `counts` how many are closed and certified. A curve of bifurcations has two `parameters`, of which the first
+    is its `parameter`.
 
     Args:
         name: a word for files.
@@ -282,12 +285,15 @@ class Family(Shown):
         ('energy', ['target'])
         >>> round(float(family.values("period").min()), 6)
         1.119341
+        >>> family.table().dtype.names[:6]
+        ('index', 'energy', 'period', 'action', 'amplitude_theta1', 'min_theta1')
 
     See Also:
         `of.save_figures` draws it, `of.load_family` reads it.
     """
 
     __repr__ = brief("name", "parameter", "points", "events", "ends")
+    _tables = "families.table:family_tables"
 
     name: str
     system: Mapping[str, Any]
@@ -306,8 +312,31 @@ class Family(Shown):
             raise ValueError("state: not of one size in all points and events")
 
     def values(self, name: str) -> np.ndarray:
-        """One number of every point as an array, in order along the family."""
-        return np.asarray([value_of(point, name) for point in self.points])
+        """One number of every point as an array, in order along the family: of a parameter, a watched number, or of
+        its orbit (period, energy, closure, ...). Raises `InputError` for others."""
+        return np.asarray([self.value(point, name) for point in self.points])
+
+    def value(self, member: FamilyPoint | Event, name: str) -> Any:
+        """The same of a point or an event."""
+        if name in (*self.parameters, *member.free):
+            return number_of(member, name)
+        if name not in member.watch and not hasattr(member, name):
+            own = [each.name for each in fields(member) if isinstance(getattr(member, each.name), (int, float, str))]
+            known = [*self.parameters, *member.free, *member.watch, *own]
+            raise InputError(f"name: unknown {name!r}{closest(name, known)}; give one of {', '.join(known)}")
+        return value_of(member, name)
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def __iter__(self) -> Iterator[FamilyPoint]:
+        return iter(self.points)
+
+    def __getitem__(self, k: int) -> FamilyPoint:
+        """The k-th point with times and samples over its period. Raises `InputError` where no file describes its
+        system."""
+        point: FamilyPoint = loaded("families.members:sampled_point")(self.points[k])
+        return point
 
     @property
     def unit(self) -> str:

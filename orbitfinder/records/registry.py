@@ -9,13 +9,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 from orbitfinder._runtime.arguments import Registry, check
-from orbitfinder._runtime.rooms import filled
+from orbitfinder._runtime.rooms import filled, loaded
 from orbitfinder.errors import InputError
 from orbitfinder.records.codec import outline
 from orbitfinder.records.family import load_family
@@ -179,28 +178,12 @@ def answers_of(kind: Kind) -> list[str]:
     return ["show", *(verb for verb in VERBS if getattr(kind, verb))]
 
 
-def shown(path: str | Path) -> tuple[str, Mapping[str, Any]]:
+def shown(path: str | Path) -> tuple[str, dict[str, Any]]:
     """The kind of FILE or FILE#K, and what it holds, in short (see `outline`)."""
     name, kind = held(path)
     record = load(path)
-    found: Mapping[str, Any] = outline(loaded(kind.facts)(record) if kind.facts else record)
+    found: dict[str, Any] = outline(loaded(kind.facts)(record) if kind.facts else record)
     return name, found
-
-
-def loaded(named: Answer) -> Callable[..., Any]:
-    """What is named, its module imported."""
-    if callable(named):
-        return named
-    module, _, name = named.partition(":")
-    try:
-        found = getattr(import_module(f"orbitfinder.{module}"), name, None)
-    except ModuleNotFoundError as error:
-        if error.name is None or not f"orbitfinder.{module}".startswith(error.name):
-            raise
-        found = None
-    if not callable(found):
-        raise InputError(f"Kind: there is no {named!r} in orbitfinder; name 'room.file:function' in the entry of KINDS")
-    return found  # type: ignore[no-any-return]
 
 
 def load_orbit(path: str | Path) -> Orbit:

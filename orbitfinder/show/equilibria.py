@@ -16,12 +16,11 @@ from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
 from orbitfinder.families.members import extents
 from orbitfinder.families.registry import Look, kind_of
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.scales import units as units_of
 from orbitfinder.records.family import End, Family
 from orbitfinder.show.diagram import Diagram
 from orbitfinder.show.plot import two_parameters
 from orbitfinder.show.rest import stretched
-from orbitfinder.show.style import STRETCHES, bare, dress, legend, new_figure, place_labels, save_all
+from orbitfinder.show.style import STRETCHES, dress, legend, new_figure, place_labels, save_all, told_in
 from orbitfinder.show.svg import COLOURS, axis
 
 RESTS, OTHER = {
@@ -144,13 +143,13 @@ def save_diagram_figure(diagram: BifurcationDiagram, folder: str | Path, model: 
     for panel in below:
         periods = np.concatenate(panel.heights)
         panel.axes.set_yscale("log" if periods.max() > LONG * periods.min() else "linear")
-        dress(panel.axes, diagram.parameter, "period (s)" if units_of(diagram.system)["time"] else "period")
+        dress(panel.axes, diagram.parameter, "period (s)")
     upper.window()
     legend(figure, shown, "lower center", ncols=4)
     room = MARGIN / 2 * (diagram.between[1] - diagram.between[0])
     upper.axes.set_xlim(*sorted((diagram.between[0] - room, diagram.between[1] + room)))
     place_labels(figure, upper.axes, upper.written(abs(diagram.between[1] - diagram.between[0])), 8.0)
-    return save_all({"diagram": bare(figure) if not units_of(diagram.system)["time"] else figure}, folder)
+    return save_all({"diagram": told_in(figure, diagram.system)}, folder)
 
 
 def save_equilibria_figure(equilibria: Equilibria, folder: str | Path, model: Model) -> list[Path]:

@@ -58,9 +58,9 @@ def facts(orbit: Orbit, conserved: bool = True, names: Sequence[str] = ()) -> di
     return {
         "period": with_unit(number(orbit.period, 12), unit["time"]),
         **({"period known to": with_unit(number(late, 1), unit["time"])} if late > 0 else {}),
-        "frequency": with_unit(number(1.0 / orbit.period, 8), unit["time"] and "1/s"),
-        "energy" if conserved else "energy, not conserved": energy if level else "none is conserved",
-        "action": with_unit(number(orbit.action, 10), unit["action"] if level else ""),
+        "frequency": with_unit(number(1.0 / orbit.period, 8), unit["time"] and f"1/{unit['time']}"),
+        **({"energy" if conserved else "energy, not conserved": energy} if level else {}),
+        **({"action": with_unit(number(orbit.action, 10), unit["action"])} if level else {}),
         "closure": number(orbit.closure, 2),
         "largest multiplier": number(largest(orbit)) if orbit.floquet_multipliers.size else "none but the trivial ones",
         "turns": ", ".join(turns).replace("theta", "\N{GREEK SMALL LETTER THETA}"),
@@ -74,11 +74,14 @@ def numbers(orbit: Orbit) -> list[tuple[str, str]]:
     """The facts that stand beside an orbit's pictures."""
     known = facts(orbit)
     beside = ("period", "energy", "closure", "stability", "symmetry", "largest multiplier", "certificate")
-    return [(name, known[name]) for name in beside]
+    return [(name, known[name]) for name in beside if name in known]
 
 
 def told(orbit: Orbit, digits: int) -> str:
     """Period, energy where there is one, verdict and symmetry in one line."""
-    level = f", E = {orbit.energy:.{digits - 2}g} J" if math.isfinite(orbit.energy) else ""
+    unit = units(orbit.system)
+    level = (
+        f", E = {with_unit(f'{orbit.energy:.{digits - 2}g}', unit['energy'])}" if math.isfinite(orbit.energy) else ""
+    )
     symmetry = "" if orbit.symmetry == "none" else f", {orbit.symmetry.replace('+', ' and ')}"
-    return f"T = {orbit.period:.{digits}g} s{level}, {orbit.stability}{symmetry}"
+    return f"T = {with_unit(f'{orbit.period:.{digits}g}', unit['time'])}{level}, {orbit.stability}{symmetry}"

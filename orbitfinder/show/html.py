@@ -22,7 +22,7 @@ from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.loops.problem import Count, Problem
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, positions
-from orbitfinder.mechanics.scales import unit_names
+from orbitfinder.mechanics.scales import unit_names, worded
 from orbitfinder.orbits.closure import between
 from orbitfinder.orbits.course import Course, course, sampled
 from orbitfinder.orbits.simulate import Simulation
@@ -53,7 +53,9 @@ def html(value: Any) -> str | None:
     if maker is None:
         return None
     try:
-        return maker(value)
+        return worded(
+            maker(value), getattr(value, "system", None) or getattr(getattr(value, "model", None), "system", {})
+        )
     except OrbitfinderError:
         return None
 

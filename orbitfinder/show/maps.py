@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 
 from orbitfinder.families.plane import ParameterMap
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.scales import units as units_of
+from orbitfinder.mechanics.scales import given_units, units
 from orbitfinder.records.family import UNITS
 from orbitfinder.show.plot import forced_unit
 from orbitfinder.show.style import legend, new_figure, save_all
@@ -73,7 +73,7 @@ def _boundary(axes: Any, plane: ParameterMap, shown: dict[str, Any]) -> None:
 
 def _numbers(plane: ParameterMap, model: Model) -> tuple[str, np.ndarray]:
     """What is coloured, in words with its unit, and the numbers (R x C)."""
-    values, time = plane.values(plane.by), units_of(plane.system)["time"]
+    values, time = plane.values(plane.by), units(plane.system)["time"]
     if plane.by == "amplitude":
         return f"amplitude of {axis(model, plane.moving)}", values
     if plane.by == "period":
@@ -85,8 +85,12 @@ def _named(plane: ParameterMap, k: int) -> str:
     """A parameter with its unit, where that is known."""
     name, values = plane.parameters[k], np.broadcast_to((plane.columns, plane.rows[:, None])[k], plane.periods.shape)
     cycles = plane.curve.get("cycles", np.inf)
-    unit = UNITS.get(name, "") or forced_unit(values[plane.known], plane.periods[plane.known], cycles)
-    return f"{name} ({unit})" if unit and units_of(plane.system)["time"] else name
+    unit = (
+        given_units(plane.system).get(name, "")
+        or UNITS.get(name, "")
+        or forced_unit(values[plane.known], plane.periods[plane.known], cycles)
+    )
+    return f"{name} ({unit})" if unit and units(plane.system)["time"] else name
 
 
 def _edges(values: np.ndarray) -> np.ndarray:

@@ -23,8 +23,7 @@ from orbitfinder.families.members import MemberMotion, amplitudes, motions, whol
 from orbitfinder.loops.control import history
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, positions
-from orbitfinder.mechanics.scales import unit_names
-from orbitfinder.mechanics.scales import units as units_of
+from orbitfinder.mechanics.scales import given_units, unit_names, units
 from orbitfinder.orbits.course import Course, course_of
 from orbitfinder.records.family import Event, Family
 from orbitfinder.records.orbit import Orbit
@@ -36,7 +35,6 @@ from orbitfinder.show.style import (
     LEAST_SIDE,
     STRETCHES,
     arrows,
-    bare,
     configuration,
     dress,
     legend,
@@ -47,6 +45,7 @@ from orbitfinder.show.style import (
     save_all,
     save_png,
     sweep,
+    told_in,
     trail,
     widen,
 )
@@ -97,9 +96,8 @@ def save_figures(orbit: Orbit | Family, folder: str | Path, model: Model | None 
 
 
 def _saved(figures: Mapping[str, Figure], folder: str | Path, system: Mapping[str, Any]) -> list[Path]:
-    """Figures as PNG files; those of equations without units say none."""
-    unitless = not units_of(system)["time"]
-    return save_all({name: bare(figure) if unitless else figure for name, figure in figures.items()}, folder)
+    """Figures as PNG files, in the system's units."""
+    return save_all({name: told_in(figure, system) for name, figure in figures.items()}, folder)
 
 
 def heading(orbit: Orbit, what: str) -> tuple[str, str]:
@@ -124,12 +122,13 @@ def time_histories(orbit: Orbit, model: Model) -> Figure:
     if model.rates is not None:
         return _components(figure, course, model)
     upper, lower = figure.subplots(2, 1, sharex=True)
+    per = f"/{units(model.system)['time']}"
     for i in range(n):
         style = line_style(i, n)
         upper.plot(times, states[:, i], label=label(model.state_names[i]), **style)
         lower.plot(times, states[:, n + i], **style)
     dress(upper, "", f"coordinates{_unit(model)}")
-    dress(lower, "time (s)", f"velocities{_unit(model, '/s')}")
+    dress(lower, "time (s)", f"velocities{_unit(model, per)}")
     lower.set_xlim(0.0, orbit.period)
     mark_events([upper, lower], course)
     if "linestyle" in line_style(0, n):
@@ -565,6 +564,8 @@ def unpoled(values: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 def axis_name(family: Family) -> str:
     """The parameter with its unit, where that is known: of a forcing's frequency it follows from the period."""
+    if unit := given_units(family.system).get(family.parameter, ""):
+        return f"{family.parameter}\N{NO-BREAK SPACE}({unit})"  # which is no unit of SI to put another in place of
     unit = family.unit or forced_unit(
         family.values("value"), family.values("period"), family.curve.get("cycles", np.inf)
     )
@@ -592,7 +593,7 @@ def save_atlas_figures(atlas: Atlas, folder: str | Path, chosen: Filter | None =
         "atlas_instability": instability(rows),
         "atlas_discovery": discovery_curves(atlas),
     }
-    return save_all(figures, folder)
+    return _saved(figures, folder, atlas.system)
 
 
 def energy_period(rows: Sequence[AtlasRow], conserved: bool = True) -> Figure:

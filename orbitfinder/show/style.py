@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from itertools import product
@@ -16,6 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from orbitfinder.mechanics.scales import worded
 from orbitfinder.records.reading import write_atomically
 from orbitfinder.show.scene import BRUSHES, Scene, Strokes, extent, outlines, tip
 from orbitfinder.show.svg import COLOURS
@@ -49,14 +49,10 @@ def dress(axes: Any, across: str, up: str) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-UNITS = re.compile(r"(?: \((?:J|s|m|1/s|m/s)\)|(?<=\d) (?:J|s)\b)")
-"""Units as figures write them: after a name in brackets, after a number"""
-
-
-def bare(figure: Figure) -> Figure:
-    """A figure of equations that carry no units, without any."""
+def told_in(figure: Figure, system: Mapping[str, Any]) -> Figure:
+    """A figure in SI units with a system's words in their place."""
     for text in figure.findobj(Text):
-        text.set_text(UNITS.sub("", text.get_text()))
+        text.set_text(worded(text.get_text(), system))
     return figure
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.scales import unit_names
+from orbitfinder.mechanics.scales import given_units, unit_names, units
 from orbitfinder.show.diagram import Diagram
 from orbitfinder.show.scene import Scene, evenly, extent, outlines
 
@@ -104,10 +104,11 @@ def greek(name: str) -> str:
 def axis(model: Model, i: int, written: Callable[[str], str] = label) -> str:
     """A component's name for an axis, with its unit where that is known."""
     n = model.degrees_of_freedom
-    name, unit = written(model.state_names[i % n]), unit_names(model)[i % n]
+    name, unit, time = written(model.state_names[i % n]), unit_names(model)[i % n], units(model.system)["time"]
     if i >= n:
-        return f"rate of {name} ({unit}/s)"
-    return f"{name} ({unit})" if unit else name
+        name, unit = f"rate of {name}", f"{unit}/{time}" if unit and time else ""
+    gap = "\N{NO-BREAK SPACE}" if model.state_names[i] in given_units(model.system) else " "  # stays, see `worded`
+    return f"{name}{gap}({unit})" if unit else name
 
 
 def ticks(low: float, high: float, most: int) -> list[tuple[float, str]]:

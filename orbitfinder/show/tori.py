@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from orbitfinder.mechanics.model import Model
-from orbitfinder.show.style import dress, new_figure, save_all
+from orbitfinder.show.style import dress, new_figure, save_all, told_in
 from orbitfinder.show.svg import COLOURS, axis
 from orbitfinder.structures.ring import at_angles, coefficients, harmonics
 from orbitfinder.structures.tori import filled, torus_value
@@ -22,7 +22,7 @@ def save_torus_figures(tori: Tori, folder: str | Path, model: Model) -> list[Pat
     figures = {"torus": torus_figure(tori.tori[-1], model, tori.name)}
     if len(tori.tori) > 1:
         figures["tori"] = family_figure(tori, model)
-    return save_all(figures, folder)
+    return save_all({name: told_in(figure, tori.system) for name, figure in figures.items()}, folder)
 
 
 def torus_figure(torus: Torus, model: Model, name: str) -> Figure:

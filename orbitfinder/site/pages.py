@@ -14,7 +14,7 @@ from orbitfinder.errors import plural
 from orbitfinder.families.entries import SWITCHABLE, kind_of
 from orbitfinder.families.members import response
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.scales import SI, units
+from orbitfinder.mechanics.scales import SI, given_units, units
 from orbitfinder.problemfile.write import orbit_name, orbit_text
 from orbitfinder.records.certificate import Check
 from orbitfinder.records.family import Event, Family, FamilyPoint
@@ -140,6 +140,14 @@ def _facts(entry: SiteOrbit) -> list[tuple[str, str]]:
     return [(name.capitalize(), text) for name, text in [*told.items()][:FACTS] if text]
 
 
+def _axes(entry: SiteOrbit, motion: Filmed, n: int) -> list[str]:
+    """The unit of each coordinate that is shown, its own where it has one."""
+    words, length = entry.units, entry.units["length"] * (n < len(motion.names))
+    own = given_units(entry.document["system"])
+    named = zip(motion.names, motion.angles, strict=False)
+    return [own.get(name, words["angle"] if angle else length) for name, angle in named]
+
+
 def shown(motion: Filmed) -> list[int]:
     """The coordinates that are plotted: of a linkage its angles; evenly chosen where there are many."""
     n = len(motion.angles)
@@ -197,7 +205,7 @@ def orbit_data(entry: SiteOrbit) -> dict[str, Any]:
             "coordinates": n,
             "partners": motion.partners,
             "labels": [coordinate(name) for name in motion.names[:n]],
-            "axes": ["rad" if angle else entry.units["length"] * (n < len(motion.names)) for angle in motion.angles],
+            "axes": _axes(entry, motion, n),
             "shown": shown(motion),
         }
     return data

@@ -11,6 +11,7 @@ import numpy as np
 
 from orbitfinder.errors import InputError, OrbitfinderError, plural
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import lasting
 from orbitfinder.show.facts import number
 from orbitfinder.show.scene import evenly
 from orbitfinder.site.gather import Gathered
@@ -125,7 +126,11 @@ def _orbits(section: Section, model: Model, gathered: Gathered) -> list[dict[str
             points = crossings(model, section, orbit)
         except InputError:
             continue
-        facts = [["Orbit", orbit.name], ["Stability", orbit.stability], ["Period", f"{number(orbit.period, 10)} s"]]
+        facts = [
+            ["Orbit", orbit.name],
+            ["Stability", orbit.stability],
+            ["Period", lasting(orbit.period, orbit.system, 10)],
+        ]
         (motion,) = _paths(section, model, orbit.state[None], orbit.period)
         items.append(_item("orbit", f"orbit={orbit.name}", orbit.name, points, motion, facts))
     return items

@@ -3,8 +3,9 @@
 from dataclasses import replace
 from typing import Any
 
+from orbitfinder._runtime.rooms import loaded
 from orbitfinder.mechanics.model import Model
-from orbitfinder.records.registry import KINDS, Kind, loaded
+from orbitfinder.records.registry import KINDS, Kind
 from orbitfinder.structures.manifold import load_connection, load_manifold
 from orbitfinder.structures.phase_response import CODEC as PHASE
 from orbitfinder.structures.section import load_section
@@ -21,7 +22,7 @@ def _verified(tori: Tori, model: Model) -> Any:
 
 KINDS["tori"] = Kind(
     "a family of tori", load_tori, _each, holds="tori", apart=True, verify=_verified,
-    plot="show.tori:save_torus_figures", page="laid",
+    plot="show.tori:save_torus_figures", page="laid", export="exports.tables:export_table",
 )  # fmt: skip
 KINDS["section"] = Kind("a section", load_section, plot="show.figures:section_figures", page="sections")
 KINDS["manifold"] = Kind("a manifold", load_manifold, plot="show.figures:section_figures", page="laid")

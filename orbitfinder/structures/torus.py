@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
-from orbitfinder.records.certificate import Certified
+from orbitfinder.records.certificate import Certified, certified
 from orbitfinder.records.codec import Codec, Unknown
+from orbitfinder.records.table import Tabled, Tables, entries, known_levels, placed
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ class Torus(Shown):
 
 
 @dataclass(frozen=True)
-class Tori(Shown):
+class Tori(Tabled):
     """A family of tori of a system.
 
     Args:
@@ -87,6 +88,19 @@ class Tori(Shown):
     held: Mapping[str, float]
     tori: tuple[Torus, ...]
     end: str = ""
+
+    def own_tables(self) -> Tables:
+        """Its table, and why it ends."""
+        tori = self.tori
+        held = {name: [value] * len(tori) for name, value in self.held.items()}
+        free = {name: [torus.free.get(name, np.nan) for torus in tori] for name in tori[0].free}
+        frequencies = np.array([torus.frequencies for torus in tori])
+        numbers = entries(tori, "rotation", "tail", "strip") | {"certified": [*map(certified, tori)]}
+        return {
+            "points": placed(free, held | known_levels(tori) | {
+                "frequency_1": frequencies[:, 0], "frequency_2": frequencies[:, 1], **numbers}),
+            "ends": {"reason": [self.end]},
+        }  # fmt: skip
 
     def _check(self) -> None:
         if len({torus.curve.shape[1] for torus in self.tori}) != 1:
