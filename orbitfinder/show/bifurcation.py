@@ -39,7 +39,7 @@ def draw_bifurcation(
     for way in ("up", "down") if made.sweep == "both" else (made.sweep,):
         colour, name = WAYS[way]
         mine = (made.owners[:, 1] >= len(made.starts)) == (way == "down") if made.sweep == "both" else slice(None)
-        axes.scatter(values[mine], heights[mine], s=size, color=colour, linewidths=0, rasterized=True)
+        axes.scatter(values[mine], heights[mine], s=size, color=colour, linewidths=0, rasterized=True, zorder=3)
         panel.shown[name] = Line2D([], [], color=colour, marker="o", markersize=3, linestyle="none")
     for family in families:
         for column in family_samples(made, family, model).T:
