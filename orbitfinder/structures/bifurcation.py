@@ -77,9 +77,9 @@ class Bifurcation(Shown):
 
     Examples:
         >>> made.counts
-        '3 values, 3 motions: 2 repeat after 1 return, 1 after 2'
-        >>> made.samples(0).round(3)
-        array([1.])
+        '3 values, 3 motions: 3 repeat after 1 return'
+        >>> made.samples(0).shape
+        (20,)
     """
 
     __repr__ = brief("name", "parameter", "plane", "counts")
