@@ -94,6 +94,7 @@ from .show.animate import simulation_clip as simulation_clip
 from .show.optima import save_optima_figure as save_optima_figure
 from .show.phase import phase_plane as phase_plane
 from .show.plot import save_figures as save_figures
+from .structures.bifurcation import bifurcation as bifurcation
 from .structures.connections import connect as connect
 from .structures.frequencies import FrequencyMap as FrequencyMap
 from .structures.frequencies import frequency_map as frequency_map

@@ -1,8 +1,11 @@
-"""Poincare sections, invariant manifolds, connections of orbits: their records, files, certificates and pictures."""
+"""Poincare sections, bifurcation diagrams of samples, invariant manifolds, connections of orbits: their records, files,
+certificates and pictures."""
 
 from orbitfinder._runtime.front import fronted
+from orbitfinder.show.bifurcation import draw_bifurcation
 from orbitfinder.show.frequencies import draw_frequencies
 from orbitfinder.show.sections import draw_manifolds, draw_section
+from orbitfinder.structures.bifurcation import Bifurcation, load_bifurcation, save_bifurcation
 from orbitfinder.structures.connections import certify_connection, follow_connection
 from orbitfinder.structures.manifold import (
     Connection,
@@ -16,9 +19,11 @@ from orbitfinder.structures.manifolds import ManifoldSettings
 from orbitfinder.structures.section import Section, load_section, save_section
 
 __all__ = [
-    "Connection", "Manifold", "ManifoldSettings", "Section", "certify_connection", "draw_frequencies",
+    "Bifurcation", "Connection", "Manifold", "ManifoldSettings", "Section", "certify_connection", "draw_bifurcation",
+    "draw_frequencies",
     "draw_manifolds", "draw_section",
-    "follow_connection", "load_connection", "load_manifold", "load_section", "save_connection", "save_manifold",
+    "follow_connection", "load_bifurcation", "load_connection", "load_manifold", "load_section", "save_bifurcation",
+    "save_connection", "save_manifold",
     "save_section",
 ]  # fmt: skip
 globals().update({name: fronted(globals()[name], __name__) for name in __all__})

@@ -176,6 +176,11 @@ def test_the_command(tmp_path):
     shown = CliRunner().invoke(cli, ["show", document["written"][0]])
     assert "6 of 6 pixels have an orbit" in shown.stdout and shown.exit_code == 0
     assert CliRunner().invoke(cli, ["verify", document["written"][0]]).exit_code == 0
+    shards = [*words[:4], "--parameter", "damping=0.4:0.5:4", "-o", str(tmp_path), "--sample", "1", "--workers", "1"]
+    run = CliRunner().invoke(cli, [*shards, "--shard", "2/2", "--no-figures", "--json"])
+    made = of.load_map(json.loads(run.stdout)["written"][0])
+    assert "2-of-2" in run.stdout and np.allclose(made.rows, [0.5 - 0.1 / 3, 0.5]) and made.columns.size == 3
+    assert "pairs of values" in CliRunner().invoke(cli, [*shards, "--shard", "1/3"]).output
 
 
 @pytest.mark.parametrize(

@@ -52,17 +52,18 @@ SHIPPED = {
     "atlas#": Path(f"{RESULTS / 'atlas' / 'rossler.sqlite'}#1"),
 }
 MADE = ("export", "export#", "empty export", "optima", "optima#", "tori", "tori#", "section", "manifold", "connection",
-        "controller", "equilibria", "equilibria#", "diagram", "map", "journal", "text")  # fmt: skip
+        "controller", "equilibria", "equilibria#", "diagram", "map", "bifurcation", "journal", "text")  # fmt: skip
 RESTING = {"equilibria", "equilibria#"}
 KINDS = (*SHIPPED, *MADE)
 ORBITS = {kind for kind in (*SHIPPED, "export#", "optima#") if kind not in ("branch-proof", "family", "atlas")}
 TAKEN = {
-    "verify": ORBITS | {"family", "optima", "tori", "tori#", "connection", "controller", "diagram", "map"} | RESTING,
+    "verify": ORBITS | {"family", "optima", "tori", "tori#", "connection", "controller", "diagram", "map",
+                        "bifurcation"} | RESTING,
     "plot": ORBITS | {"family", "atlas", "optima", "tori", "tori#", "section", "manifold", "connection", "controller",
-                      "diagram", "map"} | RESTING,
+                      "diagram", "map", "bifurcation"} | RESTING,
     "animate": ORBITS, "export": ORBITS | {"controller", "family", "optima", "tori", "tori#", "map"} | RESTING,
     "studio": ORBITS | {"family", "atlas"},
-    "page": {*KINDS} - {"branch-proof", "controller", "diagram", "map", "journal", "text"},
+    "page": {*KINDS} - {"branch-proof", "controller", "diagram", "map", "bifurcation", "journal", "text"},
 }  # fmt: skip
 """What a verb answers; of anything else it says in one sentence what takes it"""
 PAGES = {"orbit", "forced", "first-order", "hybrid", "mechanism", "control", "proof", "family", "family#", "atlas",
@@ -102,13 +103,15 @@ def records(tmp_path_factory):
     of.save_diagram(tree, folder / "diagram.json")
     spring = of.Problem(of.systems.forced_duffing(), of.Guess([0.5, 0.0], 6.0), name="spring")
     of.save_map(of.map_plane(spring, damping=[0.1, 0.2], force=[0.3, 0.31], sample=1), folder / "map.json")
+    settled = of.bifurcation(spring, damping=[0.1, 0.2], transient=20, samples=8)
+    of.sections.save_bifurcation(settled, folder / "bifurcation.json")
     (folder / "empty.json").write_text("[]")
     (folder / "family.jsonl").write_text('{"format": "orbitfinder/family"}\n')
     (folder / "text.txt").write_text("no record\n")
     names = {"optima": "optima.json", "tori": "tori.json", "section": "section.json", "manifold": "manifold.json",
              "connection": "connection.json", "controller": "held.json", "equilibria": "equilibria.json",
              "equilibria#": "equilibria.json#2", "diagram": "diagram.json", "journal": "family.jsonl",
-             "map": "map.json", "text": "text.txt", "export": "export.json",
+             "map": "map.json", "bifurcation": "bifurcation.json", "text": "text.txt", "export": "export.json",
              "empty export": "empty.json", "export#": "export.json#0",
              "optima#": "optima.json#1", "tori#": "tori.json#0"}  # fmt: skip
     return SHIPPED | {kind: folder / name for kind, name in names.items()}
@@ -204,7 +207,7 @@ def test_a_page_and_the_studio_have_something_to_show_or_say_what_they_take(kind
 
 LOADERS = (of.load_orbit, of.load_family, of.load_optima, of.load_tori, of.load_controller, of.sections.load_section,
            of.sections.load_manifold, of.sections.load_connection, of.load_equilibria, of.load_diagram,
-           of.load_map)  # fmt: skip
+           of.load_map, of.sections.load_bifurcation)  # fmt: skip
 
 
 def test_every_reader_takes_its_own_files_and_refuses_the_others(records):

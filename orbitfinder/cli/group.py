@@ -23,7 +23,7 @@ from orbitfinder.cli.doctor import completion, doctor
 from orbitfinder.cli.equilibria import equilibria
 from orbitfinder.cli.export import animate, export, page, plot
 from orbitfinder.cli.guess import guess, init
-from orbitfinder.cli.map import map_
+from orbitfinder.cli.map import bifurcation, map_
 from orbitfinder.cli.options import (
     BAD_INPUT,
     GLUE,
@@ -50,7 +50,7 @@ from orbitfinder.errors import InputError, OrbitfinderError
 LIMITS = {
     **dict.fromkeys(("run", "simulate", "guess"), 600.0), **dict.fromkeys(("prove", "continue"), 86_400.0),
     **dict.fromkeys(("verify", "sweep", "refine", "stabilise", "torus", "section", "manifold", "connect"), 3600.0),
-    **dict.fromkeys(("equilibria", "diagram", "map", "phase"), 3600.0),
+    **dict.fromkeys(("equilibria", "diagram", "map", "bifurcation", "phase"), 3600.0),
 }  # fmt: skip
 """s after which a command stops unless --limit says otherwise: the slowest search that we ship, 100 links, takes 46,
 the longest proof an hour. `search` has its budget; the others go on for as long as they are let."""
@@ -58,7 +58,7 @@ the longest proof an hour. `search` has its budget; the others go on for as long
 
 PURPOSES = {
     "Find": ("problems", "init", "guess", "run", "simulate", "sweep", "search", "atlas", "section"),
-    "Follow": ("equilibria", "diagram", "continue", "map", "torus", "manifold", "connect"),
+    "Follow": ("equilibria", "diagram", "continue", "bifurcation", "map", "torus", "manifold", "connect"),
     "Prove": ("verify", "prove", "refine"),
     "Use": ("stabilise", "phase", "export"),
     "Look": ("show", "studio", "plot", "phase-plane", "animate", "page", "reproduce"),
@@ -169,8 +169,8 @@ def cli() -> None:
 
 
 for command in (
-    problems, run, verify, simulate, init, guess, sweep, equilibria, diagram, continue_, map_, section, manifold,
-    connect, torus, stabilise, phase, search, atlas, prove, refine, export, show, plot, phase_plane, animate, page,
-    studio, reproduce, doctor, completion,
+    problems, run, verify, simulate, init, guess, sweep, equilibria, diagram, continue_, bifurcation, map_, section,
+    manifold, connect, torus, stabilise, phase, search, atlas, prove, refine, export, show, plot, phase_plane, animate,
+    page, studio, reproduce, doctor, completion,
 ):  # fmt: skip
     cli.add_command(command)

@@ -1,7 +1,10 @@
-"""The command `map`: a plane of two parameters coloured by what the orbits at its places are."""
+"""The commands `map` and `bifurcation`: a plane of two parameters coloured by what its orbits are, and what motions
+settle to along one."""
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +16,8 @@ from orbitfinder.cli.console import Report, display, time_left
 from orbitfinder.cli.jobs import folder_of
 from orbitfinder.cli.options import FILES, finish, next_step, option, text, trusted, usual
 from orbitfinder.cli.search import SPEAK_EVERY
-from orbitfinder.cli.sweep import parameter
+from orbitfinder.cli.section import DIRECTIONS
+from orbitfinder.cli.sweep import parameter, shard_option, sharded
 from orbitfinder.errors import InputError
 from orbitfinder.records.registry import answer
 
@@ -27,8 +31,11 @@ from orbitfinder.records.registry import answer
 @option("seed", "Chooses which.", 0, (0, 2**63 - 1))
 @option("workers", "Processes side by side.", 2, (1, 256))
 @option("scheduler", "Dask scheduler, such as tcp://head:8786, instead of processes.", metavar="ADDRESS")
+@shard_option("Fill the K-th of N runs of rows only")
 @usual("Folder for DIR/<name>/map.json.", "maps", figures="Draw it.", compiled=True)
-def map_(file: Path, given: tuple[str, ...], out: Path, figures: bool, trust: bool, **how: Any) -> None:
+def map_(
+    file: Path, given: tuple[str, ...], out: Path, figures: bool, trust: bool, shard: str | None, **how: Any
+) -> None:  # fmt: skip
     """Map a plane of two parameters of a problem FILE: at each place an orbit of a family, and its stability.
 
     Every pixel's orbit is continued from its neighbour's; where there is none it is blank, with the reason counted. A
@@ -44,16 +51,13 @@ def map_(file: Path, given: tuple[str, ...], out: Path, figures: bool, trust: bo
     values = dict(parameter(word) for word in given)
     if len(values) != 2:
         raise InputError(f"--parameter: {len(values)} different names; give two, the first across, the second up")
+    rows = [*values][1]
+    mine, out = sharded({rows: values[rows]}, shard, out, least=2)
+    values |= mine
     loaded = load_problem_file(file, trust)
     folder = folder_of(out, loaded.wanted.name)
-    with kept(folder / "map.json", of.save_map), display(
-        f"{loaded.wanted.name}: {' over '.join(reversed(values))}", SPEAK_EVERY, refresh=0.25
-    ) as shown:  # fmt: skip
-        left = time_left()
-
-        def report(done: int, pixels: int) -> None:
-            shown.show(Report(f"{done} of {pixels} pixels{left(done, pixels)}"))
-
+    title = f"{loaded.wanted.name}: {' over '.join(reversed(values))}"
+    with kept(folder / "map.json", of.save_map), _counted(title, "pixels") as report:
         made = of.map_plane(
             loaded.wanted, values, limit=None, progress=report, out=out, folder=trusted(file, trust), **how
         )
@@ -64,3 +68,73 @@ def map_(file: Path, given: tuple[str, ...], out: Path, figures: bool, trust: bo
     document = {"name": made.name, "parameters": made.parameters, "counts": made.counts, "failures": made.failures,
                 "written": written}  # fmt: skip
     finish("map", document, not made.failures)
+
+
+@contextlib.contextmanager
+def _counted(title: str, what: str) -> Iterator[Callable[[int, int], None]]:
+    """What shows how many of something are done, and the time left."""
+    with display(title, SPEAK_EVERY, refresh=0.25) as shown:
+        left = time_left()
+        yield lambda done, whole: shown.show(Report(f"{done} of {whole} {what}{left(done, whole)}"))
+
+
+@click.command()
+@click.argument("file", type=FILES, metavar="FILE")
+@option("parameter given", "The physical parameter and its values; or NAME=V,V,...", required=True,
+        metavar="NAME=FROM:TO:COUNT")  # fmt: skip
+@option("coordinate", "What is drawn, and of which maxima are taken.  [default: the first]", metavar="NAME")
+@option("plane", "Take crossings of a plane instead of maxima.", metavar="NAME=VALUE")
+@option("direction", "Of the crossings.", "growing", tuple(DIRECTIONS))
+@option("transient", "Returns dropped at each value.", 200, (0, 1_000_000))
+@option("samples", "Returns kept at each value.", 100, (4, 1_000_000))
+@option("sweep", "Begin each value where the one before it ended: upwards, downwards, both ways.", "none",
+        ("none", "up", "down", "both"))  # fmt: skip
+@option("starts", "Motions at each value, the first from the file's state.", 1, (1, 10_000))
+@option("seed", "Draws the other starts.", 0, (0, 2**63 - 1))
+@option("with families", "A family of the same system and parameter, drawn through the samples.", multiple=True,
+        kind=FILES, metavar="FAMILY.json")  # fmt: skip
+@option("workers", "Processes side by side.", 1, (1, 256))
+@option("scheduler", "Dask scheduler, such as tcp://head:8786, instead of processes.", metavar="ADDRESS")
+@shard_option("Visit the K-th of N runs of values only")
+@usual("Folder for DIR/<name>/bifurcation.json.", "bifurcations", figures="Draw it.", compiled=True)
+def bifurcation(
+    file: Path, given: str, families: tuple[Path, ...], direction: str, shard: str | None, out: Path, figures: bool,
+    trust: bool, **how: Any,
+) -> None:  # fmt: skip
+    """Draw what the motions of a problem FILE settle to along a parameter, by brute force: Poincare samples.
+
+    Forced systems are looked at once a period of their forcing, hybrid ones after their own events, others at the
+    maxima of a coordinate. A run that was killed goes on where it stopped when the same command is given again, also
+    with more values; what shards in DIR have done is taken from there.
+
+    \b
+    Examples:
+      orbitfinder bifurcation problems/maps/pendulum-cascade.toml --parameter torque=1.03:1.09:240
+    """
+    from orbitfinder.problemfile.read import load_problem_file
+
+    loaded = load_problem_file(file, trust)
+    if loaded.start is None:
+        raise InputError(f"{file}: guess: missing; give the state where motions begin, [guess] or [simulate] state")
+    if shard is not None and how["sweep"] != "none":
+        raise InputError("--shard: with --sweep each value needs the one before it; leave one of them out")
+    shards = [] if shard else sorted(out.glob(f"*-of-*/{loaded.name}/bifurcation.jsonl"))
+    values, out = sharded(dict([parameter(given)]), shard, out)
+    lines = [of.load_family(family) for family in families]
+    folder = folder_of(out, loaded.name)
+    with kept(folder / "bifurcation.json", of.sections.save_bifurcation), _counted(
+        f"{loaded.name}: {', '.join(values)} by brute force", "motions"
+    ) as report:  # fmt: skip
+        made = of.bifurcation(
+            loaded.model, values, state=loaded.start, direction=DIRECTIONS[direction], progress=report, out=out,
+            name=loaded.name, folder=trusted(file, trust), shards=shards, **how,
+        )  # fmt: skip
+    written = [of.sections.save_bifurcation(made, folder / "bifurcation.json")]
+    if figures:
+        picture = folder / "bifurcation.png"
+        written.append(of.sections.draw_bifurcation(made, picture, families=lines, model=loaded.model))
+    text(f"{written[0]}: {made.counts}")
+    next_step("verify", written[0])
+    document = {"name": made.name, "parameter": made.parameter, "plane": made.plane, "counts": made.counts,
+                "values": made.values, "repeats": made.repeats, "written": written}  # fmt: skip
+    finish("bifurcation", document, bool(made.full.all()))

@@ -13,11 +13,31 @@ from orbitfinder._runtime.keeping import kept
 from orbitfinder._runtime.limit import limited
 from orbitfinder.cli.console import display, time_left
 from orbitfinder.cli.jobs import folder_of
-from orbitfinder.cli.options import FILES, finish, option, text, trusted, usual
+from orbitfinder.cli.options import FILES, Decorator, finish, option, text, trusted, usual
 from orbitfinder.errors import InputError
 
 if TYPE_CHECKING:
     from orbitfinder.orbits.sweep import Row, Sweep
+
+
+def shard_option(what: str) -> Decorator:
+    """The option --shard of commands whose values are shared out in runs."""
+    return option("shard", f"{what}, into DIR/K-of-N; auto: by the Slurm array.", metavar="K/N")
+
+
+def sharded(
+    values: dict[str, list[float]], shard: str | None, out: Path, least: int = 1
+) -> tuple[dict[str, list[float]], Path]:  # fmt: skip
+    """The values of a shard and the folder for them; all without one. Raises `InputError` for less than `least`."""
+    from orbitfinder.atlas.shard import shard_from
+
+    if (part := shard_from(shard)) is None:
+        return values, out
+    mine = {name: [*np.array_split(each, part.parts)[part.first]] for name, each in values.items()}
+    if any(len(each) < least for each in mine.values()):
+        raise InputError(f"--shard: {shard}: more shards than {'values' if least == 1 else 'pairs of values'}; "
+                         "give a smaller N")  # fmt: skip
+    return mine, out / f"{part.part}-of-{part.parts}"
 
 
 @click.command()
@@ -29,7 +49,7 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @option("workers", "Processes side by side.", 1, (1, 256))
 @option("scheduler", "Dask scheduler, such as tcp://head:8786, instead of processes.", metavar="ADDRESS")
-@option("shard", "Visit the K-th of N runs of values only, into DIR/K-of-N; auto: by the Slurm array.", metavar="K/N")
+@shard_option("Visit the K-th of N runs of values only")
 @option("orbits/--no-orbits", "Write each orbit too, DIR/<name>/K/.", True)
 @usual("Folder for DIR/<name>/sweep.csv, sweep.json and orbits.", "sweeps", compiled=True)
 def sweep(
@@ -50,7 +70,6 @@ def sweep(
     if len(values) < len(given):
         raise InputError("--parameter: the same name twice; give each once")
     with limited(limit):
-        from orbitfinder.atlas.shard import shard_from
         from orbitfinder.exports.tables import table_bytes
         from orbitfinder.problemfile.read import load_problem_file
         from orbitfinder.records.reading import finite, write_atomically, write_json
@@ -62,11 +81,7 @@ def sweep(
             write_atomically(path.with_suffix(".csv"), table_bytes(swept.tables()["points"], "csv"))
             return [path.with_suffix(".csv"), write_json(path, finite(swept.records)), *files]
 
-        if part := shard_from(shard):
-            values = {name: [*np.array_split(each, part.parts)[part.first]] for name, each in values.items()}
-            out = out / f"{part.part}-of-{part.parts}"
-            if not all(values.values()):
-                raise InputError(f"--shard: {shard}: more shards than values; give N of at most their number")
+        values, out = sharded(values, shard, out)
         problem = load_problem_file(file, trust).wanted
         folder = folder_of(out, problem.name)
         with kept(folder / "sweep.json", save), display(f"{problem.name}: {', '.join(values)} by turns") as shown:

@@ -25,6 +25,7 @@ from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.integrate.compiled import compiled
 from orbitfinder.integrate.parallel import STAGES, Lanes
 from orbitfinder.integrate.rk8 import one_step, step_of
+from orbitfinder.mechanics.model import Model, vector_field
 from orbitfinder.records.journal import fill
 
 FINE, SEEN = 2e-14, 1e-10
@@ -109,8 +110,8 @@ class Track:
 
 
 @lru_cache(maxsize=16)
-def _stepper(field: ca.Function) -> ca.Function:
-    """(t, x), (h, s, free) -> (x after, error, x' after); one expression of a short field, or calls."""
+def _stepper(field: ca.Function, restored: ca.Function | None) -> ca.Function:
+    """(t, x), (h, s, free) -> (x after, `restored`, error, x' after); one expression of a short field, or calls."""
     short = field.is_a("SXFunction") and field.n_instructions() <= STEPS.short
     z = (ca.SX.sym if short else ca.MX.sym)("z", 1 + field.size1_in(1))
     p = type(z).sym("p", 1 + field.size1_in(2) + field.size1_in(3))
@@ -120,23 +121,46 @@ def _stepper(field: ca.Function) -> ca.Function:
         else (step_of(field), step_of(field, True))
     )
     after, cut = step(z, p), 1 + field.size1_in(2)
-    rate = field(after[0], after[1:], p[1:cut], p[cut:])
-    return ca.Function("stepper", [z, p], ca.cse([ca.vertcat(after[1:], error(z, p), rate)]))
+    x = after[1:] if restored is None else restored(after[1:])
+    return ca.Function("stepper", [z, p], ca.cse([ca.vertcat(x, error(z, p), field(after[0], x, p[1:cut], p[cut:]))]))
+
+
+def along_parameter(model: Model, parameter: str, coordinate: int) -> tuple[ca.Function, ca.Function | None]:
+    """The field of (x, p, x_i') in which the parameter p rests, and what makes x_i' of the state again; of a forced
+    model that of (x, p), with time in periods of its forcing."""
+    field, d = vector_field(model, [parameter]), len(model.state_names)
+    symbol: Any = ca.SX.sym if model.scalar else ca.MX.sym
+    t, y, none = symbol("t"), symbol("y", d + (1 if model.forced else 2)), symbol("none", 0)
+    x, p = y[:d], y[d]
+    if model.forced:
+        unit = model.forcing_period(model.parameters([parameter], p))  # type: ignore[misc]
+        return ca.Function("along", [t, y, none, none], [ca.vertcat(unit * field(unit * t, x, none, p), 0)]), None
+    rates = field(t, x, none, p)
+    slope = rates[coordinate]
+    whole = ca.vertcat(rates, 0, ca.jtimes(slope, x, rates))
+    restored = ca.Function("restored", [y], [ca.densify(ca.vertcat(x, p, slope))])
+    return ca.Function("along", [t, y, none, none], [ca.densify(whole)]), restored
 
 
 class Crossings:
-    """The motions of one field f(t, x, s, free), s and free 0 or `tail`, with components measured in `units` (d)."""
+    """The motions of one field f(t, x, s, free), s and free 0 or `tail`, with components measured in `units` (d).
 
-    def __init__(self, field: ca.Function, units: np.ndarray, tail: np.ndarray | None = None) -> None:
+    `restored` is what a state becomes after each step, where some of its components follow from others.
+    """
+
+    def __init__(
+        self, field: ca.Function, units: np.ndarray, tail: np.ndarray | None = None,
+        restored: ca.Function | None = None,
+    ) -> None:  # fmt: skip
         size = field.size1_in(2) + field.size1_in(3)
         self.field, self.size, self.units = field, int(field.size1_in(1)), np.asarray(units, float)
         self.tail = np.zeros(size) if tail is None else np.asarray(tail, float)
-        self._lanes, self._made = Lanes(), list[Any]()
+        self.restored, self._lanes, self._made = restored, Lanes(), list[Any]()
 
     def stepped(self, times: np.ndarray, states: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, ...]:
         """States after steps of these lengths from states (k x d) at times (k), errors and rates there (k x d each)."""
         if not self._made:
-            self._made.append(compiled(_stepper(self.field), effort=STEPS.effort))
+            self._made.append(compiled(_stepper(self.field, self.restored), effort=STEPS.effort))
         start, parameters = np.empty((len(states), 1 + self.size)), np.empty((len(states), 1 + self.tail.size))
         start[:, 0], start[:, 1:], parameters[:, 0], parameters[:, 1:] = times, states, lengths, self.tail
         values, d = self._lanes.evaluated(self._made[0], STAGES, start, parameters), self.size

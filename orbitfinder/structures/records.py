@@ -6,6 +6,7 @@ from typing import Any
 from orbitfinder._runtime.rooms import loaded
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.registry import KINDS, Kind
+from orbitfinder.structures.bifurcation import CODEC as BIFURCATION
 from orbitfinder.structures.manifold import load_connection, load_manifold
 from orbitfinder.structures.phase_response import CODEC as PHASE
 from orbitfinder.structures.section import load_section
@@ -33,4 +34,8 @@ KINDS["connection"] = Kind(
 KINDS[PHASE.name] = Kind(
     "a phase response", PHASE.load, verify="structures.phase_response:certify_phase_response",
     plot="show.phase:save_phase_figure",
+)  # fmt: skip
+KINDS[BIFURCATION.name] = Kind(
+    "a brute-force bifurcation diagram", BIFURCATION.load, verify="structures.bifurcation:verified",
+    plot="show.bifurcation:save_bifurcation_figure",
 )  # fmt: skip

@@ -40,6 +40,8 @@ from orbitfinder.structures.section import Section
 
 BESIDE = 1e-9
 """How far from a motion, in its units, another begins that shows whether neighbours part"""
+NOWHERE = Track((), lambda *_: None)
+"""Keeps nothing"""
 
 
 @dataclass(frozen=True)
@@ -170,7 +172,7 @@ def surface(
 
 
 def named_surface(
-    model: Model, plane: str, axes: Sequence[str], *, levels: Mapping[str, float] | None = None,
+    model: Model, plane: str, axes: Sequence[str] | None = None, *, levels: Mapping[str, float] | None = None,
     state: np.ndarray | None = None,
 ) -> Surface:  # fmt: skip
     """The section that a record names in words, its `plane`, as `Surface.name` gives them."""
@@ -332,7 +334,7 @@ def section(
     growth, hybrid = unknown, not model.smooth
     with _tracks(path, request, 2 if hybrid else 6 + 2 * len(names), 3 + len(names)) as track:
         if hybrid:
-            passing = _events(model, starts, returns, seen, track("seeds"))
+            passing = after_events(model, starts, returns, seen, track("seeds"))
         else:
             passing = cut.passing(starts, returns, seen=seen, track=track("seeds"))
         if not np.isfinite(passing.times).any():
@@ -499,9 +501,10 @@ def _closed(cut: Surface, base: np.ndarray, low: np.ndarray, high: np.ndarray, f
     return not np.isfinite(at_points(cut, base, np.vstack(sides))).any()
 
 
-def _events(
-    model: Model, starts: np.ndarray, returns: int, seen: Callable[[Callable[[], Passing]], None], track: Track
-) -> Passing:
+def after_events(
+    model: Model, starts: np.ndarray, returns: int, seen: Callable[[Callable[[], Passing]], None] = lambda _: None,
+    track: Track = NOWHERE,
+) -> Passing:  # fmt: skip
     """The states of a hybrid system after the event that ends its cycle, or any event where it has no cycle.
 
     A line of the track is a start with the returns that it was asked for.
