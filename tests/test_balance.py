@@ -246,7 +246,7 @@ def test_a_verdict_of_450_masses_is_proved():
     about = exponents(point.problem, point.w)
     assert about.stability == "asymptotically stable"
     slowest = (np.sqrt(1e-4 - 4 * np.sin(np.pi / 902) ** 2) - 0.01) / 0.03
-    assert slowest < about.rest < 0.6 * slowest
+    assert slowest < about.rest < 0.5 * slowest
 
 
 def test_a_march_of_order_eight_finds_all_exponents():
