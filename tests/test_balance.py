@@ -15,7 +15,9 @@ from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.families.members import extents
 from orbitfinder.families.verified import verified
 from orbitfinder.mechanics.kind import with_parameters
+from orbitfinder.orbits import hill
 from orbitfinder.orbits.balance import begun, states_of
+from orbitfinder.orbits.decay import decay
 from orbitfinder.orbits.hill import exponents, monodromy
 from orbitfinder.orbits.implicit import gathered
 
@@ -182,6 +184,7 @@ def test_a_torus_of_many_coordinates_is_not_missed():
     about = exponents(point.problem, point.w)
     assert about.stability == "unstable"
     assert about.values[0].imag > 0.01
+    assert decay(point.problem, point.w)[0] == 0
     seen = gathered(problem.model, states_of(point, np.zeros(1))[0], 2 * np.pi / 0.225)[0]
     assert seen.floquet.stability == "unstable"
     growing = about.multipliers[np.abs(about.multipliers) > 1]
@@ -198,6 +201,52 @@ def test_what_does_not_grow_is_bounded():
     assert (about.values.size, about.stability) == (0, "asymptotically stable")
     seen = gathered(problem.model, states_of(point, np.zeros(1))[0], 2 * np.pi / 0.08)[0]
     assert np.log(np.abs(seen.floquet.multipliers)).max() / (2 * np.pi) <= about.rest + 1e-9
+
+
+@pytest.mark.parametrize("frequency", [0.2, 0.6, 1.1])
+def test_an_energy_bounds_all_exponents(frequency):
+    """Of six masses, the rate that an energy proves is below that of all exponents, and near it where damped well."""
+    for damping in (0.004, 0.05, 0.4):
+        point = begun(masses(6, frequency, damping), "frequency")
+        about, (rate, why) = exponents(point.problem, point.w), decay(point.problem, point.w)
+        assert bool(rate > 0) == (why == "")
+        assert rate <= -about.values.real.max()
+        if damping == 0.4:
+            assert rate > -0.4 * about.values.real.max()
+
+
+def test_an_energy_takes_gyroscopic_forces():
+    """Exact: exponents of a linear rotor."""
+    stiffness, turn = np.diag([1.0, 2.0, 3.0]), np.array([[0.0, 1, 0], [-1, 0, 1], [0, -1, 0]])
+    damping, load = 0.2 * np.eye(3) + 0.5 * turn, {"at": "q1", "amplitude": 0.1, "frequency": 0.5}
+    model = of.structure(np.eye(3), damping, stiffness, {}, load)
+    point = begun(of.Problem(model, of.guesses.linear_response(model), name="rotor"), "frequency")
+    whole = np.block([[np.zeros((3, 3)), np.eye(3)], [-stiffness, -damping]])
+    slowest = -np.linalg.eigvals(whole).real.max() / 0.5
+    assert 0.5 * slowest < decay(point.problem, point.w)[0] < slowest
+
+
+def test_slow_modes_of_many_coordinates_tell_as_all_do(monkeypatch):
+    """What may grow of 41 masses is found from 30 slow modes as from all; where more would be needed it says so."""
+    point = begun(masses(41, 0.225, damping=0.001), "frequency")
+    known = exponents(point.problem, point.w)
+    monkeypatch.setattr(hill, "MOST_MODES", 40)
+    for modes in (30, 10):
+        monkeypatch.setattr(hill, "MODES", modes)
+        point.w.known.pop("exponents")
+        few = exponents(point.problem, point.w)
+        assert few.values[0] == pytest.approx(known.values[0], abs=1e-9)
+        assert few.stability == ("asymptotically stable" if modes == 30 else "undecided")
+    assert few.why == "an energy does not bound what its stiffness does as it changes; more modes than 10 may grow"
+
+
+def test_a_verdict_of_450_masses_is_proved():
+    """Overdamped slow modes: the rate is below that of the slowest, c / 2 - sqrt(c^2 / 4 - k), and near it."""
+    point = begun(masses(450, 0.03), "frequency")
+    about = exponents(point.problem, point.w)
+    assert about.stability == "asymptotically stable"
+    slowest = (np.sqrt(1e-4 - 4 * np.sin(np.pi / 902) ** 2) - 0.01) / 0.03
+    assert slowest < about.rest < 0.5 * slowest
 
 
 def test_a_march_of_order_eight_finds_all_exponents():

@@ -47,7 +47,7 @@ from orbitfinder.loops.symmetry import NONE
 from orbitfinder.loops.watch import Number, Watch, watches
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model, energy
-from orbitfinder.mechanics.scales import extents_of
+from orbitfinder.mechanics.scales import extents, extents_of, masses_of
 from orbitfinder.orbits.balance import NAME, begun, refused, samples_of, states_of
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.evidence import ClosureCheck
@@ -227,7 +227,8 @@ class _Large:
             raise InputError("method: balance is for at most 40 coordinates of a first-order system, or stiff ones of "
                              "mechanics; describe it by masses, or leave method out")  # fmt: skip
         self.check = ImplicitCheck(self.model, self.parameter, problem.forcing_cycles) if settings.certify else None
-        self.grown = 1.0
+        self.grown, steady = 1.0, not np.any(first.problem.equations.varying[:, 2] == 2)
+        self.masses = masses_of(self.model.kinetic, states_of(first, np.zeros(1))[0], self.model) if steady else None
         if settings.certify:  # what errors grow by hardly changes along a family
             period = 2 * np.pi / first.problem.equations.pace(float(first.w.vector[-1]))
             self.grown = gathered(self.model, states_of(first, np.zeros(1))[0], period)[0].closes.amplification
@@ -265,7 +266,11 @@ class _Large:
             return True, 0.0
         value = float(point.w.vector[-1])
         period, states = 2 * np.pi / point.problem.equations.pace(value), states_of(point, np.linspace(0.0, 1.0, 65))
-        closure = self.check(states[0], period, value, extents_of(self.model, states, period))
+        if self.masses is None:
+            units = extents_of(self.model, states, period)
+        else:
+            units = extents(np.ptp(states, axis=0), self.masses, period, self.model.angular)
+        closure = self.check(states[0], period, value, units)
         return closure <= CLOSURE * self.grown, closure
 
     def events(self, before: KeptPoint, after: KeptPoint, seen: Sequence[KeptPoint]) -> list[Event]:

@@ -132,6 +132,7 @@ def balanced(problem: Problem, settings: SolveSettings, report: Callback | None,
     orbit = recorded(problem, period, states[0], states[:1], times, states, np.zeros(0), action(model, times, states),
                      floquet)  # fmt: skip
     said = provenance(problem, settings, began) | {"method": NAME, "orders": list(point.problem.basis.orders)}
+    said |= {"undecided": about.why} if about.why else {}
     return replace(orbit, provenance=said), model
 
 

@@ -9,8 +9,12 @@ and Arnoldi's method finds the largest mu, a sparse factorisation a shift. Which
 order of averaging: with frequencies w_i, rates of decay g_i and modes of the mean matrices, the k-th harmonic K of the
 stiffness couples two modes by c = K_ij / 2 sqrt(w_i w_j), and where they are d = w_i + w_j - k off a resonance they
 grow by Re sqrt(((g_i - g_j + i d) / 2)^2 + c^2) - (g_i + g_j) / 2. With twice the c, pairs that grow are looked for,
-and what all others do at most bounds the `rest`: a bound of first order, by a factor of two. Sources: B. Bentvelsen, A.
-Lazarus, Nonlinear Dyn. 91 (2018) 1349-1370; A. Nayfeh, D. Mook, Nonlinear Oscillations (1979), section 5.4.
+and what all others do at most bounds the `rest`: a bound of first order, by a factor of two. Of more coordinates than
+all modes are known of, the energy of `orbits.decay` is asked first; where it does not tell, slow modes are looked at:
+with kappa the size of K_k beside the mean K, c <= kappa sqrt(w_i w_j) / 2, so w_i + w_j <= k / (1 - kappa / 4 q) where
+a pair grows, q the least sqrt(g_i g_j) / (g_i + g_j), and none where kappa k / 4 is below all rates of decay.
+Sources: B. Bentvelsen, A. Lazarus, Nonlinear Dyn. 91 (2018) 1349-1370; A. Nayfeh, D. Mook, Nonlinear Oscillations
+(1979), section 5.4.
 """
 
 from __future__ import annotations
@@ -19,10 +23,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import eigh
-from scipy.sparse.linalg import ArpackError, LinearOperator, eigs, splu
+from scipy.sparse.linalg import ArpackError, LinearOperator, eigs, eigsh, splu
 
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.integrate.collocation import tableau
+from orbitfinder.orbits.decay import Beside, decay, extreme
 from orbitfinder.orbits.harmonics import Balanced, Coefficients, Pattern
 from orbitfinder.orbits.implicit import SMALL
 
@@ -34,17 +39,19 @@ ALIKE, ROUND_OFF = 1e-7, 1e-8
 """Exponents nearer than this are the same. Real parts below it are none"""
 MARGIN, NEARBY, MOST_SHIFTS = 2.0, 0.05, 8
 """By how much couplings may be larger than in first order; how far apart shifts are; shifts at most"""
-SYMMETRIC, MOST_MODES = 1e-9, 400
-"""Relative difference from a matrix's transpose that is none; coordinates up to which all modes are known"""
+SYMMETRIC, MOST_MODES, MODES = 1e-9, 400, 80
+"""Relative difference from a matrix's transpose that is none; coordinates up to which all modes are known, and modes
+of more that may be looked at"""
 
 
 @dataclass(frozen=True)
 class Exponents:
     """Exponents s (in units of omega), the least stable first, and the largest real part that any `rest` may have:
-    infinite where nothing is known of it."""
+    infinite where nothing is known of it, and `why`."""
 
     values: np.ndarray
     rest: float
+    why: str = ""
 
     @property
     def multipliers(self) -> np.ndarray:
@@ -85,55 +92,107 @@ def nearest(problem: Balanced, w: Coefficients) -> complex:
 
 def _few(problem: Balanced, w: Coefficients) -> Exponents:
     """Those near what may grow."""
+    many = problem.equations.size > MOST_MODES
+    rate, why = decay(problem, w) if many else (0.0, "")
+    if rate > 0:
+        return Exponents(np.zeros(0, complex), -rate)
     spacing = 1.0 if 0 in problem.basis.orders else 2.0
-    suspects, reaches, rest = _suspects(problem, w)
+    suspects, reaches, rest, more = _suspects(problem, w)
+    if more and not many:
+        rate, why = decay(problem, w)
+        rest, more = (-rate, "") if rate > 0 else (np.inf, more)
     there = suspects - (spacing - 1.0)  # e^(i f tau) is e^(s tau) times an order, f - 1 is 0 among odd ones
     there = np.abs((there + spacing / 2) % spacing - spacing / 2)
     shifts = np.rint(there / NEARBY) * NEARBY
-    values, places = list[complex](), sorted({*shifts.tolist()})
+    values, places = list[complex](), sorted({*shifts.tolist(), *([0.0] if more else [])})
     for shift in places[:MOST_SHIFTS]:
         own = shifts == shift
         needed = float((np.abs(there[own] - shift) + reaches[own]).max(initial=0.0))
-        count, radius = SOUGHT + 2 * int(own.sum()), 0.0
+        count, radius = SOUGHT + 2 * int(own.sum()), -1.0
         while radius < needed and count <= MOST_SOUGHT:
             picked, radius = _about(problem, w, complex(0.0, shift), count)
+            values += picked.tolist()
             count *= 2
-        rest = rest if radius >= needed else np.inf
-        values += picked.tolist()
+        if radius < needed:
+            rest, more = np.inf, f"more exponents than {MOST_SOUGHT} lie about {shift:.3g} i"
+    if len(places) > MOST_SHIFTS:
+        rest, more = np.inf, f"modes at more than {MOST_SHIFTS} frequencies may grow"
     alone: list[complex] = []
     for value in sorted(values, key=lambda s: -s.real):
         there_ = complex(value.real, abs((value.imag + spacing / 2) % spacing - spacing / 2))
         if not any(abs(there_ - other) < ALIKE for other in alone):
             alone.append(there_)
-    return Exponents(np.array(alone, complex), rest if len(places) <= MOST_SHIFTS else np.inf)
+    return Exponents(np.array(alone, complex), rest, "; ".join(filter(None, (why, more))) if np.isinf(rest) else "")
 
 
-def _suspects(problem: Balanced, w: Coefficients) -> tuple[np.ndarray, np.ndarray, float]:
-    """Frequencies (k) that may grow with another, how far their exponents may be off, what the rest does at most."""
-    equations, undecided = problem.equations, (np.zeros(0), np.zeros(0), np.inf)
-    n, moving, samples = equations.size, equations.varying, problem.sampled(w)[1]
-    mean = np.zeros((3, n, n))
-    for table, entries in ((moving, samples.mean(axis=1)), (equations.steady, equations.fixed(float(w.vector[-1])))):
-        np.add.at(mean, (table[:, 2], table[:, 0], table[:, 1]), entries)
-    lopsided = max(np.abs(part - part.T).max() / max(np.abs(part).max(), np.finfo(float).tiny) for part in mean)
-    if n > MOST_MODES or np.any(moving[:, 2] == 2) or lopsided > SYMMETRIC or not mean[2].any():
-        return undecided
-    squares, modes = eigh(mean[0], mean[2])
-    if not squares[0] > 0:
-        return undecided
+@dataclass(frozen=True)
+class _Modes:
+    """Of the mean matrices: frequencies (m), shapes (n x m), their rates of decay, and the least of all there are."""
+
+    frequencies: np.ndarray
+    shapes: np.ndarray
+    decays: np.ndarray
+    least: float
+
+
+def _modes(beside: Beside, harmonics: np.ndarray, period: int) -> _Modes | str:
+    """All modes, or of many those slow enough to grow; or why they do not tell."""
+    parts = beside.stiffness, beside.damping, beside.mass
+    if beside.shifting or any(abs(part - part.T).max() > SYMMETRIC * abs(part).max() for part in parts):
+        return "its matrices are not symmetric, or its masses change"
+    stiffness, damping, mass = parts
+    if not mass.nnz:
+        return "it has no masses"
+    if beside.n <= MOST_MODES:
+        squares, shapes = eigh(stiffness.toarray(), mass.toarray())
+    else:
+        top, stiff = 0.0, beside.varies[:, 2] == 0
+        try:
+            if not stiff.all():
+                return "what damps it changes with the motion"
+            slowest, fastest = (0.5 * extreme(damping, mass, end) for end in ("least", "largest"))
+            for k in range(1, beside.degree + 1):
+                sides = [beside.matrix(0, half) for half in (harmonics[:, k].real, harmonics[:, k].imag)]
+                kappa = MARGIN * sum(extreme(side, stiffness, "largest") for side in sides if abs(side).max() > 0)
+                apart = kappa * (slowest + fastest) / (4 * np.sqrt(slowest * fastest))
+                if not apart < 1:
+                    return "its stiffness changes by too much for modes one by one"
+                if kappa * k * period > 4 * (1 - kappa / 2) * slowest:
+                    top = max(top, k * period / (1 - apart))
+            squares, shapes = eigsh(stiffness, MODES, mass, sigma=0.0, v0=np.ones(beside.n))
+        except (ArpackError, RuntimeError):
+            return "its modes are not found, or something is not damped"
+        if squares.max() < top**2:
+            return f"more modes than {MODES} may grow"
+    if not squares.min() > 0:
+        return "it has a mode without stiffness"
     frequencies = np.sqrt(squares)
-    decays = np.einsum("ij,ik,kj->j", modes, mean[1], modes, optimize=True) / 2
+    decays = np.einsum("ij,ij->j", shapes, damping @ shapes) / 2
     if not decays.min() > 0:
-        return undecided
+        return "some of it is not damped"
+    slow = decays - np.sqrt(np.maximum(decays**2 - squares, 0.0))
+    return _Modes(
+        frequencies, shapes, decays, float(slow.min() if shapes.shape[1] == beside.n else min(slow.min(), slowest))
+    )
+
+
+def _suspects(problem: Balanced, w: Coefficients) -> tuple[np.ndarray, np.ndarray, float, str]:
+    """Frequencies (k) that may grow with another, how far their exponents may be off, what the rest does at most, and
+    why nothing is known of that."""
+    moving, samples = problem.equations.varying, problem.sampled(w)[1]
     harmonics = np.fft.rfft(samples, axis=1) / samples.shape[1]
     period = 1 if 0 in problem.basis.orders else 2
+    seen = _modes(Beside(problem, w), harmonics, period)
+    if isinstance(seen, str):
+        return np.zeros(0), np.zeros(0), np.inf, seen
+    frequencies, decays = seen.frequencies, seen.decays
     worth = np.abs(harmonics[:, 1:]).max(axis=0, initial=0.0)
-    rest, picked = -float(decays.min()), dict[int, float]()
+    rest, picked = -0.5 * seen.least, dict[int, float]()  # where c is less than half of what would let it grow
     for k in np.flatnonzero(worth > ROUND_OFF * worth.max(initial=0.0)) + 1:
-        coupling = np.zeros((n, n))
+        coupling = np.zeros((frequencies.size, frequencies.size))
         for kind in (0, 1):
             own = moving[:, 2] == kind
-            sides = modes[moving[own, 0]], modes[moving[own, 1]]
+            sides = seen.shapes[moving[own, 0]], seen.shapes[moving[own, 1]]
             part = np.abs((sides[0] * harmonics[own, k, None]).T @ sides[1])
             coupling += part * (frequencies if kind else 1.0)
         coupling = MARGIN * (coupling + coupling.T) / (4 * np.sqrt(np.outer(frequencies, frequencies)))
@@ -144,7 +203,7 @@ def _suspects(problem: Balanced, w: Coefficients) -> tuple[np.ndarray, np.ndarra
         for mode, reach in zip((*i[grown > 0], *j[grown > 0]), (*c[grown > 0], *c[grown > 0]), strict=True):
             picked[mode] = max(picked.get(mode, 0.0), float(reach))
     which = np.array(sorted(picked), int)
-    return frequencies[which], np.array([picked[k] for k in which.tolist()]), rest
+    return frequencies[which], np.array([picked[k] for k in which.tolist()]), rest, ""
 
 
 def _about(problem: Balanced, w: Coefficients, shift: complex, count: int) -> tuple[np.ndarray, float]:

@@ -12,7 +12,7 @@ stages together. Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equ
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy import sparse
@@ -34,9 +34,9 @@ from orbitfinder.orbits.measure import action
 
 STAGES, STEPS, PIECES = 6, 64, 16
 """Of a step; steps and state-transition matrices of a period"""
-SETTLED, MOST, SLOW = 1e-15, 60, 0.7
+SETTLED, MOST, SLOW, SLOWER = 1e-15, 60, 0.7, 0.15
 """Change of the coordinates, in extents, after which an iteration has ended; its steps at most; what a step leaves that
-no longer contracts"""
+no longer contracts, or that asks for new factors"""
 RESOLVED, POWERS, FINEST, SMALL = 1.5, 30, 512, 40
 """Radians of the fastest mode in a step, iterations that find it, the most steps that follow it;
 coordinates up to which motions are certified by explicit steps and all their variations"""
@@ -57,6 +57,7 @@ class Implicit:
         self.table = np.concatenate([self.residual.varying, self.residual.steady])
         places, self.slots = np.unique(self.table[:, 1] * n + self.table[:, 0], return_inverse=True)
         self.indices, self.starts = places % n, np.searchsorted(places, np.arange(n + 1) * n)
+        self._factors, self._noise = cast(Any, ()), SETTLED  # of an earlier step; changes that are none
 
     def _slopes(self, times: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """dG/dq, dG/dv, dG/da (k x s, by `table`) at times (s) and n x s of each."""
@@ -76,28 +77,40 @@ class Implicit:
             return q0 + h * self.places * v0 + h**2 * a @ square.T, v0 + h * a @ self.inner.T
 
         q, v = stages(a)
-        middle = STAGES // 2
-        slopes = self._slopes(times[middle : middle + 1], *(part[:, middle : middle + 1] for part in (q, v, a)))[:, 0]
-        mass = self._matrix(slopes * (self.table[:, 2] == 2))
-        weights = (h * self.eigenvalues[:, None]) ** (2 - self.table[:, 2])
-        factors = [splu(self._matrix(slopes * weight)) for weight in weights]
-        before = np.inf
+        before, fresh = np.inf, not self._factors or self._factors[0] != h
         for _ in range(MOST):
+            if fresh and np.isinf(before):
+                self._factors = h, *self._factored(times, h, q, v, a)
+            _, mass, factors = self._factors
             missed = self.many(times, np.hstack([q.T, v.T]))[:, n:].T - a
             right = (mass @ missed) @ self.into.T
             solved = np.array([factor.solve(np.ascontiguousarray(right[:, k])) for k, factor in enumerate(factors)])
             change = 2 * (self.out @ solved).real.T
             moved = float(np.abs(h**2 * change / units[:n, None]).max())
+            slow = not moved <= SLOWER * before
+            if slow and not fresh and moved > self._noise:  # of an earlier step, far from here
+                before, fresh = np.inf, True
+                continue
             if not np.isfinite(moved):
                 break
             a = a + change
             q, v = stages(a)
-            if moved <= SETTLED or (moved > SLOW * before and moved < 1e-6):
+            rests = moved > SLOW * before and moved < 1e-6
+            self._noise = max(self._noise, moved) if rests and fresh else self._noise
+            if moved <= SETTLED or rests or (slow and not fresh):
                 end = np.concatenate([q0[:, 0] + h * v0[:, 0] + h**2 * a @ (self.weights @ self.inner),
                                       v0[:, 0] + h * a @ self.weights])  # fmt: skip
                 return end, a
             before = moved
         raise IntegrationError("the steps of an implicit method do not converge; start nearer to the motion")
+
+    def _factored(self, times: np.ndarray, h: float, *motion: np.ndarray) -> tuple[Any, list[Any]]:
+        """The masses and the factors of an iteration's matrices, in the middle of a step."""
+        middle = slice(STAGES // 2, STAGES // 2 + 1)
+        slopes = self._slopes(times[middle], *(part[:, middle] for part in motion))[:, 0]
+        weights = (h * self.eigenvalues[:, None]) ** (2 - self.table[:, 2])
+        factors = [splu(self._matrix(slopes * weight)) for weight in weights]
+        return self._matrix(slopes * (self.table[:, 2] == 2)), factors
 
     def _matrix(self, entries: np.ndarray) -> sparse.csc_matrix:
         n, size = self.residual.size, self.indices.size
