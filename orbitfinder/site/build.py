@@ -276,7 +276,7 @@ def _add_family(
 ) -> Card:  # fmt: skip
     data, path, words = family_data(family, simulator), f"families/{slug}.html", mechanism(family.system)
     values = family_values(family, data["items"]) | {"title": f"Family {family.name}", "moved": data["moved"]}
-    values |= _relatives(family, named) | {name: data[name] for name in ("conserved", "landscape")}
+    values |= _relatives(family, named) | {name: data[name] for name in ("conserved", "landscape", "frame")}
     site.add("family", path, values, ("explorer", data), f"A family of periodic orbits of {article(words)}.")
     useful = "value" if values["useful"][0] == "value" or data["moved"] else "energy"
     shown, unit = span(data["columns"][useful], 4), units(family.system)["energy"] if useful == "energy" else ""
@@ -346,7 +346,8 @@ def _add_atlas(
     model = simulator.known(entries[0].document["system"]) if len(systems) == 1 else None
     data = atlas_data(atlas.name, entries, {entry.slug for entry in shown}, model)
     about = f"An atlas of {atlas.counted('periodic orbit')}, energy against period."
-    values = atlas_values(entries, atlas) | {"title": f"Atlas {atlas.name}", "landscape": data["landscape"]}
+    values = atlas_values(entries, atlas) | {"title": f"Atlas {atlas.name}"}
+    values |= {name: data[name] for name in ("landscape", "frame")}
     site.add("atlas", path, values, ("explorer", data), about)
     words, note = ", ".join(sorted({entry.mechanism for entry in entries})), atlas.counted("distinct orbit")
     cover = _cover(f"atlas/{slugs[0]}", data, motions)

@@ -108,8 +108,8 @@ def orbit_values(entry: SiteOrbit) -> dict[str, Any]:
         "verdict": entry.verdict,
         "motion": motion,
         "aspect": _aspect(motion),
-        "shown": shown(motion) if motion else [],
-        "coordinates": len(motion.angles) if motion else 0,
+        "shown": portraits(motion) if motion else [],
+        "coordinates": len(motion.angles) - len(shown(motion)) + len(portraits(motion)) if motion else 0,
         "facts": _facts(entry),
         "multipliers": _multipliers(document),
         "proof": _recorded_proof(entry),
@@ -127,6 +127,8 @@ def orbit_values(entry: SiteOrbit) -> dict[str, Any]:
 def _aspect(motion: Filmed | None) -> float:
     """Width over height of the moving picture: that of the motion, within limits."""
     if motion is None:
+        return 1.25
+    if motion.points.shape[1] > 2:
         return 1.25
     spans = np.ptp(motion.points, axis=(0, 2))
     down, right = spans + 0.15 * max(float(spans.max()), 1e-12)
@@ -147,6 +149,12 @@ def shown(motion: Filmed) -> list[int]:
     if n > 6 and any(motion.angles) and not all(motion.angles):
         candidates = [k for k in candidates if motion.angles[k]]
     return [candidates[k] for k in evenly(len(candidates), 6)]
+
+
+def portraits(motion: Filmed) -> list[int]:
+    """Those of them that have a portrait: of a coordinate and its momentum one."""
+    partners, n = motion.partners, len(motion.angles)
+    return [k for k in shown(motion) if partners[k] > k or partners[partners[k] % n] != k]
 
 
 def _multipliers(document: Mapping[str, Any]) -> list[tuple[float, float, float, float]]:
@@ -199,6 +207,7 @@ def orbit_data(entry: SiteOrbit) -> dict[str, Any]:
             "labels": [coordinate(name) for name in motion.names[:n]],
             "axes": ["rad" if angle else entry.units["length"] * (n < len(motion.names)) for angle in motion.angles],
             "shown": shown(motion),
+            "portraits": portraits(motion),
         }
     return data
 
