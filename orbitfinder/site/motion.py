@@ -321,7 +321,7 @@ def recorded(model: Model, states: np.ndarray, duration: float, cuts: tuple[int,
     """What was simulated (k x d states at equal times over a duration, s), as it is: nothing returns."""
     drawn = "plane" if model.points is None else "mechanism"
     return Scene(places(model, states), strokes=model.strokes, period=max(duration, 1e-9), drawn=drawn, cuts=cuts,
-                 around=scenery(model))  # fmt: skip
+                 loops=False, around=scenery(model))  # fmt: skip
 
 
 @dataclass(frozen=True)

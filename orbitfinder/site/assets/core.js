@@ -250,7 +250,7 @@ var orbitfinder = (function () {
     var zero = this.spot(this.centre), w = this.width, h = this.height, origin = [[w - 42, h - 42], [w - 42, 42], [42, 42]].find(function (at) {
       return !scene.motion.around.marks.some(function (mark) {
         var place = scene.within(scene.spot(mark[1]));
-        return Math.hypot(place[0] - at[0], place[1] - at[1]) < 80;
+        return Math.hypot(place[0] - at[0], place[1] - at[1]) < 80 && !(place[2] && rests(mark));
       });
     }) || [w - 42, h - 42];
     pen.font = "italic 14px Georgia, serif";
@@ -274,6 +274,8 @@ var orbitfinder = (function () {
     return [x + share * dx, y + share * dy, share < 1];
   };
 
+  function rests(mark) { return /^L[1-5]$/.test(mark[0]); }
+
   // What stands about the motion: bodies as discs, at least to be seen, places of rest as crosses; an arrow towards a
   // body beyond the edge.
   Scene.prototype.marks = function (c) {
@@ -281,7 +283,7 @@ var orbitfinder = (function () {
     if (w < 150) return;
     pen.font = "13px system-ui, sans-serif";
     this.motion.around.marks.forEach(function (mark) {
-      var at = scene.within(scene.spot(mark[1])), x = at[0], y = at[1], inside = !at[2], body = !/^L[1-5]$/.test(mark[0]);
+      var at = scene.within(scene.spot(mark[1])), x = at[0], y = at[1], inside = !at[2], body = !rests(mark);
       if (!inside && !body) return;
       if (taken.some(function (other) { return Math.hypot(other[0] - x, other[1] - y) < 12; })) return;
       taken.push([x, y]);
