@@ -76,6 +76,8 @@ class ParameterMap(Shown):
     verdicts: Dense
     amplitudes: Dense
     sample: Dense
+    title: str = ""
+    """of the problem, above its picture"""
 
     @property
     def known(self) -> np.ndarray:

@@ -1023,12 +1023,22 @@ def _picture(made: _Drawing) -> tuple[ca.SX, tuple[tuple[str, tuple[int, ...]], 
             strokes.append(("disc", tuple(place(name, at) for at in seen)))
         points = [_plain_point(point, made.dimension) for point in table["shape"]] if "shape" in table else held[name]
         if len(points) < 2 and (made.dimension == 3 or "disc" not in table):
-            points = [*points, com]
+            points = [*points, *(_rod_end(table, at, com) for at in points), *([] if points else [com])]
         if not {"shape", "disc"} & set(table):  # a spring does not end in the air
             points = [*points, *(at for at in pulled[name] if not _among(at, points))]
         chain = [place(name, at) for at in points]
         strokes.append(("rod", tuple(chain + chain[:1] * (len(chain) > 2 and "shape" not in table))))
     return ca.horzcat(*(ca.densify(point)[: made.dimension] for point in columns)), tuple(strokes)
+
+
+def _rod_end(table: Table, at: ca.SX, com: ca.SX) -> ca.SX:
+    """Where a body ends that is held at one point: beyond its centre of mass as far as a uniform rod of its mass and
+    moment of inertia, I = m h^2 / 3, but no farther than on this side; the disc's centre of one with a disc."""
+    inertia, arm = np.ravel(table.get("inertia", 0.0)), com - at
+    if "disc" in table or ca.SX(arm).is_zero() or not all(isinstance(x, float) for x in inertia.tolist()):
+        return com
+    beyond = np.sqrt(3.0 * float(np.max(inertia[:3])) / float(table["mass"]))
+    return com + arm * ca.fmin(1.0, beyond / ca.norm_2(arm))
 
 
 def _among(at: ca.SX, points: Sequence[ca.SX]) -> bool:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import io
 import re
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,10 @@ import numpy as np
 from matplotlib import colormaps, rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.style import context
 from matplotlib.text import Text
 
+from orbitfinder.errors import InputError
 from orbitfinder.records.reading import write_atomically
 from orbitfinder.show.scene import BRUSHES, Scene, Strokes, extent, outlines, tip
 from orbitfinder.show.svg import COLOURS
@@ -27,6 +30,26 @@ LEAST_SIDE, SLIVER = 0.4, 0.08
 """The shorter side of a picture with ground (and of what is drawn wider than it is), and how narrow that is"""
 APART = 4.0
 """Pixels between two names, which move a little when the figure is laid out around them"""
+
+
+@contextmanager
+def styled(sheet: str | None) -> Iterator[None]:
+    """Figures with the fonts, sizes and whatever else they do not set themselves of a Matplotlib style sheet.
+
+    Raises `InputError`.
+    """
+    if sheet is None:
+        yield
+        return
+    try:
+        chosen = context(sheet)
+        chosen.__enter__()
+    except (OSError, ValueError) as error:
+        raise InputError(f"style: {sheet}: no style sheet of Matplotlib; give a file or one of its names") from error
+    try:
+        yield
+    finally:
+        chosen.__exit__(None, None, None)
 
 
 def new_figure(width: float, height: float, title: str, what: str = "") -> Figure:

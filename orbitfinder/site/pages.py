@@ -19,7 +19,7 @@ from orbitfinder.problemfile.write import orbit_name, orbit_text
 from orbitfinder.records.certificate import Check
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import level, recorded_proof
-from orbitfinder.show.diagram import LOOKS, mark_of
+from orbitfinder.show.diagram import LOOKS, changes, mark_of, verdicts
 from orbitfinder.show.facts import facts, largest, number, with_unit
 from orbitfinder.show.scene import evenly
 from orbitfinder.site.gather import AtlasFile, OrbitFile, Verdict
@@ -309,15 +309,23 @@ def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
         "curve": len(family.parameters) > 1,
         "columns": columns
         | {
-            "stable": [point.stability != "unstable" for point in family.points],
+            "stable": verdicts(family),
             "largest": [max(map(abs, point.floquet_multipliers.tolist()), default=1.0) for point in family.points],
         },
+        "changes": [[k, None if at is None else _place(family, at, reach)] for k, at in changes(family)],
         "items": items,
         "looks": {
             kind: [look.symbol, look.series, look.pixels, look.line]
             for kind, look in {kind: LOOKS[kind] for kind in map(itemgetter("kind"), items) if kind}.items()
         },
     }  # fmt: skip
+
+
+def _place(family: Family, number: int, reach: Sequence[float]) -> dict[str, float]:
+    """Where an event lies on the axes that it is known on."""
+    event = family.events[number]
+    told = {"energy": level(event.energy), "period": event.period, "value": event.parameter}
+    return told | {"arclength": event.arclength} | ({"amplitude": reach[len(family.points) + number]} if reach else {})
 
 
 def _response(family: Family, simulator: Simulator) -> tuple[str, list[float]]:
