@@ -797,6 +797,13 @@ def test_what_moves_in_space_is_drawn_there():
     assert set(moon) >= {"Earth", "Moon", "L1"} and moon["Moon"] == pytest.approx([0.0, 0.98784941, 0.0], abs=1e-6)
 
 
+def test_a_rod_that_is_held_at_one_end_is_drawn_to_the_other():
+    """As far as a uniform rod of its mass and moment of inertia goes; a point mass is its end."""
+    model = load_problem(ROOT / "problems" / "mechanisms" / "furuta.toml").model
+    ends = positions(model, np.zeros((1, 4)), "space")[0].T
+    assert np.abs(ends - [0.129, 0.085, 0.0]).max(axis=1).min() < 1e-4  # hangs from the arm's end, 129 mm long
+
+
 def test_a_disc_in_space_turns_about_its_axle():
     top = load_problem(ROOT / "problems" / "mechanisms" / "gyroscope.toml").model
     states = np.array([[0.3, 1.9, spin, 0.0, 0.0, 0.0] for spin in np.linspace(0, 6, 7)])

@@ -16,8 +16,9 @@ import orbitfinder as of
 from orbitfinder.orbits.certify import certify
 from orbitfinder.records.family import load_family
 from orbitfinder.records.registry import load_orbit
+from orbitfinder.show.diagram import changes
 from orbitfinder.site.build import SiteSettings, build_site
-from orbitfinder.site.gather import gather
+from orbitfinder.site.gather import Gathered, gather
 from orbitfinder.site.writing import write_site
 from orbitfinder.structures.sections import section
 
@@ -679,6 +680,30 @@ def test_a_relative_orbit_goes_on_turning_over_the_end_of_its_period(browser, sp
     browser.execute_script(f"{SEEN} m.around.marks = []; s.width = 0; orbitfinder.player.stale = true")
     wait(browser, "return !orbitfinder.player.stale")
     assert browser.execute_script(f"{SEEN} {INK}") < before - 50  # a cross, an arrow and its name were there
+
+
+def test_the_curve_of_a_family_changes_its_line_at_the_event(browser, tmp_path_factory):
+    """Unstable stretches are dashed to the event and not beyond; what nothing decides is dotted; the legend says so."""
+    family = load_family(SHIPPED.parent / "families" / "five-bar-length" / "family.json")
+    unsure = replace(family, points=(replace(family.points[0], stability="marginal"), *family.points[1:]))
+    out = tmp_path_factory.mktemp("stretches")
+    write_site(build_site(Gathered(families=[unsure]), SiteSettings(verify=False))[0].files, out / "site")
+    go(browser, next((out / "site" / "families").glob("*.html")), motion="reduce")
+    lines = browser.execute_script(
+        "const p = document.getElementById('plot'); document.getElementById('across').value = 'value';"
+        "document.getElementById('across').dispatchEvent(new Event('change'));"
+        "return p.data.filter(t => t.mode === 'lines').map(t => [t.name, t.line.dash, t.x, t.showlegend])"
+    )
+    assert lines[0][:2] == ["undecided", "dot"] and {tuple(line[:2]) for line in lines} == {
+        ("undecided", "dot"), ("stable", "solid"), ("unstable", "dash"),
+    }  # fmt: skip
+    assert sum(line[3] for line in lines) == 3
+    told = changes(unsure)
+    assert len(lines) == len(told) + 1
+    for (_, at), before, after in zip(told, lines, lines[1:], strict=False):
+        assert before[2][-1] == after[2][0] != None  # noqa: E711
+        if at is not None:
+            assert before[2][-1] == pytest.approx(unsure.events[at].parameter)
 
 
 HOST = """<!doctype html><meta charset="utf-8"><title>a notebook</title><style>{css}</style>
