@@ -20,6 +20,7 @@ from orbitfinder._runtime import locks
 from orbitfinder.atlas.store import Atlas, Filter
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError, plural
+from orbitfinder.families.entries import kind_of
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.integrate.rk8 import march
@@ -902,7 +903,10 @@ def test_families_and_orbits_are_joined(tmp_path):
     assert 'href="triple-mode-2.html#event=2">triple-mode-2, branch point 2</a>' in branch
     assert 'href="triple-1.html">triple-1, from branch point 2</a>' in parent
     assert re.search(r'href="../families/triple-1.html#point=\d+">Family triple-1 \(the curve comes within', orbit)
+    title = re.search("<h1>(.*?)</h1>", orbit)[1]
+    assert f'<a href="../orbits/triple-1.html">{title}</a>' in branch
     text = made.files["data/families/triple-mode-2.js"].decode()
+    assert kind_of("branch_point").words in text
     assert "orbitfinder continue families/triple-mode-2/family.json --switch 2" in text
 
 

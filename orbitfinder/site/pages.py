@@ -282,6 +282,7 @@ def _item(member: FamilyPoint | Event, family: Family, simulator: Simulator) -> 
         "multipliers": [[float(f"{x:.8g}") for x in (mu.real, mu.imag)] for mu in at.floquet_multipliers.tolist()],
         "event": event.detail if event is not None and kind_of(event.kind).verdict and event.detail else words,
         "kind": "" if event is None else event.kind,
+        "what": "" if event is None else kind_of(event.kind).words,
         "motion": packed(motion) if motion else None,
     }
 

@@ -220,6 +220,7 @@
     var rows = [["Period", figure(one.period, 10) + " " + S]];
     if (it.conserved || !one.event) rows.push([it.conserved ? "Energy" : "Energy at t = 0", figure(one.energy, 10) + " " + E]);
     if (family && it.parameter !== "energy" && it.parameter !== "period") rows.push([it.parameter, figure(one.value, 10)]);
+    if (one.what) rows.unshift(["What happens", one.what]);
     if (one.event) rows.unshift(["Event", one.event]);
     if (one.error) rows.push(["Error bar of " + it.parameter, figure(one.error, 2)]);
     if (one.title) rows.unshift(["Orbit", one.title]);
