@@ -23,7 +23,7 @@ from orbitfinder.records.family import load_family
 from orbitfinder.show import plot
 from orbitfinder.show.diagram import changes, verdicts
 from orbitfinder.show.scene import tip
-from orbitfinder.show.style import arrows, bare, line_style, new_figure, place_labels
+from orbitfinder.show.style import arrows, bare, line_style, new_figure, place_labels, rounded
 from orbitfinder.show.svg import COLOURS
 
 RESULTS = Path(__file__).parents[1] / "results"
@@ -180,6 +180,19 @@ def test_one_family_is_coloured_by_stability_and_events_have_their_own_colours()
     assert {line.get_linestyle() for line in axes.lines} - {"None"} == {":"}
     marks = {line.get_color() for line in axes.lines if line.get_linestyle() == "None"}
     assert len(marks) > 3 and not marks & {plot.STABLE, plot.UNSTABLE}
+
+
+def test_curves_have_no_corners_and_go_through_their_points() -> None:
+    """Twelve points of a circle in two stretches that meet: on it to a thousandth, turned by little at each place."""
+    angles = np.linspace(0, 2 * np.pi, 13)
+    circle = np.column_stack([np.cos(angles), 50 * np.sin(angles)])
+    (_, first), (_, second) = rounded([(True, circle[:6]), (False, circle[5:])])
+    assert np.array_equal(first[-1], second[0]) and np.abs(first[::8] - circle[:6]).max() < 1e-12
+    whole = np.vstack([first, second[1:]]) / [1, 50]
+    assert np.abs(np.linalg.norm(whole, axis=1)[8:-8] - 1).max() < 2e-3
+    steps = np.diff(whole, axis=0)
+    turns = np.diff(np.unwrap(np.arctan2(*steps.T)))
+    assert np.abs(turns).max() < 0.12 < 2 * np.pi / 12 / 3  # of the polygon 0.52
 
 
 def test_families_are_drawn_in_coordinates_of_ones_own(tmp_path) -> None:

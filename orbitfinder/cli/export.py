@@ -48,7 +48,7 @@ def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> N
 @option("across", "Draw families over this: energy, period, frequency, arclength, a parameter, what is watched.")
 @option("up", "What goes up, likewise.  [default: frequency]")
 @option("xlim", "The window across, LOW,HIGH.", kind=NUMBERS)
-@option("style", "A Matplotlib style sheet, or the name of one, over the figures' own.", metavar="FILE")
+@option("style", "A Matplotlib style sheet, or its name, over the figures' own.", metavar="FILE")
 @usual("Folder for the figures; default: beside each file.", trust=SYSTEM_TRUST, json=False)
 def plot(files: tuple[Path, ...], out: Path | None, together: bool, level: float | None, style: str | None,
          trust: bool, **axes: Any) -> None:  # fmt: skip

@@ -344,7 +344,7 @@ def polyline(name: str, expression: ca.SX | None, arguments: Sequence[ca.SX]) ->
     if ca.SX(expression).shape[0] != 2:
         raise InputError(
             f"{name}: shape {ca.SX(expression).shape}; give 2 x k, x down and y right in each column: ca.horzcat of "
-            "ca.vertcat(x, y)"
+            "ca.vertcat(x, y); of points in space 3 x k"
         )
     return ca.Function(name, list(arguments), [expression])
 

@@ -1032,8 +1032,8 @@ def _picture(made: _Drawing) -> tuple[ca.SX, tuple[tuple[str, tuple[int, ...]], 
 
 
 def _rod_end(table: Table, at: ca.SX, com: ca.SX) -> ca.SX:
-    """Where a body ends that is held at one point: beyond its centre of mass as far as a uniform rod of its mass and
-    moment of inertia, I = m h^2 / 3, but no farther than on this side; the disc's centre of one with a disc."""
+    """Where a body ends that is held at a single point: beyond its centre of mass as far as a uniform rod of its mass
+    and moment of inertia, I = m h^2 / 3, but no farther than on this side; the disc's centre with a disc."""
     inertia, arm = np.ravel(table.get("inertia", 0.0)), com - at
     if "disc" in table or ca.SX(arm).is_zero() or not all(isinstance(x, float) for x in inertia.tolist()):
         return com

@@ -64,7 +64,7 @@ class Course:
 
     @property
     def gained(self) -> np.ndarray:
-        """(d) what a period adds to the coordinates of a smooth motion: whole turns, a shift of a relative one."""
+        """(d) what a period adds to the coordinates of a smooth motion: whole turns, the shift of a relative orbit."""
         states, n = self.pieces[0].states, self.pieces[0].model.degrees_of_freedom
         moved = states[-1] - states[0]
         lasting = (np.abs(moved) > SEEN.relative_tolerance * np.abs(states).max(axis=0)) & (np.arange(moved.size) < n)

@@ -65,8 +65,8 @@ def verdicts(family: Family) -> list[bool | None]:
 
 
 def changes(family: Family) -> list[tuple[int, int | None]]:
-    """The points that are not of the same stability as the one before, and the number of the event between them that
-    changes it, where one is known."""
+    """The points that are not of the same stability as those before, and the number of the event between them that
+    changes it, where that is known."""
     points, stable = family.points, verdicts(family)
 
     def between(k: int) -> list[int]:

@@ -44,6 +44,7 @@ from orbitfinder.show.style import (
     new_figure,
     place_labels,
     plane,
+    rounded,
     save_all,
     save_png,
     sweep,
@@ -333,7 +334,7 @@ def save_chosen(
     families: Sequence[Family], path: Path, across: str | None = None, up: str | None = None,
     xlim: Sequence[float] | None = None,
 ) -> Path:  # fmt: skip
-    """Write families in coordinates of one's own: energy, period, frequency, arclength, a parameter, a watched number.
+    """Write families in other coordinates: energy, period, frequency, arclength, a parameter, a watched number.
 
     `across` is by default the parameter, `up` the frequency, `xlim` the window. Raises `InputError`.
     """
@@ -432,7 +433,7 @@ def frequency_energy(
         drawn.append(
             Diagram(each, called, np.column_stack([each.places[:, 0] if freed else levels, frequencies(each)]))
         )
-    _curves(figure, axes, drawn)
+    _curves(figure, axes, drawn, plain=level is None)
     labels = [(name, away(energy), 1.0 / period) for name, (energy, period) in (marks or {}).items()]
     for _, energy, frequency in labels:
         axes.plot(energy, frequency, "*", color="black", markersize=10, zorder=5)
@@ -520,15 +521,15 @@ def response(families: Sequence[Family], model: Model, coordinate: str | None = 
     return figure
 
 
-def _curves(figure: Figure, axes: Any, diagrams: Sequence[Diagram]) -> None:
+def _curves(figure: Figure, axes: Any, diagrams: Sequence[Diagram], plain: bool = True) -> None:
     """Each family as a curve through the places of its points, dashed where unstable, and its events marked.
 
-    One family is coloured by stability; of several the later lie on wider ones.
+    One family is coloured by stability; of several the later lie on wider ones. On `plain` axes without corners.
     """
     shown, many, calm = dict[str, Any](), len(diagrams) > 1, {True: STABLE, False: UNSTABLE, None: UNDECIDED}
     for k, drawn in enumerate(diagrams):
         wider = min(3.6, 0.9 * (len(diagrams) - 1 - k))
-        for stable, path in drawn.stretches:
+        for stable, path in rounded(drawn.stretches) if plain else drawn.stretches:
             colour, (word, line) = COLOURS[k % len(COLOURS)] if many else calm[stable], STRETCHES[stable]
             style = {"linestyle": line, "linewidth": (1.8 if stable else 1.2) + wider}
             axes.plot(*path.T, color=colour, zorder=2 + 0.01 * k, **style)

@@ -151,7 +151,7 @@ def cuts_of(course: Course, moments: np.ndarray) -> tuple[int, ...]:
 
 
 def spatial(model: Model) -> bool:
-    """Whether a system is drawn in space: it says where its points are there, or its state is one point there."""
+    """Whether a system is drawn in space: it says where its points are there, or its state is a point there."""
     return model.space is not None or (model.points is None and _third(model) > 1)
 
 
@@ -179,19 +179,17 @@ def positions_at(model: Model, course: Course, moments: np.ndarray) -> np.ndarra
 
 
 def rounds_of(model: Model, course: Course, most: int) -> int:
-    """After how many periods what is drawn is where it was to a hundredth of what it fills by then; of `most` the one
-    that comes nearest, where none does."""
-    instants = equal_times(1.0, INSTANTS)
+    """After how many periods what is drawn is where it was to a hundredth of what it fills by then; of `most` that
+    which comes nearest, where none does."""
+    instants = equal_times(1.0, 12)
     seen = positions_at(model, course, course.period * (np.arange(most + 1)[:, None] + instants).ravel())
     rounds = seen.reshape(most + 1, -1)
     away = np.abs(rounds[1:] - rounds[0]).max(axis=1) / extent(seen)
     return int(np.argmax(away < 0.01) if (away < 0.01).any() else away.argmin()) + 1
 
 
-INSTANTS = 12
-"""Of a period, at which it is asked where a motion is"""
 BODIES = {0.01215: (("Earth", 0.0166), ("Moon", 0.0045)), 9.537e-4: (("Sun", 0.0009), ("Jupiter", 0.0001))}
-"""By the lighter one's share of the mass of two: what they are called, and their radii over their distance"""
+"""By the lighter body's share of the mass of two: what they are called, and their radii over their distance"""
 
 
 def landmarks(model: Model) -> list[tuple[str, tuple[float, ...], float]]:

@@ -152,7 +152,7 @@ def shown(motion: Filmed) -> list[int]:
 
 
 def portraits(motion: Filmed) -> list[int]:
-    """Those of them that have a portrait: of a coordinate and its momentum one."""
+    """Those of them that have a portrait: of a coordinate and its momentum the first."""
     partners, n = motion.partners, len(motion.angles)
     return [k for k in shown(motion) if partners[k] > k or partners[partners[k] % n] != k]
 
