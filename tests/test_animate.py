@@ -1,22 +1,27 @@
 """Animations: real time, whole periods, no jump at the loop, small files."""
 
 import itertools
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from orbitfinder.errors import InputError
+from orbitfinder.records.registry import load_orbit
 from orbitfinder.show.animate import (
     VIDEO,
     AnimationSettings,
     Clip,
     draw_frames,
     loop_frames,
+    orbit_clip,
     save_animation,
     settings_for,
     simulation_clip,
     smooth,
 )
+
+ROOT = Path(__file__).parents[1]
 
 
 def swinging(count: int = 20) -> Clip:
@@ -68,6 +73,14 @@ def test_no_jump_at_the_loop() -> None:
     tips = swinging().points[:, :, -1]
     steps = np.linalg.norm(np.roll(tips, -1, axis=0) - tips, axis=1)
     assert steps[-1] <= steps.max()
+
+
+@pytest.mark.parametrize(("name", "loops"), [("spherical-pendulum", True), ("pendulum-on-moving-cart", False)])
+def test_relative_orbits_go_on_where_they_have_led(name, loops) -> None:
+    """No chord: every step is one of the motion; what turns goes on until it is where it was, what drifts drifts."""
+    clip = orbit_clip(load_orbit(ROOT / "results" / "gallery" / name / "orbit.json"))
+    steps = np.abs(np.diff(clip.points, axis=0, append=clip.points[:1] if loops else clip.points[-1:])).max(axis=(1, 2))
+    assert clip.loops is loops and steps.max() < 1.5 * np.quantile(steps, 0.95)
 
 
 def test_simulations_are_resampled_to_the_frame_rate() -> None:

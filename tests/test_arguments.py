@@ -154,7 +154,7 @@ MISTAKES = {
     "lagrange angles bool": (lambda: of.lagrange(T, U, S, angles=True), "angles"),
     "constrained names": (lambda: of.constrained(T, U, ca.sumsqr(Q) - 1, S, names=["x"]), "names"),
     "constrained angles": (lambda: of.constrained(T, U, ca.sumsqr(Q) - 1, S, angles=[True]), "angles"),
-    "lagrange points shape": (lambda: of.lagrange(T, U, S, points=ca.SX(3, 2)), "points"),
+    "lagrange points shape": (lambda: of.lagrange(T, U, S, points=ca.SX(4, 2)), "points"),
     "symbols parameter names": (
         lambda: of.lagrange(T, U, of.Symbols(Q, V, ca.SX.sym("k"))),
         "parameter_names, parameter_values",

@@ -20,6 +20,7 @@ from orbitfinder._runtime import locks
 from orbitfinder.atlas.store import Atlas, Filter
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError, plural
+from orbitfinder.families.entries import kind_of
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.integrate.rk8 import march
@@ -48,7 +49,7 @@ from orbitfinder.site.build import SiteSettings, build_site
 from orbitfinder.site.gather import gather
 from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import Simulator, histories, packed, skeleton
-from orbitfinder.site.pages import span, spread
+from orbitfinder.site.pages import portraits, span, spread
 from orbitfinder.site.text import PAGES, coordinate, mechanism, script_data, size, slug_maker
 from orbitfinder.site.writing import MARK, check_target, mark, write_site
 
@@ -756,9 +757,63 @@ def test_a_turning_angle_goes_on_over_the_end_of_the_period():
     assert not skeleton(points, (("spring", (0, 1)),)).rods
 
 
-def test_relative_motions_start_again_instead_of_flying_back():
-    found = Simulator().orbit(json.loads((ROOT / "results/gallery/pendulum-on-moving-cart/orbit.json").read_text()))
-    assert not found.loops and packed(found)["jumps"] == [len(found.points) - 1] and len(found.points) < 200
+def shipped(name):
+    return Simulator().orbit(json.loads((ROOT / "results" / "gallery" / name / "orbit.json").read_text()))
+
+
+def test_a_motion_that_drifts_is_seen_from_beside_it():
+    found = shipped("pendulum-on-moving-cart")
+    made, cart = packed(found), positions(found.model, found.states)[:, 1, 0]
+    assert "jumps" not in made and made["drift"] == pytest.approx([0.0, np.ptp(cart[[0, -1]])], abs=1e-8)
+    assert made["count"] < 200 and np.ptp(found.points[:, 1, 0]) < 0.7 * made["drift"][1]
+
+
+@pytest.mark.parametrize(
+    ("name", "coordinate", "rounds"),
+    [("spherical-pendulum", 1, 20), ("figure-eight-turning", 1, 17), ("free-double-pendulum", 0, 23)],
+)
+def test_a_motion_that_comes_back_turned_goes_on_turning(name, coordinate, rounds):
+    """Until so many turns are nearly whole: nothing jumps, and every period is the first one turned."""
+    found = shipped(name)
+    turn = float(np.ptp(found.states[[0, -1], coordinate])) * rounds / (2 * np.pi)
+    assert found.rounds == packed(found)["rounds"] == rounds and abs(turn - round(turn)) < 0.02
+    one = found.points.reshape(rounds, -1, *found.points.shape[1:])
+    sizes = np.linalg.norm(one - one[..., :1], axis=2)  # distances between points stay
+    assert np.abs(sizes - sizes[0]).max() < 1e-6
+    steps = np.linalg.norm(np.diff(found.points, axis=0, append=found.points[:1]), axis=1)
+    assert steps[-1].max() < 2 * steps[:-1].max() and "jumps" not in packed(found)
+
+
+def test_what_moves_in_space_is_drawn_there():
+    """The bob keeps its distance in all three dimensions; the halo has its bodies about it, z upwards."""
+    bob = shipped("conical-pendulum").points
+    assert bob.shape[1:] == (3, 2) and np.abs(np.linalg.norm(bob[:, :, 1], axis=1) - 1.0).max() < 1e-12
+    halo = shipped("three-body-halo")
+    about, states = packed(halo)["around"], halo.at(len(halo.points))
+    assert np.abs(halo.points[:, :, 0] - states[:, [2, 0, 1]] * [-1, 1, -1]).max() < 1e-12
+    assert about["axes"] == [["x", [0.0, 1.0, 0.0]], ["y", [0.0, 0.0, -1.0]], ["z", [-1.0, 0.0, 0.0]]]
+    assert [name for name, _, _ in about["marks"]][:3] == ["primary", "secondary", "L1"]
+    assert halo.partners[:3] == [3, 4, 5] and portraits(halo) == [0, 1, 2]
+    moon = {name: place for name, place, _ in packed(shipped("three-body-lyapunov"))["around"]["marks"]}
+    assert set(moon) >= {"Earth", "Moon", "L1"} and moon["Moon"] == pytest.approx([0.0, 0.98784941, 0.0], abs=1e-6)
+
+
+def test_a_rod_that_is_held_at_one_end_is_drawn_to_the_other():
+    """As far as a uniform rod of its mass and moment of inertia goes; a point mass is its end."""
+    model = load_problem(ROOT / "problems" / "mechanisms" / "furuta.toml").model
+    ends = positions(model, np.zeros((1, 4)), "space")[0].T
+    assert np.abs(ends - [0.129, 0.085, 0.0]).max(axis=1).min() < 1e-4  # hangs from the arm's end, 129 mm long
+
+
+def test_a_disc_in_space_turns_about_its_axle():
+    top = load_problem(ROOT / "problems" / "mechanisms" / "gyroscope.toml").model
+    states = np.array([[0.3, 1.9, spin, 0.0, 0.0, 0.0] for spin in np.linspace(0, 6, 7)])
+    _, (centre, *rim) = next(stroke for stroke in top.strokes if stroke[0] == "disc")
+    seen = positions(top, states, "space")
+    spokes = seen[:, :, rim] - seen[:, :, [centre]]
+    axle = seen[:, :, centre] / np.linalg.norm(seen[:, :, centre], axis=1, keepdims=True)
+    assert np.abs(np.einsum("kdm,kd->km", spokes, axle)).max() < 1e-12 and np.ptp(axle, axis=0).max() < 1e-12
+    assert np.linalg.norm(spokes, axis=1) == pytest.approx(0.06) and np.ptp(spokes[:, :, 0], axis=0).max() > 0.05
 
 
 def test_a_motion_at_constant_rates_is_drawn():
@@ -848,7 +903,10 @@ def test_families_and_orbits_are_joined(tmp_path):
     assert 'href="triple-mode-2.html#event=2">triple-mode-2, branch point 2</a>' in branch
     assert 'href="triple-1.html">triple-1, from branch point 2</a>' in parent
     assert re.search(r'href="../families/triple-1.html#point=\d+">Family triple-1 \(the curve comes within', orbit)
+    title = re.search("<h1>(.*?)</h1>", orbit)[1]
+    assert f'<a href="../orbits/triple-1.html">{title}</a>' in branch
     text = made.files["data/families/triple-mode-2.js"].decode()
+    assert kind_of("branch_point").words in text
     assert "orbitfinder continue families/triple-mode-2/family.json --switch 2" in text
 
 

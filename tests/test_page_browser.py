@@ -16,8 +16,9 @@ import orbitfinder as of
 from orbitfinder.orbits.certify import certify
 from orbitfinder.records.family import load_family
 from orbitfinder.records.registry import load_orbit
+from orbitfinder.show.diagram import changes
 from orbitfinder.site.build import SiteSettings, build_site
-from orbitfinder.site.gather import gather
+from orbitfinder.site.gather import Gathered, gather
 from orbitfinder.site.writing import write_site
 from orbitfinder.structures.sections import section
 
@@ -621,6 +622,89 @@ def test_lines_of_equal_potential_lie_under_a_motion(browser, potential):
 
 # --------------------------------------------------------------------------------------------------
 # The same stage in a notebook: the widget's module mounted on a page that stands for the host.
+
+
+@pytest.fixture(scope="module")
+def spatial(tmp_path_factory):
+    """A site with a spherical pendulum that turns and an orbit between Earth and Moon."""
+    files = [SHIPPED.parent / "gallery" / name / "orbit.json" for name in ("spherical-pendulum", "three-body-lyapunov")]
+    site_, _ = build_site(gather(files), SiteSettings(verify=False))
+    out = tmp_path_factory.mktemp("spatial") / "site"
+    write_site(site_.files, out)
+    return out / "orbits"
+
+
+SEEN = "const s = orbitfinder.player.scenes[0], m = s.motion;"
+INK = """const d = s.pen.getImageData(0, 0, s.canvas.width, s.canvas.height).data; let n = 0;
+for (let k = 3; k < d.length; k += 4) n += d[k] > 0; return n"""
+
+
+@pytest.mark.parametrize("width", [390, 1400])
+def test_what_moves_in_space_is_turned_by_hand_and_by_keys(browser, spatial, width):
+    """The rod is as long in the picture as turning its three coordinates says; the time goes on where it was."""
+    go(browser, spatial / "spherical-pendulum.html", width, motion="reduce")
+    stage = find(browser, "#stage")
+    assert stage.get_attribute("tabindex") == "0" and "arrow keys" in stage.get_attribute("aria-label")
+    seen = f"""{SEEN} const at = m.at(0.3), [a, e] = s.turned, p = s.point(at, 1), o = s.point(at, 0);
+        return [a, e, s.scale, [at[1], at[3], at[5]], [p[0] - o[0], p[1] - o[1], p[2] - o[2] * 1]]"""
+    first = browser.execute_script(seen)
+    mouse = webdriver.ActionChains(browser)
+    mouse.move_to_element(stage).click_and_hold().move_by_offset(60, 24).release().perform()
+    stage.send_keys("+")
+    wait(browser, f"{SEEN} return !orbitfinder.player.stale && s.width > 0")
+    second = browser.execute_script(seen)
+    assert second[0] - first[0] == pytest.approx(0.5) and second[1] - first[1] == pytest.approx(0.2)
+    for azimuth, height, scale, (down, right, eye), (across, lower, _) in (first, second):
+        away = np.cos(azimuth) * eye + np.sin(azimuth) * right  # from the vertical, towards the eye
+        wanted = scale * np.array([
+            np.cos(azimuth) * right - np.sin(azimuth) * eye, np.cos(height) * down + np.sin(height) * away,
+        ])  # fmt: skip
+        assert [across, lower] == pytest.approx(wanted, abs=0.01)
+    stage.send_keys(webdriver.Keys.HOME)
+    wait(browser, f"{SEEN} return !orbitfinder.player.stale && s.width > 0")
+    assert browser.execute_script(seen) == first and ask(browser, "overflow") == []
+
+
+def test_a_relative_orbit_goes_on_turning_over_the_end_of_its_period(browser, spatial):
+    go(browser, spatial / "spherical-pendulum.html", motion="reduce")
+    apart = f"""{SEEN} const at = t => Array.from(m.at(t * m.period)).slice(0, 6);
+        const gap = (a, b) => Math.max(...at(a).map((x, k) => Math.abs(x - at(b)[k]))); let most = 0;
+        for (let k = 0; k < 2000; k++) most = Math.max(most, gap(k / 100, (k + 1) / 100));
+        return [most, gap(0, 1), gap(0, 20)]"""
+    step, turned, back = browser.execute_script(apart)
+    assert step < 0.1 < 0.5 < turned and back < 0.05
+    go(browser, spatial / "three-body-lyapunov.html", motion="reduce")
+    inside = browser.execute_script(f"{SEEN} return m.around.marks.map(one => [one[0], !s.within(s.spot(one[1]))[2]])")
+    assert dict(inside)["L1"] and not dict(inside)["Earth"]
+    before = browser.execute_script(f"{SEEN} {INK}")
+    browser.execute_script(f"{SEEN} m.around.marks = []; s.width = 0; orbitfinder.player.stale = true")
+    wait(browser, "return !orbitfinder.player.stale")
+    assert browser.execute_script(f"{SEEN} {INK}") < before - 50  # a cross, an arrow and its name were there
+
+
+def test_the_curve_of_a_family_changes_its_line_at_the_event(browser, tmp_path_factory):
+    """Unstable stretches are dashed to the event and not beyond; what nothing decides is dotted; the legend says so."""
+    family = load_family(SHIPPED.parent / "families" / "five-bar-length" / "family.json")
+    unsure = replace(family, points=(replace(family.points[0], stability="marginal"), *family.points[1:]))
+    out = tmp_path_factory.mktemp("stretches")
+    write_site(build_site(Gathered(families=[unsure]), SiteSettings(verify=False))[0].files, out / "site")
+    go(browser, next((out / "site" / "families").glob("*.html")), motion="reduce")
+    lines = browser.execute_script(
+        "const p = document.getElementById('plot'); document.getElementById('across').value = 'value';"
+        "document.getElementById('across').dispatchEvent(new Event('change'));"
+        "return p.data.filter(t => t.mode === 'lines').map(t => [t.name, t.line.dash, t.x, t.showlegend])"
+    )
+    assert lines[0][:2] == ["undecided", "dot"] and {tuple(line[:2]) for line in lines} == {
+        ("undecided", "dot"), ("stable", "solid"), ("unstable", "dash"),
+    }  # fmt: skip
+    assert sum(line[3] for line in lines) == 3
+    told = changes(unsure)
+    assert len(lines) == len(told) + 1
+    for (_, at), before, after in zip(told, lines, lines[1:], strict=False):
+        assert before[2][-1] == after[2][0] != None  # noqa: E711
+        if at is not None:
+            assert before[2][-1] == pytest.approx(unsure.events[at].parameter)
+
 
 HOST = """<!doctype html><meta charset="utf-8"><title>a notebook</title><style>{css}</style>
 <body style="font: 14px sans-serif"><main id="host"></main><script type="module">{esm}

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from matplotlib.text import Text
 
 import orbitfinder as of
 from orbitfinder.atlas.store import Atlas
+from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Problem
@@ -19,8 +21,9 @@ from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.guesses.modes import normal_mode
 from orbitfinder.records.family import load_family
 from orbitfinder.show import plot
+from orbitfinder.show.diagram import changes, verdicts
 from orbitfinder.show.scene import tip
-from orbitfinder.show.style import arrows, line_style, new_figure, place_labels, told_in
+from orbitfinder.show.style import arrows, bare, line_style, new_figure, place_labels, rounded, told_in
 from orbitfinder.show.svg import COLOURS
 
 RESULTS = Path(__file__).parents[1] / "results"
@@ -177,6 +180,50 @@ def test_one_family_is_coloured_by_stability_and_events_have_their_own_colours()
     assert {line.get_linestyle() for line in axes.lines} - {"None"} == {":"}
     marks = {line.get_color() for line in axes.lines if line.get_linestyle() == "None"}
     assert len(marks) > 3 and not marks & {plot.STABLE, plot.UNSTABLE}
+
+
+def test_curves_have_no_corners_and_go_through_their_points() -> None:
+    """Twelve points of a circle in two stretches that meet: on it to a thousandth, turned by little at each place."""
+    angles = np.linspace(0, 2 * np.pi, 13)
+    circle = np.column_stack([np.cos(angles), 50 * np.sin(angles)])
+    (_, first), (_, second) = rounded([(True, circle[:6]), (False, circle[5:])])
+    assert np.array_equal(first[-1], second[0]) and np.abs(first[::8] - circle[:6]).max() < 1e-12
+    whole = np.vstack([first, second[1:]]) / [1, 50]
+    assert np.abs(np.linalg.norm(whole, axis=1)[8:-8] - 1).max() < 2e-3
+    steps = np.diff(whole, axis=0)
+    turns = np.diff(np.unwrap(np.arctan2(*steps.T)))
+    assert np.abs(turns).max() < 0.12 < 2 * np.pi / 12 / 3  # of the polygon 0.52
+
+
+def test_families_are_drawn_in_coordinates_of_ones_own(tmp_path) -> None:
+    """By quantities that are asked for, in a window, with the fonts of a style sheet, which others do not have then."""
+    file, sheet = RESULTS / "families" / "five-bar-length" / "family.json", tmp_path / "own.mplstyle"
+    sheet.write_text("font.size: 17")
+    asked = ["plot", str(file), "--across", "arclength", "--up", "period", "--xlim", "0,40", "-o", str(tmp_path)]
+    plain, larger = CliRunner().invoke(cli, asked), tmp_path / "chosen.png"
+    assert plain.exit_code == 0 and plain.output.strip() == str(larger)
+    before = larger.read_bytes()
+    assert CliRunner().invoke(cli, [*asked, "--style", str(sheet)]).exit_code == 0 and larger.read_bytes() != before
+    assert CliRunner().invoke(cli, asked).exit_code == 0 and larger.read_bytes() == before
+    for wrong, words in (
+        (["--across", "foo"], "foo: not known along five-bar-length; it has energy, period"),
+        (["--xlim", "2,1"], "give LOW,HIGH"),
+        (["--style", "nope"], "style: nope: no style sheet"),
+    ):
+        refused = CliRunner().invoke(cli, ["plot", str(file), *wrong, "-o", str(tmp_path)])
+        assert refused.exit_code == 2 and words in refused.output
+
+
+def test_stretches_of_one_stability_meet_at_the_events_between_them() -> None:
+    family = load_family(RESULTS / "families" / "five-bar-length" / "family.json")
+    told, said = changes(family), verdicts(family)
+    assert told and all(said[k] != said[k - 1] for k, _ in told)
+    for k, at in told:
+        if at is not None:
+            low, high = family.points[k - 1].arclength, family.points[k].arclength
+            assert low <= family.events[at].arclength <= high
+    unsure = replace(family, points=(replace(family.points[0], stability="marginal"), *family.points[1:]))
+    assert verdicts(unsure)[0] is None and changes(unsure)[0][0] == 1
 
 
 def test_distance_from_a_level_is_logarithmic(tmp_path) -> None:

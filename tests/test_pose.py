@@ -49,6 +49,18 @@ def test_both_descriptions_of_a_mechanism_follow_the_hand_alike(file, point):
     assert movable(native.model, first) == movable(least.model, second)
 
 
+def test_what_moves_in_space_is_pulled_and_thrown_in_space():
+    model, start = load_problem(PROBLEMS / "mechanisms" / "furuta.toml").model, np.array([0.0, 1.2, 0.0, 0.0])
+    tip = positions(model, start[None], "space").shape[2] - 1
+    wanted = positions(model, np.array([[0.7, 1.5, 0.0, 0.0]]), "space")[0, :, tip]
+    near = pulled(model, start, tip, wanted)
+    assert positions(model, near[None], "space")[0, :, tip] == pytest.approx(wanted, abs=1e-9)
+    moving = np.array([0.0, 1.2, 1.0, -0.5])
+    step = 1e-6 * np.array([*moving[2:], 0.0, 0.0])
+    ahead, behind = (positions(model, (moving + sign * step)[None], "space")[0, :, tip] for sign in (1, -1))
+    assert thrown(model, start, tip, (ahead - behind) / 2e-6) == pytest.approx(moving, abs=1e-6)
+
+
 def test_points_without_picture_and_dead_points():
     model, straight = chain(2), np.zeros(4)
     assert movable(model, straight) == [1, 2] and movable(altered(model, points=None), straight) == []

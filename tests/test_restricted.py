@@ -233,7 +233,7 @@ def test_pictures_mark_bodies_and_libration_points(tmp_path):
     assert {one.get_text() for one in figure.axes[1].texts} >= {"secondary", "L1"}
     flat = solved("sharp-3")
     (axes,) = path_views(flat, build_model(flat.system)).axes
-    assert {one.get_text() for one in axes.texts} == {"primary", "secondary", "L1", "L2", "L3", "L4", "L5"}
+    assert {one.get_text() for one in axes.texts} == {"Earth", "Moon", "L1", "L2", "L3", "L4", "L5"}
     assert not has_path(van_der_pol()) and not has_path(henon_heiles())
 
 

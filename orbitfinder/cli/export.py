@@ -11,7 +11,7 @@ from orbitfinder._runtime import interrupt
 from orbitfinder.cli.atlas import chosen, filters
 from orbitfinder.cli.console import Report, display
 from orbitfinder.cli.jobs import check_writable, named_orbits
-from orbitfinder.cli.options import FILES, FINITE, SYSTEM_TRUST, option, orbit_files, out_option, text, usual
+from orbitfinder.cli.options import FILES, FINITE, NUMBERS, SYSTEM_TRUST, option, orbit_files, out_option, text, usual
 from orbitfinder.errors import InputError, plural
 from orbitfinder.exports.formats import FORMATS, TABLES
 from orbitfinder.records.registry import answer
@@ -47,8 +47,13 @@ def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> N
 @click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json|FAMILY.json|FILE#K...")
 @option("together", "Draw families in one picture, families.png.", kind=bool)
 @option("level", "Draw the logarithm of the energy's distance from this one.", kind=FINITE, metavar="J")
+@option("across", "Draw families over this: energy, period, frequency, arclength, a parameter, what is watched.")
+@option("up", "What goes up, likewise.  [default: frequency]")
+@option("xlim", "The window across, LOW,HIGH.", kind=NUMBERS)
+@option("style", "A Matplotlib style sheet, or its name, over the figures' own.", metavar="FILE")
 @usual("Folder for the figures; default: beside each file.", trust=SYSTEM_TRUST, json=False)
-def plot(files: tuple[Path, ...], out: Path | None, together: bool, level: float | None, trust: bool) -> None:
+def plot(files: tuple[Path, ...], out: Path | None, together: bool, level: float | None, style: str | None,
+         trust: bool, **axes: Any) -> None:  # fmt: skip
     """Draw the figures of each ORBIT.json: histories, phase portraits, configurations, energy.
 
     FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas. Of a whole FAMILY.json the figures
@@ -60,10 +65,18 @@ def plot(files: tuple[Path, ...], out: Path | None, together: bool, level: float
       orbitfinder plot orbits/triple-1/orbit.json -o figures
       orbitfinder plot families/triple-mode-2/family.json
       orbitfinder plot families/*/family.json --together -o figures
+      orbitfinder plot families/duffing/family.json --across frequency --up energy --xlim 0.1,0.3
     """
-    from orbitfinder.show.plot import save_frequency_energy
+    from orbitfinder.show.plot import save_chosen, save_frequency_energy
+    from orbitfinder.show.style import styled
 
+    click.get_current_context().with_resource(styled(style))
     drawn = named_orbits(files, trust, verb="plot", out=None if together else out)
+    if any(axes.values()):
+        folder = files[0].parent if out is None else out
+        check_writable(folder)
+        click.echo(str(save_chosen([record for _, record, _ in drawn], folder / "chosen.png", **axes)))
+        return
     if together or level is not None:
         families = [record for _, record, _ in drawn]
         folder = files[0].parent if out is None else out

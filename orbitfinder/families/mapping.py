@@ -233,7 +233,8 @@ class _Filling:
         plane, block, p = self.plane, self.block, self.plane.curve.equations
         d, n = plane.place.nodes.size, p.model.degrees_of_freedom
         made = ParameterMap(
-            name=self.problem.name, system=dict(p.model.system), parameters=plane.parameters, by=self.by,
+            name=self.problem.name, title=self.problem.title, system=dict(p.model.system),
+            parameters=plane.parameters, by=self.by,
             coordinates=tuple(p.model.state_names[:n]), curve=plane.entry, seed=self.seed, failures={},
             columns=plane.axes[0], rows=plane.axes[1], mesh=plane.mesh,
             nodes=block.vectors[..., :d].reshape(*block.blank.shape, *plane.place.nodes.shape),

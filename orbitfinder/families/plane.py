@@ -77,6 +77,8 @@ class ParameterMap(Tabled):
     verdicts: Dense
     amplitudes: Dense
     sample: Dense
+    title: str = ""
+    """of the problem, above its picture"""
 
     @property
     def known(self) -> np.ndarray:

@@ -35,7 +35,7 @@ from orbitfinder.mechanics.lagrange import (
     energy_invariant,
     mass_matrix_and_bias,
     mechanical_model,
-    polyline,
+    pictured,
     strangers,
 )
 from orbitfinder.mechanics.model import Baumgarte, HolonomicConstraint, Invariant, Model, constraint_of
@@ -110,7 +110,7 @@ def constrained(
         coordinate_names(names, symbols),
         angles=coordinate_angles(angles, symbols),
         invariants=invariants,
-        points=polyline("points", points, [q, p]),
+        **pictured(points, [q, p]),
         system=system,
         controls=controls,
         limits=limits,

@@ -207,7 +207,7 @@ def lagrange(
         names: of the coordinates (q1, q2, ...); their rates get a trailing "dot".
         angles: which coordinates (n) are angles, so that they may turn; none unless said.
         invariants: first integrals in place of the detected ones, `()` for none; `of.find_orbit` checks their drift.
-        points: positions (2 x k, m; x down, y right) that pictures draw.
+        points: positions (2 x k, m; x down, y right) that pictures draw; in space 3 x k, z towards the eye.
         centres: centres of mass (2 x k, m).
         strokes: what is drawn through which of the points: rod, spring, ground, slider, disc.
         system: a description from which files rebuild the Model.
@@ -251,7 +251,7 @@ def lagrange(
         invariants=detected_invariants(terms, labels, arguments) if invariants is None else invariants,
         system=system,
         angles=turning,
-        points=polyline("points", points, [q, p]),
+        **pictured(points, [q, p]),
         centres=polyline("centres", centres, [q, p]),
         symmetries=_reversals(symmetries or {}, q.numel()),
         controls=controls,
@@ -346,9 +346,21 @@ def polyline(name: str, expression: ca.SX | None, arguments: Sequence[ca.SX]) ->
     if ca.SX(expression).shape[0] != 2:
         raise InputError(
             f"{name}: shape {ca.SX(expression).shape}; give 2 x k, x down and y right in each column: ca.horzcat of "
-            "ca.vertcat(x, y)"
+            "ca.vertcat(x, y); of points in space 3 x k"
         )
     return ca.Function(name, list(arguments), [expression])
+
+
+ISOMETRIC = np.array([[1.0, 0.5, 0.5], [0.0, np.sqrt(0.75), -np.sqrt(0.75)]])
+"""(down, right) of (x, y, z) in the flat pictures of what moves in space"""
+
+
+def pictured(points: ca.SX | None, arguments: Sequence[ca.SX]) -> dict[str, ca.Function | None]:
+    """The parts of a Model that `points` in the plane (2 x k) or in space (3 x k) give. Raises `InputError`."""
+    if points is None or ca.SX(points).shape[0] != 3:
+        return {"points": polyline("points", points, arguments)}
+    flat = ca.mtimes(ISOMETRIC, ca.densify(ca.SX(points)))
+    return {"points": polyline("points", flat, arguments), "space": ca.Function("space", [*arguments], [points])}
 
 
 def _check_energies(kinetic: ca.SX, potential: ca.SX, forces: ca.SX | None, arguments: Sequence[ca.SX]) -> None:

@@ -185,6 +185,7 @@ class Picture:
 
     Args:
         points: positions that are drawn (q, p) -> 2 x k; for a chain the joints.
+        space: the same in space (q, p) -> 3 x k, x down, y right, z towards the eye; then `points` is a projection.
         centres: centres of mass (q, p) -> 2 x k.
         strokes: what is drawn through which of the points: rod (of one point a mass), spring, ground, slider, disc
             (centre, rim); () is a polyline.
@@ -192,6 +193,7 @@ class Picture:
     """
 
     points: ca.Function | None = None
+    space: ca.Function | None = None
     centres: ca.Function | None = None
     strokes: tuple[tuple[str, tuple[int, ...]], ...] = ()
     landmarks: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
@@ -281,6 +283,7 @@ class Model(Shown):
     limits = Of[Mapping[str, tuple[float, float]]]("drive")
     actuation = Of[ca.Function | None]("drive")
     points = Of[ca.Function | None]("picture")
+    space = Of[ca.Function | None]("picture")
     centres = Of[ca.Function | None]("picture")
     strokes = Of[tuple[tuple[str, tuple[int, ...]], ...]]("picture")
     landmarks = Of[Mapping[str, tuple[float, ...]]]("picture")
@@ -538,10 +541,10 @@ def positions(model: Model, states: np.ndarray, which: str = "points") -> np.nda
     Args:
         model: the system.
         states: one state a row (k x 2n).
-        which: "points", what is drawn, or "centres" of mass.
+        which: "points", what is drawn, the same in "space", or "centres" of mass.
 
     Returns:
-        Positions (k, 2, m) in m, x down, y right.
+        Positions (k, 2, m) in m, x down, y right; in space (k, 3, m), z towards the eye.
 
     Raises:
         InputError: for states of another length, and for a system without positions.
@@ -551,11 +554,11 @@ def positions(model: Model, states: np.ndarray, which: str = "points") -> np.nda
         array([[0., 1., 2.],
                [0., 0., 0.]])
     """
-    if which not in ("points", "centres"):
-        raise InputError(f"which: must be 'points' or 'centres', got {which!r}")
-    function = model.points if which == "points" else model.centres
+    if which not in ("points", "space", "centres"):
+        raise InputError(f"which: must be 'points', 'space' or 'centres', got {which!r}")
+    function: ca.Function | None = getattr(model, which)
     if function is None:
         raise InputError(f"this system declares no {which}; pass {which}= when you build it")
     rows = check_states(model, states)
     flat = model.along(function, rows.T[: model.degrees_of_freedom])
-    return flat.reshape(2, len(rows), -1).transpose(1, 0, 2)
+    return flat.reshape(len(flat), len(rows), -1).transpose(1, 0, 2)

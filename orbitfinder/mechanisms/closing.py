@@ -253,6 +253,7 @@ def _embedded(model: Model, chosen: list[int], pose: np.ndarray) -> Model:
         invariants=[energy_invariant(terms.kinetic, terms.potential, u, rate, p)] if model.conservative else [],
         angles=tuple(bool(model.angular[k]) for k in chosen),
         points=None if model.points is None else ca.Function("points", [u, p], [model.points(q, p)]),
+        space=None if model.space is None else ca.Function("space", [u, p], [model.space(q, p)]),
         strokes=model.strokes, controls=model.controls, limits=model.limits,
         system={**model.system, "pose": shown, "independent": names},
     )  # fmt: skip

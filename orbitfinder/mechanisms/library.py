@@ -252,10 +252,10 @@ def spherical_pendulum(length: float = 1.0, mass: float = 1.0, gravity: float = 
     made = ingredients(2, locals(), ("length", "mass"))
     (theta, phi), (u, w), arm = (made.q[0], made.q[1]), (made.v[0], made.v[1]), made["length"]
     kinetic = made["mass"] * arm**2 * (u**2 + (ca.sin(theta) * w) ** 2) / 2
-    bob = arm * ca.vertcat(ca.cos(theta), ca.sin(theta) * ca.cos(phi))
+    bob = arm * ca.vertcat(ca.cos(theta), ca.sin(theta) * ca.cos(phi), ca.sin(theta) * ca.sin(phi))
     return made.model(
         "spherical_pendulum", kinetic, -made["mass"] * made["gravity"] * bob[0], names=["theta", "phi"],
-        angles=[True, True], points=ca.horzcat(ca.SX.zeros(2), bob), centres=bob,
+        angles=[True, True], points=ca.horzcat(ca.SX.zeros(3), bob), centres=bob[:2],
         strokes=(("ground", (0,)), ("rod", (0, 1))),
     )  # fmt: skip
 
@@ -269,11 +269,11 @@ def swinging_spring(length: float = 1.0, mass: float = 1.0, stiffness: float = 2
     made = ingredients(3, locals(), ("length", "mass", "stiffness"))
     (z, r, phi), v = (made.q[0], made.q[1], made.q[2]), made.v
     stretch = ca.sqrt(z**2 + r**2) - made["length"]
-    bob = ca.vertcat(z, r * ca.cos(phi))
+    bob = ca.vertcat(z, r * ca.cos(phi), r * ca.sin(phi))
     return made.model(
         "swinging_spring", made["mass"] * (v[0] ** 2 + v[1] ** 2 + (r * v[2]) ** 2) / 2,
         made["stiffness"] * stretch**2 / 2 - made["mass"] * made["gravity"] * z, names=["z", "r", "phi"],
-        angles=[False, False, True], points=ca.horzcat(ca.SX.zeros(2), bob), centres=bob, strokes=SPRUNG,
+        angles=[False, False, True], points=ca.horzcat(ca.SX.zeros(3), bob), centres=bob[:2], strokes=SPRUNG,
     )  # fmt: skip
 
 
@@ -385,7 +385,8 @@ def restricted_three_body(ratio: float = 0.012277471, spatial: bool = False) -> 
     kinetic = ((u - y) ** 2 + (w + x) ** 2 + (made.v[2] ** 2 if spatial else 0)) / 2
     potential = -(1 - small) / ca.sqrt((x + small) ** 2 + aside) - small / ca.sqrt((x - 1 + small) ** 2 + aside)
     model = made.model(
-        "restricted_three_body", kinetic, potential, names=["x", "y", "z"][: 2 + spatial], points=ca.vertcat(-y, x),
+        "restricted_three_body", kinetic, potential, names=["x", "y", "z"][: 2 + spatial],
+        points=ca.vertcat(-made.q[2], x, -y) if spatial else ca.vertcat(-y, x),  # z upwards
         fixed={"spatial": True} if spatial else None,
     )  # fmt: skip
     own = (("mirror", -1, (1, -1, 1)), ("axis", -1, (1, -1, -1)), ("plane", 1, (1, 1, -1)))
@@ -466,10 +467,12 @@ def restricted_three_body_canonical(ratio: float = 0.012150585609624) -> Model:
 
     mirror = {"y": -1, "px": -1, "pz": -1}
     axis, plane = {"y": -1, "px": -1, "z": -1}, {"z": -1, "pz": -1}
-    return ingredients(3, {"ratio": ratio}, ("ratio",)).canonical(
+    model = ingredients(3, {"ratio": ratio}, ("ratio",)).canonical(
         "restricted_three_body_canonical", energy, ("x", "y", "z"), ("px", "py", "pz"),
         symmetries={"mirror": (-1, mirror), "axis": (-1, axis), "plane": (1, plane)},
     )  # fmt: skip
+    places = _bodies_and_libration_points(float(ratio)).items()
+    return altered(model, landmarks={name: (x, y, 0.0, -y, x, 0.0) for name, (x, y) in places})
 
 
 def lorenz(sigma: float = 10.0, rho: float = 28.0, beta: float = 8 / 3) -> Model:

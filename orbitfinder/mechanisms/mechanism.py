@@ -34,7 +34,7 @@ from orbitfinder.mechanics.lagrange import (
     detected_invariants,
     mass_matrix_and_bias,
     mechanical_model,
-    polyline,
+    pictured,
     take_apart,
 )
 from orbitfinder.mechanics.model import Baumgarte, Model
@@ -989,7 +989,7 @@ def _across(axis: ca.SX) -> list[ca.SX]:
 
 
 def _picture(made: _Drawing) -> tuple[ca.SX, tuple[tuple[str, tuple[int, ...]], ...]]:
-    """Points (2 x k) and what is drawn through which: ground, spring, rod (a body), slider, disc."""
+    """Points (2 x k, in space 3 x k) and what is drawn through which: ground, spring, rod (a body), slider, disc."""
     columns: list[ca.SX] = []
     strokes: list[tuple[str, tuple[int, ...]]] = []
 
@@ -1020,19 +1020,28 @@ def _picture(made: _Drawing) -> tuple[ca.SX, tuple[tuple[str, tuple[int, ...]], 
     for name, table in made.tables("bodies").items():
         com = made.coms[name]
         if "disc" in table:
-            rim = ca.densify(com) + ca.SX([float(table["disc"]), 0, 0])
-            strokes.append(("disc", (place(name, com), place(name, rim))))
+            axle = int(np.argmax(table["inertia"])) if made.dimension == 3 else 2  # a disc is heaviest about its axle
+            rims = [ca.densify(com) + float(table["disc"]) * _eye()[:, k] for k in range(3) if k != axle]
+            seen = (com, *rims) if made.dimension == 3 else (com, rims[0])
+            strokes.append(("disc", tuple(place(name, at) for at in seen)))
         points = [_plain_point(point, made.dimension) for point in table["shape"]] if "shape" in table else held[name]
-        if len(points) < 2 and "disc" not in table:
-            points = [*points, com]
+        if len(points) < 2 and (made.dimension == 3 or "disc" not in table):
+            points = [*points, *(_rod_end(table, at, com) for at in points), *([] if points else [com])]
         if not {"shape", "disc"} & set(table):  # a spring does not end in the air
             points = [*points, *(at for at in pulled[name] if not _among(at, points))]
         chain = [place(name, at) for at in points]
         strokes.append(("rod", tuple(chain + chain[:1] * (len(chain) > 2 and "shape" not in table))))
-    if made.dimension == 2:
-        return ca.horzcat(*(ca.densify(point)[:2] for point in columns)), tuple(strokes)
-    isometric = np.array([[1.0, 0.5, 0.5], [0.0, np.sqrt(0.75), -np.sqrt(0.75)]])  # (down, right) of (x, y, z)
-    return ca.horzcat(*(ca.mtimes(isometric, ca.densify(point)) for point in columns)), tuple(strokes)
+    return ca.horzcat(*(ca.densify(point)[: made.dimension] for point in columns)), tuple(strokes)
+
+
+def _rod_end(table: Table, at: ca.SX, com: ca.SX) -> ca.SX:
+    """Where a body ends that is held at a single point: beyond its centre of mass as far as a uniform rod of its mass
+    and moment of inertia, I = m h^2 / 3, but no farther than on this side; the disc's centre with a disc."""
+    inertia, arm = np.ravel(table.get("inertia", 0.0)), com - at
+    if "disc" in table or ca.SX(arm).is_zero() or not all(isinstance(x, float) for x in inertia.tolist()):
+        return com
+    beyond = np.sqrt(3.0 * float(np.max(inertia[:3])) / float(table["mass"]))
+    return com + arm * ca.fmin(1.0, beyond / ca.norm_2(arm))
 
 
 def _among(at: ca.SX, points: Sequence[ca.SX]) -> bool:
@@ -1119,7 +1128,7 @@ def _parts(made: _Drawing, motion: _Energies) -> dict[str, Any]:
     _, q, _, p = motion.symbols.arguments
     limits = {name: motor["limit"] for name, motor in made.tables("motors").items() if "limit" in motor}
     return {
-        "angles": tuple(motion.angles), "points": polyline("points", motion.points, [q, p]), "strokes": motion.strokes,
+        "angles": tuple(motion.angles), **pictured(motion.points, [q, p]), "strokes": motion.strokes,
         "controls": motion.controls, "limits": limits,
     }  # fmt: skip
 

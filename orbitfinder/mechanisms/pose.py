@@ -20,32 +20,33 @@ NEAR = 1e-10
 
 
 def pulled(model: Model, state: np.ndarray, point: int, place: np.ndarray) -> np.ndarray:
-    """The state (2n) at rest near another one whose `point` is as near to a place (down, right, m) as can be.
+    """The state (2n) at rest near another one whose `point` is as near to a place (down, right, m; in space to the eye
+    too) as can be.
 
     Damped least squares in the velocities that the closures allow: min |p(q) - place| by small motions. Source: C. W.
     Wampler, IEEE Transactions on Systems, Man, and Cybernetics 16 (1986) 93-101. Raises `InputError`.
     """
     q, n = np.array(state[: model.degrees_of_freedom], float), model.degrees_of_freedom
-    units, there = surroundings(model, q)[0], _seen(model, q[None])[0]
+    units, there = surroundings(model, q)[0], _seen(model, q[None], len(place))[0]
     missed = place - there[_checked(there, point)]
     damping, closure = DAMPING, None if model.constraint is None else LoopClosure.of(model, units)
     for _ in range(40):
-        away = float(np.hypot(*missed))
-        slopes, ways = _slopes(model, q, units)
+        away = float(np.linalg.norm(missed))
+        slopes, ways = _slopes(model, q, units, len(place))
         reach, damping = slopes[point] @ slopes[point].T, damping / SOFTER
         while damping < HARDEST:
-            damped = reach + (damping * np.trace(reach) + LEAST) * np.eye(2)
+            damped = reach + (damping * np.trace(reach) + LEAST) * np.eye(len(place))
             step = ways @ (slopes[point].T @ np.linalg.solve(damped, missed))
             step *= units * min(1.0, 0.2 / size_of(step))  # a hand takes no mechanism through itself
             trial = q + step if closure is None else closure.near(q + step)
-            left = place - _seen(model, trial[None])[0, point]
-            if np.hypot(*left) < away * (1 - NEAR):
+            left = place - _seen(model, trial[None], len(place))[0, point]
+            if np.linalg.norm(left) < away * (1 - NEAR):
                 break
             damping *= HARDER
         else:
             break
         q, missed = trial, left
-        if np.hypot(*missed) <= NEAR * max(away, float(np.abs(place).max())):
+        if np.linalg.norm(missed) <= NEAR * max(away, float(np.abs(place).max())):
             break
     return np.concatenate([q, np.zeros(n)])
 
@@ -57,10 +58,10 @@ def thrown(model: Model, state: np.ndarray, point: int, velocity: np.ndarray) ->
     """
     q = np.array(state[: model.degrees_of_freedom], float)
     units = surroundings(model, q)[0]
-    slopes, ways = _slopes(model, q, units)
+    slopes, ways = _slopes(model, q, units, len(velocity))
     moved = np.linalg.pinv(slopes[_checked(slopes, point)], rcond=1e-3) @ velocity
-    speed = float(np.hypot(*(slopes @ moved).T).max())
-    slower = min(1.0, 5.0 * float(np.hypot(*velocity)) / nonzero(speed))
+    speed = float(np.linalg.norm(slopes @ moved, axis=1).max())
+    slower = min(1.0, 5.0 * float(np.linalg.norm(velocity)) / nonzero(speed))
     return np.concatenate([q, slower * units * (ways @ moved)])
 
 
@@ -80,17 +81,18 @@ def _checked(points: np.ndarray, point: int) -> int:
     return point
 
 
-def _seen(model: Model, q: np.ndarray) -> np.ndarray:
-    """Where all points are at configurations (k x n): (k x m x 2), nan where a loop cannot be closed."""
+def _seen(model: Model, q: np.ndarray, dims: int) -> np.ndarray:
+    """Where all points are at configurations (k x n): (k x m x 2 or 3), nan where a loop cannot be closed."""
     with np.errstate(all="ignore"):
-        places = positions(model, np.hstack([q, np.zeros_like(q)]))
+        places = positions(model, np.hstack([q, np.zeros_like(q)]), "points" if dims == 2 else "space")
     return np.asarray(places.transpose(0, 2, 1))
 
 
-def _slopes(model: Model, q: np.ndarray, units: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """d points/d(what can move) (m x 2 x f) by central differences, and a basis (n x f) of what can, in units."""
+def _slopes(model: Model, q: np.ndarray, units: np.ndarray, dims: int = 2) -> tuple[np.ndarray, np.ndarray]:
+    """d points/d(what can move) (m x 2 or 3 x f) by central differences, and a basis (n x f) of what can, in units."""
     moves = SMALL * np.diag(units)
-    slopes = np.nan_to_num(_seen(model, q + moves) - _seen(model, q - moves)).transpose(1, 2, 0) / (2 * SMALL)
+    apart = _seen(model, q + moves, dims) - _seen(model, q - moves, dims)
+    slopes = np.nan_to_num(apart).transpose(1, 2, 0) / (2 * SMALL)
     if model.constraint is None:
         return slopes, np.eye(q.size)
     basis = np.linalg.qr(allowed_velocities(model, q) / units[:, None])[0]

@@ -63,12 +63,20 @@ class Course:
         return bool(np.abs(self.stride).max() > 0)
 
     @property
+    def gained(self) -> np.ndarray:
+        """(d) what a period adds to the coordinates of a smooth motion: whole turns, the shift of a relative orbit."""
+        states, n = self.pieces[0].states, self.pieces[0].model.degrees_of_freedom
+        moved = states[-1] - states[0]
+        lasting = (np.abs(moved) > SEEN.relative_tolerance * np.abs(states).max(axis=0)) & (np.arange(moved.size) < n)
+        return np.where(lasting & (not self.jumps), moved, 0.0)
+
+    @property
     def events(self) -> list[tuple[float, str]]:
         """Times (s) and names of the events."""
         return [(float(one.times[-1]), one.event) for one in self.pieces if one.event]
 
     def states(self, moments: np.ndarray) -> np.ndarray:
-        """States (k x d) at moments, those beyond the period repeated."""
+        """States (k x d) at moments; beyond the period it goes on from where the period has led."""
         return self._each(moments, lambda one, states, _: states)
 
     def positions(self, moments: np.ndarray) -> np.ndarray:
@@ -86,12 +94,13 @@ class Course:
         rounds = np.floor(np.asarray(moments, float) / self.period)
         within = moments - rounds * self.period
         ends = np.array([one.times[-1] for one in self.pieces])
-        which = np.minimum(np.searchsorted(ends, within, side="right"), len(self.pieces) - 1)
+        which, gained = np.minimum(np.searchsorted(ends, within, side="right"), len(self.pieces) - 1), self.gained
         found: Any = None
         for k in np.unique(which):
             one, here = self.pieces[k], slice(None) if len(ends) == 1 else which == k
             n = one.model.degrees_of_freedom
             states = between(one.times, one.states, n, np.minimum(within[here], one.times[-1]))
+            states = states + rounds[here, None] * gained
             part = seen(one, states, one.origin + rounds[here, None] * self.stride)
             if len(ends) == 1:
                 return part

@@ -26,7 +26,17 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.course import course_of
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import write_atomically
-from orbitfinder.show.scene import BRUSHES, Scene, box, cuts_of, outlines, tip
+from orbitfinder.show.scene import (
+    BRUSHES,
+    Scene,
+    box,
+    cuts_of,
+    extent,
+    outlines,
+    positions_at,
+    rounds_of,
+    tip,
+)
 from orbitfinder.show.svg import COLOURS
 
 
@@ -54,6 +64,8 @@ class AnimationSettings:
     """s in which what does not repeat passes into its beginning"""
 
 
+MOST_FRAMES = 600
+"""of an animation that goes on until what comes back turned is where it was"""
 VIDEO = AnimationSettings(pixels=1080, rate=60, supersampling=2)
 """What suits an .mp4, which is small at any size"""
 
@@ -123,12 +135,17 @@ def orbit_clip(orbit: Orbit, model: Model | None = None, settings: AnimationSett
         landed = sum(np.any(piece.origin != after.origin) for piece, after in steps)
         periods = max(periods, -(-settings.steps // max(int(landed), 1)))
         frames = round(periods * lasts * settings.rate)
+    if course.gained.any() and settings.periods is None:  # it comes back turned: so often that it is where it was
+        rounds = rounds_of(model, course, max(settings.most_periods, MOST_FRAMES // round(lasts * settings.rate)))
+        periods, frames = (rounds, round(rounds * lasts * settings.rate)) if rounds > periods else (periods, frames)
+    there = positions_at(model, course, np.array([0.0, periods * orbit.period]))
+    returns = np.abs(there[1] - there[0]).max() < 0.02 * extent(positions_at(model, course, course.pieces[0].times))
     moments = np.arange(frames) * (periods * orbit.period / frames)
     trace = min(frames, round(settings.trace * lasts * settings.rate))
     shown = portrait(model, course.states(moments)) if model.points is None else course.positions(moments)
     ground = course.grounds(moments) if model.points is not None else None
-    return Clip(shown, settings.rate, orbit.title or orbit.name, trace, loops=not course.walks, ground=ground,
-                cuts=cuts_of(course, moments), strokes=model.strokes, slow=settings.slow)  # fmt: skip
+    return Clip(shown, settings.rate, orbit.title or orbit.name, trace, loops=bool(returns and not course.walks),
+                ground=ground, cuts=cuts_of(course, moments), strokes=model.strokes, slow=settings.slow)  # fmt: skip
 
 
 def portrait(model: Model, states: np.ndarray) -> np.ndarray:

@@ -47,19 +47,34 @@ class Diagram:
     def stretches(self) -> list[tuple[bool | None, np.ndarray]]:
         """Stretches (k x 2) that are stable or not, None of orbits of which nothing decides, which meet where that
         changes."""
-        points = self.family.points
-        stable: list[bool | None] = [
-            {"unstable": False, "marginal": None}.get(point.stability, True) for point in points
-        ]
-        cuts = [k for k in range(1, len(points)) if stable[k] != stable[k - 1]]
-        stretches = [(stable[k], self.points[max(k - 1, 0) : end]) for k, end in pairwise([0, *cuts, len(points)])]
-        for number, k in enumerate(cuts):
-            for event, place in zip(self.family.events, self.events, strict=True):
-                between = points[k - 1].arclength <= event.arclength <= points[k].arclength
-                if between and kind_of(event.kind).verdict:
-                    stretches[number] = (stable[k - 1], np.vstack([stretches[number][1], place]))
-                    stretches[number + 1] = (stable[k], np.vstack([place, stretches[number + 1][1][1:]]))
+        stable, cuts = verdicts(self.family), changes(self.family)
+        ends = [0, *(k for k, _ in cuts), len(stable)]
+        stretches = [(stable[k], self.points[max(k - 1, 0) : end]) for k, end in pairwise(ends)]
+        for number, (k, at) in enumerate(cuts):
+            if at is not None:
+                place = self.events[at]
+                stretches[number] = (stable[k - 1], np.vstack([stretches[number][1], place]))
+                stretches[number + 1] = (stable[k], np.vstack([place, stretches[number + 1][1][1:]]))
         return stretches
+
+
+def verdicts(family: Family) -> list[bool | None]:
+    """Whether each point is stable, None where nothing decides."""
+    said: dict[str, bool | None] = {"unstable": False, "marginal": None}
+    return [said.get(point.stability, True) for point in family.points]
+
+
+def changes(family: Family) -> list[tuple[int, int | None]]:
+    """The points that are not of the same stability as those before, and the number of the event between them that
+    changes it, where that is known."""
+    points, stable = family.points, verdicts(family)
+
+    def between(k: int) -> list[int]:
+        low, high = points[k - 1].arclength, points[k].arclength
+        told = enumerate(family.events)
+        return [n for n, event in told if low <= event.arclength <= high and kind_of(event.kind).verdict]
+
+    return [(k, next(iter(between(k)[-1:]), None)) for k in range(1, len(points)) if stable[k] != stable[k - 1]]
 
 
 def frequencies(family: Family) -> np.ndarray:

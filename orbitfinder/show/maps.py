@@ -29,8 +29,9 @@ REAL, LEAST = 1e-6, 1e-12
 
 def save_map_figure(plane: ParameterMap, folder: str | Path, model: Model) -> list[Path]:
     """Write `map.png`: the plane with its colour bar or legend, and lines where stability changes; returns the path."""
-    figure = new_figure(7.6, 6.0, plane.name, f"{plane.known.sum()} orbits of {plane.blank.size} pixels, "
-                        f"{int(plane.sample[:, 2].sum())} of {len(plane.sample)} sampled certified")  # fmt: skip
+    counts = f"{plane.known.sum()} orbits of {plane.blank.size} pixels, "
+    counts += f"{int(plane.sample[:, 2].sum())} of {len(plane.sample)} sampled certified"
+    figure = new_figure(7.6, 6.0, plane.title or plane.name, counts)
     axes, shown = figure.subplots(), dict[str, Any]()
     edges = [_edges(values) for values in (plane.columns, plane.rows)]
     axes.set_facecolor(NOTHING)

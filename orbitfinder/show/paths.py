@@ -16,6 +16,7 @@ from orbitfinder.families.members import MemberMotion
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import Orbit
+from orbitfinder.show.scene import landmarks
 from orbitfinder.show.style import dress, landmark, legend, new_figure
 from orbitfinder.show.svg import COLOURS
 
@@ -59,7 +60,7 @@ def _views(
     motions: Sequence[np.ndarray], model: Model, title: str, what: str = ""
 ) -> tuple[Figure, list[tuple[Any, tuple[int, int]]]]:
     """A figure with axes for each pair of coordinates that is worth one, labelled and with landmarks."""
-    n = model.degrees_of_freedom
+    n = len(model.planes)
     places = np.vstack([states[:, :n] for states in motions])
     low, high = places.min(axis=0), places.max(axis=0)
     extent = float((high - low).max())
@@ -70,7 +71,7 @@ def _views(
     room = 0.35 * extent  # about the path, within which landmarks are shown
     for axes, (i, j) in views:
         seen: list[np.ndarray] = []
-        for name, place in model.landmarks.items():
+        for name, place, _ in landmarks(model):
             there = np.array([place[i], place[j]])
             inside = all(low[k] - room <= place[k] <= high[k] + room for k in range(n))
             if inside and all(np.abs(there - other).max() > 0.02 * extent for other in seen):

@@ -25,7 +25,7 @@ from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.mechanics.scales import given_units, unit_names, units
 from orbitfinder.orbits.course import Course, course_of
-from orbitfinder.records.family import Event, Family
+from orbitfinder.records.family import Event, Family, number_of, value_of
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.diagram import Diagram, frequencies, mark_of
 from orbitfinder.show.facts import conserves, number
@@ -42,6 +42,7 @@ from orbitfinder.show.style import (
     new_figure,
     place_labels,
     plane,
+    rounded,
     save_all,
     save_png,
     sweep,
@@ -328,6 +329,49 @@ def save_frequency_energy(families: Sequence[Family | Orbit], path: Path, level:
     return save_png(frequency_energy(drawn, level=level), path)
 
 
+def save_chosen(
+    families: Sequence[Family], path: Path, across: str | None = None, up: str | None = None,
+    xlim: Sequence[float] | None = None,
+) -> Path:  # fmt: skip
+    """Write families in other coordinates: energy, period, frequency, arclength, a parameter, a watched number.
+
+    `across` is by default the parameter, `up` the frequency, `xlim` the window. Raises `InputError`.
+    """
+    if xlim is not None and (len(xlim) != 2 or not xlim[0] < xlim[1]):
+        raise InputError(f"xlim: {list(xlim)}; give LOW,HIGH, the lower first")
+    if other := next((record for record in families if not isinstance(record, Family)), None):
+        raise InputError(f"{other.name}: --across, --up and --xlim take families; leave them out")
+    names = across or families[0].parameter, up or "frequency"
+    figure = new_figure(8.0, 5.6, f"{_called(families)}: {names[1]} over {names[0]}")
+    axes, units = figure.subplots(), {"energy": "J", "period": "s", "frequency": "1/s"}
+    called = [f"{name} ({units[name]})" if name in units else name for name in names]
+    places = [np.column_stack([_quantity(family, name) for name in names]) for family in families]
+    _curves(
+        figure, axes, [Diagram(family, (called[0], called[1]), at) for family, at in zip(families, places, strict=True)]
+    )
+    dress(axes, *called)
+    if xlim is not None:
+        axes.set_xlim(*xlim)
+        seen = np.vstack(places)
+        inside = seen[(seen[:, 0] >= xlim[0]) & (seen[:, 0] <= xlim[1]), 1]
+        if inside.size:
+            room = 0.05 * float(np.ptp(inside)) or 0.05 * abs(float(inside[0])) or 1.0
+            axes.set_ylim(inside.min() - room, inside.max() + room)
+    return save_png(bare(figure) if not units_of(families[0].system)["time"] else figure, path)
+
+
+def _quantity(family: Family, name: str) -> np.ndarray:
+    """A number of every point and then of every event. Raises `InputError`."""
+    if name == "frequency":
+        return frequencies(family)
+    known = dict.fromkeys(["energy", "period", "frequency", "arclength", *family.parameters, *family.points[0].free,
+                           *family.points[0].watch])  # fmt: skip
+    if name not in known:
+        raise InputError(f"{name}: not known along {family.name}; it has {', '.join(known)}")
+    read = value_of if name == "arclength" else number_of
+    return np.array([float(read(member, name)) for member in family.members])
+
+
 def gallery(family: Family, shown: Sequence[MemberMotion]) -> Figure:
     """Orbits along the family, each over one period: swept links and the path of the tip, or the path in (q1, q2)."""
     columns = min(4, len(shown))
@@ -388,7 +432,7 @@ def frequency_energy(
         drawn.append(
             Diagram(each, called, np.column_stack([each.places[:, 0] if freed else levels, frequencies(each)]))
         )
-    _curves(figure, axes, drawn)
+    _curves(figure, axes, drawn, plain=level is None)
     labels = [(name, away(energy), 1.0 / period) for name, (energy, period) in (marks or {}).items()]
     for _, energy, frequency in labels:
         axes.plot(energy, frequency, "*", color="black", markersize=10, zorder=5)
@@ -476,15 +520,15 @@ def response(families: Sequence[Family], model: Model, coordinate: str | None = 
     return figure
 
 
-def _curves(figure: Figure, axes: Any, diagrams: Sequence[Diagram]) -> None:
+def _curves(figure: Figure, axes: Any, diagrams: Sequence[Diagram], plain: bool = True) -> None:
     """Each family as a curve through the places of its points, dashed where unstable, and its events marked.
 
-    One family is coloured by stability; of several the later lie on wider ones.
+    One family is coloured by stability; of several the later lie on wider ones. On `plain` axes without corners.
     """
     shown, many, calm = dict[str, Any](), len(diagrams) > 1, {True: STABLE, False: UNSTABLE, None: UNDECIDED}
     for k, drawn in enumerate(diagrams):
         wider = min(3.6, 0.9 * (len(diagrams) - 1 - k))
-        for stable, path in drawn.stretches:
+        for stable, path in rounded(drawn.stretches) if plain else drawn.stretches:
             colour, (word, line) = COLOURS[k % len(COLOURS)] if many else calm[stable], STRETCHES[stable]
             style = {"linestyle": line, "linewidth": (1.8 if stable else 1.2) + wider}
             axes.plot(*path.T, color=colour, zorder=2 + 0.01 * k, **style)

@@ -5,14 +5,16 @@ Mechanisms are drawn with rods, springs, sliders, discs and the ground, as lines
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from dataclasses import field as entry
+from typing import Any
 
 import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.mechanics.model import Model, positions
+from orbitfinder.mechanics.scales import units
 from orbitfinder.orbits.course import Course
 
 Strokes = Sequence[tuple[str, tuple[int, ...]]]
@@ -28,7 +30,9 @@ def _line(at: np.ndarray, half: float) -> np.ndarray:
 
 
 def _disc(at: np.ndarray, _: float) -> np.ndarray:
-    return np.asarray(at[:, :1] + np.linalg.norm(at[:, 1] - at[:, 0]) * CIRCLE)
+    """A circle; with a second point of the rim, a quarter on, as it is seen in space."""
+    centre, rim = at[:, :1], at[:, 1:] - at[:, :1]
+    return np.asarray(centre + (rim @ CIRCLE if rim.shape[1] > 1 else np.linalg.norm(rim) * CIRCLE))
 
 
 def _slider(at: np.ndarray, half: float) -> np.ndarray:
@@ -116,7 +120,7 @@ def extent(points: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Scene:
-    """What moves: `points` (frames x 2 x m; x down and y right, m) at equal times.
+    """What moves: `points` (frames x 2 x m; x down and y right, m; in space x 3 x m, z to the eye) at equal times.
 
     Args:
         points: positions, the end of the period left out.
@@ -126,6 +130,7 @@ class Scene:
         period: s that all frames last.
         loops: whether the first frame follows the last.
         drawn: what the points are, "mechanism", or "plane" where the system declares none.
+        around: what else stands there, see `scenery`.
     """
 
     points: np.ndarray
@@ -135,6 +140,7 @@ class Scene:
     period: float = entry(default=1.0, kw_only=True)
     loops: bool = entry(default=True, kw_only=True)
     drawn: str = entry(default="mechanism", kw_only=True)
+    around: Mapping[str, Any] = entry(default_factory=dict, kw_only=True)
 
 
 def cuts_of(course: Course, moments: np.ndarray) -> tuple[int, ...]:
@@ -144,15 +150,69 @@ def cuts_of(course: Course, moments: np.ndarray) -> tuple[int, ...]:
     return tuple(int(k) for k in np.searchsorted(moments, ends))
 
 
+def spatial(model: Model) -> bool:
+    """Whether a system is drawn in space: it says where its points are there, or its state is a point there."""
+    return model.space is not None or (model.points is None and _third(model) > 1)
+
+
+def _third(model: Model) -> int:
+    """Which component of the state of what draws no points goes upwards in space; 1 where there is none for it."""
+    n = model.degrees_of_freedom
+    count = n // 2 if model.rates is not None and model.hamiltonian else n
+    return 2 if count == 3 and not model.angular.any() else 1
+
+
 def places(model: Model, states: np.ndarray) -> np.ndarray:
-    """What of states (k x d) is drawn (k x 2 x j; down, right): the points of a mechanism, or one in the plane of the
-    first two coordinates, or of one and its rate."""
+    """What of states (k x d) is drawn (k x 2 x j, down and right; in space k x 3 x j, with what is towards the eye):
+    the points of a mechanism, or one in the plane or the space of the first coordinates, or of one and its rate."""
     if model.points is not None:
-        return positions(model, states)
-    second = states[:, 1 % states.shape[1]]
-    return np.stack([-second, states[:, 0]], axis=1)[:, :, None]
+        return positions(model, states, "points" if model.space is None else "space")
+    if spatial(model):
+        return np.stack([-states[:, 2], states[:, 0], -states[:, 1]], axis=1)[:, :, None]
+    return np.stack([-states[:, 1 % states.shape[1]], states[:, 0]], axis=1)[:, :, None]
 
 
 def positions_at(model: Model, course: Course, moments: np.ndarray) -> np.ndarray:
-    """The same (k x 2 x j) at moments of a course, where its pieces have led."""
-    return places(model, course.states(moments)) if model.points is None else course.positions(moments)
+    """The same at moments of a course, where its pieces have led."""
+    flat = model.points is not None and model.space is None
+    return course.positions(moments) if flat else places(model, course.states(moments))
+
+
+def rounds_of(model: Model, course: Course, most: int) -> int:
+    """After how many periods what is drawn is where it was to a hundredth of what it fills by then; of `most` that
+    which comes nearest, where none does."""
+    instants = equal_times(1.0, 12)
+    seen = positions_at(model, course, course.period * (np.arange(most + 1)[:, None] + instants).ravel())
+    rounds = seen.reshape(most + 1, -1)
+    away = np.abs(rounds[1:] - rounds[0]).max(axis=1) / extent(seen)
+    return int(np.argmax(away < 0.01) if (away < 0.01).any() else away.argmin()) + 1
+
+
+BODIES = {0.01215: (("Earth", 0.0166), ("Moon", 0.0045)), 9.537e-4: (("Sun", 0.0009), ("Jupiter", 0.0001))}
+"""By the lighter body's share of the mass of two: what they are called, and their radii over their distance"""
+
+
+def landmarks(model: Model) -> list[tuple[str, tuple[float, ...], float]]:
+    """What a system marks: names as the sky has them where they are known, coordinates (n), radii (0 of no body)."""
+    lighter = dict(zip(model.parameter_names, model.parameter_values, strict=True)).get("ratio", 0.0)
+    known = next((called for share, called in BODIES.items() if abs(lighter - share) < 0.02 * share), ())
+    called = dict(zip(("primary", "secondary"), known, strict=False))
+    told = ((called.get(name, (name, 0.0)), place) for name, place in model.landmarks.items())
+    return [(name, place, radius) for (name, radius), place in told]
+
+
+def scenery(model: Model) -> dict[str, Any]:
+    """What stands about a motion: `marks` (name, place, radius of a body or 0), in space also its `axes` by name
+    (directions, 3) and the `unit` of lengths."""
+    n = len(model.state_names)
+
+    def at(coordinates: Sequence[float] | np.ndarray) -> np.ndarray:
+        return places(model, np.resize([*coordinates, *np.zeros(n)], (1, n)))[0, :, 0]
+
+    own = {"marks": [[name, at(place).tolist(), radius] for name, place, radius in landmarks(model)]}
+    if not spatial(model):
+        return own if own["marks"] else {}
+    single = model.points is None or (model.degrees_of_freedom == 3 and not model.angular.any() and not model.strokes)
+    axes = [(name, at(step) - at(np.zeros(3))) for name, step in zip(model.state_names, np.eye(3), strict=False)]
+    named = axes if single else zip("xyz", np.eye(3), strict=True)
+    return own | {"axes": [[name, way.tolist()] for name, way in named], "unit": units(model.system)["length"]}

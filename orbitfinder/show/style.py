@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,12 @@ import numpy as np
 from matplotlib import colormaps, rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.style import context
 from matplotlib.text import Text
+from scipy.interpolate import CubicSpline
 
+from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.errors import InputError
 from orbitfinder.mechanics.scales import worded
 from orbitfinder.records.reading import write_atomically
 from orbitfinder.show.scene import BRUSHES, Scene, Strokes, extent, outlines, tip
@@ -27,6 +32,26 @@ LEAST_SIDE, SLIVER = 0.4, 0.08
 """The shorter side of a picture with ground (and of what is drawn wider than it is), and how narrow that is"""
 APART = 4.0
 """Pixels between two names, which move a little when the figure is laid out around them"""
+
+
+@contextmanager
+def styled(sheet: str | None) -> Iterator[None]:
+    """Figures with the fonts, sizes and whatever else they do not set themselves of a Matplotlib style sheet.
+
+    Raises `InputError`.
+    """
+    if sheet is None:
+        yield
+        return
+    try:
+        chosen = context(sheet)
+        chosen.__enter__()
+    except (OSError, ValueError) as error:
+        raise InputError(f"style: {sheet}: no style sheet of Matplotlib; give a file or one of its names") from error
+    try:
+        yield
+    finally:
+        chosen.__exit__(None, None, None)
 
 
 def new_figure(width: float, height: float, title: str, what: str = "") -> Figure:
@@ -100,6 +125,28 @@ def _dense(line: np.ndarray) -> np.ndarray:
     length = np.append(0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T)))
     every = np.linspace(0.0, length[-1], min(4000, int(length[-1] / 4) + 2))
     return np.column_stack([np.interp(every, length, column) for column in line.T])
+
+
+Stretches = Sequence[tuple[bool | None, np.ndarray]]
+
+
+def rounded(stretches: Stretches, finer: int = 8) -> Stretches:
+    """Stretches (k x 2 each) of a curve, which meet, through the same points without corners.
+
+    A cubic spline over the square roots of the chords in the curve's extents, which makes no loops: E. Lee, Choosing
+    nodes in parametric curve interpolation, Computer-Aided Design 21 (1989) 363-370.
+    """
+    whole = np.vstack([stretches[0][1], *(path[1:] for _, path in stretches[1:])]) if stretches else np.zeros((0, 2))
+    chords = np.linalg.norm(np.diff(whole, axis=0) / nonzero(np.ptp(whole, axis=0)), axis=1) if len(whole) else whole
+    if len(whole) < 4 or not np.isfinite(whole).all() or not chords.all():
+        return stretches
+    run = np.concatenate([[0.0], np.cumsum(np.sqrt(chords))])
+    fine = np.interp(np.arange(finer * (len(run) - 1) + 1) / finer, np.arange(len(run)), run)
+    curve, drawn, begin = CubicSpline(run, whole)(fine), list[tuple[bool | None, np.ndarray]](), 0
+    for stable, path in stretches:
+        drawn.append((stable, curve[begin : begin + finer * (len(path) - 1) + 1]))
+        begin += finer * (len(path) - 1)
+    return drawn
 
 
 def arrows(axes: Any, across: np.ndarray, up: np.ndarray, colour: str, count: int = 2) -> None:

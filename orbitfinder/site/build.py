@@ -176,7 +176,7 @@ def build_site(
     everything: Named = [*named, *((rest, f"../equilibria/{own}") for rest, own in resting)]
     for k, (family, own) in enumerate(named, 1):
         tell(f"family {k} of {len(named)}, {family.name}: {plural(len(family.points), 'point')}")
-        links.append(_add_family(site, family, own, simulator, motions, everything))
+        links.append(_add_family(site, family, own, simulator, motions, (everything, entries)))
     atlases = slug_maker()
     for k, atlas in enumerate(gathered.atlases, 1):
         tell(f"atlas {k} of {len(gathered.atlases)}, {atlas.name}: {atlas.counted('orbit')}")
@@ -215,9 +215,9 @@ def same(system: Mapping[str, Any]) -> str:
 def _complete(entry: SiteOrbit, simulator: Simulator, links: Sequence[Card]) -> SiteOrbit:
     """The entry with its energies, its neighbour, and the families and atlases that it belongs to."""
     document, motion, near = entry.document, entry.motion, list[tuple[str, str]]()
-    here = (level(document["energy"]), float(document["period"]), float(document["action"]))
+    here = _here(entry)
     for link in (other for other in links if other.system == same(document["system"])):
-        point = _closest(here, link)
+        point = _closest(here, link.curve)
         close = " (the curve comes within 0.3 % of this orbit in energy, period and action)" if point else ""
         near.append((f"../{link.href}{point}", f"{link.kind} {link.title}{close}"))
     own = {words for _, words in entry.near}
@@ -230,9 +230,15 @@ def _complete(entry: SiteOrbit, simulator: Simulator, links: Sequence[Card]) -> 
     )  # fmt: skip
 
 
-def _closest(here: tuple[float, float, float], link: Card) -> str:
+def _here(entry: SiteOrbit) -> tuple[float, float, float]:
+    """Energy, period and action of an orbit."""
+    document = entry.document
+    return level(document["energy"]), float(document["period"]), float(document["action"])
+
+
+def _closest(here: tuple[float, float, float], points: Sequence[tuple[str, float, float, float]]) -> str:
     """The address of the point of a family whose curve passes an orbit, "" where it is 0.3 % away."""
-    curve = np.array([point[1:] for point in link.curve])
+    curve = np.array([point[1:] for point in points])
     if len(curve) < 2:
         return ""
     unit = nonzero(np.ptp(curve, axis=0))
@@ -240,7 +246,7 @@ def _closest(here: tuple[float, float, float], link: Card) -> str:
     share = np.clip(((aim - begin) * steps).sum(axis=1) / nonzero((steps**2).sum(axis=1)), 0.0, 1.0)
     apart = np.abs(begin + share[:, None] * steps - aim).max(axis=1)
     k = int(apart.argmin())
-    return f"#{link.curve[k + int(share[k] > 0.5)][0]}" if apart[k] < 0.003 else ""
+    return f"#{points[k + int(share[k] > 0.5)][0]}" if apart[k] < 0.003 else ""
 
 
 def _add_orbit(site: Site, entry: SiteOrbit, beside: Sequence[SiteOrbit], before: bool) -> None:
@@ -272,18 +278,20 @@ def _relatives(family: Family, named: Named) -> dict[str, Any]:
 
 def _add_family(
     site: Site, family: Family, slug: str, simulator: Simulator, motions: dict[str, Any],
-    named: Named,
+    known: tuple[Named, Sequence[SiteOrbit]],
 ) -> Card:  # fmt: skip
     data, path, words = family_data(family, simulator), f"families/{slug}.html", mechanism(family.system)
     values = family_values(family, data["items"]) | {"title": f"Family {family.name}", "moved": data["moved"]}
-    values |= _relatives(family, named) | {name: data[name] for name in ("conserved", "landscape")}
+    curve = tuple((item["key"], item["energy"], item["period"], item["action"]) for item in data["items"]
+                  if item["action"] is not None)  # fmt: skip
+    own = [entry for entry in known[1] if same(entry.document["system"]) == same(family.system)]
+    values["orbits"] = [(f"../orbits/{entry.slug}.html", entry.title) for entry in own if _closest(_here(entry), curve)]
+    values |= _relatives(family, known[0]) | {name: data[name] for name in ("conserved", "landscape", "frame")}
     site.add("family", path, values, ("explorer", data), f"A family of periodic orbits of {article(words)}.")
     useful = "value" if values["useful"][0] == "value" or data["moved"] else "energy"
     shown, unit = span(data["columns"][useful], 4), units(family.system)["energy"] if useful == "energy" else ""
     name = "" if useful == "energy" else f"{family.parameter} "
     note = f"{plural(len(family.points), 'orbit')}, {name}{with_unit(shown, unit)}"
-    curve = tuple((item["key"], item["energy"], item["period"], item["action"]) for item in data["items"]
-                  if item["action"] is not None)  # fmt: skip
     cover = _cover(f"family/{slug}", data, motions)
     return Card("Family", path, family.name, words, note, cover, same(family.system), curve)
 
@@ -346,7 +354,8 @@ def _add_atlas(
     model = simulator.known(entries[0].document["system"]) if len(systems) == 1 else None
     data = atlas_data(atlas.name, entries, {entry.slug for entry in shown}, model)
     about = f"An atlas of {atlas.counted('periodic orbit')}, energy against period."
-    values = atlas_values(entries, atlas) | {"title": f"Atlas {atlas.name}", "landscape": data["landscape"]}
+    values = atlas_values(entries, atlas) | {"title": f"Atlas {atlas.name}"}
+    values |= {name: data[name] for name in ("landscape", "frame")}
     site.add("atlas", path, values, ("explorer", data), about)
     words, note = ", ".join(sorted({entry.mechanism for entry in entries})), atlas.counted("distinct orbit")
     cover = _cover(f"atlas/{slugs[0]}", data, motions)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
@@ -25,7 +25,19 @@ from orbitfinder.mechanics.scales import shared
 from orbitfinder.orbits.course import Course, course, sampled
 from orbitfinder.records.family import Event, FamilyPoint
 from orbitfinder.records.orbit import Orbit, orbit_to_document
-from orbitfinder.show.scene import BRUSHES, Scene, Strokes, box, cuts_of, equal_times, extent, places, positions_at
+from orbitfinder.show.scene import (
+    BRUSHES,
+    Scene,
+    Strokes,
+    box,
+    cuts_of,
+    equal_times,
+    extent,
+    places,
+    positions_at,
+    rounds_of,
+    scenery,
+)
 
 COUNTS = (24, 32, 40, 48, 60, 72, 84, 96, 120, 144, 180, 216, 264, 324, 400, 480, 640, 960)
 """Samples a period that are tried in turn."""
@@ -35,8 +47,12 @@ ENDS = 1e-7
 """Agreement of two step sizes that is enough for a picture."""
 GAP = 1e-2
 """Largest jump between pieces of a motion that is still shown, relative to its extent."""
+NEAR = 0.6
+"""What stands this near to a motion, in its extent, is in its picture"""
 OFF, TURNS, TINY = 0.03, 3, 1e-5
 """How far from an orbit its neighbour starts, how many periods it is followed, and what is small, all relative."""
+MOST_ROUNDS, MOST_SAMPLES = 40, 4000
+"""Periods and samples of what comes back turned"""
 RIGID = 1e-6
 """Change of a distance, relative to the extent of the picture, of what is called rigid."""
 
@@ -45,7 +61,8 @@ RIGID = 1e-6
 class Filmed(Scene):
     """One period of what a model does, by its `course`, with the names and kinds of its n coordinates, n = d / 2 or d.
 
-    What does not loop does not come back to where it was: it starts again after a period.
+    Of what comes back turned there are as many `rounds` as lead to where it was, what drifts is seen from beside it;
+    what does not loop starts again.
     """
 
     model: Any
@@ -53,6 +70,10 @@ class Filmed(Scene):
     course: Course
     skeleton: Skeleton | None = None
     """what of the points turns rigidly; nothing where the motion jumps"""
+    rounds: int = 1
+    """periods that the frames last"""
+    drift: np.ndarray | None = None
+    """how far all that is drawn goes in a period (m): taken from the points, which the page gives back"""
 
     @property
     def states(self) -> np.ndarray:
@@ -71,9 +92,11 @@ class Filmed(Scene):
 
     @property
     def partners(self) -> list[int]:
-        """The component that each coordinate is drawn against: its rate, in a first-order system the next one."""
+        """The component that each coordinate is drawn against: its rate or momentum, in other first-order systems the
+        next one."""
         n, size = len(self.angles), len(self.names)
-        return [(k + (n if n < size else 1)) % size for k in range(n)]
+        half = n // 2 if getattr(self.model, "hamiltonian", False) else 1
+        return [(k + (n if n < size else half)) % size for k in range(n)]
 
     def at(self, count: int, endpoint: bool = False) -> np.ndarray:
         """States at `count` equal times over the period."""
@@ -156,7 +179,7 @@ class Simulator:
         path = _path(field, state + away * (OFF / size_of(away / scales)), TURNS * period)
         if path is None or np.abs(path[:, state.size // 2 :]).max() > 1e3 * np.abs(motion.states).max():
             return None
-        return replace(_motion(model, np.linspace(0.0, TURNS * period, len(path)), path), loops=False)
+        return _motion(model, np.linspace(0.0, TURNS * period, len(path)), path, returns=False)
 
     def conserves(self, system: Mapping[str, Any]) -> bool:
         """Whether an energy is conserved, True where nothing is known of the system."""
@@ -255,44 +278,58 @@ def _jumping(
     return _filmed(model, path, positions_at(model, path, moments), ground=ground, cuts=cuts_of(path, moments))
 
 
-def _motion(model: Any, times: np.ndarray, states: np.ndarray, returns: bool = False) -> Filmed:
-    """A smooth motion that `returns`, or that is asked whether it does, at as few times as a page needs."""
+def _motion(model: Any, times: np.ndarray, states: np.ndarray, returns: bool | None = None) -> Filmed:
+    """A smooth motion that `returns` or does not, or is asked whether it does, at as few times as a page needs."""
     path = course(model, times, states)
-    gap = 0.0 if returns else np.abs(places(model, states[-1:]) - places(model, states[:1])).max()
 
-    def seen(count: int) -> np.ndarray:
-        return positions_at(model, path, equal_times(path.period, count))
+    def seen(count: int, rounds: int = 1) -> np.ndarray:
+        return positions_at(model, path, equal_times(rounds * path.period, count))
 
-    drifts = bool(gap > GAP * extent(seen(FIRST)))
-    points, bones = _fewest(seen, model.strokes, drifts)
-    return _filmed(model, path, points, skeleton=bones, loops=not drifts)
+    gap = places(model, states[-1:]) - places(model, states[:1])
+    drifts = returns is False or bool(returns is None and np.abs(gap).max() > GAP * extent(seen(FIRST)))
+    if not drifts or returns is False:
+        points, bones = _fewest(seen, model.strokes, drifts)
+        return _filmed(model, path, points, skeleton=bones, loops=not drifts)
+    step, size = gap[0].mean(axis=1), extent(seen(FIRST))
+    if np.abs(positions_at(model, path, path.period + equal_times(path.period, FIRST)) - seen(FIRST)
+              - step[:, None]).max() < GAP * size:  # all of it goes along  # fmt: skip
+        points, bones = _fewest(lambda count: seen(count) - step[:, None] * equal_times(1.0, count)[:, None, None],
+                                model.strokes)  # fmt: skip
+        return _filmed(model, path, points, skeleton=bones, drift=step)
+    count = len(_fewest(seen, model.strokes, drifts)[0])
+    rounds = rounds_of(model, path, min(MOST_ROUNDS, MOST_SAMPLES // count))
+    points = seen(rounds * count, rounds)
+    return _filmed(model, path, points, skeleton=skeleton(points, model.strokes), rounds=rounds)
 
 
 def _filmed(model: Any, path: Course, points: np.ndarray, **more: Any) -> Filmed:
     drawn = "plane" if model.points is None else "mechanism"
-    return Filmed(points, model, path, strokes=model.strokes, period=path.period, drawn=drawn, **more)
+    about = scenery(model) if isinstance(model, Model) else {}
+    return Filmed(points, model, path, strokes=model.strokes, period=path.period, drawn=drawn, around=about, **more)
 
 
 def _without_model(states: np.ndarray) -> Any:
     """The names and kinds of coordinates and rates (k x 2n) of a system that no file describes."""
     n = states.shape[1] // 2
     names = tuple(f"q{i + 1}{rate}" for rate in ("", "dot") for i in range(n))
-    return SimpleNamespace(state_names=names, degrees_of_freedom=n, angles=(False,) * n, points=None, strokes=(),
-                           hybrid=None, smooth=True, cycle=(), arcs=(), rates=None, conservative=False)  # fmt: skip
+    return SimpleNamespace(state_names=names, degrees_of_freedom=n, angles=(False,) * n, angular=np.ones(n, bool),
+                           points=None, space=None, strokes=(), hybrid=None, smooth=True, cycle=(), arcs=(), rates=None,
+                           conservative=False)  # fmt: skip
 
 
 def recorded(model: Model, states: np.ndarray, duration: float, cuts: tuple[int, ...] = ()) -> Scene:
     """What was simulated (k x d states at equal times over a duration, s), as it is: nothing returns."""
     drawn = "plane" if model.points is None else "mechanism"
-    return Scene(places(model, states), strokes=model.strokes, period=max(duration, 1e-9), drawn=drawn, cuts=cuts)
+    return Scene(places(model, states), strokes=model.strokes, period=max(duration, 1e-9), drawn=drawn, cuts=cuts,
+                 loops=False, around=scenery(model))  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Skeleton:
     """What of m points turns rigidly: `rods` are (point, parent, length in m), each parent before its point.
 
-    Its channels are x of all points, then y, then the angle of every point about its parent, those of rods alone
-    instead of x and y. Angles run on over whole turns.
+    Its channels are x of all points, then y (in space then z), then the angle of every point about its parent, those of
+    rods alone instead of x and y. Angles run on over whole turns.
     """
 
     many: int
@@ -300,7 +337,7 @@ class Skeleton:
 
     def channels(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Values (k x 3 m) of all channels of positions (k x 2 x m) over a period, and what they grow by in one."""
-        angles, turns = np.zeros((len(points), self.many)), np.zeros(3 * self.many)
+        angles, turns = np.zeros((len(points), self.many)), np.zeros((points.shape[1] + 1) * self.many)
         for point, parent, length in self.rods:
             down, right = (points[:, :, point] - points[:, :, parent]).T
             turned = np.unwrap(np.arctan2(right, down)) if length else np.zeros(len(points))
@@ -310,7 +347,7 @@ class Skeleton:
 
     def places(self, values: np.ndarray) -> np.ndarray:
         """Positions (k x 2 x m) of channels (k x 3 m)."""
-        points = values[:, : 2 * self.many].reshape(len(values), 2, self.many).copy()
+        points = values[:, : -self.many].reshape(len(values), -1, self.many).copy()
         for point, parent, length in self.rods:
             angle = values[:, 2 * self.many + point]
             points[:, :, point] = points[:, :, parent] + length * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -325,6 +362,8 @@ def _turn(angles: np.ndarray) -> float:
 def skeleton(points: np.ndarray, strokes: Strokes) -> Skeleton:
     """What is rigid among positions (k x 2 x m): a point and the one before it in a line, or one that it lies on."""
     many, size = points.shape[2], extent(points)
+    if points.shape[1] > 2:
+        return Skeleton(many)
     near: dict[int, list[int]] = {k: [k - 1] if k and not strokes else [] for k in range(many)}
     for kind, line in strokes:
         for first, second in pairwise(line if BRUSHES[kind].rigid else ()):
@@ -385,11 +424,15 @@ def framed(shown: Sequence[Mapping[str, Any]]) -> dict[str, list[float]] | None:
 def _window(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest x and y of what is drawn: points, and discs about some of them."""
     seen = [scene.points]
-    for centre, rim in (line for kind, line in scene.strokes if BRUSHES[kind].centred):
+    for centre, rim, *_ in (line for kind, line in scene.strokes if BRUSHES[kind].centred):
         middle = scene.points[:, :, [centre]]
         radius = np.linalg.norm(scene.points[:, :, [rim]] - middle, axis=1, keepdims=True)
         seen += [middle - radius, middle + radius]
-    return box(np.concatenate(seen, axis=2))
+    low, high = box(np.concatenate(seen, axis=2))
+    middle, reach = (low + high) / 2, (high - low) / 2 + NEAR * extent(scene.points)
+    marks = [np.array(place) for _, place, _ in scene.around.get("marks", ())]
+    near = [at for at in marks if np.all(np.abs(at - middle) < reach)]
+    return np.min([low, *near], axis=0), np.max([high, *near], axis=0)
 
 
 def base64_of(numbers: np.ndarray, kind: str = "<f4") -> str:
@@ -400,34 +443,47 @@ def base64_of(numbers: np.ndarray, kind: str = "<f4") -> str:
 def packed(scene: Scene) -> dict[str, Any]:
     """Channels for the page: int16 little-endian in base64, channel by channel; still channels as numbers.
 
-    Of m points channel c is x of point c for c < m, y of point c - m below 2 m, and the angle of point c - 2 m about
-    its parent from there; a position is centre + half * int / 32767, an angle middle + swing * int / 32767.
+    Of m points channel c is x of point c for c < m, y of point c - m below 2 m, in space z below 3 m, and then the
+    angle of each point about its parent; a position is centre + half * int / 32767, an angle middle + swing * int /
+    32767.
     """
-    many = scene.points.shape[2]
-    bones = (scene.skeleton if isinstance(scene, Filmed) else None) or Skeleton(many)
+    dims, many = scene.points.shape[1:]
+    first, film = dims * many, scene if isinstance(scene, Filmed) else None
+    bones = (film.skeleton if film else None) or Skeleton(many)
     values, turns = bones.channels(scene.points)
     turns *= scene.loops
     low, high = _window(scene)
     centre, half = (low + high) / 2, max(float((high - low).max()) / 2, 1e-12)
     about = {point: (parent, length) for point, parent, length in bones.rods}
-    placed = [c for c in range(2 * many) if c % many not in about]
-    turning = [2 * many + point for point, (_, length) in about.items() if length]
+    placed = [c for c in range(first) if c % many not in about]
+    turning = [first + point for point, (_, length) in about.items() if length]
     middles = (values.min(axis=0) + values.max(axis=0)) / 2
-    middles[: 2 * many] = np.repeat(centre, many)
+    middles[:first] = np.repeat(centre, many)
     swing = max(1e-12, *(float(np.ptp(values[:, c])) / 2 for c in turning)) if turning else 1.0
     moving = [c for c in placed if np.ptp(values[:, c]) > half / 32767] + turning
-    sizes = np.where(np.arange(3 * many) < 2 * many, half, swing)
+    sizes = np.where(np.arange(first + many) < first, half, swing)
     numbers = np.rint((values - middles) / sizes * 32767).T[moving]
     rods = [
-        [point, parent, *(_short(x) for x in (length, middles[2 * many + point], turns[2 * many + point]))]
+        [point, parent, *(_short(x) for x in (length, middles[first + point], turns[first + point]))]
         for point, (parent, length) in about.items()
     ]
-    broken: dict[str, Any] = {"jumps": _jumps(scene.cuts)} if scene.cuts else {}
+    more: dict[str, Any] = {"jumps": _jumps(scene.cuts)} if scene.cuts else {}
     if not scene.loops:
-        broken = {"jumps": [len(scene.points) - 1]}
+        more = {"jumps": [len(scene.points) - 1]}
     if scene.ground is not None:
-        broken["ground"] = [[[float(f"{x:.6g}") for x in row] for row in line] for line in scene.ground.tolist()]
-    return broken | {
+        more["ground"] = [[[float(f"{x:.6g}") for x in row] for row in line] for line in scene.ground.tolist()]
+    if film and film.rounds > 1:
+        more["rounds"] = film.rounds
+    if film and film.drift is not None:
+        more["drift"] = [_short(x) for x in film.drift]
+    if rods:
+        more |= {"rods": rods, "swing": swing}
+    if scene.strokes:
+        more["strokes"] = [[kind, list(chosen)] for kind, chosen in scene.strokes]
+    if scene.around:
+        more["around"] = scene.around
+    return more | {
+        "dims": dims,
         "count": len(scene.points),
         "points": many,
         "period": scene.period,
@@ -438,9 +494,7 @@ def packed(scene: Scene) -> dict[str, Any]:
         "still": {str(c): float(round(values[0, c], 9)) for c in placed if c not in moving},
         "data": base64_of(numbers, "<i2"),
         "drawn": scene.drawn,
-    } | ({"rods": rods, "swing": swing} if rods else {}) | (
-        {"strokes": [[kind, list(chosen)] for kind, chosen in scene.strokes]} if scene.strokes else {}
-    )  # fmt: skip
+    }
 
 
 def _jumps(cuts: Sequence[int]) -> list[int]:

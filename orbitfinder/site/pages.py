@@ -19,7 +19,7 @@ from orbitfinder.problemfile.write import orbit_name, orbit_text
 from orbitfinder.records.certificate import Check
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import level, recorded_proof
-from orbitfinder.show.diagram import LOOKS, mark_of
+from orbitfinder.show.diagram import LOOKS, changes, mark_of, verdicts
 from orbitfinder.show.facts import facts, largest, number, with_unit
 from orbitfinder.show.scene import evenly
 from orbitfinder.site.gather import AtlasFile, OrbitFile, Verdict
@@ -108,8 +108,8 @@ def orbit_values(entry: SiteOrbit) -> dict[str, Any]:
         "verdict": entry.verdict,
         "motion": motion,
         "aspect": _aspect(motion),
-        "shown": shown(motion) if motion else [],
-        "coordinates": len(motion.angles) if motion else 0,
+        "shown": portraits(motion) if motion else [],
+        "coordinates": len(motion.angles) - len(shown(motion)) + len(portraits(motion)) if motion else 0,
         "facts": _facts(entry),
         "multipliers": _multipliers(document),
         "proof": _recorded_proof(entry),
@@ -127,6 +127,8 @@ def orbit_values(entry: SiteOrbit) -> dict[str, Any]:
 def _aspect(motion: Filmed | None) -> float:
     """Width over height of the moving picture: that of the motion, within limits."""
     if motion is None:
+        return 1.25
+    if motion.points.shape[1] > 2:
         return 1.25
     spans = np.ptp(motion.points, axis=(0, 2))
     down, right = spans + 0.15 * max(float(spans.max()), 1e-12)
@@ -155,6 +157,12 @@ def shown(motion: Filmed) -> list[int]:
     if n > 6 and any(motion.angles) and not all(motion.angles):
         candidates = [k for k in candidates if motion.angles[k]]
     return [candidates[k] for k in evenly(len(candidates), 6)]
+
+
+def portraits(motion: Filmed) -> list[int]:
+    """Those of them that have a portrait: of a coordinate and its momentum the first."""
+    partners, n = motion.partners, len(motion.angles)
+    return [k for k in shown(motion) if partners[k] > k or partners[partners[k] % n] != k]
 
 
 def _multipliers(document: Mapping[str, Any]) -> list[tuple[float, float, float, float]]:
@@ -207,6 +215,7 @@ def orbit_data(entry: SiteOrbit) -> dict[str, Any]:
             "labels": [coordinate(name) for name in motion.names[:n]],
             "axes": _axes(entry, motion, n),
             "shown": shown(motion),
+            "portraits": portraits(motion),
         }
     return data
 
@@ -281,6 +290,7 @@ def _item(member: FamilyPoint | Event, family: Family, simulator: Simulator) -> 
         "multipliers": [[float(f"{x:.8g}") for x in (mu.real, mu.imag)] for mu in at.floquet_multipliers.tolist()],
         "event": event.detail if event is not None and kind_of(event.kind).verdict and event.detail else words,
         "kind": "" if event is None else event.kind,
+        "what": "" if event is None else kind_of(event.kind).words,
         "motion": packed(motion) if motion else None,
     }
 
@@ -308,15 +318,23 @@ def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
         "curve": len(family.parameters) > 1,
         "columns": columns
         | {
-            "stable": [point.stability != "unstable" for point in family.points],
+            "stable": verdicts(family),
             "largest": [max(map(abs, point.floquet_multipliers.tolist()), default=1.0) for point in family.points],
         },
+        "changes": [[k, None if at is None else _place(family, at, reach)] for k, at in changes(family)],
         "items": items,
         "looks": {
             kind: [look.symbol, look.series, look.pixels, look.line]
             for kind, look in {kind: LOOKS[kind] for kind in map(itemgetter("kind"), items) if kind}.items()
         },
     }  # fmt: skip
+
+
+def _place(family: Family, number: int, reach: Sequence[float]) -> dict[str, float]:
+    """Where an event lies on the axes that it is known on."""
+    event = family.events[number]
+    told = {"energy": level(event.energy), "period": event.period, "value": event.parameter}
+    return told | {"arclength": event.arclength} | ({"amplitude": reach[len(family.points) + number]} if reach else {})
 
 
 def _response(family: Family, simulator: Simulator) -> tuple[str, list[float]]:

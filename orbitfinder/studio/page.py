@@ -332,7 +332,8 @@ class Page(Desk):
 
     def _show(self, film: Film | None, view: Mapping[str, Any] | None = None, keep: bool = False) -> None:
         if film is not None:
-            window = view or (None if self.shown else {"centre": film["centre"], "spans": [2.3 * film["half"]] * 2})
+            spans = [2.3 * film["half"]] * film["dims"]
+            window = view or (None if self.shown else {"centre": film["centre"], "spans": spans})
             self.shown = True
             ui.run_javascript(f"stage.show({json.dumps(film)}, {json.dumps(window)}, {_js(keep)})")
 

@@ -19,6 +19,8 @@ Trace = dict[str, Any]
 STABLE, UNSTABLE, MARK, OTHER = "#0072b2", "#d55e00", "#008060", "#8a94a0"
 MOTIONS = (STABLE, UNSTABLE, "#7a3e9d", "#8a6d00")
 DARK = {STABLE: "#56b4e9", UNSTABLE: "#f0a35e", MARK: "#3fc79a", MOTIONS[2]: "#cc99e0", MOTIONS[3]: "#d8bf4a"}
+LOOKS = {"stable": (STABLE, "circle"), "unstable": (UNSTABLE, "circle-open"), "undecided": (OTHER, "square-open")}
+"""Colours and shapes of orbits by their stability"""
 POINTS, EVENTS, HERE = 0, 1, 2
 """The traces of a plot of families: the first two can be clicked, the third is where one is"""
 
@@ -41,7 +43,9 @@ def _figure(data: list[dict[str, Any]], across: str, up: str, dark: bool, log: b
     return {"data": data, "layout": layout, "config": {"displayModeBar": False, "responsive": True}}
 
 
-def _dots(x: Sequence[float], y: Sequence[float], said: Any = None, mode: str = "markers", **more: Any) -> Trace:
+def _dots(
+    x: Sequence[float | None], y: Sequence[float | None], said: Any = None, mode: str = "markers", **more: Any
+) -> Trace:
     """A trace of dots, or of what else `mode` says, with what is `said` where the pointer is."""
     told = {"hoverinfo": "skip"} if said is None else {"hovertext": said, "hoverinfo": "text"}
     return {"x": [*x], "y": [*y], "mode": mode} | told | more
@@ -67,21 +71,30 @@ def family_figure(
     points: Sequence[FamilyPoint], events: Sequence[Event], here: FamilyPoint | None, others: Sequence[Family],
     parameter: str, unit: str, dark: bool,
 ) -> dict[str, Any]:  # fmt: skip
-    """The chosen family, coloured by stability, its events as diamonds, where one is on it, and the others in grey."""
-    calm = [UNSTABLE if point.stability == "unstable" else STABLE for point in points]
+    """The chosen family by stability, its events as diamonds, where one is on it, and the others in grey; a legend."""
+    looks = [LOOKS.get(point.stability.replace("marginal", "undecided"), LOOKS["stable"]) for point in points]
+    key = [_dots([None], [None], marker={"size": 8, "color": look[0], "symbol": look[1]}, showlegend=True, name=name)
+           for name, look in LOOKS.items() if look in looks]  # fmt: skip
     told = [f"T = {point.period:.5g} s, {point.stability}" for point in points]
     words = [f"{k}: {event.words}" for k, event in enumerate(events)]
     dashed = {"color": OTHER, "width": 1.5, "dash": "dot"}
     data = [
         _dots([point.value for point in points], [1 / point.period for point in points], told, "lines+markers",
-              marker={"size": 8, "color": calm}, line={"color": OTHER, "width": 1}),
+              marker={"size": 8, "color": [look[0] for look in looks], "symbol": [look[1] for look in looks]},
+              line={"color": OTHER, "width": 1}),
         _dots([event.parameter for event in events], [1 / event.period for event in events], words,
               marker={"size": 13, "color": MARK, "symbol": "diamond"}),
         _rings([here.value] if here else [], [1 / here.period] if here else [], 18),
         *(_dots(other.values("value").tolist(), (1 / other.values("period")).tolist(), other.name, "lines", line=dashed)
           for other in others),
+        *key,
     ]  # fmt: skip
-    return _figure(data, f"{parameter}{f', {unit}' if unit else ''}", "frequency 1/T, 1/s", dark)
+    for trace in data[: -len(key) or None]:
+        trace["showlegend"] = False
+    figure = _figure(data, f"{parameter}{f', {unit}' if unit else ''}", "frequency 1/T, 1/s", dark)
+    figure["layout"] |= {"showlegend": bool(key), "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"}}
+    figure["layout"]["margin"]["t"] = 34
+    return figure
 
 
 def section_figure(cut: Cut | None, dark: bool) -> dict[str, Any]:

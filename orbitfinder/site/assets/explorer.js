@@ -63,17 +63,27 @@
     return log ? { type: "log", range: [Math.log10(one) - 0.05, Math.log10(one) + 0.05] } : { range: [one - room, one + room] };
   }
 
-  // The curve in runs of one stability each, joined to the next: solid where stable, dashed where not.
-  function curve(chosen, colour) {
-    var x = column(chosen.x), y = column(chosen.y), stable = it.columns.stable, traces = [], named = {};
-    for (var k = 0, from = 0; k <= x.length; k++) {
-      if (k < x.length && stable[k] === stable[from]) continue;
-      var start = Math.max(0, from - 1), kind = stable[from] ? "stable" : "unstable";
-      traces.push({ x: x.slice(start, k), y: y.slice(start, k), mode: "lines", hoverinfo: "skip", name: kind, legendgroup: kind,
-        showlegend: !named[kind], line: { color: colour, width: stable[from] ? 2.6 : 1.6, dash: stable[from] ? "solid" : "dash" } });
-      named[kind] = true;
-      from = k;
-    }
+  // The curve in runs of one stability each, that meet at the event where it changes: solid where stable, dashed where
+  // not, dotted where nothing decides.
+  var STYLES = { "true": ["stable", 2.6, "solid"], "false": ["unstable", 1.6, "dash"], "null": ["undecided", 2, "dot"] };
+  function curve(chosen, c) {
+    var x = column(chosen.x), y = column(chosen.y), stable = it.columns.stable, traces = [], named = {}, from = 0, meet = null;
+    function middle(all, k) { return all[k] === null || all[k - 1] === null ? null : (all[k] + all[k - 1]) / 2; }
+    it.changes.concat([[x.length, null]]).forEach(function (change) {
+      var end = change[0], style = STYLES[stable[from]], place = [x.slice(from, end), y.slice(from, end)], before = meet;
+      meet = end === x.length ? null : [chosen.x, chosen.y].map(function (name, axis) {
+        var at = change[1] && number(change[1], name);
+        return at === null || at === undefined || !isFinite(at) ? middle(axis ? y : x, end) : at;
+      });
+      place.forEach(function (all, axis) {
+        if (before) all.unshift(before[axis]);
+        if (meet) all.push(meet[axis]);
+      });
+      traces.push({ x: place[0], y: place[1], mode: "lines", hoverinfo: "skip", name: style[0], legendgroup: style[0],
+        showlegend: !named[style[0]], line: { color: stable[from] === null ? c.muted : c.series[0], width: style[1], dash: style[2] } });
+      named[style[0]] = true;
+      from = end;
+    });
     return traces;
   }
 
@@ -91,12 +101,14 @@
   }
 
   function familyTraces(chosen, c) {
-    var traces = curve(chosen, c.series[0]), plain = [], kinds = {};
+    var traces = curve(chosen, c), plain = [], kinds = {};
     items.forEach(function (one, k) { if (one.event) (kinds[one.kind] = kinds[one.kind] || []).push(k); else plain.push(k); });
-    [true, false].forEach(function (stable) {
-      var which = plain.filter(function (k) { return (items[k].stability !== "unstable") === stable; });
-      traces.push(points(chosen, which, { name: "orbit", showlegend: false, marker: { size: stable ? 6 : 5,
-        color: stable ? c.series[0] : c.surface, line: { width: stable ? 0 : 1.3, color: c.series[0] } } }));
+    ["stable", "unstable", "marginal"].forEach(function (kind) {
+      var which = plain.filter(function (k) { var said = items[k].stability; return kind === (said === "unstable" || said === "marginal" ? said : "stable"); });
+      var colour = kind === "marginal" ? c.muted : c.series[0];
+      if (which.length) traces.push(points(chosen, which, { name: "orbit", showlegend: false, marker: { size: kind === "stable" ? 6 : 5,
+        symbol: kind === "marginal" ? "square" : "circle", color: kind === "stable" ? colour : c.surface,
+        line: { width: kind === "stable" ? 0 : 1.3, color: colour } } }));
     });
     Object.keys(kinds).forEach(function (kind) {
       var look = it.looks[kind], colour = c.series[look[1]];
@@ -208,6 +220,7 @@
     var rows = [["Period", figure(one.period, 10) + " " + S]];
     if (it.conserved || !one.event) rows.push([it.conserved ? "Energy" : "Energy at t = 0", figure(one.energy, 10) + " " + E]);
     if (family && it.parameter !== "energy" && it.parameter !== "period") rows.push([it.parameter, figure(one.value, 10)]);
+    if (one.what) rows.unshift(["What happens", one.what]);
     if (one.event) rows.unshift(["Event", one.event]);
     if (one.error) rows.push(["Error bar of " + it.parameter, figure(one.error, 2)]);
     if (one.title) rows.unshift(["Orbit", one.title]);

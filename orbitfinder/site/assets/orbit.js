@@ -82,10 +82,10 @@
     }
     function name(c) { return c < n ? it.labels[c] : "rate of " + it.labels[c - n]; }
     function unitOf(c) { var u = it.axes[c % n]; return c < n || !u ? u : u + "/s"; }
-    var rates = it.shown.map(function (i) { return it.partners[i]; });
-    it.shown.forEach(function (i) {
+    var rates = it.portraits.map(function (i) { return it.partners[i]; });
+    it.portraits.forEach(function (i) {
       var box = part("portraits").querySelector('[data-component="' + i + '"]'), units = it.axes[i];
-      var across = Object.assign({ nticks: 4, zeroline: false }, range(i, it.shown));
+      var across = Object.assign({ nticks: 4, zeroline: false }, range(i, it.portraits));
       var up = Object.assign({ nticks: 5, zeroline: false }, range(it.partners[i], rates));
       plots.plot(box, function () {
         var colour = orbitfinder.colours().series[0];

@@ -47,13 +47,18 @@ var stage = (function () {
     }
   }
 
-  // Where a point of what plays is, in px; where px are, in m down and right.
+  // Where a point of what plays is, in px; where px are, in m down and right, in space as far from the eye as the point.
   function spot(k, time) {
     if (scene.width !== canvas.clientWidth) scene.fit();
     var now = scene.motion.at(time);
     return [scene.across(now, k), scene.down(now, k)];
   }
   function metres(p) {
+    if (scene.view) {
+      var held = scene.point(scene.motion.now, pulled), v = scene.view, m = scene.motion;
+      return [0, 1, 2].map(function (d) { return m.now[pulled + d * m.points] +
+        ((p[1] - held[1]) * v[0][d] + (p[0] - held[0]) * v[1][d]) / scene.scale; });
+    }
     return [scene.centre[0] + (p[1] - scene.height / 2) / scene.scale, scene.centre[1] + (p[0] - scene.width / 2) / scene.scale];
   }
 
@@ -64,6 +69,7 @@ var stage = (function () {
       if (far <= best) { best = far; pulled = k; }
     });
     if (pulled < 0) return;
+    event.stopImmediatePropagation(); // elsewhere the view is turned
     canvas.setPointerCapture(event.pointerId);
     player.playing = false;
     trail = [[performance.now(), metres(p)]];
@@ -81,11 +87,11 @@ var stage = (function () {
 
   function let_go() {
     var now = performance.now(), recent = trail.filter(function (one) { return now - one[0] <= FLICK; });
-    var last = trail[trail.length - 1], velocity = [0, 0];
+    var last = trail[trail.length - 1], velocity = last[1].map(function () { return 0; });
     if (recent.length > 1) {
       var first = recent[0], passed = (last[0] - first[0]) / 1000;
-      var found = [0, 1].map(function (c) { return passed > 0.01 ? (last[1][c] - first[1][c]) / passed : 0; });
-      if (Math.hypot(found[0], found[1]) * scene.scale > STILL) velocity = found;
+      var found = last[1].map(function (_, c) { return passed > 0.01 ? (last[1][c] - first[1][c]) / passed : 0; });
+      if (Math.hypot.apply(null, found) * scene.scale > STILL) velocity = found;
     }
     pulled = -1;
     player.playing = !orbitfinder.calm;
@@ -169,7 +175,7 @@ var stage = (function () {
 
   // The part of the plane that holds two.
   function both(one, other) {
-    var sides = [0, 1].map(function (k) {
+    var sides = one.centre.map(function (_, k) {
       function side(of, sign) { return of.centre[k] + sign * of.spans[k] / 2; }
       return [Math.min(side(one, -1), side(other, -1)), Math.max(side(one, 1), side(other, 1))];
     });

@@ -18,7 +18,7 @@ function render({ model, el }) {
   function aspect() {
     var spans = it.frame ? it.frame.spans : items[0].motion ? items[0].motion.spans : [1, 1];
     canvas.parentNode.hidden = !items.some(function (one) { return one.motion; });
-    canvas.style.aspectRatio = Math.min(1.8, Math.max(0.8, spans[1] / Math.max(spans[0], 1e-9)));
+    canvas.style.aspectRatio = spans.length > 2 ? 1.1 : Math.min(1.8, Math.max(0.8, spans[1] / Math.max(spans[0], 1e-9)));
   }
   aspect();
 
