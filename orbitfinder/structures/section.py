@@ -6,8 +6,8 @@ has grown to d_k after k of them,
     Y_n = 2/n sum_k k ln(d_k / d_(k-1)),    <Y>_n = 1/n sum_k Y_k,
 
 which goes to 2 on a torus, d_k ~ k, to less where less than that, and to sigma n / 2 where d_k ~ exp(sigma k).
-Source: P. Cincotta, C. Giordano, C. Simo, "Phase space structure of multi-dimensional systems by means of the mean
-exponential growth factor of nearby orbits", Physica D 182 (2003) 151-178.
+Source: P. Cincotta, C. Simo, "Simple tools to study global dynamics in non-axisymmetric galactic potentials - I",
+Astronomy and Astrophysics Supplement Series 147 (2000) 205-228, section 4, with returns for time.
 """
 
 from __future__ import annotations

@@ -17,7 +17,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from orbitfinder._runtime.keeping import finished
@@ -36,7 +35,7 @@ from orbitfinder.mechanics.scales import surroundings
 from orbitfinder.records.codec import plain
 from orbitfinder.records.journal import checkpoints, packed, unpacked
 from orbitfinder.records.orbit import Orbit
-from orbitfinder.structures.crossings import FINE, SEEN, Crossings, Passing, Plane, Track
+from orbitfinder.structures.crossings import FINE, SEEN, Crossings, Passing, Plane, Track, deviating
 from orbitfinder.structures.section import Section
 
 
@@ -89,7 +88,7 @@ class Surface:
     def varied(self) -> Crossings:
         """What integrates (x, u, s) to the plane."""
         units = np.append(self.units, np.ones(self.units.size + 1))
-        return Crossings(_deviating(vector_field(self.model), self.units), units)
+        return Crossings(deviating(vector_field(self.model), self.units), units)
 
     @cached_property
     def _lanes(self) -> Lanes:
@@ -155,19 +154,9 @@ class Surface:
         if i >= 0:
             rates, there = np.ones(states.shape), np.isfinite(passing.times)
             rates[there] = self.varied.rates(passing.times[there], passing.states[there])[:, :d] / self.units
-            along = along - rates * (along[..., i] / nonzero(rates[..., i]))[..., None]
+            along = along - rates * (along[..., i] / rates[..., i])[..., None]
         size = np.linalg.norm(along, axis=-1)
         return replace(passing, states=states), np.asarray(passing.states[..., -1] + np.log(nonzero(size)))
-
-
-def _deviating(field: ca.Function, units: np.ndarray) -> ca.Function:
-    """The field of (x, u, s) of a field f(t, x, s, free)."""
-    sym = (ca.SX if field.is_a("SXFunction") else ca.MX).sym
-    t, x, *rest = (sym(name, field.size1_in(k)) for k, name in enumerate(("t", "x", "e", "p")))
-    u, s, rate = sym("u", units.size), sym("s"), field(t, x, *rest)
-    turned = ca.jtimes(rate, x, u * units) / units
-    growing = ca.dot(u, turned) / ca.dot(u, u)
-    return ca.Function("deviating", [t, ca.vertcat(x, u, s), *rest], [ca.vertcat(rate, turned - growing * u, growing)])
 
 
 def surface(
