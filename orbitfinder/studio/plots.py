@@ -90,7 +90,7 @@ def section_figure(cut: Cut | None, dark: bool) -> dict[str, Any]:
     if cut is None:
         return _figure([{"x": [], "y": [], "mode": "markers"}], across, up, dark)
     made = cut.section
-    colours = [OTHER if kind == "chaotic" else MOTIONS[k % len(MOTIONS)] for k, kind in enumerate(made.kinds)]
+    colours = [OTHER if said == "chaotic" else MOTIONS[k % len(MOTIONS)] for k, said in enumerate(made.kinds)]
     hover = [f"motion {k + 1}: start here" for k in made.seeds.tolist()]
     marker = {"size": 4, "color": [colours[k] for k in made.seeds.tolist()]}
     (x, y), (across_ring, up_ring) = made.points.T.tolist(), cut.crossings.T.tolist()
