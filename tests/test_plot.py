@@ -23,7 +23,7 @@ from orbitfinder.records.family import load_family
 from orbitfinder.show import plot
 from orbitfinder.show.diagram import changes, verdicts
 from orbitfinder.show.scene import tip
-from orbitfinder.show.style import arrows, bare, line_style, new_figure, place_labels, rounded, told_in
+from orbitfinder.show.style import arrows, line_style, new_figure, place_labels, rounded, told_in
 from orbitfinder.show.svg import COLOURS
 
 RESULTS = Path(__file__).parents[1] / "results"

@@ -357,7 +357,7 @@ def test_what_a_controlled_orbit_says_of_its_control_is_read_by_its_types_and_sh
     [("states", lambda one: one[:, :-1], "states"), ("times", lambda one: one[:-1], "states: shape"),
      ("seeds", lambda one: one + 99, "seeds"), ("seeds", lambda one: one.astype(float), "seeds"),
      ("seeds", lambda one: -one - 1, "seeds"), ("starts", lambda one: one[..., None], "starts: shape"),
-     ("growth", lambda one: one[:1], "starts: shape"), ("growth", lambda one: one[:0], "starts: shape"),
+     ("growth", lambda one: one[:1], "growth: shape"), ("growth", lambda one: one[:0], "growth: shape"),
      ("times", lambda one: np.array(3.0), "states: shape"), ("growth", lambda one: one + np.nan, "growth holds"),
      ("states", lambda one: one + np.inf, "states holds")],
 )  # fmt: skip

@@ -58,9 +58,9 @@ def section(
 ) -> None:  # fmt: skip
     """Draw the Poincare section of the system of a problem FILE or an ORBIT.json, at one energy where it has one.
 
-    Regular motions are coloured, chaotic ones grey. Forced systems are looked at once a period of their forcing,
-    hybrid ones after their own events. A run that was killed goes on where it stopped when the same command is given
-    again, or with other --seeds or --returns.
+    Regular motions are coloured, chaotic ones grey, undecided ones black. Forced systems are looked at once a period
+    of their forcing, hybrid ones after their own events. A run that was killed goes on where it stopped when the same
+    command is given again, or with other --seeds or --returns.
 
     \b
     Examples:
@@ -87,14 +87,15 @@ def section(
     together["tori"] = [torus for torus in together["tori"] if _level(made.energy, torus)]
     model = model or getattr(origin, "model", None)
     written.append(draw_section(made, folder / "section.png", **together, model=model))
-    regular, motions = int(made.regular.sum()), len(made.starts)
+    motions, kinds = len(made.starts), {kind: int((made.kinds == kind).sum()) for kind in ("regular", "undecided")}
     level = f" at energy {made.energy:.10g}" if made.energy == made.energy else ""
     counts = f"{plural(made.returns, 'return')} of {plural(motions, 'motion')}"
-    text(f"{written[0]}: {counts} to {made.plane}{level}, {regular} regular")
+    told = f", {kinds['regular']} regular, {kinds['undecided']} undecided" if made.told else ""
+    text(f"{written[0]}: {counts} to {made.plane}{level}{told}")
     more = {} if frequencies is None else mapped(made, model or build_model(made.system), frequencies, written)
     finish("section", {
         "name": made.name, "plane": made.plane, "energy": made.energy, "returns": made.returns, "motions": motions,
-        "regular": regular, "written": written, **more,
+        **kinds, "written": written, **more,
     })  # fmt: skip
 
 

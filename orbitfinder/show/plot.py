@@ -357,7 +357,7 @@ def save_chosen(
         if inside.size:
             room = 0.05 * float(np.ptp(inside)) or 0.05 * abs(float(inside[0])) or 1.0
             axes.set_ylim(inside.min() - room, inside.max() + room)
-    return save_png(bare(figure) if not units_of(families[0].system)["time"] else figure, path)
+    return save_png(told_in(figure, families[0].system), path)
 
 
 def _quantity(family: Family, name: str) -> np.ndarray:

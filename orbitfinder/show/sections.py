@@ -22,8 +22,8 @@ from orbitfinder.structures.sections import check_plane, crossings, named_surfac
 from orbitfinder.structures.tori import crossed
 from orbitfinder.structures.torus import Torus
 
-CHAOS = "0.62"
-"""Colour of returns that belong to no regular motion"""
+GREYS = {"chaotic": "0.62", "undecided": "0.1"}
+"""Colours of returns that belong to no regular motion"""
 MOTIONS = COLOURS[2:6]
 """Those of regular motions, none of them a manifold's"""
 REFUSED = {"tube": "is a tube, not curves on a section; grow it without tube"}
@@ -43,8 +43,9 @@ def draw_section(
 ) -> Path:
     """Draw a section as PNG, with the crossings of orbits and tori, the curves of manifolds, the points of connections.
 
-    Regular motions are coloured, each with a colour of its own, chaotic ones grey. Without a section the plane is that
-    of the first manifold or connection. Raises `InputError` where they lie on different planes.
+    Regular motions are coloured, each with a colour of its own, chaotic ones grey, undecided ones black. Without a
+    section the plane is that of the first manifold or connection. Raises `InputError` where they lie on different
+    planes.
     """
     given: list[Any] = [record for record in (section, *manifolds, *connections) if record is not None]
     if not given:
@@ -87,17 +88,20 @@ def _plane(record: Section | Manifold | Connection) -> str:
 
 def _returns(axes: Any, section: Section) -> None:
     """The returns, chaotic ones below; regular motions in colours that neighbours do not share."""
-    points, regular = section.points, section.regular[section.seeds]
+    points, kinds = section.points, section.kinds[section.seeds]
     size = float(np.clip(20_000 / max(section.returns, 1), 0.4, 6.0))
-    if not np.isfinite(section.growth).any():  # not told apart
+    if not section.told:
         axes.scatter(points[:, 0], points[:, 1], s=size, c=section.seeds, cmap="viridis", linewidths=0)
         return
-    axes.scatter(*points[~regular].T, s=size, color=CHAOS, linewidths=0, rasterized=True)
+    regular = kinds == "regular"
+    for kind, colour in GREYS.items():
+        axes.scatter(*points[kinds == kind].T, s=size, color=colour, linewidths=0, rasterized=True)
+        if (kinds == kind).any():
+            axes.plot([], [], "o", color=colour, markersize=3, label=kind)
     seeds = np.unique(section.seeds[regular])
     order = {int(seed): MOTIONS[k % len(MOTIONS)] for k, seed in enumerate(seeds)}
     colours = [order[int(seed)] for seed in section.seeds[regular]]
     axes.scatter(*points[regular].T, s=size, c=colours, linewidths=0, rasterized=True)
-    axes.plot([], [], "o", color=CHAOS, markersize=3, label="chaotic")
     axes.plot([], [], "o", color=MOTIONS[0], markersize=3, label="regular (colours: motions)")
 
 

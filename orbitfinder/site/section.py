@@ -38,8 +38,8 @@ def section_values(section: Section, data: dict[str, Any]) -> dict[str, Any]:
     level = f", energy {number(section.energy, 10)}" if np.isfinite(section.energy) else ""
     counts = Counter(map(itemgetter("kind"), data["items"]))
     told = plural(counts.total() - counts["orbit"], "motion")
-    if np.isfinite(section.growth).any():
-        told += f", {counts['regular']} of them regular"
+    if section.told:
+        told += f", {counts['regular']} of them regular, {counts['undecided']} undecided"
     more = "" if drawn >= section.returns else f" The plot shows {drawn} of {section.returns} returns."
     laid = defaultdict[str, list[str]](list)
     for kind, name in map(itemgetter("kind", "name"), data["curves"]):
@@ -63,7 +63,7 @@ def section_data(section: Section, gathered: Gathered) -> dict[str, Any]:
         curves = [curve for laid in gathered.laid for curve in _laid(laid, section, surface) if _belongs(laid, section)]
     frame = framed([item["motion"] for item in items if item["motion"]])
     return {"name": section.name, "axes": [coordinate(name) for name in section.axes], "items": items, "curves": curves,
-            "told": bool(np.isfinite(section.growth).any()), "landscape": landscape(model, frame),
+            "told": section.told, "landscape": landscape(model, frame),
             "energy": section.energy if np.isfinite(section.energy) else None}  # fmt: skip
 
 
@@ -78,16 +78,16 @@ def _belongs(record: Any, section: Section) -> bool:
 def _motions(section: Section, model: Model | None) -> list[dict[str, Any]]:
     """The motions of a section with their points (the first of each) chosen where there are many."""
     chosen = evenly(len(section.starts), MOST_MOTIONS)
-    most, regular, told = max(1, MOST_POINTS // len(chosen)), section.regular, np.isfinite(section.growth).any()
+    most = max(1, MOST_POINTS // len(chosen))
     ends = [section.times[section.seeds == k][:RETURNS] for k in chosen]
     span = float(np.median([times[-1] for times in ends if len(times)]))
     moving = _paths(section, model, section.starts[list(chosen)], span)
     items = []
     for k, motion in zip(chosen, moving, strict=True):
         points = section.points[section.seeds == k]
-        kind = "motion" if not told else "regular" if regular[k] else "chaotic"
+        kind = str(section.kinds[k]) if section.told else "motion"
         facts = [["Motion", f"{k + 1} of {len(section.starts)}"], ["Kind", kind], ["Returns", str(len(points))],
-                 ["Neighbours part by", number(float(section.growth[k]), 3) if told else ""]]  # fmt: skip
+                 ["MEGNO", number(float(section.megno(k)[-1]), 3) if section.told and len(points) else ""]]  # fmt: skip
         items.append(_item(kind, f"motion={k + 1}", f"motion {k + 1}", points[:most], motion, facts))
     return items
 

@@ -142,6 +142,17 @@ def along_parameter(model: Model, parameter: str, coordinate: int) -> tuple[ca.F
     return ca.Function("along", [t, y, none, none], [ca.densify(whole)]), restored
 
 
+def deviating(field: ca.Function, units: np.ndarray) -> ca.Function:
+    """The field of a motion x, a direction u of deviation in `units` (d) and the logarithm s of its growth:
+    u' = J u - k u, s' = k = u.J u / u.u."""
+    sym = (ca.SX if field.is_a("SXFunction") else ca.MX).sym
+    t, x, *rest = (sym(name, field.size1_in(k)) for k, name in enumerate(("t", "x", "e", "p")))
+    u, s, rate = sym("u", units.size), sym("s"), field(t, x, *rest)
+    turned = ca.jtimes(rate, x, u * units) / units
+    growing = ca.dot(u, turned) / ca.dot(u, u)
+    return ca.Function("deviating", [t, ca.vertcat(x, u, s), *rest], [ca.vertcat(rate, turned - growing * u, growing)])
+
+
 class Crossings:
     """The motions of one field f(t, x, s, free), s and free 0 or `tail`, with components measured in `units` (d).
 

@@ -1,9 +1,20 @@
-"""Poincare sections as plain numbers, and their files: section.json with the numbers beside it in section.npz."""
+"""Poincare sections as plain numbers, and their files: section.json with the numbers beside it in section.npz.
+
+What tells chaos from order is the mean exponential growth of nearby orbits (MEGNO) of the returns: where a deviation
+has grown to d_k after k of them,
+
+    Y_n = 2/n sum_k k ln(d_k / d_(k-1)),    <Y>_n = 1/n sum_k Y_k,
+
+which goes to 2 on a torus, d_k ~ k, to less where less than that, and to sigma n / 2 where d_k ~ exp(sigma k).
+Source: P. Cincotta, C. Simo, "Simple tools to study global dynamics in non-axisymmetric galactic potentials - I",
+Astronomy and Astrophysics Supplement Series 147 (2000) 205-228, section 4, with returns for time.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,8 +23,10 @@ import numpy as np
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.records.codec import Codec, Dense, Filed, Unknown
 
-PARTED = 50.0
-"""Growth of a small distance in a return, at most, where it grows as the number of returns"""
+CLEAR = 2.0
+"""How much nearer one of two laws comes than the other before it is said to hold"""
+FEWEST = 20
+"""Returns of a motion of which anything is said"""
 LARGEST = float(np.finfo(float).max)
 """Stands in files, whose numbers are finite, for a growth that is not known"""
 Growth = Annotated[
@@ -30,7 +43,8 @@ class Section(Shown):
     """Crossings of many motions: `states` (k x d) at `times` (k, s since each began), `seeds` (k) says whose they are.
 
     `plane` in words, `axes` the components that are drawn, `energy` nan where none is held; `starts` (m x d) are where
-    the motions began, `growth` (m) how much neighbours parted (see `orbits.section`), infinite where that is not known.
+    the motions began, `growth` (k) is the logarithm of what a deviation on the plane has grown by until then, infinite
+    where that is not known. Files before 0.3 have one number a motion there, of which nothing is made.
     """
 
     __repr__ = brief("name", "plane", "energy", "returns")
@@ -53,10 +67,40 @@ class Section(Shown):
         return len(self.states)
 
     @property
+    def told(self) -> bool:
+        """Whether growths are known."""
+        return self.growth.shape == self.times.shape and bool(np.isfinite(self.growth).any())
+
+    @cached_property
+    def kinds(self) -> np.ndarray:
+        """What each motion (m) is: "regular", "chaotic", or "undecided" where the indicator does not say.
+
+        Of <Y> over the second half of the returns, taken as 2 where it is less: chaotic where a line through 0 comes
+        nearer than 2 by a factor of `CLEAR`, regular where else a constant comes nearer than the line by as much.
+        """
+        kinds = np.full(len(self.starts), "undecided")
+        for k in range(len(kinds)) if self.told else ():
+            mean = self.megno(k)
+            n = np.arange(1, mean.size + 1)[(half := mean.size // 2) :]
+            if mean.size < FEWEST or not np.isfinite(mean).all():
+                continue
+            above = np.maximum(mean[half:], 2.0)
+            line = above - n * (above @ n) / (n @ n)
+            torus, flat, line = (float(np.sqrt(np.mean(off**2))) for off in (above - 2.0, above - above.mean(), line))
+            if torus > CLEAR * line or line > CLEAR * flat:
+                kinds[k] = "chaotic" if torus > CLEAR * line else "regular"
+        return kinds
+
+    def megno(self, motion: int) -> np.ndarray:
+        """<Y> of a motion after each of its returns."""
+        steps = np.diff(self.growth[self.seeds == motion], prepend=0.0)
+        n = np.arange(1, steps.size + 1)
+        return np.asarray(np.cumsum(2 / n * np.cumsum(n * steps)) / n)
+
+    @property
     def regular(self) -> np.ndarray:
-        """Which motions (m) are regular: neighbours part by no more than `PARTED` in each of their returns."""
-        returns = np.bincount(self.seeds, minlength=len(self.starts))
-        return np.asarray(self.growth <= PARTED * np.maximum(returns, 1))
+        """Which motions (m) are said to be regular."""
+        return np.asarray(self.kinds == "regular")
 
     @property
     def points(self) -> np.ndarray:
@@ -66,9 +110,9 @@ class Section(Shown):
     def _check(self) -> None:
         if not set(self.axes) <= set(self.state_names):
             raise ValueError(f"axes: expected two of the components, got {', '.join(self.axes)}")
-        count, motions, d = self.times.size, self.growth.size, len(self.state_names)
+        count, motions, d = self.times.size, len(self.starts), len(self.state_names)
         shapes = {"states": (count, d), "times": (count,), "seeds": (count,), "starts": (motions, d),
-                  "growth": (motions,)}  # fmt: skip
+                  "growth": (count,) if self.growth.shape == (count,) else (motions,)}  # fmt: skip
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
                 raise ValueError(f"{name}: shape {getattr(self, name).shape} where {shape} belongs")

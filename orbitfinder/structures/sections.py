@@ -4,8 +4,8 @@ A section is a plane of one component of the state (of a forced system: whole pe
 what comes after the event that begins its cycle), looked at in two other components, its axes. Where an energy is
 conserved, motions begin on the plane at that energy: of each point of the axes one more rate is found from it.
 
-A motion is regular, on a torus or in an island, where a neighbour parts from it as the number of returns, and chaotic
-where it parts exponentially.
+Beside each motion x goes the direction of a deviation from it and the logarithm s of how much that has grown,
+u' = J u - k u, s' = k = u.J u / u.u, in the system's units: what tells chaos from order (`Section.kinds`).
 """
 
 from __future__ import annotations
@@ -35,11 +35,9 @@ from orbitfinder.mechanics.scales import surroundings
 from orbitfinder.records.codec import plain
 from orbitfinder.records.journal import checkpoints, packed, unpacked
 from orbitfinder.records.orbit import Orbit
-from orbitfinder.structures.crossings import FINE, SEEN, Crossings, Passing, Plane, Track
+from orbitfinder.structures.crossings import FINE, SEEN, Crossings, Passing, Plane, Track, deviating
 from orbitfinder.structures.section import Section
 
-BESIDE = 1e-9
-"""How far from a motion, in its units, another begins that shows whether neighbours part"""
 NOWHERE = Track((), lambda *_: None)
 """Keeps nothing"""
 
@@ -90,6 +88,12 @@ class Surface:
         return Crossings(vector_field(self.model), self.units)
 
     @cached_property
+    def varied(self) -> Crossings:
+        """What integrates (x, u, s) to the plane."""
+        units = np.append(self.units, np.ones(self.units.size + 1))
+        return Crossings(deviating(vector_field(self.model), self.units), units)
+
+    @cached_property
     def _lanes(self) -> Lanes:
         return Lanes()
 
@@ -137,10 +141,25 @@ class Surface:
         seen: Callable[[Callable[[], Passing]], None] | None = None, track: Track | None = None,
     ) -> Passing:  # fmt: skip
         """The next crossings of motions that begin at states (k x d)."""
-        # a motion that is not back has left
-        longest = max(300.0 * self.clock, 2 * self.plane.cycle if self.plane.component < 0 else 0.0)
-        return self.motions.passing(self.plane, states, count, longest=longest, sense=sense, tolerance=tolerance,
+        return self.motions.passing(self.plane, states, count, longest=self.longest, sense=sense, tolerance=tolerance,
                                     seen=seen, track=track)  # fmt: skip
+
+    @property
+    def longest(self) -> float:
+        """A motion that is not back after this time (s) has left."""
+        return max(300.0 * self.clock, 2 * self.plane.cycle if self.plane.component < 0 else 0.0)
+
+    def parted(self, passing: Passing) -> tuple[Passing, np.ndarray]:
+        """The crossings of motions without their deviations, and the logarithm of what these have grown by on the
+        plane (k x m): without their part along the flow."""
+        d, i = self.units.size, self.plane.component
+        states, along = passing.states[..., :d], passing.states[..., d : 2 * d]
+        if i >= 0:
+            rates, there = np.ones(states.shape), np.isfinite(passing.times)
+            rates[there] = self.varied.rates(passing.times[there], passing.states[there])[:, :d] / self.units
+            along = along - rates * (along[..., i] / rates[..., i])[..., None]
+        size = np.linalg.norm(along, axis=-1)
+        return replace(passing, states=states), np.asarray(passing.states[..., -1] + np.log(nonzero(size)))
 
 
 def surface(
@@ -313,51 +332,48 @@ def section(
     cut = surface(model, plane, axes, direction, levels=levels)
     starts = _starts(cut, seeds, dict(ranges or {}), state)
     names, chosen = model.state_names, next(iter(levels.values()), float("nan"))
-    unknown = np.full(len(starts), np.inf)
+    hybrid = not model.smooth
 
-    def made(passing: Passing, growth: np.ndarray = unknown) -> Section:
+    def made(passing: Passing) -> Section:
         """The crossings so far as a Section."""
+        passing, growth = (passing, np.full(passing.times.shape, np.inf)) if hybrid else cut.parted(passing)
         settled = 20 * (not model.conservative and not model.forced and returns > 40)  # left out
-        times, states = passing.times[:, settled:], passing.states[:, settled:]
+        times, states, growth = passing.times[:, settled:], passing.states[:, settled:], growth[:, settled:]
         known = np.isfinite(times)
         which = np.broadcast_to(np.arange(len(starts))[:, None], times.shape)[known]
         return Section(
             name or own, dict(model.system), names, cut.name, cut.axis_names, chosen,
-            wrapped(states[known], model.angular), times[known], which, starts, growth,
+            wrapped(states[known], model.angular), times[known], which, starts, growth[known],
         )  # fmt: skip
 
     def seen(so_far: Callable[[], Passing]) -> None:
         finished(lambda: made(passing) if np.isfinite((passing := so_far()).times).any() else None)
 
     path = None if out is None else Path(out) / (name or own) / "section.jsonl"
-    request = plain({"system": dict(model.system), "section": (plane, axes, direction, levels, ranges or {}, state)})
-    growth, hybrid = unknown, not model.smooth
-    with _tracks(path, request, 2 if hybrid else 6 + 2 * len(names), 3 + len(names)) as track:
+    request = plain({"system": dict(model.system), "returns of": (plane, axes, direction, levels, ranges or {}, state)})
+    size = len(names) if hybrid else 2 * len(names) + 1
+    with _track(path, request, 2 if hybrid else 6 + 2 * size, 3 + size) as track:
         if hybrid:
-            passing = after_events(model, starts, returns, seen, track("seeds"))
+            passing = after_events(model, starts, returns, seen, track)
         else:
-            passing = cut.passing(starts, returns, seen=seen, track=track("seeds"))
+            begin = np.hstack([starts, np.full(starts.shape, len(names) ** -0.5), np.zeros((len(starts), 1))])
+            passing = cut.varied.passing(cut.plane, begin, returns, longest=cut.longest, tolerance=SEEN, seen=seen,
+                                         track=track)  # fmt: skip
         if not np.isfinite(passing.times).any():
             raise InputError(f"plane: no motion comes to {cut.name}; choose another plane, energy or direction")
-        if not hybrid:
-            seen(lambda: passing)
-            growth = _divergence(cut, starts, passing.states, track("neighbours"))
-    return made(passing, growth)
+    return made(passing)
 
 
 @contextlib.contextmanager
-def _tracks(
-    path: Path | None, request: Mapping[str, Any], motions: int, crossings: int
-) -> Iterator[Callable[[str], Track]]:
-    """The tracks in a journal, by a word for whose they are; lines have so many columns."""
+def _track(path: Path | None, request: Mapping[str, Any], motions: int, crossings: int) -> Iterator[Track]:
+    """The track in a journal; lines have so many columns."""
 
-    def read(entry: Mapping[str, Any]) -> tuple[str, np.ndarray, np.ndarray]:
-        return str(entry["of"]), unpacked(entry["motions"], motions), unpacked(entry["crossings"], crossings)
+    def read(entry: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+        return unpacked(entry["motions"], motions), unpacked(entry["crossings"], crossings)
 
     with checkpoints(path, request, read) as journal:
-        yield lambda of: Track(
-            [(where, rows) for whose, where, rows in journal.known if whose == of],
-            lambda where, rows: journal.add({"of": of, "motions": packed(where), "crossings": packed(rows)}),
+        yield Track(
+            journal.known, lambda where, rows: journal.add({"motions": packed(where), "crossings": packed(rows)})
         )
 
 
@@ -528,18 +544,6 @@ def after_events(
         times[k, : len(rows)], states[k, : len(rows)] = rows[:, 2], rows[:, 3:]
         seen(lambda: Passing(times, states))
     return Passing(times, states)
-
-
-def _divergence(cut: Surface, starts: np.ndarray, states: np.ndarray, track: Track) -> np.ndarray:
-    """How much farther apart (k) each motion and one that begins `BESIDE` it come, at most, on the section."""
-    beside = starts.copy()
-    beside[:, cut.axes[0]] += BESIDE * cut.units[cut.axes[0]]
-    if cut.levels:
-        beside = cut.held(beside, along=[solved_component(cut)])
-    others = cut.passing(beside, states.shape[1], track=track).states
-    units = cut.units[list(cut.axes)]
-    apart = np.linalg.norm(wrapped(others - states, cut.model.angular)[..., list(cut.axes)] / units, axis=2)
-    return np.asarray(np.max(np.nan_to_num(apart, nan=0.0), axis=1) / BESIDE)
 
 
 @dataclass(frozen=True)

@@ -102,8 +102,8 @@ def section_figure(cut: Cut | None, dark: bool) -> dict[str, Any]:
     across, up = ("", "") if cut is None else map(coordinate, cut.section.axes)
     if cut is None:
         return _figure([{"x": [], "y": [], "mode": "markers"}], across, up, dark)
-    made, told = cut.section, bool(np.isfinite(cut.section.growth).any())
-    colours = [MOTIONS[k % len(MOTIONS)] if calm or not told else OTHER for k, calm in enumerate(made.regular)]
+    made = cut.section
+    colours = [OTHER if said == "chaotic" else MOTIONS[k % len(MOTIONS)] for k, said in enumerate(made.kinds)]
     hover = [f"motion {k + 1}: start here" for k in made.seeds.tolist()]
     marker = {"size": 4, "color": [colours[k] for k in made.seeds.tolist()]}
     (x, y), (across_ring, up_ring) = made.points.T.tolist(), cut.crossings.T.tolist()

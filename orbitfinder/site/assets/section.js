@@ -15,7 +15,7 @@
     var x = [], y = [], which = [], colours = [], order = 0;
     it.items.forEach(function (one, k) {
       if (one.kind !== kind) return;
-      var colour = kind === "chaotic" ? c.muted : kind === "orbit" ? c.surface : c.series[[2, 3, 4, 5][order++ % 4] % c.series.length];
+      var colour = kind === "chaotic" ? c.muted : kind === "undecided" ? c.ink : kind === "orbit" ? c.surface : c.series[[2, 3, 4, 5][order++ % 4] % c.series.length];
       one.x.forEach(function (value, i) { x.push(value); y.push(one.y[i]); which.push(k); colours.push(colour); });
     });
     var orbit = kind === "orbit";
@@ -38,7 +38,7 @@
   }
 
   plots.plot(plot, function () {
-    var c = orbitfinder.colours(), kinds = it.told ? ["chaotic", "regular"] : ["motion"];
+    var c = orbitfinder.colours(), kinds = it.told ? ["chaotic", "undecided", "regular"] : ["motion"];
     var traces = kinds.map(function (kind) { return points(kind, c); }).concat(curves(c), [points("orbit", c)]);
     if (picked >= 0) traces.push({ x: it.items[picked].x, y: it.items[picked].y, mode: "markers", hoverinfo: "skip",
       showlegend: false, marker: { size: 6, color: c.series[1], line: { width: 1, color: c.ink } } });
