@@ -257,7 +257,7 @@ def test_evidence_agrees_with_hamiltons_equations(monkeypatch):
 
 def test_closure_of_a_long_chain_is_that_of_its_certificate(twelve, monkeypatch):
     """Hamilton's equations of many links are dear: the closed form says by itself whether an orbit closes."""
-    monkeypatch.setattr(evidence, "Hamiltonian", None)
+    monkeypatch.setattr(evidence, "hamilton", None)
     check, turns = evidence.ClosureCheck(chain(12)), np.zeros(12, int)
     assert check(twelve.state, twelve.period, turns) <= 1e-11
     assert check(twelve.state, twelve.period * (1 + 1e-6), turns) > 1e-8
