@@ -10,9 +10,10 @@ import pytest
 from scipy.linalg import block_diag, expm
 
 from orbitfinder.errors import ConvergenceError
+from orbitfinder.families.checks import Refuted, check_collision
 from orbitfinder.families.events import bifurcations
 from orbitfinder.families.folder import follow_family
-from orbitfinder.families.passages import exchanged, flips, index_levels
+from orbitfinder.families.passages import exchanged, flips, index_levels, twice
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.run import Interval, Sample
 from orbitfinder.families.stability import _krein, matching
@@ -306,3 +307,24 @@ def test_real_family_with_resonance_and_collision_in_one_step(tmp_path):
     assert [one[:2] for one in found[0]] == [one[:2] for one in found[1]]
     assert [one[2] for one in found[0]] == pytest.approx([one[2] for one in found[1]], abs=1e-8)
     assert {one[0] for one in found[0]} >= {"resonance", "collision"}
+
+
+@pytest.mark.parametrize(("bottom", "below"), [(-1e-5, True), (1e-12, False), (0.2, False)])
+def test_a_dip_between_two_orbits_is_found_in_few_looks(bottom, below):
+    """Where a smooth measure is below 0 on one part in 300 of a step, and where it only comes near."""
+    seen = []
+
+    def measure(place: float) -> float:
+        seen.append(place)
+        return 4 * (place - 0.62) ** 2 * (1 + 0.5 * place) + bottom
+
+    interval = SimpleNamespace(first=0.0, length=1.0, sample=lambda distance: distance)
+    place = twice(interval, measure, thorough=True)
+    assert (place is not None) == below and len(set(seen)) <= 9
+    assert place is None or abs(place - 0.62) < 2e-3
+
+
+def test_what_an_event_itself_refutes_asks_no_orbit_beside_it():
+    """An avoided crossing that was stepped over is no collision, whatever the orbits about it are."""
+    with pytest.raises(Refuted, match="stepped over"):
+        check_collision(None, SimpleNamespace(detail="stepped over", order=1))

@@ -15,7 +15,7 @@ from orbitfinder.families.follow import follow
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.run import Run, first_point
 from orbitfinder.families.start import begin, fitted
-from orbitfinder.integrate.compiled import compiling
+from orbitfinder.integrate.compiled import available, compiling
 from orbitfinder.integrate.cvodes import build_flow, transition
 from orbitfinder.integrate.march import March, uniform
 from orbitfinder.integrate.rk8 import MOST_DOUBLINGS
@@ -28,6 +28,7 @@ from orbitfinder.mechanisms.chain import chain
 from orbitfinder.mechanisms.chain_lagrange import chain_lagrange, is_long
 from orbitfinder.mechanisms.chain_march import ClosedChain
 from orbitfinder.mechanisms.long_chain import balanced, build_chain, find_long_chain, measured, shot, suits
+from orbitfinder.orbits import evidence
 from orbitfinder.orbits.certify import certified, certify
 from orbitfinder.orbits.evidence import gather
 from orbitfinder.orbits.find import find_orbit
@@ -93,6 +94,21 @@ def test_closed_form_variations_agree_with_automatic_differentiation():
     a, by_place, by_rate = closed.linearised(x[:6], x[6:])
     assert a == pytest.approx(found[6:12], rel=1e-12)
     assert np.abs(np.hstack([by_place, by_rate]) - wanted[1][6:]).max() <= 1e-11 * np.abs(wanted[1]).max()
+
+
+@pytest.mark.skipif(not available()[0], reason="no C compiler")
+def test_closed_form_in_c_says_what_numpy_says():
+    """Rates and variations of unequal links, of which 14 columns are no multiple of the lanes."""
+    closed, random = chain_lagrange(chain(7, length=np.linspace(0.5, 1.5, 7), com=0.3)), np.random.default_rng(6)
+    for fast, slow, size in ((closed.rates, closed.field, 14), (closed.varied_rates, closed.variational, 210)):
+        library, states = fast.library(), random.normal(0, 1, (3, size))
+        assert library is not None
+        wanted = np.array([slow(0.0, state) for state in states])
+        found = library.rates(np.zeros(3), states, None, None)
+        assert np.abs(found - wanted).max() <= 1e-12 * np.abs(wanted).max()
+    branched = closed.coupling.copy()
+    branched[2, 4] = branched[4, 2] = 0.5 * branched[2, 4]
+    assert replace(closed, coupling=branched).rates.library() is None  # its links do not hang in a row
 
 
 def test_momentum_frame_is_canonical():
@@ -237,6 +253,14 @@ def test_evidence_agrees_with_hamiltons_equations(monkeypatch):
     assert largest_difference(found.floquet.multipliers, generic.floquet.multipliers) <= 1e-7
     assert found.tour.asymplectic <= 1e-10 and found.tour.trivial <= 1e-10
     assert "Lagrange" in found.motion.formulation and "Hamilton" in generic.motion.formulation
+
+
+def test_closure_of_a_long_chain_is_that_of_its_certificate(twelve, monkeypatch):
+    """Hamilton's equations of many links are dear: the closed form says by itself whether an orbit closes."""
+    monkeypatch.setattr(evidence, "hamilton", None)
+    check, turns = evidence.ClosureCheck(chain(12)), np.zeros(12, int)
+    assert check(twelve.state, twelve.period, turns) <= 1e-11
+    assert check(twelve.state, twelve.period * (1 + 1e-6), turns) > 1e-8
 
 
 def test_a_part_of_the_period_gives_the_multipliers_of_the_whole(twelve, monkeypatch):

@@ -57,6 +57,10 @@ ALIKE = 1e-6
 Measure = Callable[["Probe"], float]
 
 
+class Refuted(ConvergenceError):
+    """An event is not what it is called, whatever orbits beside it say."""
+
+
 @dataclass(frozen=True)
 class Probe:
     """An orbit of a family and what the certificate's integrator reads there."""
@@ -322,7 +326,7 @@ def check_passage(sides: Sides, event: Event) -> Reading:
     known = index_levels(here.root, most) if here.conservative else multiplier_levels(here.root)
     levels = [level for level, *kind, mu in known if tuple(kind) == told and abs(mu - event.multiplier) < ALIKE]
     if not levels:
-        raise ConvergenceError(f"its multiplier {event.multiplier:.6g} and order {event.order} are of another kind")
+        raise Refuted(f"its multiplier {event.multiplier:.6g} and order {event.order} are of another kind")
     if KINDS[event.kind].crosses and event.multiplier.real > 0 and sides.turns(_parameter(sides.here.curve)):
         raise ConvergenceError("the family turns there, so that nothing else leads through it")
     if KINDS[event.kind].crosses and event.multiplier.real > 0 and not here.conservative and not sides.crossed:
@@ -338,7 +342,7 @@ def _parameter(curve: Curve) -> str:
 def check_fold(sides: Sides, event: Event) -> Reading:
     """A multiplier at +1, and the parameter turns."""
     if event.detail not in ("energy", *sides.here.curve.equations.physical):
-        raise ConvergenceError(f"{event.detail or 'nothing'} is no parameter that folds")
+        raise Refuted(f"{event.detail or 'nothing'} is no parameter that folds")
     return _turned(sides, event.detail)
 
 
@@ -379,7 +383,7 @@ def check_turn(sides: Sides, event: Event) -> Reading:
     model = sides.here.curve.equations.model
     momenta = (invariant.name for invariant in model.invariants)
     if event.detail not in ("period", *sides.here.curve.equations.physical, *momenta):
-        raise ConvergenceError(f"{event.detail or 'nothing'} is not known to turn")
+        raise Refuted(f"{event.detail or 'nothing'} is not known to turn")
     return sides.turning(event.detail)
 
 
@@ -415,8 +419,8 @@ def _meeting(look: Probe) -> float:
 
 def check_collision(sides: Sides, event: Event) -> Reading:
     """Two stability indices are one, real on one side and complex on the other."""
-    if not sides.here.about.conservative or (event.detail, event.order) != ("", 1):
-        raise ConvergenceError(event.detail or "two stability indices do not meet there")
+    if (event.detail, event.order) != ("", 1) or not sides.here.about.conservative:
+        raise Refuted(event.detail or "two stability indices do not meet there")
     return sides.zero(_meeting)
 
 

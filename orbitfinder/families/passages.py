@@ -13,7 +13,6 @@ from itertools import pairwise
 from math import gcd
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from orbitfinder._runtime.arguments import check
 from orbitfinder.continuation.follow import zero
@@ -29,6 +28,9 @@ TOLD, WIDER = 1e-4, (1, 2, 4)
 the usual way from a crossing at which orbits are looked for that are"""
 STRAIGHT = 0.02
 """Share of the little way past a crossing family by which a measure that vanishes there is off its straight line."""
+EXTREMUM, MOST_LOOKS, TOLD_LOW = 1e-3, 25, 0.1
+"""Share of a step to which the extremum of a measure is located, orbits that are looked at for it, and share of its
+height by which a parabola may miss it that tells it"""
 UNTOLD = 1e-3
 """Steps longer than this are repeated shorter when indices cannot be told apart."""
 
@@ -317,7 +319,7 @@ def twice(interval: Interval, measure: Measure, thorough: bool = False) -> float
     def height(distance: float) -> float:
         return sign * measure(interval.sample(distance))
 
-    place = _lowest(height, interval.length)[0] if thorough else _vertex(height, interval.length)
+    place = _lowest(height, interval.length, exactly=False)[0] if thorough else _vertex(height, interval.length)
     return place if height(place) < 0 else None
 
 
@@ -330,19 +332,46 @@ def grazed(interval: Interval, measure: Measure, near: float) -> None:
 
 def _vertex(height: Callable[[float], float], length: float) -> float:
     """The middle, or where the parabola through the ends and the middle is lowest."""
-    a, m, b = height(0.0), height(0.5 * length), height(length)
-    bend, slope = 2 * (a - 2 * m + b), -3 * a + 4 * m - b
-    share = -0.5 * slope / bend if bend > 0 else 0.5
-    low = a + share * slope + share**2 * bend
-    return share * length if m >= 0 and 0 < share < 1 and low < 0.2 * min(a, b) else 0.5 * length
+    heights = [height(share * length) for share in (0.0, 0.5, 1.0)]
+    share, parabola = _parabola((0.0, 0.5, 1.0), heights)
+    low = heights[1] >= 0 and 0 < share < 1 and parabola(share) < 0.2 * min(heights[::2])
+    return share * length if low else 0.5 * length
 
 
-def _lowest(height: Callable[[float], float], length: float) -> tuple[float, float]:
-    """Where it is lowest, and how low."""
-    # the extremum of a measure is located to this share of the step
-    options = {"xatol": 1e-3 * length, "maxiter": 25}
-    best = minimize_scalar(height, bounds=(0.0, length), method="bounded", options=options)
-    return float(best.x), float(best.fun)
+def _parabola(places: Sequence[float], heights: Sequence[float]) -> tuple[float, Callable[[float], float]]:
+    """Where a parabola through three places is lowest, infinitely far out if it is not bent up, and the parabola."""
+    (a, m, b), (low, middle, high) = places, heights
+    left, right = (middle - low) / (m - a), (high - middle) / (b - m)
+    bend = (right - left) / (b - a)
+    lowest = 0.5 * (a + m - left / bend) if bend > 0 else np.inf
+    return lowest, lambda place: low + (place - a) * (left + bend * (place - m))
+
+
+def _lowest(height: Callable[[float], float], length: float, exactly: bool = True) -> tuple[float, float]:
+    """Where it is lowest and how low, by parabolas through the lowest looks, or where it is first seen below 0; if not
+    `exactly`, no nearer than it takes to say that it stays above."""
+    known = {share * length: height(share * length) for share in (0.0, 0.5, 1.0)}
+    narrow, told = EXTREMUM * length, False
+    for _ in range(MOST_LOOKS):
+        places = sorted(known)
+        best = min(places, key=lambda place: known[place])
+        k = min(max(places.index(best), 1), len(places) - 2)
+        a, m, b = places[k - 1 : k + 2]
+        place, parabola = _parabola((a, m, b), [known[each] for each in (a, m, b)])
+        inside, near = a + narrow < place < b - narrow, abs(place - best) < narrow
+        if known[best] < 0 or b - a < 3 * narrow:
+            break
+        if not exactly and (near or (told and (not inside or parabola(place) > 0.5 * known[best]))):
+            break
+        wider = 1.0 if best > m or (best == m and b - m > m - a) else -1.0
+        if best == m and near:
+            place = best + wider * narrow
+        elif not inside:
+            place = 0.5 * (m + (b if wider > 0 else a))
+        known[place] = height(place)
+        told = abs(known[place] - parabola(place)) < TOLD_LOW * abs(known[place])
+    best = min(known, key=lambda each: known[each])
+    return best, known[best]
 
 
 def _exchanged(a: Sample, b: Sample) -> bool:

@@ -15,7 +15,7 @@ from scipy.optimize import linear_sum_assignment
 from orbitfinder._runtime import interrupt
 from orbitfinder._runtime.arguments import check
 from orbitfinder.errors import ConvergenceError, IntegrationError, plural
-from orbitfinder.families.checks import ALIKE, Probe, Sides, check_known
+from orbitfinder.families.checks import ALIKE, Probe, Refuted, Sides, check_known
 from orbitfinder.families.critical import Critical, levelled
 from orbitfinder.families.entries import kind_of
 from orbitfinder.families.point import unknowns_of
@@ -24,7 +24,18 @@ from orbitfinder.families.start import by_series, curve_in, fitted
 from orbitfinder.integrate.equations import hamilton
 from orbitfinder.integrate.field import vector_field
 from orbitfinder.integrate.march import uniform
-from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, begun, correct, plane, scaled, tangent
+from orbitfinder.loops.continued import (
+    Curve,
+    Solution,
+    advanced,
+    at_place,
+    begun,
+    correct,
+    crossed,
+    plane,
+    scaled,
+    tangent,
+)
 from orbitfinder.loops.symmetry import turned
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model
@@ -77,12 +88,12 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float, paramete
     curve = curve.measured(solution)
     whole = _heading(curve, solution, along)
     here, said = Probe(curve, solution), ConvergenceError("no orbits beside it")
-    result = None
+    result, slope = None, None if curve.test is not None or crossed(curve, solution) else solution.slope
     for share, outer in SHARES:
         try:
             looks = [
                 Probe(curve, correct(curve, advanced(solution.place, whole, d), plane(curve, solution.place, whole, d),
-                                    solution.place, 0.5 * step))
+                                    solution.place, 0.5 * step, slope))
                 for d in step * share * np.array([-2, -1, 0, 1, 2] if outer else [-1, 0, 1])
             ]  # fmt: skip
             before, middle, after = looks[outer : len(looks) - outer]
@@ -90,6 +101,8 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float, paramete
                           parameter, share == SHARES[-1][0])  # fmt: skip
             result = kind.check(sides, event)
             check(f"EventKind {event.kind!r}, check", "Reading", result)
+        except Refuted:
+            raise
         except (ConvergenceError, IntegrationError) as error:
             said = ConvergenceError(str(error))
             continue

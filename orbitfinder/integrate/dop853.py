@@ -3,7 +3,7 @@
 It shares nothing with CVODES: another method (explicit Runge-Kutta of order 8 after Hairer,
 Norsett and Wanner, Solving Ordinary Differential Equations I, section II.10), another code; nor with
 `runge_kutta`, whose steps are fixed and made by CasADi. `scipy.integrate.ode` steps in C (Fortran before
-SciPy 1.17), four times faster than SciPy's DOP853 class steps in Python. Of a `CasadiField` that much is asked of
+SciPy 1.17), four times faster than SciPy's DOP853 class steps in Python. Of a `CompiledField` that much is asked of
 the same steps, with the same bits, are taken by `dop853.c`.
 """
 
@@ -20,7 +20,7 @@ from scipy.integrate import DOP853, ode
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import IntegrationError
-from orbitfinder.integrate.field import CasadiField, Steps, VectorField, rates_of, scaled
+from orbitfinder.integrate.field import CompiledField, Steps, VectorField, rates_of, scaled
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ def _stepped(
     at_most = max(1, settings.max_evaluations // EVALUATIONS_PER_STEP)
     tolerances = settings.relative_tolerance, settings.absolute_tolerance
     given = start, tolerances, float(np.floor(min(longest, span[1] - span[0]) / tick) * tick), at_most, noted
-    if isinstance(field, CasadiField):
+    if isinstance(field, CompiledField):
         return field.integrated(span, *given, lambda: _interpreted(field.rate, span, *given))
     return _interpreted(field, span, *given)
 

@@ -2,7 +2,8 @@
 
 Interpreted until that has taken as long as a compiler would; then CasADi's own C of the field and `dop853.c` are one
 library, which shares nothing with the finder's. Its numbers are the interpreter's and SciPy's to the last bit (asked of
-every problem that is shipped), so that nothing depends on when, where or whether a compiler runs.
+every problem that is shipped), so that nothing depends on when, where or whether a compiler runs. What has C of its own
+says so by a `CompiledField`.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import casadi as ca
 import numpy as np
@@ -120,14 +121,12 @@ def _place(values: np.ndarray | None) -> int | None:
     return None if values is None else values.ctypes.data
 
 
-class _Work:
-    """What a function has taken interpreted (s), and its library once that pays for one."""
+class Work:
+    """What a field of this name has taken interpreted (s), and its library once that pays for one."""
 
-    def __init__(self, function: ca.Function) -> None:
-        self.dense = function
-        if not function.sparsity_out(0).is_dense():
-            self.dense = ca.Function("dense", (a := function.mx_in()), [ca.densify(function(*a))])
-        self.spent, self._next, self.stiff = 0.0, LOOKED_FOR, False
+    def __init__(self, name: str, code: Callable[[], str], spent: float = 0.0) -> None:
+        self._name, self._code = name, code
+        self.spent, self._next, self.stiff = spent, LOOKED_FOR, False
         self._unasked = 0
         self._library: Library | None = None
 
@@ -159,23 +158,33 @@ class _Work:
             return None
         if self._library is None and (self.spent >= self._next or (chosen == "on" and self._next < np.inf)):
             self._next = np.inf
-            self._library = attempted(self.dense.name(), self._found)
+            self._library = attempted(self._name, self._found)
         return self._library
 
     def _found(self) -> Library:
-        code = _code(self.dense)
+        code = self._code()
         expected = expected_seconds(len(code))
         if self.spent < expected and mode() == "auto":
             self._next = expected
         return library(code, lambda path, new: _opened(path), self.spent)
 
 
-_works = Kept[_Work](REMEMBERED)
+class _FunctionWork(Work):
+    """The same of a CasADi function."""
+
+    def __init__(self, function: ca.Function) -> None:
+        self.dense = function
+        if not function.sparsity_out(0).is_dense():
+            self.dense = ca.Function("dense", (a := function.mx_in()), [ca.densify(function(*a))])
+        super().__init__(self.dense.name(), lambda: _code(self.dense))
 
 
-def _work(function: ca.Function) -> _Work:
+_works = Kept[_FunctionWork](REMEMBERED)
+
+
+def _work(function: ca.Function) -> _FunctionWork:
     surroundings = (os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"))
-    return _works((Same(function), *surroundings), lambda: _Work(function))
+    return _works((Same(function), *surroundings), lambda: _FunctionWork(function))
 
 
 def expect(function: ca.Function | Bound, effort: float | None, stiff: bool = False) -> None:
@@ -189,17 +198,27 @@ def expect(function: ca.Function | Bound, effort: float | None, stiff: bool = Fa
 def _code(function: ca.Function) -> str:
     """A field of (t, y) or (t, y, free) in CasADi's C, and DOP853 about it."""
     name = function.name()
-    facts = {"FIELD": "evaluated", "FIELD_work": f"{name}_work", "FREED": int(function.n_in() > 2), **_rules()}
+    # under another name, for it may be that of a function in `dop853.c`
+    code = "\n".join([f"#define {name} evaluated", casadi_code(function), f"#undef {name}"])
+    return with_dop853(code, f"{name}_work", function.n_in() > 2)
+
+
+def with_dop853(code: str, work: str = "evaluated_work", freed: bool = False) -> str:
+    """C of a field, which is `evaluated` there with as much `work` as this function says, and DOP853 about it."""
+    facts = {"FIELD": "evaluated", "FIELD_work": work, "FREED": int(freed), **_rules()}
     lines = [f"#define {fact} {value}" for fact, value in facts.items()]
     tables = {"A": DOP853.A, "B": DOP853.B, "WITHIN": DOP853.C, "FIFTH": DOP853.E5, "THIRD": np.array(THIRD)}
-    for constant, table in tables.items():
-        sizes = "".join(f"[{size}]" for size in table.shape)
-        rows = ["{" + ", ".join(float(x).hex() for x in row) + "}" for row in np.atleast_2d(table)]
-        whole = rows[0] if table.ndim == 1 else "{" + ", ".join(rows) + "}"
-        lines.append(f"static const double {constant}{sizes} = {whole};")
+    lines += [as_table(constant, table) for constant, table in tables.items()]
     own = (files("orbitfinder.integrate") / "dop853.c").read_text(encoding="utf-8")
-    # under another name, for it may be that of a function in `own`
-    return "\n".join([f"#define {name} evaluated", casadi_code(function), f"#undef {name}", *lines, own])
+    return "\n".join([code, *lines, own])
+
+
+def as_table(name: str, table: np.ndarray) -> str:
+    """Numbers, in one row or several, in C."""
+    sizes = "".join(f"[{size}]" for size in table.shape)
+    rows = ["{" + ", ".join(float(x).hex() for x in row) + "}" for row in np.atleast_2d(table)]
+    whole = rows[0] if table.ndim == 1 else "{" + ", ".join(rows) + "}"
+    return f"static const double {name}{sizes} = {whole};"
 
 
 @lru_cache(maxsize=1)
@@ -241,49 +260,29 @@ class Bound:
         return int(self.function.numel_in(k))
 
 
-class CasadiField:
-    """f(t, y u) / u of a CasADi function f of (t, x), or of (t, x, free), in units u (n, or none).
+class CompiledField:
+    """f(t, y u) / u of a field f in units u (n, or none), by a library when that is made.
 
     `free` is read whenever f is. The same object must not be called by two threads at once.
     """
 
     together = True
     """whether rates of many states come from one call"""
+    agreement = AGREEMENT
+    """relative difference between compiled and other rates beyond which a library is not believed"""
 
-    def __init__(self, function: ca.Function, free: np.ndarray | None = None, units: np.ndarray | None = None) -> None:
-        self._function, self._free, self._units = function, free, units
-        self._work = _work(function)
-        self._mapped: dict[int, Buffered] = {}
-        self._scaled: tuple[bytes, CasadiField] | None = None
+    def __init__(self, work: Work, free: np.ndarray | None = None, units: np.ndarray | None = None) -> None:
+        self._work, self._free, self._units = work, free, units
+        self._scaled: tuple[bytes, Self] | None = None
 
-    @cached_property
+    @property
     def rate(self) -> VectorField:
-        """The same without a look-up of it, for what calls it often."""
-        dense, size, units = self._work.dense, self._function.size1_in(1), self._units
-        time, state, rate = np.zeros(1), np.zeros(size), np.zeros(self._function.size1_out(0))
-        buffer, evaluate = dense.buffer()
-        buffer.set_arg(0, time.data)
-        buffer.set_arg(1, state.data)
-        if self._free is not None:
-            buffer.set_arg(2, self._free.data)
-        buffer.set_res(0, rate.data)
+        """The same without a look-up of it and without a library, for what calls it often."""
+        raise NotImplementedError
 
-        def call(t: float, y: np.ndarray) -> np.ndarray:
-            time[0] = t
-            state[:] = y
-            evaluate()
-            return rate.copy()
-
-        def measured(t: float, y: np.ndarray) -> np.ndarray:
-            time[0] = t
-            np.multiply(y, units, state)  # type: ignore[arg-type]
-            evaluate()
-            return np.asarray(rate / units)
-
-        found: Any = call if units is None else measured
-        found.evaluated = dense, buffer  # or both are freed under the evaluation
-        evaluating: VectorField = found
-        return evaluating
+    def within(self, units: np.ndarray) -> Self:
+        """The same in units (n)."""
+        raise NotImplementedError
 
     def __call__(self, t: float, y: np.ndarray) -> np.ndarray:
         """The rate (n) at a time and a state (n)."""
@@ -298,12 +297,12 @@ class CasadiField:
         """What it is compiled to, if it is."""
         return self._work.library()
 
-    def scaled(self, units: np.ndarray) -> CasadiField:
+    def scaled(self, units: np.ndarray) -> Self:
         """The same in units (n), as long as they are those of the last time."""
         assert self._units is None
         units = np.ascontiguousarray(units, float)
         if self._scaled is None or self._scaled[0] != units.tobytes():
-            self._scaled = units.tobytes(), CasadiField(self._function, self._free, units.copy())
+            self._scaled = units.tobytes(), self.within(units.copy())
         return self._scaled[1]
 
     def many(self, times: np.ndarray, states: np.ndarray) -> np.ndarray:
@@ -315,25 +314,7 @@ class CasadiField:
             return self._many(times, states)
 
     def _many(self, times: np.ndarray, states: np.ndarray) -> np.ndarray:
-        if len(times) == 1:
-            return self.rate(times[0], states[0])[None]
-        size = TOGETHER[len(times) > MANY]
-        dense = self._work.dense
-        if size not in self._mapped:
-            self._mapped[size] = Buffered(dense.map(size))
-        given = [] if self._free is None else [self._free]
-        rates = np.empty((len(times), dense.size1_out(0)))
-        for k in range(0, len(times), size):
-            block = slice(k, k + size)
-            clock, some = times[block, None], states[block]
-            if self._units is not None:
-                some = some * self._units
-            if len(some) < size:  # the last block is filled with the last state
-                clock, some = (
-                    np.concatenate([rows, np.repeat(rows[-1:], size - len(some), 0)]) for rows in (clock, some)
-                )
-            rates[block] = self._mapped[size](clock, some, *given)[0][: len(times) - k]
-        return rates if self._units is None else rates / self._units
+        return np.array([self.rate(t, y) for t, y in zip(times, states, strict=True)])
 
     def integrated(
         self, span: tuple[float, float], start: np.ndarray, tolerances: tuple[float, float], longest: float,
@@ -374,9 +355,72 @@ class CasadiField:
     def _agrees(self, fast: Library, times: np.ndarray, states: np.ndarray) -> bool:
         """Whether the library's rates are the interpreter's."""
         rows = fast.rates(times, states, self._units, self._free)
-        own = np.array([self.rate(t, y) for t, y in zip(times, states, strict=True)])
-        sizes = np.abs(own).max(axis=1)
-        return bool(np.all(np.abs(rows - own).max(axis=1)[known := np.isfinite(sizes)] <= AGREEMENT * sizes[known]))
+        own = CompiledField._many(self, times, states)
+        known = np.isfinite(sizes := np.abs(own).max(axis=1))
+        return bool(np.all(np.abs(rows - own).max(axis=1)[known] <= self.agreement * sizes[known]))
+
+
+class CasadiField(CompiledField):
+    """The same of a CasADi function f of (t, x), or of (t, x, free)."""
+
+    def __init__(self, function: ca.Function, free: np.ndarray | None = None, units: np.ndarray | None = None) -> None:
+        self._function, self._dense = function, (work := _work(function)).dense
+        super().__init__(work, free, units)
+        self._mapped: dict[int, Buffered] = {}
+
+    @cached_property
+    def rate(self) -> VectorField:
+        """The same without a look-up of it, for what calls it often."""
+        dense, size, units = self._dense, self._function.size1_in(1), self._units
+        time, state, rate = np.zeros(1), np.zeros(size), np.zeros(self._function.size1_out(0))
+        buffer, evaluate = dense.buffer()
+        buffer.set_arg(0, time.data)
+        buffer.set_arg(1, state.data)
+        if self._free is not None:
+            buffer.set_arg(2, self._free.data)
+        buffer.set_res(0, rate.data)
+
+        def call(t: float, y: np.ndarray) -> np.ndarray:
+            time[0] = t
+            state[:] = y
+            evaluate()
+            return rate.copy()
+
+        def measured(t: float, y: np.ndarray) -> np.ndarray:
+            time[0] = t
+            np.multiply(y, units, state)  # type: ignore[arg-type]
+            evaluate()
+            return np.asarray(rate / units)
+
+        found: Any = call if units is None else measured
+        found.evaluated = dense, buffer  # or both are freed under the evaluation
+        evaluating: VectorField = found
+        return evaluating
+
+    def within(self, units: np.ndarray) -> CasadiField:
+        """The same in units (n)."""
+        return CasadiField(self._function, self._free, units)
+
+    def _many(self, times: np.ndarray, states: np.ndarray) -> np.ndarray:
+        if len(times) == 1:
+            return self.rate(times[0], states[0])[None]
+        size = TOGETHER[len(times) > MANY]
+        dense = self._dense
+        if size not in self._mapped:
+            self._mapped[size] = Buffered(dense.map(size))
+        given = [] if self._free is None else [self._free]
+        rates = np.empty((len(times), dense.size1_out(0)))
+        for k in range(0, len(times), size):
+            block = slice(k, k + size)
+            clock, some = times[block, None], states[block]
+            if self._units is not None:
+                some = some * self._units
+            if len(some) < size:  # the last block is filled with the last state
+                clock, some = (
+                    np.concatenate([rows, np.repeat(rows[-1:], size - len(some), 0)]) for rows in (clock, some)
+                )
+            rates[block] = self._mapped[size](clock, some, *given)[0][: len(times) - k]
+        return rates if self._units is None else rates / self._units
 
 
 def vector_field(function: ca.Function | Bound, free: np.ndarray | None = None) -> CasadiField:
@@ -388,7 +432,7 @@ def vector_field(function: ca.Function | Bound, free: np.ndarray | None = None) 
 
 def scaled(field: VectorField, units: np.ndarray) -> VectorField:
     """The field of y / units, so that one tolerance is right for components of all sizes."""
-    if isinstance(field, CasadiField):
+    if isinstance(field, CompiledField):
         return field.scaled(units)
 
     def call(t: float, y: np.ndarray) -> np.ndarray:

@@ -18,6 +18,8 @@ from pathlib import Path
 from threading import get_ident
 from typing import Any
 
+import numpy as np
+
 from orbitfinder._runtime.arguments import Registry, check
 from orbitfinder._runtime.caches import Kept
 from orbitfinder._runtime.rooms import filled
@@ -65,6 +67,8 @@ class SystemKind:
     """(system, a problem file's folder) -> the same with the content of the files that it names"""
     motion: Callable[[Model], Callable[..., Any] | None] = lambda model: None
     """(model) -> what integrates it for certificates by equations of its own, as `orbits.evidence.canonical_motion`"""
+    field: Callable[[Model], Callable[[float, np.ndarray], np.ndarray] | None] = lambda model: None
+    """(model) -> the field (t, x) -> x' of those equations"""
 
 
 def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model:

@@ -1,15 +1,18 @@
-"""Lagrange's equations of a chain in closed form, in NumPy: the certificate's formulation of long chains.
+"""Lagrange's equations of a chain in closed form, in NumPy and in C: the certificate's formulation of long chains.
 
 With absolute angles the energies of every open planar chain of rigid links are
 
     T = 1/2 sum_ij m_ij cos(theta_i - theta_j) v_i v_j,    V = -sum_i g_i cos theta_i,
 
-so that n (n + 1) / 2 + n numbers, read off the Model's own energies, are all there is to know.
+so that n (n + 1) / 2 + n numbers, read off the Model's own energies, are all there is to know. NumPy takes them as they
+are; of links that hang one on another m_ij = s_i h_j for i < j, with which `chain_lagrange.c` needs O(n) operations.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from importlib.resources import files
 
 import casadi as ca
 import numpy as np
@@ -17,11 +20,15 @@ from scipy.linalg import eigh
 from scipy.linalg.lapack import dposv, dpotrs
 
 from orbitfinder.errors import InputError
+from orbitfinder.integrate.compiled import Unavailable
+from orbitfinder.integrate.field import CompiledField, VectorField, Work, as_table, with_dop853
 from orbitfinder.mechanics.kind import system_kind
 from orbitfinder.mechanics.model import Model
 
 AGREEMENT = 1e-10
-"""The closed form must give the Model's energies to this, relative, at states it was not read from."""
+"""The closed form must give the Model's energies to this, relative, at states it was not read from; in C its rates"""
+ROUND_OFF = 1e-13
+"""Error of the coupling that two numbers a link stand for, relative to its largest entry"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,12 +125,55 @@ class ChainLagrange:
         momenta = cosine * ((v * cosine) @ self.coupling) + sine * ((v * sine) @ self.coupling)
         return np.hstack([q @ self.coupling @ self.modes, momenta @ self.modes])
 
+    @cached_property
+    def rates(self) -> CompiledField:
+        """`field`, in C where there is a compiler."""
+        return _ClosedField(self.field, Work("chain", lambda: self._code(0), np.inf))
+
+    @cached_property
+    def varied_rates(self) -> CompiledField:
+        """`variational` of 2n columns, in C where there is a compiler."""
+        return _ClosedField(self.variational, Work("variations", lambda: self._code(2 * self.weights.size), np.inf))
+
+    def _code(self, columns: int) -> str:
+        """C of the field with variations of so many columns. Raises `Unavailable` where links do not hang in a row."""
+        heavy, ends = np.append(0.0, self.coupling[0, 1:]), self.coupling[:-1, -1]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            short = np.append(ends / ends[0], 0.0)
+        off = np.triu(np.outer(short, heavy) - self.coupling, 1)
+        if not np.abs(off).max(initial=0.0) <= ROUND_OFF * np.abs(self.coupling).max():
+            raise Unavailable("links do not hang one on another")
+        tables = {"OWN": np.diag(self.coupling), "SHORT": short, "HEAVY": heavy, "WEIGHTS": self.weights}
+        own = (files("orbitfinder.mechanisms") / "chain_lagrange.c").read_text(encoding="utf-8")
+        lines = [f"#define LINKS {self.weights.size}", f"#define COLUMNS {columns}"]
+        return with_dop853("\n".join([*lines, *(as_table(*each) for each in tables.items()), own]))
+
     def energies(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Kinetic and potential energy (k each, J) along states (k x 2n), the potential without its constant."""
         q, v = np.split(np.atleast_2d(states), 2, axis=1)
         along, across = v * np.cos(q), v * np.sin(q)
         kinetic = 0.5 * (np.sum(along @ self.coupling * along, 1) + np.sum(across @ self.coupling * across, 1))
         return kinetic, -np.cos(q) @ self.weights
+
+
+class _ClosedField(CompiledField):
+    """One of the two fields as NumPy has it, with its library."""
+
+    agreement = AGREEMENT
+
+    def __init__(self, field: VectorField, work: Work, units: np.ndarray | None = None) -> None:
+        super().__init__(work, None, units)
+        self._field = field
+
+    @cached_property
+    def rate(self) -> VectorField:
+        """The field without its library."""
+        field, units = self._field, self._units
+        return field if units is None else lambda t, y: np.asarray(field(t, y * units) / units)
+
+    def within(self, units: np.ndarray) -> _ClosedField:
+        """The same in units (n)."""
+        return _ClosedField(self._field, self._work, units)
 
 
 def _weighed(coupling: np.ndarray, parts: np.ndarray) -> np.ndarray:

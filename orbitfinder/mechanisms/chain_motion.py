@@ -1,4 +1,4 @@
-"""The motion of a long chain for its certificate: Lagrange's equations in closed form, dense and in NumPy.
+"""The motion of a long chain for its certificate: Lagrange's equations in closed form.
 
 Their momenta (1300 kg m^2/s at 100 links, which the velocities depend on through the inverse of a matrix of condition
 5e4) lose digits: the first mode of 100 links at 1 rad closes to 1.2e-10 in Hamilton's equations and to 9e-13 here. Only
@@ -14,6 +14,7 @@ from scipy.integrate import trapezoid
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.integrate.dop853 import SECOND, STEPS_PER_PERIOD, ReferenceSettings, Trace, integrate_in
+from orbitfinder.integrate.field import VectorField
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.mechanisms.chain_lagrange import ChainLagrange, chain_lagrange, is_long
 from orbitfinder.orbits.evidence import SAMPLES, Motion, canonical_frame, drifting, evenly, units_of
@@ -32,6 +33,11 @@ def motion_of(model: Model) -> Callable[..., Motion] | None:
     return chain_motion if model.constraint is None and is_long(model) else None
 
 
+def field_of(model: Model) -> VectorField | None:
+    """x' = (v, a) of a Model that is a long chain."""
+    return chain_lagrange(model).rates if motion_of(model) else None
+
+
 def chain_motion(
     model: Model, state: np.ndarray, period: float, turns: np.ndarray, moments: np.ndarray, settings: ReferenceSettings
 ) -> Motion:
@@ -44,9 +50,9 @@ def chain_motion(
     """
     closed, n = chain_lagrange(model), turns.size
     masses = np.diag(closed.coupling)
-    units = units_of(closed.field, state, masses, period) / np.concatenate([np.ones(n), masses])
+    units = units_of(closed.rates, state, masses, period) / np.concatenate([np.ones(n), masses])
     longest = min(period / STEPS_PER_PERIOD, LONGEST_PHASE / float(np.sqrt(nonzero(closed.squared[-1]))))
-    states = integrate_in(units, closed.field, state, moments, settings, longest, traces := list[Trace]())
+    states = integrate_in(units, closed.rates, state, moments, settings, longest, traces := list[Trace]())
     even = states[np.searchsorted(moments, evenly(period))]
     reflected = np.abs((even[SAMPLES // 2] + state) / units).max() <= REFLECTED
     still = reflected and np.abs(state[n:] / units[n:]).max() <= REFLECTED
@@ -77,7 +83,7 @@ def _chain_pieces(
     for k in range(count):
         extended = np.concatenate([now, modes.ravel("F")])
         span = duration * np.array([k, k + 1]) / count
-        end = integrate_in(measures, closed.variational, extended, span, SECOND)[-1]
+        end = integrate_in(measures, closed.varied_rates, extended, span, SECOND)[-1]
         before, now = now, end[: state.size]
         found.append(closed.carried(before, now, end[state.size :].reshape(modes.shape, order="F")))
     return found

@@ -6,7 +6,7 @@ here it is DOP853 at its tightest, without unfolding or stabilisation, on equati
 - Hamilton's equations, derived by automatic differentiation;
 - the same under constraints, in the link angles where there are any (both by `mechanics.canonical`);
 - of a first-order system the rates as they are given, which is all there is to know of it;
-- for long chains Lagrange's equations in closed form, dense and in NumPy. Their momenta (1300 kg m^2/s at 100 links,
+- for long chains Lagrange's equations in closed form. Their momenta (1300 kg m^2/s at 100 links,
   which the velocities depend on through the inverse of a matrix of condition 5e4) lose digits: the first mode of 100
   links at 1 rad closes to 1.2e-10 in Hamilton's equations and to 9e-13 here. Only the monodromy is taken to canonical
   coordinates, at its two ends.
@@ -549,22 +549,20 @@ def tour(
     motion = own(*given) if own else canonical_motion(*given, varied)
     acts, half = acting_in(model, motion.path), None
     units = known_in(motion.reaching(motion.path), motion.masses, period, model.angular, acts)
-    loop, equations = _looped(model, motion, units, motion.path, period), Hamiltonian(model)
-    if beside is not None and loop.closes.gap > GROWN and not own:
-        told, joins = _beside(equations, motion, units, *beside, varied)
-        motion, loop = (
-            (told, replace(loop, closes=joins)) if joins.gap <= GROWN * joins.amplification else (motion, loop)
-        )
-    flows = None if model.forced or own else np.array([equations.field(0.0, y) for y in motion.begins]) / units
+    loop = _looped(model, motion, units, motion.path, period)
+    if own is None:
+        equations = Hamiltonian(model)
+        if beside is not None and loop.closes.gap > GROWN:
+            told, joins = _beside(equations, motion, units, *beside, varied)
+            if joins.gap <= GROWN * joins.amplification:
+                motion, loop = told, replace(loop, closes=joins)
+        flows = None if model.forced else np.array([equations.field(0.0, y) for y in motion.begins]) / units
+        loop = replace(loop, divergence=partial(_divergence, equations, motion, units), flows=flows)
     if forward is not None:
         n = motion.turns.size
         places = forward.places(n) * (units[None, :n] / units[:n, None])
         half = places if n == units.size else np.kron(np.eye(2), forward.places(n)) * units[None, :] / units[:, None]
-    return replace(
-        loop, pieces=in_extents(motion.transitions, units), half=half,
-        divergence=partial(_divergence, equations, motion, units), motion=(motion.times, motion.states),
-        flows=flows,
-    )  # fmt: skip
+    return replace(loop, pieces=in_extents(motion.transitions, units), half=half, motion=(motion.times, motion.states))
 
 
 def _beside(
@@ -646,12 +644,13 @@ def constraint_defect(model: Model, state: np.ndarray, units: np.ndarray) -> flo
 class ClosureCheck:
     """The closure of orbits by independent means, at the model's parameters or at freed ones.
 
-    Hamilton's equations, derived from the energies alone, by SciPy's adaptive DOP853 at its tightest; of orbits that
-    may be stiff in as many evaluations as a certificate takes.
+    Hamilton's equations, derived from the energies alone, or those that a system's kind has of its own, by SciPy's
+    adaptive DOP853 at its tightest; of orbits that may be stiff in as many evaluations as a certificate takes.
     """
 
     def __init__(self, model: Model, stiff: bool = False) -> None:
-        self._model, self._at, self._equations = model, dict[str, float](), Hamiltonian(model)
+        self._model, self._at = model, dict[str, float]()
+        self._equations = _equations(model)
         self._settings = TIGHTEST if stiff else CHECKED
 
     def __call__(
@@ -696,7 +695,12 @@ class ClosureCheck:
     ) -> np.ndarray:
         """(q, v) after a time from `now`, by steps no longer than a share of it, in powers of 256 near the `units`."""
         self._put(free or {})
-        start, span = self._equations.start(state), np.array([now, now + duration])
+        span = np.array([now, now + duration])
+        if not isinstance(self._equations, Hamiltonian):
+            sizes = snapped(np.broadcast_to(units, state.shape))
+            path = integrate_in(sizes, self._equations, state, span, self._settings, longest * duration)
+            return np.asarray(path[-1])
+        start = self._equations.start(state)
         sizes = snapped(np.broadcast_to(units, state.shape)[self._equations.coordinates.chosen])
         if np.all(sizes == 1.0):
             path = integrate(self._equations.field, start, span, self._settings, longest * duration)
@@ -710,8 +714,14 @@ class ClosureCheck:
         """Take these values of freed parameters; chains and linkages are made anew with them."""
         if system_kind(self._model.system).reread:
             if self._at != dict(free):
-                self._at, self._equations = dict(free), Hamiltonian(with_parameters(self._model, free))
+                self._at, self._equations = dict(free), _equations(with_parameters(self._model, free))
             return
+        assert isinstance(self._equations, Hamiltonian)
         if self._equations.free != tuple(free):
             self._equations = Hamiltonian(self._model, tuple(free))
         self._equations.put(np.array(list(free.values())))
+
+
+def _equations(model: Model) -> Hamiltonian | VectorField:
+    """Hamilton's equations of a Model, or the field of its own state that its kind has."""
+    return system_kind(model.system).field(model) or Hamiltonian(model)
