@@ -264,7 +264,7 @@ def test_the_valley_is_followed_to_a_zero(elastic, monkeypatch):
     fine = replace(given[0], step=alone(solver.fine_step(*given[:2])))
     path, jacobian = alone(solver.orbit_in_valley(*given))
     values = np.linalg.svd(jacobian, compute_uv=False)
-    left, before = (rows for rows, _ in solver.Linearised.answered([solver.Linearised(fine, fine.at(w))
+    left, before = (rows for rows, _ in solver.Differentiated.answered([solver.Differentiated(fine, fine.at(w))
                                                                     for w in (path, given[1])]))  # fmt: skip
     assert np.abs(left).max() < 1e-12 and values[-1] < 1e-2 * values[-2] and np.abs(before).max() > 1e-7
     lost = replace(given[0], settings=replace(given[0].settings, most_trials=0))

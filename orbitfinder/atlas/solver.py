@@ -176,7 +176,7 @@ def _span(problem: Problem, q: np.ndarray, v: np.ndarray) -> float:
 
 
 @dataclass(frozen=True)
-class Linearised(Ask):
+class Differentiated(Ask):
     """The scaled residual and its Jacobian at w, by the variational equations. `IntegrationError` where these leave
     the numbers."""
 
@@ -184,7 +184,7 @@ class Linearised(Ask):
     w: Unknowns
 
     @classmethod
-    def answered(cls, asks: Sequence[Linearised]) -> Sequence[Any]:
+    def answered(cls, asks: Sequence[Differentiated]) -> Sequence[Any]:
         """All of a march together."""
         answers: dict[int, Any] = {}
         groups = defaultdict[int, list[int]](list)
@@ -417,7 +417,7 @@ def polished(scaled: ScaledLoop, w: Unknowns, jacobian: np.ndarray) -> Course[Un
             solved: Solved[Unknowns] = end.value
             break
         if renewed:
-            answer = solver((yield Linearised(scaled, at))[1])
+            answer = solver((yield Differentiated(scaled, at))[1])
         else:
             answer = scaled.loop.rows(at, (yield Marched(equations, at))) / measures.rows
     if not solved.converged:
@@ -463,7 +463,7 @@ def orbit_in_valley(scaled: ScaledLoop, w: Unknowns) -> Course[tuple[Unknowns, n
     """The unknowns of an orbit in the valley that w lies in, and the Jacobian there; `Stalled` when there is none."""
     try:
         fine = replace(scaled, step=(yield from fine_step(scaled, w)))
-        residual, jacobian = yield Linearised(fine, fine.at(w))
+        residual, jacobian = yield Differentiated(fine, fine.at(w))
         at = turned(ValleyPoint(w, residual, jacobian, np.zeros(0), np.zeros(0)))
         here = yield from corrected(fine, at, 0.0)
         if abs(here.mu) > scaled.settings.round_off:
@@ -509,7 +509,7 @@ def corrected(scaled: ScaledLoop, at: ValleyPoint, length: float) -> Course[Vall
     course = stepping(onward(at.w, length * at.right), how.regular, onward)
     w = next(course)
     while True:
-        residual, jacobian = yield Linearised(scaled, scaled.at(w))
+        residual, jacobian = yield Differentiated(scaled, scaled.at(w))
         points[id(w)] = ValleyPoint(w, residual, jacobian, at.left, at.right)
         try:
             w = course.send(regular(points[id(w)]))
