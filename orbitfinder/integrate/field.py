@@ -91,9 +91,9 @@ class Library:
 
     def stepped(self, times: np.ndarray, states: np.ndarray, spans: np.ndarray, units: Any, free: Any) -> np.ndarray:
         """Where one step of DOP853 leads from states (k x n) at times (k) by spans (k)."""
-        found = np.empty(states.shape)
-        _called(self._stepped, states.shape, times, states, spans, units, free, found)
-        return found
+        reached = np.empty(states.shape)
+        _called(self._stepped, states.shape, times, states, spans, units, free, reached)
+        return reached
 
     def strayed(
         self, times: np.ndarray, states: np.ndarray, slopes: np.ndarray, step: np.ndarray, moments: np.ndarray,
@@ -133,7 +133,7 @@ class Library:
 def _called(function: Callable[..., int], sizes: Sequence[int], *arrays: np.ndarray | None) -> None:
     """A function of sizes and arrays, the last of which it fills."""
     limit.check()
-    rows = [None if one is None else np.ascontiguousarray(one) for one in arrays]
+    rows = [None if array is None else np.ascontiguousarray(array) for array in arrays]
     if function(*sizes, *map(_place, rows)):
         raise MemoryError(f"no memory for rates of {sizes[-1]} numbers")
 
