@@ -18,7 +18,7 @@ from conftest import database
 
 from orbitfinder.atlas import attempt as refine
 from orbitfinder.atlas import search, solver, workers
-from orbitfinder.atlas.abreast import abreast
+from orbitfinder.atlas.abreast import abreast, alone
 from orbitfinder.atlas.report import chao1, discovery, reaches, remarks, stratum, summarise, total
 from orbitfinder.atlas.search import Limits, Search, register, unmade
 from orbitfinder.atlas.shard import WHOLE, Shard
@@ -261,14 +261,15 @@ def test_the_valley_is_followed_to_a_zero(elastic, monkeypatch):
     monkeypatch.setattr(refine, "orbit_in_valley", lambda *given: seen.append(given) or solver.orbit_in_valley(*given))
     assert perform(context_of(elastic, Target(-8.5, (0.5, 8.0))), 0, [Job(4)], [])[0].orbit is not None
     (given,) = seen
-    fine = replace(given[0], step=solver.fine_step(*given[:2]))
-    path, jacobian = solver.orbit_in_valley(*given)
+    fine = replace(given[0], step=alone(solver.fine_step(*given[:2])))
+    path, jacobian = alone(solver.orbit_in_valley(*given))
     values = np.linalg.svd(jacobian, compute_uv=False)
-    assert np.abs(solver.linearised(fine, path)[0]).max() < 1e-12 and values[-1] < 1e-2 * values[-2]
-    assert np.abs(solver.linearised(fine, given[1])[0]).max() > 1e-7
+    left, before = (rows for rows, _ in solver.Differentiated.answered([solver.Differentiated(fine, fine.at(w))
+                                                                    for w in (path, given[1])]))  # fmt: skip
+    assert np.abs(left).max() < 1e-12 and values[-1] < 1e-2 * values[-2] and np.abs(before).max() > 1e-7
     lost = replace(given[0], settings=replace(given[0].settings, most_trials=0))
     with pytest.raises(ConvergenceError, match="stalled near a degenerate orbit") as stalled:
-        solver.orbit_in_valley(lost, *given[1:])
+        alone(solver.orbit_in_valley(lost, *given[1:]))
     assert stalled.value.w.nodes.shape == path.nodes.shape
 
 

@@ -1,6 +1,7 @@
 """DOP853 in C about CasADi's own C of a field: the interpreter's and SciPy's bits, what it refuses, what it raises."""
 
 import gc
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from orbitfinder.integrate.dop853 import ReferenceSettings, integrate, integrate
 from orbitfinder.integrate.equations import accelerations, expect, hamilton, with_variations
 from orbitfinder.integrate.field import vector_field
 from orbitfinder.mechanics.kind import with_parameters
+from orbitfinder.orbits.between import curve
 
 pytestmark = pytest.mark.skipif(not compiled.available()[0], reason="needs a C compiler")
 
@@ -114,6 +116,29 @@ def test_rates_of_many_states_have_the_same_bits():
             with compiling(mode):
                 answers.append(vector_field(cubic(), free).scaled(units).many(times, states))
         np.testing.assert_array_equal(*answers)
+
+
+def test_between_steps_the_bits_are_the_interpreters():
+    """States there by one step, and how far rates are off the curve through four; in units, at both ends, of a jump."""
+    own_field = vector_field(hamilton(of.chain(2)).field).scaled(np.array([1.0, 2.0, 0.5, 3.0]))
+    with compiling("on"):
+        integrate(
+            own_field, np.array([1.0, 0.4, -0.2, 0.1]), np.linspace(0, 2, 40), longest_step=0.05, traces=(made := [])
+        )
+        (trace,) = made
+        own, moments = replace(trace, field=None), np.linspace(0, 2, 777)[:-1]
+        step, slopes = (
+            np.searchsorted(trace.moments, moments, side="right") - 1,
+            trace.rates(trace.moments, trace.states),
+        )
+        np.testing.assert_array_equal(trace.at(moments), own.at(moments))
+        jumping = replace(trace, states=trace.states + 1e-3 * (trace.moments > 1)[:, None])
+        for one in (trace, jumping):
+            off = one.strayed(slopes, step, moments)
+            states, rates = curve(one.moments, one.states, slopes, step, moments)
+            np.testing.assert_array_equal(off, np.abs(one.rates(moments, states) - rates).max(axis=1))
+        assert off.max() > 1e-3 > trace.strayed(slopes, step, moments).max()
+        assert own.strayed(slopes, step, moments) is None
 
 
 def test_it_is_compiled_when_it_has_taken_as_long():

@@ -89,6 +89,12 @@ def abreast(courses: Sequence[Course[Result]]) -> list[Result | Exception]:
     return [ended[k] for k in range(len(courses))]
 
 
+def done(result: Result) -> Course[Result]:
+    """A course that ends at once."""
+    yield from ()
+    return result
+
+
 def alone(course: Course[Result]) -> Result:
     """What a course ends with."""
     (result,) = abreast([course])

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from orbitfinder._runtime import __version__
-from orbitfinder.atlas.abreast import Course, Marched, abreast
+from orbitfinder.atlas.abreast import Course, Marched, abreast, alone, done
 from orbitfinder.atlas.signature import Numbers, Signature, among, resampled, signature_of
 from orbitfinder.atlas.solver import Closing, Stalled, orbit_in_valley, polished, scaled_loop
 from orbitfinder.atlas.starts import Context, SearchStart, proposed, strategy_of
@@ -27,10 +27,10 @@ from orbitfinder.loops.problem import Guess, Problem, clocked, elsewhere, segmen
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certified, return_distances
-from orbitfinder.orbits.measure import action, around, marched, sampled_period, whole_unknowns
+from orbitfinder.orbits.measure import action, around, composed, sampled_period, whole_unknowns
 from orbitfinder.records.orbit import VERSION, Orbit, orbit_from_document
 
-Found = tuple[SearchStart, Signature, Callable[[], tuple[Orbit, Model]]]
+Found = tuple[SearchStart, Signature, Callable[[], Course[tuple[Orbit, Model]]]]
 """A start, what the motion that it led to is recognised by, and what makes an Orbit of that"""
 CONTINUATION = "continuation"
 """The strategy that starts from a known orbit of another energy and follows its family to this one."""
@@ -109,14 +109,14 @@ def attempts(context: Context, seed: int, jobs: Sequence[Job], known: ArrayLike)
     """
     began, made, numbers = time.process_time(), list[Attempt](), list(np.reshape(known, (-1, 3)))
     courses = abreast([course(context, seed, job) for job in jobs])
-    shared = (time.process_time() - began) / max(1, len(jobs))
-    for job, outcome in zip(jobs, courses, strict=True):
+    orbits, shared = _orbits(jobs, courses, numbers), (time.process_time() - began) / max(1, len(jobs))
+    for k, (job, outcome) in enumerate(zip(jobs, courses, strict=True)):
         began = time.process_time()
         name = strategy_of(context, job.number) if job.source is None else CONTINUATION
         try:
             if isinstance(outcome, Exception):
                 raise outcome
-            trial = judged(context, seed, outcome, None if job.certain else numbers)
+            trial = judged(context, seed, outcome, None if job.certain else numbers, orbits.get(k))
         except IntegrationError:
             trial = Attempt(job.number, name, reason="integration failed")
         except ConvergenceError as error:
@@ -127,6 +127,18 @@ def attempts(context: Context, seed: int, jobs: Sequence[Job], known: ArrayLike)
             numbers.append(np.array(trial.signature.numbers))
         made.append(replace(trial, seconds=shared + time.process_time() - began))
     return made
+
+
+def _orbits(
+    jobs: Sequence[Job], courses: Sequence[Found | Exception], known: Sequence[np.ndarray]
+) -> dict[int, tuple[Orbit, Model] | Exception]:
+    """The Orbits, by the places of their jobs, that nobody seems to know yet, measured side by side."""
+    numbers, wanted = list(known), dict[int, Course[tuple[Orbit, Model]]]()
+    for k, (job, outcome) in enumerate(zip(jobs, courses, strict=True)):
+        if not isinstance(outcome, Exception) and (job.certain or not among(numbers, outcome[1].numbers)):
+            wanted[k] = outcome[2]()
+            numbers.append(np.array(outcome[1].numbers))
+    return dict(zip(wanted, abreast(list(wanted.values())), strict=True))
 
 
 def continuation(context: Context, index: int, source: Mapping[str, Any]) -> SearchStart:
@@ -156,17 +168,23 @@ def course(context: Context, seed: int, job: Job) -> Course[Found]:
     if context.section is not None:
         orbit = context.section.orbit(start.state, start.period, start.course)
         model = context.section.model_of(orbit)
-        return start, signature_of(orbit, model), lambda: (orbit, model)
+        return start, signature_of(orbit, model), lambda: done((orbit, model))
     loop = yield from minimal(context, (yield from converged(context, start)))
-    return start, loop.signature, lambda: (measured(context, loop), context.model)
+    return start, loop.signature, lambda: measured(context, loop)
 
 
-def judged(context: Context, seed: int, outcome: Found, known: ArrayLike | None) -> Attempt:
-    """The attempt with the signature of what a start led to, and unless that seems to be known its Orbit, certified."""
-    start, signature, made = outcome
+def judged(
+    context: Context, seed: int, outcome: Found, known: ArrayLike | None,
+    made: tuple[Orbit, Model] | Exception | None = None,
+) -> Attempt:  # fmt: skip
+    """The attempt with the signature of what a start led to, and unless that seems to be known its Orbit, certified;
+    `made` is that Orbit with its Model where it has been measured."""
+    start, signature, make = outcome
     if known is not None and among(known, signature.numbers):
         return Attempt(start.index, start.strategy, signature)
-    orbit, model = made()
+    if isinstance(made, Exception):
+        raise made
+    orbit, model = made or alone(make())
     name = f"e{context.target.energy:g}-s{seed}-n{start.index}".replace("+", "")  # unique, and good for a folder
     said = origin(seed, start) | {"invariants": [invariant.name for invariant in model.invariants]}
     orbit = certified(replace(orbit, provenance=said, name=name), model)
@@ -221,7 +239,7 @@ def solved(context: Context, problem: Problem, w: Unknowns) -> Course[ClosedLoop
     try:
         closed = yield from polished(loop, *(yield Closing(loop, w)))
     except Stalled as stall:
-        closed = yield from polished(loop, *orbit_in_valley(loop, stall.w))
+        closed = yield from polished(loop, *(yield from orbit_in_valley(loop, stall.w)))
     if context.clock * np.abs(closed.unfolding).max(initial=0.0) > how.largest_unfolding:
         raise ConvergenceError("unfolding does not vanish")
     closed = replace(closed, nodes=centred(context, problem, closed.nodes))
@@ -237,11 +255,15 @@ def solved(context: Context, problem: Problem, w: Unknowns) -> Course[ClosedLoop
     return ClosedLoop(problem, closed, nodes, times, states, action(context.model, times, states))
 
 
-def measured(context: Context, loop: ClosedLoop) -> Orbit:
-    """The Orbit of a loop, by the compiled march."""
-    march = context.equations[NONE.name].march
-    whole = loop.nodes, loop.times, loop.states
-    return marched(loop.problem, march, loop.w, whole, loop.action, tuple(context.units))
+def measured(context: Context, loop: ClosedLoop) -> Course[tuple[Orbit, Model]]:
+    """The Orbit of a loop, by the compiled march, and its Model."""
+    plain, whole = context.equations[NONE.name], (loop.nodes, loop.times, loop.states)
+    unfolding = np.zeros(plain.march.unfolding)
+    w = Unknowns(loop.nodes, loop.w.period, unfolding, loop.w.free, loop.times / loop.times[-1])
+    transitions = yield Marched(plain, w, "transitions")
+    (end,) = yield Marched(plain, replace(w, nodes=w.nodes[:1]))
+    units = tuple(context.units)
+    return composed(loop.problem, loop.w, whole, loop.action, transitions, end, units), context.model
 
 
 def centred(context: Context, problem: Problem, nodes: np.ndarray) -> np.ndarray:

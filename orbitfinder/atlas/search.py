@@ -34,7 +34,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
 
-TOGETHER, FIRST, TURN = 64, 16, 2.0
+TOGETHER, FIRST, TURN = 256, 16, 2.0
 """Starts that are made side by side at most, and before it is known how long they take; seconds of processor time that
 those should take at most, so that a search ends when it is asked to."""
 AHEAD = 256

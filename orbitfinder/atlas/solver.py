@@ -27,18 +27,20 @@ from typing import Any, cast
 import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.atlas.abreast import Ask, Course, Marched, alone
-from orbitfinder.continuation.follow import zero
+from orbitfinder.atlas.abreast import Ask, Course, Marched
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.integrate.march import Placed, divided, rounded, uniform
+from orbitfinder.integrate.march import Placed, Varied, divided, rounded, uniform
 from orbitfinder.integrate.rk8 import agree, refining
 from orbitfinder.loops.loop import Equations, Loop, Unknowns
 from orbitfinder.loops.problem import Problem, loop_of
 from orbitfinder.loops.scales import Measures
-from orbitfinder.mechanics.newton import Settings, Solved, Solver, chording, full, largest
+from orbitfinder.mechanics.newton import Settings, Solved, Solver, chording, largest, stepping
 
 POLISH = Settings(floor=1e-13, round_off=1e-13, converged=1e-10, most_evaluations=8)
 GAVE_UP = "iteration limit", "hopeless start"
+LOST = "the state is not finite"
+NARROWEST = 1e-13
+"""Length along the valley between which a zero is known well enough"""
 REGULAR = Settings(floor=0.0, converged=0.0, round_off=0.0, most_evaluations=6, patience=0, progress=1.0)
 
 
@@ -173,12 +175,36 @@ def _span(problem: Problem, q: np.ndarray, v: np.ndarray) -> float:
     return max(abs(level - lowest), 0.1 * abs(level), 1e-3 * min(1.0, moving))
 
 
-def linearised(scaled: ScaledLoop, w: Unknowns) -> tuple[np.ndarray, np.ndarray]:
-    """ScaledLoop residual and Jacobian by the variational equations."""
-    w = scaled.at(w)
-    path = scaled.loop.equations.varied(w)
-    jacobian = scaled.loop.linearised(w, path).matrix()
-    return scaled.loop.rows(w, path.ends) / scaled.measures.rows, scaled.measures.matrix(jacobian)
+@dataclass(frozen=True)
+class Differentiated(Ask):
+    """The scaled residual and its Jacobian at w, by the variational equations. `IntegrationError` where these leave
+    the numbers."""
+
+    scaled: ScaledLoop
+    w: Unknowns
+
+    @classmethod
+    def answered(cls, asks: Sequence[Differentiated]) -> Sequence[Any]:
+        """All of a march together."""
+        answers: dict[int, Any] = {}
+        groups = defaultdict[int, list[int]](list)
+        for k, ask in enumerate(asks):
+            groups[id(ask.scaled.loop.equations.march)].append(k)
+        for numbers in groups.values():
+            march, places = asks[numbers[0]].scaled.loop.equations.march.arcs[0], [asks[k].w for k in numbers]
+            last, _ = march.beside(True, [(w.nodes, w.mesh, w.tail) for w in places])
+            each = np.split(last, np.cumsum([len(w.nodes) for w in places])[:-1])
+            for k, w, own in zip(numbers, places, each, strict=True):
+                found = march.derivatives(w.nodes[None], own, w.mesh[None, :: w.steps], w.tail[None])
+                ends, transitions, columns = (one[0] for one in found)
+                path = Varied(ends, transitions, columns, w.nodes, 0.0)
+                known = np.isfinite(own).all()
+                answers[k] = asks[k]._scaled(w, path) if known else IntegrationError(LOST, state=w.nodes[0])
+        return [answers[k] for k in range(len(asks))]
+
+    def _scaled(self, w: Unknowns, path: Varied) -> tuple[np.ndarray, np.ndarray]:
+        loop, measures = self.scaled.loop, self.scaled.measures
+        return loop.rows(w, path.ends) / measures.rows, measures.matrix(loop.linearised(w, path).matrix())
 
 
 def moved(scaled: ScaledLoop, w: Unknowns, step: np.ndarray) -> Unknowns:
@@ -308,7 +334,7 @@ class Rank:
         """What trials have come to: taken where the residual is smaller than before, more damping where not."""
         last = last.reshape(len(numbers), -1)
         finite, first = np.isfinite(last).all(axis=1), np.isnan(self.damping[numbers])
-        self.end(numbers[~finite & first], IntegrationError("the state is not finite"))
+        self.end(numbers[~finite & first], IntegrationError(LOST))
         self._refuse(numbers[~finite & ~first])
         edges = np.array([mesh[:: (mesh.size - 1) // self.count] for _, mesh, _ in loops])[finite]
         numbers, w, first = numbers[finite], w[finite], first[finite]
@@ -391,8 +417,7 @@ def polished(scaled: ScaledLoop, w: Unknowns, jacobian: np.ndarray) -> Course[Un
             solved: Solved[Unknowns] = end.value
             break
         if renewed:
-            jacobian = scaled.loop.linearised(at, equations.varied(at)).matrix()
-            answer = solver(measures.matrix(jacobian))
+            answer = solver((yield Differentiated(scaled, at))[1])
         else:
             answer = scaled.loop.rows(at, (yield Marched(equations, at))) / measures.rows
     if not solved.converged:
@@ -434,22 +459,24 @@ class ValleyPoint:
         return float(self.left @ self.residual)
 
 
-def orbit_in_valley(scaled: ScaledLoop, w: Unknowns) -> tuple[Unknowns, np.ndarray]:
+def orbit_in_valley(scaled: ScaledLoop, w: Unknowns) -> Course[tuple[Unknowns, np.ndarray]]:
     """The unknowns of an orbit in the valley that w lies in, and the Jacobian there; `Stalled` when there is none."""
-    fine = replace(scaled, step=fine_step(scaled, w))
     try:
-        here = corrected(fine, turned(ValleyPoint(w, *linearised(fine, w), np.zeros(0), np.zeros(0))), 0.0)
+        fine = replace(scaled, step=(yield from fine_step(scaled, w)))
+        residual, jacobian = yield Differentiated(fine, fine.at(w))
+        at = turned(ValleyPoint(w, residual, jacobian, np.zeros(0), np.zeros(0)))
+        here = yield from corrected(fine, at, 0.0)
         if abs(here.mu) > scaled.settings.round_off:
-            here = crossed(fine, *bracket(fine, turned(here)))
+            here = yield from crossed(fine, *(yield from bracket(fine, turned(here))))
     except (IntegrationError, np.linalg.LinAlgError) as error:
         raise Stalled(w) from error
     return here.w, here.jacobian
 
 
-def fine_step(scaled: ScaledLoop, w: Unknowns) -> float:
+def fine_step(scaled: ScaledLoop, w: Unknowns) -> Course[float]:
     """The longest step (s) with which half of it agrees; the polish that follows needs no better Jacobian."""
     w = scaled.at(w)
-    mesh = alone(confirmed(scaled, w))[1]
+    _, mesh = yield from confirmed(scaled, w)
     return 2 * w.period * float(mesh[-1]) / (mesh.size - 1)
 
 
@@ -462,13 +489,12 @@ def turned(at: ValleyPoint) -> ValleyPoint:
     return replace(at, left=u, right=v)
 
 
-def corrected(scaled: ScaledLoop, at: ValleyPoint, length: float) -> ValleyPoint:
+def corrected(scaled: ScaledLoop, at: ValleyPoint, length: float) -> Course[ValleyPoint]:
     """Where the regular equations hold at h = `length` from a point, by Newton's method; `Stalled` if nowhere."""
-    how = scaled.settings
+    how, points = scaled.settings, dict[int, ValleyPoint]()
 
-    def onward(point: ValleyPoint, step: np.ndarray) -> ValleyPoint:
-        w = bounded(scaled, moved(scaled, point.w, step))
-        return ValleyPoint(w, *linearised(scaled, w), at.left, at.right)
+    def onward(w: Unknowns, step: np.ndarray) -> Unknowns:
+        return bounded(scaled, moved(scaled, w, step))
 
     def regular(point: ValleyPoint) -> tuple[np.ndarray, Solver]:
         rest = point.residual - point.mu * at.left
@@ -480,19 +506,28 @@ def corrected(scaled: ScaledLoop, at: ValleyPoint, length: float) -> ValleyPoint
         hold = largest(rest) < max(how.slack * abs(point.mu), how.round_off)
         return np.zeros(0) if hold else rest, step
 
-    solved = full(onward(at, length * at.right), regular, how.regular, onward)
+    course = stepping(onward(at.w, length * at.right), how.regular, onward)
+    w = next(course)
+    while True:
+        residual, jacobian = yield Differentiated(scaled, scaled.at(w))
+        points[id(w)] = ValleyPoint(w, residual, jacobian, at.left, at.right)
+        try:
+            w = course.send(regular(points[id(w)]))
+        except StopIteration as end:
+            solved: Solved[Unknowns] = end.value
+            break
     if not solved.converged:
         raise Stalled(at.w)
-    return solved.w
+    return points[id(solved.w)]
 
 
-def bracket(scaled: ScaledLoop, at: ValleyPoint) -> tuple[ValleyPoint, ValleyPoint, float]:
+def bracket(scaled: ScaledLoop, at: ValleyPoint) -> Course[tuple[ValleyPoint, ValleyPoint, float]]:
     """Two successive points between which mu changes its sign, and h from the first to the second."""
     how = scaled.settings
     length = -how.longest * (np.sign(at.mu * (at.left @ at.jacobian @ at.right)) or 1.0)  # the way on which |mu| falls
     for _ in range(how.most_trials):
         try:
-            there = corrected(scaled, at, length)
+            there = yield from corrected(scaled, at, length)
         except (Stalled, IntegrationError):
             length /= 2
             if abs(length) < how.shortest:
@@ -504,15 +539,21 @@ def bracket(scaled: ScaledLoop, at: ValleyPoint) -> tuple[ValleyPoint, ValleyPoi
     raise Stalled(at.w)
 
 
-def crossed(scaled: ScaledLoop, first: ValleyPoint, second: ValleyPoint, length: float) -> ValleyPoint:
-    """The zero of mu between two points, `length` apart."""
-    met = {0.0: first, length: second}
+def crossed(scaled: ScaledLoop, first: ValleyPoint, second: ValleyPoint, length: float) -> Course[ValleyPoint]:
+    """The zero of mu between two points, `length` apart: by false positions, an end that stays weighing ever less.
 
-    def mu(share: float) -> float:
-        if share not in met:
-            met[share] = corrected(scaled, first, share)
-        value = met[share].mu
-        return 0.0 if abs(value) < scaled.settings.round_off else value
-
-    root = zero(mu, 0.0, length, 1e-13)
-    return met.get(root) or corrected(scaled, first, root)
+    Source: N. Anderson, A. Bjorck, BIT 13 (1973) 253-264.
+    """
+    (low, below), (high, above), there = (0.0, first.mu), (length, second.mu), second
+    for _ in range(scaled.settings.most_trials):
+        if abs(there.mu) < scaled.settings.round_off or abs(high - low) < NARROWEST:
+            break
+        share = high - above * (high - low) / (above - below)
+        there = yield from corrected(scaled, first, share)
+        if there.mu * above < 0:
+            low, below = high, above
+        else:
+            left = 1.0 - there.mu / above
+            below *= left if left > 0 else 0.5
+        high, above = share, there.mu
+    return there

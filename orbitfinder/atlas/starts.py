@@ -377,7 +377,8 @@ def random_position(context: Context, random: np.random.Generator, most: float =
 
 def potential(context: Context, q: np.ndarray) -> float:
     """V(q) in J."""
-    return float(context.model.potential(q, context.model.parameter_values))
+    march = context.equations[NONE.name].march.arcs[0]
+    return float(march.at(context.model.potential, q, context.model.parameter_values)[0][0, 0])
 
 
 def on_shell(context: Context, q: np.ndarray, direction: np.ndarray) -> np.ndarray:

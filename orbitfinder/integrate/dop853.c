@@ -73,7 +73,32 @@ int rates(ptrdiff_t count, ptrdiff_t size, const double *times, const double *st
 
 #define most_cut(most, asked) (most)
 #define EACH for (ptrdiff_t i = 0; i < n; i++)
-#define STAGE(TO, SHARE, CHANGE) { EACH v[i] = y[i] + h * CHANGE; rates_at(&call, t + SHARE * h, v, TO); }
+#define STAGE(TO, SHARE, CHANGE) { EACH v[i] = y[i] + h * CHANGE; rates_at(call, t + SHARE * h, v, TO); }
+#define ROWS double *k1 = k, *k2 = k1 + n, *k3 = k2 + n, *k4 = k3 + n, *k5 = k4 + n, *k6 = k5 + n, *k7 = k6 + n, \
+  *k8 = k7 + n, *k9 = k8 + n, *k10 = k9 + n
+#define SLOPE (B[0] * k1[i] + B[5] * k6[i] + B[6] * k7[i] + B[7] * k8[i] + B[8] * k9[i] + B[9] * k10[i] \
+    + B[10] * k2[i] + B[11] * k3[i])
+
+/* The other eleven stages of a step of length h from y with the first in k (10 rows), the last two in rows 2 and 3. */
+static void staged(Call *call, double t, double h, const double *y, double *k, double *v) {
+  const ptrdiff_t n = call->size;
+  ROWS;
+  STAGE(k2, WITHIN[1], A[1][0] * k1[i])
+  STAGE(k3, WITHIN[2], (A[2][0] * k1[i] + A[2][1] * k2[i]))
+  STAGE(k4, WITHIN[3], (A[3][0] * k1[i] + A[3][2] * k3[i]))
+  STAGE(k5, WITHIN[4], (A[4][0] * k1[i] + A[4][2] * k3[i] + A[4][3] * k4[i]))
+  STAGE(k6, WITHIN[5], (A[5][0] * k1[i] + A[5][3] * k4[i] + A[5][4] * k5[i]))
+  STAGE(k7, WITHIN[6], (A[6][0] * k1[i] + A[6][3] * k4[i] + A[6][4] * k5[i] + A[6][5] * k6[i]))
+  STAGE(k8, WITHIN[7], (A[7][0] * k1[i] + A[7][3] * k4[i] + A[7][4] * k5[i] + A[7][5] * k6[i] + A[7][6] * k7[i]))
+  STAGE(k9, WITHIN[8], (A[8][0] * k1[i] + A[8][3] * k4[i] + A[8][4] * k5[i] + A[8][5] * k6[i] + A[8][6] * k7[i]
+        + A[8][7] * k8[i]))
+  STAGE(k10, WITHIN[9], (A[9][0] * k1[i] + A[9][3] * k4[i] + A[9][4] * k5[i] + A[9][5] * k6[i] + A[9][6] * k7[i]
+        + A[9][7] * k8[i] + A[9][8] * k9[i]))
+  STAGE(k2, WITHIN[10], (A[10][0] * k1[i] + A[10][3] * k4[i] + A[10][4] * k5[i] + A[10][5] * k6[i] + A[10][6] * k7[i]
+        + A[10][7] * k8[i] + A[10][8] * k9[i] + A[10][9] * k10[i]))
+  STAGE(k3, WITHIN[11], (A[11][0] * k1[i] + A[11][3] * k4[i] + A[11][4] * k5[i] + A[11][5] * k6[i] + A[11][6] * k7[i]
+        + A[11][7] * k8[i] + A[11][8] * k9[i] + A[11][9] * k10[i] + A[11][10] * k2[i]))
+}
 
 /* The first step's length, by dop853.f's hinit. */
 static double first_length(Call *call, const Standing *at, double *next, double *v) {
@@ -102,8 +127,8 @@ int dop853(Standing *at, ptrdiff_t room, double *moments, double *states) {
   Call call;
   double *v = malloc(2 * n * sizeof(double) + 64), *next = v + n, *y = at->y;
   if (!v || prepared(&call, n, at->units, at->freed)) { free(v); return NO_MEMORY; }
-  double *k1 = at->k, *k2 = k1 + n, *k3 = k2 + n, *k4 = k3 + n, *k5 = k4 + n, *k6 = k5 + n, *k7 = k6 + n, *k8 = k7 + n,
-    *k9 = k8 + n, *k10 = k9 + n;
+  double *k = at->k;
+  ROWS;
   int code = WAITING;
   if (!at->begun) {
     rates_at(&call, at->t, y, k1);
@@ -116,25 +141,10 @@ int dop853(Standing *at, ptrdiff_t room, double *moments, double *states) {
     if (at->left-- < 0) { code = TOO_MANY; break; }
     if (0.1 * fabs(h) <= fabs(t) * ROUND_OFF) { code = TOO_SHORT; break; }
     if (t + 1.01 * h - at->end > 0.0) h = at->end - t, last = 1;
-    STAGE(k2, WITHIN[1], A[1][0] * k1[i])
-    STAGE(k3, WITHIN[2], (A[2][0] * k1[i] + A[2][1] * k2[i]))
-    STAGE(k4, WITHIN[3], (A[3][0] * k1[i] + A[3][2] * k3[i]))
-    STAGE(k5, WITHIN[4], (A[4][0] * k1[i] + A[4][2] * k3[i] + A[4][3] * k4[i]))
-    STAGE(k6, WITHIN[5], (A[5][0] * k1[i] + A[5][3] * k4[i] + A[5][4] * k5[i]))
-    STAGE(k7, WITHIN[6], (A[6][0] * k1[i] + A[6][3] * k4[i] + A[6][4] * k5[i] + A[6][5] * k6[i]))
-    STAGE(k8, WITHIN[7], (A[7][0] * k1[i] + A[7][3] * k4[i] + A[7][4] * k5[i] + A[7][5] * k6[i] + A[7][6] * k7[i]))
-    STAGE(k9, WITHIN[8], (A[8][0] * k1[i] + A[8][3] * k4[i] + A[8][4] * k5[i] + A[8][5] * k6[i] + A[8][6] * k7[i]
-          + A[8][7] * k8[i]))
-    STAGE(k10, WITHIN[9], (A[9][0] * k1[i] + A[9][3] * k4[i] + A[9][4] * k5[i] + A[9][5] * k6[i] + A[9][6] * k7[i]
-          + A[9][7] * k8[i] + A[9][8] * k9[i]))
-    STAGE(k2, WITHIN[10], (A[10][0] * k1[i] + A[10][3] * k4[i] + A[10][4] * k5[i] + A[10][5] * k6[i] + A[10][6] * k7[i]
-          + A[10][7] * k8[i] + A[10][8] * k9[i] + A[10][9] * k10[i]))
-    STAGE(k3, WITHIN[11], (A[11][0] * k1[i] + A[11][3] * k4[i] + A[11][4] * k5[i] + A[11][5] * k6[i] + A[11][6] * k7[i]
-          + A[11][7] * k8[i] + A[11][8] * k9[i] + A[11][9] * k10[i] + A[11][10] * k2[i]))
+    staged(&call, t, h, y, at->k, v);
     double fifth = 0.0, third = 0.0;
     EACH {
-      double slope = B[0] * k1[i] + B[5] * k6[i] + B[6] * k7[i] + B[7] * k8[i] + B[8] * k9[i] + B[9] * k10[i]
-        + B[10] * k2[i] + B[11] * k3[i];
+      double slope = SLOPE;
       next[i] = y[i] + h * slope;
       double scale = at->absolute + at->relative * fmax(fabs(y[i]), fabs(next[i]));
       double of_third = slope - THIRD[0] * k1[i] - THIRD[1] * k9[i] - THIRD[2] * k3[i];
@@ -177,4 +187,64 @@ int dop853(Standing *at, ptrdiff_t room, double *moments, double *states) {
   free(call.arg);
   free(v);
   return code;
+}
+
+/* Where one step leads from each state (count x size) at its time by its span. Returns as `rates` does. */
+int stepped(ptrdiff_t count, ptrdiff_t n, const double *times, const double *states, const double *spans,
+            const double *units, const double *freed, double *found) {
+  Call call;
+  double *k = malloc(11 * n * sizeof(double) + 64), *v = k + 10 * n;
+  if (!k || prepared(&call, n, units, freed)) { free(k); return 1; }
+  ROWS;
+  for (ptrdiff_t m = 0; m < count; m++) {
+    const double *y = states + m * n, h = spans[m];
+    rates_at(&call, times[m], y, k1);
+    staged(&call, times[m], h, y, k, v);
+    EACH found[m * n + i] = y[i] + h * SLOPE;
+  }
+  free(call.arg);
+  free(k);
+  return 0;
+}
+
+/* How far rates at increasing `moments` (count), each within a `step`, are off the slope there of the polynomial of degree
+   seven through values and slopes (known x n) at the four times about it. Returns as `rates` does. */
+int strayed(ptrdiff_t count, ptrdiff_t known, ptrdiff_t n, const double *times, const double *values,
+            const double *slopes, const ptrdiff_t *step, const double *moments, const double *units, const double *freed,
+            double *off) {
+  Call call;
+  double z[8], *c = malloc(11 * n * sizeof(double) + 64), *value = c + 8 * n, *slope = value + n, *rate = slope + n;
+  if (!c || prepared(&call, n, units, freed)) { free(c); return 1; }
+  for (ptrdiff_t m = 0; m < count; m++) {
+    if (!m || step[m] != step[m - 1]) {
+      ptrdiff_t first = step[m] - 1 > known - 4 ? known - 4 : step[m] - 1;
+      if (first < 0) first = 0;
+      for (int j = 0; j < 8; j++) {
+        z[j] = times[first + j / 2];
+        EACH c[j * n + i] = values[(first + j / 2) * n + i];
+      }
+      for (int order = 1; order < 8; order++) for (int j = 7; j >= order; j--) {
+        double gap = z[j] - z[j - order];
+        EACH c[j * n + i] = gap > 0.0 ? (c[j * n + i] - c[(j - 1) * n + i]) / gap
+          : order == 1 ? slopes[(first + j / 2) * n + i] : 0.0;
+      }
+    }
+    EACH value[i] = c[7 * n + i], slope[i] = 0.0;
+    for (int order = 6; order >= 0; order--) {
+      double ahead = moments[m] - z[order];
+      EACH {
+        slope[i] = slope[i] * ahead + value[i];
+        value[i] = value[i] * ahead + c[order * n + i];
+      }
+    }
+    rates_at(&call, moments[m], value, rate);
+    off[m] = 0.0;
+    EACH {
+      double apart = fabs(rate[i] - slope[i]);
+      if (!(apart <= off[m])) off[m] = apart == apart ? apart : INFINITY;
+    }
+  }
+  free(call.arg);
+  free(c);
+  return 0;
 }

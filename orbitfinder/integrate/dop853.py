@@ -54,10 +54,21 @@ class Trace:
     together: bool
     """whether rates of many states come from one call"""
     drift: np.ndarray | float = 0.0
+    field: CasadiField | None = None
+    """of which the rates are, where it may be compiled"""
 
     def at(self, times: np.ndarray) -> np.ndarray:
-        """States at times from the first moment to the last, each by one step of DOP853."""
-        return _between(self.moments, self.states, self.rates, np.asarray(times, float))
+        """States at times from the first moment to the last, each by one step of DOP853 from the one before."""
+        times = np.asarray(times, float)
+        before = np.searchsorted(self.moments, times, side="right") - 1
+        given = self.moments[before], self.states[before], times - self.moments[before]
+        found = None if self.field is None else self.field.stepped(*given)
+        return _stage_by_stage(self.rates, *given) if found is None else found
+
+    def strayed(self, slopes: np.ndarray, step: np.ndarray, moments: np.ndarray) -> np.ndarray | None:
+        """How far rates at moments (m), each within a `step`, are off the curve through the states and these slopes
+        (k x n), where that is compiled."""
+        return None if self.field is None else self.field.strayed(self.moments, self.states, slopes, step, moments)
 
 
 @dataclass
@@ -117,7 +128,8 @@ def integrate(
     steps = _stepped(field, start, times, settings, longest_step)
     if steps.code < 0:
         raise IntegrationError(FAILURES.get(steps.code, f"DOP853 returned {steps.code}"), time=steps.time, state=start)
-    trace = Trace(steps.moments, steps.states, *rates_of(field))
+    own = field if isinstance(field, CasadiField) else None
+    trace = Trace(steps.moments, steps.states, *rates_of(field), field=own)
     inner = trace.at(times[1:-1]) if times.size > 2 else np.zeros((0, start.size))
     if traces is not None:
         traces.append(trace)
@@ -218,19 +230,15 @@ def _root(error: BaseException) -> BaseException:
     return error
 
 
-def _between(
-    nodes: np.ndarray, values: np.ndarray, rates: Callable[[np.ndarray, np.ndarray], np.ndarray], times: np.ndarray
+def _stage_by_stage(
+    rates: Callable[[np.ndarray, np.ndarray], np.ndarray], times: np.ndarray, states: np.ndarray, spans: np.ndarray
 ) -> np.ndarray:
-    """States at times between steps: one step of SciPy's DOP853 from the accepted one before, for all at once."""
-    before = np.searchsorted(nodes, times, side="right") - 1
-    moments, states = nodes[before], values[before]
-    spans = times - moments
+    """Where one step leads from states (k x n) at times (k) by spans (k), summed in the order of `dop853.c`."""
+    across, stages = spans[:, None], [rates(times, states)]
+    for share, row in zip(DOP853.C[1:], DOP853.A[1:], strict=True):
+        stages.append(rates(times + share * spans, states + across * _weighted(row, stages)))
+    return np.asarray(states + across * _weighted(DOP853.B, stages))
 
-    def stacked(part: float, flat: np.ndarray) -> np.ndarray:
-        slopes = rates(moments + part * spans, flat.reshape(states.shape))
-        return np.asarray(spans[:, None] * slopes).ravel()
 
-    # a tolerance that accepts the step as it is
-    solver = DOP853(stacked, 0.0, states.ravel(), 1.0, first_step=1.0, rtol=1.0, atol=np.inf)
-    solver.step()
-    return np.asarray(solver.y).reshape(states.shape)
+def _weighted(row: np.ndarray, stages: list[np.ndarray]) -> Any:
+    return sum(weight * stage for weight, stage in zip(row, stages, strict=False) if weight)

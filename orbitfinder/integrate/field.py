@@ -11,7 +11,7 @@ from __future__ import annotations
 import ctypes
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -78,18 +78,32 @@ class Library:
     def __init__(self, path: Path) -> None:
         library = ctypes.CDLL(str(path))
         self._dop853, self._rates = library.dop853, library.rates
+        self._stepped, self._strayed = library.stepped, library.strayed
         self._dop853.argtypes = [ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_void_p, ctypes.c_void_p]
         self._rates.argtypes = [*[ctypes.c_ssize_t] * 2, *[ctypes.c_void_p] * 5]
+        self._stepped.argtypes = [*[ctypes.c_ssize_t] * 2, *[ctypes.c_void_p] * 6]
+        self._strayed.argtypes = [*[ctypes.c_ssize_t] * 3, *[ctypes.c_void_p] * 8]
 
     def rates(self, times: np.ndarray, states: np.ndarray, units: Any, free: Any) -> np.ndarray:
         """Rates (k x n) at times (k) and states (k x n) in `units`."""
-        limit.check()
-        times, states = np.ascontiguousarray(times, float), np.ascontiguousarray(states, float)
         found = np.empty(states.shape)
-        given = (times.ctypes.data, states.ctypes.data, _place(units), _place(free), found.ctypes.data)
-        if self._rates(*states.shape, *given):
-            raise MemoryError(f"no memory for rates of {states.shape[1]} numbers")
+        _called(self._rates, states.shape, times, states, units, free, found)
         return found
+
+    def stepped(self, times: np.ndarray, states: np.ndarray, spans: np.ndarray, units: Any, free: Any) -> np.ndarray:
+        """Where one step of DOP853 leads from states (k x n) at times (k) by spans (k)."""
+        reached = np.empty(states.shape)
+        _called(self._stepped, states.shape, times, states, spans, units, free, reached)
+        return reached
+
+    def strayed(
+        self, times: np.ndarray, states: np.ndarray, slopes: np.ndarray, step: np.ndarray, moments: np.ndarray,
+        units: Any, free: Any,
+    ) -> np.ndarray:  # fmt: skip
+        """How far rates at moments (m), each within a `step`, are off the curve through states and slopes (k x n)."""
+        off, step = np.empty(len(moments)), np.ascontiguousarray(step, np.intp)
+        _called(self._strayed, (len(moments), *states.shape), times, states, slopes, step, moments, units, free, off)
+        return off
 
     def integrated(
         self, span: tuple[float, float], start: np.ndarray, units: Any, free: Any, tolerances: tuple[float, float],
@@ -115,6 +129,14 @@ class Library:
         if code == NO_MEMORY:
             raise MemoryError(f"no memory for steps of {y.size} numbers")
         return Steps(code, at.t, y, np.concatenate(moments), np.concatenate(states))
+
+
+def _called(function: Callable[..., int], sizes: Sequence[int], *arrays: np.ndarray | None) -> None:
+    """A function of sizes and arrays, the last of which it fills."""
+    limit.check()
+    rows = [None if array is None else np.ascontiguousarray(array) for array in arrays]
+    if function(*sizes, *map(_place, rows)):
+        raise MemoryError(f"no memory for rates of {sizes[-1]} numbers")
 
 
 def _place(values: np.ndarray | None) -> int | None:
@@ -312,6 +334,18 @@ class CompiledField:
             return fast.rates(times, states, self._units, self._free)
         with self._work.interpreted():
             return self._many(times, states)
+
+    def stepped(self, times: np.ndarray, states: np.ndarray, spans: np.ndarray) -> np.ndarray | None:
+        """Where one step of DOP853 leads from states (k x n) at times (k) by spans (k); None without a library."""
+        fast = self.library()
+        return None if fast is None else fast.stepped(times, states, spans, self._units, self._free)
+
+    def strayed(
+        self, times: np.ndarray, states: np.ndarray, slopes: np.ndarray, step: np.ndarray, moments: np.ndarray
+    ) -> np.ndarray | None:
+        """What `Library.strayed` says; None without a library."""
+        fast = self.library()
+        return None if fast is None else fast.strayed(times, states, slopes, step, moments, self._units, self._free)
 
     def _many(self, times: np.ndarray, states: np.ndarray) -> np.ndarray:
         return np.array([self.rate(t, y) for t, y in zip(times, states, strict=True)])

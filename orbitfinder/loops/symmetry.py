@@ -793,7 +793,7 @@ def _mirrored(involution: Involution, times: np.ndarray, states: np.ndarray, ang
         levels = list(np.arange(np.floor(parts[:, 0].min() / turn), parts[:, 0].max() / turn + 1) * turn)
     elif not coordinate[leading]:
         chosen = CubicHermiteSpline(times, states[:, :n] @ rows[leading, n:], moved[:, leading]).derivative()
-    roots = [PPoly(chosen.c, chosen.x).solve(level, extrapolate=False) for level in levels]
+    roots = [_reaching(chosen, level).solve(level, extrapolate=False) for level in levels]
     moments = np.concatenate([*(np.append(root[np.isfinite(root)], times) for root in roots)])
     there = np.hstack([spline(moments), rates(moments)])
     defects = np.abs(off_centre(involution, there, angles) / units).max(axis=1)
@@ -806,6 +806,13 @@ def _mirrored(involution: Involution, times: np.ndarray, states: np.ndarray, ang
     turned = harmonics * np.exp(2j * np.pi * np.arange(len(harmonics)) * centre / times[-1])[:, None]
     image = turned.conj() @ involution.places(n).T * involution.sense
     return bool(np.abs(turned - image).max() / 2 <= RECOGNISED.mirror * np.abs(states[:, n:]).max())
+
+
+def _reaching(curve: PPoly, level: float) -> PPoly:
+    """The curve with a constant in place of each piece that comes nowhere near a level."""
+    reach = np.abs(curve.c[:-1] * np.diff(curve.x) ** np.arange(len(curve.c) - 1, 0, -1)[:, None]).sum(axis=0)
+    near = np.abs(curve.c[-1] - level) <= (1 + 1e-9) * reach
+    return PPoly(np.vstack([curve.c[:-1] * near, curve.c[-1:]]), curve.x)
 
 
 def time_dependent(model: Model) -> bool:

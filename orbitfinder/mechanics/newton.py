@@ -114,10 +114,24 @@ def full(
 
     Rows that are not finite end it. The answer is the best w, or the `final`.
     """
+    course = stepping(w, settings, moved, measure, final)
+    try:
+        at = next(course)
+        while True:
+            at = course.send(linearised(at))
+    except StopIteration as end:
+        return cast(Solved[W], end.value)
+
+
+def stepping(
+    w: W, settings: Settings, moved: Callable[[Any, np.ndarray], Any] = np.add,
+    measure: Callable[[np.ndarray], float] = largest, final: bool = False,
+) -> Generator[W, tuple[np.ndarray, Solver], Solved[W]]:  # fmt: skip
+    """The same as a course that yields w and is sent its rows and what solves for them."""
     best, last, idle, share = Solved(w, settings), np.inf, 0, 1.0
     for count in range(1, settings.most_evaluations + 1):
         limit.check()
-        rows, solver = linearised(w)
+        rows, solver = yield w
         size = measure(rows)
         idle = idle + 1 if size > settings.progress * best.size else 0
         if size < best.size or final:

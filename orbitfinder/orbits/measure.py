@@ -90,11 +90,25 @@ def marched(
 
     `units` (2n) are what its multipliers are measured in, () is 1.
     """
-    nodes, times, states = whole
-    mesh, tail, monodromy = times / times[-1], _untouched(march, w), np.eye(len(nodes[0]))
-    for matrix in march.varied(nodes, mesh, tail).transitions:
+    nodes, times, _ = whole
+    mesh, tail = times / times[-1], _untouched(march, w)
+    transitions, end = march.varied(nodes, mesh, tail).transitions, march.ends(nodes[:1], mesh, tail)[0]
+    return composed(problem, w, whole, action, transitions, end, units)
+
+
+def composed(
+    problem: Problem,
+    w: Unknowns,
+    whole: tuple[np.ndarray, np.ndarray, np.ndarray],
+    action: float,
+    transitions: np.ndarray,
+    end: np.ndarray,
+    units: Sequence[float] = (),
+) -> Orbit:
+    """The same from state-transition matrices (N x 2n x 2n) of its segments and the state (2n) a period later."""
+    (nodes, times, states), monodromy = whole, np.eye(len(end))
+    for matrix in transitions:
         monodromy = matrix @ monodromy
-    end = march.ends(nodes[:1], mesh, tail)[0]
     floquet = reduced(problem.model, nodes[0], monodromy, units)
     return recorded(problem, w.period, end, nodes, times, states, w.unfolding, action, floquet)
 
