@@ -54,7 +54,7 @@ class Trace:
     together: bool
     """whether rates of many states come from one call"""
     drift: np.ndarray | float = 0.0
-    field: CasadiField | None = None
+    field: CompiledField | None = None
     """of which the rates are, where it may be compiled"""
 
     def at(self, times: np.ndarray) -> np.ndarray:
@@ -128,7 +128,7 @@ def integrate(
     steps = _stepped(field, start, times, settings, longest_step)
     if steps.code < 0:
         raise IntegrationError(FAILURES.get(steps.code, f"DOP853 returned {steps.code}"), time=steps.time, state=start)
-    own = field if isinstance(field, CasadiField) else None
+    own = field if isinstance(field, CompiledField) else None
     trace = Trace(steps.moments, steps.states, *rates_of(field), field=own)
     inner = trace.at(times[1:-1]) if times.size > 2 else np.zeros((0, start.size))
     if traces is not None:
