@@ -38,9 +38,8 @@ from orbitfinder.mechanics.newton import Settings, Solved, Solver, chording, lar
 
 POLISH = Settings(floor=1e-13, round_off=1e-13, converged=1e-10, most_evaluations=8)
 GAVE_UP = "iteration limit", "hopeless start"
-LOST = "the state is not finite"
-NARROWEST = 1e-13
-"""Length along the valley between which a zero is known well enough"""
+LOST, NARROWEST = "the state is not finite", 1e-13
+"""What a Failure says; length along the valley between which a zero is known well enough"""
 REGULAR = Settings(floor=0.0, converged=0.0, round_off=0.0, most_evaluations=6, patience=0, progress=1.0)
 
 
@@ -195,8 +194,8 @@ class Differentiated(Ask):
             last, _ = march.beside(True, [(w.nodes, w.mesh, w.tail) for w in places])
             each = np.split(last, np.cumsum([len(w.nodes) for w in places])[:-1])
             for k, w, own in zip(numbers, places, each, strict=True):
-                found = march.derivatives(w.nodes[None], own, w.mesh[None, :: w.steps], w.tail[None])
-                ends, transitions, columns = (one[0] for one in found)
+                derived = march.derivatives(w.nodes[None], own, w.mesh[None, :: w.steps], w.tail[None])
+                ends, transitions, columns = (rows[0] for rows in derived)
                 path = Varied(ends, transitions, columns, w.nodes, 0.0)
                 known = np.isfinite(own).all()
                 answers[k] = asks[k]._scaled(w, path) if known else IntegrationError(LOST, state=w.nodes[0])

@@ -87,7 +87,7 @@ def _counted(title: str, what: str) -> Iterator[Callable[[int, int], None]]:
 @option("direction", "Of the crossings.", "growing", tuple(DIRECTIONS))
 @option("transient", "Returns dropped at each value.", 200, (0, 1_000_000))
 @option("samples", "Returns kept at each value.", 100, (4, 1_000_000))
-@option("sweep", "Begin each value where the one before it ended: upwards, downwards, both ways.", "none",
+@option("sweep", "Begin each value where that before it ended: upwards, downwards, both ways.", "none",
         ("none", "up", "down", "both"))  # fmt: skip
 @option("starts", "Motions at each value, the first from the file's state.", 1, (1, 10_000))
 @option("seed", "Draws the other starts.", 0, (0, 2**63 - 1))

@@ -58,12 +58,12 @@ def _parquet(columns: Mapping[str, Any], told: Told, system: str) -> bytes:
 
 
 def _told(columns: Mapping[str, Any], model: Model) -> Told:
-    """The unit of each column of a system's table, where it has one."""
+    """The unit of each column of a system's table that has a unit."""
     words, n = units(model.system), model.degrees_of_freedom
     own = {**dict(zip(model.state_names[:n], unit_names(model), strict=True)), **given_units(model.system)}
     own |= {"period": words["time"], "energy": words["energy"], "action": words["action"]}
-    found = {name: own.get(re.sub("^(amplitude|min|max)_", "", name), "") for name in columns}
-    return {name: (unit, "") for name, unit in found.items() if unit}
+    words = {name: own.get(re.sub("^(amplitude|min|max)_", "", name), "") for name in columns}
+    return {name: (unit, "") for name, unit in words.items() if unit}
 
 
 def export_table(record: Any, to: str, folder: Path, model: Model) -> list[Path]:

@@ -62,10 +62,8 @@ Families of high resonances may leave along each other, and are told apart only 
 CLOSER, OUTSIDE = 3, 1e-6
 """How often it is looked for four times nearer where more or fewer multipliers are by this much outside the unit circle
 there: between the two an event of the new family would be missed."""
-DIFFERENCE = 1e-4
-"""Arclength of the differences by which the old family's own direction is told."""
-OFF = 0.1
-"""By so much, relative, they may be off its tangent."""
+DIFFERENCE, OFF = 1e-4, 0.1
+"""Arclength of the differences by which the old family's own direction is told; how far, relative, off its tangent."""
 MIRRORED = 1e-7
 """Energies and periods of mirror images agree to this share of their distance from the old orbit's."""
 

@@ -532,15 +532,15 @@ def publish(made: Path, place: Path, key: str) -> Path:
 def evict(place: Path, keep: Path | None = None, limit: int | None = None) -> None:
     """Remove the least recently used libraries beyond the limit, and what dead processes left unfinished."""
     entries, allowed = [], LIMITS.limit if limit is None else limit
-    with os.scandir(place) as found:  # a third of the time that paths take
-        for one in found:
+    with os.scandir(place) as files:  # a third of the time that paths take
+        for file in files:
             with contextlib.suppress(OSError):
-                about = one.stat()
-                if one.name.startswith("making-"):
+                about = file.stat()
+                if file.name.startswith("making-"):
                     if time.time() - about.st_mtime > LIMITS.stale:
-                        shutil.rmtree(one) if one.is_dir() else os.unlink(one)
-                elif one.name.endswith(".so"):
-                    entries.append((about.st_mtime, about.st_size, one.name))
+                        shutil.rmtree(file) if file.is_dir() else os.unlink(file)
+                elif file.name.endswith(".so"):
+                    entries.append((about.st_mtime, about.st_size, file.name))
     total = sum(size for _, size, _ in entries)
     for _, size, name in sorted(entries):
         if total <= allowed:

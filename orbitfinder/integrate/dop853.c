@@ -189,9 +189,9 @@ int dop853(Standing *at, ptrdiff_t room, double *moments, double *states) {
   return code;
 }
 
-/* Where one step leads from each state (count x size) at its time by its span. Returns as `rates` does. */
+/* Where a step leads from each state (count x size) at its time by its span. Returns as `rates` does. */
 int stepped(ptrdiff_t count, ptrdiff_t n, const double *times, const double *states, const double *spans,
-            const double *units, const double *freed, double *found) {
+            const double *units, const double *freed, double *ends) {
   Call call;
   double *k = malloc(11 * n * sizeof(double) + 64), *v = k + 10 * n;
   if (!k || prepared(&call, n, units, freed)) { free(k); return 1; }
@@ -200,7 +200,7 @@ int stepped(ptrdiff_t count, ptrdiff_t n, const double *times, const double *sta
     const double *y = states + m * n, h = spans[m];
     rates_at(&call, times[m], y, k1);
     staged(&call, times[m], h, y, k, v);
-    EACH found[m * n + i] = y[i] + h * SLOPE;
+    EACH ends[m * n + i] = y[i] + h * SLOPE;
   }
   free(call.arg);
   free(k);

@@ -58,12 +58,12 @@ class Trace:
     """of which the rates are, where it may be compiled"""
 
     def at(self, times: np.ndarray) -> np.ndarray:
-        """States at times from the first moment to the last, each by one step of DOP853 from the one before."""
+        """States at times from the first moment to the last, each by a step of DOP853 from that before."""
         times = np.asarray(times, float)
         before = np.searchsorted(self.moments, times, side="right") - 1
         given = self.moments[before], self.states[before], times - self.moments[before]
-        found = None if self.field is None else self.field.stepped(*given)
-        return _stage_by_stage(self.rates, *given) if found is None else found
+        ends = None if self.field is None else self.field.stepped(*given)
+        return _stage_by_stage(self.rates, *given) if ends is None else ends
 
     def strayed(self, slopes: np.ndarray, step: np.ndarray, moments: np.ndarray) -> np.ndarray | None:
         """How far rates at moments (m), each within a `step`, are off the curve through the states and these slopes
@@ -233,7 +233,7 @@ def _root(error: BaseException) -> BaseException:
 def _stage_by_stage(
     rates: Callable[[np.ndarray, np.ndarray], np.ndarray], times: np.ndarray, states: np.ndarray, spans: np.ndarray
 ) -> np.ndarray:
-    """Where one step leads from states (k x n) at times (k) by spans (k), summed in the order of `dop853.c`."""
+    """Where a step leads from states (k x n) at times (k) by spans (k), summed in the order of `dop853.c`."""
     across, stages = spans[:, None], [rates(times, states)]
     for share, row in zip(DOP853.C[1:], DOP853.A[1:], strict=True):
         stages.append(rates(times + share * spans, states + across * _weighted(row, stages)))

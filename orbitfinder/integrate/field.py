@@ -91,7 +91,7 @@ class Library:
         return found
 
     def stepped(self, times: np.ndarray, states: np.ndarray, spans: np.ndarray, units: Any, free: Any) -> np.ndarray:
-        """Where one step of DOP853 leads from states (k x n) at times (k) by spans (k)."""
+        """Where a step of DOP853 leads from states (k x n) at times (k) by spans (k)."""
         reached = np.empty(states.shape)
         _called(self._stepped, states.shape, times, states, spans, units, free, reached)
         return reached
@@ -236,7 +236,7 @@ def with_dop853(code: str, work: str = "evaluated_work", freed: bool = False) ->
 
 
 def as_table(name: str, table: np.ndarray) -> str:
-    """Numbers, in one row or several, in C."""
+    """Numbers, in a row or several, in C."""
     sizes = "".join(f"[{size}]" for size in table.shape)
     rows = ["{" + ", ".join(float(x).hex() for x in row) + "}" for row in np.atleast_2d(table)]
     whole = rows[0] if table.ndim == 1 else "{" + ", ".join(rows) + "}"
@@ -336,7 +336,7 @@ class CompiledField:
             return self._many(times, states)
 
     def stepped(self, times: np.ndarray, states: np.ndarray, spans: np.ndarray) -> np.ndarray | None:
-        """Where one step of DOP853 leads from states (k x n) at times (k) by spans (k); None without a library."""
+        """Where a step of DOP853 leads from states (k x n) at times (k) by spans (k); None without a library."""
         fast = self.library()
         return None if fast is None else fast.stepped(times, states, spans, self._units, self._free)
 

@@ -112,10 +112,10 @@ def worded(text: str, system: Mapping[str, Any]) -> str:
         return None if None in parts else "/".join(map(str, parts)) * ("" not in parts)
 
     def converted(match: re.Match[str]) -> str:
-        found = [told(unit) for unit in (match[1] or match[2]).split(" or ")]
-        if None in found:
+        words = [told(unit) for unit in (match[1] or match[2]).split(" or ")]
+        if None in words:
             return match[0]
-        kept = " or ".join(dict.fromkeys(filter(None, found)))
+        kept = " or ".join(dict.fromkeys(filter(None, words)))
         return (f" ({kept})" if match[1] else f" {kept}") if kept else ""
 
     return text if all(words[name] == SI[name] for name in SI) else UNIT.sub(converted, text)

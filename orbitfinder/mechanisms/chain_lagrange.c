@@ -14,7 +14,7 @@
 
 typedef double Row[LANES];
 
-/* What solutions with M need: cos, sin, D, and the two columns that L is made of. */
+/* What solutions with M need: cos, sin, D, and the s2 columns that L is made of. */
 typedef struct { double c[LINKS], s[LINKS], d[LINKS], along[LINKS], across[LINKS]; } Factors;
 
 static void factorised(Factors *f, const double *q) {
@@ -45,16 +45,16 @@ static void accelerations(const Factors *f, const double *v, double *a) {
   double x[LINKS], y[LINKS], mx[LINKS], my[LINKS];
   LINK(i) x[i] = f->c[i] * v[i] * v[i], y[i] = f->s[i] * v[i] * v[i];
   coupled(x, y, mx, my);
-  double one = 0.0, two = 0.0;
+  double s1 = 0.0, s2 = 0.0;
   LINK(i) {
     double c = f->c[i], s = f->s[i];
-    a[i] = c * my[i] - s * (mx[i] + WEIGHTS[i]) - HEAVY[i] * (c * one + s * two);
-    one += f->along[i] * a[i], two += f->across[i] * a[i];
+    a[i] = c * my[i] - s * (mx[i] + WEIGHTS[i]) - HEAVY[i] * (c * s1 + s * s2);
+    s1 += f->along[i] * a[i], s2 += f->across[i] * a[i];
   }
-  one = two = 0.0;
+  s1 = s2 = 0.0;
   UP(i) {
-    a[i] = a[i] / f->d[i] - (f->along[i] * one + f->across[i] * two);
-    one += HEAVY[i] * f->c[i] * a[i], two += HEAVY[i] * f->s[i] * a[i];
+    a[i] = a[i] / f->d[i] - (f->along[i] * s1 + f->across[i] * s2);
+    s1 += HEAVY[i] * f->c[i] * a[i], s2 += HEAVY[i] * f->s[i] * a[i];
   }
 }
 
@@ -75,26 +75,26 @@ static void varied(const Factors *f, const double *v, const double *a, const dou
     beta[i] = 2.0 * c * v[i], delta[i] = 2.0 * s * v[i];
   }
   coupled(alpha, gamma, ma, mg);
-  Row one = {0}, two = {0};
+  Row s1 = {0}, s2 = {0};
   UP(i) LANE {  /* what is farther out */
     double x = alpha[i] * q[i][l] + beta[i] * w[i][l], z = gamma[i] * q[i][l] + delta[i] * w[i][l];
     double own = f->c[i] * (WEIGHTS[i] + mg[i]) - f->s[i] * ma[i] - OWN[i] * v[i] * v[i];
-    r[i][l] = own * q[i][l] + SHORT[i] * (f->s[i] * one[l] - f->c[i] * two[l]);
-    one[l] += HEAVY[i] * x, two[l] += HEAVY[i] * z;
+    r[i][l] = own * q[i][l] + SHORT[i] * (f->s[i] * s1[l] - f->c[i] * s2[l]);
+    s1[l] += HEAVY[i] * x, s2[l] += HEAVY[i] * z;
   }
-  Row three = {0}, four = {0};
-  LANE one[l] = two[l] = 0.0;
+  Row s3 = {0}, s4 = {0};
+  LANE s1[l] = s2[l] = 0.0;
   LINK(i) LANE {  /* what is nearer, and L z = -r */
     double c = f->c[i], s = f->s[i];
     double x = alpha[i] * q[i][l] + beta[i] * w[i][l], z = gamma[i] * q[i][l] + delta[i] * w[i][l];
-    r[i][l] = -r[i][l] - HEAVY[i] * (s * one[l] - c * two[l]) - HEAVY[i] * (c * three[l] + s * four[l]);
-    one[l] += SHORT[i] * x, two[l] += SHORT[i] * z;
-    three[l] += f->along[i] * r[i][l], four[l] += f->across[i] * r[i][l];
+    r[i][l] = -r[i][l] - HEAVY[i] * (s * s1[l] - c * s2[l]) - HEAVY[i] * (c * s3[l] + s * s4[l]);
+    s1[l] += SHORT[i] * x, s2[l] += SHORT[i] * z;
+    s3[l] += f->along[i] * r[i][l], s4[l] += f->across[i] * r[i][l];
   }
-  LANE three[l] = four[l] = 0.0;
+  LANE s3[l] = s4[l] = 0.0;
   UP(i) LANE {
-    r[i][l] = r[i][l] / f->d[i] - (f->along[i] * three[l] + f->across[i] * four[l]);
-    three[l] += HEAVY[i] * f->c[i] * r[i][l], four[l] += HEAVY[i] * f->s[i] * r[i][l];
+    r[i][l] = r[i][l] / f->d[i] - (f->along[i] * s3[l] + f->across[i] * s4[l]);
+    s3[l] += HEAVY[i] * f->c[i] * r[i][l], s4[l] += HEAVY[i] * f->s[i] * r[i][l];
   }
   for (int l = 0; l < count; l++) LINK(i) {
     double *column = rate + (ptrdiff_t)(first + l) * 2 * LINKS;

@@ -25,10 +25,9 @@ from orbitfinder.integrate.field import CompiledField, VectorField, Work, as_tab
 from orbitfinder.mechanics.kind import system_kind
 from orbitfinder.mechanics.model import Model
 
-AGREEMENT = 1e-10
-"""The closed form must give the Model's energies to this, relative, at states it was not read from; in C its rates"""
-ROUND_OFF = 1e-13
-"""Error of the coupling that two numbers a link stand for, relative to its largest entry"""
+AGREEMENT, ROUND_OFF = 1e-10, 1e-13
+"""The closed form must give the Model's energies to this, relative, at states it was not read from, in C its rates;
+error of the coupling that two numbers a link stand for, relative to its largest entry"""
 
 
 @dataclass(frozen=True, eq=False)

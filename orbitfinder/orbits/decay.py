@@ -6,7 +6,7 @@ those of C, D0 the mean of D, and a rate a,
     V = u' . M u' + u . (S + a D0) u + 2 a u . M u' = x . P x,     dV/dtau = -2 x . Q x,     x = (u, u'),
     Q = [[a S - S' / 2, (a (D - D0 + G) - N) / 2], [its transpose, D - a M]].
 
-Where Q > r P at all times and P > 0 at one, V falls as e^(-2 r tau) or faster, so no exponent has a real part above -r.
+Where Q > r P at all times and P > 0 at any, V falls as e^(-2 r tau) or faster, so no exponent has a real part above -r.
 Q - r P is positive where its factors without pivoting have positive pivots. Between N equal times a trigonometric
 polynomial of degree m without a mean is at most 1 / cos(pi m / N) times what it is at them (so is x . (Q - r P) x of
 any x): the mean, plus and minus so many times what varies, is what has to be positive. Sources: H. Ehlich, K. Zeller,
@@ -23,7 +23,7 @@ from scipy.sparse.linalg import ArpackError, eigsh, splu
 from orbitfinder.orbits.harmonics import Balanced, Coefficients
 
 SHARES, RATE = (0.1, 0.9), 0.5
-"""Of what the mean matrices decay by, tried one after the other; a, in what damps a mass at least"""
+"""Of what the mean matrices decay by, tried by turns; a, in what damps a mass at least"""
 SAME, MOST, CLOSE = 1e-9, 0.4, 1e-3
 """Share of the largest harmonic that is none, and of a transpose's difference; degrees that times tell, in those;
 relative error of rates that are tried"""
@@ -141,9 +141,9 @@ def decay(problem: Balanced, w: Coefficients) -> tuple[float, str]:
     return (rate, "") if rate > 0 else (0.0, "an energy does not bound what its stiffness does as it changes")
 
 
-def extreme(one: sparse.csc_matrix, other: sparse.csc_matrix, end: str) -> float:
+def extreme(matrix: sparse.csc_matrix, other: sparse.csc_matrix, end: str) -> float:
     """The least or the largest (by size) eigenvalue of two symmetric matrices, the second positive. Raises
     `RuntimeError`."""
-    start = np.random.default_rng(0).normal(size=one.shape[0])
+    start = np.random.default_rng(0).normal(size=matrix.shape[0])
     sigma = 0.0 if end == "least" else None
-    return float(abs(eigsh(one, 1, other, sigma=sigma, v0=start, tol=CLOSE, return_eigenvectors=False)[0]))
+    return float(abs(eigsh(matrix, 1, other, sigma=sigma, v0=start, tol=CLOSE, return_eigenvectors=False)[0]))

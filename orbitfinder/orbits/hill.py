@@ -156,7 +156,7 @@ def _modes(beside: Beside, harmonics: np.ndarray, period: int) -> _Modes | str:
                 kappa = MARGIN * sum(extreme(side, stiffness, "largest") for side in sides if abs(side).max() > 0)
                 apart = kappa * (slowest + fastest) / (4 * np.sqrt(slowest * fastest))
                 if not apart < 1:
-                    return "its stiffness changes by too much for modes one by one"
+                    return "its stiffness changes by too much for single modes"
                 if kappa * k * period > 4 * (1 - kappa / 2) * slowest:
                     top = max(top, k * period / (1 - apart))
             squares, shapes = eigsh(stiffness, MODES, mass, sigma=0.0, v0=np.ones(beside.n))

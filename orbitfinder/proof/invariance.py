@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from math import gcd
+from math import gcd, lcm
 
 import numpy as np
 
@@ -119,17 +119,14 @@ def _turned(
 class Multiple:
     """A rational multiple of a value (its number in the program) that depends on parameters alone; of 1 where None."""
 
-    factor: Fraction
+    factor: Fraction = Fraction(0)
     value: int | None = None
 
     def times(self, other: Multiple) -> Multiple | None:
-        """The product, where at most one is not a number."""
+        """The product, where a factor is a number."""
         if self.value is not None and other.value is not None:
             return None
         return Multiple(self.factor * other.factor, other.value if self.value is None else self.value)
-
-
-NO_RATE = Multiple(Fraction(0))
 
 
 def drive(code: ScalarProgram, clock: int) -> Multiple | None:
@@ -138,7 +135,7 @@ def drive(code: ScalarProgram, clock: int) -> Multiple | None:
     None where that does not follow from the graph: time enters only in sines and cosines of multiples of it.
     """
     numbers: list[Multiple | None] = [None] * code.size
-    rates: list[Multiple] = [NO_RATE] * code.size
+    rates: list[Multiple] = [Multiple()] * code.size
     met: list[Multiple] = []
     for target, number in code.constants:
         numbers[target] = Multiple(Fraction(number))
@@ -150,20 +147,18 @@ def drive(code: ScalarProgram, clock: int) -> Multiple | None:
             rates[target] = Multiple(Fraction(1))
     for name, target, a, b in code.operations:
         numbers[target] = _number(name, target, numbers[a], Multiple(Fraction(1)) if b < 0 else numbers[b])
-        rate = _rate(name, (rates[a], NO_RATE if b < 0 else rates[b]), (numbers[a], None if b < 0 else numbers[b]))
+        rate = _rate(name, (rates[a], Multiple() if b < 0 else rates[b]), (numbers[a], None if b < 0 else numbers[b]))
         if rate is None:
             return None
         if name in ("sin", "cos"):
             met += [rates[a]] if rates[a].factor else []
         else:
             rates[target] = rate
-    unlike = len({one.value for one in met}) != 1
+    unlike = len({rate.value for rate in met}) != 1
     if unlike or any(rates[place].factor for result in code.outputs for place in result.values()):
         return None
-    common = max(one.factor.denominator for one in met)
-    for one in met:
-        common = common * one.factor.denominator // gcd(common, one.factor.denominator)
-    return Multiple(Fraction(gcd(*(abs(int(one.factor * common)) for one in met)), common), met[0].value)
+    common = lcm(*(rate.factor.denominator for rate in met))
+    return Multiple(Fraction(gcd(*(abs(int(rate.factor * common)) for rate in met)), common), met[0].value)
 
 
 def _number(name: str, target: int, a: Multiple | None, b: Multiple | None) -> Multiple | None:
@@ -181,7 +176,7 @@ def _rate(name: str, rates: tuple[Multiple, Multiple], numbers: tuple[Multiple |
     """How fast a value grows with time on the average, None where that is not said."""
     a, b = rates
     if not (a.factor or b.factor) or name in ("sin", "cos"):
-        return NO_RATE
+        return Multiple()
     if name in ("add", "sub", "neg"):
         other = Multiple(-b.factor, b.value) if name == "sub" else b
         if name == "neg":

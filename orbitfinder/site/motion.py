@@ -45,10 +45,8 @@ FIRST = 48
 """Samples from whose error the number needed is estimated."""
 ENDS = 1e-7
 """Agreement of two step sizes that is enough for a picture."""
-GAP = 1e-2
-"""Largest jump between pieces of a motion that is still shown, relative to its extent."""
-NEAR = 0.6
-"""What stands this near to a motion, in its extent, is in its picture"""
+GAP, NEAR = 1e-2, 0.6
+"""In extents of a motion: the largest jump between its pieces that is shown; how near stands what is in its picture"""
 OFF, TURNS, TINY = 0.03, 3, 1e-5
 """How far from an orbit its neighbour starts, how many periods it is followed, and what is small, all relative."""
 MOST_ROUNDS, MOST_SAMPLES = 40, 4000

@@ -1,7 +1,7 @@
 """Brute-force bifurcation diagrams: what motions settle to at many values of a parameter, as Poincare samples.
 
 At each value motions are integrated, what they do at first is dropped, and their next returns are kept: of a forced
-system its states once a period of the forcing, of a hybrid one those after the event that ends its cycle, of any
+system its states once a period of the forcing, of a hybrid system those after the event that ends its cycle, of any
 other the maxima of a coordinate or the crossings of a plane. Values lie beside each other in one run, as the
 parameter is a component of the state that rests; with `sweep` each begins where the one before it has ended, so that
 what is bistable shows both.
@@ -136,7 +136,7 @@ class Bifurcation(Shown):
                 raise ValueError(f"{name}: shape {np.shape(getattr(self, name))} where {shape} belongs")
         if self.coordinate not in self.state_names or self.sweep not in SWEEPS or not self.values.size or not runs:
             raise ValueError(f"coordinate, sweep: {self.coordinate!r}, {self.sweep!r} are not of this record")
-        if not all(getattr(self, name).dtype.kind == "i" for name in ("owners", "repeats")):
+        if not all(np.issubdtype(getattr(self, name).dtype, np.integer) for name in ("owners", "repeats")):
             raise ValueError("owners, repeats: expected whole numbers")
         if n and (self.owners.min() < 0 or np.any(self.owners.max(axis=0) >= self.repeats.shape)):
             raise ValueError("owners: expected numbers of values and motions")
@@ -185,7 +185,9 @@ class Sampler:
         if not model.smooth:
             each = [after_events(with_parameters(model, {self.parameter: value}), start[None], count)
                     for value, start in zip(values.tolist(), starts, strict=True)]  # fmt: skip
-            return Passing(*(np.concatenate([getattr(one, name) for one in each]) for name in ("times", "states")))
+            return Passing(
+                *(np.concatenate([getattr(passing, name) for passing in each]) for name in ("times", "states"))
+            )
         whole, restored = np.column_stack([starts, values]), self._motions.restored
         if restored is not None:
             whole = restored(np.column_stack([whole, values]).T).full().T
@@ -235,7 +237,7 @@ def bifurcation(
 ) -> Bifurcation:  # fmt: skip
     """What the motions of a system settle to at many values of a parameter: a brute-force bifurcation diagram.
 
-    A forced system is looked at once a period of its forcing, a hybrid one after the event that ends its cycle, any
+    A forced system is looked at once a period of its forcing, a hybrid system after the event that ends its cycle, any
     other where a coordinate is largest, or where it crosses a plane.
 
     Args:
@@ -257,7 +259,7 @@ def bifurcation(
         name: a word for files.
         out: a folder: OUT/<name>/bifurcation.jsonl keeps what is done; also with more values it goes on from there.
         shards: journals of the same request at other values, which are taken from there; of others nothing is.
-        **named: values of one physical parameter.
+        **named: values of a physical parameter.
 
     Returns:
         A Bifurcation: `states` and `owners`, `repeats`, `counts`.
@@ -295,7 +297,7 @@ def bifurcation(
     path = None if out is None else Path(out) / name / "bifurcation.jsonl"
     with (checkpoints(path, asked, _reader(made)) as journal, scheduler_at(scheduler, "bifurcation", folder) as far,
           tasks.crew(sampled, workers, "bifurcation", far) as answers):  # fmt: skip
-        study = _Study(made, [*journal.known, *_joined(shards, asked, made)], journal)
+        study = _Motions(made, [*journal.known, *_joined(shards, asked, made)], journal)
         given: Sampler | str = sampler
         if workers > 1 or far is not None:
             build_model(made.system, None if folder is None else Path(folder))  # or nobody else can
@@ -313,10 +315,10 @@ def _axis(model: Model, given: Mapping[str, Sequence[float]]) -> tuple[str, np.n
     """The parameter and its values, increasing. Raises `InputError`."""
     known = ", ".join(model.parameter_names[:20]) or "this system has none"
     if len(given) != 1:
-        raise InputError(f"parameter: give the values of one parameter, got {len(given)}; one of {known}")
+        raise InputError(f"parameter: give the values of a single parameter, got {len(given)}; choose among {known}")
     ((name, numbers),) = given.items()
     if name not in model.parameter_names:
-        raise InputError(f"parameter: unknown {name!r}{closest(name, model.parameter_names)}; use one of {known}")
+        raise InputError(f"parameter: unknown {name!r}{closest(name, model.parameter_names)}; choose among {known}")
     check_constant(model, [name])
     try:
         axis = np.unique(np.array([float(number) for number in numbers]))
@@ -382,21 +384,21 @@ def _joined(
         yield from map(_reader(made), lines[1:] if lines[:1] == [header_of(asked)] else ())
 
 
-class _Study:
-    """The motions of a diagram, those that are `found` with their times and states."""
+class _Motions:
+    """The motions of a diagram, those that are `known` with their times and states."""
 
     def __init__(
-        self, made: Bifurcation, known: Sequence[dict[Lane, np.ndarray]], journal: Checkpoints[dict[Lane, np.ndarray]]
+        self, made: Bifurcation, given: Sequence[dict[Lane, np.ndarray]], journal: Checkpoints[dict[Lane, np.ndarray]]
     ) -> None:  # fmt: skip
-        self.made, self.journal, self.found = made, journal, dict[Lane, np.ndarray]()
-        for lanes in known:
-            self.found |= lanes
+        self.made, self.journal, self.known = made, journal, dict[Lane, np.ndarray]()
+        for lanes in given:
+            self.known |= lanes
 
     def rounds(self, sampler: Sampler | str, answers: tasks.Answers, hands: int) -> Iterator[int]:
         """How many motions are done, after each task."""
         made, done = self.made, 0
         for lanes in self._lanes():
-            left = [lane for lane in lanes if lane not in self.found]
+            left = [lane for lane in lanes if lane not in self.known]
             done += len(lanes) - len(left)
             size = min(max(-(-len(left) // hands), FEWEST), MOST)
             parts = [left[k : k + size] for k in range(0, len(left), size)]
@@ -405,7 +407,7 @@ class _Study:
             for number, rows in answers(requests):
                 line = {"motions": packed(np.array(parts[number], float)), "samples": packed(rows)}
                 self.journal.add(line)
-                self.found |= _reader(made)(line)
+                self.known |= _reader(made)(line)
                 done += len(parts[number])
                 yield done
 
@@ -427,7 +429,7 @@ class _Study:
         made, (value, run) = self.made, lane
         before = int(np.searchsorted(made.values, value)) - (1 if self._upwards(run) else -1)
         if made.sweep != "none" and 0 <= before < made.values.size:
-            rows = self.found[float(made.values[before]), run]
+            rows = self.known[float(made.values[before]), run]
             if len(rows) == made.count:
                 return np.asarray(rows[-1, 1:])
         return np.asarray(made.starts[run % len(made.starts)])
@@ -436,7 +438,7 @@ class _Study:
         """The diagram by now."""
         made, (k, runs) = self.made, self.made.repeats.shape
         lanes = [(i, j) for i in range(k) for j in range(runs)]
-        parts = [self.found.get((float(made.values[i]), j), np.zeros((0, 1 + made.states.shape[1]))) for i, j in lanes]
+        parts = [self.known.get((float(made.values[i]), j), np.zeros((0, 1 + made.states.shape[1]))) for i, j in lanes]
         rows = np.vstack(parts)
         owners = np.repeat(np.array(lanes), [len(part) for part in parts], axis=0)
         made = replace(made, times=rows[:, 0], states=rows[:, 1:], owners=owners)
@@ -484,7 +486,7 @@ def family_samples(made: Bifurcation, family: Family, model: Model | None = None
                          f"{'this' if alike else 'another'} system; give one of this in {made.parameter}")  # fmt: skip
     sampler, count = sampler_of(model, made.parameter, made.coordinate, made.plane), 8
     members, values = family.members, family.places[:, 0]
-    starts, periods = np.array([member.state for member in members]), np.array([one.period for one in members])
+    starts, periods = np.array([member.state for member in members]), np.array([member.period for member in members])
     while True:
         passing = sampler.passing(values, starts, count)
         within = passing.times <= periods[:, None] * (1 + SETTLED)

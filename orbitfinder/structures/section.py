@@ -23,10 +23,8 @@ import numpy as np
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.records.codec import Codec, Dense, Filed, Unknown
 
-CLEAR = 2.0
-"""How much nearer one of two laws comes than the other before it is said to hold"""
-FEWEST = 20
-"""Returns of a motion of which anything is said"""
+CLEAR, FEWEST = 2.0, 20
+"""How much nearer a law comes than the other before it is said to hold; returns of which anything is said"""
 LARGEST = float(np.finfo(float).max)
 """Stands in files, whose numbers are finite, for a growth that is not known"""
 Growth = Annotated[

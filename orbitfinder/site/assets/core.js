@@ -175,16 +175,16 @@ var orbitfinder = (function () {
     this.lines = this.landscape ? this.equal() : [];
     if (!m.tip) return;
     var far = new Path2D(), near = new Path2D(), floor = new Path2D(), cut = true, last, below, scene = this;
-    m.traced().forEach(function (one) {
-      var at = scene.spot(one[0]), path = at[2] < 0 ? far : near;
+    m.traced().forEach(function (piece) {
+      var at = scene.spot(piece[0]), path = at[2] < 0 ? far : near;
       if (!cut) { path.moveTo(last[0], last[1]); path.lineTo(at[0], at[1]); }
       if (scene.view) {
-        var foot = scene.spot([scene.centre[0] + frame.spans[0] / 2, one[0][1], one[0][2]]);
+        var foot = scene.spot([scene.centre[0] + frame.spans[0] / 2, piece[0][1], piece[0][2]]);
         if (!cut) { floor.moveTo(below[0], below[1]); floor.lineTo(foot[0], foot[1]); }
         below = foot;
       }
       last = at;
-      cut = one[1]; // the next point is after the jump
+      cut = piece[1]; // the next point is after the jump
     });
     this.paths = this.view ? [far, near] : [near];
     this.shadow = this.view && floor;
@@ -222,8 +222,8 @@ var orbitfinder = (function () {
   Scene.prototype.across = function (now, p) { return this.point(now, p)[0]; };
   Scene.prototype.down = function (now, p) { return this.point(now, p)[1]; };
   Scene.prototype.traced = function (now) {
-    var one = this.point(now, this.motion.tip[0]), other = this.point(now, this.motion.tip[1]);
-    return [(one[0] + other[0]) / 2, (one[1] + other[1]) / 2];
+    var near = this.point(now, this.motion.tip[0]), other = this.point(now, this.motion.tip[1]);
+    return [(near[0] + other[0]) / 2, (near[1] + other[1]) / 2];
   };
 
   // In space: the box about the motion, the shadow of its path on the floor, and which way the axes go.
@@ -447,11 +447,11 @@ var orbitfinder = (function () {
           pen.lineTo(x + share * dx - side * dy, y + share * dy + side * dx);
         }
         pen.lineTo(far[0], far[1]);
-      } else at.forEach(function (one) { pen.lineTo(one[0], one[1]); });
+      } else at.forEach(function (p) { pen.lineTo(p[0], p[1]); });
       pen.stroke();
-      if (kind === "rod") at.forEach(function (one) {
+      if (kind === "rod") at.forEach(function (p) {
         pen.beginPath();
-        pen.arc(one[0], one[1], at.length === 1 ? 1.6 * line : 0.7 * r, 0, 2 * Math.PI); // a mass in one point, or a pin
+        pen.arc(p[0], p[1], at.length === 1 ? 1.6 * line : 0.7 * r, 0, 2 * Math.PI); // a mass in a point, or a pin
         pen.fill();
       });
     });
@@ -460,13 +460,13 @@ var orbitfinder = (function () {
   // What the machine stands on or hits, [down, right] in m.
   Scene.prototype.floor = function (time, line) {
     var pen = this.pen, m = this.motion, all = m.ground, place = ((time / m.period) % 1 + 1) % 1;
-    var one = all[Math.floor(place * all.length) % all.length];
+    var piece = all[Math.floor(place * all.length) % all.length];
     pen.strokeStyle = colours(this.canvas).muted;
     pen.lineWidth = line * 0.5;
     pen.beginPath();
-    for (var k = 0; k < one[0].length; k++) {
-      pen.lineTo(this.width / 2 + (one[1][k] - this.centre[1]) * this.scale,
-        this.height / 2 + (one[0][k] - this.centre[0]) * this.scale);
+    for (var k = 0; k < piece[0].length; k++) {
+      pen.lineTo(this.width / 2 + (piece[1][k] - this.centre[1]) * this.scale,
+        this.height / 2 + (piece[0][k] - this.centre[0]) * this.scale);
     }
     pen.stroke();
   };
