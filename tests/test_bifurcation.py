@@ -166,7 +166,7 @@ def test_stopped_runs_shards_and_more_values_give_the_same_bits(made, tmp_path):
     ("given", "words"),
     [
         ({"torques": [1.0, 1.1]}, "unknown 'torques'.*did you mean"),
-        ({"torque": [1.0], "damping": [0.1]}, "one parameter, got 2"),
+        ({"torque": [1.0], "damping": [0.1]}, "single parameter, got 2"),
         ({"torque": ["x"]}, "list of numbers"),
         ({"torque": [np.nan]}, "finite"),
         ({"torque": [1.0], "coordinate": "phi"}, "unknown 'phi'"),

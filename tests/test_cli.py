@@ -396,8 +396,8 @@ def test_json_has_null_for_what_is_no_number():
 
 
 COMPUTING = {"run", "verify", "simulate", "guess", "sweep", "continue", "search", "prove", "refine", "reproduce",
-             "connect", "diagram", "doctor", "equilibria", "manifold", "map", "phase", "section", "show", "stabilise",
-             "torus"}  # fmt: skip
+             "bifurcation", "connect", "diagram", "doctor", "equilibria", "manifold", "map", "phase", "section", "show",
+             "stabilise", "torus"}  # fmt: skip
 
 
 def test_every_computing_command_answers_in_json_and_every_out_has_its_letter():

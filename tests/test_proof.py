@@ -373,11 +373,9 @@ def test_bad_options(saved, arguments, says):
 
 
 def test_unprovable_systems_are_bad_input(found, tmp_path):
-    """A forced system: exit code 2 and the reason."""
-    orbit = find_orbit(load_problem(ROOT / "problems/gallery/forced-duffing-upper.toml"))
-    file = save_orbit(orbit, tmp_path / "orbit.json")
-    result = run("prove", file)
-    assert result.exit_code == 2 and "forced systems" in result.output
+    """A linkage: exit code 2 and the reason."""
+    result = run("prove", ROOT / "results/gallery/four-bar-rocking/orbit.json", "--no-record")
+    assert result.exit_code == 2 and "systems under constraints" in result.output
     missing = run("prove", tmp_path / "nothing.json")
     assert missing.exit_code == 2 and "no such file" in missing.output
 

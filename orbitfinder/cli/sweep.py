@@ -34,7 +34,7 @@ def sharded(
     if (part := shard_from(shard)) is None:
         return values, out
     mine = {name: [*np.array_split(each, part.parts)[part.first]] for name, each in values.items()}
-    if any(len(each) < least for each in mine.values()):
+    if any(len(each) // part.parts < least for each in values.values()):
         raise InputError(f"--shard: {shard}: more shards than {'values' if least == 1 else 'pairs of values'}; "
                          "give a smaller N")  # fmt: skip
     return mine, out / f"{part.part}-of-{part.parts}"

@@ -47,6 +47,7 @@ class ParameterMap(Tabled):
         verdicts: R x C numbers of what is said of their stability in `orbits.floquet.STABILITIES`.
         amplitudes: R x C x n, half of what each coordinate moves.
         sample: k x 3, row, column and whether it is certified.
+        title: what pictures are headed with; the name where it is empty.
 
     Examples:
         >>> plane.counts
