@@ -24,7 +24,7 @@ ALONG = 64
 """Moments at which a motion is compared with itself a return later"""
 LOOKS, ONE_BY_ONE, MOST_LOOKS, USUAL = 40, 2, 2**16, 16
 """Looks for each step of the integration, where rates come one by one, and at most; of a state of more numbers than
-so many as many fewer, which take as long"""
+so many as many fewer, which take as long, but no fewer than where they come one by one"""
 SUSPECT = 1e-6
 """Rates this far off the smooth curve through four steps, relative to the largest, have their steps taken again"""
 RETAKEN, FINER = 16, 4
@@ -144,8 +144,8 @@ def _looks(trace: Trace, looks: int) -> tuple[np.ndarray, np.ndarray, float]:
     times, period = trace.moments, float(trace.moments[-1])
     each = np.maximum(np.abs(np.diff(trace.states, axis=0)).max(axis=1), np.diff(times) / period)
     way = np.append(0.0, np.cumsum(each))
-    most = MOST_LOOKS * USUAL // max(USUAL, trace.states.shape[1])
-    count = min((looks if trace.together else ONE_BY_ONE) * len(times), most)
+    most = max(MOST_LOOKS * USUAL // max(USUAL, trace.states.shape[1]), ONE_BY_ONE * len(times))
+    count = min((looks if trace.together else ONE_BY_ONE) * len(times), most, MOST_LOOKS)
     places = (np.arange(count) + np.random.default_rng(0).uniform()) * (way[-1] / count)
     step = np.minimum(np.searchsorted(way, places, side="right") - 1, len(each) - 1)
     return times[step] + (places - way[step]) / each[step] * (times[step + 1] - times[step]), step, way[-1] / count
