@@ -24,7 +24,7 @@ ALONG = 64
 """Moments at which a motion is compared with itself a return later"""
 LOOKS, ONE_BY_ONE, MOST_LOOKS, USUAL = 40, 2, 2**16, 16
 """Looks for each step of the integration, where rates come one by one, and at most; of a state of more numbers than
-so many as many fewer, which take as long, but no fewer than where they come one by one"""
+so many as many fewer, which take as long, but never fewer than the second"""
 SUSPECT = 1e-6
 """Rates this far off the smooth curve through four steps, relative to the largest, have their steps taken again"""
 RETAKEN, FINER = 16, 4
