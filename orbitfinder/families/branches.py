@@ -169,7 +169,7 @@ def _along(curve: Curve, base: Unknowns, head: np.ndarray) -> np.ndarray:
 
 def _moved_along(curve: Curve, event: Event, place: Unknowns, share: float) -> np.ndarray:
     """How the unknowns of a cover, which begins at a share of the period, move along the old family, by differences."""
-    base, metric = unknowns_of(curve, event), curve.scales.metric(unknowns_of(curve, event))
+    base = unknowns_of(curve, event)
     whole, ends, moved = _along(curve, base, event.tangent), [], []
     moments = (share + place.edges[:-1] * event.order) % 1.0
     for sign in (-1.0, 1.0):
@@ -180,7 +180,7 @@ def _moved_along(curve: Curve, event: Event, place: Unknowns, share: float) -> n
         ends.append(np.array([np.interp(moments * shifted.place.period, times, column) for column in states.T]).T)
     if moved[0] is not None and moved[1] is not None:
         off = (moved[1] - moved[0]) / (2 * DIFFERENCE) - whole
-        if metric @ off**2 > OFF**2:  # the family that crosses was met, and what leaves would be this one
+        if curve.scales.metric(base) @ off**2 > OFF**2:  # the family that crosses was met
             raise ConvergenceError(f"the direction of the family at its {event.kind} cannot be told")
     nodes = (ends[1] - ends[0]) / (2 * DIFFERENCE)
     head, size = base.head_of(whole), curve.equations.size

@@ -6,7 +6,7 @@ those of C, D0 the mean of D, and a rate a,
     V = u' . M u' + u . (S + a D0) u + 2 a u . M u' = x . P x,     dV/dtau = -2 x . Q x,     x = (u, u'),
     Q = [[a S - S' / 2, (a (D - D0 + G) - N) / 2], [its transpose, D - a M]].
 
-Where Q > r P at all times and P > 0 at any, V falls as e^(-2 r tau) or faster, so no exponent has a real part above -r.
+Where Q > r P always and P > 0 at some time, V falls as e^(-2 r tau) or faster, so no exponent has a real part above -r.
 Q - r P is positive where its factors without pivoting have positive pivots. Between N equal times a trigonometric
 polynomial of degree m without a mean is at most 1 / cos(pi m / N) times what it is at them (so is x . (Q - r P) x of
 any x): the mean, plus and minus so many times what varies, is what has to be positive. Sources: H. Ehlich, K. Zeller,
