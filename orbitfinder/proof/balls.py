@@ -40,6 +40,7 @@ except ImportError:  # pragma: no cover - depends on what is installed
     flint = _Missing()
 
 arb, arb_mat, arb_poly, arb_series, fmpq = flint.arb, flint.arb_mat, flint.arb_poly, flint.arb_series, flint.fmpq
+acb, acb_mat = flint.acb, flint.acb_mat
 FLINT = flint.__version__
 Vector = list[Any]
 """ball numbers, one per component"""

@@ -23,7 +23,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import Vector, arb, arb_mat, decimal, exact, fmpq, identity
 from orbitfinder.proof.invariance import Multiple, drive
-from orbitfinder.proof.program import ScalarProgram, program
+from orbitfinder.proof.program import ScalarProgram, derived, program
 from orbitfinder.proof.series import BALLS, Recurrence, coefficients, outputs, recurrence, whole_series
 
 NUMERICAL = (
@@ -73,28 +73,38 @@ def programs(model: Model) -> Programs:
         rates += s * invariant.unfolding(q, v, p)
         check_unfolding(program(invariant.unfolding), n)
         total = invariant.value(q, v, p)
-        energy = program(ca.Function("energy", inputs, [total, ca.gradient(total, x)]))
-        mass = program(ca.Function("mass", inputs, [ca.hessian(model.kinetic(q, v, p), v)[0]]))
+        energy = derived("energy", inputs, total, lambda exact: [exact, ca.gradient(exact, x)])
+        mass = derived("mass", inputs, model.kinetic(q, v, p), lambda exact: [ca.hessian(exact, v)[0]])
     return Programs(*_with_slopes("accelerations", inputs, rates, ca.vertcat(x, s)), energy, mass)
 
 
 def _with_slopes(name: str, inputs: list[ca.SX], rates: ca.SX, by: ca.SX) -> tuple[ScalarProgram, ScalarProgram]:
     """The programs of rates, and of these with their derivatives."""
-    both = ca.Function(f"{name}_and_jacobian", inputs, [rates, ca.jacobian(rates, by)])
-    return program(ca.Function(name, inputs, [rates])), program(both)
+    both = derived(f"{name}_and_jacobian", inputs, rates, lambda exact: [exact, ca.jacobian(exact, by)])
+    return program(ca.Function(name, inputs, [rates])), both
 
 
 def _alone(model: Model, rates: ca.Function, x: ca.SX, v: ca.SX, s: ca.SX, p: ca.SX) -> Programs:
     """The programs of a first-order system: f + s grad H where f is J grad H on the graph, else f alone."""
-    inputs, rate, energy = [x, v, s, p], rates(0.0, x, p), None
-    if model.hamiltonian:
-        total = model.invariants[0].value(x, v, p)
-        slope, half = ca.gradient(total, x), x.numel() // 2
-        turned = ca.densify(ca.vertcat(slope[half:], -slope[:half]))
-        if program(ca.Function("f", inputs, [rate])) != program(ca.Function("f", inputs, [turned])):
-            raise InputError("system: its rates are not Hamilton's of its energy on their graph; use hamiltonian(...)")
-        rate, energy = rate + s * slope, program(ca.Function("energy", inputs, [total, slope]))
-    return Programs(*_with_slopes("rates", inputs, rate, ca.vertcat(x, s)), energy, None)
+    inputs, rate, by = [x, v, s, p], rates(0.0, x, p), ca.vertcat(x, s)
+    if not model.hamiltonian:
+        return Programs(*_with_slopes("rates", inputs, rate, by), None, None)
+    total, half = model.invariants[0].value(x, v, p), x.numel() // 2
+
+    def turned(slope: ca.SX) -> ca.SX:
+        return ca.densify(ca.vertcat(slope[half:], -slope[:half]))
+
+    def unfolded(exact: ca.SX) -> ca.SX:
+        slope = ca.gradient(exact, x)
+        return turned(slope) + s * slope
+
+    if program(ca.Function("f", inputs, [rate])) != program(ca.Function("f", inputs, [turned(ca.gradient(total, x))])):
+        raise InputError("system: its rates are not Hamilton's of its energy on their graph; use hamiltonian(...)")
+    return Programs(
+        derived("rates", inputs, total, lambda exact: [unfolded(exact)]),
+        derived("rates_and_jacobian", inputs, total, lambda exact: [unfolded(exact), ca.jacobian(unfolded(exact), by)]),
+        derived("energy", inputs, total, lambda exact: [exact, ca.gradient(exact, x)]), None,
+    )  # fmt: skip
 
 
 def _driven(model: Model) -> Programs:

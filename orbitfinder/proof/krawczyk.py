@@ -126,12 +126,18 @@ def krawczyk(equations: TheoremEquations, box: Vector, settings: TaylorSettings)
     arcs = arcs_over(equations, box, centre, settings)
     values = residual(equations, centre, [arc[0] for arc in arcs])
     slopes = jacobian(equations, box, [arc[1] for arc in arcs])
+    image, contraction = contracted(values, slopes, box)
+    return Krawczyk(image, box, contraction, inside(box, image), arcs)
+
+
+def contracted(values: Sequence[Any], slopes: Any, box: Vector) -> tuple[Vector, float]:
+    """K(X) and the norm of 1 - C DF(X), from F at the centre and DF over the box."""
+    centre = midpoints(box)
     inverse = exact(approximate_inverse(floats(slopes)))
     defect = exact(np.eye(len(centre))) - inverse * slopes
     moved = inverse * column(values)
     spread = defect * column([x - m for x, m in zip(box, centre, strict=True)])
-    image = [m - f + e for m, f, e in zip(centre, moved.entries(), spread.entries(), strict=True)]
-    return Krawczyk(image, box, norm(defect), inside(box, image), arcs)
+    return [m - f + e for m, f, e in zip(centre, moved.entries(), spread.entries(), strict=True)], norm(defect)
 
 
 def approximate_inverse(matrix: np.ndarray) -> np.ndarray:

@@ -2,15 +2,19 @@
 
 CasADi evaluates in floating point only; here the same graph is evaluated on balls and on power
 series with ball coefficients. The order of the operations is the graph's, so nothing is derived twice.
+
+Where CasADi differentiates it folds numbers in floating point too: of v / 3 the derivative is 0.333... rounded. What is
+differentiated for a theorem is `lifted` before, its numbers symbols.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from orbitfinder.errors import InputError
 
@@ -18,6 +22,7 @@ OPERATIONS = {
     ca.OP_ADD: "add", ca.OP_SUB: "sub", ca.OP_MUL: "mul", ca.OP_DIV: "div", ca.OP_POW: "pow", ca.OP_CONSTPOW: "pow",
     ca.OP_NEG: "neg", ca.OP_SQ: "sq", ca.OP_SIN: "sin", ca.OP_COS: "cos", ca.OP_SQRT: "sqrt", ca.OP_EXP: "exp",
     ca.OP_LOG: "log", ca.OP_TWICE: "twice", ca.OP_INV: "inv", ca.OP_TAN: "tan", ca.OP_ASSIGN: "copy",
+    ca.OP_SINH: "sinh", ca.OP_COSH: "cosh", ca.OP_TANH: "tanh",
 }  # fmt: skip
 
 
@@ -48,6 +53,13 @@ class ScalarProgram:
         return [{entry: values[value] for entry, value in result.items()} for result in self.outputs]
 
 
+    def bound(self, argument: int, numbers: Sequence[float]) -> ScalarProgram:
+        """The same with the entries of one argument filled in."""
+        filled = [(value, numbers[entry]) for value, at, entry in self.inputs if at == argument]
+        inputs = tuple(given for given in self.inputs if given[1] != argument)
+        return replace(self, constants=(*self.constants, *filled), inputs=inputs)
+
+
 @dataclass(frozen=True)
 class Ring:
     """A number type: how a float becomes one of its numbers, and its operations by name."""
@@ -71,6 +83,39 @@ def program(function: ca.Function) -> ScalarProgram:
         for i, result in ((i, graph.outputs.get(i, {})) for i in range(function.n_out()))
     )
     return ScalarProgram(graph.size, tuple(graph.constants), tuple(graph.inputs), tuple(graph.operations), outputs)
+
+
+def derived(
+    name: str, inputs: Sequence[ca.SX], expression: ca.SX, results: Callable[[ca.SX], Sequence[ca.SX]]
+) -> ScalarProgram:
+    """The program of what `results` makes of an expression, derivatives among it, none of its numbers rounded."""
+    exact, symbols, values = lifted(inputs, expression)
+    function = ca.Function(name, [*inputs, ca.vertcat(ca.SX(0, 1), *symbols)], list(results(exact)))
+    return program(function).bound(len(inputs), values)
+
+
+def lifted(inputs: Sequence[ca.SX], expression: ca.SX) -> tuple[ca.SX, list[ca.SX], list[float]]:
+    """An expression with a symbol for each of its numbers but powers of 2, the symbols, and the numbers."""
+    function = ca.Function("lifted", list(inputs), [expression])
+    register, other = dict[int, ca.SX](), [ca.SX(0)] * function.nnz_out(0)
+    symbols, values = list[ca.SX](), list[float]()
+    for k in range(function.n_instructions()):
+        code, taken, given = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
+        if code == ca.OP_OUTPUT:
+            other[given[1]] = register[taken[0]]
+        elif code == ca.OP_INPUT:
+            register[given[0]] = inputs[taken[0]].nz[taken[1]]
+        elif code == ca.OP_CONST:
+            number = float(function.instruction_constant(k))
+            register[given[0]] = ca.SX(number)
+            if abs(np.frexp(number)[0]) not in (0.0, 0.5):
+                register[given[0]] = ca.SX.sym(f"number{len(symbols)}")
+                symbols.append(register[given[0]])
+                values.append(number)
+        else:
+            act = ca.SX.unary if len(taken) == 1 else ca.SX.binary
+            register[given[0]] = act(code, *(register[slot] for slot in taken))
+    return ca.SX(function.sparsity_out(0), ca.vertcat(*other)), symbols, values
 
 
 def _entry(function: ca.Function, output: int, nonzero: int) -> int:
@@ -131,6 +176,13 @@ class _Graph:
             return self.apply("div", self.apply("sin", a), self.apply("cos", a))
         if name == "inv":
             return self.apply("div", self.constant(1.0), a)
+        if name in ("sinh", "cosh"):
+            grown, half = self.apply("exp", a), self.constant(0.5)
+            rest = self.apply("inv", grown)
+            return self.apply("mul", half, self.apply("add" if name == "cosh" else "sub", grown, rest))
+        if name == "tanh":  # 1 - 2 / (exp(2 a) + 1)
+            below = self.apply("add", self.apply("exp", self.apply("twice", a)), self.constant(1.0))
+            return self.apply("sub", self.constant(1.0), self.apply("div", self.constant(2.0), below))
         if name == "twice":
             return self.apply("mul", self.constant(2.0), a)
         if name == "mul" and a == b:

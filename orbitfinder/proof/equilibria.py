@@ -1,0 +1,510 @@
+"""Equilibria, their folds and their Hopf points proved by Krawczyk's operator, which needs no flow here.
+
+With f the rates, J = f_x, p the parameter and c numbers that fix the length of vectors, the equations are
+
+    equilibrium     f = 0                                                    in x
+    fold            f = 0,  J a = 0,  c.a = 1                                in x, a, p
+    hopf            f = 0,  J a = -kappa b,  J b = a,  c.a = 1,  c.b = 0     in x, a, b, kappa, p
+
+A zero in whose box DF is regular is the only one there. For a fold that is all: the kernel is simple, the curve turns,
+and quadratically. A Hopf point has omega^2 = kappa and q = a + i omega b; what else Hopf's theorem asks for is enclosed
+too: the other eigenvalues off the axis, d Re lambda / dp and the first Lyapunov coefficient not 0. Sources: G. Moore,
+A. Spence, SIAM J. Numer. Anal. 17 (1980) 567-576; A. Griewank, G. Reddien, IMA J. Numer. Anal. 3 (1983) 295-303; Yu.
+Kuznetsov, Elements of Applied Bifurcation Theory (2004), sections 3.4 and 5.4.
+"""
+
+from __future__ import annotations
+
+import operator
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder._runtime import __version__
+from orbitfinder._runtime.notebook import Shown, brief
+from orbitfinder.errors import InputError
+from orbitfinder.families.equilibrium import Equilibria
+from orbitfinder.families.rest_problem import state_sizes
+from orbitfinder.mechanics.kind import build_model, system_kind
+from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import parameter_sizes
+from orbitfinder.proof.balls import (
+    FLINT,
+    Vector,
+    acb,
+    acb_mat,
+    arb,
+    arb_mat,
+    decimal,
+    exact,
+    floats,
+    inside,
+    magnitude,
+    midpoints,
+    precision,
+    radius,
+)
+from orbitfinder.proof.field import NUMERICAL
+from orbitfinder.proof.krawczyk import approximate_inverse, contracted
+from orbitfinder.proof.program import Ring, ScalarProgram, derived
+from orbitfinder.proof.record import DIGITS, MARGIN, close, enclosure, holds, holds_each
+from orbitfinder.proof.series import BALLS
+from orbitfinder.proof.theorem import NotProved, Options, Progress
+from orbitfinder.proof.trajectory import positive_definite
+from orbitfinder.records.codec import Codec
+
+BITS, NEWTON, SHARPER = 160, 12, 20
+"""Precision; Newton's steps to a centre; how often the operator is applied to its own image"""
+BOXES = np.logspace(-2, -14, 13)
+"""Half widths of the boxes that are tried, in the sizes of the unknowns"""
+LEAST = 1e-30
+"""Recorded balls are wider than this share of what they are measured in, which another start's round-off stays below"""
+COMPLEX = Ring(acb, BALLS.functions)
+PROVABLE = ("fold", "hopf")
+"""Events that are proved; others are left out"""
+
+
+@dataclass(frozen=True)
+class ProvedRest(Shown):
+    """What was proved of an equilibrium, a fold or a Hopf point, or why nothing was. Balls are {"value", "radius"}.
+
+    Args:
+        kind: equilibrium | fold | hopf.
+        index: of the point or the event in the equilibria.
+        proved: whether all was.
+        reason: why not.
+        radius: of the box that holds one alone, in the sizes of the unknowns.
+        contraction: a bound of the norm of 1 - C DF over it.
+        value: of the parameter.
+        state: x (d).
+        eigenvalues: (re, im) of each, of J.
+        stability: asymptotically stable | unstable | stable (by its energy) | open, of equilibria.
+        vector: numbers a with c = a / a.a.
+        known: of a Hopf point its frequency (rad/s), crossing d Re lambda / dp and lyapunov.
+        criticality: supercritical | subcritical.
+    """
+
+    __repr__ = brief("kind", "index", "proved", "reason", "radius")
+    _sparse = ("reason", "vector", "known", "criticality")
+
+    kind: str
+    index: int
+    proved: bool = False
+    reason: str = ""
+    radius: float = 0.0
+    contraction: float = 0.0
+    value: Mapping[str, Any] | None = None
+    state: tuple[Mapping[str, Any], ...] = ()
+    eigenvalues: tuple[tuple[Mapping[str, Any], ...], ...] = ()
+    stability: str = ""
+    vector: tuple[float, ...] = ()
+    known: Mapping[str, Any] | None = None
+    criticality: str = ""
+
+
+@dataclass(frozen=True)
+class ProvedEquilibria(Shown):
+    """An equilibria-proof.json: what was proved of the points and the events of an equilibria.json.
+
+    Args:
+        name: of the equilibria.
+        system: plain description that rebuilds the model.
+        parameter: that they were followed in.
+        parts: of each point, then of each fold and Hopf point.
+        wall_time: s.
+    """
+
+    __repr__ = brief("name", "parameter", "proved")
+    _entries = (..., "wall_time", "versions", "parts")
+
+    name: str
+    system: Mapping[str, Any]
+    parameter: str
+    parts: tuple[ProvedRest, ...] = ()
+    wall_time: float = 0.0
+
+    @property
+    def proved(self) -> bool:
+        """Whether everything was."""
+        return bool(self.parts) and all(part.proved for part in self.parts)
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """What it was made by."""
+        return {"orbitfinder": __version__, "python-flint": FLINT}
+
+
+CODEC = Codec(ProvedEquilibria, "equilibria-proof", "`orbitfinder prove`", "prove the equilibria again")
+
+
+class _Rest:
+    """Everything about the rest of a model that is evaluated on balls, as programs in its states and parameters."""
+
+    def __init__(self, model: Model, parameter: str) -> None:
+        if not model.smooth or model.forced or model.constraint is not None:
+            raise InputError("system: equilibria are proved of smooth autonomous systems without constraints only")
+        if not model.scalar:
+            raise InputError(NUMERICAL)
+        self.model, self.size, self.at = model, len(model.state_names), model.parameter_index(parameter)
+        d, p = self.size, ca.SX.sym("p", len(model.parameter_values))
+        x, a, b, c, u, v, z, y = (ca.SX.sym(name, d) for name in "xabcuvzy")
+        kappa, value, rate = ca.SX.sym("kappa"), p[self.at], ca.densify(model.rate(0.0, x, p))
+
+        def forms(inputs: Sequence[ca.SX], results: Callable[[ca.SX], Sequence[ca.SX]]) -> ScalarProgram:
+            return derived("rest", [*inputs, p], rate, results)
+
+        def zero(of: Callable[[ca.SX], ca.SX], by: ca.SX) -> ScalarProgram:
+            return forms([x, a, b, kappa, c], lambda f: [ca.densify(of(f)), ca.jacobian(of(f), by)])
+
+        def fold(f: ca.SX) -> ca.SX:
+            return ca.vertcat(f, ca.jtimes(f, x, a), ca.dot(c, a) - 1.0)
+
+        def hopf(f: ca.SX) -> ca.SX:
+            first, second = ca.jtimes(f, x, a) + kappa * b, ca.jtimes(f, x, b) - a
+            return ca.vertcat(f, first, second, ca.dot(c, a) - 1.0, ca.dot(c, b))
+
+        def bent(f: ca.SX) -> ca.SX:
+            return ca.jtimes(ca.jtimes(f, x, u), x, v)
+
+        self.zeros = {
+            "equilibrium": zero(lambda f: f, x), "fold": zero(fold, ca.vertcat(x, a, value)),
+            "hopf": zero(hopf, ca.vertcat(x, a, b, kappa, value)),
+        }  # fmt: skip
+        self.first = forms([x], lambda f: [ca.jacobian(f, x), ca.jacobian(f, value)])
+        vectors, both, away = [x, u, v, z, y], ca.vertcat(x, value), ca.vertcat(y, 1.0)
+        self.second = forms(vectors, lambda f: [ca.densify(bent(f))])
+        self.third = forms(vectors, lambda f: [ca.densify(ca.jtimes(bent(f), x, z))])
+        self.moving = forms(vectors, lambda f: [ca.densify(ca.jtimes(ca.jtimes(f, x, u), both, away))])
+        self.energy = None
+        if model.canonical and model.conservative:
+            n = model.degrees_of_freedom if model.rates is None else d
+            energy = next(each for each in model.invariants if each.generator is None).value(x[:n], x[n:], p)
+            self.energy = derived("bend", [x, p], energy, lambda exact: [ca.hessian(exact, x)[0]])
+
+    def parameters(self, value: Any) -> Vector:
+        """All of them as the decimals that they are written as, but for the one."""
+        every = [decimal(float(number)) for number in self.model.parameter_values]
+        every[self.at] = value
+        return every
+
+    def matrix(self, entries: Mapping[int, Any], rows: int, columns: int) -> Any:
+        """A matrix from its column-major entries."""
+        return arb_mat(rows, columns, [entries.get(i + rows * j, arb(0)) for i in range(rows) for j in range(columns)])
+
+    def slopes(self, x: Vector, p: Vector) -> tuple[Any, Vector]:
+        """J and f_p."""
+        jacobian, by_value = self.first.run([x, p], BALLS)
+        d = self.size
+        return self.matrix(jacobian, d, d), [by_value.get(i, arb(0)) for i in range(d)]
+
+    def complex(self, code: Any, x: Vector, p: Vector, *given: Any) -> list[Any]:
+        """A form (d) of complex vectors u, v, z, y."""
+        zero = [acb(0)] * self.size
+        vectors = [list(vector.entries()) for vector in given] + [zero] * (4 - len(given))
+        entries = code.run([list(map(acb, x)), *vectors, list(map(acb, p))], COMPLEX)[0]
+        return [entries.get(i, acb(0)) for i in range(self.size)]
+
+
+@dataclass(frozen=True)
+class _Zero:
+    """Rows and unknowns of one theorem: (x), (x, a, value) or (x, a, b, kappa, value), `c` and the sizes of these."""
+
+    rest: _Rest
+    kind: str
+    c: Vector
+    fixed: Any
+    sizes: np.ndarray
+
+    def parts(self, w: Vector) -> tuple[Vector, Vector, Vector, Any, Any]:
+        """x, a, b, kappa, the parameter."""
+        d, none = self.rest.size, [arb(0)] * self.rest.size
+        if self.kind == "equilibrium":
+            return w, none, none, arb(0), self.fixed
+        if self.kind == "fold":
+            return w[:d], w[d : 2 * d], none, arb(0), w[-1]
+        return w[:d], w[d : 2 * d], w[2 * d : 3 * d], w[-2], w[-1]
+
+    def unknowns(self, u: Vector) -> Vector:
+        """Those that are so many of their sizes."""
+        return [number * float(size) for number, size in zip(u, self.sizes, strict=True)]
+
+    def evaluated(self, u: Vector) -> tuple[Vector, Any]:
+        """F and its derivatives by the unknowns in their sizes."""
+        x, a, b, kappa, value = self.parts(self.unknowns(u))
+        rows, slopes = self.rest.zeros[self.kind].run([x, a, b, [kappa], self.c, self.rest.parameters(value)], BALLS)
+        matrix = self.rest.matrix(slopes, len(u), len(u)) * exact(np.diag(self.sizes))
+        return [rows.get(i, arb(0)) for i in range(len(u))], matrix
+
+    def proved(self, start: np.ndarray) -> tuple[Vector, float, float]:
+        """The zero's balls, the radius of the box that holds no other, and the contraction. Raises `NotProved`."""
+        here = [arb(float(number)) for number in start / self.sizes]
+        for _ in range(NEWTON):
+            values, slopes = self.evaluated(here)
+            step = (exact(approximate_inverse(floats(slopes))) * arb_mat(len(values), 1, midpoints(values))).entries()
+            here = midpoints([x - dx for x, dx in zip(here, step, strict=True)])
+        if not all(x.is_finite() for x in here):
+            raise NotProved("Newton's steps lead nowhere from the record")
+        values, best = self.evaluated(here)[0], np.inf
+        for size in BOXES:
+            box = [x + arb(0, float(size)) for x in here]
+            image, contraction = contracted(values, self.evaluated(box)[1], box)
+            best = min(best, contraction)
+            if inside(box, image):
+                return self.unknowns(self._sharp(image)), float(size), contraction
+        raise NotProved(
+            f"the interval Newton operator maps no box into itself; contraction {best:.3g}: it may be singular"
+        )
+
+    def _sharp(self, box: Vector) -> Vector:
+        """The same zero, enclosed by the operator's images of its images."""
+        for _ in range(SHARPER):
+            image = contracted(self.evaluated(midpoints(box))[0], self.evaluated(box)[1], box)[0]
+            if radius(image) > 0.5 * radius(box):
+                break
+            box = image
+        return box
+
+
+def provable_rest(equilibria: Equilibria | ProvedEquilibria, trusted: Path | None = None) -> Model:
+    """The Model of equilibria; of a chain in the formulation with the fewest operations."""
+    quick = {"formulation": "recursive"} if system_kind(equilibria.system).pendulum else {}
+    return build_model({**equilibria.system, **quick}, trusted)
+
+
+@dataclass(frozen=True)
+class _Stated:
+    """What is to be proved: a kind, its number, about which state and value of the parameter; of folds and Hopf points
+    c (d, to be chosen where it is not known), of these the frequency."""
+
+    kind: str
+    index: int
+    state: np.ndarray
+    value: float
+    c: tuple[float, ...] = ()
+    frequency: float = float("nan")
+
+
+def prove_equilibria(
+    equilibria: Equilibria, model: Model | None = None, progress: Progress | None = None
+) -> ProvedEquilibria:
+    """The proof that each equilibrium, fold and Hopf point exists, or why there is none. Needs the extra `[proof]`.
+
+    In a box about each there is exactly one zero of f = 0, or of f = 0 with the eigenvectors that make it singular;
+    eigenvalues, stability, frequency, crossing and first Lyapunov coefficient are enclosed.
+
+    Args:
+        equilibria: what is to be proved.
+        model: needed only for systems that no file describes.
+        progress: called with what is being done.
+
+    Returns:
+        ProvedEquilibria: of each point, fold and Hopf point `proved`, `reason`, enclosures.
+
+    Raises:
+        InputError: for curves in two parameters, and systems whose equations cannot be enclosed.
+
+    Examples:
+        >>> proof = of.prove_equilibria(equilibria)
+        >>> proof.proved, proof.parts[-1].criticality
+        (True, 'supercritical')
+    """
+    if equilibria.curve:
+        raise InputError("equilibria: curves in two parameters are not proved; give equilibria along one parameter")
+    points = [_Stated("equilibrium", k, point.state, point.value) for k, point in enumerate(equilibria.points)]
+    events = [
+        _Stated(event.kind, k, event.state, event.parameter, (), event.frequency)
+        for k, event in enumerate(equilibria.events) if event.kind in PROVABLE
+    ]  # fmt: skip
+    empty = ProvedEquilibria(equilibria.name, equilibria.system, equilibria.parameter)
+    return _concluded(empty, model or provable_rest(equilibria), [*points, *events], progress, MARGIN, DIGITS)
+
+
+def replay_equilibria(
+    recorded: ProvedEquilibria, model: Model | None = None, progress: Progress | None = None
+) -> tuple[ProvedEquilibria, list[str]]:
+    """The proof done again from its record alone, and every recorded claim that it does not prove."""
+    claims = [part for part in recorded.parts if part.proved]
+    stated = []
+    for part in claims:
+        try:
+            state, value = [float(ball["value"]) for ball in part.state], float((part.value or {})["value"])
+            frequency = float(((part.known or {}).get("frequency") or {"value": "nan"})["value"])
+        except (KeyError, TypeError, ValueError):
+            state, value, frequency = [], 0.0, 0.0
+        stated.append(_Stated(part.kind, part.index, np.array(state), value, part.vector, frequency))
+    fresh = _concluded(recorded, model or provable_rest(recorded), stated, progress, 1.0, 2 * DIGITS)
+    wrong = []
+    for old, new in zip(claims, fresh.parts, strict=True):
+        faults = [name for name, same in COMPARED.items() if not same(getattr(old, name), getattr(new, name))]
+        said = new.reason if not new.proved else f"{', '.join(faults)}: recorded otherwise" if faults else ""
+        wrong += [f"{old.kind} {old.index}: {said}"] if said else []
+    return fresh, wrong
+
+
+def _concluded(
+    about: ProvedEquilibria, model: Model, stated: Sequence[_Stated], progress: Progress | None, *written: Any
+) -> ProvedEquilibria:
+    """What can be proved of each, its balls `written` with a margin and so many digits."""
+    began, say, parts = time.perf_counter(), progress or (lambda line: None), list[ProvedRest]()
+    with precision(BITS):
+        rest = _Rest(model, about.parameter)
+        for what in stated:
+            part = ProvedRest(what.kind, what.index)
+            try:
+                part = _part(rest, what, *written)
+            except (NotProved, ZeroDivisionError, ValueError) as error:
+                part = replace(part, reason=str(error))
+            parts.append(part)
+            say(f"{part.kind} {part.index}: {'proved' if part.proved else f'not proved: {part.reason}'}")
+    return replace(about, parts=tuple(parts), wall_time=round(time.perf_counter() - began, 1))
+
+
+def _part(rest: _Rest, what: _Stated, margin: float, digits: int) -> ProvedRest:
+    """An equilibrium, a fold or a Hopf point, proved. Raises `NotProved`."""
+    model, d = rest.model, rest.size
+    if what.kind not in rest.zeros or what.state.shape != (d,) or (what.c and len(what.c) != d):
+        raise NotProved("the record does not fit its system")
+    sizes = state_sizes(model, np.abs(what.state))
+    size = parameter_sizes(model, [model.parameter_names[rest.at]], np.array([what.value]))
+    x, fixed = [arb(float(number)) for number in what.state], decimal(what.value)
+    zero = _begun(rest, what, sizes, size, floats(rest.slopes(x, rest.parameters(fixed))[0]))
+    balls, box, contraction = zero[0].proved(zero[1])
+    x, a, b, kappa, value = zero[0].parts(balls)
+    apart = [(ball - float(number)) / float(unit) for ball, number, unit in zip(x, what.state, sizes, strict=True)]
+    distance = magnitude([*apart, (value - fixed) / float(size[0])])
+    if not distance <= Options.nearness:
+        raise NotProved(f"there is such a {what.kind}, but not within {Options.nearness:g} of the record: up to "
+                        f"{distance:.3g} away, in the sizes of the state and the parameter")  # fmt: skip
+    jacobian, by_value = rest.slopes(x, rest.parameters(value))
+    values, isolated = _eigenvalues(jacobian)
+
+    def wide(ball: Any, unit: float = 0.0) -> dict[str, Any]:
+        unit = unit or float(abs(ball.mid()))
+        return enclosure(ball + arb(0, (margin - 1.0) * LEAST * unit), digits, margin)
+
+    pace = max((float(abs(number).mid()) for number in values), default=0.0)
+    part = ProvedRest(
+        what.kind, what.index, True, "", box, contraction, wide(value, float(size[0])),
+        tuple(wide(ball, float(unit)) for ball, unit in zip(x, sizes, strict=True)),
+        tuple((wide(number.real, pace), wide(number.imag, pace)) for number in values), vector=tuple(zero[0].c),
+    )  # fmt: skip
+    if what.kind == "equilibrium":
+        return replace(part, stability=_stability(rest, values, x, value), vector=())
+    if what.kind == "fold":
+        return part
+    if not kappa > 0:
+        raise NotProved("the two eigenvalues with sum 0 could be real: a neutral saddle")
+    others = [number for number in values if not number.real.contains(0)]
+    if not isolated or len(others) != d - 2:
+        raise NotProved("another eigenvalue could be on the imaginary axis")
+    omega = kappa.sqrt()
+    q = acb_mat(d, 1, [acb(re, omega * im) for re, im in zip(a, b, strict=True)])
+    crossing, lyapunov = _normal_form(rest, x, rest.parameters(value), jacobian, by_value, q, omega, zero[0].c)
+    for ball, name in ((crossing, "speed d Re lambda / dp"), (lyapunov, "first Lyapunov coefficient")):
+        if ball.contains(0):
+            raise NotProved(f"its {name} could be 0: {ball.str(5)}")
+    known = {"frequency": wide(omega), "crossing": wide(crossing), "lyapunov": wide(lyapunov)}
+    return replace(part, known=known, criticality="supercritical" if lyapunov < 0 else "subcritical")
+
+
+def _begun(
+    rest: _Rest, what: _Stated, sizes: np.ndarray, size: np.ndarray, slopes: np.ndarray
+) -> tuple[_Zero, np.ndarray]:
+    """The theorem's equations about what is stated, and where Newton's steps begin."""
+    x, value = what.state, what.value
+    if what.kind == "equilibrium":
+        return _Zero(rest, what.kind, [0.0] * x.size, decimal(value), sizes), x
+    scaled = slopes * sizes / sizes[:, None]
+    c, omega = np.array(what.c), what.frequency
+    if what.kind == "fold":
+        c = c if c.size else np.linalg.svd(scaled)[2][-1] / sizes
+        start, units = [*x, *(c * sizes**2 / np.sum((c * sizes) ** 2)), value], [*sizes, *sizes, *size]
+    else:
+        if not c.size:
+            values, vectors = np.linalg.eig(scaled)
+            q = vectors[:, np.argmin(np.abs(values - 1j * omega))]
+            q = q * np.exp(-0.5j * np.angle(np.sum(q**2)))  # the longest real part, across the imaginary one
+            c = q.real / np.sum(q.real**2) / sizes
+        a = c * sizes**2 / np.sum((c * sizes) ** 2)
+        start = [*x, *a, *np.linalg.solve(slopes, a), omega**2, value]
+        units = [*sizes, *sizes, *sizes / omega, omega**2, *size]
+    return _Zero(rest, what.kind, [float(number) for number in c], None, np.array(units)), np.array(start)
+
+
+def _eigenvalues(matrix: Any) -> tuple[list[Any], bool]:
+    """Balls that hold all eigenvalues, and whether each holds one alone."""
+    try:
+        return list(acb_mat(matrix).eig(algorithm="rump")), True
+    except ValueError:
+        return list(acb_mat(matrix).eig(multiple=True, algorithm="rump")), False
+
+
+def _stability(rest: _Rest, values: Sequence[Any], x: Vector, value: Any) -> str:
+    """By the eigenvalues (Lyapunov's first method), or where these are on the axis by the energy, which is a Lyapunov
+    function where its second derivatives are definite."""
+    if all(number.real < 0 for number in values):
+        return "asymptotically stable"
+    if any(number.real > 0 for number in values):
+        return "unstable"
+    if rest.energy is not None:
+        bend = rest.matrix(rest.energy.run([x, rest.parameters(value)], BALLS)[0], rest.size, rest.size)
+        if positive_definite(bend) or positive_definite(-bend):
+            return "stable"
+    return "open"
+
+
+def _normal_form(
+    rest: _Rest, x: Vector, p: Vector, jacobian: Any, by_value: Vector, q: Any, omega: Any, c: Sequence[float]
+) -> tuple[Any, Any]:
+    """d Re lambda / dp and the first Lyapunov coefficient of a Hopf point, <q, q> = <p, q> = 1.
+
+    The left vector w, (J - i omega)^T w = 0, is that of the bordered equations (J - i omega)^T w + c mu = 0, q0.w = 1
+    with q0 near q: times q^T they say that mu = 0, because c.q = 1.
+    """
+    d, turn, matrix = rest.size, acb(0, omega), acb_mat(jacobian)
+    shifted = (matrix - turn * acb_mat(d, d, [float(i == j) for i in range(d) for j in range(d)])).transpose().tolist()
+    last = [entry.mid() for entry in q.entries()]
+    rows = [[*row, acb(number)] for row, number in zip(shifted, c, strict=True)] + [[*last, acb(0)]]
+    w = acb_mat(rows).solve(acb_mat(d + 1, 1, [0] * d + [1])).entries()[:d]
+
+    def along(vector: Sequence[Any]) -> Any:
+        return sum((left * right for left, right in zip(w, vector, strict=True)), acb(0))
+
+    def solved(of: Any, right: Sequence[Any]) -> Any:
+        return of.solve(acb_mat(d, 1, list(right)))
+
+    weight, squared = along(q.entries()), sum((abs(entry) ** 2 for entry in q.entries()), arb(0))
+    conjugate = acb_mat(d, 1, [entry.conjugate() for entry in q.entries()])
+    zero = acb_mat(d, 1)
+    away = solved(matrix, [-acb(number) for number in by_value])
+    crossing = (along(rest.complex(rest.moving, x, p, q, zero, zero, away)) / weight).real
+    mean = solved(matrix, rest.complex(rest.second, x, p, q, conjugate))
+    unit = acb_mat(d, d, [float(i == j) for i in range(d) for j in range(d)])
+    double = solved(2 * turn * unit - matrix, rest.complex(rest.second, x, p, q, q))
+    cubic = rest.complex(rest.third, x, p, q, q, conjugate)
+    straight, swinging = (rest.complex(rest.second, x, p, *pair) for pair in ((q, mean), (conjugate, double)))
+    whole = along(cubic) - 2 * along(straight) + along(swinging)
+    return crossing, (whole / weight).real / (2 * omega * squared)
+
+
+def _named(recorded: Mapping[str, Any] | None, fresh: Mapping[str, Any] | None) -> bool:
+    """Whether every named ball is inside the recorded one."""
+    old, new = recorded or {}, fresh or {}
+    return old.keys() == new.keys() and all(holds(old[key], new[key]) for key in new)
+
+
+COMPARED: dict[str, Callable[[Any, Any], bool]] = {
+    **dict.fromkeys(("kind", "index", "stability", "criticality", "vector"), operator.eq),
+    "radius": lambda old, new: 0 < old <= new * (1 + 1e-6),
+    "contraction": close,
+    "value": holds,
+    "state": lambda old, new: holds(list(old), list(new)),
+    "eigenvalues": lambda old, new: holds_each([*map(list, old)], [*map(list, new)]),
+    "known": _named,
+}
+"""What a replay compares, and how"""
