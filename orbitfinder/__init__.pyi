@@ -81,6 +81,7 @@ from .orbits.sweep import sweep as sweep
 from .problemfile.auto import from_auto as from_auto
 from .problemfile.read import load_problem as load_problem
 from .problemfile.xpp import from_xpp as from_xpp
+from .proof.equilibria import prove_equilibria as prove_equilibria
 from .proof.theorem import prove as prove
 from .records.certificate import Certificate as Certificate
 from .records.family import Family as Family

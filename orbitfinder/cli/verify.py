@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from decimal import Decimal
 from functools import partial
+from math import log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +36,7 @@ from orbitfinder.records.registry import answer, held, kind_of, load, load_orbit
 
 if TYPE_CHECKING:
     from orbitfinder.proof.branch import ProvedBranch
+    from orbitfinder.proof.equilibria import ProvedEquilibria
     from orbitfinder.proof.theorem import Options, Proof, RefinedOrbit
     from orbitfinder.records.family import Family
     from orbitfinder.records.orbit import Orbit
@@ -58,11 +62,12 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
       orbitfinder verify families/triple-mode-2/family.json#17
       orbitfinder verify families/triple-mode-2/family.json
       orbitfinder verify --proof families/triple-mode-2/branch-proof.json
+      orbitfinder verify --proof equilibria/wing-flutter/equilibria-proof.json
     """
-    results = []
+    results, replays = [], {"branch-proof": verify_branch, "equilibria-proof": verify_rest}
     for file in (part for given in files for part in _each(given)):
-        if proof and held(file)[0] == "branch-proof":
-            results.append({"file": str(file)} | verify_branch(file, trust))
+        if proof and (replay := replays.get(held(file)[0])):
+            results.append({"file": str(file)} | replay(file, trust))
             text(f"{file}: {results[-1]['message']}")
             continue
         results.append(verified(file, trust))
@@ -164,14 +169,20 @@ def prove(
     Needs the extra `proof` (python-flint). A proof encloses the orbit, its minimal period and its
     multipliers, and is recorded in the file. Exit code 0: all proved; 1: some not, with the reason.
     FILE#K is orbit K of an atlas, or point K of a family.json, counted from 0, whose proof is not recorded; an atlas
-    stands for all of its orbits that have no proof yet.
+    stands for all of its orbits that have no proof yet. Of an equilibria.json all points, folds and Hopf points are
+    proved, into an equilibria-proof.json beside it.
 
     \b
     Examples:
       orbitfinder prove orbits/triple-1/orbit.json
       orbitfinder prove orbits/*/orbit.json --no-record --json
       orbitfinder prove families/triple-mode-2/family.json --from -37.516219 --to -37.516209
+      orbitfinder prove equilibria/wing-flutter/equilibria.json
     """
+    resting = [file for file in files if file.is_file() and kind_of(file) == "equilibria"]
+    if resting:
+        _prove_rest(files, resting, record, trust, given | {"from": low, "to": high, "shard": shard})
+        return
     if low is not None or high is not None:
         _prove_branch(files, low, high, record, trust, given)
         return
@@ -282,6 +293,68 @@ def _prove_branch(
     _print_branch(f"{file} ({family.name})", branch)
     missed = [passage for passage in branch.passages if not passage.proved]
     finish("proof", {"passed": branch.proved and not missed} | branch_document(branch), branch.proved and not missed)
+
+
+def _prove_rest(files: tuple[Path, ...], resting: list[Path], record: bool, trust: bool, given: dict[str, Any]) -> None:
+    """`prove EQUILIBRIA.json ...`."""
+    from orbitfinder.families.equilibrium import load_equilibria
+    from orbitfinder.proof.equilibria import CODEC, provable_rest, prove_equilibria
+
+    unused = [name for name, value in given.items() if value is not None]
+    if unused:
+        raise InputError(f"--{unused[0]}: is for orbits and families; equilibria are proved whole, leave it out")
+    if len(resting) < len(files):
+        raise InputError("FILE: equilibria and others together; prove them by a command each")
+    results = []
+    for file in resting:
+        equilibria = load_equilibria(file)
+        if record:
+            check_writable(file.parent, "--record")
+        proof = prove_equilibria(equilibria, provable_rest(equilibria, trusted(file, trust)), note)
+        interrupt.check()
+        if record and any(part.proved for part in proof.parts):
+            CODEC.save(proof, file.with_name(f"{file.stem}-proof.json"))
+        _print_rest(f"{file} ({proof.name})", proof)
+        results.append({"file": str(file), "proved": proof.proved} | entries_of(proof))
+    passed = all(result["proved"] for result in results)
+    finish("proof", {"passed": passed, "results": results}, passed)
+
+
+def _print_rest(heading: str, proof: ProvedEquilibria) -> None:
+    """How many points are proved and what of each event."""
+    points = [part for part in proof.parts if not part.event]
+    verdicts = Counter(part.stability for part in points if part.proved)
+    said = ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items())
+    text(f"{heading}: {verdicts.total()} of {plural(len(points), 'point')} proved in "
+         f"{proof.wall_time:.1f} s{f': {said}' if said else ''}")  # fmt: skip
+    for part in proof.parts:
+        if not part.proved:
+            text(f"  {part.place}: not proved: {part.reason}")
+        elif part.event and part.value:
+            known = {proof.parameter: part.value} | dict(part.known or {})
+            numbers = ", ".join(f"{name} {_shown(ball)}" for name, ball in known.items())
+            said = f"{part.criticality} proved".strip()
+            text(f"  {part.place}: {said}, alone within {part.radius:.0e} of its sizes; {numbers}")
+
+
+def _shown(ball: Mapping[str, Any]) -> str:
+    """A recorded ball with its digits."""
+    value, within = float(ball["value"]), float(ball["radius"])
+    places = 18 if not within else max(min(18, int(log10(abs(value) / within)) if value else 1), 1)
+    return f"{Decimal(ball['value']):.{places}g} +/- {within:.0e}"
+
+
+def verify_rest(file: Path, trust: bool = False) -> dict[str, Any]:
+    """Replay a recorded proof of equilibria: `passed`, and `message`, a sentence."""
+    from orbitfinder.proof.equilibria import CODEC, provable_rest, replay_equilibria
+
+    recorded = CODEC.load(file)
+    again, wrong = replay_equilibria(recorded, provable_rest(recorded, trusted(file, trust)), note)
+    if wrong:
+        return {"passed": False, "message": f"proof REJECTED: {'; '.join(wrong)}"}
+    events = [part for part in again.parts if part.event]
+    what = f"{plural(len(again.parts) - len(events), 'point')}, {plural(len(events), 'event')}"
+    return {"passed": True, "message": f"proof replayed in {again.wall_time:.1f} s: proved, {what}"}
 
 
 def _print_branch(heading: str, branch: ProvedBranch) -> None:

@@ -6,7 +6,7 @@ With f the rates, J = f_x, p the parameter and c numbers that fix the length of 
     fold            f = 0,  J a = 0,  c.a = 1                                in x, a, p
     hopf            f = 0,  J a = -kappa b,  J b = a,  c.a = 1,  c.b = 0     in x, a, b, kappa, p
 
-A zero in whose box DF is regular is the only one there. For a fold that is all: the kernel is simple, the curve turns,
+A zero in whose box DF is regular is alone there. For a fold that is all: the kernel is simple, the curve turns,
 and quadratically. A Hopf point has omega^2 = kappa and q = a + i omega b; what else Hopf's theorem asks for is enclosed
 too: the other eigenvalues off the axis, d Re lambda / dp and the first Lyapunov coefficient not 0. Sources: G. Moore,
 A. Spence, SIAM J. Numer. Anal. 17 (1980) 567-576; A. Griewank, G. Reddien, IMA J. Numer. Anal. 3 (1983) 295-303; Yu.
@@ -19,8 +19,9 @@ import operator
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import casadi as ca
 import numpy as np
@@ -58,15 +59,11 @@ from orbitfinder.proof.theorem import NotProved, Options, Progress
 from orbitfinder.proof.trajectory import positive_definite
 from orbitfinder.records.codec import Codec
 
-BITS, NEWTON, SHARPER = 160, 12, 20
-"""Precision; Newton's steps to a centre; how often the operator is applied to its own image"""
-BOXES = np.logspace(-2, -14, 13)
-"""Half widths of the boxes that are tried, in the sizes of the unknowns"""
-LEAST = 1e-30
-"""Recorded balls are wider than this share of what they are measured in, which another start's round-off stays below"""
-COMPLEX = Ring(acb, BALLS.functions)
-PROVABLE = ("fold", "hopf")
-"""Events that are proved; others are left out"""
+BITS, NEWTON, SHARPER, LEAST = 160, 12, 20, 1e-30
+"""Precision; Newton's steps to a centre; how often the operator is applied to its own image; recorded balls are wider
+than this share of what they are measured in, which another start's round-off stays below"""
+BOXES, COMPLEX = np.logspace(-2, -14, 13), Ring(acb, BALLS.functions)
+"""Half widths of the boxes that are tried, in the sizes of the unknowns; complex balls"""
 
 
 @dataclass(frozen=True)
@@ -74,11 +71,11 @@ class ProvedRest(Shown):
     """What was proved of an equilibrium, a fold or a Hopf point, or why nothing was. Balls are {"value", "radius"}.
 
     Args:
-        kind: equilibrium | fold | hopf.
+        event: fold | hopf, of a point "".
         index: of the point or the event in the equilibria.
         proved: whether all was.
         reason: why not.
-        radius: of the box that holds one alone, in the sizes of the unknowns.
+        radius: of the box that holds it alone, in the sizes of the unknowns.
         contraction: a bound of the norm of 1 - C DF over it.
         value: of the parameter.
         state: x (d).
@@ -89,10 +86,10 @@ class ProvedRest(Shown):
         criticality: supercritical | subcritical.
     """
 
-    __repr__ = brief("kind", "index", "proved", "reason", "radius")
+    __repr__ = brief("event", "index", "proved", "reason", "radius")
     _sparse = ("reason", "vector", "known", "criticality")
 
-    kind: str
+    event: str
     index: int
     proved: bool = False
     reason: str = ""
@@ -105,6 +102,11 @@ class ProvedRest(Shown):
     vector: tuple[float, ...] = ()
     known: Mapping[str, Any] | None = None
     criticality: str = ""
+
+    @property
+    def place(self) -> str:
+        """What it is, and its number, for messages."""
+        return f"{self.event or 'equilibrium'} {self.index}"
 
 
 @dataclass(frozen=True)
@@ -139,7 +141,8 @@ class ProvedEquilibria(Shown):
         return {"orbitfinder": __version__, "python-flint": FLINT}
 
 
-CODEC = Codec(ProvedEquilibria, "equilibria-proof", "`orbitfinder prove`", "prove the equilibria again")
+CODEC, PLACES = Codec(ProvedEquilibria, "equilibria-proof", "`orbitfinder prove`", "prove it again"), (MARGIN, DIGITS)
+read_proof = CODEC.load
 
 
 class _Rest:
@@ -172,7 +175,7 @@ class _Rest:
             return ca.jtimes(ca.jtimes(f, x, u), x, v)
 
         self.zeros = {
-            "equilibrium": zero(lambda f: f, x), "fold": zero(fold, ca.vertcat(x, a, value)),
+            "": zero(lambda f: f, x), "fold": zero(fold, ca.vertcat(x, a, value)),
             "hopf": zero(hopf, ca.vertcat(x, a, b, kappa, value)),
         }  # fmt: skip
         self.first = forms([x], lambda f: [ca.jacobian(f, x), ca.jacobian(f, value)])
@@ -187,7 +190,7 @@ class _Rest:
             self.energy = derived("bend", [x, p], energy, lambda exact: [ca.hessian(exact, x)[0]])
 
     def parameters(self, value: Any) -> Vector:
-        """All of them as the decimals that they are written as, but for the one."""
+        """All of them as the decimals that they are written as, but for that."""
         every = [decimal(float(number)) for number in self.model.parameter_values]
         every[self.at] = value
         return every
@@ -211,23 +214,78 @@ class _Rest:
 
 
 @dataclass(frozen=True)
-class _Zero:
-    """Rows and unknowns of one theorem: (x), (x, a, value) or (x, a, b, kappa, value), `c` and the sizes of these."""
+class Slopes:
+    """J and f_p at an equilibrium, in balls."""
+
+    jacobian: Any
+    by_value: Vector
+
+    @cached_property
+    def _eigenvalues(self) -> tuple[list[Any], bool]:
+        try:
+            return list(acb_mat(self.jacobian).eig(algorithm="rump")), True
+        except ValueError:
+            return list(acb_mat(self.jacobian).eig(multiple=True, algorithm="rump")), False
+
+    @property
+    def values(self) -> list[Any]:
+        """Balls that hold all eigenvalues."""
+        return self._eigenvalues[0]
+
+    @property
+    def isolated(self) -> bool:
+        """Whether each of them holds a single eigenvalue."""
+        return self._eigenvalues[1]
+
+
+Wide = Callable[..., dict[str, Any]]
+"""How a ball is recorded"""
+
+
+@dataclass(frozen=True)
+class _Claim:
+    """What is to be proved: an event or "", its number, about which state and value of the parameter; of events c (d;
+    chosen where it is not known), of Hopf points the frequency."""
+
+    event: str
+    index: int
+    state: np.ndarray
+    value: float
+    c: tuple[float, ...] = ()
+    frequency: float = float("nan")
+
+
+class _Near(NamedTuple):
+    """The sizes of a state (d) and of the parameter (1), and the slopes (d x d) there."""
+
+    sizes: np.ndarray
+    size: np.ndarray
+    slopes: np.ndarray
+
+
+@dataclass(frozen=True)
+class _RestTheorem:
+    """The theorem about a point: rows and unknowns, the sizes of these, where Newton's steps begin, what follows."""
 
     rest: _Rest
-    kind: str
-    c: Vector
-    fixed: Any
+    stated: _Claim
     sizes: np.ndarray
+    start: np.ndarray
+    c: np.ndarray
+
+    @classmethod
+    def about(cls, rest: _Rest, what: _Claim, near: _Near) -> Self:
+        """Of what is stated."""
+        return cls(rest, what, near.sizes, what.state, np.zeros(rest.size))
 
     def parts(self, w: Vector) -> tuple[Vector, Vector, Vector, Any, Any]:
         """x, a, b, kappa, the parameter."""
-        d, none = self.rest.size, [arb(0)] * self.rest.size
-        if self.kind == "equilibrium":
-            return w, none, none, arb(0), self.fixed
-        if self.kind == "fold":
-            return w[:d], w[d : 2 * d], none, arb(0), w[-1]
-        return w[:d], w[d : 2 * d], w[2 * d : 3 * d], w[-2], w[-1]
+        none = [arb(0)] * self.rest.size
+        return w, none, none, arb(0), decimal(self.stated.value)
+
+    def concluded(self, part: ProvedRest, w: Vector, slopes: Slopes, wide: Wide) -> ProvedRest:  # noqa: ARG002
+        """What follows for a point whose zero is proved. Raises `NotProved`."""
+        return replace(part, stability=_stability(self.rest, slopes.values, w, decimal(self.stated.value)))
 
     def unknowns(self, u: Vector) -> Vector:
         """Those that are so many of their sizes."""
@@ -236,13 +294,15 @@ class _Zero:
     def evaluated(self, u: Vector) -> tuple[Vector, Any]:
         """F and its derivatives by the unknowns in their sizes."""
         x, a, b, kappa, value = self.parts(self.unknowns(u))
-        rows, slopes = self.rest.zeros[self.kind].run([x, a, b, [kappa], self.c, self.rest.parameters(value)], BALLS)
+        rows, slopes = self.rest.zeros[self.stated.event].run(
+            [x, a, b, [kappa], self.c.tolist(), self.rest.parameters(value)], BALLS
+        )
         matrix = self.rest.matrix(slopes, len(u), len(u)) * exact(np.diag(self.sizes))
         return [rows.get(i, arb(0)) for i in range(len(u))], matrix
 
-    def proved(self, start: np.ndarray) -> tuple[Vector, float, float]:
+    def proved(self) -> tuple[Vector, float, float]:
         """The zero's balls, the radius of the box that holds no other, and the contraction. Raises `NotProved`."""
-        here = [arb(float(number)) for number in start / self.sizes]
+        here = [arb(float(number)) for number in self.start / self.sizes]
         for _ in range(NEWTON):
             values, slopes = self.evaluated(here)
             step = (exact(approximate_inverse(floats(slopes))) * arb_mat(len(values), 1, midpoints(values))).entries()
@@ -270,23 +330,81 @@ class _Zero:
         return box
 
 
+class _FoldTheorem(_RestTheorem):
+    """The theorem about a fold: x, a, the parameter."""
+
+    @classmethod
+    def about(cls, rest: _Rest, what: _Claim, near: _Near) -> Self:
+        """See `_RestTheorem`; a is the kernel's vector."""
+        c, (sizes, size, slopes) = np.array(what.c), near
+        c = c if c.size else np.linalg.svd(slopes * sizes / sizes[:, None])[2][-1] / sizes
+        start = [*what.state, *_along(c, sizes), what.value]
+        return cls(rest, what, np.array([*sizes, *sizes, *size]), np.array(start), c)
+
+    def parts(self, w: Vector) -> tuple[Vector, Vector, Vector, Any, Any]:
+        """See `_RestTheorem`."""
+        d = self.rest.size
+        return w[:d], w[d : 2 * d], [arb(0)] * d, arb(0), w[-1]
+
+    def concluded(self, part: ProvedRest, w: Vector, slopes: Slopes, wide: Wide) -> ProvedRest:  # noqa: ARG002
+        """See `_RestTheorem`: the zero is all."""
+        return replace(part, vector=tuple(self.c.tolist()))
+
+
+class _HopfTheorem(_RestTheorem):
+    """The theorem about a Hopf point: x, a, b, kappa, the parameter."""
+
+    @classmethod
+    def about(cls, rest: _Rest, what: _Claim, near: _Near) -> Self:
+        """See `_RestTheorem`; a is the longest real part of the vector of i omega, across its imaginary part."""
+        c, omega, (sizes, size, slopes) = np.array(what.c), what.frequency, near
+        if not c.size:
+            values, vectors = np.linalg.eig(slopes * sizes / sizes[:, None])
+            q = vectors[:, np.argmin(np.abs(values - 1j * omega))]
+            q = q * np.exp(-0.5j * np.angle(np.sum(q**2)))
+            c = q.real / np.sum(q.real**2) / sizes
+        a = _along(c, sizes)
+        start = [*what.state, *a, *np.linalg.solve(slopes, a), omega**2, what.value]
+        return cls(rest, what, np.array([*sizes, *sizes, *sizes / omega, omega**2, *size]), np.array(start), c)
+
+    def parts(self, w: Vector) -> tuple[Vector, Vector, Vector, Any, Any]:
+        """See `_RestTheorem`."""
+        d = self.rest.size
+        return w[:d], w[d : 2 * d], w[2 * d : 3 * d], w[-2], w[-1]
+
+    def concluded(self, part: ProvedRest, w: Vector, slopes: Slopes, wide: Wide) -> ProvedRest:
+        """See `_RestTheorem`: that the pair is alone on the axis and crosses it, and on which side cycles are born."""
+        x, a, b, kappa, value = self.parts(w)
+        if not kappa > 0:
+            raise NotProved("the two eigenvalues with sum 0 could be real: a neutral saddle")
+        others = [number for number in slopes.values if not number.real.contains(0)]
+        if not slopes.isolated or len(others) != self.rest.size - 2:
+            raise NotProved("another eigenvalue could be on the imaginary axis")
+        omega = kappa.sqrt()
+        q = acb_mat([[acb(re, omega * im)] for re, im in zip(a, b, strict=True)])
+        crossing, lyapunov = _normal_form(self.rest, x, self.rest.parameters(value), slopes, q, omega, self.c)
+        for ball, name in ((crossing, "speed d Re lambda / dp"), (lyapunov, "first Lyapunov coefficient")):
+            if ball.contains(0):
+                raise NotProved(f"its {name} could be 0: {ball.str(5)}")
+        known = {"frequency": wide(omega), "crossing": wide(crossing), "lyapunov": wide(lyapunov)}
+        criticality = "supercritical" if lyapunov < 0 else "subcritical"
+        return replace(part, vector=tuple(self.c.tolist()), known=known, criticality=criticality)
+
+
+def _along(c: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """a with c.a = 1, parallel in sizes."""
+    return np.asarray(c * sizes**2 / np.sum((c * sizes) ** 2))
+
+
+def _theorems() -> Mapping[str, type[_RestTheorem]]:
+    """By the event."""
+    return {"": _RestTheorem, "fold": _FoldTheorem, "hopf": _HopfTheorem}
+
+
 def provable_rest(equilibria: Equilibria | ProvedEquilibria, trusted: Path | None = None) -> Model:
     """The Model of equilibria; of a chain in the formulation with the fewest operations."""
     quick = {"formulation": "recursive"} if system_kind(equilibria.system).pendulum else {}
     return build_model({**equilibria.system, **quick}, trusted)
-
-
-@dataclass(frozen=True)
-class _Stated:
-    """What is to be proved: a kind, its number, about which state and value of the parameter; of folds and Hopf points
-    c (d, to be chosen where it is not known), of these the frequency."""
-
-    kind: str
-    index: int
-    state: np.ndarray
-    value: float
-    c: tuple[float, ...] = ()
-    frequency: float = float("nan")
 
 
 def prove_equilibria(
@@ -294,7 +412,7 @@ def prove_equilibria(
 ) -> ProvedEquilibria:
     """The proof that each equilibrium, fold and Hopf point exists, or why there is none. Needs the extra `[proof]`.
 
-    In a box about each there is exactly one zero of f = 0, or of f = 0 with the eigenvectors that make it singular;
+    In a box about each there is exactly 1 zero of f = 0, or of f = 0 with the eigenvectors that make it singular;
     eigenvalues, stability, frequency, crossing and first Lyapunov coefficient are enclosed.
 
     Args:
@@ -314,20 +432,29 @@ def prove_equilibria(
         (True, 'supercritical')
     """
     if equilibria.curve:
-        raise InputError("equilibria: curves in two parameters are not proved; give equilibria along one parameter")
-    points = [_Stated("equilibrium", k, point.state, point.value) for k, point in enumerate(equilibria.points)]
+        raise InputError("equilibria: curves in two parameters are not proved; give equilibria along a parameter")
+    points = [_Claim("", k, point.state, point.value) for k, point in enumerate(equilibria.points)]
     events = [
-        _Stated(event.kind, k, event.state, event.parameter, (), event.frequency)
-        for k, event in enumerate(equilibria.events) if event.kind in PROVABLE
+        _Claim(event.kind, k, event.state, event.parameter, (), event.frequency)
+        for k, event in enumerate(equilibria.events) if event.kind in _theorems()
     ]  # fmt: skip
     empty = ProvedEquilibria(equilibria.name, equilibria.system, equilibria.parameter)
-    return _concluded(empty, model or provable_rest(equilibria), [*points, *events], progress, MARGIN, DIGITS)
+    return _concluded(empty, model or provable_rest(equilibria), [*points, *events], progress, *PLACES)
 
 
 def replay_equilibria(
     recorded: ProvedEquilibria, model: Model | None = None, progress: Progress | None = None
 ) -> tuple[ProvedEquilibria, list[str]]:
     """The proof done again from its record alone, and every recorded claim that it does not prove."""
+    compared: dict[str, Callable[[Any, Any], bool]] = {
+        **dict.fromkeys(("event", "index", "stability", "criticality", "vector"), operator.eq),
+        "radius": lambda old, new: 0 < old <= new * (1 + 1e-6),
+        "contraction": close,
+        "value": holds,
+        "state": lambda old, new: holds(list(old), list(new)),
+        "eigenvalues": lambda old, new: holds_each([*map(list, old)], [*map(list, new)]),
+        "known": _named,
+    }
     claims = [part for part in recorded.parts if part.proved]
     stated = []
     for part in claims:
@@ -336,112 +463,65 @@ def replay_equilibria(
             frequency = float(((part.known or {}).get("frequency") or {"value": "nan"})["value"])
         except (KeyError, TypeError, ValueError):
             state, value, frequency = [], 0.0, 0.0
-        stated.append(_Stated(part.kind, part.index, np.array(state), value, part.vector, frequency))
+        stated.append(_Claim(part.event, part.index, np.array(state), value, part.vector, frequency))
     fresh = _concluded(recorded, model or provable_rest(recorded), stated, progress, 1.0, 2 * DIGITS)
     wrong = []
     for old, new in zip(claims, fresh.parts, strict=True):
-        faults = [name for name, same in COMPARED.items() if not same(getattr(old, name), getattr(new, name))]
+        faults = [name for name, same in compared.items() if not same(getattr(old, name), getattr(new, name))]
         said = new.reason if not new.proved else f"{', '.join(faults)}: recorded otherwise" if faults else ""
-        wrong += [f"{old.kind} {old.index}: {said}"] if said else []
+        wrong += [f"{old.place}: {said}"] if said else []
     return fresh, wrong
 
 
 def _concluded(
-    about: ProvedEquilibria, model: Model, stated: Sequence[_Stated], progress: Progress | None, *written: Any
+    about: ProvedEquilibria, model: Model, stated: Sequence[_Claim], progress: Progress | None, *written: Any
 ) -> ProvedEquilibria:
     """What can be proved of each, its balls `written` with a margin and so many digits."""
     began, say, parts = time.perf_counter(), progress or (lambda line: None), list[ProvedRest]()
     with precision(BITS):
         rest = _Rest(model, about.parameter)
         for what in stated:
-            part = ProvedRest(what.kind, what.index)
+            part = ProvedRest(what.event, what.index)
             try:
                 part = _part(rest, what, *written)
             except (NotProved, ZeroDivisionError, ValueError) as error:
                 part = replace(part, reason=str(error))
             parts.append(part)
-            say(f"{part.kind} {part.index}: {'proved' if part.proved else f'not proved: {part.reason}'}")
+            if part.event or not part.proved:
+                say(f"{part.place}: {'proved' if part.proved else f'not proved: {part.reason}'}")
     return replace(about, parts=tuple(parts), wall_time=round(time.perf_counter() - began, 1))
 
 
-def _part(rest: _Rest, what: _Stated, margin: float, digits: int) -> ProvedRest:
+def _part(rest: _Rest, what: _Claim, margin: float, digits: int) -> ProvedRest:
     """An equilibrium, a fold or a Hopf point, proved. Raises `NotProved`."""
     model, d = rest.model, rest.size
-    if what.kind not in rest.zeros or what.state.shape != (d,) or (what.c and len(what.c) != d):
+    if what.event not in _theorems() or what.state.shape != (d,) or (what.c and len(what.c) != d):
         raise NotProved("the record does not fit its system")
     sizes = state_sizes(model, np.abs(what.state))
     size = parameter_sizes(model, [model.parameter_names[rest.at]], np.array([what.value]))
-    x, fixed = [arb(float(number)) for number in what.state], decimal(what.value)
-    zero = _begun(rest, what, sizes, size, floats(rest.slopes(x, rest.parameters(fixed))[0]))
-    balls, box, contraction = zero[0].proved(zero[1])
-    x, a, b, kappa, value = zero[0].parts(balls)
-    apart = [(ball - float(number)) / float(unit) for ball, number, unit in zip(x, what.state, sizes, strict=True)]
+    given, fixed = [arb(float(number)) for number in what.state], decimal(what.value)
+    slopes = floats(rest.slopes(given, rest.parameters(fixed))[0])
+    theorem = _theorems()[what.event].about(rest, what, _Near(sizes, size, slopes))
+    w, box, contraction = theorem.proved()
+    x, _, _, _, value = theorem.parts(w)
+    apart = [(ball - number) / float(unit) for ball, number, unit in zip(x, given, sizes, strict=True)]
     distance = magnitude([*apart, (value - fixed) / float(size[0])])
     if not distance <= Options.nearness:
-        raise NotProved(f"there is such a {what.kind}, but not within {Options.nearness:g} of the record: up to "
+        raise NotProved(f"there is such a point, but not within {Options.nearness:g} of the record: up to "
                         f"{distance:.3g} away, in the sizes of the state and the parameter")  # fmt: skip
-    jacobian, by_value = rest.slopes(x, rest.parameters(value))
-    values, isolated = _eigenvalues(jacobian)
+    linear = Slopes(*rest.slopes(x, rest.parameters(value)))
 
     def wide(ball: Any, unit: float = 0.0) -> dict[str, Any]:
         unit = unit or float(abs(ball.mid()))
         return enclosure(ball + arb(0, (margin - 1.0) * LEAST * unit), digits, margin)
 
-    pace = max((float(abs(number).mid()) for number in values), default=0.0)
+    pace = max((float(abs(number).mid()) for number in linear.values), default=0.0)
     part = ProvedRest(
-        what.kind, what.index, True, "", box, contraction, wide(value, float(size[0])),
+        what.event, what.index, True, "", box, contraction, wide(value, float(size[0])),
         tuple(wide(ball, float(unit)) for ball, unit in zip(x, sizes, strict=True)),
-        tuple((wide(number.real, pace), wide(number.imag, pace)) for number in values), vector=tuple(zero[0].c),
+        tuple((wide(number.real, pace), wide(number.imag, pace)) for number in linear.values),
     )  # fmt: skip
-    if what.kind == "equilibrium":
-        return replace(part, stability=_stability(rest, values, x, value), vector=())
-    if what.kind == "fold":
-        return part
-    if not kappa > 0:
-        raise NotProved("the two eigenvalues with sum 0 could be real: a neutral saddle")
-    others = [number for number in values if not number.real.contains(0)]
-    if not isolated or len(others) != d - 2:
-        raise NotProved("another eigenvalue could be on the imaginary axis")
-    omega = kappa.sqrt()
-    q = acb_mat(d, 1, [acb(re, omega * im) for re, im in zip(a, b, strict=True)])
-    crossing, lyapunov = _normal_form(rest, x, rest.parameters(value), jacobian, by_value, q, omega, zero[0].c)
-    for ball, name in ((crossing, "speed d Re lambda / dp"), (lyapunov, "first Lyapunov coefficient")):
-        if ball.contains(0):
-            raise NotProved(f"its {name} could be 0: {ball.str(5)}")
-    known = {"frequency": wide(omega), "crossing": wide(crossing), "lyapunov": wide(lyapunov)}
-    return replace(part, known=known, criticality="supercritical" if lyapunov < 0 else "subcritical")
-
-
-def _begun(
-    rest: _Rest, what: _Stated, sizes: np.ndarray, size: np.ndarray, slopes: np.ndarray
-) -> tuple[_Zero, np.ndarray]:
-    """The theorem's equations about what is stated, and where Newton's steps begin."""
-    x, value = what.state, what.value
-    if what.kind == "equilibrium":
-        return _Zero(rest, what.kind, [0.0] * x.size, decimal(value), sizes), x
-    scaled = slopes * sizes / sizes[:, None]
-    c, omega = np.array(what.c), what.frequency
-    if what.kind == "fold":
-        c = c if c.size else np.linalg.svd(scaled)[2][-1] / sizes
-        start, units = [*x, *(c * sizes**2 / np.sum((c * sizes) ** 2)), value], [*sizes, *sizes, *size]
-    else:
-        if not c.size:
-            values, vectors = np.linalg.eig(scaled)
-            q = vectors[:, np.argmin(np.abs(values - 1j * omega))]
-            q = q * np.exp(-0.5j * np.angle(np.sum(q**2)))  # the longest real part, across the imaginary one
-            c = q.real / np.sum(q.real**2) / sizes
-        a = c * sizes**2 / np.sum((c * sizes) ** 2)
-        start = [*x, *a, *np.linalg.solve(slopes, a), omega**2, value]
-        units = [*sizes, *sizes, *sizes / omega, omega**2, *size]
-    return _Zero(rest, what.kind, [float(number) for number in c], None, np.array(units)), np.array(start)
-
-
-def _eigenvalues(matrix: Any) -> tuple[list[Any], bool]:
-    """Balls that hold all eigenvalues, and whether each holds one alone."""
-    try:
-        return list(acb_mat(matrix).eig(algorithm="rump")), True
-    except ValueError:
-        return list(acb_mat(matrix).eig(multiple=True, algorithm="rump")), False
+    return theorem.concluded(part, w, linear, wide)
 
 
 def _stability(rest: _Rest, values: Sequence[Any], x: Vector, value: Any) -> str:
@@ -459,17 +539,17 @@ def _stability(rest: _Rest, values: Sequence[Any], x: Vector, value: Any) -> str
 
 
 def _normal_form(
-    rest: _Rest, x: Vector, p: Vector, jacobian: Any, by_value: Vector, q: Any, omega: Any, c: Sequence[float]
+    rest: _Rest, x: Vector, p: Vector, slopes: Slopes, q: Any, omega: Any, c: np.ndarray
 ) -> tuple[Any, Any]:
     """d Re lambda / dp and the first Lyapunov coefficient of a Hopf point, <q, q> = <p, q> = 1.
 
     The left vector w, (J - i omega)^T w = 0, is that of the bordered equations (J - i omega)^T w + c mu = 0, q0.w = 1
     with q0 near q: times q^T they say that mu = 0, because c.q = 1.
     """
-    d, turn, matrix = rest.size, acb(0, omega), acb_mat(jacobian)
+    d, turn, matrix = rest.size, acb(0, omega), acb_mat(slopes.jacobian)
     shifted = (matrix - turn * acb_mat(d, d, [float(i == j) for i in range(d) for j in range(d)])).transpose().tolist()
     last = [entry.mid() for entry in q.entries()]
-    rows = [[*row, acb(number)] for row, number in zip(shifted, c, strict=True)] + [[*last, acb(0)]]
+    rows = [[*row, acb(number)] for row, number in zip(shifted, c.tolist(), strict=True)] + [[*last, acb(0)]]
     w = acb_mat(rows).solve(acb_mat(d + 1, 1, [0] * d + [1])).entries()[:d]
 
     def along(vector: Sequence[Any]) -> Any:
@@ -481,7 +561,7 @@ def _normal_form(
     weight, squared = along(q.entries()), sum((abs(entry) ** 2 for entry in q.entries()), arb(0))
     conjugate = acb_mat(d, 1, [entry.conjugate() for entry in q.entries()])
     zero = acb_mat(d, 1)
-    away = solved(matrix, [-acb(number) for number in by_value])
+    away = solved(matrix, [-acb(number) for number in slopes.by_value])
     crossing = (along(rest.complex(rest.moving, x, p, q, zero, zero, away)) / weight).real
     mean = solved(matrix, rest.complex(rest.second, x, p, q, conjugate))
     unit = acb_mat(d, d, [float(i == j) for i in range(d) for j in range(d)])
@@ -493,18 +573,6 @@ def _normal_form(
 
 
 def _named(recorded: Mapping[str, Any] | None, fresh: Mapping[str, Any] | None) -> bool:
-    """Whether every named ball is inside the recorded one."""
+    """Whether every named ball is inside what is recorded."""
     old, new = recorded or {}, fresh or {}
     return old.keys() == new.keys() and all(holds(old[key], new[key]) for key in new)
-
-
-COMPARED: dict[str, Callable[[Any, Any], bool]] = {
-    **dict.fromkeys(("kind", "index", "stability", "criticality", "vector"), operator.eq),
-    "radius": lambda old, new: 0 < old <= new * (1 + 1e-6),
-    "contraction": close,
-    "value": holds,
-    "state": lambda old, new: holds(list(old), list(new)),
-    "eigenvalues": lambda old, new: holds_each([*map(list, old)], [*map(list, new)]),
-    "known": _named,
-}
-"""What a replay compares, and how"""

@@ -11,7 +11,7 @@ Of a driven system q is the whole state and the time, q' = tau (f(t, x), 1).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import Any
@@ -20,6 +20,8 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import InputError
+from orbitfinder.mechanics.factorise import solve_positive_definite
+from orbitfinder.mechanics.lagrange import mass_matrix_and_bias
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import Vector, arb, arb_mat, decimal, exact, fmpq, identity
 from orbitfinder.proof.invariance import Multiple, drive
@@ -67,21 +69,44 @@ def programs(model: Model) -> Programs:
     graphs = [model.acceleration, model.kinetic, model.potential, *unfoldings]
     if not all(graph.is_a("SXFunction") for graph in graphs):
         raise InputError(NUMERICAL)
-    rates, inputs, x = model.acceleration(0.0, q, v, p), [q, v, s, p], ca.vertcat(q, v)
-    energy = mass = None
+    inputs, x = [q, v, s, p], ca.vertcat(q, v)
+    source, accelerations = _accelerations(model, q, v, p)
+    energy, mass, push = None, None, ca.SX(n, 1)
     for invariant in model.invariants:
-        rates += s * invariant.unfolding(q, v, p)
+        push = s * invariant.unfolding(q, v, p)
         check_unfolding(program(invariant.unfolding), n)
-        total = invariant.value(q, v, p)
-        energy = derived("energy", inputs, total, lambda exact: [exact, ca.gradient(exact, x)])
+        energy = derived("energy", inputs, invariant.value(q, v, p), lambda exact: [exact, ca.gradient(exact, x)])
         mass = derived("mass", inputs, model.kinetic(q, v, p), lambda exact: [ca.hessian(exact, v)[0]])
-    return Programs(*_with_slopes("accelerations", inputs, rates, ca.vertcat(x, s)), energy, mass)
+    rates, slopes = _with_slopes("accelerations", inputs, source, ca.vertcat(x, s), lambda e: accelerations(e) + push)
+    return Programs(rates, slopes, energy, mass)
 
 
-def _with_slopes(name: str, inputs: list[ca.SX], rates: ca.SX, by: ca.SX) -> tuple[ScalarProgram, ScalarProgram]:
-    """The programs of rates, and of these with their derivatives."""
-    both = derived(f"{name}_and_jacobian", inputs, rates, lambda exact: [exact, ca.jacobian(exact, by)])
-    return program(ca.Function(name, inputs, [rates])), both
+def _accelerations(model: Model, q: ca.SX, v: ca.SX, p: ca.SX) -> tuple[ca.SX, Callable[[ca.SX], ca.SX]]:
+    """What the accelerations (n) are made of, and how: of energies where a model conserves what these say, and is made
+    of them as Lagrange has it, so that it does so to the last digit; else as they stand in the graph."""
+    given = model.acceleration(0.0, q, v, p)
+    bent = ca.SX(0) if model.gyroscopic is None else model.gyroscopic(q, v, p)
+    energies = ca.vertcat(model.kinetic(q, v, p) + bent, model.potential(q, p))
+
+    def lagrange(both: ca.SX) -> ca.SX:
+        matrix, bias = mass_matrix_and_bias(both[0], both[1], q, v)
+        return solve_positive_definite(matrix, -bias)
+
+    if not model.invariants or _graph(given, q, v, p) != _graph(lagrange(energies), q, v, p):
+        return given, lambda exact: exact
+    return energies, lagrange
+
+
+def _graph(expression: ca.SX, *inputs: ca.SX) -> ScalarProgram:
+    return program(ca.Function("graph", inputs, [expression]))
+
+
+def _with_slopes(
+    name: str, inputs: list[ca.SX], source: ca.SX, by: ca.SX, made: Callable[[ca.SX], ca.SX] = lambda exact: exact
+) -> tuple[ScalarProgram, ScalarProgram]:
+    """The programs of rates made of a source, and of these with their derivatives."""
+    both = derived(f"{name}_and_jacobian", inputs, source, lambda exact: [made(exact), ca.jacobian(made(exact), by)])
+    return derived(name, inputs, source, lambda exact: [made(exact)]), both
 
 
 def _alone(model: Model, rates: ca.Function, x: ca.SX, v: ca.SX, s: ca.SX, p: ca.SX) -> Programs:
@@ -98,13 +123,10 @@ def _alone(model: Model, rates: ca.Function, x: ca.SX, v: ca.SX, s: ca.SX, p: ca
         slope = ca.gradient(exact, x)
         return turned(slope) + s * slope
 
-    if program(ca.Function("f", inputs, [rate])) != program(ca.Function("f", inputs, [turned(ca.gradient(total, x))])):
+    if _graph(rate, *inputs) != _graph(turned(ca.gradient(total, x)), *inputs):
         raise InputError("system: its rates are not Hamilton's of its energy on their graph; use hamiltonian(...)")
-    return Programs(
-        derived("rates", inputs, total, lambda exact: [unfolded(exact)]),
-        derived("rates_and_jacobian", inputs, total, lambda exact: [unfolded(exact), ca.jacobian(unfolded(exact), by)]),
-        derived("energy", inputs, total, lambda exact: [exact, ca.gradient(exact, x)]), None,
-    )  # fmt: skip
+    energy = derived("energy", inputs, total, lambda exact: [exact, ca.gradient(exact, x)])
+    return Programs(*_with_slopes("rates", inputs, total, by, unfolded), energy, None)
 
 
 def _driven(model: Model) -> Programs:

@@ -52,9 +52,8 @@ class ScalarProgram:
             values[target] = ring.functions[name](*operands)
         return [{entry: values[value] for entry, value in result.items()} for result in self.outputs]
 
-
     def bound(self, argument: int, numbers: Sequence[float]) -> ScalarProgram:
-        """The same with the entries of one argument filled in."""
+        """The same with the entries of an argument filled in."""
         filled = [(value, numbers[entry]) for value, at, entry in self.inputs if at == argument]
         inputs = tuple(given for given in self.inputs if given[1] != argument)
         return replace(self, constants=(*self.constants, *filled), inputs=inputs)

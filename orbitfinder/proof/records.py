@@ -6,3 +6,6 @@ KINDS["branch-proof"] = Kind(
     "a proof of a family's branch (`verify --proof` replays it)", "proof.branch:read_branch",
     facts="proof.branch:branch_document",
 )  # fmt: skip
+KINDS["equilibria-proof"] = Kind(
+    "a proof of equilibria, folds and Hopf points (`verify --proof` replays it)", "proof.equilibria:read_proof",
+)  # fmt: skip
