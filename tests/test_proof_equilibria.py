@@ -237,6 +237,6 @@ def test_the_command_proves_and_another_process_replays(tmp_path, monkeypatch):
     CODEC.save(replace(proof, parts=(replace(proof.parts[-1], criticality="subcritical"),)), "equilibria-proof.json")
     rejected = run(cli, ["verify", "--proof", "equilibria-proof.json"])
     assert rejected.exit_code == 1 and "REJECTED: hopf 0: criticality" in rejected.output
-    for options, words in ((["--from", "1"], "--from: is for"), (["x.json"], "x.json")):
+    for options, words in ((["--from", "1"], "--from: is for"), (["x.json"], "by a command each")):
         refused = run(cli, ["prove", "equilibria.json", *options])
         assert refused.exit_code == 2 and words in refused.output
