@@ -50,6 +50,7 @@ from orbitfinder.proof.krawczyk import (
     TheoremEquations,
     approximate_inverse,
     jacobian_rows,
+    krawczyk,
     linearised,
     norm,
     residual,
@@ -396,7 +397,7 @@ class _BranchProof:
             energy = shown.piece.low if place < 0 else shown.piece.high
             here = replace(self.equations, field=make_field(self.model), energy=decimal(energy))
             centre = solve(here, shown.end(place), SHARP, CENTRE)[0]
-            contracted = enclosed(here, centre, SHARP, lambda line: None)
+            contracted = enclosed(lambda box: krawczyk(here, box, SHARP), centre, lambda line: None)
             if not inside(shown.piece.around(place), contracted.image):
                 raise NotProved(f"the orbit at {energy!r} J could not be shown to be on the branch")
             return trajectory(here, contracted.image, SHARP)

@@ -24,6 +24,7 @@ from orbitfinder.proof.balls import Vector, arb, decimal, magnitude, precision, 
 from orbitfinder.proof.enclosure import TaylorSettings
 from orbitfinder.proof.field import Programs, make_field, programs
 from orbitfinder.proof.formulation import Approach, Formulation, approach
+from orbitfinder.proof.gaits import begun, course
 from orbitfinder.proof.invariance import has_symmetry, turns_leave, usable_symmetry
 from orbitfinder.proof.krawczyk import Krawczyk, TheoremEquations, krawczyk, solve
 from orbitfinder.proof.trajectory import (
@@ -144,13 +145,23 @@ def proved_until(
     """The proof, its enclosures made smaller until they are `enough`, `SHARPENINGS` times at most."""
     began, say = time.perf_counter(), progress or (lambda line: None)
     model = model or provable_model(orbit)
+    if not model.smooth:
+        return _until_proved(lambda: _prove_gait(orbit, model, options, say, enough), ALONE.name, options, began)
     codes = programs(model)
     with precision(options.bits):
         symmetry = chosen_symmetry(orbit, model, codes, options.symmetry)
+    return _until_proved(
+        lambda: _prove(orbit, model, codes, symmetry, options, say, enough), symmetry.name, options, began
+    )  # fmt: skip
+
+
+def _until_proved(proved: Callable[[], Proof], symmetry: str, options: Options, began: float) -> Proof:
+    """A proof, or the reason why there is none."""
+    with precision(options.bits):
         try:
-            proof = _prove(orbit, model, codes, symmetry, options, say, enough)
+            proof = proved()
         except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
-            return Proof(False, str(error), symmetry.name, options, time.perf_counter() - began)
+            proof = Proof(False, str(error), symmetry, options, 0.0)
         return replace(proof, wall_time=time.perf_counter() - began)
 
 
@@ -182,7 +193,7 @@ def _prove(
     centre, rounds = solve(equations, unknowns_at(start), options, CENTRE)
     pieces = plural(start.formulation.segments, "segment")
     say(f"Newton settled in {plural(rounds, 'iteration')}; integrating {pieces} of a box")
-    contracted = enclosed(equations, centre, options, say)
+    contracted = enclosed(lambda box: krawczyk(equations, box, options), centre, say)
     path, rounds = trajectory(equations, contracted.image, options), 0
     while True:
         if verdict(path).verdict != "open" or rounds >= SHARPENINGS:
@@ -198,6 +209,52 @@ def _prove(
         finer = replace(options, order=options.order + 6 * rounds, tolerance=options.tolerance * 1e-6**rounds)
         with precision(options.bits + 32 * rounds):
             path = trajectory(equations, path.box, finer)
+
+
+def _prove_gait(
+    orbit: Orbit, model: Model, options: Options, say: Progress, enough: Callable[[Proof], bool]
+) -> Proof:
+    """The proof of an orbit with events."""
+    arcs = course(model)
+    centre = arcs.solved(begun(orbit, arcs), options, CENTRE)
+    say(f"Newton settled; integrating {plural(len(arcs.arcs), 'arc')} of a box")
+    contracted = enclosed(lambda box: arcs.krawczyk(box, options)[0], centre, say)
+    box, rounds = contracted.image, 0
+    while True:
+        finer = replace(options, order=options.order + 6 * rounds, tolerance=options.tolerance * 1e-6**rounds)
+        with precision(options.bits + 32 * rounds):
+            again, passed = arcs.krawczyk(box, finer)
+            box = [x.intersection(y) for x, y in zip(box, again.image, strict=True)]
+            parts = arcs.parts(box)
+            if fault := arcs.fault(passed):
+                raise NotProved(fault)
+            if fewer := arcs.shorter(parts):
+                raise NotProved(f"an orbit closes after this period, but it could do so after {plural(fewer, 'arc')} too")
+            period = sum((part[-1] for part in parts), arb(0))
+            distance = magnitude([x - float(y) for x, y in zip(parts[0][:-1], orbit.state, strict=True)])
+            apart = magnitude([period - float(orbit.period)])
+            check_near(distance, apart, options)
+            proof = Proof(
+                True, "", ALONE.name, options, 0.0, segments=len(parts), steps=sum(len(each.steps) for each in passed),
+                radius=radius(contracted.box), contraction=contracted.contraction, tightness=radius(box), period=period,
+                nodes=[part[:-1] for part in parts], distance=distance, period_distance=apart, minimal=True,
+                divisors=len(parts), stability=arcs.verdict(passed),
+            )  # fmt: skip
+        assert proof.stability is not None
+        if rounds >= 2 * SHARPENINGS or (
+            enough(proof) and (proof.stability.verdict != "open" or rounds >= SHARPENINGS)
+        ):
+            return proof
+        rounds += 1
+
+
+def check_near(distance: float, apart: float, options: Options) -> None:
+    """`NotProved` where an orbit is not the recorded one."""
+    if not max(distance, apart) <= options.nearness:
+        raise NotProved(
+            f"an orbit exists, but not within {options.nearness:g} of the record: "
+            f"its state is up to {distance:.3g} away, its period up to {apart:.3g} s"
+        )
 
 
 def frequency(model: Model, codes: Programs) -> Any:
@@ -235,12 +292,12 @@ def check_graph(codes: Programs, form: Formulation, model: Model) -> None:
         raise NotProved("the equations' invariance under whole turns could not be read off their graph")
 
 
-def enclosed(equations: TheoremEquations, centre: Vector, settings: TaylorSettings, say: Progress) -> Krawczyk:
+def enclosed(operator: Callable[[Vector], Krawczyk], centre: Vector, say: Progress) -> Krawczyk:
     """K on the largest box on which it contracts."""
     reasons = []
     for size in RADII:
         try:
-            contracted = krawczyk(equations, [x + arb(0, size) for x in centre], settings)
+            contracted = operator([x + arb(0, size) for x in centre])
         except IntegrationError as error:
             reasons.append(f"radius {size:g}: {error}")
             continue
@@ -273,11 +330,7 @@ def conclusions(orbit: Orbit, model: Model, path: Trajectory, start: Approach, o
     form = start.formulation
     check_motion(path, model, "the state", "the orbit")
     distance, apart = gaps(orbit, path, start, model.angles)
-    if not max(distance, apart) <= options.nearness:
-        raise NotProved(
-            f"an orbit exists, but not within {options.nearness:g} of the record: "
-            f"its state is up to {distance:.3g} away, its period up to {apart:.3g} s"
-        )
+    check_near(distance, apart, options)
     minimal, divisors, reason = minimal_period(path, model.angles)
     if not minimal:
         raise NotProved(f"an orbit closes after this period, but it could be a multiple of the minimal one: {reason}")
