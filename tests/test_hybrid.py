@@ -537,8 +537,6 @@ def test_the_cycle_is_taken_from_the_guess():
 
 def test_what_knows_no_events_refuses(walker, tmp_path):
     model = simplest_walker()
-    with pytest.raises(InputError, match="orbits with events cannot be proved yet"):
-        of.prove(walker)
     with pytest.raises(InputError, match="a flow knows no events; use simulate"):
         of.flows.build_flow(model)
     with pytest.raises(InputError, match="energy: this system conserves none"):

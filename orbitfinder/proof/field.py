@@ -149,7 +149,7 @@ def _driven(model: Model) -> Programs:
 def check_provable(model: Model) -> None:
     """`InputError` unless the theorem covers the Model: the energy its only integral, or without any."""
     if not model.smooth:
-        raise InputError("system: orbits with events cannot be proved yet; the theorem is about smooth flows")
+        raise InputError("system: of systems with events only orbits are proved; this theorem is about smooth flows")
     if model.constraint is not None:
         raise InputError(
             "system: systems under constraints cannot be proved yet; of a mechanism give independent = [...], "

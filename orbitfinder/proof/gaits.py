@@ -1,13 +1,13 @@
 """Orbits with impacts proved: Krawczyk's operator on arcs of the flow that end where a guard is zero.
 
-With phi the flow of an arc's mode, g the guard and R the reset of the transition that ends it, the unknowns are the first
-states x_k and the durations tau_k of the arcs of a period, and the equations
+With phi the flow of an arc's mode, g the guard and R the reset of the transition that ends it, the unknowns are the
+first states x_k and the durations tau_k of the arcs of a period, and the equations
 
     g_k(phi_tau_k(x_k)) = 0,    R_k(phi_tau_k(x_k)) = x_{k+1},    the last one's being x_0.
 
-A zero is a motion of the automaton if no guard fires before (`_check_course`), and its multipliers are those of the product of
-DR (1 - f Dg / Dg f) Phi. Source of that matrix: M. A. Aizerman, F. R. Gantmakher, Quart. J. Mech. Appl. Math. 11 (1958)
-385-398.
+A zero is a motion of the automaton if no guard fires before (`Course.fault`), and its multipliers are those of the
+product of DR (1 - f Dg / Dg f) Phi. Source of that matrix: M. A. Aizerman, F. R. Gantmakher, Quarterly Journal of
+Mechanics and Applied Mathematics 11 (1958) 385-398.
 """
 
 from __future__ import annotations
@@ -154,8 +154,8 @@ class Course:
         """The operator over a box, and the arcs from it."""
         centre = midpoints(box)
         passed = [
-            arc.passed(*pair, settings)
-            for arc, *pair in zip(self.arcs, self.parts(box), self.parts(centre), strict=True)
+            arc.passed(part, point, settings)
+            for arc, part, point in zip(self.arcs, self.parts(box), self.parts(centre), strict=True)
         ]  # fmt: skip
         values = self.residual(centre, [each.centre for each in passed])
         slopes = self.jacobian([each.end for each in passed], [each.derivatives for each in passed])
@@ -221,7 +221,7 @@ def _fault(arc: Arc, passed: Passed) -> str:
 
 
 def _quiet(arc: Arc, transition: Transition, x: Vector) -> tuple[bool, Any, bool]:
-    """Whether a transition cannot happen over a box, how fast its guard goes in its direction there, whether allowed."""
+    """Whether a transition cannot happen in a box, how fast its guard goes in its direction there, whether allowed."""
     (value,), slope = arc.value(arc.guards[transition.name], x)
     rising = transition.direction * (slope * arc.rate(x))[0, 0]
     allowed = arb(1) if transition.allowed is None else arc.value(arc.allowed[transition.name], x)[0][0]
@@ -234,6 +234,10 @@ def course(model: Model) -> Course:
     assert hybrid is not None
     if any(each.model.constraint is not None for each in hybrid.modes):
         raise InputError("system: modes under constraints cannot be proved yet; give minimal coordinates")
+    if model.invariants:
+        names = ", ".join(invariant.name for invariant in model.invariants)
+        raise InputError(f"system: it conserves {names} through its events; orbits with events are proved where "
+                         "nothing is conserved")  # fmt: skip
     return Course(tuple(Arc(mode, transition, hybrid.leaving(mode.name)) for mode, transition in hybrid.arcs))
 
 

@@ -211,9 +211,7 @@ def _prove(
             path = trajectory(equations, path.box, finer)
 
 
-def _prove_gait(
-    orbit: Orbit, model: Model, options: Options, say: Progress, enough: Callable[[Proof], bool]
-) -> Proof:
+def _prove_gait(orbit: Orbit, model: Model, options: Options, say: Progress, enough: Callable[[Proof], bool]) -> Proof:
     """The proof of an orbit with events."""
     arcs = course(model)
     centre = arcs.solved(begun(orbit, arcs), options, CENTRE)
@@ -229,7 +227,9 @@ def _prove_gait(
             if fault := arcs.fault(passed):
                 raise NotProved(fault)
             if fewer := arcs.shorter(parts):
-                raise NotProved(f"an orbit closes after this period, but it could do so after {plural(fewer, 'arc')} too")
+                raise NotProved(
+                    f"an orbit closes after this period, but it could do so after {plural(fewer, 'arc')} too"
+                )
             period = sum((part[-1] for part in parts), arb(0))
             distance = magnitude([x - float(y) for x, y in zip(parts[0][:-1], orbit.state, strict=True)])
             apart = magnitude([period - float(orbit.period)])
