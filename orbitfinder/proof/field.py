@@ -11,7 +11,7 @@ Of a driven system q is the whole state and the time, q' = tau (f(t, x), 1).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import Any
@@ -75,10 +75,10 @@ def programs(model: Model) -> Programs:
         total = invariant.value(q, v, p)
         energy = program(ca.Function("energy", inputs, [total, ca.gradient(total, x)]))
         mass = program(ca.Function("mass", inputs, [ca.hessian(model.kinetic(q, v, p), v)[0]]))
-    return Programs(*_with_slopes("accelerations", inputs, rates, ca.vertcat(x, s)), energy, mass)
+    return Programs(*with_slopes("accelerations", inputs, rates, ca.vertcat(x, s)), energy, mass)
 
 
-def _with_slopes(name: str, inputs: list[ca.SX], rates: ca.SX, by: ca.SX) -> tuple[ScalarProgram, ScalarProgram]:
+def with_slopes(name: str, inputs: list[ca.SX], rates: ca.SX, by: ca.SX) -> tuple[ScalarProgram, ScalarProgram]:
     """The programs of rates, and of these with their derivatives."""
     both = ca.Function(f"{name}_and_jacobian", inputs, [rates, ca.jacobian(rates, by)])
     return program(ca.Function(name, inputs, [rates])), program(both)
@@ -94,7 +94,7 @@ def _alone(model: Model, rates: ca.Function, x: ca.SX, v: ca.SX, s: ca.SX, p: ca
         if program(ca.Function("f", inputs, [rate])) != program(ca.Function("f", inputs, [turned])):
             raise InputError("system: its rates are not Hamilton's of its energy on their graph; use hamiltonian(...)")
         rate, energy = rate + s * slope, program(ca.Function("energy", inputs, [total, slope]))
-    return Programs(*_with_slopes("rates", inputs, rate, ca.vertcat(x, s)), energy, None)
+    return Programs(*with_slopes("rates", inputs, rate, ca.vertcat(x, s)), energy, None)
 
 
 def _driven(model: Model) -> Programs:
@@ -104,7 +104,7 @@ def _driven(model: Model) -> Programs:
     if not model.scalar:
         raise InputError(NUMERICAL)
     rate = ca.vertcat(model.rate(y[-1], y[:-1], p), 1.0)
-    rates, slopes = _with_slopes("driven", [y, v, s, p], rate, ca.vertcat(y, s))
+    rates, slopes = with_slopes("driven", [y, v, s, p], rate, ca.vertcat(y, s))
     clock = drive(rates, y.numel() - 1)
     if clock is None:
         raise InputError(
@@ -192,10 +192,10 @@ class Field:
         return [z[:n], z[n:d], [z[d]], self.parameters]
 
 
-def make_field(model: Model, codes: Programs | None = None) -> Field:
-    """The field of a Model, parameters read as the decimals they are written as."""
+def make_field(model: Model, codes: Programs | None = None, given: Mapping[int, Any] | None = None) -> Field:
+    """The field of a Model, parameters read as the decimals they are written as, but balls where they are `given`."""
     codes = codes or programs(model)
-    parameters = [decimal(float(value)) for value in model.parameter_values]
+    parameters = [(given or {}).get(k, decimal(float(value))) for k, value in enumerate(model.parameter_values)]
     constants = {3: parameters}
     size, whole, plain, frequency = (
         model.degrees_of_freedom,

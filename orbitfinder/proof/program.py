@@ -6,6 +6,7 @@ series with ball coefficients. The order of the operations is the graph's, so no
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -54,6 +55,17 @@ class Ring:
 
     constant: Callable[[float], Any]
     functions: dict[str, Callable[..., Any]]
+
+
+GRAPHS = Ring(
+    ca.SX,
+    {
+        "add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv, "neg": operator.neg,
+        "sq": lambda a: a * a, "sin": ca.sin, "cos": ca.cos, "sqrt": ca.sqrt, "exp": ca.exp, "log": ca.log,
+        "pow": operator.pow,
+    },
+)  # fmt: skip
+"""The same operations as a graph again, on other symbols than those of the function"""
 
 
 def program(function: ca.Function) -> ScalarProgram:

@@ -111,7 +111,7 @@ def read_entry(orbit: Orbit, path: Path) -> Mapping[str, Any]:
 
 @dataclass(frozen=True)
 class Recorded:
-    """What a `proof` entry must hold to be replayed; the enclosures are compared by `_holds`."""
+    """What a `proof` entry must hold to be replayed; the enclosures are compared by `holds`."""
 
     order: int
     bits: int
@@ -206,13 +206,13 @@ def _same_words(recorded: Any, fresh: str) -> bool:
     return isinstance(recorded, str) and re.sub(number, "#", recorded) == re.sub(number, "#", fresh)
 
 
-def _holds(recorded: Any, fresh: Any) -> bool:
+def holds(recorded: Any, fresh: Any) -> bool:
     """True when the recomputed enclosures lie inside the recorded ones, entry by entry, in exact arithmetic."""
     if fresh is None:
         return recorded is None
     if isinstance(fresh, list):
         same = isinstance(recorded, list) and len(recorded) == len(fresh)
-        return same and all(_holds(a, b) for a, b in zip(recorded, fresh, strict=True))
+        return same and all(holds(a, b) for a, b in zip(recorded, fresh, strict=True))
     try:
         (value, radius), (centre, within) = (
             (Decimal(str(ball["value"])), Decimal(float(ball["radius"]))) for ball in (recorded, fresh)
@@ -228,13 +228,13 @@ def _holds_each(recorded: Any, fresh: list[Any]) -> bool:
     """The same of multipliers in some order: theirs is that of blurred absolute values."""
     if not isinstance(recorded, list) or len(recorded) != len(fresh):
         return False
-    apart = np.array([[not _holds(a, b) for b in fresh] for a in recorded]).reshape(len(fresh), len(fresh))
+    apart = np.array([[not holds(a, b) for b in fresh] for a in recorded]).reshape(len(fresh), len(fresh))
     return not apart[linear_sum_assignment(apart)].any()
 
 
 COMPARED: dict[str, Callable[[Any, Any], bool]] = {
     **dict.fromkeys(("proved", "reason", "symmetry", "segments", "stability"), operator.eq),
-    **dict.fromkeys(("period", "energy", "state", "nodes", "unfolding"), _holds),
+    **dict.fromkeys(("period", "energy", "state", "nodes", "unfolding"), holds),
     "multipliers": _holds_each,
     **dict.fromkeys(("contraction", "steps"), close),
     **dict.fromkeys(("distance", "period_distance", "enclosure_radius"), _wider),
@@ -246,5 +246,5 @@ COMPARED: dict[str, Callable[[Any, Any], bool]] = {
     "stability_reason": _same_words,
 }
 """What a replay compares, which is all that a record claims, and how; the rest says how it was made and when."""
-ENCLOSED = {name for name, same in COMPARED.items() if same in (_holds, _holds_each, _wider)}
+ENCLOSED = {name for name, same in COMPARED.items() if same in (holds, _holds_each, _wider)}
 """What smaller balls may still prove"""

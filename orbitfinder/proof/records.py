@@ -6,3 +6,6 @@ KINDS["branch-proof"] = Kind(
     "a proof of a family's branch (`verify --proof` replays it)", "proof.branch:read_branch",
     facts="proof.branch:branch_document",
 )  # fmt: skip
+KINDS["event-proof"] = Kind(
+    "a proof of an event of a family (`verify --proof` replays it)", "proof.bordered:read_event",
+)  # fmt: skip

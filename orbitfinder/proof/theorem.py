@@ -217,10 +217,10 @@ def unknowns_at(start: Approach) -> Vector:
 
 def make_equations(model: Model, codes: Programs, start: Approach, energy: Any) -> TheoremEquations:
     """The theorem's equations; the section is normal to the flow at the first node."""
-    section = None
+    sections = []
     if start.formulation.sectioned:
-        section = ([float(x) for x in start.nodes[0]], [float(x) for x in start.flow])
-    return TheoremEquations(make_field(model, codes), start.formulation, energy, section)
+        sections = [([float(x) for x in start.nodes[0]], [float(x) for x in start.flow])]
+    return TheoremEquations(make_field(model, codes), start.formulation, energy, sections)
 
 
 def check_graph(codes: Programs, form: Formulation, model: Model) -> None:
