@@ -59,9 +59,9 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
       orbitfinder verify families/triple-mode-2/family.json
       orbitfinder verify --proof families/triple-mode-2/branch-proof.json families/triple-1/event-9-proof.json
     """
-    results = []
+    results, replays = [], {"branch-proof": verify_branch, "event-proof": verify_event}
     for file in (part for given in files for part in _each(given)):
-        if proof and (replay := REPLAYS.get(held(file)[0])):
+        if proof and (replay := replays.get(held(file)[0])):
             results.append({"file": str(file)} | replay(file, trust))
             text(f"{file}: {results[-1]['message']}")
             continue
@@ -329,12 +329,12 @@ def verify_branch(file: Path, trust: bool = False) -> dict[str, Any]:
 
 def _prove_event(files: tuple[Path, ...], number: int, options: Options, record: bool, trust: bool) -> None:
     """`prove FAMILY.json --event K`."""
-    from orbitfinder.proof.bordered import RECORDS, prove_event
+    from orbitfinder.proof.bordered import events, prove_event
     from orbitfinder.proof.theorem import provable_model
     from orbitfinder.records.family import load_family
 
     if len(files) != 1:
-        raise InputError("--event: give one FAMILY.json")
+        raise InputError("--event: give a single FAMILY.json")
     file, family = files[0], load_family(files[0])
     if record:
         check_writable(file.parent, "--record")
@@ -342,7 +342,7 @@ def _prove_event(files: tuple[Path, ...], number: int, options: Options, record:
     event = prove_event(family, number, model, options, lambda line: note(f"{family.name}: {line}"))
     interrupt.check()
     if event.proved and record:
-        RECORDS.save(event, file.parent / f"event-{number}-proof.json")
+        events.save(event, file.parent / f"event-{number}-proof.json")
     heading = f"{file} ({family.name}): event {number}"
     if event.proved:
         text(f"{heading}: proved in {event.wall_time:.1f} s")
@@ -350,23 +350,20 @@ def _prove_event(files: tuple[Path, ...], number: int, options: Options, record:
             text(f"  {name:<12}{said}")
     else:
         text(f"{heading}: not proved: {event.reason}")
-    finish("proof", RECORDS.document(event), event.proved)
+    finish("proof", events.document(event), event.proved)
 
 
 def verify_event(file: Path, trust: bool = False) -> dict[str, Any]:
     """Replay a recorded proof of an event: `passed`, and `message`, a sentence."""
     from orbitfinder.mechanics.kind import build_model
-    from orbitfinder.proof.bordered import read_event, replayed_event
+    from orbitfinder.proof.bordered import false_claims, read_event, replayed_event
 
     recorded = read_event(file)
-    again, wrong = replayed_event(recorded, build_model(dict(recorded.system), trusted(file, trust)), note)
-    if wrong:
+    again = replayed_event(recorded, build_model(dict(recorded.system), trusted(file, trust)), note)
+    if wrong := false_claims(recorded, again):
         return {"passed": False, "message": f"proof REJECTED: {'; '.join(wrong)}"}
     kind = again.kind.replace("_", " ")
     return {"passed": True, "message": f"proof replayed in {again.wall_time:.1f} s: proved, {kind}"}
-
-
-REPLAYS = {"branch-proof": verify_branch, "event-proof": verify_event}
 
 
 def _print_proof(heading: str, proof: Proof | None, document: dict[str, Any]) -> None:

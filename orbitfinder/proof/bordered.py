@@ -4,8 +4,8 @@ Beside the orbit x stands a solution y of the variational equations that closes 
 
     x' = f(x, p),    y' = (df/dx) y + sigma u(x) + delta f(x),    p' = sigma' = delta' = 0,
 
-p the parameter, an unknown; delta how the period changes; sigma unfolds the energy as s does (see `field`). It is one
-more system of first order to the integrator, and Krawczyk's operator shows that its zero is regular: what follows
+p the parameter, an unknown; delta how the period changes; sigma unfolds the energy as s does (see `field`). This is a
+further system of first order to the integrator, and Krawczyk's operator shows that its zero is regular: what follows
 about the family is in docs/proof.md. Sources: G. Moore, A. Spence, SIAM J. Numer. Anal. 17 (1980) 567-576;
 M. G. Crandall, P. H. Rabinowitz, J. Funct. Anal. 8 (1971) 321-340.
 """
@@ -45,6 +45,7 @@ from orbitfinder.proof.balls import (
 from orbitfinder.proof.enclosure import TaylorSettings
 from orbitfinder.proof.field import Field, Programs, make_field, programs, with_slopes
 from orbitfinder.proof.formulation import Formulation, approach
+from orbitfinder.proof.invariance import has_symmetry
 from orbitfinder.proof.krawczyk import (
     TheoremEquations,
     approximate_inverse,
@@ -55,7 +56,7 @@ from orbitfinder.proof.krawczyk import (
     norm,
     solve,
 )
-from orbitfinder.proof.program import GRAPHS, program
+from orbitfinder.proof.program import graphs, program
 from orbitfinder.proof.record import DIGITS, MARGIN, checked, close, enclosure, holds
 from orbitfinder.proof.series import recurrence
 from orbitfinder.proof.theorem import (
@@ -70,24 +71,23 @@ from orbitfinder.proof.theorem import (
     frequency,
     provable_model,
 )
-from orbitfinder.proof.trajectory import horizon, minimal_period
+from orbitfinder.proof.trajectory import horizon, minimal_period, positive_mass
 from orbitfinder.records.codec import Codec, plain
 from orbitfinder.records.family import Family
 
-KINDS = ("fold", "period_doubling", "branch_point")
-AGAIN = "prove the event again"
-COMPARED = {
-    "proved": eq, "kind": eq, "side": eq, "contraction": close,
-    **dict.fromkeys(("value", "energy", "period", "state", "tangent"), holds),
-}  # fmt: skip
-"""What a replay compares"""
+
+def twists(kind: str, reverses: bool) -> list[tuple[int, int]]:
+    """How y may be twisted at events of a kind, with a reversal or without; none of a kind that is not proved."""
+    turned = [(1, -1), (-1, 1)] if reverses else [(-1, -1)]
+    both = [(-1, -1), *turned] if reverses else turned
+    return {"fold": [(1, 1)], "period_doubling": turned, "branch_point": both}.get(kind, [])
 
 
 @dataclass(frozen=True)
-class Bordered(Formulation):
+class TwistedFormulation(Formulation):
     """The conditions of an orbit and of what it is varied by, y.
 
-    A `twist` of (1, 1) closes y as x closes. Without a reversal (-1, -1) is the opposite sign; with one each sign says
+    A `twist` of (1, 1) closes y as x closes. Without a reversal (-1, -1) is the opposite sign; with it each sign tells
     whether y has the reversal about that end of the horizon, or is turned round by it. The state is (x, y, constants),
     and the drive's phase, where there is one; constants are the `parameter`, sigma and delta.
     """
@@ -162,12 +162,12 @@ class Bordered(Formulation):
     def kind(self) -> str:
         """What happens where y closes like this."""
         if self.same:
-            return KINDS[0]
-        doubles = not self.symmetry.maps or (self.symmetry.forward is None and self.twist != (-1, -1))
-        return KINDS[1 if doubles else 2]
+            return "fold"
+        doubles = not self.symmetry.maps or (self.symmetry.forward is None and self.twist[0] != self.twist[1])
+        return "period_doubling" if doubles else "branch_point"
 
 
-def bordered_field(model: Model, codes: Programs, form: Bordered, parameter: str, energy_row: bool) -> Field:
+def bordered_field(model: Model, codes: Programs, form: TwistedFormulation, parameter: str, energy_row: bool) -> Field:
     """The field of (x, y, constants, phase), and of a fold in the energy dE y as its energy."""
     m, size = form.components, form.dimension
     state, none, s = ca.SX.sym("X", size), ca.SX.sym("v", 0), ca.SX.sym("s")
@@ -181,7 +181,7 @@ def bordered_field(model: Model, codes: Programs, form: Bordered, parameter: str
     if codes.clock is not None:  # the phase goes round with the drive, whatever its frequency is
         turning = _turning(codes, numbers, make_field(model, codes))
         q, v = ca.vertcat(x, state[-1] / turning), none
-    rates = codes.rates.run([_entries(q), _entries(v), [s], numbers], GRAPHS)[0]
+    rates = codes.rates.run([_entries(q), _entries(v), [s], numbers], graphs())[0]
     count = q.numel() if v.numel() == 0 else form.size
     rate = ca.vertcat(v, *[rates.get(i, ca.SX(0)) for i in range(count)])[:m]
     along = ca.jtimes(rate, x, y)
@@ -194,7 +194,7 @@ def bordered_field(model: Model, codes: Programs, form: Bordered, parameter: str
     plain, slopes = with_slopes("bordered", inputs, whole, ca.vertcat(state, s))
     energy = None
     if energy_row and codes.energy is not None:
-        gradient = codes.energy.run([_entries(q), _entries(v), [s], numbers], GRAPHS)[1]
+        gradient = codes.energy.run([_entries(q), _entries(v), [s], numbers], graphs())[1]
         total = ca.dot(ca.vertcat(*[gradient.get(i, ca.SX(0)) for i in range(m)]), y)
         energy = program(ca.Function("energy", inputs, [total, ca.densify(ca.gradient(total, state))]))
     parameters = [decimal(float(value)) for value in model.parameter_values]
@@ -213,7 +213,7 @@ def _turning(codes: Programs, numbers: Sequence[Any], plain: Field) -> Any:
     if codes.clock.value is None:
         return ca.SX(1)
     unused, place = [ca.SX(0)] * plain.dimension, codes.clock.value
-    value = replace(codes.rates, outputs=({0: place},)).run([unused, unused, unused, numbers], GRAPHS)[0][0]
+    value = replace(codes.rates, outputs=({0: place},)).run([unused, unused, unused, numbers], graphs())[0][0]
     return codes.clock.factor.numerator * (value if plain.plain.fixed[place] > 0 else -value)
 
 
@@ -229,12 +229,12 @@ def _phase(codes: Programs, cycles: int, drive: Any) -> Any:
 
 @dataclass(frozen=True)
 class BorderedRecord:
-    """An event-proof.json: exactly one zero of the bordered system within `radius` of `centre` (exact floats).
+    """An event-proof.json: a single zero of the bordered system within `radius` of `centre` (exact floats).
 
-    `twist` says how y closes (see `Bordered`), `cycles` how many of a drive's periods the orbit takes; sections are
-    normal to `flow`, which may be any vector, and y has the length of the centre's along it. Balls are
-    {"value": decimal, "radius": float}: `value` of the family's parameter, `energy` (J), `period` (s), `state`;
-    `tangent` is y at the first node, `side` where the orbits of a fold are: at "larger" or "smaller" values.
+    `twist` says how y closes (see `TwistedFormulation`), `cycles` how many of a drive's periods it takes; sections are
+    normal to `flow`, which may be any vector, and y has the length of the centre's along it. Balls are {"value":
+    decimal, "radius": float}: `value` of the family's parameter, `energy` (J), `period` (s), `state`; `tangent` is y at
+    the first node, `side` where the orbits of a fold are: at "larger" or "smaller" values.
     """
 
     _entries = (..., "wall_time", "versions")
@@ -276,13 +276,13 @@ class BorderedRecord:
         """What is proved, line by line."""
         at, period = (_digits(ball) for ball in (self.value, self.period))
         follows = {
-            KINDS[0]: f"two orbits near this at each {self.side} value and none at values on the other side",
-            KINDS[1]: "the family goes on at both sides, and orbits of twice the period branch off",
-            KINDS[2]: "the family goes on at both sides, and orbits of less symmetry branch off",
+            "fold": f"two orbits near this at each {self.side} value and none at values on the other side",
+            "period_doubling": "the family goes on at both sides, and orbits of twice the period branch off",
+            "branch_point": "the family goes on at both sides, and orbits of less symmetry branch off",
         }
         return [
             ("event", f"{self.kind.replace('_', ' ')} at {self.parameter} = {at}"),
-            ("box", f"exactly one zero of the bordered system within {self.radius:.2g} of the nodes"),
+            ("box", f"a single zero of the bordered system within {self.radius:.2g} of the nodes"),
             ("period", f"{period} s, minimal"),
             ("follows", follows[self.kind]),
             ("contraction", f"{self.contraction:.2g} (order {self.order}, {self.bits} bits)"),
@@ -300,7 +300,7 @@ def _digits(ball: Mapping[str, Any]) -> str:
     return f"{Decimal(ball['value']):.{places}f} +/- {ball['radius']:.1g}"
 
 
-RECORDS = Codec(BorderedRecord, "event-proof", "`orbitfinder prove --event`", AGAIN)
+events = Codec(BorderedRecord, "event-proof", "`orbitfinder prove --event`", "prove the event again")
 
 
 @dataclass
@@ -326,13 +326,15 @@ class _EventProof:
         given = (symmetry, model.degrees_of_freedom, about.segments, about.constants, about.turns)
         self.plain = Formulation(*given, integral, drive)
         fold, phase = about.twist == (1, 1), None if drive is None else _phase(codes, about.cycles, drive)
-        self.form = Bordered(*given, integral and fold, phase, about.twist, not integral, integral)
+        self.form = TwistedFormulation(*given, integral and fold, phase, about.twist, not integral, integral)
         fits = symmetry.reverses or len({*about.twist}) == 1
         fits &= (len(about.constants), len(about.turns)) == (self.form.components, model.degrees_of_freedom)
         if about.centre and not (
             fits and (len(about.centre), len(about.flow)) == (self.form.unknowns, self.form.components)
         ):
-            raise InputError(f"centre: {about.twist} and {len(about.centre)} numbers do not fit the system; {AGAIN}")
+            raise InputError(
+                f"centre: {about.twist} and {len(about.centre)} numbers do not fit the system; {events.again}"
+            )
         self.equations = TheoremEquations(
             bordered_field(model, codes, self.form, about.parameter, integral and fold), self.form,
             arb(0) if integral and fold else None, self.sections() if about.centre else [],
@@ -397,7 +399,7 @@ class _EventProof:
         self.equations = replace(self.equations, sections=self.sections())
 
     def solved(self) -> None:
-        """Move the centre to the zero, and take the largest box about it in which the operator shows that there is one.
+        """Move the centre to the zero, and take the largest box about it in which the operator shows that it is alone.
         Raises `NotProved`, `ConvergenceError`, `IntegrationError`."""
         settings = self.about.settings
         self.centred(solve(self.equations, list(map(arb, self.about.centre)), settings, CENTRE)[0])
@@ -444,9 +446,14 @@ class _EventProof:
         arcs = arcs_over(plain, own, midpoints(own), settings)
         path = horizon(plain, own, arcs)
         check_motion(path, self.model, "the state", "the orbit")
+        if "sigma" in form.constants_at and not (
+            (self.model.hamiltonian or positive_mass(path))
+            and has_symmetry(self.codes.rates, self.codes.energy, form.symmetry, form.size, (1, -1))
+        ):
+            raise NotProved("what varies the orbit could not be shown to keep the energy")
         minimal, _, reason = minimal_period(path, self.model.angles)
         if not minimal:
-            raise NotProved(f"the period could be a multiple of the minimal one: {reason}")
+            raise NotProved(f"the period could be a multiple of a smaller period: {reason}")
         if not form.same and not regular(plain, own, [arc[1] for arc in arcs]):
             raise NotProved("the orbits of the family could not be shown to go on to other values of its parameter")
         node = form.nodes(box)[0]
@@ -480,7 +487,7 @@ def prove_event(
     if not 0 <= number < len(family.events):
         raise InputError(f"--event: the family has {plural(len(family.events), 'event')}, counted from 0, got {number}")
     event = family.events[number]
-    if event.kind not in KINDS:
+    if not twists(event.kind, True):
         raise InputError(
             f"--event: {number} is a {event.kind.replace('_', ' ')}; give a fold, a doubling or a branch point, or "
             "prove a part of the family, --from A --to B, whose resonances are proved too"
@@ -492,15 +499,13 @@ def prove_event(
         orbit = replace(point, state=event.state, period=event.period)
         symmetry = chosen_symmetry(orbit, model, codes, options.symmetry)
         start = approach(model, orbit, symmetry, options.segments, frequency=frequency(model, codes))
-        form, twists = start.formulation, [(1, 1)] if event.kind == KINDS[0] else [(-1, -1)]
-        if event.kind != KINDS[0] and symmetry.reverses:
-            twists += [(1, -1), (-1, 1)]
+        form = start.formulation
         about = BorderedRecord(
             family.name, model.system, family.parameter, event.kind, form.symmetry.name, form.segments, form.constants,
             form.turns, 0 if form.drive is None else model.forcing_cycles(event.period), (1, 1), (), (), 0.0,
             options.order, options.bits, options.tolerance,
         )  # fmt: skip
-        runs = [_EventProof(replace(about, twist=twist), model, say) for twist in twists]
+        runs = [_EventProof(replace(about, twist=twist), model, say) for twist in twists(event.kind, symmetry.reverses)]
         try:
             nodes, flow_there = start.nodes[:, : form.components], start.flow
             near = [run.begun(nodes, start.duration, flow_there, event.parameter) for run in runs]
@@ -509,9 +514,9 @@ def prove_event(
             run.solved()
             proof = run.concluded()
             apart = abs(float(proof.value["value"]) - event.parameter)
-            if proof.kind != event.kind or not apart <= options.nearness:
-                said = f"a {proof.kind} {apart:.3g} away from it"
-                raise NotProved(f"what is near is no such event within {options.nearness:g} of the record, but {said}")
+            if {proof.kind: apart <= options.nearness} != {event.kind: True}:
+                near_by = f"a {proof.kind} is {apart:.3g} away from it"
+                raise NotProved(f"no such event within {options.nearness:g} of the record; {near_by}")
         except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
             proof = replace(about, reason=str(error))
     return replace(proof, wall_time=round(time.perf_counter() - began, 1))
@@ -519,29 +524,36 @@ def prove_event(
 
 def read_event(path: Path) -> BorderedRecord:
     """An event-proof.json. Raises `InputError`."""
-    record = RECORDS.load(path)
+    record = events.load(path)
     checked(Options(record.order, record.bits, record.tolerance, segments=record.segments))
     signs, numbers = {*record.twist} <= {1, -1}, (*record.centre, *record.flow, record.radius)
     if not (signs and record.radius > 0 and np.all(np.isfinite(numbers))):
-        raise InputError(f"{path}: twist, centre, flow or radius: no usable numbers; {AGAIN}")
+        raise InputError(f"{path}: twist, centre, flow or radius: no usable numbers; {events.again}")
     return record
 
 
 def replayed_event(
     record: BorderedRecord, model: Model | None = None, progress: Progress | None = None
-) -> tuple[BorderedRecord, list[str]]:
-    """A recorded proof done again from its centre, and every claim that it does not prove. Raises `InputError`."""
+) -> BorderedRecord:  # fmt: skip
+    """A recorded proof done again from its centre, balls without a margin. Raises `InputError`."""
     began = time.perf_counter()
     with precision(record.bits):
-        model = model or build_model(dict(record.system))
-        run = _EventProof(record, model, progress or (lambda line: None))
+        run = _EventProof(record, model or build_model(dict(record.system)), progress or (lambda line: None))
         try:
             fresh = run.concluded(1.0, 2 * DIGITS)
         except (NotProved, IntegrationError, ZeroDivisionError) as error:
-            return replace(record, proved=False), [str(error)]
+            fresh = replace(record, proved=False, reason=str(error))
+    return replace(fresh, wall_time=round(time.perf_counter() - began, 1))
+
+
+def false_claims(record: BorderedRecord, fresh: BorderedRecord) -> list[str]:
+    """Every claim of a recorded proof that the proof done again does not bear out."""
+    if not fresh.proved:
+        return [fresh.reason]
+    compared = {"proved": eq, "kind": eq, "side": eq, "contraction": close}
+    compared |= dict.fromkeys(("value", "energy", "period", "state", "tangent"), holds)
     old, new = plain(record), plain(fresh)
-    wrong = [
+    return [
         f"{name}: recorded {shortened(repr(old[name]), 80)}, found {shortened(repr(new[name]), 80)}"
-        for name, same in COMPARED.items() if not same(old[name], new[name])
+        for name, same in compared.items() if not same(old[name], new[name])
     ]  # fmt: skip
-    return replace(fresh, wall_time=round(time.perf_counter() - began, 1)), wrong

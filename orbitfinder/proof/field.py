@@ -160,6 +160,8 @@ class Field:
     parameters: Vector
     frequency: Any = None
     """of what drives it (rad/s)"""
+    symplectic: bool = False
+    """whether what drives it is the gradient of a potential, so that multipliers are in pairs mu, 1/mu"""
 
     def states(self, z: Sequence[Any], order: int) -> list[Vector]:
         """Series of (q, v) (d lists of order + 1 balls) of the solution through z (d + 2)."""
@@ -208,7 +210,23 @@ def make_field(model: Model, codes: Programs | None = None, given: Mapping[int, 
         frequency = arb(fmpq(clock.factor.numerator, clock.factor.denominator))
         frequency = abs(frequency if clock.value is None else frequency * plain.fixed[clock.value])
     varied = recurrence(codes.jacobian, constants)
-    return Field(size, whole, plain, varied, codes.energy, codes.mass, parameters, frequency)
+    turned = frequency is not None and gradient_forces(model, constants)
+    return Field(size, whole, plain, varied, codes.energy, codes.mass, parameters, frequency, turned)
+
+
+def gradient_forces(model: Model, constants: Mapping[int, Sequence[Any]]) -> bool:
+    """True when the forces Q(t, q, v, p) of a mechanical system are a potential's gradient on their graph: no v in
+    them, and dQ/dq symmetric; by Lagrange's equations the flow in (q, dT/dv) is then Hamilton's."""
+    if model.rates is not None or model.forces is None or not model.forces.is_a("SXFunction"):
+        return False
+    n = model.degrees_of_freedom
+    t, q, v, p = ca.SX.sym("t"), ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("p", len(model.parameter_values))
+    slopes = ca.jacobian(model.forces(t, q, v, p), ca.vertcat(q, v))
+    code = recurrence(program(ca.Function("slopes", [t, q, v, p], [slopes])), constants)
+    places = {
+        entry: value for entry, value in code.outputs[0].items() if not (value in code.fixed and code.fixed[value] == 0)
+    }
+    return all(entry < n * n and places.get(entry % n * n + entry // n) == value for entry, value in places.items())
 
 
 class Jet:

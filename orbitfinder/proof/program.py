@@ -57,15 +57,11 @@ class Ring:
     functions: dict[str, Callable[..., Any]]
 
 
-GRAPHS = Ring(
-    ca.SX,
-    {
-        "add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv, "neg": operator.neg,
-        "sq": lambda a: a * a, "sin": ca.sin, "cos": ca.cos, "sqrt": ca.sqrt, "exp": ca.exp, "log": ca.log,
-        "pow": operator.pow,
-    },
-)  # fmt: skip
-"""The same operations as a graph again, on other symbols than those of the function"""
+def graphs() -> Ring:
+    """The same operations as a graph again, on other symbols than those of the function."""
+    plain = {name: getattr(operator, name) for name in ("add", "sub", "mul", "neg", "pow")}
+    known = {name: getattr(ca, name) for name in ("sin", "cos", "sqrt", "exp", "log")}
+    return Ring(ca.SX, {**plain, **known, "div": operator.truediv, "sq": lambda a: a * a})
 
 
 def program(function: ca.Function) -> ScalarProgram:

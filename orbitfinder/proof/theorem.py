@@ -256,7 +256,7 @@ def verdict(path: Trajectory) -> Stability:
     """The stability of an enclosed orbit."""
     form, matrix = path.formulation, monodromy(path)
     if form.drive is not None:
-        return stability(matrix, conserved=False)
+        return stability(matrix, path.field.symplectic)
     return stability(reduced(path, matrix), form.conserved)
 
 
