@@ -1,4 +1,4 @@
-"""Prove orbits of an atlas, the quickest first, and keep the records.
+"""Prove orbits of an atlas, the quickest first, or events of families, and keep the records.
 
 Each record is the orbit's document with its `proof` entry, so that
 
@@ -9,6 +9,7 @@ with the reason in the summary. Records that are there already are left alone, s
 and given again.
 
     python benchmarks/prove_atlas.py results/atlas/triple.sqlite --count 50 --jobs 2
+    python benchmarks/prove_atlas.py --events
 """
 
 from __future__ import annotations
@@ -19,15 +20,61 @@ import math
 import multiprocessing
 import sys
 import time
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from orbitfinder.atlas.store import Atlas
+from orbitfinder.families.folder import follow_family
+from orbitfinder.loops.problem import Guess
 from orbitfinder.loops.symmetry import NONE, SYMMETRIES
+from orbitfinder.mechanics.kind import with_parameters
+from orbitfinder.problemfile.read import load_problem
+from orbitfinder.proof.bordered import events, prove_event, read_event
+from orbitfinder.proof.branch import read_branch
 from orbitfinder.proof.record import entry
 from orbitfinder.proof.theorem import prove
+from orbitfinder.records.family import Family, load_family
 from orbitfinder.records.orbit import orbit_from_document
 from orbitfinder.records.reading import write_atomically
+
+RATIONAL = {"length": 1.0, "mass": 1.0, "gravity": 2.25, "damping": 0.75, "frequency": 1.0}
+"""J. R. Taylor's pendulum with 2 pi t as time, without an irrational number; the torque is 9/4 of his gamma"""
+FOLLOWED: dict[str, tuple[Any, ...]] = {
+    "duffing": ("duffing-resonance", {"force": 0.5}, ([0.5, 0.0], 7.85398163397), "frequency", 2.6, (0, 2)),
+    "pendulum": ("driven-pendulum", {**RATIONAL, "torque": 2.385}, ([-0.25, 2.95], 2 * math.pi), "torque", 2.41, (0,)),
+}
+"""By name: a problem of `problems/families`, what of its system is changed, state and period, the parameter, until
+where it is followed, the events that are proved"""
+FAMILIES = {
+    "triple-1": (5, 9), "triple-mode-2": (2, 13), "henon-heiles-straight": (5, 14), "henon-heiles-loop": (5,),
+}  # fmt: skip
+"""Events that are proved of `results/families`"""
+
+
+def event_families() -> Iterator[tuple[Family, tuple[int, ...]]]:
+    """Families with the numbers of their events that are proved."""
+    for name, (problem, changed, guess, parameter, until, numbers) in FOLLOWED.items():
+        given = load_problem(Path("problems/families") / f"{problem}.toml")
+        begun = replace(given, name=name, model=with_parameters(given.model, changed), guess=Guess(*guess))
+        yield follow_family(begun, parameter, until=until), numbers
+    for name, numbers in FAMILIES.items():
+        yield load_family(Path("results/families") / name / "family.json"), numbers
+
+
+def prove_events(folder: Path) -> dict[str, str]:
+    """Records of events, and the reasons of those that could not be proved."""
+    failures = {}
+    for family, numbers in event_families():
+        for number in numbers:
+            name, proof = f"{family.name}-{number}", prove_event(family, number)
+            print(f"{name}: {proof.words[0][1] if proof.proved else proof.reason}", file=sys.stderr, flush=True)
+            if proof.proved:
+                events.save(proof, folder / f"{name}.json")
+            else:
+                failures[name] = proof.reason
+    return failures
 
 
 def cost(document: dict[str, Any]) -> float:
@@ -81,6 +128,30 @@ def summary(folder: Path, failures: dict[str, str]) -> str:
             f"+- {proof['period']['radius']:.0e} | {proof['box_radius']:.0e} | {proof['contraction']:.1e} "
             f"| {proof['stability']} | {proof['wall_time']} |"
         )
+    lines += [
+        "", "Parts of families, without a gap (energies in J; the radius is the widest piece's):", "",
+        "| record | symmetry | from | to | pieces | radius | contraction | wall time (s) |",
+        "|---|---|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    for file in sorted(folder.glob("*/branch-proof.json")):
+        part = read_branch(file)
+        wide = max(max(piece.radius) for piece in part.pieces)
+        most = max(piece.contraction for piece in part.pieces)
+        lines.append(
+            f"| {file.parent.name} | {part.symmetry} | {part.low} | {part.high} | {len(part.pieces)} | {wide:.0e} "
+            f"| {most:.1e} | {part.wall_time} |"
+        )
+    lines += [
+        "", "Events of families, as regular zeros of bordered systems (`events`, by family and number):", "",
+        "| record | event | period | radius | contraction | wall time (s) |", "|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    for file in sorted((folder / "events").glob("*.json")):
+        event = read_event(file)
+        said = dict(event.words)
+        lines.append(
+            f"| {file.stem} | {said['event']} | {said['period']} | {event.radius:.0e} | {event.contraction:.1e} "
+            f"| {event.wall_time} |"
+        )
     for name, reason in failures.items():
         lines += ["", f"Not proved: {name}: {reason}"]
     return "\n".join(lines) + "\n"
@@ -89,13 +160,18 @@ def summary(folder: Path, failures: dict[str, str]) -> str:
 def main() -> int:
     """Run the proofs side by side and write records and summary."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("atlas", type=Path)
+    parser.add_argument("atlas", type=Path, nargs="?")
+    parser.add_argument("--events", action="store_true", help="prove events of families and no orbits")
     parser.add_argument("--count", type=int, default=50, help="records wanted in all")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("results/proofs"))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    todo, failures, began = tasks(options.atlas, options.out, options.count), {}, time.perf_counter()
+    todo, failures, began = [], {}, time.perf_counter()
+    if options.events:
+        failures = prove_events(options.out / "events")
+    elif options.atlas is not None:
+        todo = tasks(options.atlas, options.out, options.count)
     with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
         for name, document, proof in pool.imap_unordered(attempt, todo):
             verdict = f"{proof.get('stability')}" if proof["proved"] else f"not proved: {proof['reason']}"

@@ -46,6 +46,7 @@ SHIPPED = {
     "control": GALLERY / "control-maintained-oscillator.json",
     "proof": RESULTS / "proofs" / "triple-7.json",
     "branch-proof": RESULTS / "proofs" / "triple-mode-1" / "branch-proof.json",
+    "event-proof": RESULTS / "proofs" / "events" / "duffing-2.json",
     "family": RESULTS / "families" / "henon-heiles-loop" / "family.json",
     "family#": Path(f"{RESULTS / 'families' / 'henon-heiles-loop' / 'family.json'}#3"),
     "atlas": RESULTS / "atlas" / "impact-oscillator.sqlite",
@@ -55,7 +56,8 @@ MADE = ("export", "export#", "empty export", "optima", "optima#", "tori", "tori#
         "controller", "equilibria", "equilibria#", "diagram", "map", "bifurcation", "journal", "text")  # fmt: skip
 RESTING = {"equilibria", "equilibria#"}
 KINDS = (*SHIPPED, *MADE)
-ORBITS = {kind for kind in (*SHIPPED, "export#", "optima#") if kind not in ("branch-proof", "family", "atlas")}
+PROOFS = {"branch-proof", "event-proof"}
+ORBITS = {*SHIPPED, "export#", "optima#"} - PROOFS - {"family", "atlas"}
 TAKEN = {
     "verify": ORBITS | {"family", "optima", "tori", "tori#", "connection", "controller", "diagram", "map",
                         "bifurcation"} | RESTING,
@@ -63,7 +65,7 @@ TAKEN = {
                       "diagram", "map", "bifurcation"} | RESTING,
     "animate": ORBITS, "export": ORBITS | {"controller", "family", "optima", "tori", "tori#", "map"} | RESTING,
     "studio": ORBITS | {"family", "atlas"},
-    "page": {*KINDS} - {"branch-proof", "controller", "diagram", "map", "bifurcation", "journal", "text"},
+    "page": {*KINDS} - PROOFS - {"controller", "diagram", "map", "bifurcation", "journal", "text"},
 }  # fmt: skip
 """What a verb answers; of anything else it says in one sentence what takes it"""
 PAGES = {"orbit", "forced", "first-order", "hybrid", "mechanism", "control", "proof", "family", "family#", "atlas",
@@ -218,7 +220,17 @@ def test_every_reader_takes_its_own_files_and_refuses_the_others(records):
                 read[kind] = load(file)
             except InputError as error:
                 assert "\n" not in str(error) and len(str(error)) > 30
-    files = {"branch-proof", "atlas", "export", "empty export", "tori#", "equilibria#", "journal", "text"}
+    files = {
+        "branch-proof",
+        "event-proof",
+        "atlas",
+        "export",
+        "empty export",
+        "tori#",
+        "equilibria#",
+        "journal",
+        "text",
+    }
     assert set(KINDS) - set(read) == files
 
 

@@ -17,6 +17,7 @@ from orbitfinder.proof.branch import (
     BranchPiece,
     Checked,
     branch_document,
+    contradictions,
     prove_branch,
     read_branch,
     replayed,
@@ -152,20 +153,23 @@ def test_commands_prove_and_replay_a_branch(tmp_path):
     record = tmp_path / "branch-proof.json"
     found = run.invoke(cli, ["verify", "--proof", str(record)])
     assert found.exit_code == 0 and "proof replayed" in found.output
-    whole = json.loads(record.read_text())
-    passage = whole["passages"][0]
+    whole, recorded = json.loads(record.read_text()), read_branch(record)
+    passage, fresh = whole["passages"][0], replayed(recorded)
     for wrong in (
         {"level": 1.0}, {"kind": "torus"}, {"kept": "brake+reflection"}, {"test": "det(N + 2)"}, {"proved": False},
         {"low": passage["high"], "high": passage["low"]}, {"low": "[+/- inf]"}, {"low": "nan"}, {"low": "little"},
         {"high": passage["high"].replace(" +/- ", "3 +/- ").replace("e-", "e-1")},
     ):  # fmt: skip
-        record.write_text(json.dumps(whole | {"passages": [passage | wrong]}))
-        found = run.invoke(cli, ["verify", "--proof", str(record)])
-        assert found.exit_code == 1 and "proof REJECTED: event: recorded" in found.output, (wrong, found.output)
+        false = replace(recorded, passages=(replace(recorded.passages[0], **wrong),))
+        assert [said.partition(" {")[0][:15] for said in contradictions(false, fresh)] == ["event: recorded"], wrong
     pieces = [whole["pieces"][0] | {"contraction": 1e-9}, *whole["pieces"][1:]]
-    record.write_text(json.dumps(whole | {"pieces": pieces}))
-    found = run.invoke(cli, ["verify", "--proof", str(record)])
-    assert found.exit_code == 1 and "proof REJECTED: contraction from" in found.output
+    for wrong, message in (
+        ({"passages": [passage | {"level": 1.0}]}, "event: recorded"),
+        ({"passages": [passage | {"kind": "torus"}], "pieces": pieces}, "contraction from"),
+    ):
+        record.write_text(json.dumps(whole | wrong))
+        found = run.invoke(cli, ["verify", "--proof", str(record)])
+        assert found.exit_code == 1 and f"proof REJECTED: {message}" in found.output, (wrong, found.output)
 
 
 @pytest.mark.parametrize(

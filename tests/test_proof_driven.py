@@ -73,6 +73,16 @@ def test_a_multiple_of_the_drives_period_is_not_minimal(proved):
     assert "not within 1e-09 of the record" in prove(replace(orbit, state=orbit.state + 1e-8), model).reason
 
 
+def test_stability_of_hamiltonian_drives_is_proved_on_the_circle():
+    """An undamped oscillator: both multipliers simple and on the circle; with a little damping nothing is said."""
+    model = of.systems.forced_duffing(cubic=0.2, damping=0.0, force=0.3, frequency=1.7)
+    orbit = of.find_orbit(of.Problem(model, of.Guess([-0.2, 0.0], 2 * np.pi / 1.7)))
+    proof = prove(orbit, model)
+    assert proof.stability.verdict == "linearly stable" and len(proof.stability.multipliers) == 2, proof.reason
+    assert make_field(model).symplectic
+    assert not make_field(of.systems.forced_duffing(damping=1e-9)).symplectic and not make_field(linear()).symplectic
+
+
 @pytest.mark.parametrize(("factor", "rate"), [
     (1, lambda t, p: ca.cos(p.w * t)),
     (2, lambda t, p: ca.sin(2 * p.w * t) * ca.cos(4 * (p.w * t) + p.c)),
@@ -107,15 +117,18 @@ def test_commands_prove_a_driven_orbit_and_reject_a_doctored_record(tmp_path):
     again = run(cli, ["verify", "--proof", str(file)])
     assert again.exit_code == 0 and "proof replayed" in again.output, again.output
     document = read_document(file)
+    false = {**document, "proof": dict(document["proof"])}
     for change in ("multipliers", "state"):
-        false = {**document, "proof": {**document["proof"], change: document["proof"][change][::-1]}}
-        first = false["proof"][change][0]
+        first = document["proof"][change][0]
         ball = first[0] if change == "multipliers" else first
-        ball["value"] = str(float(ball["value"]) + 1e-6)
-        other = tmp_path / f"{change}.json"
-        write_json(other, false)
-        rejected = run(cli, ["verify", "--proof", str(other)])
-        assert rejected.exit_code == 1 and f"{change}: recorded" in rejected.output, rejected.output
+        moved = {**ball, "value": str(float(ball["value"]) + 1e-6)}
+        entry = [moved, *first[1:]] if change == "multipliers" else moved
+        false["proof"][change] = [entry, *document["proof"][change][1:]]
+    other = tmp_path / "other.json"
+    write_json(other, false)
+    rejected = run(cli, ["verify", "--proof", str(other)])
+    assert rejected.exit_code == 1, rejected.output
+    assert "multipliers: recorded" in rejected.output and "state: recorded" in rejected.output
     asked = run(cli, ["prove", str(file), "--symmetry", "reflection", "--no-record"])
     assert asked.exit_code == 2 and "driven systems are proved without any" in asked.output
     orbit = of.load_orbit(file)

@@ -61,10 +61,11 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
       orbitfinder verify orbits/*/orbit.json --json
       orbitfinder verify families/triple-mode-2/family.json#17
       orbitfinder verify families/triple-mode-2/family.json
-      orbitfinder verify --proof families/triple-mode-2/branch-proof.json
+      orbitfinder verify --proof families/triple-mode-2/branch-proof.json families/triple-1/event-9-proof.json
       orbitfinder verify --proof equilibria/wing-flutter/equilibria-proof.json
     """
-    results, replays = [], {"branch-proof": verify_branch, "equilibria-proof": verify_rest}
+    results = []
+    replays = {"branch-proof": verify_branch, "event-proof": verify_event, "equilibria-proof": verify_rest}
     for file in (part for given in files for part in _each(given)):
         if proof and (replay := replays.get(held(file)[0])):
             results.append({"file": str(file)} | replay(file, trust))
@@ -156,13 +157,14 @@ def symmetry_option(what: str) -> Decorator:
 @option("record/--no-record", "Write the proof into the ORBIT.json.", True)
 @option("from low", "Of a FAMILY.json: prove it from this energy (J) ...", kind=FINITE)
 @option("to high", "... to this one, and its events in between.", kind=FINITE)
+@option("event number", "Of a FAMILY.json: prove this fold, doubling or branch point, counted from 0.", kind=int)
 @option("workers", "Processes side by side.", 1, (1, 256))
 @option("scheduler", "Dask scheduler, such as tcp://head:8786, instead of processes.", metavar="ADDRESS")
 @option("shard", "Prove every N-th only, from the K-th; auto: by the Slurm array that runs it.", metavar="K/N")
 @usual(trust=SYSTEM_TRUST)
 def prove(
-    files: tuple[Path, ...], record: bool, low: float | None, high: float | None, trust: bool, workers: int,
-    scheduler: str | None, shard: str | None, **given: Any,
+    files: tuple[Path, ...], record: bool, low: float | None, high: float | None, number: int | None, trust: bool,
+    workers: int, scheduler: str | None, shard: str | None, **given: Any,
 ) -> None:  # fmt: skip
     """Prove that each ORBIT.json is a periodic orbit, by a theorem in ball arithmetic.
 
@@ -178,6 +180,7 @@ def prove(
       orbitfinder prove orbits/*/orbit.json --no-record --json
       orbitfinder prove families/triple-mode-2/family.json --from -37.516219 --to -37.516209
       orbitfinder prove equilibria/wing-flutter/equilibria.json
+      orbitfinder prove families/triple-1/family.json --event 9
     """
     resting = [file for file in files if file.is_file() and kind_of(file) == "equilibria"]
     if resting:
@@ -191,6 +194,9 @@ def prove(
     from orbitfinder.proof.theorem import Options
 
     options, results = checked(Options(**{k: v for k, v in given.items() if v is not None})), []
+    if number is not None:
+        _prove_event(files, number, options, record, trust)
+        return
     part = shard_from(shard) or WHOLE
     listed = [orbit for file in files for orbit in _orbits_in(file)][part.first :: part.parts]
     every = [file for file, proved in listed if not proved]  # left out now: shards have the same list at any time
@@ -393,6 +399,45 @@ def verify_branch(file: Path, trust: bool = False) -> dict[str, Any]:
     borne = [passage for passage in again.passages if passage.proved]
     what = f"{plural(len(again.pieces), 'piece')}, {plural(len(borne), 'event')}"
     return {"passed": True, "message": f"proof replayed in {again.wall_time:.1f} s: proved, {what}"}
+
+
+def _prove_event(files: tuple[Path, ...], number: int, options: Options, record: bool, trust: bool) -> None:
+    """`prove FAMILY.json --event K`."""
+    from orbitfinder.proof.bordered import events, prove_event
+    from orbitfinder.proof.theorem import provable_model
+    from orbitfinder.records.family import load_family
+
+    if len(files) != 1:
+        raise InputError("--event: give a single FAMILY.json")
+    file, family = files[0], load_family(files[0])
+    if record:
+        check_writable(file.parent, "--record")
+    model = provable_model(family.points[0], trusted(file, trust))
+    event = prove_event(family, number, model, options, lambda line: note(f"{family.name}: {line}"))
+    interrupt.check()
+    if event.proved and record:
+        events.save(event, file.parent / f"event-{number}-proof.json")
+    heading = f"{file} ({family.name}): event {number}"
+    if event.proved:
+        text(f"{heading}: proved in {event.wall_time:.1f} s")
+        for name, said in event.words:
+            text(f"  {name:<12}{said}")
+    else:
+        text(f"{heading}: not proved: {event.reason}")
+    finish("proof", events.document(event), event.proved)
+
+
+def verify_event(file: Path, trust: bool = False) -> dict[str, Any]:
+    """Replay a recorded proof of an event: `passed`, and `message`, a sentence."""
+    from orbitfinder.mechanics.kind import build_model
+    from orbitfinder.proof.bordered import false_claims, read_event, replayed_event
+
+    recorded = read_event(file)
+    again = replayed_event(recorded, build_model(dict(recorded.system), trusted(file, trust)), note)
+    if wrong := false_claims(recorded, again):
+        return {"passed": False, "message": f"proof REJECTED: {'; '.join(wrong)}"}
+    kind = again.kind.replace("_", " ")
+    return {"passed": True, "message": f"proof replayed in {again.wall_time:.1f} s: proved, {kind}"}
 
 
 def _print_proof(heading: str, proof: Proof | None, document: dict[str, Any]) -> None:

@@ -419,8 +419,8 @@ def prove_branch(
         equations = make_equations(model, codes, start, arb(origin.energy))
         inner = [event for event in family.events if low < event.energy < high and event.kind not in SAID]
         asked = [(event.kind, 2.0 * float(complex(event.multiplier).real)) for event in inner]
-        form, cut = start.formulation, equations.section
-        section = None if cut is None else (tuple(cut[0]), tuple(cut[1]))
+        form = start.formulation
+        section = next(((tuple(anchor), tuple(normal)) for anchor, normal in equations.sections), None)
         stated = form.symmetry.name, form.segments, form.constants, form.turns, section
         empty = ProvedBranch(family.name, model.system, *stated, low, high, formulation=form)
         run = _BranchProof(model, equations, say)
@@ -438,7 +438,8 @@ def replayed(branch: ProvedBranch, model: Model | None = None, progress: Progres
     with precision(ROUGH.bits):
         model = model or branch_model(branch)
         codes = programs(model)
-        equations = TheoremEquations(make_field(model, codes), branch.formulation, None, branch.section)
+        sections = [branch.section] if branch.section else []
+        equations = TheoremEquations(make_field(model, codes), branch.formulation, None, sections)
         run = _BranchProof(model, equations, progress or (lambda line: None))
         asked = [(event.kind, event.level) for event in branch.passages]
         ends = [branch.pieces[0].low, branch.pieces[-1].high] if branch.pieces else []

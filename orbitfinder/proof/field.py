@@ -11,7 +11,7 @@ Of a driven system q is the whole state and the time, q' = tau (f(t, x), 1).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import Any
@@ -77,7 +77,7 @@ def programs(model: Model) -> Programs:
         check_unfolding(program(invariant.unfolding), n)
         energy = derived("energy", inputs, invariant.value(q, v, p), lambda exact: [exact, ca.gradient(exact, x)])
         mass = derived("mass", inputs, model.kinetic(q, v, p), lambda exact: [ca.hessian(exact, v)[0]])
-    rates, slopes = _with_slopes("accelerations", inputs, source, ca.vertcat(x, s), lambda e: accelerations(e) + push)
+    rates, slopes = with_slopes("accelerations", inputs, source, ca.vertcat(x, s), lambda e: accelerations(e) + push)
     return Programs(rates, slopes, energy, mass)
 
 
@@ -101,7 +101,7 @@ def _graph(expression: ca.SX, *inputs: ca.SX) -> ScalarProgram:
     return program(ca.Function("graph", inputs, [expression]))
 
 
-def _with_slopes(
+def with_slopes(
     name: str, inputs: list[ca.SX], source: ca.SX, by: ca.SX, made: Callable[[ca.SX], ca.SX] = lambda exact: exact
 ) -> tuple[ScalarProgram, ScalarProgram]:
     """The programs of rates made of a source, and of these with their derivatives."""
@@ -113,7 +113,7 @@ def _alone(model: Model, rates: ca.Function, x: ca.SX, v: ca.SX, s: ca.SX, p: ca
     """The programs of a first-order system: f + s grad H where f is J grad H on the graph, else f alone."""
     inputs, rate, by = [x, v, s, p], rates(0.0, x, p), ca.vertcat(x, s)
     if not model.hamiltonian:
-        return Programs(*_with_slopes("rates", inputs, rate, by), None, None)
+        return Programs(*with_slopes("rates", inputs, rate, by), None, None)
     total, half = model.invariants[0].value(x, v, p), x.numel() // 2
 
     def turned(slope: ca.SX) -> ca.SX:
@@ -126,7 +126,7 @@ def _alone(model: Model, rates: ca.Function, x: ca.SX, v: ca.SX, s: ca.SX, p: ca
     if _graph(rate, *inputs) != _graph(turned(ca.gradient(total, x)), *inputs):
         raise InputError("system: its rates are not Hamilton's of its energy on their graph; use hamiltonian(...)")
     energy = derived("energy", inputs, total, lambda exact: [exact, ca.gradient(exact, x)])
-    return Programs(*_with_slopes("rates", inputs, total, by, unfolded), energy, None)
+    return Programs(*with_slopes("rates", inputs, total, by, unfolded), energy, None)
 
 
 def _driven(model: Model) -> Programs:
@@ -136,7 +136,7 @@ def _driven(model: Model) -> Programs:
     if not model.scalar:
         raise InputError(NUMERICAL)
     rate = ca.vertcat(model.rate(y[-1], y[:-1], p), 1.0)
-    rates, slopes = _with_slopes("driven", [y, v, s, p], rate, ca.vertcat(y, s))
+    rates, slopes = with_slopes("driven", [y, v, s, p], rate, ca.vertcat(y, s))
     clock = drive(rates, y.numel() - 1)
     if clock is None:
         raise InputError(
@@ -192,6 +192,8 @@ class Field:
     parameters: Vector
     frequency: Any = None
     """of what drives it (rad/s)"""
+    symplectic: bool = False
+    """whether what drives it is the gradient of a potential, so that multipliers are in pairs mu, 1/mu"""
 
     def states(self, z: Sequence[Any], order: int) -> list[Vector]:
         """Series of (q, v) (d lists of order + 1 balls) of the solution through z (d + 2)."""
@@ -224,10 +226,10 @@ class Field:
         return [z[:n], z[n:d], [z[d]], self.parameters]
 
 
-def make_field(model: Model, codes: Programs | None = None) -> Field:
-    """The field of a Model, parameters read as the decimals they are written as."""
+def make_field(model: Model, codes: Programs | None = None, given: Mapping[int, Any] | None = None) -> Field:
+    """The field of a Model, parameters read as the decimals they are written as, but balls where they are `given`."""
     codes = codes or programs(model)
-    parameters = [decimal(float(value)) for value in model.parameter_values]
+    parameters = [(given or {}).get(k, decimal(float(value))) for k, value in enumerate(model.parameter_values)]
     constants = {3: parameters}
     size, whole, plain, frequency = (
         model.degrees_of_freedom,
@@ -240,7 +242,23 @@ def make_field(model: Model, codes: Programs | None = None) -> Field:
         frequency = arb(fmpq(clock.factor.numerator, clock.factor.denominator))
         frequency = abs(frequency if clock.value is None else frequency * plain.fixed[clock.value])
     varied = recurrence(codes.jacobian, constants)
-    return Field(size, whole, plain, varied, codes.energy, codes.mass, parameters, frequency)
+    turned = frequency is not None and gradient_forces(model, constants)
+    return Field(size, whole, plain, varied, codes.energy, codes.mass, parameters, frequency, turned)
+
+
+def gradient_forces(model: Model, constants: Mapping[int, Sequence[Any]]) -> bool:
+    """True when the forces Q(t, q, v, p) of a mechanical system are a potential's gradient on their graph: no v in
+    them, and dQ/dq symmetric; by Lagrange's equations the flow in (q, dT/dv) is then Hamilton's."""
+    if model.rates is not None or model.forces is None or not model.forces.is_a("SXFunction"):
+        return False
+    n = model.degrees_of_freedom
+    t, q, v, p = ca.SX.sym("t"), ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("p", len(model.parameter_values))
+    slopes = ca.jacobian(model.forces(t, q, v, p), ca.vertcat(q, v))
+    code = recurrence(program(ca.Function("slopes", [t, q, v, p], [slopes])), constants)
+    places = {
+        entry: value for entry, value in code.outputs[0].items() if not (value in code.fixed and code.fixed[value] == 0)
+    }
+    return all(entry < n * n and places.get(entry % n * n + entry // n) == value for entry, value in places.items())
 
 
 class Jet:

@@ -48,11 +48,13 @@ def _parity(name: str, a: int, b: int, exponent: float | None) -> int:
     return EVEN if a in (EVEN, BOTH) else NEITHER
 
 
-def has_symmetry(rates: ScalarProgram, energy: ScalarProgram | None, symmetry: Symmetry, n: int) -> bool:
+def has_symmetry(
+    rates: ScalarProgram, energy: ScalarProgram | None, symmetry: Symmetry, n: int, senses: Sequence[int] = (1,)
+) -> bool:
     """True when the accelerations a(q, v, s) of n coordinates (and the energy) provably have a symmetry of orbits.
 
-    a(P q, sense P v, sense s) = P a(q, v, s), and E(P q, P v) = E(q, v) of one that does not reverse time. Of rates
-    f(q, s) alone f(P q, sense s) = sense P f(q, s). Arguments are numbered q, v, s = 0, 1, 2.
+    a(P q, sense P v, sense s) = P a(q, v, s), and E(P q, sense P v) = E(q, v) of maps of these senses. Of rates f(q, s)
+    alone f(P q, sense s) = sense P f(q, s). Arguments are numbered q, v, s = 0, 1, 2.
     """
     for mirror in symmetry.maps:
         places = [round(sign) for sign in np.diag(mirror.places(n))]
@@ -60,7 +62,7 @@ def has_symmetry(rates: ScalarProgram, energy: ScalarProgram | None, symmetry: S
         image = [mirror.sense * sign for sign in places] if mirror.first_order else places
         if mirror.order or any(parity not in (image[i], BOTH) for i, parity in parities(rates, signs)[0].items()):
             return False
-        if energy and mirror.sense > 0 and not {*parities(energy, signs)[0].values()} <= {EVEN, BOTH}:
+        if energy and mirror.sense in senses and not {*parities(energy, signs)[0].values()} <= {EVEN, BOTH}:
             return False
     return True
 

@@ -28,14 +28,14 @@ Arc = tuple[Vector, Any, Vector, list[Tube]]
 class TheoremEquations:
     """F(u) = 0 with everything it needs besides the unknowns.
 
-    `section` are (anchor (d), normal (d)) of the hyperplane that fixes the phase, `energy` (J) a ball, None where
-    nothing is conserved.
+    `sections` are (anchor (d), normal (d)) of hyperplanes, of an orbit that which fixes the phase; `energy` (J) a ball,
+    None where nothing is conserved.
     """
 
     field: Field
     formulation: Formulation
     energy: Any
-    section: tuple[Sequence[float], Sequence[float]] | None = None
+    sections: Sequence[tuple[Sequence[float], Sequence[float]]] = ()
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,7 @@ def residual(equations: TheoremEquations, unknowns: Vector, ends: Sequence[Vecto
         rows += [a - b for a, b in zip(end, following, strict=False)]
     mirror = form.mirror
     rows += [ends[-1][i] + mirror[i] * nodes[0][i] - aim for i, aim in zip(form.ends, form.targets, strict=True)]
-    if equations.section is not None:
-        anchor, normal = equations.section
+    for anchor, normal in equations.sections:
         rows.append(sum((w * (x - a) for w, x, a in zip(normal, nodes[0], anchor, strict=False)), arb(0)))
     return rows if equations.energy is None else [*rows, equations.field.energy(nodes[0])[0] - equations.energy]
 
@@ -111,9 +110,9 @@ def jacobian_rows(equations: TheoremEquations, box: Vector, derivatives: Sequenc
                 put(row, 0, i, arb(mirror[i]))
             else:
                 put(row, k + 1, i, arb(-1))
-    if equations.section is not None:
-        for i, weight in enumerate(equations.section[1]):
-            put(total - 1 - int(form.conserved), 0, i, arb(weight))
+    for row, (_, normal) in enumerate(equations.sections, total - len(equations.sections) - int(form.conserved)):
+        for i, weight in enumerate(normal):
+            put(row, 0, i, arb(weight))
     if form.conserved:
         for i, slope in enumerate(equations.field.energy(form.nodes(box)[0])[1]):
             put(total - 1, 0, i, slope)

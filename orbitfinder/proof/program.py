@@ -9,6 +9,7 @@ differentiated for a theorem is `lifted` before, its numbers symbols.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -52,12 +53,6 @@ class ScalarProgram:
             values[target] = ring.functions[name](*operands)
         return [{entry: values[value] for entry, value in result.items()} for result in self.outputs]
 
-    def bound(self, argument: int, numbers: Sequence[float]) -> ScalarProgram:
-        """The same with the entries of an argument filled in."""
-        filled = [(value, numbers[entry]) for value, at, entry in self.inputs if at == argument]
-        inputs = tuple(given for given in self.inputs if given[1] != argument)
-        return replace(self, constants=(*self.constants, *filled), inputs=inputs)
-
 
 @dataclass(frozen=True)
 class Ring:
@@ -65,6 +60,21 @@ class Ring:
 
     constant: Callable[[float], Any]
     functions: dict[str, Callable[..., Any]]
+
+
+def graphs(numbers: list[tuple[ca.SX, float]]) -> Ring:
+    """The same operations as a graph again, on other symbols than those of the function; what it says in numbers, powers
+    of 2 left out, becomes symbols that join `numbers` with what they stand for."""
+
+    def constant(number: float) -> ca.SX:
+        if abs(np.frexp(number)[0]) in (0.0, 0.5):
+            return ca.SX(number)
+        numbers.append((ca.SX.sym(f"number{len(numbers)}"), number))
+        return numbers[-1][0]
+
+    plain = {name: getattr(operator, name) for name in ("add", "sub", "mul", "neg", "pow")}
+    known = {name: getattr(ca, name) for name in ("sin", "cos", "sqrt", "exp", "log")}
+    return Ring(constant, {**plain, **known, "div": operator.truediv, "sq": lambda a: a * a})
 
 
 def program(function: ca.Function) -> ScalarProgram:
@@ -88,33 +98,24 @@ def derived(
     name: str, inputs: Sequence[ca.SX], expression: ca.SX, results: Callable[[ca.SX], Sequence[ca.SX]]
 ) -> ScalarProgram:
     """The program of what `results` makes of an expression, derivatives among it, none of its numbers rounded."""
-    exact, symbols, values = lifted(inputs, expression)
-    function = ca.Function(name, [*inputs, ca.vertcat(ca.SX(0, 1), *symbols)], list(results(exact)))
-    return program(function).bound(len(inputs), values)
+    numbers = list[tuple[ca.SX, float]]()
+    code = program(ca.Function(name, list(inputs), [expression]))
+    entries = code.run([[given.nz[k] for k in range(given.nnz())] for given in inputs], graphs(numbers))[0]
+    exact = ca.SX(*expression.shape)
+    for entry, value in entries.items():
+        exact[entry] = value
+    return bound(name, inputs, results(exact), numbers)
 
 
-def lifted(inputs: Sequence[ca.SX], expression: ca.SX) -> tuple[ca.SX, list[ca.SX], list[float]]:
-    """An expression with a symbol for each of its numbers but powers of 2, the symbols, and the numbers."""
-    function = ca.Function("lifted", list(inputs), [expression])
-    register, other = dict[int, ca.SX](), [ca.SX(0)] * function.nnz_out(0)
-    symbols, values = list[ca.SX](), list[float]()
-    for k in range(function.n_instructions()):
-        code, taken, given = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
-        if code == ca.OP_OUTPUT:
-            other[given[1]] = register[taken[0]]
-        elif code == ca.OP_INPUT:
-            register[given[0]] = inputs[taken[0]].nz[taken[1]]
-        elif code == ca.OP_CONST:
-            number = float(function.instruction_constant(k))
-            register[given[0]] = ca.SX(number)
-            if abs(np.frexp(number)[0]) not in (0.0, 0.5):
-                register[given[0]] = ca.SX.sym(f"number{len(symbols)}")
-                symbols.append(register[given[0]])
-                values.append(number)
-        else:
-            act = ca.SX.unary if len(taken) == 1 else ca.SX.binary
-            register[given[0]] = act(code, *(register[slot] for slot in taken))
-    return ca.SX(function.sparsity_out(0), ca.vertcat(*other)), symbols, values
+def bound(
+    name: str, inputs: Sequence[ca.SX], results: Sequence[ca.SX], numbers: Sequence[tuple[ca.SX, float]]
+) -> ScalarProgram:
+    """The program of results in which symbols stand for numbers (see `graphs`)."""
+    symbols = ca.vertcat(ca.SX(0, 1), *(symbol for symbol, _ in numbers))
+    code = program(ca.Function(name, [*inputs, symbols], list(results)))
+    filled = [(value, numbers[entry][1]) for value, at, entry in code.inputs if at == len(inputs)]
+    given = tuple(each for each in code.inputs if each[1] != len(inputs))
+    return replace(code, constants=(*code.constants, *filled), inputs=given)
 
 
 def _entry(function: ca.Function, output: int, nonzero: int) -> int:

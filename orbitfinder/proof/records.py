@@ -9,3 +9,6 @@ KINDS["branch-proof"] = Kind(
 KINDS["equilibria-proof"] = Kind(
     "a proof of equilibria, folds and Hopf points (`verify --proof` replays it)", "proof.equilibria:read_proof",
 )  # fmt: skip
+KINDS["event-proof"] = Kind(
+    "a proof of an event of a family (`verify --proof` replays it)", "proof.bordered:read_event",
+)  # fmt: skip

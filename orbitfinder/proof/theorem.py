@@ -274,10 +274,10 @@ def unknowns_at(start: Approach) -> Vector:
 
 def make_equations(model: Model, codes: Programs, start: Approach, energy: Any) -> TheoremEquations:
     """The theorem's equations; the section is normal to the flow at the first node."""
-    section = None
+    sections = []
     if start.formulation.sectioned:
-        section = ([float(x) for x in start.nodes[0]], [float(x) for x in start.flow])
-    return TheoremEquations(make_field(model, codes), start.formulation, energy, section)
+        sections = [([float(x) for x in start.nodes[0]], [float(x) for x in start.flow])]
+    return TheoremEquations(make_field(model, codes), start.formulation, energy, sections)
 
 
 def check_graph(codes: Programs, form: Formulation, model: Model) -> None:
@@ -313,7 +313,7 @@ def verdict(path: Trajectory) -> Stability:
     """The stability of an enclosed orbit."""
     form, matrix = path.formulation, monodromy(path)
     if form.drive is not None:
-        return stability(matrix, conserved=False)
+        return stability(matrix, path.field.symplectic)
     return stability(reduced(path, matrix), form.conserved)
 
 

@@ -228,7 +228,8 @@ def _multipliers(matrix: Any, apart: bool) -> list[Any]:
 
 
 def stability(reduced: Any, conserved: bool = True) -> Stability:
-    """The verdict on a reduced monodromy (2n - 2 square, d - 1 where nothing is conserved, d of a driven system).
+    """The verdict on a reduced monodromy (2n - 2 square, d - 1 where nothing is conserved, d of a driven system, which
+    is `conserved` where it is symplectic).
 
     The reduced matrix is real and preserves a symplectic form, so with mu also conj(mu), 1/mu and
     1/conj(mu) are multipliers. An enclosure that holds one multiplier and meets the mirror images

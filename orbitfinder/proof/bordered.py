@@ -1,0 +1,562 @@
+"""Folds, doublings and branch points of families, proved as regular zeros of their bordered systems.
+
+Beside the orbit x stands a solution y of the variational equations that closes as well, or up to a sign:
+
+    x' = f(x, p),    y' = (df/dx) y + sigma u(x) + delta f(x),    p' = sigma' = delta' = 0,
+
+p the parameter, an unknown; delta how the period changes; sigma unfolds the energy as s does (see `field`). This is a
+further system of first order to the integrator, and Krawczyk's operator shows that its zero is regular: what follows
+about the family is in docs/proof.md. Sources: G. Moore, A. Spence, SIAM J. Numer. Anal. 17 (1980) 567-576;
+M. G. Crandall, P. H. Rabinowitz, J. Funct. Anal. 8 (1971) 321-340.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from decimal import Decimal
+from operator import eq
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder._runtime import __version__
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, plural, shortened
+from orbitfinder.loops.symmetry import named
+from orbitfinder.mechanics.kind import build_model, with_parameters
+from orbitfinder.mechanics.model import Model
+from orbitfinder.proof.balls import (
+    FLINT,
+    Vector,
+    arb,
+    column,
+    decimal,
+    exact,
+    floats,
+    identity,
+    midpoints,
+    precision,
+    radius,
+)
+from orbitfinder.proof.enclosure import TaylorSettings
+from orbitfinder.proof.field import Field, Programs, make_field, programs
+from orbitfinder.proof.formulation import Formulation, approach
+from orbitfinder.proof.invariance import has_symmetry
+from orbitfinder.proof.krawczyk import (
+    TheoremEquations,
+    approximate_inverse,
+    arcs_over,
+    flow,
+    jacobian,
+    krawczyk,
+    norm,
+    solve,
+)
+from orbitfinder.proof.program import Ring, bound, graphs
+from orbitfinder.proof.record import DIGITS, MARGIN, checked, close, enclosure, holds
+from orbitfinder.proof.series import recurrence
+from orbitfinder.proof.theorem import (
+    CENTRE,
+    NotProved,
+    Options,
+    Progress,
+    check_graph,
+    check_motion,
+    chosen_symmetry,
+    enclosed,
+    frequency,
+    provable_model,
+)
+from orbitfinder.proof.trajectory import horizon, minimal_period, positive_mass
+from orbitfinder.records.codec import Codec, plain
+from orbitfinder.records.family import Family
+
+
+def twists(kind: str, reverses: bool) -> list[tuple[int, int]]:
+    """How y may be twisted at events of a kind, with a reversal or without; none of a kind that is not proved."""
+    turned = [(1, -1), (-1, 1)] if reverses else [(-1, -1)]
+    both = [(-1, -1), *turned] if reverses else turned
+    return {"fold": [(1, 1)], "period_doubling": turned, "branch_point": both}.get(kind, [])
+
+
+@dataclass(frozen=True)
+class TwistedFormulation(Formulation):
+    """The conditions of an orbit and of what it is varied by, y.
+
+    A `twist` of (1, 1) closes y as x closes. Without a reversal (-1, -1) is the opposite sign; with it each sign tells
+    whether y has the reversal about that end of the horizon, or is turned round by it. The state is (x, y, constants),
+    and the drive's phase, where there is one; constants are the `parameter`, sigma and delta.
+    """
+
+    twist: tuple[int, int] = (1, 1)
+    parameter: bool = False
+    integral: bool = False
+    """whether an energy is conserved; `conserved` says that a row has it"""
+
+    @property
+    def same(self) -> bool:
+        """True when y closes as x does, so that the period may change with it."""
+        return self.twist == (1, 1)
+
+    @property
+    def carried(self) -> bool:
+        """True when y = f closes, which a section excludes."""
+        return self.drive is None and self.twist == ((-1, -1) if self.symmetry.reverses else (1, 1))
+
+    @property
+    def constants_at(self) -> dict[str, int]:
+        """Where the constants stand."""
+        wanted = {"p": self.parameter, "sigma": self.carried and self.integral,
+                  "delta": self.same and self.drive is None}  # fmt: skip
+        return {name: 2 * self.components + k for k, name in enumerate(name for name in wanted if wanted[name])}
+
+    @property
+    def dimension(self) -> int:
+        """Components of x, y, constants and the phase."""
+        return 2 * self.components + len(self.constants_at) + int(self.drive is not None)
+
+    @property
+    def unfolded(self) -> bool:
+        """True when x needs the unfolding parameter s."""
+        return self.integral and not self.symmetry.reverses
+
+    @property
+    def varied(self) -> tuple[int, ...]:
+        """Components of the state that are linear: y, sigma, delta."""
+        own = [place for name, place in self.constants_at.items() if name != "p"]
+        return (*range(self.components, 2 * self.components), *own)
+
+    @property
+    def free(self) -> tuple[int, ...]:
+        """Components of the first node that are unknowns."""
+        own, m = super().free, self.components
+        other = tuple(i for i in range(m) if i not in own) if self.symmetry.reverses and self.twist[0] < 0 else own
+        return (*own, *(m + i for i in other), *self.constants_at.values())
+
+    @property
+    def ends(self) -> tuple[int, ...]:
+        """Components of the last state that conditions are put on."""
+        m = self.components
+        own = tuple(i for i in super().ends if i < m)
+        other = tuple(i for i in range(m) if i not in own) if self.symmetry.reverses and self.twist[1] < 0 else own
+        return (*own, *(m + i for i in other), *range(2 * m + len(self.constants_at), self.dimension))
+
+    @property
+    def mirror(self) -> tuple[int, ...]:
+        """Signs with which the first node's components enter the conditions at the end."""
+        own = super().mirror[: self.components]
+        return (*own, *(self.twist[0] * sign for sign in own), *[0] * (self.dimension - 2 * len(own)))
+
+    @property
+    def targets(self) -> list[Any]:
+        """What the components `ends` of the last state are to be: y is to be 0."""
+        count = sum(i < self.components for i in self.ends)
+        own = [arb.pi() * k for k in self.constants[-count:]]
+        return [*own, *[arb(0)] * count, *([] if self.drive is None else [self.drive])]
+
+    @property
+    def kind(self) -> str:
+        """What happens where y closes like this."""
+        if self.same:
+            return "fold"
+        doubles = not self.symmetry.maps or (self.symmetry.forward is None and self.twist[0] != self.twist[1])
+        return "period_doubling" if doubles else "branch_point"
+
+
+def bordered_field(model: Model, codes: Programs, form: TwistedFormulation, parameter: str, energy_row: bool) -> Field:
+    """The field of (x, y, constants, phase), and of a fold in the energy dE y as its energy."""
+    m, size = form.components, form.dimension
+    state, none, s = ca.SX.sym("X", size), ca.SX.sym("v", 0), ca.SX.sym("s")
+    p = ca.SX.sym("p", len(model.parameter_values))
+    x, y, at = state[:m], state[m : 2 * m], form.constants_at
+    values, numbers = [p[k] for k in range(p.numel())], list[tuple[ca.SX, float]]()
+    if "p" in at:
+        values[model.parameter_index(parameter)] = state[at["p"]]
+    q, v = (x, none) if codes.mass is None and form.symmetry.first_order else (x[: form.size], x[form.size :])
+    turning = ca.SX(1)
+    if codes.clock is not None:  # the phase goes round with the drive, whatever its frequency is
+        turning = _turning(codes, values, make_field(model, codes), graphs(numbers))
+        q, v = ca.vertcat(x, state[-1] / turning), none
+    rates = codes.rates.run([_entries(q), _entries(v), [s], values], graphs(numbers))[0]
+    count = q.numel() if v.numel() == 0 else form.size
+    rate = ca.vertcat(v, *[rates.get(i, ca.SX(0)) for i in range(count)])[:m]
+    along = ca.jtimes(rate, x, y)
+    if "sigma" in at:
+        along += state[at["sigma"]] * ca.jacobian(rate, s)
+    if "delta" in at:
+        along += state[at["delta"]] * rate
+    whole = ca.vertcat(rate, along, ca.SX.zeros(len(at)), *([] if codes.clock is None else [turning]))
+    inputs = [state, none, s, p]
+    slopes = bound("bordered", inputs, [whole, ca.jacobian(whole, ca.vertcat(state, s))], numbers)
+    plain = bound("bordered", inputs, [whole], numbers)
+    energy = None
+    if energy_row and codes.energy is not None:
+        gradient = codes.energy.run([_entries(q), _entries(v), [s], values], graphs(numbers))[1]
+        total = ca.dot(ca.vertcat(*[gradient.get(i, ca.SX(0)) for i in range(m)]), y)
+        energy = bound("energy", inputs, [total, ca.densify(ca.gradient(total, state))], numbers)
+    parameters = [decimal(float(value)) for value in model.parameter_values]
+    constants = {3: parameters}
+    return Field(size, size, recurrence(plain, constants), recurrence(slopes, constants), energy, None, parameters)
+
+
+def _entries(graph: Any) -> list[Any]:
+    return [graph[k] for k in range(graph.numel())]
+
+
+def _turning(codes: Programs, values: Sequence[Any], plain: Field, ring: Ring) -> Any:
+    """How fast the phase grows, a graph of the parameters: the frequency times its denominator; time itself where no
+    parameter has a part in it."""
+    assert codes.clock is not None
+    if codes.clock.value is None:
+        return ca.SX(1)
+    unused, place = [ca.SX(0)] * plain.dimension, codes.clock.value
+    value = replace(codes.rates, outputs=({0: place},)).run([unused, unused, unused, values], ring)[0][0]
+    return codes.clock.factor.numerator * (value if plain.plain.fixed[place] > 0 else -value)
+
+
+def _phase(codes: Programs, cycles: int, drive: Any) -> Any:
+    """What the phase is after so many of the drive's periods, which last as long as a ball says."""
+    assert codes.clock is not None
+    return drive if codes.clock.value is None else 2 * cycles * codes.clock.factor.denominator * arb.pi()
+
+
+# --------------------------------------------------------------------------------------------------
+# The record, which says which equations are solved and where, and what is proved of their zero.
+
+
+@dataclass(frozen=True)
+class BorderedRecord:
+    """An event-proof.json: a single zero of the bordered system within `radius` of `centre` (exact floats).
+
+    `twist` says how y closes (see `TwistedFormulation`), `cycles` how many of a drive's periods it takes; sections are
+    normal to `flow`, which may be any vector, and y has the length of the centre's along it. Balls are {"value":
+    decimal, "radius": float}: `value` of the family's parameter, `energy` (J), `period` (s), `state`; `tangent` is y at
+    the first node, `side` where the orbits of a fold are: at "larger" or "smaller" values.
+    """
+
+    _entries = (..., "wall_time", "versions")
+
+    name: str
+    system: Mapping[str, Any]
+    parameter: str
+    kind: str
+    symmetry: str
+    segments: int
+    constants: tuple[int, ...]
+    turns: tuple[int, ...]
+    cycles: int
+    twist: tuple[int, int]
+    flow: tuple[float, ...]
+    centre: tuple[float, ...]
+    radius: float
+    order: int = TaylorSettings.order
+    bits: int = TaylorSettings.bits
+    tolerance: float = TaylorSettings.tolerance
+    proved: bool = False
+    reason: str = ""
+    contraction: float = float("nan")
+    value: Mapping[str, Any] = field(default_factory=dict)
+    energy: Mapping[str, Any] | None = None
+    period: Mapping[str, Any] = field(default_factory=dict)
+    state: tuple[Mapping[str, Any], ...] = ()
+    tangent: tuple[Mapping[str, Any], ...] = ()
+    side: str = ""
+    wall_time: float = 0.0
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """What it was made by."""
+        return {"orbitfinder": __version__, "python-flint": FLINT}
+
+    @property
+    def words(self) -> list[tuple[str, str]]:
+        """What is proved, line by line."""
+        at, period = (_digits(ball) for ball in (self.value, self.period))
+        follows = {
+            "fold": f"two orbits near this at each {self.side} value and none at values on the other side",
+            "period_doubling": "the family goes on at both sides, and orbits of twice the period branch off",
+            "branch_point": "the family goes on at both sides, and orbits of less symmetry branch off",
+        }
+        return [
+            ("event", f"{self.kind.replace('_', ' ')} at {self.parameter} = {at}"),
+            ("box", f"a single zero of the bordered system within {self.radius:.2g} of the nodes"),
+            ("period", f"{period} s, minimal"),
+            ("follows", follows[self.kind]),
+            ("contraction", f"{self.contraction:.2g} (order {self.order}, {self.bits} bits)"),
+        ]
+
+    @property
+    def settings(self) -> TaylorSettings:
+        """The integrator's."""
+        return TaylorSettings(self.order, self.bits, self.tolerance)
+
+
+def _digits(ball: Mapping[str, Any]) -> str:
+    """A ball with the digits that it is good for."""
+    places = max(0, 1 - math.floor(math.log10(ball["radius"])))
+    return f"{Decimal(ball['value']):.{places}f} +/- {ball['radius']:.1g}"
+
+
+events = Codec(BorderedRecord, "event-proof", "`orbitfinder prove --event`", "prove the event again")
+
+
+@dataclass
+class _EventProof:
+    """An event being proved: the equations that a record states, of the orbit alone (`plain`) and bordered."""
+
+    about: BorderedRecord
+    model: Model
+    say: Progress
+
+    def __post_init__(self) -> None:
+        about, model = self.about, self.model
+        self.codes = codes = programs(model)
+        symmetry = named(about.symmetry, model)
+        integral = bool(model.invariants)
+        if (about.parameter == "energy") != integral:
+            raise InputError(
+                f"parameter: {about.parameter}: events are proved in the energy of systems that conserve it, in a "
+                "parameter of others; continue the family in that"
+            )
+        self.base = make_field(model, codes)
+        drive = None if codes.clock is None else 2 * about.cycles * arb.pi() / self.base.frequency
+        given = (symmetry, model.degrees_of_freedom, about.segments, about.constants, about.turns)
+        self.plain = Formulation(*given, integral, drive)
+        fold, phase = about.twist == (1, 1), None if drive is None else _phase(codes, about.cycles, drive)
+        self.form = TwistedFormulation(*given, integral and fold, phase, about.twist, not integral, integral)
+        fits = symmetry.reverses or len({*about.twist}) == 1
+        fits &= (len(about.constants), len(about.turns)) == (self.form.components, model.degrees_of_freedom)
+        if about.centre and not (
+            fits and (len(about.centre), len(about.flow)) == (self.form.unknowns, self.form.components)
+        ):
+            raise InputError(
+                f"centre: {about.twist} and {len(about.centre)} numbers do not fit the system; {events.again}"
+            )
+        self.equations = TheoremEquations(
+            bordered_field(model, codes, self.form, about.parameter, integral and fold), self.form,
+            arb(0) if integral and fold else None, self.sections() if about.centre else [],
+        )  # fmt: skip
+
+    def sections(self) -> list[tuple[Any, Any]]:
+        """The hyperplanes through the centre: across the flow of x, and of y, as they are wanted, and across y."""
+        form, m = self.form, self.form.components
+        node = [float(x.mid()) for x in form.nodes(list(map(arb, self.about.centre)))[0]]
+        own, other, first = np.zeros((3, form.dimension))
+        own[:m] = other[m : 2 * m] = self.about.flow
+        first[m : 2 * m] = node[m : 2 * m]
+        wanted = ((self.plain.sectioned, node, own), (form.carried, 0 * own, other), (True, first, first))
+        return [([float(x) for x in a][: len(own)], w.tolist()) for asked, a, w in wanted if asked]
+
+    def along(self, unknowns: Vector) -> tuple[TheoremEquations, Vector]:
+        """The equations of the orbit alone, at a parameter and energy of the bordered ones, and its unknowns."""
+        nodes, m, given = self.form.nodes(unknowns), self.form.components, {}
+        if (at := self.form.constants_at.get("p")) is not None:
+            given = {self.model.parameter_index(self.about.parameter): nodes[0][at]}
+        here, plain = make_field(self.model, self.codes, given), self.plain
+        if plain.drive is not None:
+            plain = replace(plain, drive=2 * self.about.cycles * arb.pi() / here.frequency)
+        times = [[plain.drive * k / self.about.segments] if plain.drive is not None else [] for k in range(len(nodes))]
+        rows = [[*node[:m], *time] for node, time in zip(nodes, times, strict=True)]
+        own = [rows[0][i] for i in plain.free] + [value for row in rows[1:] for value in row]
+        own += [*([unknowns[-2]] if plain.unfolded else []), unknowns[-1]]
+        size = m + int(plain.drive is not None)
+        cuts = [(a[:size], w[:size]) for a, w in self.equations.sections[: int(plain.sectioned)]]
+        level = here.energy([*rows[0], arb(0), arb(1)])[0] if plain.conserved else None
+        return TheoremEquations(here, plain, level, cuts), own
+
+    def begun(self, nodes: np.ndarray, duration: float, flow_there: np.ndarray, value: float) -> float:
+        """Set centre and sections from nodes of the orbit (N x m): y is what the rows nearly send to 0.
+
+        Returns how near, relative to the next singular value.
+        """
+        form, m = self.form, self.form.components
+        rows: np.ndarray = np.zeros((len(nodes), form.dimension))
+        rows[:, :m] = nodes
+        if form.parameter:
+            rows[:, form.constants_at["p"]] = value
+        if form.drive is not None:
+            rows[:, -1] = float(form.drive.mid()) * np.arange(len(nodes)) / len(nodes)
+        whole = np.array(form.unknowns_of(rows, duration))
+        self.about = replace(self.about, centre=tuple(whole.tolist()), flow=tuple(flow_there[:m].tolist()))
+        unknowns, here = list(map(arb, self.about.centre)), replace(self.equations, sections=self.sections())
+        ends = [flow(here, node, self.about.settings, vary=True)[1] for node in form.nodes(unknowns)]
+        free, rest = list(form.free), form.dimension * np.arange(len(nodes) - 1)[:, None] + form.varied
+        linear = [*(free.index(i) for i in form.varied if i in free), *(len(free) + rest.ravel())]
+        slopes = np.delete(floats(jacobian(here, unknowns, ends)), form.unknowns - 1 - int(form.conserved), axis=0)
+        _, sizes, directions = np.linalg.svd(slopes[:, linear])
+        first = [k for k, i in enumerate(form.free) if m <= i < 2 * m]
+        whole[linear] = directions[-1]
+        whole[linear] /= np.linalg.norm(whole[first])
+        self.centred(whole.tolist())
+        return float(sizes[-1] / sizes[-2])
+
+    def centred(self, unknowns: Sequence[Any]) -> None:
+        """Another centre, through which the sections go."""
+        self.about = replace(self.about, centre=tuple(map(float, unknowns)))
+        self.equations = replace(self.equations, sections=self.sections())
+
+    def solved(self) -> None:
+        """Move the centre to the zero, and take the largest box about it in which the operator shows that it is alone.
+        Raises `NotProved`, `ConvergenceError`, `IntegrationError`."""
+        settings = self.about.settings
+        self.centred(solve(self.equations, list(map(arb, self.about.centre)), settings, CENTRE)[0])
+        contracted = enclosed(
+            lambda box: krawczyk(self.equations, box, settings), list(map(arb, self.about.centre)), self.say
+        )
+        self.about = replace(self.about, radius=radius(contracted.box))
+
+    def side(self, slopes: Any, box: Vector) -> str:
+        """At which values the orbits of a fold are, by the sign of the parameter's second derivative along the family.
+
+        The solution of DG w = e, e 1 in a row of y, moves x along y by alpha, and that of a row of x moves p by c: the
+        derivative is 1 / alpha for the row of the energy, else -c / alpha for the two rows of a component.
+        """
+        form, m = self.form, self.form.components
+        free, rows = list(form.free), [form.dimension * (form.segments - 1) + k for k in range(len(form.ends))]
+        own = [free.index(i) for i in range(m) if i in free]
+        moved = max(own, key=lambda k: abs(float(box[k + len(own)].mid())))
+
+        def answer(row: int) -> Vector:
+            unit = [arb(int(k == row)) for k in range(form.unknowns)]
+            return list(slopes.solve(column(unit), algorithm="precond").entries())
+
+        def alpha(row: int) -> Any:
+            return answer(row)[moved] / box[moved + len(own)]
+
+        if form.conserved:
+            bend = 1 / alpha(form.unknowns - 1)
+        else:
+            chosen = max(range(m), key=lambda k: abs(float(alpha(rows[m + k]).mid())))
+            bend = -answer(rows[chosen])[free.index(form.constants_at["p"])] / alpha(rows[m + chosen])
+        if not (bend > 0 or bend < 0):
+            raise NotProved("at which values the orbits of the fold are could not be told")
+        return "larger" if bend > 0 else "smaller"
+
+    def concluded(self, margin: float = MARGIN, digits: int = DIGITS) -> BorderedRecord:
+        """What the record says of its box, proved. Raises `NotProved`."""
+        about, form, settings = self.about, self.form, self.about.settings
+        check_graph(self.codes, self.plain, self.model)
+        first = krawczyk(self.equations, [arb(c, about.radius) for c in about.centre], settings)
+        if not first.proved:
+            raise NotProved("the interval Newton operator does not map the box into itself")
+        again = krawczyk(self.equations, first.image, settings)
+        box = [x.intersection(y) for x, y in zip(first.image, again.image, strict=True)]
+        plain, own = self.along(box)
+        arcs = arcs_over(plain, own, midpoints(own), settings)
+        path = horizon(plain, own, arcs)
+        check_motion(path, self.model, "the state", "the orbit")
+        if "sigma" in form.constants_at and not (
+            (self.model.hamiltonian or positive_mass(path))
+            and has_symmetry(self.codes.rates, self.codes.energy, form.symmetry, form.size, (1, -1))
+        ):
+            raise NotProved("what varies the orbit could not be shown to keep the energy")
+        minimal, _, reason = minimal_period(path, self.model.angles)
+        if not minimal:
+            raise NotProved(f"the period could be a multiple of a smaller period: {reason}")
+        if not form.same and not regular(plain, own, [arc[1] for arc in arcs]):
+            raise NotProved("the orbits of the family could not be shown to go on to other values of its parameter")
+        node = form.nodes(box)[0]
+        side = (
+            self.side(jacobian(self.equations, first.image, [arc[1] for arc in again.arcs]), box) if form.same else ""
+        )
+        value = path.field.energy(path.first)[0] if plain.formulation.conserved else node[form.constants_at["p"]]
+        said = [enclosure(ball, digits, margin) for ball in (value, path.period)]
+        state, tangent = (
+            tuple(enclosure(ball, digits, margin) for ball in node[k : k + form.components])
+            for k in (0, form.components)
+        )
+        return replace(
+            about, proved=True, kind=form.kind, contraction=first.contraction, value=said[0], period=said[1],
+            state=state, tangent=tangent, side=side, energy=said[0] if plain.formulation.conserved else None,
+        )  # fmt: skip
+
+
+def regular(equations: TheoremEquations, box: Vector, derivatives: Sequence[Any]) -> bool:
+    """True when every DF over a box is regular."""
+    slopes = jacobian(equations, box, derivatives)
+    return norm(identity(slopes.nrows()) - exact(approximate_inverse(floats(slopes))) * slopes) < 1
+
+
+def prove_event(
+    family: Family, number: int, model: Model | None = None, options: Options | None = None,
+    progress: Progress | None = None,
+) -> BorderedRecord:  # fmt: skip
+    """The proof of an event of a family (counted from 0), or the reason why there is none. Raises `InputError`."""
+    began, say, options = time.perf_counter(), progress or (lambda line: None), options or Options()
+    if not 0 <= number < len(family.events):
+        raise InputError(f"--event: the family has {plural(len(family.events), 'event')}, counted from 0, got {number}")
+    event = family.events[number]
+    if not twists(event.kind, True):
+        raise InputError(
+            f"--event: {number} is a {event.kind.replace('_', ' ')}; give a fold, a doubling or a branch point, or "
+            "prove a part of the family, --from A --to B, whose resonances are proved too"
+        )
+    point = family.points[event.index]
+    model = with_parameters(model or provable_model(point), event.free)
+    codes = programs(model)
+    with precision(options.bits):
+        orbit = replace(point, state=event.state, period=event.period)
+        symmetry = chosen_symmetry(orbit, model, codes, options.symmetry)
+        start = approach(model, orbit, symmetry, options.segments, frequency=frequency(model, codes))
+        form = start.formulation
+        about = BorderedRecord(
+            family.name, model.system, family.parameter, event.kind, form.symmetry.name, form.segments, form.constants,
+            form.turns, 0 if form.drive is None else model.forcing_cycles(event.period), (1, 1), (), (), 0.0,
+            options.order, options.bits, options.tolerance,
+        )  # fmt: skip
+        runs = [_EventProof(replace(about, twist=twist), model, say) for twist in twists(event.kind, symmetry.reverses)]
+        try:
+            nodes, flow_there = start.nodes[:, : form.components], start.flow
+            near = [run.begun(nodes, start.duration, flow_there, event.parameter) for run in runs]
+            run = runs[int(np.argmin(near))]
+            say(f"what varies the orbit closes to {min(near):.2g}")
+            run.solved()
+            proof = run.concluded()
+            apart = abs(float(proof.value["value"]) - event.parameter)
+            if {proof.kind: apart <= options.nearness} != {event.kind: True}:
+                near_by = f"a {proof.kind} is {apart:.3g} away from it"
+                raise NotProved(f"no such event within {options.nearness:g} of the record; {near_by}")
+        except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
+            proof = replace(about, reason=str(error))
+    return replace(proof, wall_time=round(time.perf_counter() - began, 1))
+
+
+def read_event(path: Path) -> BorderedRecord:
+    """An event-proof.json. Raises `InputError`."""
+    record = events.load(path)
+    checked(Options(record.order, record.bits, record.tolerance, segments=record.segments))
+    signs, numbers = {*record.twist} <= {1, -1}, (*record.centre, *record.flow, record.radius)
+    if not (signs and record.radius > 0 and np.all(np.isfinite(numbers))):
+        raise InputError(f"{path}: twist, centre, flow or radius: no usable numbers; {events.again}")
+    return record
+
+
+def replayed_event(
+    record: BorderedRecord, model: Model | None = None, progress: Progress | None = None
+) -> BorderedRecord:  # fmt: skip
+    """A recorded proof done again from its centre, balls without a margin. Raises `InputError`."""
+    began = time.perf_counter()
+    with precision(record.bits):
+        run = _EventProof(record, model or build_model(dict(record.system)), progress or (lambda line: None))
+        try:
+            fresh = run.concluded(1.0, 2 * DIGITS)
+        except (NotProved, IntegrationError, ZeroDivisionError) as error:
+            fresh = replace(record, proved=False, reason=str(error))
+    return replace(fresh, wall_time=round(time.perf_counter() - began, 1))
+
+
+def false_claims(record: BorderedRecord, fresh: BorderedRecord) -> list[str]:
+    """Every claim of a recorded proof that the proof done again does not bear out."""
+    if not fresh.proved:
+        return [fresh.reason]
+    compared = {"proved": eq, "kind": eq, "side": eq, "contraction": close}
+    compared |= dict.fromkeys(("value", "energy", "period", "state", "tangent"), holds)
+    old, new = plain(record), plain(fresh)
+    return [
+        f"{name}: recorded {shortened(repr(old[name]), 80)}, found {shortened(repr(new[name]), 80)}"
+        for name, same in compared.items() if not same(old[name], new[name])
+    ]  # fmt: skip

@@ -1,0 +1,167 @@
+"""Folds, doublings and branch points proved as zeros of bordered systems: closed forms, numbers of 140 bits, false
+records, a replay without any evaluator of floats."""
+
+import json
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from decimal import Decimal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+pytest.importorskip("flint")
+
+import orbitfinder as of
+from orbitfinder.cli.group import cli
+from orbitfinder.errors import InputError
+from orbitfinder.proof.bordered import events, false_claims, prove_event, read_event, replayed_event
+
+pytestmark = pytest.mark.needs("proof")
+ROOT = Path(__file__).parents[1]
+EVENTS = ROOT / "results" / "proofs" / "events"
+NUMBERS = {one["id"]: one["values"] for one in json.loads((ROOT / "tests/data/curves.json").read_text())["entries"]}
+FOLDS, DOUBLING = NUMBERS["duffing-folds"]["F0.5"], NUMBERS["driven-pendulum"]["PD1"]
+STRAIGHT = ROOT / "results" / "families" / "henon-heiles-straight" / "family.json"
+
+
+def inside(ball, number, width=1e-16):
+    """Whether a narrow recorded ball holds a number."""
+    return abs(Decimal(ball["value"]) - Decimal(number)) < Decimal(ball["radius"]) < width
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "kind", "side"),
+    [
+        ("duffing-0", FOLDS["upper"], "fold", "smaller"),
+        ("duffing-2", FOLDS["lower"], "fold", "larger"),
+        ("pendulum-0", Decimal(DOUBLING) * Decimal("2.25"), "period_doubling", ""),
+    ],
+)
+def test_recorded_events_hold_the_numbers_of_140_bits(name, number, kind, side):
+    """Duffing's folds at force 0.5 and the driven pendulum's first doubling, its torque 9/4 of gamma there."""
+    record = read_event(EVENTS / f"{name}.json")
+    assert record.proved and (record.kind, record.side) == (kind, side) and inside(record.value, number)
+
+
+REPLAY = """
+import sys
+import casadi as ca, numpy as np
+from orbitfinder.integrate import dop853
+from orbitfinder.proof.bordered import false_claims, read_event, replayed_event
+called = ca.Function.__call__
+def refuse(*given, **named):
+    raise AssertionError("an evaluator was called")
+def graphs_only(function, *given, **named):
+    made = called(function, *given, **named)
+    if any(isinstance(one, (ca.DM, float)) for one in (made if isinstance(made, (list, tuple)) else [made])):
+        refuse()
+    return made
+ca.Function.__call__, ca.DM, dop853.integrate = graphs_only, ca.DM, refuse
+for name in ("sin", "cos", "exp", "log", "sqrt", "power", "tan", "tanh"):
+    setattr(np, name, refuse)
+for file in sys.argv[1:]:
+    record = read_event(file)
+    again = replayed_event(record)
+    print(again.kind, false_claims(record, again))
+"""
+
+
+def test_events_are_replayed_in_another_process_without_evaluators():
+    """NumPy's functions, DOP853 and CasADi's evaluation of numbers raise there; graphs alone are made."""
+    files = [str(EVENTS / f"{name}.json") for name in ("duffing-2", "pendulum-0", "henon-heiles-straight-14")]
+    done = subprocess.run([sys.executable, "-c", REPLAY, *files], capture_output=True, text=True, cwd=ROOT, check=False)
+    assert done.stdout.splitlines() == ["fold []", "period_doubling []", "branch_point []"], done.stderr
+
+
+@pytest.fixture(scope="module")
+def replays():
+    """A recorded fold and the same proved again."""
+    record = read_event(EVENTS / "duffing-2.json")
+    return record, replayed_event(record)
+
+
+@pytest.mark.parametrize("name", ["value", "period", "state", "tangent"])
+def test_claims_that_are_not_proved_are_named(replays, name):
+    """A ball moved by 1e-9 or shrunk to nothing; another kind, side or contraction."""
+    record, again = replays
+    whole = getattr(record, name)
+    ball = whole if isinstance(whole, dict) else whole[0]
+    for wrong in ({"value": str(Decimal(ball["value"]) + Decimal("1e-9"))}, {"radius": 1e-40}):
+        other = {**ball, **wrong}
+        false = replace(record, **{name: other if isinstance(whole, dict) else (other, *whole[1:])})
+        assert [one.partition(":")[0] for one in false_claims(false, again)] == [name]
+    for words in ({"kind": "period_doubling"}, {"side": "smaller"}, {"contraction": 1e-12}):
+        assert [one.partition(":")[0] for one in false_claims(replace(record, **words), again)] == [*words]
+
+
+def test_records_of_other_equations_are_rejected(replays):
+    """A constant changed by 1e-3, another closing of y, two periods, the centre moved, another parameter."""
+    record, _ = replays
+    system = {**record.system, "arguments": {**record.system["arguments"], "damping": 0.1 * 1.001}}
+    moved = (record.centre[0] + 1e-6, *record.centre[1:])
+    changes = [{"system": system}, {"twist": (-1, -1)}, {"cycles": 2}, {"centre": moved}, {"parameter": "cubic"}]
+    for change in changes:
+        assert not replayed_event(replace(record, **change)).proved, change
+    for change in ({"centre": record.centre[:-1]}, {"twist": (1, -1)}, {"parameter": "energy"}, {"turns": ()}):
+        with pytest.raises(InputError, match="do not fit the system|events are proved in"):
+            replayed_event(replace(record, **change))
+
+
+@pytest.fixture(scope="module")
+def rings():
+    """r' = r (m + r^2 - r^4), round in 2 pi: two circles that meet at m = -1/4, r^2 = 1/2."""
+
+    def field(_, x, p):
+        s = x.x**2 + x.y**2
+        growth = p.m + s - s**2
+        return [growth * x.x - x.y, growth * x.y + x.x]
+
+    model = of.ode(field, ("x", "y"), {"m": -0.2})
+    radius = np.sqrt((1 + np.sqrt(0.2)) / 2)
+    problem = of.Problem(model, of.Guess([radius, 0.0], 2 * np.pi), name="rings")
+    settings = of.FamilySettings(directions="backward", points=12)
+    return model, of.follow_family(problem, "m", until=-0.26, settings=settings)
+
+
+def test_a_fold_of_circles_by_its_closed_form(rings):
+    """An autonomous system: the parameter, radius and period are exact; the same at a place where there is no fold."""
+    model, family = rings
+    number = next(k for k, event in enumerate(family.events) if event.kind == "fold")
+    proof = prove_event(family, number, model)
+    assert proof.proved and proof.side == "larger" and inside(proof.value, "-0.25"), proof.reason
+    assert inside(proof.period, "6.28318530717958647692528676655900576839")
+    assert sum(float(ball["value"]) ** 2 for ball in proof.state) == pytest.approx(0.5, abs=1e-15)
+    point = family.points[0]
+    place = {"index": 0, "parameter": point.value, "state": point.state, "period": point.period, "free": point.free}
+    planted = prove_event(replace(family, events=(replace(family.events[number], **place),)), 0, model)
+    assert not planted.proved and ("no such event" in planted.reason or "no orbit near" in planted.reason)
+
+
+def test_commands_prove_and_replay_an_event(tmp_path):
+    """`prove --event` writes the record beside the family, `verify --proof` replays it; bad input is named."""
+    file, run = shutil.copy(STRAIGHT, tmp_path / "family.json"), CliRunner().invoke
+    said = run(cli, ["prove", str(file), "--event", "14"])
+    assert said.exit_code == 0 and "branch point at energy = 0.1615515151108136149" in said.output, said.output
+    record = tmp_path / "event-14-proof.json"
+    again = run(cli, ["verify", "--proof", str(record)])
+    assert again.exit_code == 0 and "proof replayed" in again.output, again.output
+    shown = run(cli, ["show", str(record)])
+    assert shown.exit_code == 0 and "branch_point" in shown.output
+    events.save(replace(read_event(record), kind="fold"), record)
+    wrong = run(cli, ["verify", "--proof", str(record)])
+    assert wrong.exit_code == 1 and "REJECTED: kind: recorded 'fold'" in wrong.output
+    for number, message in (("0", "0 is a resonance"), ("999", "counted from 0, got 999"), ("16", "no orbit near")):
+        refused = run(cli, ["prove", str(file), "--event", number, "--no-record"])
+        assert refused.exit_code in (1, 2) and message in refused.output + str(refused.exception), refused.output
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("file", sorted(EVENTS.glob("*.json")), ids=lambda file: file.stem)
+def test_recorded_events_replay(file):
+    """All that are shipped."""
+    record = read_event(file)
+    assert not false_claims(record, replayed_event(record))
