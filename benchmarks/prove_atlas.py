@@ -10,6 +10,7 @@ and given again.
 
     python benchmarks/prove_atlas.py results/atlas/triple.sqlite --count 50 --jobs 2
     python benchmarks/prove_atlas.py --events
+    python benchmarks/prove_atlas.py --others      gaits and equilibria
 """
 
 from __future__ import annotations
@@ -26,17 +27,20 @@ from pathlib import Path
 from typing import Any
 
 from orbitfinder.atlas.store import Atlas
+from orbitfinder.families.equilibria import follow_equilibria
 from orbitfinder.families.folder import follow_family
 from orbitfinder.loops.problem import Guess
 from orbitfinder.loops.symmetry import NONE, SYMMETRIES
 from orbitfinder.mechanics.kind import with_parameters
-from orbitfinder.problemfile.read import load_problem
+from orbitfinder.orbits.find import find_orbit
+from orbitfinder.problemfile.read import load_problem, load_problem_file
 from orbitfinder.proof.bordered import events, prove_event, read_event
 from orbitfinder.proof.branch import read_branch
+from orbitfinder.proof.equilibria import CODEC, prove_equilibria
 from orbitfinder.proof.record import entry
 from orbitfinder.proof.theorem import prove
 from orbitfinder.records.family import Family, load_family
-from orbitfinder.records.orbit import orbit_from_document
+from orbitfinder.records.orbit import orbit_from_document, orbit_to_document
 from orbitfinder.records.reading import write_atomically
 
 RATIONAL = {"length": 1.0, "mass": 1.0, "gravity": 2.25, "damping": 0.75, "frequency": 1.0}
@@ -51,6 +55,13 @@ FAMILIES = {
     "triple-1": (5, 9), "triple-mode-2": (2, 13), "henon-heiles-straight": (5, 14), "henon-heiles-loop": (5,),
 }  # fmt: skip
 """Events that are proved of `results/families`"""
+GAITS = ("simplest-walker-long", "simplest-walker-short", "simplest-walker-period-2", "compass-gait", "rimless-wheel")
+"""Of `problems/hybrid`"""
+AT_REST = {
+    "brusselator": ("b", 2.5), "fitzhugh-nagumo": ("I", 2.0), "lorenz": ("rho", 28.0), "morris-lecar": ("I", 250.0),
+    "predator-prey": ("q", 1.0), "wing-flutter": ("U", 20.0),
+}  # fmt: skip
+"""Of `problems/equations`: the parameter, and until where equilibria are followed"""
 
 
 def event_families() -> Iterator[tuple[Family, tuple[int, ...]]]:
@@ -75,6 +86,67 @@ def prove_events(folder: Path) -> dict[str, str]:
             else:
                 failures[name] = proof.reason
     return failures
+
+
+def prove_gaits(folder: Path) -> dict[str, str]:
+    """Records of orbits with events, and the reasons of those that could not be proved."""
+    failures = {}
+    for name in GAITS:
+        orbit = find_orbit(load_problem(Path("problems/hybrid") / f"{name}.toml"))
+        document = entry(prove(orbit))
+        print(f"{name}: {document.get('stability') or document['reason']}", file=sys.stderr, flush=True)
+        if document["proved"]:
+            written = orbit_to_document(orbit) | {"proof": document}
+            write_atomically(folder / f"{name}.json", (json.dumps(written, indent=1) + "\n").encode())
+        else:
+            failures[name] = document["reason"]
+    return failures
+
+
+def prove_rest(folder: Path) -> dict[str, str]:
+    """Records of equilibria with their Hopf points, and the reasons of those that could not be proved."""
+    failures = {}
+    for name, (parameter, until) in AT_REST.items():
+        given = load_problem_file(Path("problems/equations") / f"{name}.toml")
+        proof = prove_equilibria(follow_equilibria(given.model, given.start, parameter, until=until, name=name))
+        print(f"{name}: {len(proof.parts)} parts in {proof.wall_time} s", file=sys.stderr, flush=True)
+        CODEC.save(proof, folder / f"{name}.json")
+        failures |= {f"{name}: {part.place}": part.reason for part in proof.parts if not part.proved}
+    return failures
+
+
+def digits(ball: dict[str, Any]) -> str:
+    """A recorded ball, short."""
+    return f"{ball['value'][:20]} +- {ball['radius']:.0e}"
+
+
+def other_tables(folder: Path) -> list[str]:
+    """The tables of gaits and of equilibria."""
+    lines = [
+        "", "Orbits with events (`gaits`):", "",
+        "| record | arcs | period (s) | radius | contraction | stability | wall time (s) |", "|---|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    for file in sorted((folder / "gaits").glob("*.json")):
+        proof = json.loads(file.read_text())["proof"]
+        lines.append(
+            f"| {file.stem} | {proof['segments']} | {digits(proof['period'])} | {proof['box_radius']:.0e} "
+            f"| {proof['contraction']:.1e} | {proof['stability']} | {proof['wall_time']} |"
+        )
+    lines += [
+        "", "Equilibria and Hopf points (`equilibria`; the radius is in the sizes of the unknowns):", "",
+        "| record | points | Hopf point at | frequency (rad/s) | first Lyapunov coefficient | radius | wall time (s) |",
+        "|---|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    for file in sorted((folder / "equilibria").glob("*.json")):
+        proof = CODEC.load(file)
+        points = sum(not part.event for part in proof.parts)
+        lines += [
+            f"| {file.stem} | {points} | {proof.parameter} = {digits(dict(part.value or {}))} "
+            f"| {digits(part.known['frequency'])} | {digits(part.known['lyapunov'])} | {part.radius:.0e} "
+            f"| {proof.wall_time} |"
+            for part in proof.parts if part.proved and part.known
+        ]  # fmt: skip
+    return lines
 
 
 def cost(document: dict[str, Any]) -> float:
@@ -152,6 +224,7 @@ def summary(folder: Path, failures: dict[str, str]) -> str:
             f"| {file.stem} | {said['event']} | {said['period']} | {event.radius:.0e} | {event.contraction:.1e} "
             f"| {event.wall_time} |"
         )
+    lines += other_tables(folder)
     for name, reason in failures.items():
         lines += ["", f"Not proved: {name}: {reason}"]
     return "\n".join(lines) + "\n"
@@ -162,6 +235,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("atlas", type=Path, nargs="?")
     parser.add_argument("--events", action="store_true", help="prove events of families and no orbits")
+    parser.add_argument("--others", action="store_true", help="prove gaits and equilibria and no orbits of an atlas")
     parser.add_argument("--count", type=int, default=50, help="records wanted in all")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("results/proofs"))
@@ -170,6 +244,8 @@ def main() -> int:
     todo, failures, began = [], {}, time.perf_counter()
     if options.events:
         failures = prove_events(options.out / "events")
+    elif options.others:
+        failures = prove_gaits(options.out / "gaits") | prove_rest(options.out / "equilibria")
     elif options.atlas is not None:
         todo = tasks(options.atlas, options.out, options.count)
     with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:

@@ -63,8 +63,8 @@ class Ring:
 
 
 def graphs(numbers: list[tuple[ca.SX, float]]) -> Ring:
-    """The same operations as a graph again, on other symbols than those of the function; what it says in numbers, powers
-    of 2 left out, becomes symbols that join `numbers` with what they stand for."""
+    """The same operations as a graph again, on other symbols than those of the function; its numbers, powers
+    of 2 left out, become symbols that join `numbers` with what they stand for."""
 
     def constant(number: float) -> ca.SX:
         if abs(np.frexp(number)[0]) in (0.0, 0.5):
