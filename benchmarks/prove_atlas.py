@@ -70,6 +70,8 @@ def event_families() -> Iterator[tuple[Family, tuple[int, ...]]]:
         given = load_problem(Path("problems/families") / f"{problem}.toml")
         begun = replace(given, name=name, model=with_parameters(given.model, changed), guess=Guess(*guess))
         yield follow_family(begun, parameter, until=until), numbers
+    walker = load_problem(Path("problems/hybrid/simplest-walker-long.toml"))
+    yield follow_family(replace(walker, name="walker"), "slope", until=0.016), (0,)
     for name, numbers in FAMILIES.items():
         yield load_family(Path("results/families") / name / "family.json"), numbers
 
@@ -124,7 +126,8 @@ def other_tables(folder: Path) -> list[str]:
     """The tables of gaits and of equilibria."""
     lines = [
         "", "Orbits with events (`gaits`):", "",
-        "| record | arcs | period (s) | radius | contraction | stability | wall time (s) |", "|---|---|---|---|---|---|---|",
+        "| record | arcs | period (s) | radius | contraction | stability | wall time (s) |",
+        "|---|---|---|---|---|---|---|",
     ]  # fmt: skip
     for file in sorted((folder / "gaits").glob("*.json")):
         proof = json.loads(file.read_text())["proof"]

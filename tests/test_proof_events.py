@@ -145,7 +145,7 @@ def test_commands_prove_and_replay_an_event(tmp_path):
     """`prove --event` writes the record beside the family, `verify --proof` replays it; bad input is named."""
     file, run = shutil.copy(STRAIGHT, tmp_path / "family.json"), CliRunner().invoke
     said = run(cli, ["prove", str(file), "--event", "14"])
-    assert said.exit_code == 0 and "branch point at energy = 0.1615515151108136149" in said.output, said.output
+    assert said.exit_code == 0 and "branch point at energy = 0.1615515151108136106" in said.output, said.output
     record = tmp_path / "event-14-proof.json"
     again = run(cli, ["verify", "--proof", str(record)])
     assert again.exit_code == 0 and "proof replayed" in again.output, again.output

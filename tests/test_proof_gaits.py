@@ -16,6 +16,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.mechanics.hybrid import hybrid
 from orbitfinder.problemfile.read import load_problem_file
 from orbitfinder.proof.balls import arb, precision
+from orbitfinder.proof.bordered import false_claims, read_event, replayed_event
 from orbitfinder.proof.record import entry, replay
 from orbitfinder.proof.theorem import prove, refine, settings_for
 from orbitfinder.records.orbit import read_document
@@ -110,6 +111,29 @@ def test_a_gait_is_recorded_and_replayed(walking, tmp_path, monkeypatch):
     document["proof"]["multipliers"] = document["proof"]["multipliers"][::-1][:2]
     write_json(Path("orbit.json"), document)
     assert run(cli, ["verify", "--proof", "orbit.json"]).exit_code == 1
+
+
+def test_the_first_doubling_of_the_walker_is_proved(walking):
+    """At slope 0.01508843794: the record is replayed, and lies between the long gait's multipliers at both sides."""
+    record = read_event(ROOT / "results/proofs/events/walker-0.json")
+    assert record.proved and record.kind == "period_doubling" and record.contraction < 1e-3
+    assert abs(float(record.value["value"]) - 0.0150884379411168) < 1e-13 and float(record.value["radius"]) < 1e-15
+    again = replayed_event(record)
+    assert false_claims(record, again) == []
+    least = []
+    for apart in (-1e-6, 1e-6):
+        model = of.systems.simplest_walker(slope=float(record.value["value"]) + apart)
+        guess = of.Guess([float(ball["value"]) for ball in record.state], float(record.period["value"]))
+        orbit = of.find_orbit(of.Problem(model, guess))
+        least.append(orbit.floquet_multipliers.real.min())
+    assert least[0] > -1 > least[1]  # stable below, a flip above
+    doctored = replace(record, value={**record.value, "value": "0.0150884379412"})
+    assert any(claim.startswith("value") for claim in false_claims(doctored, again))
+    moved = replace(record, centre=(record.centre[0] + 1e-6, *record.centre[1:]))
+    assert not replayed_event(moved).proved
+    other = {**record.system, "arguments": {"slope": 0.009}, "cycle": ["strike", "strike"]}
+    with pytest.raises(InputError, match="numbers do not fit the system"):
+        replayed_event(replace(record, system=other))
 
 
 def test_what_is_not_covered_is_refused():

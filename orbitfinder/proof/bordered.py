@@ -45,6 +45,7 @@ from orbitfinder.proof.balls import (
 from orbitfinder.proof.enclosure import TaylorSettings
 from orbitfinder.proof.field import Field, Programs, make_field, programs
 from orbitfinder.proof.formulation import Formulation, approach
+from orbitfinder.proof.gaits import begun, course, twisted
 from orbitfinder.proof.invariance import has_symmetry
 from orbitfinder.proof.krawczyk import (
     TheoremEquations,
@@ -73,7 +74,8 @@ from orbitfinder.proof.theorem import (
 )
 from orbitfinder.proof.trajectory import horizon, minimal_period, positive_mass
 from orbitfinder.records.codec import Codec, plain
-from orbitfinder.records.family import Family
+from orbitfinder.records.family import Event, Family
+from orbitfinder.records.orbit import Orbit
 
 
 def twists(kind: str, reverses: bool) -> list[tuple[int, int]]:
@@ -475,9 +477,86 @@ class _EventProof:
         )  # fmt: skip
 
 
+@dataclass
+class _GaitEventProof:
+    """A doubling of orbits with events being proved: y is turned round by the return map."""
+
+    about: BorderedRecord
+    model: Model
+    say: Progress
+
+    def __post_init__(self) -> None:
+        about, d = self.about, len(self.model.state_names)
+        if {about.kind, *about.twist} != {"period_doubling", -1}:
+            raise InputError(
+                f"--event: of orbits with events doublings are proved, got a {about.kind.replace('_', ' ')}"
+            )
+        course(self.model)
+        self.arcs = twisted(self.model, about.parameter, about.flow or [0.0] * d)
+        if about.centre and (len(about.centre), len(about.flow)) != (len(self.arcs.arcs) * self.arcs.size, d):
+            raise InputError(f"centre: {len(about.centre)} numbers do not fit the system; {events.again}")
+
+    def begun(self, orbit: Orbit, value: float) -> float:
+        """Set the centre from an orbit: y is what the return map nearly turns round. Returns how nearly."""
+        plain = course(self.model)
+        nodes = plain.parts(plain.solved(begun(orbit, plain), self.about.settings, CENTRE))
+        passed = [arc.passed(node, node, self.about.settings) for arc, node in zip(plain.arcs, nodes, strict=True)]
+        values, vectors = np.linalg.eig(floats(plain.monodromy(passed)))
+        k = int(np.argmin(np.abs(values + 1)))
+        y, unknowns = vectors[:, k].real, list[Any]()
+        unit = y / (y @ y)
+        for node, matrix in zip(nodes, plain.returns(passed), strict=True):
+            unknowns += [*node[:-1], *y.tolist(), value, node[-1]]
+            y = floats(matrix) @ y
+        self.about = replace(self.about, centre=tuple(map(float, unknowns)), flow=tuple(unit.tolist()))
+        self.arcs = replace(self.arcs, unit=self.about.flow)
+        return float(abs(values[k] + 1))
+
+    def solved(self) -> None:
+        """See `_EventProof`."""
+        settings, start = self.about.settings, list(map(arb, self.about.centre))
+        centre = self.arcs.solved(start, settings, CENTRE)
+        self.about = replace(self.about, centre=tuple(map(float, centre)))
+        contracted = enclosed(
+            lambda box: self.arcs.krawczyk(box, settings)[0], list(map(arb, self.about.centre)), self.say
+        )
+        self.about = replace(self.about, radius=radius(contracted.box))
+
+    def concluded(self, margin: float = MARGIN, digits: int = DIGITS) -> BorderedRecord:
+        """See `_EventProof`."""
+        about, settings = self.about, self.about.settings
+        first, _ = self.arcs.krawczyk([arb(c, about.radius) for c in about.centre], settings)
+        if not first.proved:
+            raise NotProved("the interval Newton operator does not map the box into itself")
+        again, _ = self.arcs.krawczyk(first.image, settings)
+        parts = self.arcs.parts([x.intersection(y) for x, y in zip(first.image, again.image, strict=True)])
+        value, d = parts[0][-2], len(about.flow)
+        plain = course(self.model, {self.model.parameter_index(about.parameter): value})
+        box = [number for part in parts for number in (*part[:d], part[-1])]
+        passed = plain.krawczyk(box, settings)[1]
+        if fault := plain.fault(passed):
+            raise NotProved(fault)
+        if fewer := plain.shorter(plain.parts(box)):
+            raise NotProved(f"the orbit could close after {plural(fewer, 'arc')}")
+        slopes = plain.jacobian([each.end for each in passed], [each.derivatives for each in passed])
+        if not invertible(slopes):
+            raise NotProved("the orbits of the family could not be shown to go on to other values of its parameter")
+        period = sum((part[-1] for part in parts), arb(0))
+        said = [enclosure(ball, digits, margin) for ball in (value, period)]
+        state, tangent = (tuple(enclosure(ball, digits, margin) for ball in parts[0][k : k + d]) for k in (0, d))
+        return replace(
+            about, proved=True, contraction=first.contraction, value=said[0], period=said[1], state=state,
+            tangent=tangent,
+        )  # fmt: skip
+
+
 def regular(equations: TheoremEquations, box: Vector, derivatives: Sequence[Any]) -> bool:
     """True when every DF over a box is regular."""
-    slopes = jacobian(equations, box, derivatives)
+    return invertible(jacobian(equations, box, derivatives))
+
+
+def invertible(slopes: Any) -> bool:
+    """True when every matrix of balls is regular."""
     return norm(identity(slopes.nrows()) - exact(approximate_inverse(floats(slopes))) * slopes) < 1
 
 
@@ -497,6 +576,10 @@ def prove_event(
         )
     point = family.points[event.index]
     model = with_parameters(model or provable_model(point), event.free)
+    if not model.smooth:
+        return replace(
+            _prove_doubling(family, event, model, options, say), wall_time=round(time.perf_counter() - began, 1)
+        )
     codes = programs(model)
     with precision(options.bits):
         orbit = replace(point, state=event.state, period=event.period)
@@ -525,6 +608,27 @@ def prove_event(
     return replace(proof, wall_time=round(time.perf_counter() - began, 1))
 
 
+def _prove_doubling(family: Family, event: Event, model: Model, options: Options, say: Progress) -> BorderedRecord:
+    """See `prove_event`, of orbits with events."""
+    orbit = replace(family.points[event.index], state=event.state, period=event.period)
+    about = BorderedRecord(
+        family.name, model.system, family.parameter, event.kind, "none", len(model.cycle), (), (), 0, (-1, -1), (), (),
+        0.0, options.order, options.bits, options.tolerance,
+    )  # fmt: skip
+    with precision(options.bits):
+        run = _GaitEventProof(about, model, say)
+        try:
+            say(f"what varies the orbit is turned round to {run.begun(orbit, event.parameter):.2g}")
+            run.solved()
+            proof = run.concluded()
+            apart = abs(float(proof.value["value"]) - event.parameter)
+            if not apart <= options.nearness:
+                raise NotProved(f"no such event within {options.nearness:g} of the record; one is {apart:.3g} away")
+        except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
+            return replace(about, reason=str(error))
+    return proof
+
+
 def read_event(path: Path) -> BorderedRecord:
     """An event-proof.json. Raises `InputError`."""
     record = events.load(path)
@@ -541,7 +645,8 @@ def replayed_event(
     """A recorded proof done again from its centre, balls without a margin. Raises `InputError`."""
     began = time.perf_counter()
     with precision(record.bits):
-        run = _EventProof(record, model or build_model(dict(record.system)), progress or (lambda line: None))
+        model, say = model or build_model(dict(record.system)), progress or (lambda line: None)
+        run = _EventProof(record, model, say) if model.smooth else _GaitEventProof(record, model, say)
         try:
             fresh = run.concluded(1.0, 2 * DIGITS)
         except (NotProved, IntegrationError, ZeroDivisionError) as error:

@@ -12,7 +12,7 @@ Mechanics and Applied Mathematics 11 (1958) 385-398.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -24,13 +24,25 @@ from orbitfinder.errors import ConvergenceError, InputError, plural
 from orbitfinder.loops.symmetry import ALONE
 from orbitfinder.mechanics.hybrid import Mode, Transition
 from orbitfinder.mechanics.model import Model
-from orbitfinder.proof.balls import Vector, arb, arb_mat, between, block, exact, floats, identity, magnitude, midpoints
+from orbitfinder.proof.balls import (
+    Vector,
+    arb,
+    arb_mat,
+    between,
+    block,
+    decimal,
+    exact,
+    floats,
+    identity,
+    magnitude,
+    midpoints,
+)
 from orbitfinder.proof.enclosure import TaylorSettings, Tube, cloud, integrate
-from orbitfinder.proof.field import Field, make_field
+from orbitfinder.proof.field import Field, make_field, with_slopes
 from orbitfinder.proof.formulation import Formulation
 from orbitfinder.proof.krawczyk import ROUGH, Krawczyk, TheoremEquations, approximate_inverse, contracted, flow
 from orbitfinder.proof.program import ScalarProgram, derived
-from orbitfinder.proof.series import BALLS
+from orbitfinder.proof.series import BALLS, recurrence
 from orbitfinder.proof.trajectory import PIECES, Stability, stability
 from orbitfinder.records.orbit import SHARE, Orbit
 
@@ -51,9 +63,11 @@ class Passed:
 class Arc:
     """A mode of an automaton with the transition that ends it, as programs in the state and the parameters."""
 
-    def __init__(self, mode: Mode, transition: Transition, leaving: Sequence[Transition]) -> None:
+    def __init__(
+        self, mode: Mode, transition: Transition, leaving: Sequence[Transition], given: Mapping[int, Any] | None = None
+    ) -> None:
         self.mode, self.transition, self.leaving = mode, transition, tuple(leaving)
-        self.field: Field = make_field(mode.model)
+        self.field: Field = make_field(mode.model, None, given)
         d, p = len(mode.model.state_names), ca.SX.sym("p", len(mode.model.parameter_values))
         x, self.size = ca.SX.sym("x", d), d
 
@@ -163,14 +177,20 @@ class Course:
         proved = all(x.is_finite() and y.contains_interior(x) for x, y in zip(image, box, strict=True))
         return Krawczyk(image, box, contraction, proved, []), passed
 
-    def monodromy(self, passed: Sequence[Passed]) -> Any:
-        """Of the states after the last event, over a period."""
-        total, d = identity(self.size - 1), self.size - 1
+    def returns(self, passed: Sequence[Passed]) -> list[Any]:
+        """Of each arc, how the state after its event varies with its first."""
+        maps, d = list[Any](), self.size - 1
         for arc, each in zip(self.arcs, passed, strict=True):
             guard, reset = (arc.value(code, each.end)[1] for code in (arc.guards[arc.transition.name], arc.reset))
             rate, moved = arc.rate(each.end), block(each.derivatives, d, 0, d)
-            held = moved - rate * (guard * moved) / (guard * rate)[0, 0]
-            total = reset * held * total
+            maps.append(reset * (moved - rate * (guard * moved) / (guard * rate)[0, 0]))
+        return maps
+
+    def monodromy(self, passed: Sequence[Passed]) -> Any:
+        """Of the states after the last event, over a period."""
+        total = identity(self.size - 1)
+        for matrix in self.returns(passed):
+            total = matrix * total
         return total
 
     def verdict(self, passed: Sequence[Passed]) -> Stability:
@@ -228,8 +248,79 @@ def _quiet(arc: Arc, transition: Transition, x: Vector) -> tuple[bool, Any, bool
     return bool(value > 0 or value < 0 or allowed < 0 or rising < 0), rising, bool(allowed > 0)
 
 
-def course(model: Model) -> Course:
-    """The arcs of a model's cycle. `InputError` says what cannot be proved."""
+class TwistedArc(Arc):
+    """An arc of (x, y, p), y what the return map varies x by and p a parameter, an unknown."""
+
+    def __init__(self, mode: Mode, transition: Transition, parameter: int) -> None:  # not Arc's: other programs
+        self.mode, self.transition = mode, transition
+        model, d = mode.model, len(mode.model.state_names)
+        self.size = 2 * d + 1
+        state, none, s = ca.SX.sym("X", self.size), ca.SX.sym("v", 0), ca.SX.sym("s")
+        p, x, y = ca.SX.sym("p", len(model.parameter_values)), state[:d], state[d : 2 * d]
+        values = ca.vertcat(*(state[-1] if k == parameter else p[k] for k in range(p.numel())))
+        rate, guard = ca.densify(model.rate(0.0, x, values)), transition.guard(x, values)
+        reset = x if transition.reset is None else ca.densify(transition.reset(x, values))
+
+        def varied(exact: ca.SX) -> ca.SX:
+            return ca.vertcat(exact, ca.jtimes(exact, x, y), 0)
+
+        def struck(exact: ca.SX) -> ca.SX:
+            after, slope, pace = exact[:d], ca.jacobian(exact[d], x), exact[d + 1 :]
+            held = y - pace * (slope @ y) / (slope @ pace)
+            return ca.vertcat(after, ca.jtimes(after, x, held), state[-1])
+
+        plain, slopes = with_slopes("twisted", [state, none, s, p], rate, ca.vertcat(state, s), varied)
+        parameters = [decimal(float(value)) for value in model.parameter_values]
+        fixed = {3: parameters}
+        self.field = Field(
+            self.size, self.size, recurrence(plain, fixed), recurrence(slopes, fixed), None, None, parameters
+        )  # fmt: skip
+        inputs, whole = [state, p], ca.vertcat(reset, guard, rate)
+        self.guards = {
+            transition.name: derived("guard", inputs, guard, lambda exact: [exact, ca.jacobian(exact, state)])
+        }
+        self.reset = derived("reset", inputs, whole, lambda exact: [struck(exact), ca.jacobian(struck(exact), state)])
+        form = Formulation(ALONE, self.size, 1, (0,) * self.size, (0,) * self.size, conserved=False)
+        self.equations = TheoremEquations(self.field, form, None)
+
+
+@dataclass(frozen=True)
+class TwistedCourse(Course):
+    """The arcs of a period at whose end y is turned round: -1 is a multiplier. `unit` (d) is c of c.y = 1."""
+
+    unit: tuple[float, ...] = ()
+
+    def residual(self, unknowns: Vector, ends: Sequence[Vector]) -> Vector:
+        """F from the arcs' ends."""
+        rows, d = super().residual(unknowns, ends), len(self.unit)
+        first = len(rows) - self.size + 1 + d
+        for i in range(d):
+            rows[first + i] += 2 * unknowns[d + i]
+        rows[-1] = sum((c * y for c, y in zip(self.unit, unknowns[d : 2 * d], strict=True)), arb(-1))
+        return rows
+
+    def jacobian(self, ends: Sequence[Vector], derivatives: Sequence[Any]) -> Any:
+        """DF from the arcs' ends over a box and their derivatives."""
+        rows, d = super().jacobian(ends, derivatives).tolist(), len(self.unit)
+        first = len(rows) - self.size + 1 + d
+        for i in range(d):
+            rows[first + i][d + i] += 2
+        rows[-1] = [arb(0)] * len(rows)
+        rows[-1][d : 2 * d] = list(map(arb, self.unit))
+        return arb_mat(rows)
+
+
+def twisted(model: Model, parameter: str, unit: Sequence[float]) -> TwistedCourse:
+    """The arcs of a model's cycle, varied."""
+    assert model.hybrid is not None
+    index = model.parameter_index(parameter)
+    return TwistedCourse(
+        tuple(TwistedArc(mode, transition, index) for mode, transition in model.hybrid.arcs), tuple(unit)
+    )  # fmt: skip
+
+
+def course(model: Model, given: Mapping[int, Any] | None = None) -> Course:
+    """The arcs of a model's cycle, some parameters `given` as balls. `InputError` says what cannot be proved."""
     hybrid = model.hybrid
     assert hybrid is not None
     if any(each.model.constraint is not None for each in hybrid.modes):
@@ -238,7 +329,7 @@ def course(model: Model) -> Course:
         names = ", ".join(invariant.name for invariant in model.invariants)
         raise InputError(f"system: it conserves {names} through its events; orbits with events are proved where "
                          "nothing is conserved")  # fmt: skip
-    return Course(tuple(Arc(mode, transition, hybrid.leaving(mode.name)) for mode, transition in hybrid.arcs))
+    return Course(tuple(Arc(mode, transition, hybrid.leaving(mode.name), given) for mode, transition in hybrid.arcs))
 
 
 def begun(orbit: Orbit, course: Course) -> Vector:
