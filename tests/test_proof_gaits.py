@@ -141,6 +141,6 @@ def test_what_is_not_covered_is_refused():
     with pytest.raises(InputError, match="conserves energy through its events"):
         prove(orbit_of("gravity-wedge"))
     orbit = orbit_of("rimless-wheel")
-    with pytest.raises(InputError, match="of systems with events single orbits are proved only"):
+    with pytest.raises(InputError, match="of systems with events only orbits are proved"):
         refine(orbit, settings_for(20), 20)
     assert np.isfinite(orbit.period)
