@@ -56,7 +56,7 @@ from orbitfinder.proof.krawczyk import (
     norm,
     solve,
 )
-from orbitfinder.proof.program import graphs, program
+from orbitfinder.proof.program import NumbersApart, derived, entries
 from orbitfinder.proof.record import DIGITS, MARGIN, checked, close, enclosure, holds
 from orbitfinder.proof.series import recurrence
 from orbitfinder.proof.theorem import (
@@ -154,9 +154,21 @@ class TwistedFormulation(Formulation):
     @property
     def targets(self) -> list[Any]:
         """What the components `ends` of the last state are to be: y is to be 0."""
-        count = sum(i < self.components for i in self.ends)
-        own = [arb.pi() * k for k in self.constants[-count:]]
-        return [*own, *[arb(0)] * count, *([] if self.drive is None else [self.drive])]
+        own = [arb.pi() * k for k in self.constants[-self.held_at_the_end :]]
+        zeros = len(self.ends) - len(own) - int(self.drive is not None)
+        return [*own, *[arb(0)] * zeros, *([] if self.drive is None else [self.drive])]
+
+    @property
+    def held_at_the_end(self) -> int:
+        """How many components of x conditions are put on at the end."""
+        return sum(i < self.components for i in self.ends)
+
+    @property
+    def square(self) -> bool:
+        """True when there are as many equations as unknowns."""
+        sections = int(self.sectioned) + int(self.carried) + 1
+        equations = self.dimension * (self.segments - 1) + len(self.ends) + sections + int(self.conserved)
+        return equations == self.unknowns
 
     @property
     def kind(self) -> str:
@@ -172,6 +184,7 @@ def bordered_field(model: Model, codes: Programs, form: TwistedFormulation, para
     m, size = form.components, form.dimension
     state, none, s = ca.SX.sym("X", size), ca.SX.sym("v", 0), ca.SX.sym("s")
     p = ca.SX.sym("p", len(model.parameter_values))
+    apart = NumbersApart()
     x, y, at = state[:m], state[m : 2 * m], form.constants_at
     numbers = [p[k] for k in range(p.numel())]
     if "p" in at:
@@ -179,9 +192,9 @@ def bordered_field(model: Model, codes: Programs, form: TwistedFormulation, para
     q, v = (x, none) if codes.mass is None and form.symmetry.first_order else (x[: form.size], x[form.size :])
     turning = ca.SX(1)
     if codes.clock is not None:  # the phase goes round with the drive, whatever its frequency is
-        turning = _turning(codes, numbers, make_field(model, codes))
+        turning = _turning(codes, numbers, make_field(model, codes), apart)
         q, v = ca.vertcat(x, state[-1] / turning), none
-    rates = codes.rates.run([_entries(q), _entries(v), [s], numbers], graphs())[0]
+    rates = codes.rates.run([entries(q), entries(v), [s], numbers], apart.ring)[0]
     count = q.numel() if v.numel() == 0 else form.size
     rate = ca.vertcat(v, *[rates.get(i, ca.SX(0)) for i in range(count)])[:m]
     along = ca.jtimes(rate, x, y)
@@ -190,30 +203,30 @@ def bordered_field(model: Model, codes: Programs, form: TwistedFormulation, para
     if "delta" in at:
         along += state[at["delta"]] * rate
     whole = ca.vertcat(rate, along, ca.SX.zeros(len(at)), *([] if codes.clock is None else [turning]))
-    inputs = [state, none, s, p]
-    plain, slopes = with_slopes("bordered", inputs, whole, ca.vertcat(state, s))
+    inputs = [state, none, s, p, apart.column]
+    plain, slopes = (
+        apart.restored(code, 4) for code in with_slopes("bordered", inputs, whole, ca.vertcat(state, s))
+    )  # fmt: skip
     energy = None
     if energy_row and codes.energy is not None:
-        gradient = codes.energy.run([_entries(q), _entries(v), [s], numbers], graphs())[1]
+        gradient = codes.energy.run([entries(q), entries(v), [s], numbers], apart.ring)[1]
         total = ca.dot(ca.vertcat(*[gradient.get(i, ca.SX(0)) for i in range(m)]), y)
-        energy = program(ca.Function("energy", inputs, [total, ca.densify(ca.gradient(total, state))]))
+        inputs[-1] = apart.column
+        made = derived("energy", inputs, total, lambda graph: [graph, ca.densify(ca.gradient(graph, state))])
+        energy = apart.restored(made, 4)
     parameters = [decimal(float(value)) for value in model.parameter_values]
     constants = {3: parameters}
     return Field(size, size, recurrence(plain, constants), recurrence(slopes, constants), energy, None, parameters)
 
 
-def _entries(graph: Any) -> list[Any]:
-    return [graph[k] for k in range(graph.numel())]
-
-
-def _turning(codes: Programs, numbers: Sequence[Any], plain: Field) -> Any:
+def _turning(codes: Programs, numbers: Sequence[Any], plain: Field, apart: NumbersApart) -> Any:
     """How fast the phase grows, a graph of the parameters: the frequency times its denominator; time itself where no
     parameter has a part in it."""
     assert codes.clock is not None
     if codes.clock.value is None:
         return ca.SX(1)
     unused, place = [ca.SX(0)] * plain.dimension, codes.clock.value
-    value = replace(codes.rates, outputs=({0: place},)).run([unused, unused, unused, numbers], graphs())[0][0]
+    value = replace(codes.rates, outputs=({0: place},)).run([unused, unused, unused, numbers], apart.ring)[0][0]
     return codes.clock.factor.numerator * (value if plain.plain.fixed[place] > 0 else -value)
 
 
@@ -325,8 +338,11 @@ class _EventProof:
         drive = None if codes.clock is None else 2 * about.cycles * arb.pi() / self.base.frequency
         given = (symmetry, model.degrees_of_freedom, about.segments, about.constants, about.turns)
         self.plain = Formulation(*given, integral, drive)
+        check_graph(codes, self.plain, model)
         fold, phase = about.twist == (1, 1), None if drive is None else _phase(codes, about.cycles, drive)
         self.form = TwistedFormulation(*given, integral and fold, phase, about.twist, not integral, integral)
+        if not self.form.square:
+            raise NotProved(f"{symmetry.name} leaves not as many equations as unknowns here; use none")
         fits = symmetry.reverses or len({*about.twist}) == 1
         fits &= (len(about.constants), len(about.turns)) == (self.form.components, model.degrees_of_freedom)
         if about.centre and not (
@@ -412,9 +428,9 @@ class _EventProof:
         The solution of DG w = e, e 1 in a row of y, moves x along y by alpha, and that of a row of x moves p by c: the
         derivative is 1 / alpha for the row of the energy, else -c / alpha for the two rows of a component.
         """
-        form, m = self.form, self.form.components
+        form = self.form
         free, rows = list(form.free), [form.dimension * (form.segments - 1) + k for k in range(len(form.ends))]
-        own = [free.index(i) for i in range(m) if i in free]
+        own = [free.index(i) for i in range(form.components) if i in free]
         moved = max(own, key=lambda k: abs(float(box[k + len(own)].mid())))
 
         def answer(row: int) -> Vector:
@@ -427,8 +443,9 @@ class _EventProof:
         if form.conserved:
             bend = 1 / alpha(form.unknowns - 1)
         else:
-            chosen = max(range(m), key=lambda k: abs(float(alpha(rows[m + k]).mid())))
-            bend = -answer(rows[chosen])[free.index(form.constants_at["p"])] / alpha(rows[m + chosen])
+            count = form.held_at_the_end
+            chosen = max(range(count), key=lambda k: abs(float(alpha(rows[count + k]).mid())))
+            bend = -answer(rows[chosen])[free.index(form.constants_at["p"])] / alpha(rows[count + chosen])
         if not (bend > 0 or bend < 0):
             raise NotProved("at which values the orbits of the fold are could not be told")
         return "larger" if bend > 0 else "smaller"
@@ -436,7 +453,6 @@ class _EventProof:
     def concluded(self, margin: float = MARGIN, digits: int = DIGITS) -> BorderedRecord:
         """What the record says of its box, proved. Raises `NotProved`."""
         about, form, settings = self.about, self.form, self.about.settings
-        check_graph(self.codes, self.plain, self.model)
         first = krawczyk(self.equations, [arb(c, about.radius) for c in about.centre], settings)
         if not first.proved:
             raise NotProved("the interval Newton operator does not map the box into itself")
@@ -505,8 +521,9 @@ def prove_event(
             form.turns, 0 if form.drive is None else model.forcing_cycles(event.period), (1, 1), (), (), 0.0,
             options.order, options.bits, options.tolerance,
         )  # fmt: skip
-        runs = [_EventProof(replace(about, twist=twist), model, say) for twist in twists(event.kind, symmetry.reverses)]
         try:
+            ways = twists(event.kind, symmetry.reverses)
+            runs = [_EventProof(replace(about, twist=twist), model, say) for twist in ways]
             nodes, flow_there = start.nodes[:, : form.components], start.flow
             near = [run.begun(nodes, start.duration, flow_there, event.parameter) for run in runs]
             run = runs[int(np.argmin(near))]
@@ -538,8 +555,9 @@ def replayed_event(
     """A recorded proof done again from its centre, balls without a margin. Raises `InputError`."""
     began = time.perf_counter()
     with precision(record.bits):
-        run = _EventProof(record, model or build_model(dict(record.system)), progress or (lambda line: None))
+        model = model or build_model(dict(record.system))
         try:
+            run = _EventProof(record, model, progress or (lambda line: None))
             fresh = run.concluded(1.0, 2 * DIGITS)
         except (NotProved, IntegrationError, ZeroDivisionError) as error:
             fresh = replace(record, proved=False, reason=str(error))

@@ -23,7 +23,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import Vector, arb, arb_mat, decimal, exact, fmpq, identity
 from orbitfinder.proof.invariance import Multiple, drive
-from orbitfinder.proof.program import ScalarProgram, program
+from orbitfinder.proof.program import ScalarProgram, derived, program
 from orbitfinder.proof.series import BALLS, Recurrence, coefficients, outputs, recurrence, whole_series
 
 NUMERICAL = (
@@ -73,15 +73,15 @@ def programs(model: Model) -> Programs:
         rates += s * invariant.unfolding(q, v, p)
         check_unfolding(program(invariant.unfolding), n)
         total = invariant.value(q, v, p)
-        energy = program(ca.Function("energy", inputs, [total, ca.gradient(total, x)]))
-        mass = program(ca.Function("mass", inputs, [ca.hessian(model.kinetic(q, v, p), v)[0]]))
+        energy = derived("energy", inputs, total, lambda graph: [graph, ca.gradient(graph, x)])
+        mass = derived("mass", inputs, model.kinetic(q, v, p), lambda graph: [ca.hessian(graph, v)[0]])
     return Programs(*with_slopes("accelerations", inputs, rates, ca.vertcat(x, s)), energy, mass)
 
 
 def with_slopes(name: str, inputs: list[ca.SX], rates: ca.SX, by: ca.SX) -> tuple[ScalarProgram, ScalarProgram]:
     """The programs of rates, and of these with their derivatives."""
-    both = ca.Function(f"{name}_and_jacobian", inputs, [rates, ca.jacobian(rates, by)])
-    return program(ca.Function(name, inputs, [rates])), program(both)
+    both = derived(f"{name}_and_jacobian", inputs, rates, lambda graph: [graph, ca.jacobian(graph, by)])
+    return program(ca.Function(name, inputs, [rates])), both
 
 
 def _alone(model: Model, rates: ca.Function, x: ca.SX, v: ca.SX, s: ca.SX, p: ca.SX) -> Programs:
@@ -93,7 +93,7 @@ def _alone(model: Model, rates: ca.Function, x: ca.SX, v: ca.SX, s: ca.SX, p: ca
         turned = ca.densify(ca.vertcat(slope[half:], -slope[:half]))
         if program(ca.Function("f", inputs, [rate])) != program(ca.Function("f", inputs, [turned])):
             raise InputError("system: its rates are not Hamilton's of its energy on their graph; use hamiltonian(...)")
-        rate, energy = rate + s * slope, program(ca.Function("energy", inputs, [total, slope]))
+        rate, energy = rate + s * slope, derived("energy", inputs, total, lambda graph: [graph, ca.gradient(graph, x)])
     return Programs(*with_slopes("rates", inputs, rate, ca.vertcat(x, s)), energy, None)
 
 

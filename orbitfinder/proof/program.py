@@ -6,9 +6,10 @@ series with ball coefficients. The order of the operations is the graph's, so no
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -57,11 +58,55 @@ class Ring:
     functions: dict[str, Callable[..., Any]]
 
 
-def graphs() -> Ring:
-    """The same operations as a graph again, on other symbols than those of the function."""
-    plain = {name: getattr(operator, name) for name in ("add", "sub", "mul", "neg", "pow")}
-    known = {name: getattr(ca, name) for name in ("sin", "cos", "sqrt", "exp", "log")}
-    return Ring(ca.SX, {**plain, **known, "div": operator.truediv, "sq": lambda a: a * a})
+class NumbersApart:
+    """Graphs once more with their numbers as symbols: derivatives multiply and divide numbers in floating point, where
+    the slope of 8 z / 3 is a float near 8/3. Powers of 2 and whole exponents stay, of which they make exact numbers."""
+
+    def __init__(self) -> None:
+        self.numbers: list[float] = []
+        self.symbols: list[Any] = []
+        named: dict[str, Callable[..., Any]] = {
+            **{name: getattr(operator, name) for name in ("add", "sub", "mul", "neg")},
+            **{name: getattr(ca, name) for name in ("sin", "cos", "sqrt", "exp", "log")},
+            "div": operator.truediv, "sq": lambda a: a * a, "pow": self._power,
+        }  # fmt: skip
+        self.ring = Ring(self._constant, named)
+
+    @property
+    def column(self) -> Any:
+        """The symbols, an argument of functions of these graphs."""
+        return ca.vertcat(ca.SX(0, 1), *self.symbols)
+
+    def restored(self, code: ScalarProgram, argument: int) -> ScalarProgram:
+        """A program with the numbers in the place of that argument."""
+        numbers = [(value, self.numbers[entry]) for value, place, entry in code.inputs if place == argument]
+        inputs = tuple(given for given in code.inputs if given[1] != argument)
+        return replace(code, constants=(*code.constants, *numbers), inputs=inputs)
+
+    def _constant(self, number: float) -> Any:
+        if number == 0 or abs(math.frexp(number)[0]) == 0.5:
+            return ca.SX(number)
+        self.numbers.append(number)
+        self.symbols.append(ca.SX.sym(f"number_{len(self.numbers)}"))
+        return self.symbols[-1]
+
+    def _power(self, a: Any, b: Any) -> Any:
+        pairs = zip(self.symbols, self.numbers, strict=True)
+        whole = [number for symbol, number in pairs if ca.is_equal(symbol, b) and number.is_integer()]
+        return a ** (whole[0] if whole else b)
+
+
+def entries(graph: Any) -> list[Any]:
+    """The scalars of a column of symbols."""
+    return [graph[k] for k in range(graph.numel())]
+
+
+def derived(name: str, inputs: Sequence[Any], graph: Any, made: Callable[[Any], list[Any]]) -> ScalarProgram:
+    """The program of what derivatives make of a graph."""
+    apart = NumbersApart()
+    values = program(ca.Function(name, inputs, [graph])).run([entries(given) for given in inputs], apart.ring)[0]
+    again = ca.vertcat(*[values.get(i, ca.SX(0)) for i in range(graph.numel())])
+    return apart.restored(program(ca.Function(name, [*inputs, apart.column], made(again))), len(inputs))
 
 
 def program(function: ca.Function) -> ScalarProgram:
