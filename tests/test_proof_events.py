@@ -9,6 +9,7 @@ from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -18,7 +19,10 @@ pytest.importorskip("flint")
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
+from orbitfinder.proof.balls import arb, precision
 from orbitfinder.proof.bordered import events, false_claims, prove_event, read_event, replayed_event
+from orbitfinder.proof.program import derived
+from orbitfinder.proof.series import BALLS
 
 pytestmark = pytest.mark.needs("proof")
 ROOT = Path(__file__).parents[1]
@@ -51,6 +55,7 @@ REPLAY = """
 import sys
 import casadi as ca, numpy as np
 from orbitfinder.integrate import dop853
+from orbitfinder.proof.balls import arb, precision
 from orbitfinder.proof.bordered import false_claims, read_event, replayed_event
 called = ca.Function.__call__
 def refuse(*given, **named):
@@ -157,6 +162,36 @@ def test_commands_prove_and_replay_an_event(tmp_path):
     for number, message in (("0", "0 is a resonance"), ("999", "counted from 0, got 999"), ("16", "no orbit near")):
         refused = run(cli, ["prove", str(file), "--event", number, "--no-record"])
         assert refused.exit_code in (1, 2) and message in refused.output + str(refused.exception), refused.output
+
+
+def test_slopes_of_numbers_are_exact():
+    """CasADi makes 8/3 of the slope of 8 z / 3, and a float of it: numbers are kept apart until they are balls."""
+    z = ca.SX.sym("z")
+    graph = 8 * z / 3 + z**3 / 5 + z**0.3
+    code = derived("slopes", [z], graph, lambda graph: [ca.jacobian(graph, z), ca.jacobian(ca.jacobian(graph, z), z)])
+    with precision(160):
+        first, second = (result[0] for result in code.run([[arb(2)]], BALLS))
+        power = arb(0.3) * arb(2) ** (arb(0.3) - 1)
+        exact = arb(8) / 3 + arb(12) / 5 + power, arb(12) / 5 + (arb(0.3) - 1) * power / 2
+        assert all(
+            ball.overlaps(value) and ball.rad() < 1e-40 for ball, value in zip((first, second), exact, strict=True)
+        )
+
+
+@pytest.mark.slow
+def test_a_doubling_of_lorenz_is_that_of_140_bits():
+    """Autonomous, 8/3 exactly: with a float for a slope of it the ball would lie 8e-16 beside."""
+
+    def field(_, x, p):
+        return [10 * (x.y - x.x), x.x * (p.r - x.z) - x.y, x.x * x.y - 8 * x.z / 3]
+
+    model = of.ode(field, ("x", "y", "z"), {"r": 250.0})
+    problem = of.Problem(model, of.Guess([-47.1114, -18.5885, 328.3983], 0.4601), name="lorenz")
+    family = of.follow_family(problem, "r", until=229.3, settings=of.FamilySettings(points=20))
+    number = next(k for k, event in enumerate(family.events) if event.kind == "period_doubling")
+    proof = prove_event(family, number, model)
+    assert proof.proved and inside(proof.value, NUMBERS["lorenz-pd"]["PD1_r"], 1e-15), proof.value
+    assert inside(proof.period, NUMBERS["lorenz-pd"]["PD1_T"])
 
 
 @pytest.mark.slow

@@ -156,9 +156,21 @@ class TwistedFormulation(Formulation):
     @property
     def targets(self) -> list[Any]:
         """What the components `ends` of the last state are to be: y is to be 0."""
-        count = sum(i < self.components for i in self.ends)
-        own = [arb.pi() * k for k in self.constants[-count:]]
-        return [*own, *[arb(0)] * count, *([] if self.drive is None else [self.drive])]
+        own = [arb.pi() * k for k in self.constants[-self.held_at_the_end :]]
+        zeros = len(self.ends) - len(own) - int(self.drive is not None)
+        return [*own, *[arb(0)] * zeros, *([] if self.drive is None else [self.drive])]
+
+    @property
+    def held_at_the_end(self) -> int:
+        """How many components of x conditions are put on at the end."""
+        return sum(i < self.components for i in self.ends)
+
+    @property
+    def square(self) -> bool:
+        """True when there are as many equations as unknowns."""
+        sections = int(self.sectioned) + int(self.carried) + 1
+        equations = self.dimension * (self.segments - 1) + len(self.ends) + sections + int(self.conserved)
+        return equations == self.unknowns
 
     @property
     def kind(self) -> str:
@@ -328,8 +340,11 @@ class _EventProof:
         drive = None if codes.clock is None else 2 * about.cycles * arb.pi() / self.base.frequency
         given = (symmetry, model.degrees_of_freedom, about.segments, about.constants, about.turns)
         self.plain = Formulation(*given, integral, drive)
+        check_graph(codes, self.plain, model)
         fold, phase = about.twist == (1, 1), None if drive is None else _phase(codes, about.cycles, drive)
         self.form = TwistedFormulation(*given, integral and fold, phase, about.twist, not integral, integral)
+        if not self.form.square:
+            raise NotProved(f"{symmetry.name} leaves not as many equations as unknowns here; use none")
         fits = symmetry.reverses or len({*about.twist}) == 1
         fits &= (len(about.constants), len(about.turns)) == (self.form.components, model.degrees_of_freedom)
         if about.centre and not (
@@ -417,9 +432,9 @@ class _EventProof:
         The solution of DG w = e, e 1 in a row of y, moves x along y by alpha, and that of a row of x moves p by c: the
         derivative is 1 / alpha for the row of the energy, else -c / alpha for the two rows of a component.
         """
-        form, m = self.form, self.form.components
+        form = self.form
         free, rows = list(form.free), [form.dimension * (form.segments - 1) + k for k in range(len(form.ends))]
-        own = [free.index(i) for i in range(m) if i in free]
+        own = [free.index(i) for i in range(form.components) if i in free]
         moved = max(own, key=lambda k: abs(float(box[k + len(own)].mid())))
 
         def answer(row: int) -> Vector:
@@ -432,8 +447,9 @@ class _EventProof:
         if form.conserved:
             bend = 1 / alpha(form.unknowns - 1)
         else:
-            chosen = max(range(m), key=lambda k: abs(float(alpha(rows[m + k]).mid())))
-            bend = -answer(rows[chosen])[free.index(form.constants_at["p"])] / alpha(rows[m + chosen])
+            count = form.held_at_the_end
+            chosen = max(range(count), key=lambda k: abs(float(alpha(rows[count + k]).mid())))
+            bend = -answer(rows[chosen])[free.index(form.constants_at["p"])] / alpha(rows[count + chosen])
         if not (bend > 0 or bend < 0):
             raise NotProved("at which values the orbits of the fold are could not be told")
         return "larger" if bend > 0 else "smaller"
@@ -441,7 +457,6 @@ class _EventProof:
     def concluded(self, margin: float = MARGIN, digits: int = DIGITS) -> BorderedRecord:
         """What the record says of its box, proved. Raises `NotProved`."""
         about, form, settings = self.about, self.form, self.about.settings
-        check_graph(self.codes, self.plain, self.model)
         first = krawczyk(self.equations, [arb(c, about.radius) for c in about.centre], settings)
         if not first.proved:
             raise NotProved("the interval Newton operator does not map the box into itself")
@@ -591,8 +606,9 @@ def prove_event(
             form.turns, 0 if form.drive is None else model.forcing_cycles(event.period), (1, 1), (), (), 0.0,
             options.order, options.bits, options.tolerance,
         )  # fmt: skip
-        runs = [_EventProof(replace(about, twist=twist), model, say) for twist in twists(event.kind, symmetry.reverses)]
         try:
+            ways = twists(event.kind, symmetry.reverses)
+            runs = [_EventProof(replace(about, twist=twist), model, say) for twist in ways]
             nodes, flow_there = start.nodes[:, : form.components], start.flow
             near = [run.begun(nodes, start.duration, flow_there, event.parameter) for run in runs]
             run = runs[int(np.argmin(near))]
@@ -623,7 +639,7 @@ def _prove_doubling(family: Family, event: Event, model: Model, options: Options
             proof = run.concluded()
             apart = abs(float(proof.value["value"]) - event.parameter)
             if not apart <= options.nearness:
-                raise NotProved(f"no such event within {options.nearness:g} of the record; one is {apart:.3g} away")
+                raise NotProved(f"no such event within {options.nearness:g} of the record; it is {apart:.3g} away")
         except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
             return replace(about, reason=str(error))
     return proof
@@ -646,8 +662,8 @@ def replayed_event(
     began = time.perf_counter()
     with precision(record.bits):
         model, say = model or build_model(dict(record.system)), progress or (lambda line: None)
-        run = _EventProof(record, model, say) if model.smooth else _GaitEventProof(record, model, say)
         try:
+            run = _EventProof(record, model, say) if model.smooth else _GaitEventProof(record, model, say)
             fresh = run.concluded(1.0, 2 * DIGITS)
         except (NotProved, IntegrationError, ZeroDivisionError) as error:
             fresh = replace(record, proved=False, reason=str(error))

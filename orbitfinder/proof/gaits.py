@@ -3,10 +3,10 @@
 With phi the flow of an arc's mode, g the guard and R the reset of the transition that ends it, the unknowns are the
 first states x_k and the durations tau_k of the arcs of a period, and the equations
 
-    g_k(phi_tau_k(x_k)) = 0,    R_k(phi_tau_k(x_k)) = x_{k+1},    the last one's being x_0.
+    g_k(phi_tau_k(x_k)) = 0,    R_k(phi_tau_k(x_k)) = x_{k+1},    x_K = x_0.
 
-A zero is a motion of the automaton if no guard fires before (`Course.fault`), and its multipliers are those of the
-product of DR (1 - f Dg / Dg f) Phi. Source of that matrix: M. A. Aizerman, F. R. Gantmakher, Quarterly Journal of
+A zero is a motion of the automaton if no guard fires before (`GuardedCycle.fault`), and its multipliers are those of
+the product of DR (1 - f Dg / Dg f) Phi. Source of that matrix: M. A. Aizerman, F. R. Gantmakher, Quarterly Journal of
 Mechanics and Applied Mathematics 11 (1958) 385-398.
 """
 
@@ -40,14 +40,19 @@ from orbitfinder.proof.balls import (
 from orbitfinder.proof.enclosure import TaylorSettings, Tube, cloud, integrate
 from orbitfinder.proof.field import Field, make_field, with_slopes
 from orbitfinder.proof.formulation import Formulation
-from orbitfinder.proof.krawczyk import ROUGH, Krawczyk, TheoremEquations, approximate_inverse, contracted, flow
+from orbitfinder.proof.krawczyk import (
+    MOST_ITERATIONS,
+    ROUGH,
+    Krawczyk,
+    TheoremEquations,
+    approximate_inverse,
+    contracted,
+    flow,
+)
 from orbitfinder.proof.program import ScalarProgram, derived
 from orbitfinder.proof.series import BALLS, recurrence
 from orbitfinder.proof.trajectory import PIECES, Stability, stability
 from orbitfinder.records.orbit import SHARE, Orbit
-
-NEWTON = 12
-"""Steps to the centre at most"""
 
 
 @dataclass(frozen=True)
@@ -60,7 +65,7 @@ class Passed:
     steps: list[Tube]
 
 
-class Arc:
+class GuardedArc:
     """A mode of an automaton with the transition that ends it, as programs in the state and the parameters."""
 
     def __init__(
@@ -114,10 +119,10 @@ class Arc:
 
 
 @dataclass(frozen=True)
-class Course:
+class GuardedCycle:
     """The arcs of a period and what is solved for them."""
 
-    arcs: tuple[Arc, ...]
+    arcs: tuple[GuardedArc, ...]
 
     @cached_property
     def size(self) -> int:
@@ -151,7 +156,7 @@ class Course:
     def solved(self, start: Vector, settings: TaylorSettings, target: float) -> Vector:
         """Unknowns whose last correction is below a target. Raises `ConvergenceError`."""
         here, moved = midpoints(start), np.inf
-        for _ in range(NEWTON):
+        for _ in range(MOST_ITERATIONS):
             passed = [flow(arc.equations, [*part[:-1], arb(0), part[-1]], settings, vary=True)
                       for arc, part in zip(self.arcs, self.parts(here), strict=True)]  # fmt: skip
             values = self.residual(here, [end for end, _ in passed])
@@ -216,9 +221,9 @@ class Course:
         return 0
 
 
-def _fault(arc: Arc, passed: Passed) -> str:
-    """See `Course.fault`: in each piece of each step a guard is not 0, or not allowed, or goes the other way; in the
-    last ones that of the end goes through 0 in its direction, which it can do but once."""
+def _fault(arc: GuardedArc, passed: Passed) -> str:
+    """See `GuardedCycle.fault`: in each piece of each step a guard is not 0, or not allowed, or goes the other way; in
+    the last ones that of the end goes through 0 in its direction, which it can do but once."""
     ending = False
     for step in passed.steps:
         for k in range(PIECES):
@@ -240,7 +245,7 @@ def _fault(arc: Arc, passed: Passed) -> str:
     return "" if ending else f"the guard of {arc.transition.name} is not 0 at the end of its arc"
 
 
-def _quiet(arc: Arc, transition: Transition, x: Vector) -> tuple[bool, Any, bool]:
+def _quiet(arc: GuardedArc, transition: Transition, x: Vector) -> tuple[bool, Any, bool]:
     """Whether a transition cannot happen in a box, how fast its guard goes in its direction there, whether allowed."""
     (value,), slope = arc.value(arc.guards[transition.name], x)
     rising = transition.direction * (slope * arc.rate(x))[0, 0]
@@ -248,10 +253,10 @@ def _quiet(arc: Arc, transition: Transition, x: Vector) -> tuple[bool, Any, bool
     return bool(value > 0 or value < 0 or allowed < 0 or rising < 0), rising, bool(allowed > 0)
 
 
-class TwistedArc(Arc):
+class TwistedArc(GuardedArc):
     """An arc of (x, y, p), y what the return map varies x by and p a parameter, an unknown."""
 
-    def __init__(self, mode: Mode, transition: Transition, parameter: int) -> None:  # not Arc's: other programs
+    def __init__(self, mode: Mode, transition: Transition, parameter: int) -> None:  # not GuardedArc's: other programs
         self.mode, self.transition = mode, transition
         model, d = mode.model, len(mode.model.state_names)
         self.size = 2 * d + 1
@@ -285,7 +290,7 @@ class TwistedArc(Arc):
 
 
 @dataclass(frozen=True)
-class TwistedCourse(Course):
+class TwistedCycle(GuardedCycle):
     """The arcs of a period at whose end y is turned round: -1 is a multiplier. `unit` (d) is c of c.y = 1."""
 
     unit: tuple[float, ...] = ()
@@ -310,16 +315,16 @@ class TwistedCourse(Course):
         return arb_mat(rows)
 
 
-def twisted(model: Model, parameter: str, unit: Sequence[float]) -> TwistedCourse:
+def twisted(model: Model, parameter: str, unit: Sequence[float]) -> TwistedCycle:
     """The arcs of a model's cycle, varied."""
     assert model.hybrid is not None
     index = model.parameter_index(parameter)
-    return TwistedCourse(
+    return TwistedCycle(
         tuple(TwistedArc(mode, transition, index) for mode, transition in model.hybrid.arcs), tuple(unit)
     )  # fmt: skip
 
 
-def course(model: Model, given: Mapping[int, Any] | None = None) -> Course:
+def course(model: Model, given: Mapping[int, Any] | None = None) -> GuardedCycle:
     """The arcs of a model's cycle, some parameters `given` as balls. `InputError` says what cannot be proved."""
     hybrid = model.hybrid
     assert hybrid is not None
@@ -329,10 +334,12 @@ def course(model: Model, given: Mapping[int, Any] | None = None) -> Course:
         names = ", ".join(invariant.name for invariant in model.invariants)
         raise InputError(f"system: it conserves {names} through its events; orbits with events are proved where "
                          "nothing is conserved")  # fmt: skip
-    return Course(tuple(Arc(mode, transition, hybrid.leaving(mode.name), given) for mode, transition in hybrid.arcs))
+    return GuardedCycle(
+        tuple(GuardedArc(mode, transition, hybrid.leaving(mode.name), given) for mode, transition in hybrid.arcs)
+    )
 
 
-def begun(orbit: Orbit, course: Course) -> Vector:
+def begun(orbit: Orbit, course: GuardedCycle) -> Vector:
     """The recorded orbit as unknowns: by the flow from its first state, each arc to where its guard is 0."""
     free, count = dict(orbit.provenance.get("free", {})), len(course.arcs)
     shares = [float(free.get(f"{SHARE}{k + 1}", 1.0 / count)) for k in range(count - 1)]
@@ -342,7 +349,7 @@ def begun(orbit: Orbit, course: Course) -> Vector:
     settings = TaylorSettings(bits=64, tolerance=1e-14, order=14)
     for arc, share in zip(course.arcs, [*shares, 1.0 - sum(shares)], strict=True):
         tau, guard = arb(share * orbit.period), arc.guards[arc.transition.name]
-        for _ in range(NEWTON):
+        for _ in range(MOST_ITERATIONS):
             end = flow(arc.equations, [*x, arb(0), tau], settings, vary=False)[0]
             (value,), slope = arc.value(guard, end)
             step = (value / (slope * arc.rate(end))[0, 0]).mid()

@@ -1,6 +1,6 @@
 """Prove that a recorded orbit exists: from orbit to verdict, box, period, multipliers.
 
-docs/proof.md states and proves the theorem; this module checks its hypotheses one after the other.
+docs/proof.md states and proves the theorem; this module checks its hypotheses in turn.
 """
 
 from __future__ import annotations
@@ -249,7 +249,7 @@ def _prove_gait(orbit: Orbit, model: Model, options: Options, say: Progress, eno
 
 
 def check_near(distance: float, apart: float, options: Options) -> None:
-    """`NotProved` where an orbit is not the recorded one."""
+    """`NotProved` where an orbit is not that of the record."""
     if not max(distance, apart) <= options.nearness:
         raise NotProved(
             f"an orbit exists, but not within {options.nearness:g} of the record: "
