@@ -39,7 +39,7 @@ def test_a_forcing_declared_as_many_of_its_periods_is_no_period(k):
 
 
 @pytest.mark.parametrize("name", ["duffing", "van-der-pol", "double-pendulum-running"])
-@pytest.mark.parametrize("k", [103, 109])
+@pytest.mark.parametrize("k", [103, pytest.param(109, marks=pytest.mark.slow)])
 def test_multiples_beyond_a_hundred_are_rejected_by_name(name, k):
     orbit = of.load_orbit(ROOT / "results" / "gallery" / name / "orbit.json")
     certificate = certify(times_round(orbit, k))

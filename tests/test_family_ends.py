@@ -106,7 +106,8 @@ def morris_lecar(unit=1.0):
     return of.ode(field, ["V", "w"], {"current": 100.0})
 
 
-@pytest.mark.parametrize("unit", [1.0, pytest.param(200.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("unit", [1.0, 200.0])
 def test_both_hopf_points_of_morris_and_lecar(unit):
     """And the two folds between them, in mV as in units of 200 mV."""
     model = morris_lecar(unit)

@@ -158,7 +158,9 @@ def told(words, name):
     return "" if sentence else f"{name}: exit code {result.exit_code}, {last}"
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=[pytest.mark.slow] * (kind[-1] == "#" and kind != "atlas#")) for kind in KINDS]
+)
 def test_every_command_answers_or_refuses_in_a_sentence(kind, records, tmp_path, monkeypatch):
     def cut(*_, **__):
         raise ConvergenceError(CUT)
