@@ -400,6 +400,7 @@ def test_a_task_that_nothing_can_do_says_so() -> None:
         of.find_orbit(problem)
 
 
+@pytest.mark.slow
 def test_a_family_of_optima_ends_at_the_conservative_orbit_that_costs_nothing() -> None:
     """Pick and place as the spring stiffens to where it does it alone, k = (2 pi / T)^2; then without one, slower."""
     resonant = np.pi**2

@@ -231,6 +231,7 @@ def flipping():
     return of.ode(field, ("x", "y", "z"), {"a": -0.1, "b": -0.5, "c": 0.0, "d": -1.0})
 
 
+@pytest.mark.slow
 def test_a_doubling_degenerates_where_its_orbit_is_born_to_the_other_side():
     """At b = 0 and nowhere else, by the normal form's coefficient; what b and d leave where it is has no curve."""
     model = flipping()

@@ -129,6 +129,7 @@ def test_rocking_four_bar_has_the_period_of_the_quadrature():
     assert small.certificate.passed and orbit.period == pytest.approx(small.period, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_rotating_four_bar_has_the_period_of_the_quadrature():
     """The crank turns over once in a period: winding found from the motion, period by quadrature to 1e-9."""
     model = of.linkage(**FOUR_BAR)

@@ -168,6 +168,7 @@ def fish(q=0.1):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_branches_cross_transcritically_and_are_not_taken_for_each_other():
     """Fish alone leave f = 1/3, s = 0 with q = 3 f (1 - f) / (1 - exp(-5 f)), turn, and meet nothing at q = 0.6."""
     tree = of.diagram(fish(), [0.3, 1.8], "q", 1.0, depth=2)

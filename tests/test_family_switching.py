@@ -268,7 +268,8 @@ def test_a_family_in_memory_is_that_of_a_folder(tmp_path, monkeypatch):
         of.switch_branch(family, 99)
 
 
-@pytest.mark.parametrize("until", [-33.9, pytest.param(-30.5, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("until", [-33.9, -30.5])
 def test_two_families_leave_at_each_high_resonance(until):
     """And no more (K. R. Meyer, Generic bifurcation of periodic points, Trans. Amer. Math. Soc. 149 (1970) 95-107)."""
     settings = FamilySettings(certify=False, directions="forward")

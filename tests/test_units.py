@@ -439,7 +439,7 @@ def seen_plainly(name):
 
 
 @pytest.mark.parametrize(("name", "told", "method"), [
-    ("brusselator", "first small", "shooting"), ("brusselator", "one small", "collocation"),
+    ("brusselator", "one small", "collocation"),
     *(pytest.param(name, told, method, marks=pytest.mark.slow)
       for name in CLOCKS for told in SMALL_AND_LARGE for method in ("shooting", "collocation")),
 ])  # fmt: skip
