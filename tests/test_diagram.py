@@ -355,11 +355,12 @@ def test_an_infinite_period_is_an_arrow():
     assert list(axes.lines[0].get_xdata()) == [1.0, 1.0]
 
 
-def test_the_picture(nerve, tmp_path, monkeypatch):
+@pytest.mark.parametrize("also", [(), pytest.param(("norm",), marks=pytest.mark.slow)])
+def test_the_picture(nerve, tmp_path, monkeypatch, also):
     """Greatest and least values, solid where stable, a mark for each event, periods below; the window is robust."""
     drawn = []
     monkeypatch.setattr(Figure, "savefig", lambda self, *a, **k: drawn.append(self))
-    for chosen in ("V", "norm"):
+    for chosen in ("V", *also):
         save_diagram_figure(replace(nerve[0], coordinate=chosen), tmp_path, morris_lecar())
     upper, below = drawn[0].axes
     values = record(nerve[0], "equilibria-0/family.json").points
@@ -371,7 +372,8 @@ def test_the_picture(nerve, tmp_path, monkeypatch):
     assert names == ["stable", "unstable", "equilibria", "Hopf", "cycles", "fold of cycles"] and len(values) > 100
     written = {text.get_text() for text in upper.texts if text.get_text()}
     assert written == {"93.858", "212.02", "216.9", "88.293"}
-    assert drawn[1].axes[0].get_ylabel() == "norm" and len(drawn[1].axes[0].lines) < len(upper.lines)
+    for other in drawn[1:]:
+        assert other.axes[0].get_ylabel() == "norm" and len(other.axes[0].lines) < len(upper.lines)
     panel = Panel(drawn[0].axes[0], {})
     panel.heights = [np.linspace(0, 1, 100), np.array([1e6])]
     panel.window()

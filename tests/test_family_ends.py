@@ -466,7 +466,8 @@ def turning(kind):
     return lambda b: of.ode(field, ["x", "y", "z"], {"a": -0.05, "b": b})
 
 
-@pytest.mark.parametrize("kind", ["period_doubling", pytest.param("torus", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["period_doubling", "torus"])
 def test_the_side_to_which_what_is_born_is_born(kind, tmp_path):
     """Both signs, by exact normal forms; recorded, read and verified, and the other one rejected."""
     for b, wanted in ((-0.5, "supercritical"), (0.5, "subcritical")):

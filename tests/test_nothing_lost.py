@@ -76,7 +76,7 @@ def test_tori_that_were_found_stay(tmp_path, monkeypatch, how):
     assert len(found.tori) == 2 and found.end == "stopped" and all(sure(one.certificate) for one in found.tori)
 
 
-@pytest.mark.parametrize("how", QUICK)
+@pytest.mark.parametrize("how", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), *QUICK[1:]])
 def test_optima_that_were_found_stay(tmp_path, monkeypatch, how):
     from orbitfinder.control import optima
 

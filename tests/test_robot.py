@@ -126,6 +126,7 @@ def test_motors_are_controls_within_the_files_effort():
     assert len(of.robot(ARM, motors="all").controls) == 7
 
 
+@pytest.mark.slow
 def test_a_mode_of_the_compliant_arm_closes_in_mujoco():
     """A certified orbit, replayed by MuJoCo's Runge-Kutta: what it misses falls with the fourth power of its step."""
     springs = {f"joint{k}": c for k, c in enumerate((1000.0, 1000.0, 500.0, 500.0, 200.0, 100.0, 50.0), 1)}
