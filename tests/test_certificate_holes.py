@@ -184,6 +184,7 @@ def test_shipped_controls_pass_their_own_certificate(name):
     assert "samples" in certify(orbit).failures
 
 
+@pytest.mark.slow
 def test_points_of_a_family_have_the_action_of_their_own_place():
     """Newton's last step changes the energy by dE, and the action by T dE: it was left out, 1.6e-10 here."""
     orbit = of.load_orbit(ROOT / "results" / "gallery" / "henon-heiles-straight" / "orbit.json")

@@ -269,6 +269,7 @@ def entrained():
     )
 
 
+@pytest.mark.slow
 def test_a_curve_of_tori_ends_where_its_multipliers_become_real():
     """At 1:1, beyond which neutral saddles meet the same equations. An orbit that is its own mirror image after half a
     period goes on through 1:2: the pair of its half map is at +-i there."""

@@ -148,6 +148,7 @@ def test_a_branch_is_sought_square_to_the_old_family():
             family = follow_family(branch, until=217.0, settings=few)
 
 
+@pytest.mark.slow
 def test_a_branch_point_is_where_it_is_from_either_side():
     """Of the doubled motion of two pendula, in two step sizes, and back along its mirror image in others.
 
