@@ -1,6 +1,7 @@
 """What the tests share: the report's orbits, the reference data, a few orbits found once."""
 
 import contextlib
+import faulthandler
 import gc
 import json
 import os
@@ -15,6 +16,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from _pytest.faulthandler import fault_handler_stderr_fd_key
 from threadpoolctl import threadpool_limits
 
 from orbitfinder.integrate.compiled import exposed
@@ -140,7 +142,16 @@ def missing(extra: str) -> bool:
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Skip what needs an extra that is not there: `.ci/run` runs exactly that once the extras are installed."""
+    """Skip what needs an extra that is not there: `.ci/run` runs exactly that once the extras are installed.
+
+    Slow tests have four times as long before their traceback is written.
+    """
+    if item.get_closest_marker("slow") and item.config.pluginmanager.hasplugin("faulthandler"):
+        seconds, stream = (
+            float(item.config.getini("faulthandler_timeout")),
+            item.config.stash[fault_handler_stderr_fd_key],
+        )
+        faulthandler.dump_traceback_later(4 * seconds, file=stream)
     for extra in [extra for mark in item.iter_markers("needs") for extra in mark.args]:
         if missing(extra):
             pytest.skip(f"needs the extra {extra}: pip install -e '.[{extra}]'")

@@ -95,6 +95,7 @@ def test_every_orbit_is_certified_and_in_range(undisturbed):
         assert estimates[-1] >= distinct[-1]
 
 
+@pytest.mark.slow
 def test_the_number_of_workers_does_not_matter(triple, undisturbed, tmp_path):
     path = tmp_path / "two.sqlite"
     found = search.search(triple, ENERGY, PERIODS, path, starts=STARTS, workers=2)
@@ -245,7 +246,8 @@ def elastic():
 
 
 @pytest.mark.parametrize(
-    ("number", "period", "instability"), [(0, 7.578926609086394, 1.0), (4, 6.653441790013671, 1.0827834988)]
+    ("number", "period", "instability"),
+    [pytest.param(0, 7.578926609086394, 1.0, marks=pytest.mark.slow), (4, 6.653441790013671, 1.0827834988)],
 )
 def test_nearly_degenerate_orbits_are_reached(elastic, number, period, instability):
     """Newton's method stalls before both (the Jacobian's singular values fall to 1e-6). Reference: a scan of the
@@ -362,15 +364,23 @@ def test_mirrors_are_read_off_the_equations(made, expected):
     assert [one.moves(model.state_names[: model.degrees_of_freedom]) for one in undeclared_mirrors(model)] == expected
 
 
-@pytest.mark.parametrize("parts", [{}, pytest.param({"symmetries": {"mirror": (1, -1)}}, marks=pytest.mark.slow)])
+MIRRORED = ({}, {"symmetries": {"mirror": (1, -1)}})
+
+
+@pytest.mark.parametrize("parts", MIRRORED)
+def test_starts_where_a_mirror_holds_solve_half_a_period(parts):
+    one = context_of(polar(**parts), Target(-8.5, (0.5, 8.0)))
+    assert one.strategies.count("declared-mirror") == 2 and one.equations["mirror"].symmetry.fraction == 0.5
+    start = make_start(one, 0, one.strategies.index("declared-mirror"))
+    assert start.symmetry == "mirror" and abs(np.sin(start.state[1])) < 1e-15 and start.state[2] == 0 < start.state[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("parts", MIRRORED)
 def test_a_mirror_is_imposed_declared_or_not(tmp_path, parts):
     """Starts where phi and r' vanish solve half a period; with them 60 starts (2 s) find all fourteen orbits, the two
     nearly degenerate ones among them that search missed in 6000 (trial of 0.1.0, section 10)."""
     model, path = polar(**parts), tmp_path / "mirror.sqlite"
-    one = context_of(model, Target(-8.5, (0.5, 8.0)))
-    assert one.strategies.count("declared-mirror") == 2 and one.equations["mirror"].symmetry.fraction == 0.5
-    start = make_start(one, 0, one.strategies.index("declared-mirror"))
-    assert start.symmetry == "mirror" and abs(np.sin(start.state[1])) < 1e-15 and start.state[2] == 0 < start.state[0]
     found = search.search(model, -8.5, (0.5, 8.0), path, starts=60, workers=0).summary
     imposed = next(one for one in found.yields if one.strategy == "declared-mirror")
     assert imposed.hits == imposed.starts >= 6

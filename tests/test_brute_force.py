@@ -98,6 +98,7 @@ def tube_at(lengths, state, period, start):
         yield follower.period(orbit), multipliers[np.argsort(-np.abs(multipliers))]
 
 
+@pytest.mark.slow
 def test_the_branch_point_of_the_tube_lies_between_multipliers_below_and_above_one():
     """Orbits of two lengths beside it, corrected by themselves, have their largest multiplier on either side of 1."""
     kept = KEPT[TUBE]

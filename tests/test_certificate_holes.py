@@ -39,7 +39,7 @@ def test_a_forcing_declared_as_many_of_its_periods_is_no_period(k):
 
 
 @pytest.mark.parametrize("name", ["duffing", "van-der-pol", "double-pendulum-running"])
-@pytest.mark.parametrize("k", [103, 109])
+@pytest.mark.parametrize("k", [103, pytest.param(109, marks=pytest.mark.slow)])
 def test_multiples_beyond_a_hundred_are_rejected_by_name(name, k):
     orbit = of.load_orbit(ROOT / "results" / "gallery" / name / "orbit.json")
     certificate = certify(times_round(orbit, k))
@@ -184,6 +184,7 @@ def test_shipped_controls_pass_their_own_certificate(name):
     assert "samples" in certify(orbit).failures
 
 
+@pytest.mark.slow
 def test_points_of_a_family_have_the_action_of_their_own_place():
     """Newton's last step changes the energy by dE, and the action by T dE: it was left out, 1.6e-10 here."""
     orbit = of.load_orbit(ROOT / "results" / "gallery" / "henon-heiles-straight" / "orbit.json")

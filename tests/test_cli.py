@@ -314,7 +314,7 @@ def wait_for(path, running):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-@pytest.mark.parametrize("jobs", ["1", "2"])
+@pytest.mark.parametrize("jobs", ["1", pytest.param("2", marks=pytest.mark.slow)])
 def test_interrupt_exits_130_and_leaves_whole_files_only(tmp_path, jobs):
     """Ctrl-C in the middle of many problems: finished results stay and load, nothing else is there."""
     files = [problem(tmp_path, PENDULUM.replace("swing", f"p{k}"), f"p{k}.toml") for k in range(60)]

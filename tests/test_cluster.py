@@ -1,15 +1,23 @@
 """Sweeps and maps on a real Dask cluster: the same as here; what is wrong with a worker is said of it by name."""
 
+import json
 import os
+import shutil
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import orbitfinder as of
 from orbitfinder._runtime import cluster, tasks
+from orbitfinder.atlas.store import Atlas
+from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError, OrbitfinderError
+from orbitfinder.records.registry import load
 
+ROOT = Path(__file__).parents[1]
 OWN = """import orbitfinder as of
 def spring(k=1.0, damping=0.2):
     return of.systems.forced_duffing(stiffness=k, damping=damping)
@@ -96,6 +104,65 @@ def test_sweeps_and_maps_on_a_cluster_are_those_of_one_process(loopback, tmp_pat
     two = of.sweep(problem, values, scheduler=loopback, folder=tmp_path)
     assert one.certified == two.certified == 20
     assert [row.orbit.state for row in two.rows] == [pytest.approx(row.orbit.state, rel=1e-9) for row in one.rows]
+
+
+def by_command(*words):
+    said = CliRunner().invoke(cli, [*map(str, words), "--json"])
+    assert said.exit_code == 0, said.output
+    return json.loads(said.stdout)
+
+
+@pytest.mark.slow
+@pytest.mark.needs("cluster")
+@pytest.mark.filterwarnings("default", "ignore:unclosed")
+@pytest.mark.parametrize(
+    ("words", "reading"),
+    [
+        ("bifurcation problems/maps/pendulum-cascade.toml --parameter torque=1.03:1.07:80 --transient 20 --samples 8",
+         lambda made: [made.states, made.times, made.owners, made.repeats]),
+        ("diagram problems/equations/lorenz.toml --parameter rho --from 0.2 --until 28",
+         lambda made: [np.array([one.state for one in curve.record.points]) for curve in made.curves]),
+        ("map problems/maps/driven-pendulum.toml --parameter frequency=6:7:8 --parameter torque=0.5:0.8:20 --sample 1",
+         lambda made: [made.nodes, made.multipliers]),
+    ],
+    ids=["bifurcation", "diagram", "map"],
+)  # fmt: skip
+def test_processes_and_a_cluster_do_what_this_process_does(loopback, tmp_path, words, reading, capfd):
+    """By the command: every bit; what a cluster has finished is not done again."""
+    command, file, *rest = words.split()
+    made = {}
+    for k, how in enumerate((["--workers", 1], ["--workers", 2], ["--scheduler", loopback])):
+        told = by_command(command, ROOT / file, *rest, "-o", tmp_path / str(k), "--no-figures", *how)
+        made[k] = reading(load(told["written"][0]))
+    assert len(made[0]) > 1
+    for one, two, far in zip(*made.values(), strict=True):
+        assert np.array_equal(one, two) and np.array_equal(one, far)
+    assert " s left" in capfd.readouterr().err or command != "diagram"
+    before = {file: file.read_bytes() for file in (tmp_path / "2").rglob("*.jsonl")}
+    told = by_command(command, ROOT / file, *rest, "-o", tmp_path / "2", "--no-figures", "--scheduler", loopback)
+    assert before and {file: file.read_bytes() for file in (tmp_path / "2").rglob("*.jsonl")} == before
+
+
+@pytest.mark.slow
+@pytest.mark.needs("cluster", "proof")
+@pytest.mark.filterwarnings("default", "ignore:unclosed")
+def test_an_atlas_is_proved_on_a_cluster(loopback, tmp_path):
+    """Each orbit once, recorded here; what the workers prove is what is proved here, and is not proved again."""
+    books = [
+        shutil.copy(ROOT / "results" / "atlas" / "lorenz.sqlite", tmp_path / f"{name}.sqlite")
+        for name in ("far", "near")
+    ]
+    told = [by_command("prove", book, "--shard", "1/40", *how)["results"]
+            for book, how in zip(books, (["--scheduler", loopback], []), strict=True)]  # fmt: skip
+    numbers = [[int(one["file"].rpartition("#")[2]) for one in results] for results in told]
+    assert sorted(numbers[0]) == numbers[1] == sorted(set(numbers[0])) and len(numbers[0]) > 0
+    far, near = ({one["file"].rpartition("#")[2]: one for one in results} for results in told)
+    for number, one in far.items():
+        for entry in ("proved", "period", "multipliers"):
+            assert one.get(entry) == near[number].get(entry), entry
+    with Atlas(books[0]) as atlas:
+        assert all(atlas.row(number).proof for number in numbers[0])
+    assert by_command("prove", books[0], "--shard", "1/40", "--scheduler", loopback)["results"] == []
 
 
 @pytest.mark.slow

@@ -188,7 +188,10 @@ def test_what_grows_and_decays_along_a_chain_is_solved_to_round_off():
     assert np.abs(matrix @ step + rows).max() < 1e-14 * (np.abs(matrix) @ np.abs(step)).max()
 
 
-@pytest.mark.parametrize(("name", "key"), [("vdp-100", "period_quad"), ("steinmetz-larter", "period_quad")])
+@pytest.mark.parametrize(
+    ("name", "key"),
+    [pytest.param("vdp-100", "period_quad", marks=pytest.mark.slow), ("steinmetz-larter", "period_quad")],
+)
 def test_stiff_cycles_of_the_road(name, key):
     orbit, _ = found(name)
     assert orbit.certificate.passed, orbit.certificate.failures
@@ -254,9 +257,9 @@ def test_the_stiffest_are_certified(model, state, period, reference):
 
 
 @pytest.mark.parametrize(("model", "state", "period"), [
-    (steinmetz_larter(), [2.5, 5.6, 0.024, 1.4], 16.0),
+    pytest.param(steinmetz_larter(), [2.5, 5.6, 0.024, 1.4], 16.0, marks=pytest.mark.slow),
     (brusselator(), [1.4, 3.0], 6.6), (van_der_pol(5), [2.0, 0.1], 11.6), (fitzhugh_nagumo(), [-0.3, -0.19], 39.5),
-    (lorenz(28.0), [-13.763610682134, -19.578751942451, 27.0], 1.5587),
+    pytest.param(lorenz(28.0), [-13.763610682134, -19.578751942451, 27.0], 1.5587, marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_shooting_and_collocation_agree(model, state, period):
     problem = of.Problem(model, of.Guess(state, period))
@@ -287,6 +290,7 @@ def test_multipliers_keep_their_size():
     assert abs(orbit.floquet_multipliers[0].real / told - 1) < 1e-6
 
 
+@pytest.mark.slow
 def test_units_do_not_matter():
     plain = found("steinmetz-larter")[0]
     for units in ((1e-6, 1e3, 1.0, 1e6), (1e6, 1.0, 1e-6, 1e2)):

@@ -50,6 +50,7 @@ for line in sys.argv[1:]:
 """
 
 
+@pytest.mark.slow
 def test_every_example_does_what_the_page_says(copy):
     """In the order of the page, in one process, which imports once; what is said to be printed is."""
     environment = {**os.environ, "PYTHONPATH": str(copy), "MPLBACKEND": "Agg"}

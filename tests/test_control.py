@@ -175,7 +175,7 @@ REFERENCE = {
 }
 
 
-@pytest.mark.parametrize(("shape", "order"), [("zero-order", 2.0), ("linear", 4.0)])
+@pytest.mark.parametrize(("shape", "order"), [pytest.param("zero-order", 2.0, marks=pytest.mark.slow), ("linear", 4.0)])
 def test_pick_and_place_converges_to_the_closed_form(shape: str, order: float) -> None:
     exact = float(REFERENCE["pick-place"]["k4_T2"])
     errors = [cost_of(pick(4.0, count, shape)) - exact for count in (20, 40)]
@@ -234,7 +234,7 @@ def test_a_control_one_per_cent_off_is_rejected_by_name() -> None:
     assert failures == ("stationarity",)
 
 
-@pytest.mark.parametrize("place", [0.33, -0.7123, 0.05])
+@pytest.mark.parametrize("place", [0.33, *(pytest.param(place, marks=pytest.mark.slow) for place in (-0.7123, 0.05))])
 def test_a_force_far_narrower_than_a_step_is_found(place: float) -> None:
     """2e-5 of the motion wide, and what it does to it: 7e-3."""
 
@@ -331,7 +331,7 @@ def test_a_controlled_orbit_is_saved_loaded_and_verified(tmp_path: Path) -> None
 
 
 FILES = [path for path in sorted(Path("problems/control").glob("*.toml")) if "[control]" in path.read_text()]
-QUICK = {"maintained-oscillator", "hopping-monopod", "pick-and-place"}
+QUICK = {"maintained-oscillator", "pick-and-place"}
 
 
 @pytest.mark.parametrize(
@@ -400,6 +400,7 @@ def test_a_task_that_nothing_can_do_says_so() -> None:
         of.find_orbit(problem)
 
 
+@pytest.mark.slow
 def test_a_family_of_optima_ends_at_the_conservative_orbit_that_costs_nothing() -> None:
     """Pick and place as the spring stiffens to where it does it alone, k = (2 pi / T)^2; then without one, slower."""
     resonant = np.pi**2

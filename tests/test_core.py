@@ -75,6 +75,7 @@ def copy(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_the_core_stands_alone(copy):
     assert not (copy / "orbitfinder" / "mechanisms").exists()
     told = subprocess.run(

@@ -83,7 +83,7 @@ def test_a_cusp_where_two_folds_meet():
     assert cusp.kind == "cusp" and [cusp.free[name] for name in "ab"] == pytest.approx([0.0, 0.0], abs=1e-7)
 
 
-@pytest.mark.parametrize("sign, kind", [(1, "isola_centre"), (-1, "transcritical")])
+@pytest.mark.parametrize("sign, kind", [pytest.param(1, "isola_centre", marks=pytest.mark.slow), (-1, "transcritical")])
 def test_where_an_isola_is_born_and_where_two_families_cross(sign, kind):
     """b = u^2 + a^2 is a closed curve in (a, u) for every b, and shrinks to a point; b = u^2 - a^2 crosses itself."""
     model = turning(lambda rho, p: 0.1 * (p.b - (rho - 2) ** 2 - sign * p.a**2), ("a", "b"), (0.8, 1.0))
@@ -153,6 +153,7 @@ def test_a_conservative_doubling_keeps_its_scaling():
     assert np.abs(np.array([one.indices[0] for one in curve.points]) + 2).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_a_stop_is_grazed_at_the_amplitude_of_the_linear_oscillator():
     """stop = 1 / |1 - w^2 + i c w| for every frequency w."""
     guess = of.Guess([0.0, -1.0, 1.0], 2.24)
@@ -231,6 +232,7 @@ def flipping():
     return of.ode(field, ("x", "y", "z"), {"a": -0.1, "b": -0.5, "c": 0.0, "d": -1.0})
 
 
+@pytest.mark.slow
 def test_a_doubling_degenerates_where_its_orbit_is_born_to_the_other_side():
     """At b = 0 and nowhere else, by the normal form's coefficient; what b and d leave where it is has no curve."""
     model = flipping()
@@ -267,6 +269,7 @@ def entrained():
     )
 
 
+@pytest.mark.slow
 def test_a_curve_of_tori_ends_where_its_multipliers_become_real():
     """At 1:1, beyond which neutral saddles meet the same equations. An orbit that is its own mirror image after half a
     period goes on through 1:2: the pair of its half map is at +-i there."""

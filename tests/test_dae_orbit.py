@@ -129,6 +129,7 @@ def test_rocking_four_bar_has_the_period_of_the_quadrature():
     assert small.certificate.passed and orbit.period == pytest.approx(small.period, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_rotating_four_bar_has_the_period_of_the_quadrature():
     """The crank turns over once in a period: winding found from the motion, period by quadrature to 1e-9."""
     model = of.linkage(**FOUR_BAR)
@@ -244,7 +245,8 @@ def test_bad_input_is_refused(change, words):
         of.find_orbit(of.Problem(model, of.Guess(change.get("state", [0.7, 0, 0, 1]), 1.7)))
 
 
-LONG = {"six-bar-middle-mode", "six-bar-slow-mode", "five-bar-saddle", "five-bar-fast-mode", "four-bar-drag-link"}
+LONG = {"six-bar-middle-mode", "six-bar-slow-mode", "five-bar-saddle", "five-bar-fast-mode", "four-bar-drag-link",
+        "four-bar-rotating"}  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -287,7 +289,8 @@ def test_bad_linkage_files_exit_2(system, guess, words, tmp_path):
     assert words in result.output and "Traceback" not in result.output
 
 
-@pytest.mark.parametrize("name", [pytest.param("five-bar-fast-mode", marks=pytest.mark.slow), "four-bar-rocking"])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["five-bar-fast-mode", "four-bar-rocking"])
 def test_a_brake_orbit_under_constraints_on_half_its_period(name):
     """Rest at both ends of T/2, on the tangent space: the orbit that the full formulation finds."""
     problem = of.load_problem(FILES / f"{name}.toml")

@@ -1,7 +1,11 @@
 """Whole bifurcation diagrams: what the field knows of four systems, nothing twice, resumed, doctored, pictures."""
 
+import contextlib
+import importlib
 import json
+import pickle
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import casadi as ca
@@ -10,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 from conftest import inside
 from matplotlib.figure import Figure
-from test_equilibria import hodgkin_huxley, lorenz, morris_lecar
+from test_equilibria import hodgkin_huxley, morris_lecar
 
 import orbitfinder as of
 from orbitfinder.cli.group import cli
@@ -18,10 +22,14 @@ from orbitfinder.errors import ConvergenceError, InputError, LimitError
 from orbitfinder.families import folder as family_folder
 from orbitfinder.families.checks import Probe, Sides
 from orbitfinder.families.diagram import happened, load_diagram, verified, within
+from orbitfinder.mechanics.kind import with_parameters
+from orbitfinder.problemfile.read import load_problem_file
 from orbitfinder.records.family import End
 from orbitfinder.records.registry import load
 from orbitfinder.show.equilibria import Panel, save_diagram_figure
 
+family_diagram = importlib.import_module("orbitfinder.families.diagram")  # where the package has the function
+LORENZ = Path(__file__).parents[1] / "problems" / "equations" / "lorenz.toml"
 RESTS = "equilibria/equilibria.json"
 
 
@@ -76,9 +84,42 @@ def test_a_chemical_clock_ends_at_the_bound(tmp_path):
     assert only.undone == (f"{RESTS}, event 0, supercritical hopf at rate 2: deeper than 0",)
 
 
-def test_lorenz_from_the_pitchfork_to_the_homoclinic_orbits():
+def rolls():
+    return with_parameters(load_problem_file(LORENZ).model, {"rho": 0.2})
+
+
+@pytest.fixture(scope="module")
+def convection():
+    return of.diagram(rolls(), [0.0, 0.0, 0.0], "rho", 28.0)
+
+
+def test_what_is_followed_elsewhere_is_the_same(convection, tmp_path, monkeypatch):
+    """In processes or on a cluster, whoever answers first: their journals are read, and nothing is followed again."""
+    sent = []
+
+    @contextlib.contextmanager
+    def crew(work, workers, what, scheduler):
+        def answers(requests):
+            sent.extend(requests)
+            made = [(k, work(*pickle.loads(pickle.dumps(one)))) for k, one in enumerate(requests)]
+            monkeypatch.setattr(family_folder, "append", None)
+            yield from reversed(made)
+
+        yield answers
+
+    monkeypatch.setattr(family_diagram.tasks, "crew", crew)
+    tree = of.diagram(rolls(), [0.0, 0.0, 0.0], "rho", 28.0, workers=2, out=tmp_path)
+    assert len(sent) == 2 and became(tree) == became(convection)
+    for curve, other in zip(tree.curves, convection.curves, strict=True):
+        both = [np.array([point.state for point in each.record.points]) for each in (curve, other)]
+        assert curve.file == other.file and np.array_equal(*both)
+    again = of.diagram(rolls(), [0.0, 0.0, 0.0], "rho", 28.0, workers=2, out=tmp_path)
+    assert len(sent) == 2 and became(again) == became(tree)
+
+
+def test_lorenz_from_the_pitchfork_to_the_homoclinic_orbits(convection):
     """Branch point at 1, the two others, their subcritical Hopf points at 470/19, cycles that end at the origin."""
-    tree = of.diagram(lorenz(0.2), [0.0, 0.0, 0.0], "rho", 28.0)
+    tree = convection
     origin, others = record(tree, RESTS), record(tree, "equilibria-0/equilibria.json")
     (pitchfork,) = [event for event in origin.events if event.kind == "branch_point"]
     assert abs(pitchfork.parameter - 1.0) < 1e-12
@@ -92,7 +133,7 @@ def test_lorenz_from_the_pitchfork_to_the_homoclinic_orbits():
         assert end.kind == "homoclinic" and last.value == pytest.approx(13.9266, abs=1e-3)
         assert curve.record.points[0].state[0] * curve.record.points[-1].state[0] != 0
     signs = {np.sign(curve.record.points[-1].state[0]) for curve in tree.curves[2:]}
-    assert signs == {-1.0, 1.0} and verified(tree, lorenz(0.2)).passed  # each about its own equilibrium
+    assert signs == {-1.0, 1.0} and verified(tree, rolls()).passed  # each about its own equilibrium
 
 
 def rossler(a=0.05):
@@ -127,6 +168,7 @@ def fish(q=0.1):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_branches_cross_transcritically_and_are_not_taken_for_each_other():
     """Fish alone leave f = 1/3, s = 0 with q = 3 f (1 - f) / (1 - exp(-5 f)), turn, and meet nothing at q = 0.6."""
     tree = of.diagram(fish(), [0.3, 1.8], "q", 1.0, depth=2)
@@ -313,11 +355,12 @@ def test_an_infinite_period_is_an_arrow():
     assert list(axes.lines[0].get_xdata()) == [1.0, 1.0]
 
 
-def test_the_picture(nerve, tmp_path, monkeypatch):
+@pytest.mark.parametrize("also", [(), pytest.param(("norm",), marks=pytest.mark.slow)])
+def test_the_picture(nerve, tmp_path, monkeypatch, also):
     """Greatest and least values, solid where stable, a mark for each event, periods below; the window is robust."""
     drawn = []
     monkeypatch.setattr(Figure, "savefig", lambda self, *a, **k: drawn.append(self))
-    for chosen in ("V", "norm"):
+    for chosen in ("V", *also):
         save_diagram_figure(replace(nerve[0], coordinate=chosen), tmp_path, morris_lecar())
     upper, below = drawn[0].axes
     values = record(nerve[0], "equilibria-0/family.json").points
@@ -329,7 +372,8 @@ def test_the_picture(nerve, tmp_path, monkeypatch):
     assert names == ["stable", "unstable", "equilibria", "Hopf", "cycles", "fold of cycles"] and len(values) > 100
     written = {text.get_text() for text in upper.texts if text.get_text()}
     assert written == {"93.858", "212.02", "216.9", "88.293"}
-    assert drawn[1].axes[0].get_ylabel() == "norm" and len(drawn[1].axes[0].lines) < len(upper.lines)
+    for other in drawn[1:]:
+        assert other.axes[0].get_ylabel() == "norm" and len(other.axes[0].lines) < len(upper.lines)
     panel = Panel(drawn[0].axes[0], {})
     panel.heights = [np.linspace(0, 1, 100), np.array([1e6])]
     panel.window()

@@ -1,6 +1,7 @@
 """Equilibria along a parameter: closed forms, the road's references, units, planted faults, messages, files."""
 
 import json
+import re
 from dataclasses import replace
 
 import casadi as ca
@@ -319,7 +320,7 @@ def test_cycles_are_born_at_hopf_points(rest, number, periods):
     assert abs(end.parameter - hopf.parameter) <= 10 * (end.error + hopf.error)
 
 
-def test_no_cycles_elsewhere(tmp_path):
+def test_no_cycles_elsewhere(tmp_path, capfd):
     """At folds and other numbers a sentence says where cycles are born; the command follows them."""
     model = of.systems.brusselator(rate=1.8)
     found = of.follow_equilibria(model, [1.0, 1.8], "rate", until=2.4)
@@ -332,7 +333,9 @@ def test_no_cycles_elsewhere(tmp_path):
     file = str(of.save_equilibria(found, tmp_path / "equilibria.json"))
     words = ["continue", file, "--switch", "0", "--until", "2.5", "-o", str(tmp_path / "families"), "--no-figures"]
     done = CliRunner().invoke(cli, words)
-    assert done.exit_code == 0, done.output
+    assert done.exit_code == 0 and re.search(r"points, rate .* s elapsed, \d+ s left", capfd.readouterr().err), (
+        done.output
+    )
     family = of.load_family(tmp_path / "families" / "equilibria-0" / "family.json")
     assert family.points[-1].value == 2.5 and family.source["kind_of_event"] == "hopf"
     done = CliRunner().invoke(cli, ["continue", file])

@@ -154,6 +154,7 @@ def test_torus_in_closed_form(tmp_path):
     assert abs(family.events[0].multiplier) == pytest.approx(1.0, abs=1e-9) and family.events[0].multiplier.imag > 0.1
 
 
+@pytest.mark.slow
 def test_doubling_of_a_driven_pendulum(tmp_path):
     """Driven by a limit cycle, which makes it autonomous; the doubling is at A = 1.06637286245520 (140 bits)."""
     q, v, strength = ca.SX.sym("q", 2), ca.SX.sym("v", 2), ca.SX.sym("A")

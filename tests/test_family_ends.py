@@ -106,7 +106,8 @@ def morris_lecar(unit=1.0):
     return of.ode(field, ["V", "w"], {"current": 100.0})
 
 
-@pytest.mark.parametrize("unit", [1.0, pytest.param(200.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("unit", [1.0, 200.0])
 def test_both_hopf_points_of_morris_and_lecar(unit):
     """And the two folds between them, in mV as in units of 200 mV."""
     model = morris_lecar(unit)
@@ -465,7 +466,8 @@ def turning(kind):
     return lambda b: of.ode(field, ["x", "y", "z"], {"a": -0.05, "b": b})
 
 
-@pytest.mark.parametrize("kind", ["period_doubling", pytest.param("torus", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["period_doubling", "torus"])
 def test_the_side_to_which_what_is_born_is_born(kind, tmp_path):
     """Both signs, by exact normal forms; recorded, read and verified, and the other one rejected."""
     for b, wanted in ((-0.5, "supercritical"), (0.5, "subcritical")):

@@ -87,6 +87,7 @@ def test_double_pendulum_modes_by_a_second_implementation(mode, levels, tmp_path
 FIVE_BAR = {"length": [0.6, 0.9, 0.8, 0.5], "ground": [0.1, 1.2]}
 
 
+@pytest.mark.slow
 def test_five_bar_family_agrees_with_the_native_dae(tmp_path):
     """A point of the family, mapped back to all bars, closes on the DAE; shooting over IDAS finds its period."""
     problem = load_problem(FAMILIES / "five-bar-slow.toml")
@@ -268,6 +269,7 @@ def test_families_of_orbits_with_momentum(name, tmp_path):
 # ---- ends and avoided crossings -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_closed_family_returns_to_its_start(tmp_path):
     """Beyond its 7:1 resonance the slow mode of the quadruple pendulum is a closed curve, and is named so."""
     walk = FamilySettings(certify=False, directions="forward", events=False)

@@ -115,6 +115,7 @@ def backbone(unit, points, out, certify=True):
     )
 
 
+@pytest.mark.slow
 def test_units_do_not_change_a_family(tmp_path):
     """Told in millimetres the same orbits, events and steps come out."""
     metres, small = (backbone(unit, 40, tmp_path / name, certify=False) for unit, name in ((1.0, "m"), (1e-3, "mm")))

@@ -148,6 +148,7 @@ def test_a_branch_is_sought_square_to_the_old_family():
             family = follow_family(branch, until=217.0, settings=few)
 
 
+@pytest.mark.slow
 def test_a_branch_point_is_where_it_is_from_either_side():
     """Of the doubled motion of two pendula, in two step sizes, and back along its mirror image in others.
 
@@ -268,7 +269,8 @@ def test_a_family_in_memory_is_that_of_a_folder(tmp_path, monkeypatch):
         of.switch_branch(family, 99)
 
 
-@pytest.mark.parametrize("until", [-33.9, pytest.param(-30.5, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("until", [-33.9, -30.5])
 def test_two_families_leave_at_each_high_resonance(until):
     """And no more (K. R. Meyer, Generic bifurcation of periodic points, Trans. Amer. Math. Soc. 149 (1970) 95-107)."""
     settings = FamilySettings(certify=False, directions="forward")

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.skipif(not compiled.available()[0], reason="needs a C c
 
 PROBLEMS = Path(__file__).parent.parent / "problems"
 SYSTEMS = ("report/triple-1", "families/duffing-resonance", "families/lyapunov-l1", "gallery/brusselator")
-TOLERANCES = (1e-12, 1e-8, 1e-4)
+TOLERANCES = (1e-12, pytest.param(1e-8, marks=pytest.mark.slow), 1e-4)
 
 
 @pytest.fixture(autouse=True)

@@ -76,7 +76,7 @@ def test_the_multipliers_come_in_pairs_without_the_trivial_one(report_orbits, na
     assert np.abs(orbit.floquet_multipliers - 1).min() > 1e-6
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
 @pytest.mark.parametrize("name", PRINTED)
 def test_one_per_cent_of_error_leads_to_the_same_orbit(report_orbits, name, seed):
     """Every component and the period off by up to 1 %: the same period, or that of triple 2's twin, certified."""

@@ -258,6 +258,7 @@ def test_gallery(name):
     assert "expected_period" in {check.name for check in orbit.certificate.checks}
 
 
+@pytest.mark.slow
 def test_rossler_family_doubles_where_its_multiplier_is_minus_one(tmp_path):
     """In c from 3.2 to 2.6: one period doubling, at an orbit whose multiplier, found apart, is -1; kept in its file."""
     start = of.find_orbit(of.Problem(of.systems.rossler(), of.Guess([-3.9, 5.6, 0.03], 5.88)))

@@ -47,6 +47,7 @@ def found(model, energy, periods, starts, folder):
     return sorted(orbits, key=lambda one: one.period)
 
 
+@pytest.mark.slow
 def test_hamiltonian_and_mechanical_search_find_the_same(tmp_path):
     """Hénon-Heiles at E = 1/8: the same periods, actions and multiplicities, but that both senses of a loop count."""
     wanted = found(of.systems.henon_heiles(), 0.125, (3.0, 7.2), 80, tmp_path)

@@ -141,6 +141,7 @@ def pendulum(tmp_path_factory):
     return [load_family(folder / f"driven-pendulum{one}" / "family.json") for one in ("", "-0-1", "-0-1-0-1")]
 
 
+@pytest.mark.slow
 def test_a_driven_pendulum_loses_its_symmetry(pendulum):
     """The lopsided swings leave at a branch point and join again at another."""
     symmetric, lopsided, _ = pendulum
@@ -152,6 +153,7 @@ def test_a_driven_pendulum_loses_its_symmetry(pendulum):
     assert "branch_point" not in kinds(lopsided) and kinds(lopsided).count("period_doubling") == 2
 
 
+@pytest.mark.slow
 def test_doublings_of_a_driven_pendulum(pendulum):
     """The first to ten digits, its branch of twice the period with an orbit at 1.07, and where that doubles again."""
     _, lopsided, doubled = pendulum
@@ -165,6 +167,7 @@ def test_doublings_of_a_driven_pendulum(pendulum):
     assert alone.certificate.passed and alone.state == pytest.approx(asked.state, abs=1e-10)
 
 
+@pytest.mark.slow
 def test_a_known_orbit_of_the_driven_pendulum(pendulum):
     """The state at A = 1.06 by a program outside this project."""
     problem = load_problem(PROBLEMS / "driven-pendulum.toml")
@@ -272,6 +275,7 @@ def test_what_a_driven_system_is_not_followed_in(name, said):
         begin(Problem(forced_duffing(), Guess([0.9, 0.5], 5.2)), FamilySettings(parameter=name))
 
 
+@pytest.mark.slow
 def test_a_branch_keeps_to_its_parameter(pendulum):
     """Another parameter is refused with what to do."""
     with pytest.raises(InputError, match="'mass' on a branch of a family in torque; leave it out"):

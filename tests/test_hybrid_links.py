@@ -223,8 +223,8 @@ def slope_of(theta: float) -> float:
             {"constraints": (of.Constraint(lambda v: ca.sin(v["theta"]), 0.1, 0.21),), "objective": "up"},
             np.arcsin(0.21),
         ),
-        ({"bounds": {"theta": (0.15, 0.22)}, "objective": "up"}, 0.22),
-        ({"bounds": {"theta": (0.18, 0.3)}, "objective": "down"}, 0.18),
+        pytest.param({"bounds": {"theta": (0.15, 0.22)}, "objective": "up"}, 0.22, marks=pytest.mark.slow),
+        pytest.param({"bounds": {"theta": (0.18, 0.3)}, "objective": "down"}, 0.18, marks=pytest.mark.slow),
     ],
 )
 def test_steps_of_a_walker_on_a_slope_that_is_free(asked, theta):
@@ -303,6 +303,7 @@ def test_a_sweep_of_mirrored_orbits_goes_warm():
         assert min(np.abs(np.array(one) - row.orbit.state[1:]).max() for one in exact(force)) < 1e-10
 
 
+@pytest.mark.slow
 def test_half_of_a_cycle_may_have_several_arcs(mirrored):
     """The same motion with its passages through the middle as events; the trace of the whole through both halves."""
     modes, hits, _ = between_walls().hybrid.given

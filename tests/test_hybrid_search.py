@@ -47,6 +47,7 @@ def rows(book):
     return sorted((one.period, one.action, *one.state) for one in found)
 
 
+@pytest.mark.slow
 def test_a_search_resumed_and_in_shards_is_one_search(tmp_path):
     """What two runs and what two shards find is what one run finds, each certified and closed by the closed form."""
     whole, parts = tmp_path / "whole.sqlite", [tmp_path / f"{k}.sqlite" for k in (1, 2)]

@@ -87,6 +87,7 @@ def arrays(cut):
     return [getattr(cut, name).tobytes() for name in ("states", "times", "seeds", "starts", "growth")]
 
 
+@pytest.mark.slow
 def test_a_section_goes_on(tmp_path, monkeypatch):
     """From a step of the motions and one of their neighbours; with more and with fewer seeds and returns."""
     ask = {"energy": 0.1, "plane": "x=0", "name": "loop"}

@@ -223,7 +223,8 @@ def test_the_march_of_a_chain_is_the_ordinary_one_up_to_what_is_held():
 # --- against the ordinary search -------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("links", "amplitude"), [(8, 0.5), pytest.param(10, 0.6, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("links", "amplitude"), [(8, 0.5), (10, 0.6)])
 def test_agrees_with_the_ordinary_search(links, amplitude):
     """Chains short enough for multiple shooting by IPOPT: the same orbit and the same multipliers."""
     problem = mode_problem(links, amplitude)

@@ -214,6 +214,7 @@ def test_a_connection_is_followed_in_energy(homoclinic, coupled):
     assert 1e-6 < abs(found.state[0] - homoclinic.state[0]) < 1e-2
 
 
+@pytest.mark.slow
 def test_it_goes_on_where_it_was_cut(homoclinic, coupled, tmp_path, monkeypatch):
     """The same file, bit for bit, and what the journal has is not solved again; nor is where it ends."""
     asked, right = [], connections._at_level

@@ -14,6 +14,7 @@ from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.mapping import verified
 from orbitfinder.families.plane import BLANK, DIVERGED, RESTING, STOPPED
+from orbitfinder.records.journal import begin_journal, unpacked
 from orbitfinder.records.registry import load
 from orbitfinder.show.maps import regions, save_map_figure
 
@@ -97,7 +98,7 @@ def test_workers_and_a_resumed_run_give_the_same_bits(plane, tmp_path):
     with pytest.raises(Stop):
         of.map_plane(problem(), PLANE, sample=4, out=tmp_path, progress=stop)
     lines = (tmp_path / "mathieu" / "map.jsonl").read_text().splitlines()
-    assert len(lines) == 4  # what is asked, the first orbit, the column, a strip
+    assert len(lines) == 5  # what is asked, the first orbit, the first pixel, the column, a strip
     again = of.map_plane(problem(), PLANE, sample=4, out=tmp_path)
     assert (tmp_path / "mathieu" / "map.jsonl").read_text().splitlines()[: len(lines)] == lines
     for name in ("nodes", "multipliers", "amplitudes", "verdicts", "sample"):
@@ -176,11 +177,42 @@ def test_the_command(tmp_path):
     shown = CliRunner().invoke(cli, ["show", document["written"][0]])
     assert "6 of 6 pixels have an orbit" in shown.stdout and shown.exit_code == 0
     assert CliRunner().invoke(cli, ["verify", document["written"][0]]).exit_code == 0
-    shards = [*words[:4], "--parameter", "damping=0.4:0.5:4", "-o", str(tmp_path), "--sample", "1", "--workers", "1"]
-    run = CliRunner().invoke(cli, [*shards, "--shard", "2/2", "--no-figures", "--json"])
-    made = of.load_map(json.loads(run.stdout)["written"][0])
-    assert "2-of-2" in run.stdout and np.allclose(made.rows, [0.5 - 0.1 / 3, 0.5]) and made.columns.size == 3
-    assert "pairs of values" in CliRunner().invoke(cli, [*shards, "--shard", "1/3"]).output
+
+
+def test_shards_are_joined(tmp_path):
+    """The same orbits; what they have is not computed again, what they have not is; others are refused by name."""
+    file, name, done = tmp_path / "swing.toml", "swing", []
+    file.write_text(FORM)
+    words = ["map", str(file), "--parameter", "torque=0.4:0.6:3", "-o", str(tmp_path / "out"), "--sample", "1",
+             "--workers", "1", "--no-figures", "--json", "--parameter"]  # fmt: skip
+    for k in (3, 1):
+        run = CliRunner().invoke(cli, [*words, "damping=0.4:0.5:7", "--shard", f"{k}/3"])
+        assert run.exit_code == 0 and f"{k}-of-3" in run.stdout, run.output
+    assert "pairs of values" in CliRunner().invoke(cli, [*words, "damping=0.4:0.5:7", "--shard", "1/4"]).output
+    assert CliRunner().invoke(cli, [*words, "damping=0.4:0.5:7"]).exit_code == 0
+    made = of.load_map(tmp_path / "out" / name / "map.json")
+    own = [json.loads(line) for line in (tmp_path / "out" / name / "map.jsonl").read_text().splitlines()[1:]]
+    filled = [unpacked(line["pixels"], int(line["pixels"].partition(":")[0]))[:, 0] for line in own]
+    assert sorted(np.concatenate(filled)) == [3.0] * 3 + [4.0] * 3  # the second shard's rows and no others
+    journals = sorted((tmp_path / "out").glob("*-of-3/*/map.jsonl"))
+    fresh = of.map_plane(of.load_problem(file), {"torque": made.columns, "damping": made.rows}, sample=0)
+    assert made.known.all() and made.sample[:, 2].all() and np.abs(made.nodes / fresh.nodes - 1).max() < 1e-9
+    assert np.array_equal(made.nodes[:3], of.load_map(journals[0].with_suffix(".json")).nodes)
+    of.map_plane(of.load_problem(file), {"torque": made.columns, "damping": made.rows[:3]}, sample=0,
+                 shards=journals[:1], progress=lambda *each: done.append(each))  # fmt: skip
+    assert done == [(9, 9)] * len(done)
+    for given in ({"torque": [0.4, 0.5], "damping": made.rows}, {"torque": made.columns, "damping": made.rows[1:]}):
+        with pytest.raises(InputError, match="1-of-3.*map.jsonl: map: of another map than this"):
+            of.map_plane(of.load_problem(file), given, shards=journals)
+    header, first, *_ = map(json.loads, journals[0].read_text().splitlines())
+    for key, value, told in (
+        ("versions", first["versions"] | {"casadi": "3.7.0"}, "versions: made with casadi 3.7.0, here"),
+        ("segments", 7, "curve: made of another orbit than"),
+    ):
+        begin_journal(journals[0], {k: v for k, v in header.items() if k != "digest"},
+                      [{k: v for k, v in first.items() if k != "digest"} | {key: value}])  # fmt: skip
+        with pytest.raises(InputError, match=told):
+            of.map_plane(of.load_problem(file), {"torque": made.columns, "damping": made.rows}, shards=journals[::-1])
 
 
 @pytest.mark.parametrize(

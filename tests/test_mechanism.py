@@ -513,6 +513,7 @@ def test_redundant_rows_are_named_and_may_be_dropped():
     assert orbit.certificate.passed and orbit.period == pytest.approx(wanted, rel=1e-11)
 
 
+@pytest.mark.slow
 def test_a_spherical_linkage_may_be_drawn_with_all_joints_where_its_axes_meet():
     """A hinge may lie anywhere on its axis: drawn at the common point it is the same linkage, in the same motion."""
     ways = {"a": [0.0, 0.0, 1.0], "b": [0.54, 0.17, 0.825], "c": [0.32, 0.83, 0.454], "d": [0.91, 0.19, 0.36]}

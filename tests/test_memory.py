@@ -97,6 +97,7 @@ def test_an_integration_leaves_nothing_of_scipy_behind():
     assert kept() == before
 
 
+@pytest.mark.slow
 @linux
 def test_forty_orbits_need_no_more_memory_than_one():
     """They leaked 11 MB, 0.27 each. What is left is 1 to 3 MB of allocator."""

@@ -76,7 +76,7 @@ def test_tori_that_were_found_stay(tmp_path, monkeypatch, how):
     assert len(found.tori) == 2 and found.end == "stopped" and all(sure(one.certificate) for one in found.tori)
 
 
-@pytest.mark.parametrize("how", QUICK)
+@pytest.mark.parametrize("how", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), *QUICK[1:]])
 def test_optima_that_were_found_stay(tmp_path, monkeypatch, how):
     from orbitfinder.control import optima
 
@@ -208,7 +208,7 @@ def test_stopped_tori_go_on(calm, tmp_path, monkeypatch, how):
     assert whole.read_bytes() == stopped.read_bytes()
 
 
-@pytest.mark.parametrize("how", QUICK)
+@pytest.mark.parametrize("how", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), *QUICK[1:]])
 def test_stopped_optima_go_on(calm, tmp_path, monkeypatch, how):
     """The third, of which the certificate was not finished, is the first that is solved again."""
     from orbitfinder.control import optima
@@ -292,7 +292,9 @@ def hanging(*words):
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs POSIX signals")
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)]
+)
 def test_a_signal_ends_what_does_not_return_to_python(tmp_path, number, code):
     with hanging("run", SPRING, "-o", tmp_path) as running:
         time.sleep(0.3)  # it is in the call by now, and not in the writing of its line

@@ -74,6 +74,7 @@ def test_a_family_is_followed_from_one_of_its_points():
         of.follow_family(load_family(QUICK[0]))
 
 
+@pytest.mark.slow
 def test_a_family_is_drawn_as_continue_draws_it(tmp_path):
     """The same figures, by the command and in Python; other verbs say that they want one orbit."""
     of.follow_family(mode_problem(of.chain(2), 2), points=3, out=tmp_path / "families")

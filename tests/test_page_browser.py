@@ -106,8 +106,11 @@ def test_page_loads_without_a_word_on_the_console(browser, pages, kind):
     assert not [name for name in loaded if not name.startswith(("file:", "data:"))]
 
 
-@pytest.mark.parametrize("width", [360, 390, 1400])
-@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize(
+    ("width", "theme"),
+    [(360, "light"), (1400, "dark"), *(pytest.param(*other, marks=pytest.mark.slow) for other in (
+        (360, "dark"), (390, "light"), (390, "dark"), (1400, "light")))],
+)  # fmt: skip
 @pytest.mark.parametrize("kind", KINDS)
 def test_layout_and_contrast_hold(browser, pages, kind, theme, width):
     go(browser, pages[kind], width, theme)

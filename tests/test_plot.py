@@ -108,7 +108,7 @@ def test_titles_are_text_and_never_clipped(orbit, title):
 
 @pytest.mark.parametrize(
     "links",
-    [1, 4, pytest.param(9, marks=pytest.mark.slow), *(pytest.param(many, marks=pytest.mark.slow) for many in (20, 40))],
+    [1, *(pytest.param(many, marks=pytest.mark.slow) for many in (4, 9, 20, 40))],
 )
 def test_any_number_of_links(orbit, links, tmp_path):
     model = chain(links)

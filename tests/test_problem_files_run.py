@@ -17,8 +17,13 @@ REPORT = {
 }
 
 
-LONG = {"double-least-unstable", "five-link-walker", "kneed-walker", "simplest-walker-period-4"}
-"""Files that take some five seconds each"""
+LONG = {"double-least-unstable", "five-link-walker", "kneed-walker", "simplest-walker-period-4",
+        "double-stablest-swing", "slip-runner-stable", "simplest-walker-period-2", "slip-walker",
+        "gravity-wedge", "vertical-hopper", "simplest-walker-long", "double-gentlest-length",
+        "wall-pendulum", "forced-duffing-middle", "quintuple-mode-2", "impact-oscillator-near-grazing",
+        "figure-eight-turning", "fermi-pasta-ulam", "double-widest-swing", "compass-gait-without-hip",
+        "figure-eight-reduced", "van-der-pol-relaxation", "cart-chain-three"}  # fmt: skip
+"""Files that take longest, or are like others in what they ask for"""
 
 
 @pytest.mark.parametrize(

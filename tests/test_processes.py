@@ -298,6 +298,7 @@ def test_a_refiner_may_be_shared_by_threads():
     assert [together.get(a) for a in angles] == alone
 
 
+@pytest.mark.slow
 def test_two_continuations_do_not_share_a_folder(tmp_path):
     """One does it, the other is told; the journal has every line once, and the next one goes on from it."""
     files = [tmp_path / "family.toml"]

@@ -160,7 +160,9 @@ def told(words, name):
     return "" if sentence else f"{name}: exit code {result.exit_code}, {last}"
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=[pytest.mark.slow] * (kind[-1] == "#" and kind != "atlas#")) for kind in KINDS]
+)
 def test_every_command_answers_or_refuses_in_a_sentence(kind, records, tmp_path, monkeypatch):
     def cut(*_, **__):
         raise ConvergenceError(CUT)
@@ -313,7 +315,7 @@ PURE = {
 }
 
 
-@pytest.mark.parametrize(("each", "least"), [(5, 800), pytest.param(1, 3400, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("each", "least"), [(25, 150), pytest.param(1, 3400, marks=pytest.mark.slow)])
 def test_every_shipped_record_passes_every_pure_function(each, least):
     began, count, wrong = time.perf_counter(), 0, []
     for document, where in every_record(each):
@@ -327,6 +329,7 @@ def test_every_shipped_record_passes_every_pure_function(each, least):
     assert not wrong and count > least
 
 
+@pytest.mark.slow
 def test_systems_of_every_kind_are_written_for_other_programs(tmp_path):
     seen = set()
     for document, where in every_record():

@@ -242,9 +242,13 @@ def test_a_proof_is_not_written_into_another_orbit(found, saved):
         (lambda e: e["state"][0].update(radius=float("1e300")), "state"),
         (lambda e: e.update(stability="unstable"), "stability"),
         (lambda e: e.update(box_radius=1e-3), "box_radius"),
-        (lambda e: e["multipliers"].pop(), "multipliers"),
+        pytest.param(lambda e: e["multipliers"].pop(), "multipliers", marks=pytest.mark.slow),
         (lambda e: e["minimal_period"].update(proved=False), "minimal_period"),
-        (lambda e: e["minimal_period"].update(divisors_excluded_up_to=10**6), "minimal_period"),
+        pytest.param(
+            lambda e: e["minimal_period"].update(divisors_excluded_up_to=10**6),
+            "minimal_period",
+            marks=pytest.mark.slow,
+        ),
         (lambda e: e.update(contraction=1e-30), "contraction"),
         (lambda e: e.update(enclosure_radius=1e-60), "enclosure_radius"),
         (lambda e: e.update(nodes=[[{"value": "9.9", "radius": 1e-9}] * 4] * e["segments"]), "nodes"),
@@ -252,15 +256,17 @@ def test_a_proof_is_not_written_into_another_orbit(found, saved):
         (lambda e: e.update(period_distance=1e-3), "period_distance"),
         (lambda e: e.update(unfolding={"value": "1.0", "radius": 1e-9}), "unfolding"),
         (lambda e: e.update(phase=e["phase"] + 0.3), "phase"),
-        (lambda e: e.update(steps=1), "steps"),
-        (lambda e: e.update(stability_reason="because"), "stability_reason"),
+        pytest.param(lambda e: e.update(steps=1), "steps", marks=pytest.mark.slow),
+        pytest.param(lambda e: e.update(stability_reason="because"), "stability_reason", marks=pytest.mark.slow),
         (lambda e: widened(e["period"], radii=1.6), "period"),  # meets the one found, and is false
-        (lambda e: widened(e["period"], factor=1e-12), "period"),  # smaller than can be proved
-        (lambda e: widened(e["nodes"][1][2], radii=-1.6), "nodes"),
+        pytest.param(
+            lambda e: widened(e["period"], factor=1e-12), "period", marks=pytest.mark.slow
+        ),  # smaller than can be proved
+        pytest.param(lambda e: widened(e["nodes"][1][2], radii=-1.6), "nodes", marks=pytest.mark.slow),
         (lambda e: widened(e["multipliers"][0][1], radii=1.6), "multipliers"),
         (lambda e: widened(e["energy"], radii=1e10), "energy"),
-        (lambda e: e.update(distance=e["distance"] / 2.5), "distance"),
-        (lambda e: e["period"].update(value="1e999999999"), "period"),
+        pytest.param(lambda e: e.update(distance=e["distance"] / 2.5), "distance", marks=pytest.mark.slow),
+        pytest.param(lambda e: e["period"].update(value="1e999999999"), "period", marks=pytest.mark.slow),
     ],
 )
 def test_edited_record_is_rejected(recorded, tmp_path, change, says):

@@ -81,7 +81,7 @@ def npz_bomb(path, honest):
             stream.write(bytes(8 * shape // 100))
 
 
-@pytest.mark.parametrize("honest", [True, False])
+@pytest.mark.parametrize("honest", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_a_bomb_of_samples_is_refused_before_it_expands(honest, tmp_path, pendulum_orbit):
     save_orbit(pendulum_orbit, tmp_path / "orbit.json")
     npz_bomb(tmp_path / "orbit.npz", honest)

@@ -387,6 +387,7 @@ def _pull(_, x):
     return np.concatenate([x[6:], (gaps / cubes[..., None]).sum(axis=1).ravel()])
 
 
+@pytest.mark.slow
 def test_a_turning_eight_in_cartesian_coordinates(eight):
     """The family by angular momentum: after a period the bodies are where they were, turned by the shift (DOP853)."""
     plain = of.FamilySettings(events=False)

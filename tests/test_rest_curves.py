@@ -183,9 +183,8 @@ def test_the_nerve_of_fitzhugh_and_nagumo(known):
             assert (point.normal_form["l1"] > 0) == (b > BAUTIN)
 
 
-@pytest.mark.parametrize(
-    "units", [(1e-6, 1e6, 1e6, 1e-6), pytest.param((1e6, 1e-3, 1e-6, 1e6), marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("units", [(1e-6, 1e6, 1e6, 1e-6), (1e6, 1e-3, 1e-6, 1e6)])
 def test_units_change_nothing(known, units):
     """Components and parameters in other units: the same special points."""
     _, fold, hopf = known

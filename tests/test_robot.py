@@ -126,6 +126,7 @@ def test_motors_are_controls_within_the_files_effort():
     assert len(of.robot(ARM, motors="all").controls) == 7
 
 
+@pytest.mark.slow
 def test_a_mode_of_the_compliant_arm_closes_in_mujoco():
     """A certified orbit, replayed by MuJoCo's Runge-Kutta: what it misses falls with the fourth power of its step."""
     springs = {f"joint{k}": c for k, c in enumerate((1000.0, 1000.0, 500.0, 500.0, 200.0, 100.0, 50.0), 1)}
@@ -147,6 +148,7 @@ def test_a_mode_of_the_compliant_arm_closes_in_mujoco():
     assert missed[0] < 1e-4 and missed[1] < missed[0] / 8
 
 
+@pytest.mark.slow
 def test_the_problem_file_and_what_is_recorded(tmp_path):
     problem = of.load_problem("problems/robots/iiwa-mode-7.toml")
     orbit = of.find_orbit(problem)
@@ -342,8 +344,10 @@ def test_an_orbit_of_a_robot_that_mimics_is_found_and_certified_and_its_stops_ar
     "<mujoco><size nkey='2000000000'/><worldbody><body><joint/><geom size='1'/></body></worldbody></mujoco>",
     "<mujoco><worldbody><replicate count='100000000' euler='0 0 1'><body><joint/><geom size='1'/></body></replicate>"
     "</worldbody></mujoco>",
-    "<mujoco><worldbody><replicate count='3000' euler='0 0 1'><body><joint/><geom size='1'/></body></replicate>"
-    "</worldbody></mujoco>",
+    pytest.param(
+        "<mujoco><worldbody><replicate count='3000' euler='0 0 1'><body><joint/><geom size='1'/></body></replicate>"
+        "</worldbody></mujoco>", marks=pytest.mark.slow,
+    ),
 ])  # fmt: skip
 def test_a_small_file_that_asks_for_very_much_is_refused_in_time(tmp_path, monkeypatch, text):
     monkeypatch.setattr("orbitfinder.mechanisms.robot.SECONDS", 4.0 if "'3000'" in text else 2.0)

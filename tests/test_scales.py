@@ -92,15 +92,15 @@ def test_a_neuron_has_its_two_folds_and_no_other():
     assert not any("underflow" in one for one in ends)
 
 
-@pytest.mark.parametrize("units", [
-    (1e-6, 1.0), *(pytest.param(each, marks=pytest.mark.slow) for each in ((1e6, 1.0), (1.0, 1e-6), (1.0, 1e6))),
-])  # fmt: skip
+@pytest.mark.slow
+@pytest.mark.parametrize("units", [(1e-6, 1.0), (1e6, 1.0), (1.0, 1e-6), (1.0, 1e6)])
 def test_a_neuron_in_other_units(units):
     model, parameter, orbit = cycle()
     agree(branch(), seen(rescaled(model, units), orbit.state / units, orbit.period, parameter, settings=PLAIN))
 
 
-@pytest.mark.parametrize("eighth", [4, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2, 3, 5, 6, 7))])
+@pytest.mark.slow
+@pytest.mark.parametrize("eighth", [1, 2, 3, 4, 5, 6, 7])
 def test_a_neuron_from_any_instant(eighth):
     model, parameter, orbit = cycle()
     agree(branch(), seen(model, at_phase(model, orbit, eighth / 8), orbit.period, parameter, settings=PLAIN))

@@ -235,7 +235,11 @@ def test_sections_are_saved_and_loaded(henon_heiles, tmp_path):
         ({"plane": "x=0", "ranges": {"y": (1, 0)}}, "two growing numbers"),
         ({"plane": "x=0", "energy": None}, "energy: missing"),
         ({"plane": "x=0", "energy": float("nan")}, "energy: must be finite"),
-        ({"plane": "x=0", "energy": 5.0}, "ranges: missing; motions of this energy are not bounded"),
+        pytest.param(
+            {"plane": "x=0", "energy": 5.0},
+            "ranges: missing; motions of this energy are not bounded",
+            marks=pytest.mark.slow,
+        ),
         ({"plane": "x=3", "energy": 0.1, "ranges": {"y": (-0.1, 0.1), "ydot": (5, 6)}}, "no motion of this energy"),
     ],
 )

@@ -296,6 +296,7 @@ def test_memory_is_flat():
     assert float(done.stdout) < 8.0
 
 
+@pytest.mark.slow
 def test_a_dead_process_is_named(duffing, monkeypatch):
     monkeypatch.setattr(sweeping, "_serve", dies)
     with pytest.raises(of.errors.OrbitfinderError, match="sweep: a process died"):

@@ -33,6 +33,12 @@ UNITS = {
     "an amplitude of a nanometre": (1e-9, 1.0),
 }
 """Lengths and times of the same motion, in units of which the first is told in."""
+FEW = [
+    pytest.param(
+        *sizes, id=name, marks=[pytest.mark.slow] * (name not in ("millimetres", "a resonator of 2 um and 1 MHz"))
+    )
+    for name, sizes in UNITS.items()
+]
 PERIOD = 4.7680220291024620
 
 
@@ -41,7 +47,7 @@ def told(length: float, time: float) -> dict[str, float]:
     return {"stiffness": time**-2, "cubic": time**-2 * length**-2}
 
 
-@pytest.mark.parametrize(("length", "time"), UNITS.values(), ids=UNITS)
+@pytest.mark.parametrize(("length", "time"), FEW)
 def test_a_duffing_orbit_is_found_and_certified_in_any_units(length, time):
     """The period is the exact one to 1e-13 in all of them, and the certificate passes with like numbers."""
     model = duffing(**told(length, time))
@@ -52,7 +58,7 @@ def test_a_duffing_orbit_is_found_and_certified_in_any_units(length, time):
     assert (orbit.stability, orbit.symmetry) == ("elliptic", "brake+reflection")
 
 
-@pytest.mark.parametrize(("length", "time"), UNITS.values(), ids=UNITS)
+@pytest.mark.parametrize(("length", "time"), FEW)
 def test_by_the_command_and_from_the_file(length, time, tmp_path):
     """`run` certifies it, `verify` says so again from the file, and a period off by 1e-8 is rejected in all units."""
     numbers = ", ".join(f"{name} = {value!r}" for name, value in told(length, time).items())
@@ -190,7 +196,13 @@ def test_families_have_the_same_events_and_branches_in_any_units(swings):
         assert left == pytest.approx(periods, rel=1e-4)
 
 
-@pytest.mark.parametrize("units", MECHANICAL.values(), ids=MECHANICAL)
+@pytest.mark.parametrize(
+    "units",
+    [
+        pytest.param(sizes, id=name, marks=[pytest.mark.slow] * (not name.startswith(("2", "micro"))))
+        for name, sizes in MECHANICAL.items()
+    ],
+)
 def test_a_driven_oscillator_is_refined_and_certified_in_any_units(units):
     """Also of a nanogram, whose damping of 1e-10 kg/s is damping all the same."""
     length, time, _ = units
@@ -319,8 +331,9 @@ MACHINES_IN = {
 @pytest.mark.parametrize(
     ("machine", "names"),
     [
-        (oscillator, ["SI", "nanometres"]), (ball, ["SI", "nanoseconds"]), (hopper, ["SI", "gigametres"]),
-        (compass, ["SI", "gigaseconds"]),
+        (oscillator, ["SI", "nanometres"]), (ball, ["SI", "nanoseconds"]),
+        pytest.param(hopper, ["SI", "gigametres"], marks=pytest.mark.slow),
+        pytest.param(compass, ["SI", "gigaseconds"], marks=pytest.mark.slow),
         *(pytest.param(x, MACHINES_IN, marks=pytest.mark.slow) for x in (oscillator, ball, hopper, compass, runner)),
     ],
 )  # fmt: skip
@@ -342,7 +355,8 @@ def test_a_machine_is_found_and_certified_in_any_units(machine, names):
         assert not of.certify(wrong, problem.model).passed, name
 
 
-@pytest.mark.parametrize("length", [1e-9, pytest.param(1e9, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("length", [1e-9, 1e9])
 def test_a_stop_is_grazed_where_it_is_in_any_units(length):
     """Amplitude of the linear oscillator = stop, to 1e-10 of it, in nanometres as in gigametres."""
     problem, _ = oscillator(length, 1.0, 1.0)
@@ -425,7 +439,7 @@ def seen_plainly(name):
 
 
 @pytest.mark.parametrize(("name", "told", "method"), [
-    ("brusselator", "first small", "shooting"), ("brusselator", "one small", "collocation"),
+    ("brusselator", "one small", "collocation"),
     *(pytest.param(name, told, method, marks=pytest.mark.slow)
       for name in CLOCKS for told in SMALL_AND_LARGE for method in ("shooting", "collocation")),
 ])  # fmt: skip

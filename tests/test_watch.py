@@ -199,6 +199,7 @@ def test_a_planted_number_is_rejected(crest, tmp_path, entry):
     assert one.exit_code == (entry == "points") and "watch.peak" in one.output
 
 
+@pytest.mark.slow
 def test_it_is_kept_over_a_kill(tmp_path):
     """The same to the last bit; and another family where something else is watched."""
     problem = line(watch={"peak": "max(x)"})

@@ -76,14 +76,15 @@ def display(begins: str, every: float = 0.0, refresh: float = 0.0) -> Iterator[D
             yield Display(paced(show, refresh), say, live=True)
 
 
-def time_left() -> Callable[[int, int], str]:
-    """What is to be said of the time that is left when so much of so much is done, from now on; nothing at first."""
-    began, first = time.monotonic(), list[int]()
+def time_left(*before: float) -> Callable[[float, float], str]:
+    """What is to be said of the time that is left when so much of so much is done, from now on; nothing at first,
+    unless it is known how much was done `before`."""
+    began, first = time.monotonic(), list(before)
 
-    def said(done: int, total: int) -> str:
+    def said(done: float, total: float) -> str:
         first[:] = first or [done]  # what an earlier run has done took no time now
         fresh = done - first[0]
-        if not fresh or done >= total:
+        if fresh <= 0 or done >= total:
             return ""
         return f", {(time.monotonic() - began) / fresh * (total - done):.0f} s left"
 

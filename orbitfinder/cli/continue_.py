@@ -14,7 +14,7 @@ import click
 import orbitfinder as of
 from orbitfinder._runtime import interrupt
 from orbitfinder._runtime.keeping import kept
-from orbitfinder.cli.console import Display, Report, display
+from orbitfinder.cli.console import Display, Report, display, time_left
 from orbitfinder.cli.equilibria import followed_rest
 from orbitfinder.cli.jobs import folder_of, model_of, named_orbits, whole_family
 from orbitfinder.cli.options import FILES, FINITE, NUMBERS, finish, next_step, numbers, option, picked, text, usual
@@ -342,6 +342,7 @@ def _reporter(
     """A live panel with the last events, or, without a terminal, a line an event and a line every ten points; `steps`
     grows by each that is taken."""
     began, seen, events, system = time.monotonic(), [0], list[Event](), dict[str, Any]()
+    left, values = time_left(0.0), list[float]()
 
     def report(batch: Batch) -> None:
         interrupt.check()
@@ -355,13 +356,18 @@ def _reporter(
             return
         point, elapsed = batch.points[-1], time.monotonic() - began
         value = with_unit(point.value, parameter, system)
+        values[:] = values or [batch.points[0].value]
+        if until is None:
+            told = f"{elapsed:.1f} s elapsed{left(seen[0], most)}"  # each way has so many at most
+        else:
+            told = f"{elapsed:.1f} s elapsed{left(abs(point.value - values[0]), abs(until - values[0]))}"
         if shown.live:
             ordered = sorted(events, key=attrgetter("arclength"))  # as they are numbered in family.json
             rows = [
                 ("points", f"{seen[0]}, at most {most} each way"),
                 (parameter, value + ("" if until is None else f" on the way to {with_unit(until, parameter, system)}")),
                 ("period", _lasting(point.period, system, 9)), ("stability", point.stability),
-                ("step", f"{point.step:.2g}"), ("elapsed", f"{elapsed:.1f} s"), ("events", str(len(events))),
+                ("step", f"{point.step:.2g}"), ("time", told), ("events", str(len(events))),
             ]  # fmt: skip
             last = [
                 f"{ordered.index(late):>3}  {event_words(late, parameter, system)}" for late in events[-LAST_EVENTS:]
@@ -371,7 +377,7 @@ def _reporter(
             shown.say(
                 f"{plural(seen[0], 'point')}, {parameter} {point.value:.6g}, "
                 f"period {_lasting(point.period, system, 6)}, "
-                f"step {point.step:.2g}, {point.stability}, {elapsed:.1f} s elapsed"
+                f"step {point.step:.2g}, {point.stability}, {told}"
             )
 
     return report

@@ -8,10 +8,10 @@ from typing import Any
 import click
 
 import orbitfinder as of
-from orbitfinder.cli.console import display
+from orbitfinder.cli.console import display, time_left
 from orbitfinder.cli.equilibria import side
 from orbitfinder.cli.jobs import folder_of
-from orbitfinder.cli.options import FILES, FINITE, finish, next_step, option, text, usual
+from orbitfinder.cli.options import FILES, FINITE, finish, next_step, option, text, trusted, usual
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.registry import answer
 
@@ -29,6 +29,8 @@ from orbitfinder.records.registry import answer
 @option("method", "Of cycles.  [default: shooting, and collocation where that cannot carry a curve on]",
         kind=("shooting", "collocation"))  # fmt: skip
 @option("name", "Name of the diagram; the file's when left out.")
+@option("workers", "Processes side by side.", 1, (1, 256))
+@option("scheduler", "Dask scheduler, such as tcp://head:8786, instead of processes.", metavar="ADDRESS")
 @usual("Folder for DIR/<name>/diagram.json.", "diagrams", figures="Draw it.")
 def diagram(
     file: Path, parameter: str, first: float | None, until: float, name: str | None, out: Path, figures: bool,
@@ -45,7 +47,7 @@ def diagram(
     Examples:
       orbitfinder diagram problems/gallery/brusselator.toml --parameter rate --until 1.5
     """
-    from orbitfinder.families.diagram import happened
+    from orbitfinder.families.diagram import happened, leaving
     from orbitfinder.mechanics.kind import with_parameters
     from orbitfinder.problemfile.read import load_problem_file
 
@@ -55,14 +57,16 @@ def diagram(
     model = loaded.model if first is None else with_parameters(loaded.model, {parameter: first})
     folder = folder_of(out, name or loaded.name)
     with display(f"{folder.name}: diagram of {file}") as shown:
+        left, counted = time_left(), [0, 1]  # curves that are made, and those that are known to be
 
         def report(curve: Any) -> None:
-            record = curve.record
+            record, deeper = curve.record, curve.depth < chosen["depth"]
+            counted[:] = counted[0] + 1, counted[1] + len(leaving(record)) * deeper
             what = f"{plural(len(record.points), 'point')}, {plural(len(record.events), 'event')}"
-            shown.say(f"{curve.file}: {what}; ended: {record.ends[-1].reason}")
+            shown.say(f"{curve.file}: {what}; ended: {record.ends[-1].reason}{left(counted[0], counted[1])}")
 
         made = of.diagram(model, loaded.start, parameter, until, box=dict(map(side, box)) or None, name=folder.name,
-                          out=out, progress=report, **chosen)  # fmt: skip
+                          out=out, progress=report, folder=trusted(file, trust), **chosen)  # fmt: skip
     written = [folder / "diagram.json"]
     written += answer("plot", written[0])(made, folder, model) if figures else []
     text(f"{written[0]}: {made.counts}")

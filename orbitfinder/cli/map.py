@@ -39,8 +39,8 @@ def map_(
     """Map a plane of two parameters of a problem FILE: at each place an orbit of a family, and its stability.
 
     Every pixel's orbit is continued from its neighbour's; where there is none it is blank, with the reason counted. A
-    run that was killed goes on where it stopped when the same command is given again. Exit code 0: all of the sample
-    are certified.
+    run that was killed goes on where it stopped when the same command is given again; without --shard, what shards in
+    DIR have done is taken from there. Exit code 0: all of the sample are certified.
 
     \b
     Examples:
@@ -52,14 +52,22 @@ def map_(
     if len(values) != 2:
         raise InputError(f"--parameter: {len(values)} different names; give two, the first across, the second up")
     rows = [*values][1]
+    loaded = load_problem_file(file, trust)
+    shards = [] if shard else sorted(out.glob(f"*-of-*/{loaded.wanted.name}/map.jsonl"))
     mine, out = sharded({rows: values[rows]}, shard, out, least=2)
     values |= mine
-    loaded = load_problem_file(file, trust)
     folder = folder_of(out, loaded.wanted.name)
     title = f"{loaded.wanted.name}: {' over '.join(reversed(values))}"
     with kept(folder / "map.json", of.save_map), _counted(title, "pixels") as report:
         made = of.map_plane(
-            loaded.wanted, values, limit=None, progress=report, out=out, folder=trusted(file, trust), **how
+            loaded.wanted,
+            values,
+            limit=None,
+            progress=report,
+            out=out,
+            folder=trusted(file, trust),
+            shards=shards,
+            **how,
         )
     written = [of.save_map(made, folder / "map.json")]
     written += answer("plot", written[0])(made, folder, loaded.model) if figures else []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections import deque
+import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder._runtime import locks
+from orbitfinder._runtime import locks, tasks
+from orbitfinder._runtime.cluster import home, scheduler_at
 from orbitfinder._runtime.keeping import kept
 from orbitfinder._runtime.limit import limited
 from orbitfinder._runtime.notebook import Shown, brief
@@ -28,13 +29,16 @@ from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.registry import end_kind
 from orbitfinder.families.rest_starts import find_equilibria
 from orbitfinder.integrate.evaluate import one_thread
-from orbitfinder.mechanics.kind import with_parameters
+from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.certificate import Certificate, Check, at_most, equal
 from orbitfinder.records.codec import Codec
-from orbitfinder.records.family import End, Event, Family, load_family, reached, save_family
+from orbitfinder.records.family import JOURNAL, End, Event, Family, load_family, reached, save_family
+from orbitfinder.records.reading import write_atomically
 from orbitfinder.records.registry import kinds
 
+Fork = tuple["DiagramCurve", int]
+"""A curve and the number of its event"""
 NORM, SAME, NEAR, STEP = "norm", 1e-6, 0.2, 0.25
 """What is drawn instead of a coordinate, the length of the state or its root mean square; shares of the range and of a
 period in which parameters and periods of an event agree where no error bar says it, in which a curve begins near its
@@ -272,7 +276,8 @@ def diagram(
     model: Model, state: Sequence[float] | np.ndarray | None, parameter: str, until: float, *, depth: int = 2,
     points: int = 400, coordinate: str | None = None, box: Mapping[str, Sequence[float]] | None = None,
     method: str | None = None, limit: float | None = None, name: str = "diagram", out: str | Path | None = None,
-    progress: Callable[[DiagramCurve], None] | None = None,
+    progress: Callable[[DiagramCurve], None] | None = None, workers: int = 1, scheduler: str | None = None,
+    folder: str | Path | None = None,
 ) -> BifurcationDiagram:  # fmt: skip
     """The whole bifurcation diagram between two values of a parameter: equilibria, and breadth first what is born at
     their branch points and Hopf points, at doublings and branch points of those cycles, and so on.
@@ -295,6 +300,9 @@ def diagram(
         name: a word for files.
         out: a folder: everything goes to OUT/<name>/, and what is finished there is not followed again.
         progress: called with each curve.
+        workers: processes that follow cycles of one depth side by side; what is made is the same.
+        scheduler: address of a Dask cluster that does it instead.
+        folder: of a trusted module that makes the system.
 
     Returns:
         A BifurcationDiagram.
@@ -318,7 +326,13 @@ def diagram(
     empty = BifurcationDiagram(name, model.system, parameter, (first, until), depth, coordinate or names[0], ())
     settings = FamilySettings(parameter=parameter, directions="away", points=points, longest_step=STEP, method=method)
     tree = _Tree(empty, model, settings, None if out is None else Path(out) / name, progress or (lambda curve: None))
-    with contextlib.nullcontext() if tree.folder is None else locks.alone_in(tree.folder), limited(limit):
+    alone = contextlib.nullcontext() if tree.folder is None else locks.alone_in(tree.folder)
+    with (alone, limited(limit), scheduler_at(scheduler, "diagram", folder) as far,
+          tasks.crew(journals, workers, "diagram", far) as answers):  # fmt: skip
+        if workers > 1 or far is not None:
+            build_model(model.system, None if folder is None else Path(folder))  # or nobody else can
+            tree.answers = answers
+            tree.trusted = far.luggage.folder if far else None if folder is None else str(folder)
         try:
             for count, (follow, value) in enumerate(_beginnings(tree, state, box), 1):
                 file = "equilibria" if count == 1 else f"box-{count}"
@@ -351,6 +365,19 @@ def _beginnings(
         raise ConvergenceError("no equilibrium was met in the box; give a larger one")
 
 
+def journals(
+    empty: BifurcationDiagram, settings: FamilySettings, trusted: str | None, curve: DiagramCurve, k: int
+) -> dict[str, bytes]:  # fmt: skip
+    """The journals of the families that leave a curve at an event, by name, as far as they can be followed."""
+    with tempfile.TemporaryDirectory() as out:
+        tree = _Tree(empty, build_model(empty.system, home(trusted)), settings, Path(out))
+        with contextlib.suppress(ConvergenceError, IntegrationError):  # which is met again where it is told
+            for file, follow in tree.beside(curve, k):
+                if file.endswith("family.json"):
+                    follow()
+        return {path.parent.name: path.read_bytes() for path in Path(out).glob(f"*/{JOURNAL}")}
+
+
 class _Tree:
     """A diagram in the making: its curves, and what became of their events so far."""
 
@@ -362,6 +389,9 @@ class _Tree:
         self.empty, self.model, self.folder, self.report = empty, model, folder, report
         self.settings = settings or FamilySettings()
         self.curves, self.branchings, self.stopped = list(empty.curves), list[Branching](), "not reached yet"
+        self.answers: tasks.Answers | None = None
+        self.trusted: str | None = None
+        self.followed = dict[str, bytes]()
 
     def made(self) -> BifurcationDiagram:
         """What there is, written where there is a folder; events that were not come to are said to be undone."""
@@ -390,13 +420,34 @@ class _Tree:
 
     def grow(self) -> None:
         """What leaves the last curve, breadth first."""
-        waiting = deque(self.curves[-1:])
-        while waiting:
-            curve = waiting.popleft()
-            for k in leaving(curve.record):
-                count = len(self.curves)
-                self.branchings.append(self.left(curve, k))
-                waiting.extend(self.curves[count:])
+        level = self.curves[-1:]
+        while level:
+            count = len(self.curves)
+            for fork in self.ready([(curve, k) for curve in level for k in leaving(curve.record)]):
+                self.branchings.append(self.left(*fork))
+            level = self.curves[count:]
+
+    def ready(self, forks: list[Fork]) -> Iterator[Fork]:
+        """The same events in their order, each when what leaves there has been followed elsewhere, if anybody does."""
+        sent = [k for k, (curve, event) in enumerate(forks) if self.answers and self.apart(curve, event)]
+        waiting = set(sent if len(sent) > 1 else ())
+        answers: Iterator[tuple[int, Any]] = iter(())
+        if waiting and self.answers:
+            bare = replace(self.empty, curves=()), self.settings, self.trusted
+            answers = self.answers([(*bare, *forks[k]) for k in sent])
+        for k, fork in enumerate(forks):
+            while k in waiting:
+                number, made = next(answers)
+                self.followed |= made
+                waiting.remove(sent[number])
+            yield fork
+
+    def apart(self, curve: DiagramCurve, k: int) -> bool:
+        """Whether cycles are to be followed from an event that nobody has begun with."""
+        event = curve.record.events[k]
+        if np.isnan(event.period) or curve.depth >= self.empty.depth or self.known(curve, event):
+            return False
+        return self.folder is None or not any(self.folder.glob(f"{curve.record.name}-{k}*/{JOURNAL}"))
 
     def left(self, curve: DiagramCurve, k: int) -> Branching:
         """What becomes of an event: it is known from elsewhere, too deep, followed, or that fails."""
@@ -426,8 +477,21 @@ class _Tree:
             if isinstance(start, RestBranch):
                 yield f"{start.name}/equilibria.json", partial(self.rest, partial(follow_equilibria, start), start.name)
                 continue
-            follow = partial(follow_family, start, settings=settings, out=self.folder, name=start.name)
-            yield f"{start.name}/family.json", partial(follow, model=self.model, between=self.empty.between)
+            follow = partial(follow_family, start, settings=settings, name=start.name, model=self.model)
+            yield (
+                f"{start.name}/family.json",
+                partial(self.cycles, partial(follow, between=self.empty.between), start.name),
+            )
+
+    def cycles(self, follow: Callable[..., Family], name: str) -> Family:
+        """Cycles, read from the journal that was made elsewhere where there is one."""
+        if (journal := self.followed.pop(name, None)) is None:
+            return follow(out=self.folder)
+        with contextlib.nullcontext(self.folder) if self.folder else tempfile.TemporaryDirectory() as out:
+            file = Path(out) / name / JOURNAL
+            file.parent.mkdir(exist_ok=True)
+            write_atomically(file, journal)
+            return follow(out=out)
 
     def rest(self, follow: Callable[..., Equilibria], name: str, value: float = np.nan) -> Equilibria:
         """Equilibria between the bounds, that begin at a value."""

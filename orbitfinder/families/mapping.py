@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder._runtime import cluster, tasks
 from orbitfinder._runtime import limit as limited
-from orbitfinder._runtime import tasks
 from orbitfinder._runtime.cluster import scheduler_at
 from orbitfinder._runtime.keeping import finished
 from orbitfinder._runtime.sizes import nonzero
@@ -34,11 +34,12 @@ from orbitfinder.orbits.floquet import STABILITIES
 from orbitfinder.records.certificate import Certificate, at_most, equal
 from orbitfinder.records.codec import plain
 from orbitfinder.records.family import CLOSURE
-from orbitfinder.records.journal import Checkpoints, checkpoints, packed, unpacked
+from orbitfinder.records.journal import Checkpoints, checkpoints, packed, read_lines, unpacked
+from orbitfinder.records.reading import content_digest
 
-LIMIT, STRIP, TOGETHER, SAME = 3600.0, 16, 256, 1e-6
+LIMIT, STRIP, TOGETHER, SAME, SEED = 3600.0, 16, 256, 1e-6, (-1, 0)
 """Seconds after which a map stops unless told otherwise; rows that are a task; orbits that are verified beside
-each other; relative difference of numbers that were computed again"""
+each other; relative difference of numbers that were computed again; what fills the first pixel, as round and task"""
 Axes = tuple[np.ndarray, np.ndarray]
 """Values across and up"""
 Progress = Callable[[int, int], None]
@@ -50,7 +51,7 @@ def map_plane(
     problem: Problem, values: Mapping[str, Sequence[float]] | None = None, *, by: str = "stability", sample: int = 40,
     seed: int = 0, workers: int = 1, scheduler: str | None = None, limit: float | None = LIMIT,
     folder: str | Path | None = None, progress: Progress | None = None, out: str | Path | None = None,
-    **named: Sequence[float],
+    shards: Sequence[str | Path] = (), **named: Sequence[float],
 ) -> ParameterMap:  # fmt: skip
     """An orbit at each place in a plane of two parameters, with its stability, period and amplitudes.
 
@@ -69,6 +70,8 @@ def map_plane(
         folder: of a trusted module that makes the system.
         progress: called with how many pixels are done.
         out: a folder: OUT/<name>/map.jsonl keeps what is done, and what was stopped goes on from there.
+        shards: such journals of the same map on some of its rows, from which everything is taken that they have; what
+            they have not is computed.
         **named: values of two physical parameters, the first across; energy may be among them where the system
             conserves it.
 
@@ -76,7 +79,7 @@ def map_plane(
         A ParameterMap.
 
     Raises:
-        InputError: for unknown names and values that make no plane.
+        InputError: for unknown names, values that make no plane, and shards of another map or version.
         ConvergenceError: when there is no orbit at the problem's own values, or none leads to the plane.
 
     Examples:
@@ -95,10 +98,19 @@ def map_plane(
     path = None if out is None else Path(out) / problem.name / "map.jsonl"
     asked = plain({"map": dict(zip(names, axes, strict=True)), "system": dict(problem.model.system),
                    "guess": problem.guess, "symmetry": problem.symmetry, "method": problem.method})  # fmt: skip
+    parts = [_part(Path(file), asked) for file in shards]
+    for file, _, lines in parts:
+        if _read(lines[0])[:3] != _read(parts[0][2][0])[:3]:
+            raise InputError(f"{file}: curve: made of another orbit than {parts[0][0]}; delete its folder, or both")
+    if parts:
+        asked["shards"] = [content_digest({"lines": lines}) for _, _, lines in parts]
     with checkpoints(path, asked, _read) as journal, scheduler_at(scheduler, "map", folder) as far:
+        journal.known.extend(_read(lines[0]) for _, _, lines in parts[:1])
         trusted = far.luggage.folder if far else None if folder is None else str(folder)
         text, vector = _begun(problem, (names, axes), journal, trusted)
         study = _Filling(problem, (by, seed), text, journal)
+        for _, first, lines in parts:
+            study.take(lines[1:], first)
         apart = workers > 1 or far is not None
         try:
             with limited.limited(limit), tasks.crew(flooded, workers, "map", far) as answers:
@@ -140,6 +152,25 @@ def _read(line: Mapping[str, Any]) -> Origin | Filled:
     return tuple(line[name] for name in kind)  # type: ignore[return-value]
 
 
+def _part(file: Path, asked: Mapping[str, Any]) -> tuple[Path, int, list[dict[str, Any]]]:
+    """The journal of some rows of a map: the number of the first, and its lines. Raises `InputError`."""
+    (header, *lines), _ = read_lines(file, file.name) or ([{}], True)
+    theirs, (across, up) = header.get("request", {}), asked["map"]
+    rows, own = asked["map"][up], theirs.get("map", {}).get(up, [])
+    first = rows.index(own[0]) if own and own[0] in rows else 0
+    wanted = {**asked, "map": {across: asked["map"][across], up: rows[first : first + len(own)]}}
+    for what, value in wanted.items():
+        if theirs.get(what) != value:
+            raise InputError(f"{file}: {what}: of another map than this; give its own, or another folder")
+    if not lines:
+        raise InputError(f"{file}: nothing is done there yet; run that shard, or delete its folder")
+    here, there = cluster.packed(None).versions, lines[0].get("versions", {})
+    if other := [f"{name} {there.get(name)}, here {here[name]}" for name in here if there.get(name) != here[name]]:
+        raise InputError(f"{file}: versions: made with {', '.join(other)}, and its numbers would be others; run that "
+                         "shard again with what is here")  # fmt: skip
+    return file, first, lines
+
+
 def _begun(
     problem: Problem, plane: tuple[tuple[str, str], Axes], journal: Checkpoints[Origin | Filled], folder: str | None
 ) -> tuple[str, np.ndarray]:  # fmt: skip
@@ -155,7 +186,8 @@ def _begun(
         curve, w = released(start.curve, start.solution.place, equations, (*held, *momenta_of(old.symmetry, old.model)))
         w = w if old.gridded else w.on(divided(w.mesh, 2))  # it must do for all of the plane
         origin = plain(entry_of(curve)), len(w.nodes), packed(w.mesh[:, None]), packed(w.vector[:, None])
-        journal.add(dict(zip(("curve", "segments", "mesh", "vector"), origin, strict=True)))
+        line = dict(zip(("curve", "segments", "mesh", "vector"), origin, strict=True))
+        journal.add(line | {"versions": dict(cluster.packed(None).versions)})
     entry, segments, mesh, vector = origin
     text = described(model.system, folder, entry, names, axes, unpacked(mesh, 1).ravel(), segments)
     return text, unpacked(vector, 1).ravel()
@@ -174,6 +206,13 @@ class _Filling:
         self.block = PixelBlock.empty(shape, plane.place.vector.size, numbers)
         self.known = {line[:2]: line[2] for line in journal.known if len(line) == 3}
 
+    def take(self, lines: Sequence[Mapping[str, Any]], first: int) -> None:
+        """The pixels of another journal, of rows from the `first` on."""
+        for line in lines:
+            matrix = unpacked(line["pixels"], self._width)
+            matrix[:, 0] += first
+            self.block.fill(matrix)
+
     def rounds(
         self, vector: np.ndarray, answers: tasks.Answers, plane: ParameterPlane | str
     ) -> Iterator[tuple[int, int]]:
@@ -186,14 +225,20 @@ class _Filling:
         w = self.plane.place.at(vector)
         own = np.array([parameter_value(curve, w, name) for name in self.plane.parameters])
         column, row = (int(np.abs(axis - value).argmin()) for axis, value in zip(self.plane.axes, own, strict=True))
-        self.plane.seed(self.block, (row, column), (own, w))
-        if self.block.blank[row, column]:
-            there = ", ".join(f"{name} = {axis[k]:g}" for name, axis, k in zip(
-                self.plane.parameters, self.plane.axes, (column, row), strict=True))  # fmt: skip
-            raise ConvergenceError(
-                f"map: from the problem's own orbit none leads to {there}: {BLANK[self.block.blank[row, column]]}; "
-                "give the problem parameters in the plane"
-            )
+        whole = slice(None), slice(None)
+        if self.block.blank[row, column] and SEED not in self.known:  # or a shard has it
+            before = self.block.part(*whole)
+            self.plane.seed(self.block, (row, column), (own, w))
+            if self.block.blank[row, column]:
+                there = ", ".join(f"{name} = {axis[k]:g}" for name, axis, k in zip(
+                    self.plane.parameters, self.plane.axes, (column, row), strict=True))  # fmt: skip
+                raise ConvergenceError(
+                    f"map: from the problem's own orbit none leads to {there}: {BLANK[self.block.blank[row, column]]}; "
+                    "give the problem parameters in the plane"
+                )
+            self._keep(SEED, self.block.matrix(*whole, before))
+        elif SEED in self.known:
+            self.block.fill(unpacked(self.known[SEED], self._width))
         parts, number = [(slice(0, rows), slice(column, column + 1))], 0
         while parts:
             yield from self._round(number, parts, answers, plane)
@@ -213,8 +258,11 @@ class _Filling:
         yield self._done()
         for answered, matrix in fresh:
             self.block.fill(matrix)
-            self.journal.add({"round": number, "task": list(requests)[answered], "pixels": packed(matrix)})
+            self._keep((number, list(requests)[answered]), matrix)
             yield self._done()
+
+    def _keep(self, task: tuple[int, int], matrix: np.ndarray) -> None:
+        self.journal.add(dict(zip(("round", "task", "pixels"), (*task, packed(matrix)), strict=True)))
 
     def _request(self, plane: ParameterPlane | str, rows: slice, columns: slice) -> tuple[Any, ...]:
         first = max(rows.start - BEHIND, 0)
