@@ -29,7 +29,7 @@ WANTED, CURVE, LAST = {100: 40.0, 1000: 500.0}, 30.0, 300.0
 """ms a point by the number of masses, s for the beam's curve, the frequency (rad/s) where it ends"""
 TURNING = 1e-6
 """The verdict changes as near to where the curve turns, relative to the frequency"""
-PEER = ((3, 6), (7, 3))
+PEER = ((3, 5), (7, 2))
 """Highest harmonics and steps of pyHarm's"""
 
 

@@ -43,8 +43,8 @@ no longer contracts, or that asks for new factors"""
 RESOLVED, POWERS, FINEST, SMALL = 1.5, 30, 512, 40
 """Radians of the fastest mode in a step, iterations that find it, the most steps that follow it;
 coordinates up to which motions are certified by explicit steps and all their variations"""
-TOLD = 1e-12
-"""Share of the largest harmonic of a motion that is none"""
+TOLD, HIGHEST = 1e-10, 48
+"""Share of the largest harmonic of a motion that is none; as many as an energy is asked of"""
 
 
 class Implicit:
@@ -165,8 +165,10 @@ class Implicit:
     def decay(self, states: np.ndarray) -> Decay:
         """Of small motions beside one whose states (k + 1 x 2n) are at equal times over its period."""
         harmonics = np.fft.rfft(states[:-1, : self.residual.size].T, axis=1, norm="forward")
-        worth = np.abs(harmonics).max(axis=0)
-        top = int(np.flatnonzero(worth > TOLD * worth.max()).max(initial=1))
+        worth, gap = np.abs(harmonics).max(axis=0), np.abs(states[-1] - states[0])[: self.residual.size].max()
+        top = int(np.flatnonzero(worth > max(TOLD * worth.max(), gap)).max(initial=1))  # of a jump each is less
+        if top > HIGHEST:
+            return Decay(0.0, f"it has more than {HIGHEST} harmonics")
         parts = 2 * np.stack([harmonics.real, -harmonics.imag], axis=2)[:, 1 : top + 1]
         vector = np.hstack([harmonics[:, :1].real, parts.reshape(self.residual.size, -1)]).ravel()
         ones, basis = np.ones(self.residual.size), Fourier(orders(top, False))
