@@ -61,6 +61,7 @@ ELSEWHERE = {
     "first_order": "First-order systems by Newton's method over DOP853 alone: `python benchmarks/first_order.py`",
     "long_chains": "Normal modes of long chains: `python benchmarks/long_chains.py`, longer than this command runs",
     "large": "Large systems by shooting, against an earlier checkout: `python benchmarks/large.py --before FOLDER`",
+    "balance": "Large driven systems by harmonic balance: `python benchmarks/balance.py --pyharm PYTHON`",
     "earlier": "Times against an earlier checkout's: `python benchmarks/earlier.py --against COMMIT`",
     "hybrid_search": "Searches of hybrid systems, against a scan by brute force: `python benchmarks/hybrid_search.py`",
     "hybrid": "Walking machines, against a script by hand and a second program: `python benchmarks/hybrid.py`",

@@ -50,8 +50,9 @@ from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.scales import extents, extents_of, masses_of
 from orbitfinder.orbits.balance import NAME, begun, refused, samples_of, states_of
 from orbitfinder.orbits.certify import certify
+from orbitfinder.orbits.closure import LARGEST_SCALE
 from orbitfinder.orbits.evidence import ClosureCheck
-from orbitfinder.orbits.hill import exponents, monodromy
+from orbitfinder.orbits.hill import exponents, monodromy, proved
 from orbitfinder.orbits.implicit import SMALL, ImplicitCheck, gathered
 from orbitfinder.orbits.measure import action
 from orbitfinder.records.certificate import Check, at_most
@@ -229,9 +230,12 @@ class _Large:
         self.check = ImplicitCheck(self.model, self.parameter, problem.forcing_cycles) if settings.certify else None
         self.grown, steady = 1.0, not np.any(first.problem.equations.varying[:, 2] == 2)
         self.masses = masses_of(self.model.kinetic, states_of(first, np.zeros(1))[0], self.model) if steady else None
-        if settings.certify:  # what errors grow by hardly changes along a family
-            period = 2 * np.pi / first.problem.equations.pace(float(first.w.vector[-1]))
-            self.grown = gathered(self.model, states_of(first, np.zeros(1))[0], period)[0].closes.amplification
+        self._first = np.zeros(0), False
+        if settings.certify and not proved(first.problem, first.w):  # what errors grow by hardly changes
+            self.grown = LARGEST_SCALE
+            record = self.point(first, index=0, arclength=0.0, step=0.0)
+            certificate = certify(record, with_parameters(self.model, record.free))
+            self.grown, self._first = certificate.scale, (record.state, certificate.passed)
         still = [0] * self.model.degrees_of_freedom
         self.entry: dict[str, Any] = {"method": NAME, "winding": still, "cycles": problem.forcing_cycles}
 
@@ -310,7 +314,10 @@ class _Large:
         )  # fmt: skip
 
     def certified(self, point: FamilyPoint) -> FamilyPoint:
-        return replace(point, certified=certify(point, with_parameters(self.model, point.free)).passed)
+        known, passed = self._first
+        if not np.array_equal(point.state, known):
+            passed = certify(point, with_parameters(self.model, point.free)).passed
+        return replace(point, certified=passed)
 
 
 def nodes_of(point: Point) -> int:

@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from orbitfinder.integrate.evaluate import Buffered
 from orbitfinder.mechanics.lagrange import mass_matrix_and_bias
 from orbitfinder.mechanics.model import Model
 
@@ -45,7 +46,7 @@ class Residual:
         self._fixed = ca.Function("fixed", [free], [ca.densify(picked[1])])
         self._rows_alone = ca.Function("rows", given, [ca.densify(rows)])
         self._pace = ca.Function("pace", [free], [pace, ca.jacobian(ca.SX(pace), free)])
-        self._maps, self.patterns = dict[tuple[str, int], ca.Function](), dict[Any, Any]()
+        self._maps, self.patterns = dict[tuple[str, int], Buffered](), dict[Any, Any]()
 
     def _rows(self, t: Any, q: Any, v: Any, a: Any, p: Any) -> Any:
         model = self.model
@@ -75,21 +76,23 @@ class Residual:
 
     def over(self, times: np.ndarray, motion: list[np.ndarray], value: float) -> list[np.ndarray]:
         """At times (s, in rad) and q, q', q'' (n x s each): G (n x s), its varying slopes (k x s), dG/dp (n x s)."""
-        return [part.full() for part in self._mapped(self._over, times.size)(times[None], *motion, value)]
+        return [part.T for part in self._mapped(self._over, times, motion, value)]
 
     def rows(self, times: np.ndarray, motion: list[np.ndarray], value: float) -> np.ndarray:
         """G alone."""
-        return np.asarray(self._mapped(self._rows_alone, times.size)(times[None], *motion, value).full())
+        return self._mapped(self._rows_alone, times, motion, value)[0].T
 
     def fixed(self, value: float) -> np.ndarray:
         """The slopes that are the same at all states."""
         return np.asarray(self._fixed(value).full().ravel())
 
-    def _mapped(self, function: ca.Function, count: int) -> ca.Function:
-        key = (function.name(), count)
+    def _mapped(
+        self, function: ca.Function, times: np.ndarray, motion: list[np.ndarray], value: float
+    ) -> list[np.ndarray]:
+        key = (function.name(), times.size)
         if key not in self._maps:
-            self._maps[key] = function.map(count)
-        return self._maps[key]
+            self._maps[key] = Buffered(function.map(times.size))
+        return self._maps[key](times[:, None], *(part.T for part in motion), value)
 
     @cached_property
     def odd(self) -> bool:

@@ -36,6 +36,7 @@ from orbitfinder.orbits.evidence import (
     second_closure,
 )
 from orbitfinder.orbits.floquet import Floquet, verdict
+from orbitfinder.orbits.hill import MOST_MODES
 from orbitfinder.orbits.hybrid import (
     HybridEvidence,
     gather_hybrid,
@@ -206,7 +207,8 @@ def _smoothly(orbit: Orbit, model: Model, turns: np.ndarray) -> tuple[Evidence, 
 
 
 def _by_steps(orbit: Orbit, model: Model, _: np.ndarray) -> tuple[Recomputed, float]:
-    return gathered(model, orbit.state, orbit.period)
+    damped = not orbit.floquet_multipliers.size and model.degrees_of_freedom > MOST_MODES
+    return gathered(model, orbit.state, orbit.period, damped)
 
 
 def _better_known(orbit: Orbit, found: Floquet) -> Orbit:

@@ -16,6 +16,9 @@ Math. Z. 86 (1964) 41-44; A. Lyapunov's second method, J. LaSalle, S. Lefschetz,
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import ArpackError, eigsh, splu
@@ -119,26 +122,45 @@ def definite(matrix: sparse.csc_matrix) -> bool:
     return bool(np.array_equal(factors.perm_r, factors.perm_c) and np.all(factors.U.diagonal() > 0))
 
 
-def decay(problem: Balanced, w: Coefficients) -> tuple[float, str]:
-    """A rate r > 0 (in units of omega) that the real part of no exponent is above the negative of; 0 and why not."""
+@dataclass(frozen=True)
+class Decay:
+    """A rate r > 0 (in units of omega) that the real part of no exponent is above the negative of, and P at time 0; or
+    0 and `why` there is none."""
+
+    rate: float
+    why: str = ""
+    energy: Any = None
+
+    def distance(self, gap: np.ndarray, units: np.ndarray) -> float:
+        """What the true orbit is off a state (u, u') at most that comes back with a gap (2n), in units (2n), to first
+        order: sqrt(V) of Phi d is at most e^(-2 pi r) of d's, so that of (1 - Phi)^-1 gap is known."""
+        measures = sparse.csc_matrix(sparse.diags_array(units**-2.0))
+        least = extreme(self.energy, measures, "least")
+        return float(np.sqrt(gap @ (self.energy @ gap) / least) / -np.expm1(-2 * np.pi * self.rate))
+
+
+def decay(problem: Balanced, w: Coefficients) -> Decay:
+    """How fast small motions beside a motion die away by an energy."""
     beside = Beside(problem, w)
     if why := beside.refused:
-        return 0.0, why
+        return Decay(0.0, why)
     try:
         even = (beside.damping + beside.damping.T) / 2
         if not definite(even):
-            return 0.0, "some of it is not damped"
+            return Decay(0.0, "some of it is not damped")
         a = RATE * extreme(even, beside.mass, "least")
         q, p = beside.mean(a)
         whole = extreme(q, p, "least") if definite(q) and definite(p + beside.first) else 0.0
     except (ArpackError, RuntimeError):
-        return 0.0, "some of it is not damped"
+        return Decay(0.0, "some of it is not damped")
     rate = 0.0
     for share in SHARES if whole > 0 else ():
         if not beside.positive(q - share * whole * p, a, share * whole):
             break
         rate = share * whole
-    return (rate, "") if rate > 0 else (0.0, "an energy does not bound what its stiffness does as it changes")
+    if rate > 0:
+        return Decay(rate, energy=p + beside.first)
+    return Decay(0.0, "an energy does not bound what its stiffness does as it changes")
 
 
 def extreme(matrix: sparse.csc_matrix, other: sparse.csc_matrix, end: str) -> float:

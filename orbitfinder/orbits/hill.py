@@ -84,6 +84,11 @@ def exponents(problem: Balanced, w: Coefficients) -> Exponents:
     return w.known["exponents"]  # type: ignore[no-any-return]
 
 
+def proved(problem: Balanced, w: Coefficients) -> bool:
+    """Whether all that is known of a motion's exponents is that an energy falls."""
+    return problem.equations.size > MOST_MODES and not exponents(problem, w).values.size
+
+
 def nearest(problem: Balanced, w: Coefficients) -> complex:
     """The exponent nearest to 0 among the orders themselves: 0 at a fold."""
     values = _about(problem, w, 0j, SOUGHT)[0]
@@ -93,14 +98,17 @@ def nearest(problem: Balanced, w: Coefficients) -> complex:
 def _few(problem: Balanced, w: Coefficients) -> Exponents:
     """Those near what may grow."""
     many = problem.equations.size > MOST_MODES
-    rate, why = decay(problem, w) if many else (0.0, "")
-    if rate > 0:
-        return Exponents(np.zeros(0, complex), -rate)
+    why = ""
+    if many:
+        proof = decay(problem, w)
+        if proof.rate > 0:
+            return Exponents(np.zeros(0, complex), -proof.rate)
+        why = proof.why
     spacing = 1.0 if 0 in problem.basis.orders else 2.0
     suspects, reaches, rest, more = _suspects(problem, w)
     if more and not many:
-        rate, why = decay(problem, w)
-        rest, more = (-rate, "") if rate > 0 else (np.inf, more)
+        proof = decay(problem, w)
+        rest, more, why = (-proof.rate, "", "") if proof.rate > 0 else (np.inf, more, proof.why)
     there = suspects - (spacing - 1.0)  # e^(i f tau) is e^(s tau) times an order, f - 1 is 0 among odd ones
     there = np.abs((there + spacing / 2) % spacing - spacing / 2)
     shifts = np.rint(there / NEARBY) * NEARBY

@@ -6,7 +6,8 @@ With stages a_i (accelerations, n each) of a step h from (q, v), t_i = t + c_i h
 
 The iteration's matrix is of the equations by the energies (`integrate.residual`), sparse, with a factorisation for each
 pair of eigenvalues of A; what it ends with, and so the motion, is of the accelerations alone. Variations solve all
-stages together. Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II (1996), sections IV.5, IV.8.
+stages together; none is carried beside a motion where an energy falls. Source: E. Hairer, G. Wanner, Solving Ordinary
+Differential Equations II (1996), sections IV.5, IV.8.
 """
 
 from __future__ import annotations
@@ -27,9 +28,11 @@ from orbitfinder.integrate.residual import Residual
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.scales import extents_of
-from orbitfinder.orbits.closure import closes
+from orbitfinder.orbits.closure import Closure, closes
+from orbitfinder.orbits.decay import Decay, decay
 from orbitfinder.orbits.evidence import Recomputed, Tour
-from orbitfinder.orbits.floquet import judged
+from orbitfinder.orbits.floquet import Floquet, judged
+from orbitfinder.orbits.harmonics import Balanced, Coefficients, Fourier, Pattern, orders
 from orbitfinder.orbits.measure import action
 
 STAGES, STEPS, PIECES = 6, 64, 16
@@ -40,6 +43,8 @@ no longer contracts, or that asks for new factors"""
 RESOLVED, POWERS, FINEST, SMALL = 1.5, 30, 512, 40
 """Radians of the fastest mode in a step, iterations that find it, the most steps that follow it;
 coordinates up to which motions are certified by explicit steps and all their variations"""
+TOLD, HIGHEST = 1e-10, 48
+"""Share of the largest harmonic of a motion that is none; as many as an energy is asked of"""
 
 
 class Implicit:
@@ -157,6 +162,19 @@ class Implicit:
         wanted = np.sqrt(size) * period / RESOLVED
         return STEPS if wanted > FINEST else int(2 ** np.ceil(np.log2(max(wanted, STEPS))))
 
+    def decay(self, states: np.ndarray) -> Decay:
+        """Of small motions beside one whose states (k + 1 x 2n) are at equal times over its period."""
+        harmonics = np.fft.rfft(states[:-1, : self.residual.size].T, axis=1, norm="forward")
+        worth, gap = np.abs(harmonics).max(axis=0), np.abs(states[-1] - states[0])[: self.residual.size].max()
+        top = int(np.flatnonzero(worth > max(TOLD * worth.max(), gap)).max(initial=1))  # of a jump each is less
+        if top > HIGHEST:
+            return Decay(0.0, f"it has more than {HIGHEST} harmonics")
+        parts = 2 * np.stack([harmonics.real, -harmonics.imag], axis=2)[:, 1 : top + 1]
+        vector = np.hstack([harmonics[:, :1].real, parts.reshape(self.residual.size, -1)]).ravel()
+        ones, basis = np.ones(self.residual.size), Fourier(orders(top, False))
+        problem = Balanced(Pattern(self.residual, basis), ones, 1.0, ones)
+        return decay(problem, Coefficients(np.append(vector, self.value)))
+
     @cached_property
     def _ahead(self) -> np.ndarray:
         """What takes stages of a step to the polynomial's values at those of the next."""
@@ -192,22 +210,36 @@ def suits(model: Model) -> bool:
     return bool(plain and model.forced and model.degrees_of_freedom > SMALL)
 
 
-def gathered(model: Model, state: np.ndarray, period: float) -> tuple[Recomputed, float]:
+def gathered(model: Model, state: np.ndarray, period: float, damped: bool = False) -> tuple[Recomputed, float]:
     """What `Implicit` says of a state (2n) and a period; and how far half as many steps, those of the variations, end
-    elsewhere, in extents. Raises `IntegrationError`."""
+    elsewhere, in extents. Raises `IntegrationError`.
+
+    Of what is said to be `damped` an energy is asked first. Where it tells, no variation is carried: no multipliers are
+    known, the distance to the true orbit is the energy's bound, and A is taken for the least that it can be.
+    """
     motion, n = Implicit(model, Residual(model, "", model.forcing_cycles(period))), model.degrees_of_freedom
     rough = motion.path(state, period, STEPS, np.abs(state) + np.abs(state).max() + SETTLED)[0]
     units = extents_of(model, rough, period)
     steps = motion.steps(state, period)
     states = motion.path(state, period, 2 * steps, units)[0]
-    coarse, pieces = motion.path(state, period, steps, units, np.eye(2 * n))
-    scaled = [piece * units / units[:, None] for piece in pieces]
-    missed, none = (states[-1] - states[0]) / units, np.zeros((0, 2 * n))
-    loop = Tour(closes(missed, scaled, states / units, None), scaled, none, none, False, units, np.eye(2 * n))
+    proof = motion.decay(states) if damped else Decay(0.0)
+    coarse, pieces = motion.path(state, period, steps, units, None if proof.rate > 0 else np.eye(2 * n))
+    missed, none, sizes = (states[-1] - states[0]) / units, np.zeros((0, 2 * n)), np.abs(states / units)
+    if proof.rate > 0:
+        paces, gap, grown = np.repeat([1.0, motion.pace], n), float(np.abs(missed).max()), max(float(sizes.max()), 1.0)
+        off = proof.distance((states[-1] - states[0]) / paces, units / paces)
+        closure, scaled = Closure(gap, grown, off, (gap, grown)), []
+        floquet = Floquet(np.zeros(0, complex), 0.0, none, "asymptotically stable")
+    else:
+        scaled = [piece * units / units[:, None] for piece in pieces]
+        closure = closes(missed, scaled, states / units, None)
+    loop = Tour(closure, scaled, none, none, False, units, np.eye(2 * n))
+    if not proof.rate > 0:
+        floquet = judged(np.linalg.eigvals(loop.map()).astype(complex), False)
     times = np.linspace(0.0, period, len(states))
     seen = Recomputed(
         times, states, units, loop, float(np.abs(states[-1] - states[0]).max()), action(model, times, states),
-        energy(model, states[0]), judged(np.linalg.eigvals(loop.map()).astype(complex), False),
+        energy(model, states[0]), floquet,
     )  # fmt: skip
     return seen, float(np.abs((states[-1] - coarse[-1]) / units).max())
 
