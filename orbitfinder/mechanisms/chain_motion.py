@@ -79,11 +79,14 @@ def _chain_pieces(
     The frames at the two ends of a piece differ; at -x it is that at x, since every entry is even in (q, v) together.
     """
     modes, found, now = np.kron(np.eye(2), closed.modes), [], state
-    measures = np.concatenate([units, np.ones(modes.size)])
-    for k in range(count):
-        extended = np.concatenate([now, modes.ravel("F")])
-        span = duration * np.array([k, k + 1]) / count
-        end = integrate_in(measures, closed.varied_rates, extended, span, SECOND)[-1]
-        before, now = now, end[: state.size]
-        found.append(closed.carried(before, now, end[state.size :].reshape(modes.shape, order="F")))
+    measures = np.concatenate([units, np.ones(closed.width * state.size)])
+    for span in duration * np.column_stack([np.arange(count), np.arange(1, count + 1)]) / count:
+
+        def march(columns: np.ndarray, start: np.ndarray = now, span: np.ndarray = span) -> np.ndarray:
+            extended = np.concatenate([start, columns])
+            return np.asarray(integrate_in(measures, closed.varied_rates, extended, span, SECOND)[-1])
+
+        after, columns = closed.varied(modes, march)
+        found.append(closed.carried(now, after, columns))
+        now = after
     return found

@@ -1,4 +1,4 @@
-"""Motions of large driven structures by steps that no fast mode limits: Gauss' method on the accelerations as given.
+"""Motions of large structures by steps that no fast mode limits: Gauss' method on the accelerations as given.
 
 With stages a_i (accelerations, n each) of a step h from (q, v), t_i = t + c_i h and A the matrix of the method,
 
@@ -11,6 +11,7 @@ stages together. Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equ
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, cast
 
@@ -21,15 +22,16 @@ from scipy.sparse.linalg import splu
 from orbitfinder._runtime import limit
 from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.collocation import tableau
-from orbitfinder.integrate.equations import accelerations
+from orbitfinder.integrate.equations import accelerations, invariant_gradients
 from orbitfinder.integrate.field import rates_of, vector_field
 from orbitfinder.integrate.residual import Residual
-from orbitfinder.mechanics.kind import with_parameters
+from orbitfinder.loops.symmetry import symplectic
+from orbitfinder.mechanics.kind import system_kind, with_parameters
 from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.scales import extents_of
 from orbitfinder.orbits.closure import closes
 from orbitfinder.orbits.evidence import Recomputed, Tour
-from orbitfinder.orbits.floquet import judged
+from orbitfinder.orbits.floquet import analyse
 from orbitfinder.orbits.measure import action
 
 STAGES, STEPS, PIECES = 6, 64, 16
@@ -43,12 +45,12 @@ coordinates up to which motions are certified by explicit steps and all their va
 
 
 class Implicit:
-    """The motions of a mechanical Model with a drive, from a state for a period, by its equations (at a `value` of what
+    """The motions of a mechanical Model, from a state for a period, by its equations (at `values` of what
     is free there)."""
 
-    def __init__(self, model: Model, residual: Residual, value: float = 0.0) -> None:
-        self.residual, self.value = residual, value
-        self.many, self.pace = rates_of(vector_field(accelerations(model)))[0], residual.pace(value)
+    def __init__(self, model: Model, residual: Residual, values: np.ndarray) -> None:
+        self.residual, self.values = residual, values
+        self.many, self.pace = rates_of(vector_field(accelerations(model)))[0], residual.pace(values)
         rule, n = tableau(STAGES, "legendre"), self.residual.size
         self.places, self.inner, self.weights = rule.points, rule.inner, rule.weights
         values, vectors = np.linalg.eig(self.inner)
@@ -62,8 +64,8 @@ class Implicit:
     def _slopes(self, times: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """dG/dq, dG/dv, dG/da (k x s, by `table`) at times (s) and n x s of each."""
         motion = [q, v / self.pace, a / self.pace**2]
-        varying = self.residual.over(self.pace * times, motion, self.value)[1]
-        fixed = np.broadcast_to(self.residual.fixed(self.value)[:, None], (len(self.residual.steady), times.size))
+        varying = self.residual.over(self.pace * times, motion, self.values)[1]
+        fixed = np.broadcast_to(self.residual.fixed(self.values)[:, None], (len(self.residual.steady), times.size))
         return np.concatenate([varying, fixed]) / self.pace ** self.table[:, 2:]
 
     def _stepped(
@@ -187,52 +189,65 @@ class Implicit:
 
 
 def suits(model: Model) -> bool:
-    """Whether a model's motions are certified so: driven ones of many coordinates, which may be stiff."""
-    plain = model.smooth and model.scalar and model.constraint is None and model.rates is None and not model.invariants
-    return bool(plain and model.forced and model.degrees_of_freedom > SMALL)
+    """Whether a model's motions are certified so: driven and free ones of many coordinates, which may be stiff, but of
+    chains, whose masses are full matrices."""
+    plain = model.smooth and model.scalar and model.constraint is None and model.rates is None
+    alone = not model.invariants if model.forced else model.conservative and len(model.invariants) == 1
+    large = model.degrees_of_freedom > SMALL and not system_kind(model.system).pendulum
+    return bool(plain and alone and large)
 
 
 def gathered(model: Model, state: np.ndarray, period: float) -> tuple[Recomputed, float]:
     """What `Implicit` says of a state (2n) and a period; and how far half as many steps, those of the variations, end
     elsewhere, in extents. Raises `IntegrationError`."""
-    motion, n = Implicit(model, Residual(model, "", model.forcing_cycles(period))), model.degrees_of_freedom
+    residual, n = Residual(model, cycles=model.forcing_cycles(period)), model.degrees_of_freedom
+    motion = Implicit(model, residual, residual.start if model.forced else np.array([0.0, 2 * np.pi / period]))
     rough = motion.path(state, period, STEPS, np.abs(state) + np.abs(state).max() + SETTLED)[0]
     units = extents_of(model, rough, period)
     steps = motion.steps(state, period)
     states = motion.path(state, period, 2 * steps, units)[0]
     coarse, pieces = motion.path(state, period, steps, units, np.eye(2 * n))
     scaled = [piece * units / units[:, None] for piece in pieces]
-    missed, none = (states[-1] - states[0]) / units, np.zeros((0, 2 * n))
-    loop = Tour(closes(missed, scaled, states / units, None), scaled, none, none, False, units, np.eye(2 * n))
+    missed, kept = (states[-1] - states[0]) / units, np.zeros((0, 2 * n))
+    flow, rate = kept, None
+    if not model.forced:
+        flow, kept = motion.many(np.zeros(1), states[:1]) / units, invariant_gradients(model)(states[0]).full() * units
+        rate = flow[0] * period
+    conservative = symplectic(model)
+    loop = Tour(closes(missed, scaled, states / units, rate, kept), scaled, kept, flow, conservative, units,
+                np.eye(2 * n))  # fmt: skip
     times = np.linspace(0.0, period, len(states))
     seen = Recomputed(
         times, states, units, loop, float(np.abs(states[-1] - states[0]).max()), action(model, times, states),
-        energy(model, states[0]), judged(np.linalg.eigvals(loop.map()).astype(complex), False),
+        energy(model, states[0]), analyse(loop.map(), conservative),
     )  # fmt: skip
     return seen, float(np.abs((states[-1] - coarse[-1]) / units).max())
 
 
 class ImplicitCheck:
-    """The closure of orbits of a large structure by `Implicit`, at values of a parameter."""
+    """The closure of orbits of a large structure by `Implicit`, at values of its parameters."""
 
-    def __init__(self, model: Model, name: str, cycles: int = 1) -> None:
-        self.model, self.name, self.cycles, self._residual = model, name, cycles, Residual(model, name, cycles)
+    def __init__(self, model: Model, names: tuple[str, ...], cycles: int = 1) -> None:
+        self.model, self.cycles, self._residual = model, cycles, Residual(model, names, cycles)
 
-    def _at(self, value: float) -> Implicit:
-        return Implicit(with_parameters(self.model, {self.name: value}), self._residual, value)
+    def _at(self, free: Mapping[str, float], period: float = 1.0) -> Implicit:
+        values = np.array([free[name] for name in self._residual.names] or [0.0, 2 * np.pi / period])
+        return Implicit(with_parameters(self.model, free), self._residual, values)
 
-    def period(self, value: float) -> float:
+    def period(self, free: Mapping[str, float]) -> float:
         """Of the motions there."""
-        return 2 * float(np.pi) / self._residual.pace(value)
+        return 2 * float(np.pi) / self._at(free).pace
 
-    def __call__(self, state: np.ndarray, period: float, value: float, units: np.ndarray) -> float:
+    def __call__(self, state: np.ndarray, period: float, free: Mapping[str, float], units: np.ndarray) -> float:
         """The largest gap after a period, in `units` (2n). Raises `IntegrationError`."""
-        path = self._at(value).path(state, period, STEPS, units)[0]
+        path = self._at(free, period).path(state, period, STEPS, units)[0]
         return float(np.abs((path[-1] - path[0]) / units).max())
 
-    def kept(self, state: np.ndarray, period: float, value: float, units: np.ndarray, along: np.ndarray) -> float:
+    def kept(
+        self, state: np.ndarray, period: float, free: Mapping[str, float], units: np.ndarray, along: np.ndarray
+    ) -> float:
         """By what share of it a variation (2n) comes back changed after a period, all in `units` (2n)."""
-        motion = self._at(value)
+        motion = self._at(free, period)
         begin = along[:, None] / float(np.abs(along / units).max())
         now, back = np.asarray(state, float), begin
         h = period / STEPS
