@@ -34,8 +34,9 @@ Accelerations = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray,
 PinRow = Callable[[np.ndarray, float], tuple[float, np.ndarray, float]]
 """(q(0), T) -> residual of the pin and its derivatives in q(0) (n) and in T, for a start at rest"""
 
-NEWTON, SHRINKING = Settings(floor=1e-9, converged=1e-9, most_evaluations=24, farthest=np.pi), 0.3
-"""Of steps, rad (or m) and rad/s. A matrix is kept while each step is shorter than this share of the last"""
+NEWTON, SHRINKING, MOST = Settings(floor=1e-9, converged=1e-9, most_evaluations=24, farthest=np.pi), 0.3, 4
+"""Of steps, rad (or m) and rad/s. A matrix is kept while each step is shorter than this share of the last; matrices at
+most: what takes more goes elsewhere"""
 TAIL = 1e-3
 """Harmonics are doubled until the last quarter of them is below this, rad (or m)"""
 FINE_TAIL = 1e-5
@@ -114,7 +115,7 @@ def correct(
             return nothing
         found = nothing if factors is None else np.asarray(factors(-rows))
         if not np.abs(found).max() <= SHRINKING * last:
-            factors, made = _factors(matrix()), made + 1
+            factors, made = None if made == MOST else _factors(matrix()), made + 1
             found = nothing if factors is None else np.asarray(factors(-rows))
         last = float(np.abs(found).max())
         return found
