@@ -88,7 +88,7 @@ def followed(
     folder: Path | None, asked: tuple[Mapping[str, Any], Mapping[str, Any]], watch: Mapping[str, str | Number],
     progress: Callable[[Batch], None] | None,
 ) -> Family:  # fmt: skip
-    """The family of a driven motion in a parameter, or of a free one, each direction kept in a journal of the folder.
+    """The family of a driven motion in a parameter, or of free motions, each direction kept in a journal of the folder.
 
     `goals` are its end, values to be met, and whether there are others, of which it knows none; `asked` the request
     that a journal answers and what the family was started from. Raises `InputError` and `ConvergenceError`.

@@ -78,7 +78,7 @@ class Residual:
     @cached_property
     def level(self) -> str:
         """The energy's name."""
-        return next(one.name for one in self.model.invariants if one.generator is None)
+        return next(each.name for each in self.model.invariants if each.generator is None)
 
     def pace(self, values: np.ndarray) -> float:
         """omega, in rad/s."""
@@ -95,7 +95,7 @@ class Residual:
             return float(unit @ state), unit
         if ("level", name) not in self._maps:
             x, p = ca.SX.sym("x", 2 * self.size), ca.DM(self.model.parameter_values)
-            (level,) = (one.value for one in self.model.invariants if one.name == name)
+            (level,) = (each.value for each in self.model.invariants if each.name == name)
             number = level(x[: self.size], x[self.size :], p)
             made = ca.Function("level", [x], [number, ca.densify(ca.gradient(number, x))])
             self._maps["level", name] = made

@@ -147,11 +147,11 @@ class ChainLagrange:
     def varied(self, columns: np.ndarray, march: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """The state (2n) and the columns of a matrix (2n x k) that a march of vec Y to (x, vec Y) ends with, `width` of
         them at a time."""
-        count, found = columns.shape[1], list[np.ndarray]()
+        count, ends = columns.shape[1], list[np.ndarray]()
         for first in range(0, count, self.width):
             some = columns[:, np.arange(first, first + self.width) % count]  # of the last block some come again
-            found.append(march(some.ravel("F")).reshape(2 * self.weights.size, -1, order="F"))
-        return found[0][:, 0], np.hstack([part[:, 1:] for part in found])[:, :count]
+            ends.append(march(some.ravel("F")).reshape(2 * self.weights.size, -1, order="F"))
+        return ends[0][:, 0], np.hstack([part[:, 1:] for part in ends])[:, :count]
 
     def _code(self, columns: int) -> str:
         """C of the field with variations of so many columns. Raises `Unavailable` where links do not hang in a row."""

@@ -119,10 +119,10 @@ class ClosedChain(March):
                     z = self._step(z, h) if fast is None else fast[0]
             return z
 
-        _, found = self.closed.varied(directions, march)
-        if not np.all(np.isfinite(found)):
+        _, columns = self.closed.varied(directions, march)
+        if not np.all(np.isfinite(columns)):
             raise IntegrationError("the variations are not finite", time=0.0, state=np.asarray(state))
-        return found
+        return columns
 
     def _step(self, z: np.ndarray, h: float) -> np.ndarray:
         """The state and its variations after a step, without a compiler."""

@@ -46,7 +46,7 @@ def chain_motion(
     """The `Motion` of a state (2n) of a long chain, its canonical coordinates those of the linear modes.
 
     The motion is integrated at `settings`, its variations (2n columns) at tolerances of their own. Where the motion
-    found here is at -x(0) after half a period, the equations take the second half from the first: Phi(T) = Phi(T/2)^2.
+    is at -x(0) after half a period, the equations take the second half from the first: Phi(T) = Phi(T/2)^2.
     Where it also begins at rest, x(T/2 - t) = (-q, v)(t) is a motion run backwards, and they take the half from a
     quarter.
     """
@@ -80,7 +80,7 @@ def _chain_pieces(
 
     The frames at the two ends of a piece differ; at -x it is that at x, since every entry is even in (q, v) together.
     """
-    modes, found, now = np.kron(np.eye(2), closed.modes), [], state
+    modes, pieces, now = np.kron(np.eye(2), closed.modes), list[np.ndarray](), state
     measures = np.concatenate([units, np.ones(closed.width * state.size)])
     for span in duration * np.column_stack([np.arange(count), np.arange(1, count + 1)]) / count:
 
@@ -89,6 +89,6 @@ def _chain_pieces(
             return np.asarray(integrate_in(measures, closed.varied_rates, extended, span, VARIED)[-1])
 
         after, columns = closed.varied(modes, march)
-        found.append(closed.carried(now, after, columns))
+        pieces.append(closed.carried(now, after, columns))
         now = after
-    return found
+    return pieces

@@ -68,7 +68,7 @@ def phase_of(problem: Problem) -> Phase | None:
 
 def begun(problem: Problem, parameter: str, until: float | None = None) -> Point:
     """The motion of a problem in harmonics with a parameter ("": none) free, on as many orders as it takes; of free
-    motions the one that is pinned, or as wide as the guess.
+    motions what is pinned, or as wide as the guess.
 
     Raises `ConvergenceError`.
     """

@@ -113,19 +113,19 @@ def correct(
         nothing = np.full(rows.size, np.nan)
         if series.frequency <= 0 or not np.all(np.isfinite(rows)):
             return nothing
-        found = nothing if factors is None else np.asarray(factors(-rows))
-        if not np.abs(found).max() <= SHRINKING * last:
+        change = nothing if factors is None else np.asarray(factors(-rows))
+        if not np.abs(change).max() <= SHRINKING * last:
             factors, made = None if made == MOST else _factors(matrix()), made + 1
-            found = nothing if factors is None else np.asarray(factors(-rows))
-        last = float(np.abs(found).max())
-        return found
+            change = nothing if factors is None else np.asarray(factors(-rows))
+        last = float(np.abs(change).max())
+        return change
 
     solved = stepped(series, step, settings, Series.moved)
     return (solved.w, made) if solved.converged else None
 
 
 def _factors(matrix: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
-    """What solves with a matrix, given by its transpose, which is overwritten; None of a singular one."""
+    """What solves with a matrix, given by its transpose, which is overwritten; None where it is singular."""
     factors, pivots, info = dgetrf(matrix.T, overwrite_a=True)
     return None if info or not np.isfinite(factors).all() else lambda right: dgetrs(factors, pivots, right, trans=1)[0]
 
