@@ -41,6 +41,9 @@ class ClosedChain(March):
         """The closed form, from the Model's energies."""
         return chain_lagrange(self.model)
 
+    def _kernel(self, varied: bool, segments: int = 0) -> None:
+        """None: states are marched in no time, variations by the closed form."""
+
     @cached_property
     def _chunk(self) -> ca.Function:
         """((t, x), CHUNK step lengths) -> (t, x) after each step."""
